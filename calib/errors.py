@@ -1,0 +1,73 @@
+"""Errors that a user can act on: what is wrong, where, and what to do.
+
+Two families, one for each exit code of the command line:
+
+* `InputError` (exit code 2): a file, a name, a unit, a number or a pose that was given is wrong.
+* `ComputationError` (exit code 3): the input is fine, but no answer that can be trusted came out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class CalibrationError(Exception):
+    """Base of every error that this package raises on purpose."""
+
+    exit_code = 3
+
+
+class InputError(CalibrationError):
+    """Something that the user gave is wrong; nothing was computed or written."""
+
+    exit_code = 2
+
+
+class UrdfError(InputError):
+    """The URDF cannot be read, or does not describe one tree of joints."""
+
+
+class DescriptionError(InputError):
+    """The robot description (YAML) is not valid, or does not fit its URDF."""
+
+
+class DataError(InputError):
+    """A table of joint values or measurements is not valid."""
+
+
+class ParameterError(InputError):
+    """A parameter name, value or table is not valid."""
+
+
+class UnreachablePoseError(InputError):
+    """Poses that were given cannot be assembled: a loop stays open there."""
+
+
+class ComputationError(CalibrationError):
+    """The computation could not give an answer that can be trusted."""
+
+
+class NotIdentifiableError(ComputationError):
+    """The measurements do not determine the parameters that were asked for."""
+
+
+class NotConvergedError(ComputationError):
+    """The iteration stopped before it reached a solution."""
+
+
+def nearest(name: str, valid: Iterable[str]) -> str:
+    """Return the hint `"; did you mean 'x'?"`, or the list of valid names when none is close.
+
+    Args:
+        name: What was given.
+        valid: What would have been accepted.
+    """
+    names = sorted({str(item) for item in valid})
+    close = get_close_matches(str(name), names, n=1, cutoff=0.6)
+    if close:
+        return f"; did you mean '{close[0]}'?"
+    if not names:
+        return "; nothing is valid here"
+    shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
+    return f"; valid: {shown}"

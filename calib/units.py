@@ -1,0 +1,76 @@
+"""Units at the edges: files and reports speak mm and degrees, everything inside is SI (m, rad).
+
+The tables hold how many of a unit make one SI unit, so that `178 mm` becomes the float nearest to 0.178
+(a division rounds once; multiplying by the inexact 1e-3 would not).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Literal
+
+from calib.errors import InputError, nearest
+
+Dimension = Literal["length", "angle"]
+
+PER_SI: dict[Dimension, dict[str, float]] = {
+    "length": {"m": 1.0, "mm": 1e3, "um": 1e6},
+    "angle": {"rad": 1.0, "deg": 180.0 / math.pi, "mrad": 1e3},
+}
+DISPLAY_UNIT: dict[Dimension, str] = {"length": "mm", "angle": "deg"}
+_QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-zµ]*)\s*$")
+_COLUMN = re.compile(r"^\s*(?P<name>[^\[\]]*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*$")
+
+
+def per_si(unit: str | None, dimension: Dimension, where: str) -> float:
+    """Return how many of `unit` make one SI unit; divide by it to get SI.
+
+    Args:
+        unit: Unit name; None or "" means SI.
+        dimension: Whether a length or an angle is expected.
+        where: What the unit belongs to, for the error message.
+
+    Raises:
+        InputError: The unit is not known, or belongs to the other dimension.
+    """
+    units = PER_SI[dimension]
+    if not unit:
+        return 1.0
+    if unit in units:
+        return units[unit]
+    other: Dimension = "angle" if dimension == "length" else "length"
+    if unit in PER_SI[other]:
+        raise InputError(f"{where}: unit '{unit}' is for an {other}; a {dimension} is expected ({', '.join(units)})"
+                         .replace("an length", "a length").replace("a angle", "an angle"))
+    raise InputError(f"{where}: unknown unit '{unit}'{nearest(unit, units)}")
+
+
+def quantity(value: object, dimension: Dimension, where: str) -> float:
+    """Read `0.04 mm`, `1.5 deg` or a bare SI number, and return it in SI.
+
+    Raises:
+        InputError: It is not a finite number with an optional unit of this dimension.
+    """
+    number, unit = math.nan, None
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        number = float(value)
+    elif isinstance(value, str) and (match := _QUANTITY.match(value)):
+        number, unit = float(match.group(1)), match.group(2)
+    if not math.isfinite(number):
+        example = "0.04 mm" if dimension == "length" else "1.5 deg"
+        raise InputError(f"{where}: {value!r} is not a finite number with a unit, such as '{example}'")
+    return number / per_si(unit, dimension, where)
+
+
+def split_column(header: str) -> tuple[str, str | None]:
+    """Split the column header `name [unit]` into name and unit (None where there is none)."""
+    match = _COLUMN.match(header)
+    if match is None:
+        raise InputError(f"column '{header}': write a header as 'name' or 'name [unit]'")
+    return match.group("name"), match.group("unit")
+
+
+def to_unit(value: float, unit: str, dimension: Dimension) -> float:
+    """Convert an SI value to `unit`."""
+    return value * PER_SI[dimension][unit]

@@ -12,24 +12,34 @@ from calib.errors import (
     UnreachablePoseError,
     UrdfError,
 )
+from calib.fit import Fit, fit
+from calib.measurements import Measurements, Poses, read_measurements, read_poses
 from calib.parameters import Origin, Parameter, Parametrisation, twist_of_edit
 from calib.robot import Robot, load
+from calib.simulate import simulate
 
 __all__ = [
     "CalibrationError",
     "ComputationError",
     "DataError",
     "DescriptionError",
+    "Fit",
     "InputError",
+    "Measurements",
     "NotConvergedError",
     "NotIdentifiableError",
     "Origin",
     "Parameter",
     "ParameterError",
     "Parametrisation",
+    "Poses",
     "Robot",
     "UnreachablePoseError",
     "UrdfError",
+    "fit",
     "load",
+    "read_measurements",
+    "read_poses",
+    "simulate",
     "twist_of_edit",
 ]

@@ -16,10 +16,10 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from calib.errors import DescriptionError, InputError, nearest
 from calib.units import Dimension, quantity
 
-LENGTH_COMPONENTS = ("x", "y", "z")
-ANGLE_COMPONENTS = ("rx", "ry", "rz")
-COMPONENTS = LENGTH_COMPONENTS + ANGLE_COMPONENTS
 Component = Literal["x", "y", "z", "rx", "ry", "rz"]
+LENGTH_COMPONENTS: tuple[Component, ...] = ("x", "y", "z")
+ANGLE_COMPONENTS: tuple[Component, ...] = ("rx", "ry", "rz")
+COMPONENTS = LENGTH_COMPONENTS + ANGLE_COMPONENTS
 
 
 def _reader(dimension: Dimension) -> BeforeValidator:
@@ -45,7 +45,7 @@ class BaseSection(_Section):
 
     Attributes:
         frame: Link that it is attached to.
-        xyz, rpy: Pose of the measurement frame in that link [m], [rad].
+        xyz, rpy: Pose of that link in the measurement frame [m], [rad].
         pose: `known`: that pose is right; `unknown`: it is found from the measurements.
     """
 
@@ -62,11 +62,20 @@ class TargetSection(_Section):
         frame: Link that carries it.
         xyz: Where it is in that link [m].
         position: `known`: it is right there; `unknown`: found from the measurements, starting from `xyz`.
+        sigma: How far an unknown position may be from `xyz` (one standard deviation) [m]; left out, `xyz` says nothing.
+            Give it if you can: joints that hardly turned during the measurements leave the point loosely determined.
     """
 
     frame: str
     xyz: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
     position: Literal["known", "unknown"] = "known"
+    sigma: Annotated[Length, Field(gt=0)] | None = None
+
+    @model_validator(mode="after")
+    def _sigma_of_unknown(self) -> TargetSection:
+        if self.sigma is not None and self.position == "known":
+            raise ValueError("sigma is for a target whose position is unknown")
+        return self
 
 
 class OriginSection(_Section):
@@ -117,35 +126,38 @@ class Description(_Section):
     @model_validator(mode="after")
     def _loops_agree(self) -> Description:
         if len(self.type) != len(self.closed_loop):
-            raise ValueError(f"'type' has {len(self.type)} entries for {len(self.closed_loop)} entries of 'closed_loop'")
+            raise ValueError(
+                f"'type' has {len(self.type)} entries for {len(self.closed_loop)} entries of 'closed_loop'"
+            )
         if self.closed_loop_axes is not None and len(self.closed_loop_axes) != len(self.closed_loop):
-            raise ValueError(f"'closed_loop_axes' has {len(self.closed_loop_axes)} entries for"
-                             f" {len(self.closed_loop)} entries of 'closed_loop'")
+            raise ValueError(
+                f"'closed_loop_axes' has {len(self.closed_loop_axes)} entries for"
+                f" {len(self.closed_loop)} entries of 'closed_loop'"
+            )
         return self
 
     def loop_axes(self, index: int) -> tuple[Component, ...]:
         """Constrained directions of one closure: as given, or all that its type has."""
         if self.closed_loop_axes is not None:
             return self.closed_loop_axes[index]
-        return COMPONENTS if self.type[index] == "6d" else LENGTH_COMPONENTS  # type: ignore[return-value]
+        return COMPONENTS if self.type[index] == "6d" else LENGTH_COMPONENTS
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
     """YAML silently keeps the last of two equal keys; here that is an error."""
 
 
-def _unique_mapping(loader: yaml.SafeLoader, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+def _unique_mapping(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any, Any]:
     seen: set[Any] = set()
     for key_node, _ in node.value:
         key = loader.construct_object(key_node, deep=True)
         if key in seen:
             raise yaml.constructor.ConstructorError(None, None, f"key '{key}' is given twice", key_node.start_mark)
         seen.add(key)
-    return loader.construct_mapping(node, deep=deep)
+    return loader.construct_mapping(node, deep=True)
 
 
-_UniqueKeyLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG,
-                                 lambda loader, node: _unique_mapping(loader, node, deep=True))
+_UniqueKeyLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _unique_mapping)
 
 
 def read_description(path: Path | str) -> Description:
@@ -166,7 +178,9 @@ def read_description(path: Path | str) -> Description:
         problem = getattr(error, "problem", None) or "cannot be parsed"
         raise DescriptionError(f"{path}{line}: not valid YAML ({problem})") from None
     if not isinstance(content, dict):
-        raise DescriptionError(f"{path}: is not a mapping of keys to values; `calib init URDF` writes one to start from")
+        raise DescriptionError(
+            f"{path}: is not a mapping of keys to values; `calib init URDF` writes one to start from"
+        )
     try:
         return Description.model_validate(content)
     except ValidationError as error:
@@ -190,7 +204,10 @@ def _one_line(error: ValidationError) -> str:
 
 
 def _valid_keys(location: tuple[int | str, ...]) -> list[str]:
-    sections: dict[str, type[_Section]] = {"base": BaseSection, "targets": TargetSection,
-                                           "parametrisation": OriginSection}
+    sections: dict[str, type[_Section]] = {
+        "base": BaseSection,
+        "targets": TargetSection,
+        "parametrisation": OriginSection,
+    }
     section = sections.get(str(location[0]), Description) if len(location) > 1 else Description
     return list(section.model_fields)

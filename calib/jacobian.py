@@ -1,4 +1,4 @@
-"""The identification Jacobian: how measured positions move with parameters, through closed loops. Exact, no differences.
+"""The identification Jacobian: how measured positions move with parameters, through closed loops, exactly.
 
 With passive joints p decided by the closures r(xi, p) = 0, and x the position of a target in the measurement frame:
 
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib import kinematics
-from calib.mechanism import FloatArray, Mechanism
+from calib.mechanism import FloatArray, Mechanism, RelativeFrame
 from calib.robot import Configurations, Robot
 
 _CHUNK = 64
@@ -48,8 +48,9 @@ def linearise(robot: Robot, configurations: Configurations) -> Linearisation:
     return Linearisation(positions, by_origin)
 
 
-def origin_jacobian(mechanism: Mechanism, configurations: Configurations,
-                    twists: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+def origin_jacobian(
+    mechanism: Mechanism, configurations: Configurations, twists: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
     """Positions of all targets and their derivative by the right-perturbation twist of every origin.
 
     Args:
@@ -79,8 +80,13 @@ def origin_jacobian(mechanism: Mechanism, configurations: Configurations,
     return positions, derivative
 
 
-def _through_loops(mechanism: Mechanism, swept: kinematics.Sweep, target: kinematics.RelativeFrame, mapping: FloatArray,
-                   slope: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+def _through_loops(
+    mechanism: Mechanism,
+    swept: kinematics.Sweep,
+    target: RelativeFrame,
+    mapping: FloatArray,
+    slope: FloatArray,
+) -> list[tuple[FloatArray, FloatArray]]:
     """The terms -W C_xi, loop by loop."""
     if not mechanism.loops:
         return []
@@ -89,7 +95,7 @@ def _through_loops(mechanism: Mechanism, swept: kinematics.Sweep, target: kinema
     weights = np.linalg.solve(slope.transpose(0, 2, 1), by_passive.transpose(0, 2, 1)).transpose(0, 2, 1)
     terms, row = [], 0
     for loop in mechanism.loops:
-        part = weights[:, :, row:row + len(loop.rows)]
+        part = weights[:, :, row : row + len(loop.rows)]
         terms.append((-np.matmul(part, kinematics.twist_map(swept, loop)), mechanism.between(loop)))
         row += len(loop.rows)
     return terms
@@ -107,5 +113,5 @@ def _parameter_twists(robot: Robot) -> FloatArray:
     matrix = np.zeros((6 * mechanism.n_joints, len(robot.parameters)))
     for name, twist in robot.parametrisation.twists(robot.values).items():
         row = 6 * mechanism.origin_names.index(name)
-        matrix[row:row + 6] = twist
+        matrix[row : row + 6] = twist
     return matrix

@@ -49,7 +49,9 @@ class Sweep:
     regressor: FloatArray
 
 
-def sweep(mechanism: Mechanism, joints: FloatArray, pairs: tuple[RelativeFrame, ...], *, regressors: bool = False) -> Sweep:
+def sweep(
+    mechanism: Mechanism, joints: FloatArray, pairs: tuple[RelativeFrame, ...], *, regressors: bool = False
+) -> Sweep:
     """Run Pinocchio over the configurations `joints`, (n, n_joints) [m or rad]."""
     model = mechanism.model
     data = model.createData()
@@ -139,13 +141,13 @@ def origin_derivative(mechanism: Mechanism, swept: Sweep, terms: list[tuple[Floa
     n, n_rows = terms[0][0].shape[:2]
     result = np.zeros((n, n_rows, 6 * mechanism.n_joints))
     signs = np.array([sign for _, sign in terms])
-    groups: dict[tuple[float, ...], list[int]] = {}
+    groups: dict[tuple[int, tuple[float, ...]], list[int]] = {}
     for origin in range(mechanism.n_joints):
         if np.any(signs[:, origin]):
             leaf = next(f for f, frame in enumerate(swept.leaves) if mechanism.support[frame, origin])
-            groups.setdefault((leaf, *signs[:, origin]), []).append(origin)
-    for (leaf, *pattern), origins in groups.items():
+            groups.setdefault((leaf, tuple(signs[:, origin])), []).append(origin)
+    for (leaf, pattern), origins in groups.items():
         combined = sum(sign * terms[t][0] for t, sign in enumerate(pattern) if sign)
         columns = (6 * np.array(origins)[:, None] + np.arange(6)).ravel()
-        result[:, :, columns] = np.matmul(combined, swept.regressor[:, int(leaf)][:, :, columns])
+        result[:, :, columns] = np.matmul(combined, swept.regressor[:, leaf][:, :, columns])
     return result

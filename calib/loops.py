@@ -6,10 +6,10 @@ up or down); only the one that can be reached from the home configuration withou
 Method. Continuation along the straight line from an already solved configuration (a0, p0) to a: a predicted step along
 the tangent dp = -C_p^-1 C_a da, then Newton steps on p. A step counts only if Newton contracts at once (each correction
 at most half of the one before, the first below 0.5 rad), every diagonal block of C_p = dr/dp keeps the sign of its
-determinant, and no passive joint leaves its limits; otherwise it is halved. The blocks are the strongly connected parts of C_p's
-pattern: one for each five-bar, so that two flips cannot cancel in one determinant. Poses are solved nearest to home
-first, each starting from the nearest solved pose, so that one step is usually enough; all poses advance together in
-arrays. After a small change of parameters the old solution is the start (`seed`), and nothing else is needed.
+determinant, and no passive joint leaves its limits; otherwise it is halved. The blocks are the strongly connected
+parts of C_p's pattern: one for each five-bar, so that two flips cannot cancel in one determinant. Poses are solved
+nearest to home first, each starting from the nearest solved pose, so that one step is usually enough; all poses
+advance together in arrays. After a small change of parameters the old solution is the start (`seed`).
 
 Why not minimise |r| from a guess: plain Newton from a crude guess ends in another assembly mode in a sixth of
 five-bar poses, and a small residual does not show it.
@@ -72,7 +72,9 @@ class AssemblyMode:
     signs: FloatArray
 
 
-def residual(mechanism: Mechanism, actuated: FloatArray, passive: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def residual(
+    mechanism: Mechanism, actuated: FloatArray, passive: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return r (n, n_rows), C_p = dr/dp (n, n_rows, n_passive) and C_a = dr/da (n, n_rows, n_actuated)."""
     swept = kinematics.sweep(mechanism, mechanism.all_joints(actuated, passive), mechanism.loops)
     select = np.hstack([mechanism.select_passive, mechanism.select_actuated])
@@ -95,11 +97,11 @@ def scaled(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:
 
 
 def singular_values(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:
-    """Return the smallest singular value of the scaled C_p, (n,): 0 at a singular pose of the loops, of order 1 far away."""
+    """Return the smallest singular value of the scaled C_p, (n,): 0 at a singular pose, of order 1 far from one."""
     if not mechanism.passive:
         return np.full(len(slope_passive), np.inf)
-    smallest: FloatArray = np.linalg.svd(scaled(mechanism, slope_passive), compute_uv=False)[:, -1]
-    return smallest
+    values: FloatArray = np.linalg.svd(scaled(mechanism, slope_passive), compute_uv=False)
+    return values[:, -1]
 
 
 def assembly_mode(mechanism: Mechanism, home: dict[str, float], singularity_limit: float, where: str) -> AssemblyMode:
@@ -119,21 +121,26 @@ def assembly_mode(mechanism: Mechanism, home: dict[str, float], singularity_limi
         return AssemblyMode(actuated[0], passive[0], (), np.ones(0))
     missing = [name for name in mechanism.actuated + mechanism.passive if name not in home]
     if missing:
-        raise DescriptionError(f"{where}: home: gives no value for joint '{missing[0]}'; a robot with loops needs an"
-                               " assembled configuration of every joint")
+        raise DescriptionError(
+            f"{where}: home: gives no value for joint '{missing[0]}'; a robot with loops needs an"
+            " assembled configuration of every joint"
+        )
     values, slope, _ = residual(mechanism, actuated, passive)
     worst = _per_loop(mechanism, values)[0]
     if np.max(worst) > 1e-3:
         loop = int(np.argmax(worst))
-        raise DescriptionError(f"{where}: home: loop {mechanism.loops[loop].name} is open by {1e3 * worst[loop]:.3f} mm;"
-                               " give joint values at which the robot is assembled (to 1 mm or better)")
+        raise DescriptionError(
+            f"{where}: home: loop {mechanism.loops[loop].name} is open by {1e3 * worst[loop]:.3f} mm;"
+            " give joint values at which the robot is assembled (to 1 mm or better)"
+        )
     smallest = float(singular_values(mechanism, slope)[0])
     if smallest < singularity_limit:
         loose = [mechanism.loops[i].name for i in _loose_loops(mechanism, slope[0])]
         raise DescriptionError(
             f"{where}: home: the closures do not hold the passive joints (smallest singular value {smallest:.2g} of the"
             f" scaled passive Jacobian, limit {singularity_limit:g}; look at {', '.join(loose)}): home is singular, or"
-            " closed_loop_axes names a direction that the mechanism does not constrain")
+            " closed_loop_axes names a direction that the mechanism does not constrain"
+        )
     blocks = _blocks(np.abs(scaled(mechanism, slope)[0]) > 1e-9)
     mode = AssemblyMode(actuated[0], passive[0], blocks, _signs(slope, blocks)[0])
     polished, _, ok = _newton(mechanism, mode, actuated, passive, free=True)
@@ -168,33 +175,39 @@ def close(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, seed: 
     return Closed(passive, ok, miss, slope)
 
 
-def _from_home(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+def _from_home(
+    mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Solve poses nearest to home first, each from the nearest pose solved so far."""
     n, n_passive = len(actuated), len(mechanism.passive)
     passive, slope = np.full((n, n_passive), np.nan), np.full((n, n_passive, n_passive), np.nan)
     ok = np.zeros(n, dtype=bool)
-    scale = np.array([mechanism.length if mechanism.dimensions[name] == "length" else 1.0 for name in mechanism.actuated])
+    scale = np.array(
+        [mechanism.length if mechanism.dimensions[name] == "length" else 1.0 for name in mechanism.actuated]
+    )
     points = actuated / scale
     order = np.argsort(np.linalg.norm(points - mode.actuated / scale, axis=1), kind="stable")
     known_a, known_p = mode.actuated[None], mode.passive[None]
     start, size = 0, 8
     while start < n:
-        batch = order[start:start + size]
+        batch = order[start : start + size]
         for neighbour in range(3):  # another way round where the straight line is blocked
             todo = batch[~ok[batch]]
             if len(todo) == 0 or neighbour >= len(known_a):
                 break
             nearest = cKDTree(known_a / scale).query(points[todo], k=[neighbour + 1])[1][:, 0]
-            passive[todo], slope[todo], ok[todo] = _continue(mechanism, mode, known_a[nearest], known_p[nearest],
-                                                             actuated[todo])
+            passive[todo], slope[todo], ok[todo] = _continue(
+                mechanism, mode, known_a[nearest], known_p[nearest], actuated[todo]
+            )
         solved = batch[ok[batch]]
         known_a, known_p = np.vstack([known_a, actuated[solved]]), np.vstack([known_p, passive[solved]])
         start, size = start + size, size * 2
     return passive, slope, ok
 
 
-def _continue(mechanism: Mechanism, mode: AssemblyMode, start_a: FloatArray, start_p: FloatArray,
-              goal: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+def _continue(
+    mechanism: Mechanism, mode: AssemblyMode, start_a: FloatArray, start_p: FloatArray, goal: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Follow the solution from (start_a, start_p) to the actuated joints `goal` with adaptive steps."""
     n, n_passive = len(goal), len(mechanism.passive)
     at_a, at_p = start_a.copy(), start_p.copy()
@@ -219,8 +232,9 @@ def _continue(mechanism: Mechanism, mode: AssemblyMode, start_a: FloatArray, sta
     return at_p, slope, done >= 1
 
 
-def _newton(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray,
-            free: bool = False) -> tuple[FloatArray, FloatArray, BoolArray]:
+def _newton(
+    mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray, free: bool = False
+) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Newton on the passive joints; accepted only where it contracts at once and stays in the assembly mode.
 
     Args:
@@ -254,7 +268,9 @@ def _newton(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, pass
         good = np.flatnonzero(accepted)
         passive[good] = _wrapped(mechanism, mode, passive[good])
         margin = 1e-9
-        inside = np.all((passive[good] >= mechanism.lower - margin) & (passive[good] <= mechanism.upper + margin), axis=1)
+        inside = np.all(
+            (passive[good] >= mechanism.lower - margin) & (passive[good] <= mechanism.upper + margin), axis=1
+        )
         accepted[good] = inside & (_signs(slope[good], mode.blocks) == mode.signs).all(axis=1)
     return passive, slope, accepted
 

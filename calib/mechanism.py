@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -27,7 +28,7 @@ from calib.errors import DescriptionError, UrdfError, nearest
 from calib.units import Dimension, quantity
 from calib.urdf_text import HELD_TYPES, UrdfJoint, UrdfText
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating[Any]]
 IntArray = NDArray[np.intp]
 BoolArray = NDArray[np.bool_]
 
@@ -127,34 +128,63 @@ class Mechanism:
         return np.array([self.dimensions[name] == "length" for name in self.passive], dtype=bool)
 
 
+@dataclass(frozen=True, eq=False)
+class _JointSelection:
+    """The attributes of a `Mechanism` that say which joint is what."""
+
+    actuated: tuple[str, ...]
+    passive: tuple[str, ...]
+    dimensions: dict[str, Dimension]
+    select_actuated: FloatArray
+    select_passive: FloatArray
+    constant: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+
 def build_mechanism(urdf: UrdfText, description: Description) -> Mechanism:
     """Build the mechanism of a URDF and its description.
 
     Raises:
-        DescriptionError: A name in the description is not in the URDF, or the loops do not determine the passive joints.
+        DescriptionError: A name that the URDF does not have, or loops that do not determine the passive joints.
     """
     model, frames = _tree(urdf)
     origin_names = [joint.name for joint in _topological(urdf)]
     where = description.urdf
     base_link = _frame(frames, description.base.frame, f"{where}: base.frame")
     base_name = "base" if "base" not in origin_names else "measurement_base"
-    base = _add_held(model, base_link, base_name, description.base.xyz, description.base.rpy)
+    T_measurement_link = _pose(description.base.xyz, description.base.rpy)
+    base = int(model.addJoint(base_link, pin.JointModelRX(), T_measurement_link.inverse(), base_name))
     origin_names.append(base_name)
     targets = []
     for name, section in description.targets.items():
         link = _frame(frames, section.frame, f"{where}: targets.{name}.frame")
         origin = name if name not in origin_names else f"{name}_point"
-        index = _add_held(model, link, origin, section.xyz, (0.0, 0.0, 0.0))
+        index = int(model.addJoint(link, pin.JointModelRX(), _pose(section.xyz, (0.0, 0.0, 0.0)), origin))
         origin_names.append(origin)
         frames.setdefault(name, index)
         targets.append(RelativeFrame(name, base, index, False, (0, 1, 2)))
     support = _support(model)
     loops = tuple(_loop(description, frames, index) for index in range(len(description.closed_loop)))
-    parts = _joint_selection(urdf, description, origin_names, support, loops)
-    mechanism = Mechanism(model=model, origin_names=tuple(origin_names), frames=frames, loops=loops,
-                          targets=tuple(targets), support=support, length=_length(model, support, targets, loops), **parts)
-    for array in (mechanism.select_actuated, mechanism.select_passive, mechanism.constant, mechanism.lower,
-                  mechanism.upper, mechanism.support):
+    joints = _joint_selection(urdf, description, origin_names, support, loops)
+    mechanism = Mechanism(
+        model=model,
+        origin_names=tuple(origin_names),
+        frames=frames,
+        loops=loops,
+        targets=tuple(targets),
+        support=support,
+        length=_length(model, support, targets, loops),
+        **vars(joints),
+    )
+    for array in (
+        mechanism.select_actuated,
+        mechanism.select_passive,
+        mechanism.constant,
+        mechanism.lower,
+        mechanism.upper,
+        mechanism.support,
+    ):
         array.flags.writeable = False
     return mechanism
 
@@ -186,17 +216,15 @@ def _tree(urdf: UrdfText) -> tuple[pin.Model, dict[str, int]]:
             kind = pin.JointModelPrismaticUnaligned(axis)
         elif joint.type not in HELD_TYPES:
             kind = pin.JointModelRevoluteUnaligned(axis)
-        placement = pin.SE3(pin.rpy.rpyToMatrix(*joint.rpy), np.array(joint.xyz))
-        index = model.addJoint(frames[joint.parent], kind, placement, joint.name)
+        index = model.addJoint(frames[joint.parent], kind, _pose(joint.xyz, joint.rpy), joint.name)
         frames[joint.child] = index
     for joint in joints:
         frames.setdefault(joint.name, model.getJointId(joint.name))
     return model, frames
 
 
-def _add_held(model: pin.Model, parent: int, name: str, xyz: tuple[float, ...], rpy: tuple[float, ...]) -> int:
-    placement = pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz))
-    return int(model.addJoint(parent, pin.JointModelRX(), placement, name))
+def _pose(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> pin.SE3:
+    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz))
 
 
 def _frame(frames: dict[str, int], name: str, where: str) -> int:
@@ -224,11 +252,18 @@ def _loop(description: Description, frames: dict[str, int], index: int) -> Relat
     if not axes or len(set(axes)) != len(axes):
         raise DescriptionError(f"{where}: closed_loop_axes {list(axes)} must name each direction once, at least one")
     rows = tuple(COMPONENTS.index(axis) for axis in axes)
-    return RelativeFrame(f"{first}-{second}", _frame(frames, first, where), _frame(frames, second, where), full_pose, rows)
+    return RelativeFrame(
+        f"{first}-{second}", _frame(frames, first, where), _frame(frames, second, where), full_pose, rows
+    )
 
 
-def _joint_selection(urdf: UrdfText, description: Description, origin_names: list[str], support: FloatArray,
-                     loops: tuple[RelativeFrame, ...]) -> dict[str, object]:
+def _joint_selection(
+    urdf: UrdfText,
+    description: Description,
+    origin_names: list[str],
+    support: FloatArray,
+    loops: tuple[RelativeFrame, ...],
+) -> _JointSelection:
     """Decide which joints are actuated, passive or held, and build the selection matrices."""
     joints = {joint.name: joint for joint in urdf.joints}
     moving = {name for name, joint in joints.items() if joint.type not in HELD_TYPES}
@@ -236,7 +271,9 @@ def _joint_selection(urdf: UrdfText, description: Description, origin_names: lis
         if name not in joints:
             raise DescriptionError(f"{description.urdf}: name_mot: no joint '{name}'{nearest(name, moving)}")
         if name not in moving:
-            raise DescriptionError(f"{description.urdf}: name_mot: joint '{name}' is {joints[name].type}, it does not move")
+            raise DescriptionError(
+                f"{description.urdf}: name_mot: joint '{name}' is {joints[name].type}, it does not move"
+            )
     actuated = tuple(description.name_mot)
     if len(set(actuated)) != len(actuated):
         raise DescriptionError(f"{description.urdf}: name_mot names a joint twice")
@@ -244,14 +281,18 @@ def _joint_selection(urdf: UrdfText, description: Description, origin_names: lis
     for loop in loops:
         in_loop |= support[loop.b] != support[loop.a]
     followers = {name: joints[name].mimic for name in moving if joints[name].mimic and name not in actuated}
-    passive = tuple(name for i, name in enumerate(origin_names)
-                    if in_loop[i] and name in moving and name not in actuated and name not in followers)
+    passive = tuple(
+        name
+        for i, name in enumerate(origin_names)
+        if in_loop[i] and name in moving and name not in actuated and name not in followers
+    )
     n_rows = sum(len(loop.rows) for loop in loops)
     if n_rows != len(passive):
         raise DescriptionError(
             f"{description.urdf}: the closures constrain {n_rows} directions but leave {len(passive)} passive joints"
             f" ({', '.join(passive) or 'none'}); they must be equal: check name_mot, and constrain in closed_loop_axes"
-            " only what the mechanism constrains (y and z for a planar loop about x)")
+            " only what the mechanism constrains (y and z for a planar loop about x)"
+        )
     home = _home(description, joints, moving)
     select = {group: np.zeros((len(origin_names), len(names))) for group, names in (("a", actuated), ("p", passive))}
     constant = np.zeros(len(origin_names))
@@ -271,11 +312,19 @@ def _joint_selection(urdf: UrdfText, description: Description, origin_names: lis
         elif leader in home:
             offset += multiplier * home[leader]
         constant[i] = offset
-    dimensions: dict[str, Dimension] = {name: "length" if joints[name].type == "prismatic" else "angle" for name in moving}
-    return {"actuated": actuated, "passive": passive, "dimensions": dimensions, "select_actuated": select["a"],
-            "select_passive": select["p"], "constant": constant,
-            "lower": np.array([joints[name].lower for name in passive]),
-            "upper": np.array([joints[name].upper for name in passive])}
+    dimensions: dict[str, Dimension] = {
+        name: "length" if joints[name].type == "prismatic" else "angle" for name in moving
+    }
+    return _JointSelection(
+        actuated=actuated,
+        passive=passive,
+        dimensions=dimensions,
+        select_actuated=select["a"],
+        select_passive=select["p"],
+        constant=constant,
+        lower=np.array([joints[name].lower for name in passive]),
+        upper=np.array([joints[name].upper for name in passive]),
+    )
 
 
 def _home(description: Description, joints: dict[str, UrdfJoint], moving: set[str]) -> dict[str, float]:
@@ -283,8 +332,9 @@ def _home(description: Description, joints: dict[str, UrdfJoint], moving: set[st
     for name, value in description.home.items():
         if name not in moving:
             raise DescriptionError(f"{description.urdf}: home: no moving joint '{name}'{nearest(name, moving)}")
-        values[name] = quantity(value, "length" if joints[name].type == "prismatic" else "angle",
-                                f"{description.urdf}: home.{name}")
+        values[name] = quantity(
+            value, "length" if joints[name].type == "prismatic" else "angle", f"{description.urdf}: home.{name}"
+        )
     return values
 
 
@@ -294,7 +344,9 @@ def home_values(urdf: UrdfText, description: Description) -> dict[str, float]:
     return _home(description, joints, {name for name, joint in joints.items() if joint.type not in HELD_TYPES})
 
 
-def _length(model: pin.Model, support: FloatArray, targets: list[RelativeFrame], loops: tuple[RelativeFrame, ...]) -> float:
+def _length(
+    model: pin.Model, support: FloatArray, targets: list[RelativeFrame], loops: tuple[RelativeFrame, ...]
+) -> float:
     """Longest origin translation inside a loop, or on the way to a target, as the robot's characteristic length [m]."""
     sizes = np.array([float(np.linalg.norm(model.jointPlacements[i].translation)) for i in range(1, model.njoints)])
     inside = [np.max(sizes * (support[pair.b] != support[pair.a])) for pair in loops]

@@ -124,8 +124,10 @@ class Robot:
         """
         values = np.atleast_2d(np.asarray(q, dtype=float))
         if values.ndim != 2 or values.shape[1] != len(self.joint_names):
-            raise DataError(f"joint values of shape {np.shape(q)}; expected (n, {len(self.joint_names)}) in the order"
-                            f" {', '.join(self.joint_names)}")
+            raise DataError(
+                f"joint values of shape {np.shape(q)}; expected (n, {len(self.joint_names)}) in the order"
+                f" {', '.join(self.joint_names)}"
+            )
         if not np.all(np.isfinite(values)):
             row, column = np.argwhere(~np.isfinite(values))[0]
             raise DataError(f"pose {row}: joint '{self.joint_names[column]}' is not finite")
@@ -211,8 +213,8 @@ def _keep(text: Triple, before: FloatArray, after: FloatArray) -> Triple:
 def load(path: str | Path) -> Robot:
     """Load a robot from a robot description (YAML) or from a plain URDF.
 
-    A plain URDF means: every moving joint on the way to the last link is actuated, every joint origin on that way may be
-    wrong (with default priors), and neither the measurement frame nor the measured point is known beforehand.
+    A plain URDF means: every moving joint on the way to the last link is actuated, every joint origin on that way may
+    be wrong (with default priors), and neither the measurement frame nor the measured point is known beforehand.
 
     Raises:
         UrdfError: The URDF is not valid.
@@ -264,8 +266,10 @@ def describe(urdf: UrdfText, urdf_path: str, target: str | None = None) -> Descr
         ends = [link for link in urdf.links if all(joint.parent != link for joint in urdf.joints)]
         longest = max(ends, key=lambda link: len(moving(link)))
         if any(not set(moving(link)) <= set(moving(longest)) for link in ends):
-            raise DescriptionError(f"{urdf.path}: the robot branches, so it has no last link; choose one of"
-                                   f" {', '.join(ends)} with `calib init {urdf_path} --target LINK --out FILE`")
+            raise DescriptionError(
+                f"{urdf.path}: the robot branches, so it has no last link; choose one of"
+                f" {', '.join(ends)} with `calib init {urdf_path} --target LINK --out FILE`"
+            )
         target = [link for link in ends if moving(link) == moving(longest)][-1]
     elif target not in urdf.links:
         raise DescriptionError(f"{urdf.path}: no link '{target}'")
@@ -273,9 +277,13 @@ def describe(urdf: UrdfText, urdf_path: str, target: str | None = None) -> Descr
     if not names:
         raise DescriptionError(f"{urdf.path}: no joint moves link '{target}'; there is nothing to calibrate")
     root = next(link for link in urdf.links if link not in parent_of)
-    return Description(urdf=urdf_path, name_mot=tuple(names), base=BaseSection(frame=root, pose="unknown"),
-                       targets={target: TargetSection(frame=target, position="unknown")},
-                       parametrisation=default_sections())
+    return Description(
+        urdf=urdf_path,
+        name_mot=tuple(names),
+        base=BaseSection(frame=root, pose="unknown"),
+        targets={target: TargetSection(frame=target, position="unknown")},
+        parametrisation=default_sections(),
+    )
 
 
 def describe_open(robot: Robot, closed: loops.Closed, labels: list[str] | None = None) -> str:
@@ -299,7 +307,7 @@ def _origins(mechanism: Mechanism, urdf: UrdfText) -> dict[str, Origin]:
     for name in mechanism.origin_names:
         if name not in result:
             placement = mechanism.placement(name)
+            if name == mechanism.origin_names[mechanism.targets[0].a - 1]:
+                placement = placement.inverse()
             result[name] = Origin(placement.translation.copy(), pin.rpy.matrixToRpy(placement.rotation))
     return result
-
-

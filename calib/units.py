@@ -41,8 +41,11 @@ def per_si(unit: str | None, dimension: Dimension, where: str) -> float:
         return units[unit]
     other: Dimension = "angle" if dimension == "length" else "length"
     if unit in PER_SI[other]:
-        raise InputError(f"{where}: unit '{unit}' is for an {other}; a {dimension} is expected ({', '.join(units)})"
-                         .replace("an length", "a length").replace("a angle", "an angle"))
+        raise InputError(
+            f"{where}: unit '{unit}' is for an {other}; a {dimension} is expected ({', '.join(units)})".replace(
+                "an length", "a length"
+            ).replace("a angle", "an angle")
+        )
     raise InputError(f"{where}: unknown unit '{unit}'{nearest(unit, units)}")
 
 

@@ -79,7 +79,7 @@ class ClosedForm:
         return self.passive[:, PASSIVE_JOINTS.index(name)]
 
     @property
-    def T_world_tool(self) -> Array:
+    def T_world_tool(self) -> Array:  # noqa: N802 - poses carry this name everywhere
         """Poses of the tool as homogeneous matrices, `(n, 4, 4) [m]`."""
         return homogeneous(self.R_world_tool, self.p_world_tool)
 
@@ -180,7 +180,8 @@ def singularity_sines(q: ArrayLike, parameters: ArrayLike) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         bars = [five_bar(i, q, named) for i in (1, 2)]
         angles = [(*_elbows(bar), np.angle((bar.E - bar.B) / (bar.E - bar.D))) for bar in bars]
-    return np.abs(np.sin(np.transpose(np.array(angles), (2, 0, 1))))
+    sines: Array = np.abs(np.sin(np.transpose(np.array(angles), (2, 0, 1))))
+    return sines
 
 
 def joint_matrix(q: ArrayLike) -> Array:
@@ -220,4 +221,5 @@ def _tool_in_base(carriage: Array, E1: Points, R_base_tool: Array, named: Named)
     p_base_E1 = np.stack([carriage - named["d31"], E1.real, E1.imag], axis=1)
     p_E1_G1 = np.stack([named["d31"] - named["d41"], *np.zeros((2, len(carriage)))], axis=1)
     p_G1_tool = np.stack([named["d41"] + named["d5"] + named["xt"], named["yt"], named["zt"]], axis=1)
-    return p_base_E1 + p_E1_G1 + np.einsum("nij,nj->ni", R_base_tool, p_G1_tool)
+    p_base_tool: Array = p_base_E1 + p_E1_G1 + np.einsum("nij,nj->ni", R_base_tool, p_G1_tool)
+    return p_base_tool

@@ -44,11 +44,11 @@ class WorkingMode:
     q6_centre: float = -pi / 2.0
 
 
-PUBLISHED_MODE = WorkingMode()
-"""Elbows of each five-bar apart from each other, as on the published robot."""
+ELBOWS_APART = WorkingMode()
+"""The elbows of each five-bar apart from each other, so that its links do not cross: the mode of the home."""
 
 
-def inverse(T_world_tool: ArrayLike, parameters: ArrayLike, mode: WorkingMode = PUBLISHED_MODE) -> Array:
+def inverse(T_world_tool: ArrayLike, parameters: ArrayLike, mode: WorkingMode = ELBOWS_APART) -> Array:
     """Joint values that bring the tool to given poses.
 
     Args:
@@ -68,7 +68,7 @@ def inverse(T_world_tool: ArrayLike, parameters: ArrayLike, mode: WorkingMode = 
     named = name_parameters(parameters, len(T))
     R, p_base_G1 = _support_in_base(T, named)
     gamma = np.arctan2(-R[:, 1, 2], R[:, 2, 2])
-    E1 = p_base_G1[:, 1] + 1j * p_base_G1[:, 2]
+    E1: Points = p_base_G1[:, 1] + 1j * p_base_G1[:, 2]
     with np.errstate(invalid="ignore", divide="ignore"):
         E2 = E1 + (R[:, 1, 0] + 1j * R[:, 2, 0]) * (named["d41"] + named["d42"]) / R[:, 0, 0]
         q2, q3, D1, feasible_1 = _five_bar_inverse(1, E1, named, mode.elbow_signs[:2])
@@ -109,7 +109,8 @@ def _proximal_direction(to_end: Points, proximal: Array, distal: Array, elbow_si
     """Unit direction of a proximal link whose pair spans `to_end`, `(n,)`; NaN where it cannot."""
     reach = np.abs(to_end)
     angle = np.arccos((proximal**2 + reach**2 - distal**2) / (2.0 * proximal * reach))
-    return to_end / reach * np.exp(-1j * elbow_sign * angle)
+    direction: Points = to_end / reach * np.exp(-1j * elbow_sign * angle)
+    return direction
 
 
 def _wrap(angle: Array, centre: float) -> Array:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from calib import DescriptionError, Origin, Parameter, twist_of_edit
 from medrue.paper_tables import PARAMETERS
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating[Any]]
 LENGTH_SIGMA = 2e-3
 """Expected error of a length: the paper draws them within +-2 mm [m]."""
 ANGLE_SIGMA = np.radians(1.5)
@@ -54,7 +55,12 @@ _COORDINATES: dict[str, tuple[tuple[str, int, float], ...]] = {
     "tool_origin": (("xt", 0, 1), ("yt", 1, 1), ("zt", 2, 1)),
 }
 _ROLLS: dict[str, tuple[str, int | None]] = {  # origin: (joint offset, five-bar)
-    "q2": ("dq2", 1), "q3": ("dq3", 1), "q4": ("dq4", 2), "q5": ("dq5", 2), "q6": ("dq6", None)}
+    "q2": ("dq2", 1),
+    "q3": ("dq3", 1),
+    "q4": ("dq4", 2),
+    "q5": ("dq5", 2),
+    "q6": ("dq6", None),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +71,7 @@ class MedrueParametrisation:
         origins: Nominal joint origins of the URDF, by joint name.
 
     Raises:
-        DescriptionError: The URDF is not a MedRUE: a joint is missing, or an origin has a value that no parameter gives.
+        DescriptionError: The URDF is not a MedRUE: a joint is missing, or no parameters give one of its origins.
     """
 
     origins: Mapping[str, Origin]
@@ -76,16 +82,31 @@ class MedrueParametrisation:
         if missing:
             raise DescriptionError(f"parametrisation 'medrue': the URDF has no joint '{missing[0]}'")
         nominal = _read_parameters(self.origins)
-        object.__setattr__(self, "parameters", tuple(
-            Parameter(name, "angle" if name in _ANGLES else "length", float(value),
-                      float(ANGLE_SIGMA) if name in _ANGLES else LENGTH_SIGMA, "deg" if name in _ANGLES else "mm", prior=False)
-            for name, value in zip(PARAMETERS, nominal, strict=True)))
+        object.__setattr__(
+            self,
+            "parameters",
+            tuple(
+                Parameter(
+                    name,
+                    "angle" if name in _ANGLES else "length",
+                    float(value),
+                    float(ANGLE_SIGMA) if name in _ANGLES else LENGTH_SIGMA,
+                    "deg" if name in _ANGLES else "mm",
+                    prior=False,
+                )
+                for name, value in zip(PARAMETERS, nominal, strict=True)
+            ),
+        )
         for name in _COORDINATES:
             xyz, rpy = _formula(name, nominal)
-            if not (np.allclose(xyz, self.origins[name].xyz, rtol=0, atol=1e-12)
-                    and np.allclose(rpy, self.origins[name].rpy, rtol=0, atol=1e-12)):
-                raise DescriptionError(f"parametrisation 'medrue': the origin of joint '{name}' is not one that the"
-                                       " paper's 36 parameters can give")
+            if not (
+                np.allclose(xyz, self.origins[name].xyz, rtol=0, atol=1e-12)
+                and np.allclose(rpy, self.origins[name].rpy, rtol=0, atol=1e-12)
+            ):
+                raise DescriptionError(
+                    f"parametrisation 'medrue': the origin of joint '{name}' is not one that the"
+                    " paper's 36 parameters can give"
+                )
 
     def placements(self, values: FloatArray) -> dict[str, pin.SE3]:
         """Return the origins at `values`, (36,) [m, rad], by joint name."""
@@ -97,8 +118,10 @@ class MedrueParametrisation:
 
     def twists(self, values: FloatArray) -> dict[str, FloatArray]:
         """Return the twist of each origin per parameter, (6, 36), by joint name."""
-        return {name: twist_of_edit(self._edited(name, values)[1], *_formula_derivative(name, values))
-                for name in _COORDINATES}
+        return {
+            name: twist_of_edit(self._edited(name, values)[1], *_formula_derivative(name, values))
+            for name in _COORDINATES
+        }
 
     def _edited(self, name: str, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         nominal = np.array([parameter.nominal for parameter in self.parameters])
@@ -172,4 +195,4 @@ def _read_parameters(origins: Mapping[str, Origin]) -> FloatArray:
     for name, (offset, five_bar) in _ROLLS.items():
         put(offset, origins[name].rpy[0] - (_direction(values, five_bar) if five_bar else 0.0))
     # differences such as 0.1668 - 0.1253 leave the last digit open: 1e-15 m is far below any drawing
-    return np.round(values, 15)
+    return np.round(values, 15) + 0.0  # no negative zeros

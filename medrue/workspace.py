@@ -6,9 +6,10 @@ here, with the nominal parameters and in the world frame:
 
 Place
     The leg's axis is parallel to x, at y = 340 mm, z = -40 mm, from x = -113 mm to 587 mm. The half of the surface
-    that is used faces the robot and upwards: its middle is 140 degrees from +y towards +z. With this choice no link
-    comes nearer to the leg's axis than 165 mm, no angle between two links that drive E_1 or E_2 has a sine below
-    0.65, and q1 stays more than 10 mm inside its stroke of 0 to 700 mm.
+    that is used faces the robot and upwards: its middle is 140 degrees from +y towards +z. (A half that faces straight
+    up would bring the links within 130 mm of the axis, into the leg.) With this choice the links' centre lines stay
+    166 mm away from the leg's axis, every angle between two links of a five-bar keeps a sine above 0.64 (above 0.58
+    with parameter errors of up to 2 mm and 1.5 degrees), and q1 stays between 36 and 666 mm of its 700 mm stroke.
 
 Positions
     15 directions around the axis times 28 stations along it, each at the middle of an equal piece of the surface
@@ -18,16 +19,16 @@ Positions
 Directions of the probe
     z_6 always points at the leg's axis (gamma = direction of the position around the axis + 90 degrees). In addition
     the probe leans along the leg (beta) and twists about its own axis (alpha), as an ultrasound examination asks for.
-    Without leaning and twisting the positions identify fewer parameters: the eight joint angles, the universal joints
-    and the tool point would not be told apart. For pose n = 0, 1, ... at the fraction s (from -1 to 1) of the leg,
+    Without leaning and twisting, E_1 and E_2 would move as one and the positions would show 21 instead of 28
+    combinations of the 36 parameters. For pose n = 0, 1, ... at the fraction s (from -1 to 1) of the leg,
         beta_n  = 20 deg s + 10 deg (2 frac(1/2 + n / g) - 1)
         alpha_n =            30 deg (2 frac(1/2 + n / g^2) - 1)
     with g = 1.3247..., the real root of g^3 = g + 1. This is the R2 sequence (Roberts, 2018): it covers the square
     evenly and needs no random numbers. The term with s leans the probe towards the nearer end of the leg, so that the
     guide's stroke of 700 mm suffices for 700 mm of leg.
 
-The working mode has the elbows of each five-bar apart from each other, as on the published robot. All positions share
-the assembly mode of `HOME`, also for parameters up to 2 mm and 1.5 degrees away from nominal.
+The working mode has the elbows of each five-bar apart from each other, so that its links do not cross. All positions
+share the assembly mode of `HOME`, also for parameters up to 2 mm and 1.5 degrees away from nominal.
 """
 
 from collections.abc import Mapping
@@ -127,7 +128,8 @@ def _evenly_spread(steps: NDArray[np.float64]) -> Array:
 def _home() -> Mapping[str, float]:
     """Joint values at the middle of the workspace, with closed loops at nominal parameters."""
     direction = np.array([MIDDLE_ANGLE])
-    p = np.array(AXIS_START) + (LENGTH / 2.0, RADIUS * np.cos(MIDDLE_ANGLE), RADIUS * np.sin(MIDDLE_ANGLE))
+    offset = np.array([LENGTH / 2.0, RADIUS * np.cos(MIDDLE_ANGLE), RADIUS * np.sin(MIDDLE_ANGLE)])
+    p = np.array(AXIS_START) + offset
     middle = inverse(homogeneous(rotation_x(direction + np.pi / 2.0), p[None]), table1().nominal)
     q = np.round(middle, 3)
     passive = forward(q, table1().nominal).passive + 0.0  # turns -0.0 into 0.0
@@ -136,4 +138,4 @@ def _home() -> Mapping[str, float]:
 
 
 HOME: Mapping[str, float] = _home()
-"""A closed configuration at the middle of the workspace, by joint name [m, rad]; actuated values are rounded to 0.001."""
+"""A closed configuration at the middle of the workspace, by joint name [m, rad]. Actuated values are rounded."""

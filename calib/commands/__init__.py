@@ -1,0 +1,1 @@
+"""The commands of the `calib` program: parse, call, print."""

@@ -1,0 +1,149 @@
+"""What all commands share: options, one-line errors with exit codes, JSON output, a progress display."""
+
+from __future__ import annotations
+
+import functools
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import click
+from rich.console import Console
+
+from calib.errors import CalibrationError, InputError
+from calib.files import check_file, write_file
+from calib.robot import Robot
+
+
+@dataclass(frozen=True)
+class Output:
+    """Where a command prints.
+
+    Attributes:
+        quiet: Print nothing but errors.
+        json_target: File for JSON, `-` for standard output (then nothing else goes there), or None.
+    """
+
+    quiet: bool
+    json_target: str | None
+
+    def say(self, text: str) -> None:
+        """Print text for people."""
+        if not self.quiet and self.json_target != "-":
+            click.echo(text)
+
+    def note(self, text: str) -> None:
+        """Print a warning or remark to standard error."""
+        if not self.quiet:
+            click.echo(text, err=True)
+
+    def json(self, content: object) -> None:
+        """Write JSON if it was asked for."""
+        if self.json_target is None:
+            return
+        text = json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+        if self.json_target == "-":
+            click.echo(text, nl=False)
+        else:
+            write_file(self.json_target, text)
+
+    @contextmanager
+    def working(self, what: str) -> Iterator[None]:
+        """Show a spinner on a terminal while something takes its time."""
+        console = Console(stderr=True)
+        if self.quiet or not console.is_terminal:
+            yield
+            return
+        with console.status(what):
+            yield
+
+
+class OneLineError(click.ClickException):
+    """An error that prints as one line."""
+
+    def __init__(self, message: str, exit_code: int) -> None:
+        super().__init__(" ".join(message.split()))
+        self.exit_code = exit_code  # type: ignore[misc]  # click declares it on the class, and documents setting it
+
+
+def shared_options(*, json_output: bool = False) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command --quiet, --debug (and --json), pass it an `output: Output`, and turn errors into one line.
+
+    Args:
+        json_output: Whether the command prints a table, and so takes --json FILE.
+    """
+
+    def decorate(function: Callable[..., None]) -> Callable[..., None]:
+        @functools.wraps(function)
+        def run(*args: Any, quiet: bool, debug: bool, json_target: str | None = None, **options: Any) -> None:
+            try:
+                if json_target not in (None, "-"):
+                    check_file(str(json_target))
+                function(*args, output=Output(quiet, json_target), **options)
+            except (click.ClickException, click.exceptions.Exit, click.Abort):
+                raise
+            except CalibrationError as error:
+                if debug:
+                    raise
+                raise OneLineError(str(error), error.exit_code) from None
+            except Exception as error:
+                if debug:
+                    raise
+                raise OneLineError(
+                    f"unexpected {type(error).__name__}: {error}; this is a defect of the program; --debug shows where",
+                    1,
+                ) from None
+
+        run = click.option("--debug", is_flag=True, help="Show the traceback of an error.")(run)
+        run = click.option("--quiet", is_flag=True, help="Print nothing but errors.")(run)
+        if json_output:
+            run = click.option(
+                "--json",
+                "json_target",
+                metavar="FILE",
+                help="Write the table as JSON ('-': to standard output, and nothing else there).",
+            )(run)
+        return run
+
+    return decorate
+
+
+def run_program(group: click.Group) -> None:
+    """Run a command line; every error is one line on standard error and an exit code."""
+    try:
+        result = group.main(standalone_mode=False)
+        sys.exit(result if isinstance(result, int) else 0)
+    except click.UsageError as error:
+        path = error.ctx.command_path if error.ctx else group.name
+        click.echo(f"{path}: {error.format_message()} (see {path} --help)", err=True)
+        sys.exit(2)
+    except click.ClickException as error:
+        click.echo(f"{group.name}: {error.format_message()}", err=True)
+        sys.exit(error.exit_code)
+    except (click.Abort, KeyboardInterrupt):
+        click.echo(f"{group.name}: interrupted", err=True)
+        sys.exit(130)
+
+
+def sigma_in_metres(sigma_mm: float | None) -> float | None:
+    """Check and convert the --sigma-mm option."""
+    if sigma_mm is None:
+        return None
+    if not 0 <= sigma_mm < 1e6:
+        raise InputError(f"--sigma-mm {sigma_mm:g}: must be a number, zero or positive")
+    return sigma_mm / 1e3
+
+
+def with_values(robot: Robot, parameters: str | None, result: str | None) -> Robot:
+    """Return the robot with the values of a parameter file or of a result folder, if one is given."""
+    from calib.parameter_files import read_parameters
+    from calib.results import load_calibrated
+
+    if parameters and result:
+        raise InputError("--parameters and --result exclude each other")
+    if parameters:
+        return robot.with_parameters(read_parameters(parameters, robot))
+    return load_calibrated(result, robot) if result else robot

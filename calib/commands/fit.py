@@ -1,0 +1,63 @@
+"""`calib fit`: find the parameters that explain the measurements."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from calib.commands.common import Output, shared_options, sigma_in_metres
+from calib.errors import InputError
+from calib.files import check_folder
+from calib.fit import fit
+from calib.measurements import Measurements, read_measurements
+from calib.results import save, to_dict
+from calib.robot import Robot, load
+from calib.validation import split
+
+
+@click.command("fit")
+@click.argument("robot")
+@click.argument("data")
+@click.option(
+    "--validate",
+    metavar="FILE|FRACTION",
+    help="Measurements to judge the result with: a CSV file, or the part"
+    " of DATA to hold out (0.2: a fifth of the poses).",
+)
+@click.option(
+    "--sigma-mm",
+    type=float,
+    help="Standard deviation of one reading per axis [mm]; if neither this nor the"
+    " description states it, it is found from the residuals.",
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random choice of held-out poses.")
+@click.option("--out", required=True, metavar="DIR", help="Folder for the result.")
+@shared_options(json_output=True)
+def command(
+    robot: str, data: str, validate: str | None, sigma_mm: float | None, seed: int, out: str, output: Output
+) -> None:
+    """Calibrate ROBOT (YAML description or URDF) from the measurements DATA (CSV)."""
+    check_folder(out)
+    model = load(robot)
+    identification = read_measurements(data, model)
+    validation = None
+    if validate is not None:
+        identification, validation = _hold_out(model, identification, validate, seed)
+    sigma = sigma_in_metres(sigma_mm)
+    if sigma == 0:
+        raise InputError("--sigma-mm 0: must be positive; leave it out to find the noise from the residuals")
+    with output.working(f"fitting {len(identification)} poses"):
+        result = fit(model, identification, validation=validation, sigma=sigma)
+    save(result, out)
+    output.say(result.report())
+    output.say(f"Written to {Path(out)}")
+    output.json(to_dict(result))
+
+
+def _hold_out(robot: Robot, data: Measurements, validate: str, seed: int) -> tuple[Measurements, Measurements]:
+    try:
+        fraction = float(validate)
+    except ValueError:
+        return data, read_measurements(validate, robot)
+    return split(data, fraction, seed)

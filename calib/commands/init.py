@@ -1,0 +1,31 @@
+"""`calib init`: a robot description to start from."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import click
+
+from calib.commands.common import Output, shared_options
+from calib.errors import InputError
+from calib.files import check_file, write_file
+from calib.robot import describe
+from calib.templates import description_text
+from calib.urdf_text import read_urdf
+
+
+@click.command("init")
+@click.argument("urdf")
+@click.option("--target", metavar="LINK", help="Link that carries the measured point; the last link if not given.")
+@click.option("--out", required=True, metavar="FILE", help="YAML file to write.")
+@shared_options()
+def command(urdf: str, target: str | None, out: str, output: Output) -> None:
+    """Write a commented robot description for URDF to start from."""
+    if Path(out).exists():
+        raise InputError(f"{out}: exists already; choose another name, so that no edited description is lost")
+    check_file(out)
+    text = read_urdf(urdf)
+    relative = os.path.relpath(Path(urdf).resolve(), Path(out).resolve().parent)
+    write_file(out, description_text(text, describe(text, relative, target)))
+    output.say(f"{out} written; it works as it is, and its comments say what to change")

@@ -1,0 +1,38 @@
+"""`calib simulate`: measurements from a known truth."""
+
+from __future__ import annotations
+
+import click
+import numpy as np
+
+from calib.commands.common import Output, shared_options, sigma_in_metres, with_values
+from calib.files import check_file, write_file
+from calib.measurements import format_measurements, read_poses
+from calib.robot import load
+from calib.simulate import simulate
+
+
+@click.command("simulate")
+@click.argument("robot")
+@click.argument("joints")
+@click.option(
+    "--parameters", metavar="FILE", help="True parameter values (CSV parameter,value,unit); nominal if not given."
+)
+@click.option("--sigma-mm", type=float, required=True, help="Standard deviation of the noise per axis [mm].")
+@click.option("--seed", type=int, required=True, help="Seed of the noise.")
+@click.option("--out", required=True, metavar="FILE", help="CSV file to write.")
+@shared_options()
+def command(
+    robot: str, joints: str, parameters: str | None, sigma_mm: float, seed: int, out: str, output: Output
+) -> None:
+    """Simulate measurements of ROBOT at the poses in JOINTS (CSV)."""
+    check_file(out)
+    model = with_values(load(robot), parameters, None)
+    poses = read_poses(joints, model)
+    measured = simulate(model, poses, sigma_in_metres(sigma_mm) or 0.0, np.random.default_rng(seed))
+    comments = (
+        f"simulated measurements of {model.name}; truth: {parameters or 'nominal parameters'}",
+        f"normal noise, sigma {sigma_mm:g} mm per axis, seed {seed}",
+    )
+    write_file(out, format_measurements(model, poses, measured.positions, comments))
+    output.say(f"{len(poses)} simulated poses written to {out}")

@@ -1,0 +1,101 @@
+"""Simulated measurements of MedRUE, written as a data file for the calibration.
+
+    python -m medrue.simulated_measurements OUT.csv [--seed 1] [--sigma-mm 0.04]
+
+A robot with Table I's actual parameters is sent to the 420 poses of the target workspace by a controller that knows
+the nominal ones only. A laser tracker measures the tool point, with normal noise on each axis. The positions come
+from the closed form of the paper's equations, not from the calibration's own model, so that a calibration from this
+file is tested by other code than its own.
+
+The commanded joint values are rounded to the digits of the file first; the positions belong to the rounded values.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from medrue.closed_form import ACTUATED_JOINTS, Array, forward
+from medrue.paper_tables import table1
+from medrue.workspace import target_workspace
+
+JOINT_DECIMALS = 6
+"""Digits of a joint value after the point: 1e-6 mm, 1e-6 degrees (0.02 um at the tool)."""
+
+POSITION_DECIMALS = 4
+"""Digits of a position after the point: 1e-4 mm."""
+
+
+def commanded_joints() -> Array:
+    """Joint values sent to the robot, as the file writes them, `(420, 6) [mm, deg]`."""
+    q = target_workspace().q
+    return np.round(np.hstack([q[:, :1] * 1000.0, np.degrees(q[:, 1:])]), JOINT_DECIMALS)
+
+
+def simulated_positions(joints: Array, sigma: float, generator: np.random.Generator) -> Array:
+    """Measured tool positions in the world.
+
+    Args:
+        joints: Commanded joint values, `(n, 6) [mm, deg]`.
+        sigma: Standard deviation of the measurement noise on each axis [mm].
+        generator: Source of the noise.
+
+    Returns:
+        Positions, `(n, 3) [mm]`.
+    """
+    q = np.hstack([joints[:, :1] / 1000.0, np.radians(joints[:, 1:])])
+    exact = forward(q, table1().actual).p_world_tool * 1000.0
+    return exact + generator.normal(0.0, sigma, exact.shape)
+
+
+def measurement_file(seed: int, sigma: float) -> str:
+    """Text of the data file: comments, a header, one row per pose.
+
+    Args:
+        seed: Seed of the noise, written into the file.
+        sigma: Standard deviation of the noise on each axis [mm].
+
+    Raises:
+        ValueError: Sigma is negative or not finite.
+    """
+    if not (np.isfinite(sigma) and sigma >= 0.0):
+        raise ValueError(f"sigma is {sigma} mm, expected zero or more")
+    joints = commanded_joints()
+    positions = simulated_positions(joints, sigma, np.random.default_rng(seed))
+    units = ["mm"] + ["deg"] * 5
+    columns = [f"{name} [{unit}]" for name, unit in zip(ACTUATED_JOINTS, units, strict=True)]
+    lines = [
+        "# Simulated measurements of MedRUE; no real robot was measured.",
+        "# Positions: closed form of the paper's equations with the actual parameters of Table I, plus normal noise.",
+        f"# Noise: sigma {sigma:g} mm on each axis, numpy default_rng, seed {seed}.",
+        "# Joint values: commanded, from the inverse kinematics with the nominal parameters of Table I.",
+        ",".join(["pose", *columns, "tool_x [mm]", "tool_y [mm]", "tool_z [mm]"]),
+    ]
+    for pose, (row, position) in enumerate(zip(joints, positions, strict=True), start=1):
+        cells = [f"{value:.{JOINT_DECIMALS}f}" for value in row]
+        cells += [f"{value:.{POSITION_DECIMALS}f}" for value in position]
+        lines.append(",".join([str(pose), *cells]))
+    return "\n".join(lines) + "\n"
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Command line: write the file beside its place, then rename it."""
+    parser = argparse.ArgumentParser(
+        prog="python -m medrue.simulated_measurements",
+        description="Write simulated measurements of MedRUE at the 420 poses of its target workspace.",
+    )
+    parser.add_argument("out", type=Path, metavar="OUT.csv", help="file to write")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the measurement noise (default 1)")
+    parser.add_argument("--sigma-mm", type=float, default=0.04, help="noise on each axis in mm (default 0.04)")
+    options = parser.parse_args(arguments)
+    if not (np.isfinite(options.sigma_mm) and options.sigma_mm >= 0.0):
+        parser.error(f"--sigma-mm is {options.sigma_mm}, expected zero or more")
+    if options.seed < 0:
+        parser.error(f"--seed is {options.seed}, expected zero or more")
+    part = options.out.with_name(options.out.name + ".part")
+    part.write_text(measurement_file(options.seed, options.sigma_mm), encoding="utf-8")
+    part.replace(options.out)
+
+
+if __name__ == "__main__":
+    main()

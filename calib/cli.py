@@ -8,13 +8,14 @@ import click
 
 from calib.commands import fit, init, predict, simulate
 from calib.commands.common import run_program
+from calib.version import VERSION
 
 COMMANDS = "calib.commands"
 """Entry point group of commands that other packages add."""
 
 
 @click.group(name="calib", context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(package_name="medrue", prog_name="calib")
+@click.version_option(VERSION, prog_name="calib")
 def group() -> None:
     """Kinematic calibration of any robot with a URDF, closed loops included."""
 

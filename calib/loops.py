@@ -5,8 +5,8 @@ up or down); only the one that can be reached from the home configuration withou
 
 Method. Continuation along the straight line from an already solved configuration (a0, p0) to a: a predicted step along
 the tangent dp = -C_p^-1 C_a da, then Newton steps on p. A step counts only if Newton contracts at once (each correction
-at most half of the one before, the first below 0.5 rad), every diagonal block of C_p = dr/dp keeps the sign of its
-determinant, and no passive joint leaves its limits; otherwise it is halved. The blocks are the strongly connected
+at most half of the one before, the first below 0.5 rad) and every diagonal block of C_p = dr/dp keeps the sign of its
+determinant; otherwise it is halved. A solution beyond the limits of a passive joint does not count as closed. The blocks are the strongly connected
 parts of C_p's pattern: one for each five-bar, so that two flips cannot cancel in one determinant. Poses are solved
 nearest to home first, each starting from the nearest solved pose, so that one step is usually enough; all poses
 advance together in arrays. After a small change of parameters the old solution is the start (`seed`).
@@ -35,6 +35,7 @@ from calib.mechanism import BoolArray, FloatArray, IntArray, Mechanism
 TOLERANCE = 1e-12
 """Largest closure residual of a solved pose [m, rad]."""
 _LARGEST_STEP = 0.5  # of any passive joint in one Newton correction [rad, or characteristic lengths]
+_OPEN_HOME = 0.05  # characteristic lengths that home may be open: as much as a calibrated URDF differs from its drawing
 _SMALLEST_PART = 1 / 256  # of the way from start to goal, before continuation gives up
 _MAX_NEWTON = 12
 
@@ -46,13 +47,11 @@ class Closed:
     Attributes:
         passive: Passive joints, NaN where a pose does not close, (n, n_passive) [m or rad].
         ok: Which poses closed, (n,).
-        miss: Smallest residual found per loop where a pose does not close, else 0, (n, n_loops) [m or rad].
         slope: C_p at the solution, NaN where open, (n, n_passive, n_passive); `singular_values` judges it.
     """
 
     passive: FloatArray
     ok: BoolArray
-    miss: FloatArray
     slope: FloatArray
 
 
@@ -127,11 +126,12 @@ def assembly_mode(mechanism: Mechanism, home: dict[str, float], singularity_limi
         )
     values, slope, _ = residual(mechanism, actuated, passive)
     worst = _per_loop(mechanism, values)[0]
-    if np.max(worst) > 1e-3:
+    limit = _OPEN_HOME * mechanism.length
+    if np.max(worst) > limit:
         loop = int(np.argmax(worst))
         raise DescriptionError(
             f"{where}: home: loop {mechanism.loops[loop].name} is open by {1e3 * worst[loop]:.3f} mm;"
-            " give joint values at which the robot is assembled (to 1 mm or better)"
+            f" give joint values at which the robot is assembled (to {1e3 * limit:.0f} mm or better)"
         )
     smallest = float(singular_values(mechanism, slope)[0])
     if smallest < singularity_limit:
@@ -143,7 +143,7 @@ def assembly_mode(mechanism: Mechanism, home: dict[str, float], singularity_limi
         )
     blocks = _blocks(np.abs(scaled(mechanism, slope)[0]) > 1e-9)
     mode = AssemblyMode(actuated[0], passive[0], blocks, _signs(slope, blocks)[0])
-    polished, _, ok = _newton(mechanism, mode, actuated, passive, free=True)
+    polished, _, ok = _newton(mechanism, mode, actuated, passive)
     if not ok[0]:
         raise DescriptionError(f"{where}: home: cannot be closed to {TOLERANCE:g} m from the values given")
     return AssemblyMode(actuated[0], polished[0], blocks, mode.signs)
@@ -159,7 +159,7 @@ def close(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, seed: 
     """
     n, n_passive = len(actuated), len(mechanism.passive)
     if not mechanism.loops:
-        return Closed(np.zeros((n, 0)), np.ones(n, dtype=bool), np.zeros((n, 0)), np.zeros((n, 0, 0)))
+        return Closed(np.zeros((n, 0)), np.ones(n, dtype=bool), np.zeros((n, 0, 0)))
     passive, slope = np.full((n, n_passive), np.nan), np.full((n, n_passive, n_passive), np.nan)
     ok = np.zeros(n, dtype=bool)
     if seed is not None:
@@ -168,11 +168,11 @@ def close(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, seed: 
     if not np.all(ok):
         todo = np.flatnonzero(~ok)
         passive[todo], slope[todo], ok[todo] = _from_home(mechanism, mode, actuated[todo])
+    passive = _wrapped(mechanism, mode, passive)
+    margin = 1e-9
+    ok &= np.all((passive >= mechanism.lower - margin) & (passive <= mechanism.upper + margin), axis=1)
     passive[~ok], slope[~ok] = np.nan, np.nan
-    miss = np.zeros((n, len(mechanism.loops)))
-    for k in np.flatnonzero(~ok):
-        miss[k] = _smallest_miss(mechanism, mode, actuated[k])
-    return Closed(passive, ok, miss, slope)
+    return Closed(passive, ok, slope)
 
 
 def _from_home(
@@ -233,12 +233,9 @@ def _continue(
 
 
 def _newton(
-    mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray, free: bool = False
+    mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Newton on the passive joints; accepted only where it contracts at once and stays in the assembly mode.
-
-    Args:
-        free: Skip the contraction test (used to polish the home configuration).
 
     Returns:
         Passive joints (n, n_passive), C_p there (n, n_passive, n_passive), and which poses were accepted (n,).
@@ -258,7 +255,7 @@ def _newton(
         size = np.max(np.abs(_in_radians(mechanism, correction)), axis=1)
         still = active[rest]
         # below 1e-9 rounding decides the ratio of two corrections, so it says nothing about the branch
-        contracts = free | (size <= np.maximum(0.5 * np.minimum(last[still], 2 * _LARGEST_STEP), 1e-9))
+        contracts = size <= np.maximum(0.5 * np.minimum(last[still], 2 * _LARGEST_STEP), 1e-9)
         passive[still[contracts]] -= correction[contracts]
         last[still] = size
         active = still[contracts]
@@ -266,12 +263,7 @@ def _newton(
             break
     if np.any(accepted):
         good = np.flatnonzero(accepted)
-        passive[good] = _wrapped(mechanism, mode, passive[good])
-        margin = 1e-9
-        inside = np.all(
-            (passive[good] >= mechanism.lower - margin) & (passive[good] <= mechanism.upper + margin), axis=1
-        )
-        accepted[good] = inside & (_signs(slope[good], mode.blocks) == mode.signs).all(axis=1)
+        accepted[good] = (_signs(slope[good], mode.blocks) == mode.signs).all(axis=1)
     return passive, slope, accepted
 
 
@@ -324,8 +316,14 @@ def _loose_loops(mechanism: Mechanism, slope: FloatArray) -> list[int]:
     return [int(i) for i in np.flatnonzero(share > 0.3)]
 
 
-def _smallest_miss(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> FloatArray:
-    """How far each loop stays open at best, (n_loops,) [m or rad]; 0 where it closes in another assembly mode."""
+def smallest_miss(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> FloatArray:
+    """Return how far each loop stays open at best in one pose, (n_loops,) [m or rad].
+
+    All are 0 where the loops do close, but only in another assembly mode or beyond a passive joint's limit.
+
+    Args:
+        actuated: Actuated joints of a pose that `close` could not close, (n_actuated,) [m or rad].
+    """
 
     def values(passive: FloatArray) -> FloatArray:
         return residual(mechanism, actuated[None], passive[None])[0][0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -150,7 +150,7 @@ class Robot:
         values = self.joint_vector(q)
         closed = loops.close(self.mechanism, self.mode, values, seed)
         if not np.all(closed.ok):
-            raise UnreachablePoseError(describe_open(self, closed))
+            raise UnreachablePoseError(describe_open(self, values, closed))
         return Configurations(values, closed.passive, closed.slope)
 
     def singular_values(self, configurations: Configurations) -> FloatArray:
@@ -286,13 +286,14 @@ def describe(urdf: UrdfText, urdf_path: str, target: str | None = None) -> Descr
     )
 
 
-def describe_open(robot: Robot, closed: loops.Closed, labels: list[str] | None = None) -> str:
-    """Say which poses do not close, at which loop, and by how much they miss."""
+def describe_open(robot: Robot, q: FloatArray, closed: loops.Closed, labels: Sequence[str] | None = None) -> str:
+    """Say which of the poses q (n, n_actuated) do not close, at which loop, and by how much the first one misses."""
     poses = np.flatnonzero(~closed.ok)
     names = labels or [f"pose {k}" for k in range(len(closed.ok))]
     k = int(poses[0])
-    loop = int(np.argmax(closed.miss[k]))
-    miss = closed.miss[k, loop]
+    misses = loops.smallest_miss(robot.mechanism, robot.mode, q[k])
+    loop = int(np.argmax(misses))
+    miss = misses[loop]
     if miss > 1e-9:
         why = f"loop {robot.mechanism.loops[loop].name} stays open by {1e3 * miss:.3f} mm at best"
     else:

@@ -1,0 +1,213 @@
+"""Closing loops: against MedRUE's closed form, against geometry done by hand, and the errors."""
+
+import numpy as np
+import pytest
+
+import calib
+from calib import loops
+from medrue import robot_file
+from medrue.closed_form import PASSIVE_JOINTS, forward
+from medrue.paper_tables import table1
+from medrue.workspace import target_workspace
+
+ANGLES = np.array([unit == "rad" for unit in table1().units])
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return calib.load(robot_file())
+
+
+def passive_of(oracle, robot):
+    """The closed form's passive joints in the robot's order."""
+    return oracle.passive[:, [PASSIVE_JOINTS.index(name) for name in robot.passive_names]]
+
+
+def inside_limits(passive, robot):
+    """The only reason to differ: the mechanism's limits of the passive joints, which the closed form ignores."""
+    with np.errstate(invalid="ignore"):
+        return np.all((passive >= robot.mechanism.lower) & (passive <= robot.mechanism.upper), axis=1)
+
+
+def drawn_parameters(rng):
+    """Within +-2 mm and +-1.5 degrees of nominal."""
+    return table1().nominal + np.where(ANGLES, np.radians(1.5), 2e-3) * rng.uniform(-1, 1, 36)
+
+
+def test_ten_thousand_random_poses_and_parameters_agree_with_the_closed_form(robot):
+    rng = np.random.default_rng(7)
+    worst, compared = 0.0, 0
+    for _ in range(100):
+        values = drawn_parameters(rng)
+        q = target_workspace().q[rng.integers(0, 420, 110)] + rng.uniform(-1, 1, (110, 6)) * np.array(
+            [0.03] + 5 * [0.08]
+        )
+        oracle = forward(q, values)
+        perturbed = robot.with_parameters(values)
+        closed = perturbed.close(q)
+        passive = passive_of(oracle, robot)
+        assert np.array_equal(closed.ok, oracle.closes & inside_limits(passive, robot))
+        assert np.max(np.abs(closed.passive[closed.ok] - passive[closed.ok])) < 1e-9  # the same branch
+        difference = perturbed.positions(q[closed.ok])[:, 0] - oracle.p_world_tool[closed.ok]
+        worst = max(worst, float(np.max(np.abs(difference))))
+        compared += int(closed.ok.sum())
+    assert compared >= 10_000
+    assert worst <= 1e-11  # metres: 1e-8 mm
+
+
+def test_poses_over_the_whole_joint_range_never_come_back_on_a_wrong_branch(robot):
+    rng = np.random.default_rng(8)
+    limits = np.array([(j.lower, j.upper) for j in robot.urdf.joints if j.name in robot.joint_names]).T
+    q = rng.uniform(*limits, (600, 6))
+    oracle = forward(q, table1().nominal)
+    closed = robot.close(q)
+    assert 20 < closed.ok.sum() < 580
+    assert np.array_equal(closed.ok, oracle.closes & inside_limits(passive_of(oracle, robot), robot))
+
+
+def test_closures_hold_to_a_picometre(robot):
+    q = target_workspace().q
+    configurations = robot.assemble(q)
+    values, _, _ = loops.residual(robot.mechanism, q, configurations.passive)
+    assert np.max(np.abs(values)) <= 1e-12
+
+
+def test_a_warm_start_gives_the_same_solution_as_a_cold_one(robot):
+    q = target_workspace().q[::7]
+    moved = robot.with_parameters(table1().actual)
+    warm = moved.assemble(q, seed=robot.assemble(q).passive)
+    cold = moved.assemble(q)
+    assert np.max(np.abs(warm.passive - cold.passive)) < 1e-12
+
+
+def test_a_warm_start_from_the_other_branch_is_not_believed(robot):
+    q = target_workspace().q[:20]
+    right = robot.assemble(q).passive
+    mirrored = right.copy()
+    mirrored *= -1  # every elbow bent the other way
+    assert np.max(np.abs(robot.assemble(q, seed=mirrored).passive - right)) < 1e-12
+
+
+def test_a_pose_that_cannot_close_is_named_with_its_loop_and_its_miss(robot):
+    q = np.array([target_workspace().q[0], target_workspace().q[1]])
+    q[1, 1:3] += [-1.5, 0.8]  # pulls B1 and D1 further apart than the two distal links reach
+    # B1 and D1 from the drawing: the gap is their distance less both distal links
+    elbow = [np.array([-0.233, 0.178]), np.array([-0.083, 0.438])]
+    psi = np.arctan2(0.178 - 0.438, -0.233 + 0.083)
+    ends = [
+        a + 0.4 * np.array([np.cos(psi + angle), np.sin(psi + angle)])
+        for a, angle in zip(elbow, q[1, 1:3], strict=True)
+    ]
+    gap = np.linalg.norm(ends[0] - ends[1]) - 2 * 0.52
+    if gap <= 0:
+        pytest.fail("the pose was meant to be out of reach")
+    with pytest.raises(calib.UnreachablePoseError, match=r"pose 1: loop \S+ stays open by [\d.]+ mm at best") as error:
+        robot.assemble(q)
+    miss = loops.smallest_miss(robot.mechanism, robot.mode, q[1])
+    assert np.linalg.norm(miss) <= gap + 1e-9  # the least squares share the gap out among the loops
+    assert miss[0] > 0.3 * gap
+    assert "check these joint values" in str(error.value)
+
+
+def five_bar_urdf(tmp_path, description):
+    """A planar five-bar about z in the x-y plane, links 0.3 and 0.4, anchors 0.2 apart."""
+    links = "".join(
+        f'<link name="{n}"/>' for n in ("ground", "left", "left_end", "right", "right_end", "tip_left", "tip_right")
+    )
+
+    def joint(name, parent, child, xyz, kind="revolute"):
+        return (
+            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="{xyz}"/><axis xyz="0 0 1"/><limit lower="-7" upper="7" effort="1" velocity="1"/></joint>'
+        )
+
+    text = (
+        "<robot name='five_bar'>"
+        + links
+        + "".join(
+            [
+                joint("motor_left", "ground", "left", "-0.1 0 0"),
+                joint("motor_right", "ground", "right", "0.1 0 0"),
+                joint("elbow_left", "left", "left_end", "0.3 0 0"),
+                joint("elbow_right", "right", "right_end", "0.3 0 0"),
+                joint("tip_left_origin", "left_end", "tip_left", "0.4 0 0", "fixed"),
+                joint("tip_right_origin", "right_end", "tip_right", "0.4 0 0", "fixed"),
+            ]
+        )
+        + "</robot>"
+    )
+    (tmp_path / "five_bar.urdf").write_text(text)
+    (tmp_path / "five_bar.yaml").write_text(description)
+    return tmp_path / "five_bar.yaml"
+
+
+DESCRIPTION = """
+urdf: five_bar.urdf
+name_mot: [motor_left, motor_right]
+closed_loop: [[tip_left, tip_right]]
+type: [3d]
+closed_loop_axes: [[x, y]]
+home: {{motor_left: 2.0, motor_right: 1.1415926535897931, elbow_left: {left}, elbow_right: {right}}}
+base: {{frame: ground}}
+targets: {{tip: {{frame: tip_left}}}}
+parametrisation: [{{origin: all, components: [x, y], sigma: 1 mm}}]
+"""
+
+
+def by_hand(a, b, sign):
+    """The five-bar's tip: intersection of two circles about the elbows, `sign` the side of the line between them."""
+    left = np.array([-0.1 + 0.3 * np.cos(a), 0.3 * np.sin(a)])
+    right = np.array([0.1 + 0.3 * np.cos(b), 0.3 * np.sin(b)])
+    across = right - left
+    distance = np.linalg.norm(across)
+    height = np.sqrt(0.16 - distance**2 / 4)
+    return (left + right) / 2 + sign * height * np.array([-across[1], across[0]]) / distance
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_five_bar_about_another_axis_keeps_the_assembly_mode_of_its_home(tmp_path, sign):
+    tip = by_hand(2.0, np.pi - 2.0, sign)
+    elbows = [
+        np.array([-0.1 + 0.3 * np.cos(2.0), 0.3 * np.sin(2.0)]),
+        np.array([0.1 - 0.3 * np.cos(2.0), 0.3 * np.sin(2.0)]),
+    ]
+    left, right = (
+        np.arctan2(*(tip - elbow)[::-1]) - angle for elbow, angle in zip(elbows, (2.0, np.pi - 2.0), strict=True)
+    )
+    robot = calib.load(five_bar_urdf(tmp_path, DESCRIPTION.format(left=left, right=right)))
+    rng = np.random.default_rng(3)
+    q = np.array([2.0, np.pi - 2.0]) + rng.uniform(-0.8, 0.8, (300, 2))
+    expected = np.array([by_hand(a, b, sign) for a, b in q])
+    assert np.max(np.abs(robot.positions(q)[:, 0, :2] - expected)) < 1e-12
+
+
+def test_the_singular_value_is_that_of_the_angle_between_the_distal_links(tmp_path):
+    tip = by_hand(2.0, np.pi - 2.0, 1)
+    elbows = [
+        np.array([-0.1 + 0.3 * np.cos(2.0), 0.3 * np.sin(2.0)]),
+        np.array([0.1 - 0.3 * np.cos(2.0), 0.3 * np.sin(2.0)]),
+    ]
+    left, right = (
+        np.arctan2(*(tip - elbow)[::-1]) - angle for elbow, angle in zip(elbows, (2.0, np.pi - 2.0), strict=True)
+    )
+    robot = calib.load(five_bar_urdf(tmp_path, DESCRIPTION.format(left=left, right=right)))
+    # the elbows move apart until the distal links are almost in one line, the loop's singular pose
+    for a in (2.0, 2.3, 2.6, 2.85):
+        q = np.array([a, np.pi - a])
+        tip = by_hand(*q, 1)
+        ends = [np.array([-0.1 + 0.3 * np.cos(a), 0.3 * np.sin(a)]), np.array([0.1 - 0.3 * np.cos(a), 0.3 * np.sin(a)])]
+        first, second = ((tip - end) / 0.4 for end in ends)
+        # columns of C_p / 0.4 are unit vectors across the two links: s^2 = 1 - |cos of the angle between them|
+        expected = np.sqrt(1 - abs(first @ second))
+        assert robot.singular_values(robot.assemble(q))[0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_home_that_does_not_close_is_refused_with_the_gap(tmp_path):
+    with pytest.raises(calib.DescriptionError, match=r"home: loop tip_left-tip_right is open by [\d.]+ mm"):
+        calib.load(five_bar_urdf(tmp_path, DESCRIPTION.format(left=0.3, right=0.3)))
+
+
+def test_constraining_a_direction_that_a_planar_loop_does_not_have_is_refused(tmp_path):
+    text = DESCRIPTION.replace("[[x, y]]", "[[x, y, z]]").format(left=0.3, right=0.3)
+    with pytest.raises(calib.DescriptionError, match="constrain 3 directions but leave 2 passive joints"):
+        calib.load(five_bar_urdf(tmp_path, text))

@@ -38,6 +38,7 @@ from calib.problem import TOLERANCE, Evaluation, Problem
 from calib.registration import register
 from calib.robot import Configurations, Robot, describe_open
 from calib.statistics import Statistics, effective_parameters, statistics
+from calib.threads import one_blas_thread
 from calib.validation import error_table
 
 _LOOSE = 1e-2  # the same, while the noise is still being found
@@ -113,6 +114,7 @@ class Fit:
         save(self, folder)
 
 
+@one_blas_thread
 def fit(robot: Robot, data: Measurements, *, validation: Measurements | None = None, sigma: float | None = None) -> Fit:
     """Calibrate a robot.
 
@@ -275,7 +277,7 @@ def _errors_on(placed: Robot, calibrated: Robot, data: Measurements | None) -> E
     for robot in (placed, calibrated):
         closed = robot.close(data.joints)
         if not np.all(closed.ok):
-            raise UnreachablePoseError(describe_open(robot, closed, list(data.labels)))
+            raise UnreachablePoseError(describe_open(robot, data.joints, closed, data.labels))
         configurations = Configurations(data.joints, closed.passive, closed.slope)
         singular = robot.singular_values(configurations)
         errors.append(linearise(robot, configurations).positions - data.positions)

@@ -20,6 +20,7 @@ import numpy as np
 from calib import kinematics
 from calib.mechanism import FloatArray, Mechanism, RelativeFrame
 from calib.robot import Configurations, Robot
+from calib.threads import one_blas_thread
 
 _CHUNK = 64
 
@@ -48,6 +49,7 @@ def linearise(robot: Robot, configurations: Configurations) -> Linearisation:
     return Linearisation(positions, by_origin)
 
 
+@one_blas_thread
 def origin_jacobian(
     mechanism: Mechanism, configurations: Configurations, twists: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:

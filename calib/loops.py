@@ -31,6 +31,7 @@ from scipy.spatial import cKDTree
 from calib import kinematics
 from calib.errors import DescriptionError
 from calib.mechanism import BoolArray, FloatArray, IntArray, Mechanism
+from calib.threads import one_blas_thread
 
 TOLERANCE = 1e-12
 """Largest closure residual of a solved pose [m, rad]."""
@@ -149,6 +150,7 @@ def assembly_mode(mechanism: Mechanism, home: dict[str, float], singularity_limi
     return AssemblyMode(actuated[0], polished[0], blocks, mode.signs)
 
 
+@one_blas_thread
 def close(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, seed: FloatArray | None = None) -> Closed:
     """Solve the loops of each pose in the assembly mode of home.
 

@@ -64,7 +64,7 @@ class Problem:
         self._weight = np.sqrt(data.counts)[:, None, None, None]
         closed = robot.close(data.joints)
         if not np.all(closed.ok):
-            raise UnreachablePoseError(describe_open(robot, closed, list(data.labels)))
+            raise UnreachablePoseError(describe_open(robot, data.joints, closed, data.labels))
         self._seed = closed.passive
         self._last: tuple[bytes, Evaluation | None] = (b"", None)
 
@@ -76,7 +76,7 @@ class Problem:
         """
         closed = loops.close(robot.mechanism, robot.mode, self.data.joints, self._seed)
         if not np.all(closed.ok):
-            raise ComputationError(describe_open(robot, closed, list(self.data.labels)))
+            raise ComputationError(describe_open(robot, self.data.joints, closed, self.data.labels))
         self._seed = closed.passive
         configurations = Configurations(self.data.joints, closed.passive, closed.slope)
         linear = linearise(robot, configurations)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
-from importlib.metadata import entry_points, version
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from calib.parameter_files import format_parameters, read_parameters
 from calib.robot import Robot
 from calib.tables import format_table
 from calib.units import DISPLAY_UNIT, PER_SI
+from calib.version import PROGRAM
 
 FORMAT_VERSION = 1
 REPORTS = "calib.reports"
@@ -37,7 +38,7 @@ def to_dict(fit: Fit) -> dict[str, object]:
     return _plain(
         {
             "version": FORMAT_VERSION,
-            "program": f"medrue {version('medrue')}",
+            "program": PROGRAM,
             "robot": fit.nominal.path,
             "converged": True,
             "message": fit.message,

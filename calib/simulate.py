@@ -25,7 +25,7 @@ def simulate(robot: Robot, poses: Poses, sigma: float, rng: np.random.Generator)
         raise DataError(f"sigma {sigma:g} m: must be a number, zero or positive")
     closed = robot.close(poses.joints)
     if not np.all(closed.ok):
-        raise DataError(describe_open(robot, closed, list(poses.labels)))
+        raise DataError(describe_open(robot, poses.joints, closed, poses.labels))
     positions = robot.positions(poses.joints)
     positions = positions + sigma * rng.standard_normal(positions.shape)
     return Measurements(

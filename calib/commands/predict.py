@@ -26,7 +26,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     poses = read_poses(joints, model)
     closed = model.close(poses.joints)
     if not np.all(closed.ok):
-        raise UnreachablePoseError(describe_open(model, closed, list(poses.labels)))
+        raise UnreachablePoseError(describe_open(model, poses.joints, closed, poses.labels))
     positions = model.positions(poses.joints)
     source = parameters or result or "nominal values"
     write_file(out, format_measurements(model, poses, positions, (f"predicted positions of {model.name}, {source}",)))

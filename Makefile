@@ -1,40 +1,49 @@
-# make demo: calibrate MedRUE from the measurement file that ships with the project, into out/demo/
-# make test: the tests.   make lint: style and types.   make bench: speed, as ratios within one run
-# Everything is installed into .venv, from pinned versions, when pyproject.toml or requirements.txt change.
+# make demo   calibrate MedRUE from the measurement file that ships with the project, into out/demo/
+# make test   the tests
+# make lint   style and types
+# make bench  speed, as ratios within one run
+# make docs   the documentation site, into out/site/
+# Everything is installed into .venv, from pinned versions, and again only when the pins change.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-READY := $(VENV)/.ready
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+COMPILE := $(BIN)/pip-compile --quiet --upgrade --strip-extras --no-header --no-emit-index-url --no-emit-find-links --no-emit-trusted-host
 JOBS ?= 2
 
-.PHONY: demo test lint bench data clean
+.PHONY: demo test lint bench docs pins ci-packages data clean
 
-demo: $(READY)
+demo: $(VENV)/.ready
 	$(BIN)/calib fit urdf/medrue.yaml docs/examples/medrue_simulated.csv --validate 0.8 --out out/demo
 
-test: $(READY)
+test: $(VENV)/.ready
 	$(BIN)/python -m pytest -n $(JOBS)
 
-lint: $(READY)
+lint: $(VENV)/.ready
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-bench: $(READY)
-	$(BIN)/python -m pytest tests/benchmarks --benchmark-enable --benchmark-only -n 0
+bench: $(VENV)/.ready
+	$(BIN)/python -m pytest tests/benchmarks --benchmark-enable --benchmark-only -n 0 -s
 
 # The shipped measurement file, written again (a test compares it).
-data: $(READY)
+data: $(VENV)/.ready
 	$(BIN)/python -m medrue.simulated_measurements docs/examples/medrue_simulated.csv
 
-requirements.txt: pyproject.toml
-	$(BIN)/pip-compile --quiet --strip-extras --all-extras --no-emit-index-url --no-emit-find-links --output-file $@ $<
+# New pins from pyproject.toml: for every set-up, and with the optional tools that continuous integration uses too.
+pins: $(VENV)/.ready
+	$(COMPILE) --extra dev --output-file requirements.txt pyproject.toml
+	$(COMPILE) --all-extras --constraint requirements.txt --output-file requirements-ci.txt pyproject.toml
 
-$(READY): pyproject.toml
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed (set PYTHON=...)"; exit 1; }
+ci-packages: $(VENV)/.ready
+	$(PIP) -r requirements-ci.txt
+
+$(VENV)/.ready: pyproject.toml requirements.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=..." >&2; exit 1; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	$(PIP) -r requirements.txt
+	$(PIP) --no-deps --editable .
 	@touch $@
 
 clean:

@@ -7,14 +7,26 @@ of Pinocchio's toolbox-parallel-robots. Lengths and angles are SI, or text with 
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    PlainValidator,
+    Tag,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import ErrorDetails
 
 from calib.errors import DescriptionError, InputError, nearest
 from calib.units import Dimension, quantity
+from calib.yaml_file import read_yaml
 
 Component = Literal["x", "y", "z", "rx", "ry", "rz"]
 LENGTH_COMPONENTS: tuple[Component, ...] = ("x", "y", "z")
@@ -32,8 +44,16 @@ def _reader(dimension: Dimension) -> BeforeValidator:
     return BeforeValidator(read)
 
 
+def _number_or_text(value: Any) -> float | str:
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        raise ValueError(f"{value!r:.60} is not a number with a unit, such as '0.04 mm' or '1.5 deg'")
+    return value
+
+
 Length = Annotated[float, _reader("length")]
 Angle = Annotated[float, _reader("angle")]
+Quantity = Annotated[float | str, PlainValidator(_number_or_text)]
+"""A number, or text with a unit, whose dimension is known only later."""
 
 
 class _Section(BaseModel):
@@ -90,7 +110,7 @@ class OriginSection(_Section):
 
     origin: str
     components: tuple[Component, ...] = Field(min_length=1)
-    sigma: str | float
+    sigma: Quantity
     unit: str | None = None
 
     @model_validator(mode="after")
@@ -105,19 +125,29 @@ class OriginSection(_Section):
         return "length" if self.components[0] in LENGTH_COMPONENTS else "angle"
 
 
+def _name_or_list(value: Any) -> str:
+    return "name" if isinstance(value, str) else "list"
+
+
 class Description(_Section):
-    """A robot description, as the YAML file has it. See docs/robot_description.md for every key."""
+    """A robot description, as the YAML file has it. See docs/robot_description.md for every key.
+
+    `elimination_order` names parameters in the order in which `calib check` proposes to hold them, where it has a choice.
+    """
 
     urdf: str
     name_mot: tuple[str, ...] = Field(min_length=1)
     closed_loop: tuple[tuple[str, str], ...] = ()
     type: tuple[Literal["3d", "6d"], ...] = ()
     closed_loop_axes: tuple[tuple[Component, ...], ...] | None = None
-    home: dict[str, float | str] = {}
+    home: dict[str, Quantity] = {}
     base: BaseSection
     targets: dict[str, TargetSection] = Field(min_length=1)
-    parametrisation: str | tuple[OriginSection, ...]
+    parametrisation: Annotated[
+        Annotated[str, Tag("name")] | Annotated[tuple[OriginSection, ...], Tag("list")], Discriminator(_name_or_list)
+    ]
     held: tuple[str, ...] = ()
+    elimination_order: tuple[str, ...] = ()
     priors: bool = True
     sigma: Annotated[Length, Field(gt=0)] | None = None
     singularity_limit: Annotated[float, Field(gt=0, lt=1)] = 0.02
@@ -143,40 +173,13 @@ class Description(_Section):
         return COMPONENTS if self.type[index] == "6d" else LENGTH_COMPONENTS
 
 
-class _UniqueKeyLoader(yaml.SafeLoader):
-    """YAML silently keeps the last of two equal keys; here that is an error."""
-
-
-def _unique_mapping(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any, Any]:
-    seen: set[Any] = set()
-    for key_node, _ in node.value:
-        key = loader.construct_object(key_node, deep=True)
-        if key in seen:
-            raise yaml.constructor.ConstructorError(None, None, f"key '{key}' is given twice", key_node.start_mark)
-        seen.add(key)
-    return loader.construct_mapping(node, deep=True)
-
-
-_UniqueKeyLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _unique_mapping)
-
-
 def read_description(path: Path | str) -> Description:
     """Read and validate a robot description.
 
     Raises:
         DescriptionError: Missing file, broken YAML, unknown key, wrong value; the message names the place.
     """
-    try:
-        content = yaml.load(Path(path).read_text(encoding="utf-8-sig"), Loader=_UniqueKeyLoader)
-    except FileNotFoundError:
-        raise DescriptionError(f"{path}: no such file; give a robot description (YAML) or a URDF") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise DescriptionError(f"{path}: cannot be read as UTF-8 text ({error})") from None
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f", line {mark.line + 1}" if mark else ""
-        problem = getattr(error, "problem", None) or "cannot be parsed"
-        raise DescriptionError(f"{path}{line}: not valid YAML ({problem})") from None
+    content = read_yaml(path)
     if not isinstance(content, dict):
         raise DescriptionError(
             f"{path}: is not a mapping of keys to values; `calib init URDF` writes one to start from"
@@ -188,22 +191,51 @@ def read_description(path: Path | str) -> Description:
 
 
 def _one_line(error: ValidationError) -> str:
-    """Turn pydantic's first complaint into one line: where, what, and the nearest valid key."""
-    first = error.errors()[0]
-    place = ".".join(str(part) for part in first["loc"] if not str(part).startswith(("function-", "tuple[", "str")))
+    """Turn pydantic's complaints into one line: where, what, and the nearest valid key."""
+    complaints = error.errors()  # a misspelled key first: it explains why another one is missing
+    first = next((detail for detail in complaints if detail["type"] == "extra_forbidden"), complaints[0])
+    location = [part for k, part in enumerate(first["loc"]) if not (k == 1 and first["loc"][0] == "parametrisation")]
+    if first["type"] == "invalid_key" or location[-1:] == ["[key]"]:  # 1, on, yes, null: YAML reads them as no text
+        return f"key {first['input']} should be text; put it in quotes"
+    place = _place(location)
     if first["type"] == "extra_forbidden":
-        key = str(first["loc"][-1])
-        return f"unknown key '{place}'{nearest(key, _valid_keys(first['loc']))}"
-    if first["type"] == "missing":
+        return f"unknown key '{place}'{nearest(str(location[-1]), _valid_keys(location))}"
+    if first["type"] == "missing" and isinstance(location[-1], str):
         return f"key '{place}' is missing"
-    message = first["msg"].removeprefix("Value error, ")
-    message = message[:1].lower() + message[1:]
-    given = first["input"]
-    shown = "" if isinstance(given, (dict, list)) or first["type"] == "value_error" else f" (given: {given!r})"
-    return (f"{place}: " if place else "") + message + shown
+    if first["type"] == "missing":
+        return f"{_place(location[:-1])}: entry {int(location[-1]) + 1} is missing"
+    return (f"{place}: " if place else "") + _complaint(first)
 
 
-def _valid_keys(location: tuple[int | str, ...]) -> list[str]:
+def _place(location: list[int | str]) -> str:
+    """Write a place in the file as `targets.tool.xyz[2]`."""
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location)
+    return text.removeprefix(".")
+
+
+def _complaint(detail: ErrorDetails) -> str:
+    """Say what is wrong with a value, in the words of the file rather than of Python."""
+    kind, given, context = detail["type"], detail["input"], detail.get("ctx", {})
+    if kind == "value_error":
+        return detail["msg"].removeprefix("Value error, ")
+    if kind == "literal_error":
+        valid = re.findall("'([^']*)'", context["expected"])
+        return f"unknown value '{given}'{nearest(str(given), valid)}"
+    if kind in ("too_short", "too_long"):
+        least = kind == "too_short"
+        number = context["min_length" if least else "max_length"]
+        return f"should have at {'least' if least else 'most'} {number} entries, not {context['actual_length']}"
+    shown = "" if isinstance(given, (dict, list)) else f" (given: {given!r:.60})"
+    if kind == "string_type":
+        return f"should be text{'' if isinstance(given, (dict, list)) else '; put it in quotes'}{shown}"
+    if kind == "tuple_type":
+        return f"should be a list, such as [a, b]{shown}"
+    if kind in ("model_type", "dict_type"):
+        return f"should be keys and values, such as {{frame: base_link}}{shown}"
+    return detail["msg"].removeprefix("Input ") + shown
+
+
+def _valid_keys(location: list[int | str]) -> list[str]:
     sections: dict[str, type[_Section]] = {
         "base": BaseSection,
         "targets": TargetSection,

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
 from calib.errors import InputError
 
+_STREAM_FOLDERS = (Path("/dev"), Path("/dev/fd"))
+
 
 def write_file(path: Path | str, content: bytes | str) -> None:
-    """Write a whole file, or leave what was there untouched.
+    """Write a whole file, or leave what was there untouched. Pipes and devices are written to as they are.
 
     Raises:
         InputError: The folder does not exist or cannot be written to.
@@ -22,13 +25,17 @@ def write_file(path: Path | str, content: bytes | str) -> None:
     data = content.encode("utf-8") if isinstance(content, str) else content
     with _explained(path):
         if path.is_dir():
-            raise IsADirectoryError(21, "is a folder")
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+            raise IsADirectoryError(errno.EISDIR, "is a folder")
+        if _is_stream(path):
+            path.write_bytes(data)
+            return
+        target = path.resolve()  # a symbolic link stays one
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=".new-")
         try:
             with os.fdopen(handle, "wb") as stream:
                 stream.write(data)
-            Path(temporary).chmod(0o666 & ~_umask())
-            Path(temporary).replace(path)
+            Path(temporary).chmod(_permissions(target, 0o666))
+            Path(temporary).replace(target)
         except BaseException:
             Path(temporary).unlink(missing_ok=True)
             raise
@@ -38,8 +45,7 @@ def check_folder(path: Path | str) -> None:
     """Raise `InputError` now if a result could not be written to the folder `path` later."""
     path = Path(path)
     with _explained(path):
-        if path.exists() and not path.is_dir():
-            raise NotADirectoryError(20, "is a file, not a folder")
+        _check_replaceable(path.resolve())
         parent = path.resolve().parent
         while not parent.exists():
             parent = parent.parent
@@ -53,53 +59,93 @@ def check_file(path: Path | str) -> None:
     path = Path(path)
     with _explained(path):
         if path.is_dir():
-            raise IsADirectoryError(21, "is a folder")
+            raise IsADirectoryError(errno.EISDIR, "is a folder")
+        if _is_stream(path):
+            if not os.access(path, os.W_OK):
+                raise PermissionError(errno.EACCES, "permission denied")
+            return
         with tempfile.TemporaryFile(dir=path.resolve().parent):
             pass
 
 
-def write_folder(path: Path | str, files: Mapping[str, bytes]) -> None:
+def write_folder(path: Path | str, files: Mapping[str, bytes], obsolete: Collection[str] = ()) -> None:
     """Write a folder of files in one go; files of other names that were in it stay.
 
     The new folder is completed beside the old one and takes its place by renaming.
 
+    Args:
+        path: The folder.
+        files: Content by name.
+        obsolete: Names of files that do not stay if they were there.
+
     Raises:
-        InputError: The folder cannot be written.
+        InputError: The folder cannot be written; what was there is untouched.
     """
     path = Path(path).resolve()
     with _explained(path):
+        _check_replaceable(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        staging = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
+        staging = Path(tempfile.mkdtemp(dir=path.parent, prefix=".new-"))
         try:
-            staging.chmod(0o777 & ~_umask())
             for name, content in files.items():
                 (staging / name).write_bytes(content)
-            if not path.exists():
+            staging.chmod(_permissions(path, 0o777))
+            if path.exists():
+                _exchange(staging, path, obsolete)
+            else:
                 staging.rename(path)
-                return
-            for other in path.iterdir():
-                if other.name not in files:
-                    _copy(other, staging / other.name)
-            old = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.old."))
-            path.rename(old / path.name)
-            staging.rename(path)
-            shutil.rmtree(old)
         except BaseException:
             shutil.rmtree(staging, ignore_errors=True)
             raise
 
 
-def _copy(source: Path, destination: Path) -> None:
-    if source.is_dir() and not source.is_symlink():
-        shutil.copytree(source, destination, symlinks=True)
-    else:
-        shutil.copy2(source, destination, follow_symlinks=False)
+def _exchange(staging: Path, path: Path, obsolete: Collection[str]) -> None:
+    """Put `staging` in the place of `path`, and what `path` has besides into it."""
+    attic = Path(tempfile.mkdtemp(dir=path.parent, prefix=".old-"))
+    old = attic / path.name
+    try:
+        path.rename(old)
+        try:
+            staging.rename(path)
+        except BaseException:
+            old.rename(path)
+            raise
+    except BaseException:
+        attic.rmdir()
+        raise
+    written = {entry.name for entry in path.iterdir()}
+    for entry in list(old.iterdir()):
+        if entry.name not in written and entry.name not in obsolete:
+            entry.rename(path / entry.name)
+    shutil.rmtree(attic, ignore_errors=True)
 
 
-def _umask() -> int:
-    current = os.umask(0)
-    os.umask(current)
-    return current
+def _check_replaceable(path: Path) -> None:
+    """Raise `OSError` for files, and for folders that cannot be exchanged for another one behind their users' backs."""
+    if path.exists() and not path.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, "is a file, not a folder")
+    above = next(folder for folder in path.parents if folder.exists())
+    if not above.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, "a part of the path is a file, not a folder")
+    here = Path.cwd()
+    if path == here or path in here.parents:
+        raise OSError(errno.EBUSY, "it holds the current folder; a result needs a folder of its own")
+    if path.is_mount():
+        raise OSError(errno.EBUSY, "it is a mount point; a result needs a folder inside it")
+
+
+def _is_stream(path: Path) -> bool:
+    """Whether it is a pipe, a device or another program's open file, which no other file can replace."""
+    folder = path.absolute().parent
+    return path.exists() and (not path.is_file() or folder in _STREAM_FOLDERS or folder.parts[1:2] == ("proc",))
+
+
+def _permissions(path: Path, default: int) -> int:
+    if path.exists():
+        return path.stat().st_mode & 0o777
+    mask = os.umask(0)
+    os.umask(mask)
+    return default & ~mask
 
 
 @contextmanager

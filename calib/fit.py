@@ -4,118 +4,99 @@ Minimise, over u = (p - p_nominal) / s,
 
     sum over poses and axes  n_k (x_k(p) - measured_k)^2 / sigma^2   +   sum over parameters with a prior  u^2
 
-with n_k the readings averaged at pose k. Signed components, never distances: a distance loses its sign and its zero
-has no derivative. scipy's trust-region solver gets the exact Jacobian; a trial step that would open a loop is
-answered with NaN, on which the solver shortens its step.
+with n_k the readings averaged at pose k (`calib.problem`), by `calib.least_squares`.
 
 Order of work: (1) close every pose at nominal, or name those that cannot be; (2) where the measurement frame or the
 target's place is not known, a closed-form rigid fit places them, refined alone: this is the honest state `before`;
-(3) all free parameters together; (4) rank, statistics and error tables at the solution.
+(3) all free parameters together, from several starts if asked for; (4) with a robust loss, again with weights
+(`calib.robust`); (5) rank, statistics and error tables at the solution; (6) if asked for, outliers are left out and all
+is done again, and poses are left out in turns for cross-validation.
 
 The noise sigma weighs measurements against priors. Where nobody states it, it is found by repeating step 3 with the
 residuals' own sigma until that changes by less than one percent.
 
 When it fails. Fewer coordinates than unknowns, or columns that the poses cannot tell apart and no prior holds, is a
-`NotIdentifiableError` that names the parameters. No convergence, or a Gauss-Newton step left over that is not small
-against the standard deviations, is a `NotConvergedError`.
+`NotIdentifiableError` that names the parameters. A fit that did not converge comes back with the verdict FAIL.
 """
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import OptimizeResult
 
-from calib.errors import DataError, NotConvergedError, NotIdentifiableError, UnreachablePoseError
-from calib.identifiability import Rank, numerical_rank
+from calib.errors import ComputationError, DataError, InputError, NotConvergedError, UnreachablePoseError
+from calib.exclusion import without_outliers
+from calib.fitted import Convergence, ErrorSet, Fit
+from calib.folds import cross_validate
+from calib.identifiability import numerical_rank
 from calib.jacobian import linearise
+from calib.least_squares import TOLERANCE, Solution
+from calib.losses import Loss, checked_loss
 from calib.measurements import Measurements
-from calib.mechanism import BoolArray, FloatArray
+from calib.mechanism import FloatArray
 from calib.observability import observability
-from calib.problem import TOLERANCE, Evaluation, Problem
+from calib.pose_checks import check_measurements, require_identifiable
+from calib.problem import Problem
 from calib.registration import register
 from calib.robot import Configurations, Robot, describe_open
-from calib.statistics import Statistics, effective_parameters, statistics
+from calib.robust import solve_robust
+from calib.starts import Starts, explore
+from calib.statistics import EXACT, Noise, effective_parameters, found_noise, statistics
 from calib.threads import one_blas_thread
-from calib.validation import error_table
 
-_LOOSE = 1e-2  # the same, while the noise is still being found
+__all__ = ["ErrorSet", "Fit", "fit"]
+
+_LOOSE = 1e-2  # tolerance of the solver while the noise is still being found
 _SIGMA_ROUNDS = 20
+_STEP_LEFT = 0.05  # standard deviations that a converged fit may be away from its minimum
+_ROUNDING = 1e-8  # 10 nm and 10 nrad: below, rounding decides about a step
+
+
+@dataclass(frozen=True)
+class _Settings:
+    """How to fit.
+
+    Attributes:
+        stated: Noise of one reading per axis [m], or None.
+        loss: Robust loss.
+        starts: Number of starts.
+        seed: Seed of the random steps.
+    """
+
+    stated: float | None
+    loss: Loss
+    starts: int
+    seed: int
 
 
 @dataclass(frozen=True, eq=False)
-class ErrorSet:
-    """Predicted minus measured positions of one set of poses.
+class _Solved:
+    """A minimum, and what weighed its rows."""
 
-    Attributes:
-        data: The measurements.
-        before, after: Errors before and after calibration, (n_poses, n_targets, 3) [m].
-        singular_value: Each pose's distance to a singularity of the loops; infinite without loops, (n_poses,).
-    """
-
-    data: Measurements
-    before: FloatArray
-    after: FloatArray
-    singular_value: FloatArray
-
-    def table(self) -> dict[str, dict[str, object]]:
-        """Return the error tables `before` and `after` [mm]."""
-        return {"before": error_table(self.before.reshape(-1, 3)), "after": error_table(self.after.reshape(-1, 3))}
-
-
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """A finished identification.
-
-    Attributes:
-        nominal: The robot as described.
-        placed: The robot `before`: nominal, with base and targets placed where these are not known.
-        robot: The calibrated robot.
-        identification: Errors on the poses that were used.
-        validation: Errors on poses that were not used, if there were any.
-        free: Which parameters were free, (n_parameters,).
-        statistics: Uncertainty of the free ones.
-        rank: Rank of the scaled Jacobian of the free parameters.
-        rank_all: Rank of that of all parameters, held ones included.
-        observability: O1 to O5 on scaled columns.
-        jacobian: d(positions)/d(free parameters) at the solution, (n_poses, n_targets, 3, n_free).
-        sigma_stated: Noise as stated [m], or None.
-        message: What the solver said.
-        seconds: Duration of the whole computation.
-    """
-
-    nominal: Robot
-    placed: Robot
     robot: Robot
-    identification: ErrorSet
-    validation: ErrorSet | None
-    free: BoolArray
-    statistics: Statistics
-    rank: Rank
-    rank_all: Rank
-    observability: dict[str, float]
-    jacobian: FloatArray
-    sigma_stated: float | None
-    message: str
-    seconds: float
-
-    def report(self) -> str:
-        """Return the result as text."""
-        from calib.report_text import text_report
-
-        return text_report(self)
-
-    def save(self, folder: str) -> None:
-        """Write the result to a folder; see `calib.results.save`."""
-        from calib.results import save
-
-        save(self, folder)
+    sigma: float
+    solution: Solution
+    weights: FloatArray | None = None
+    noise: Noise | None = None
+    settled: bool = True
+    starts: Starts | None = None
 
 
 @one_blas_thread
-def fit(robot: Robot, data: Measurements, *, validation: Measurements | None = None, sigma: float | None = None) -> Fit:
+def fit(
+    robot: Robot,
+    data: Measurements,
+    *,
+    validation: Measurements | None = None,
+    sigma: float | None = None,
+    loss: str = "none",
+    exclude_outliers: bool = False,
+    starts: int = 1,
+    folds: int = 0,
+    seed: int = 0,
+) -> Fit:
     """Calibrate a robot.
 
     Args:
@@ -123,62 +104,89 @@ def fit(robot: Robot, data: Measurements, *, validation: Measurements | None = N
         data: Measurements to identify with.
         validation: Measurements to judge the result with.
         sigma: Standard deviation of one reading per axis [m]; the description's if not given, found if that has none.
+        loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey` (see `calib.losses`).
+        exclude_outliers: Leave outliers out and fit again; the result holds both fits.
+        starts: Number of starting points, the nominal one and perturbed ones.
+        folds: Number of folds for cross-validation by pose; 0 for none.
+        seed: Seed of perturbed starts and folds.
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
-        DataError: Too few measurements.
+        DataError: Too few measurements, or measurements that are not finite.
+        InputError: Unknown loss, or numbers of starts or folds that make no sense.
         NotIdentifiableError: The poses do not determine the free parameters.
-        NotConvergedError: The solver did not converge.
+        NotConvergedError: Base and targets cannot be placed, or the noise cannot be found.
     """
     started = time.perf_counter()
     stated = sigma if sigma is not None else robot.description.sigma
     if stated is not None and not (np.isfinite(stated) and stated > 0):
         raise DataError(f"sigma {stated:g} m: must be a positive number")
+    if starts < 1:
+        raise InputError(f"starts {starts}: must be 1 or more")
+    settings = _Settings(stated, checked_loss(loss), starts, seed)
+    found = _fit(robot, data, validation, settings)
+    plain = replace(settings, starts=1)
+    if exclude_outliers:
+        tukey = replace(plain, loss="tukey")
+        found = without_outliers(
+            found,
+            robust=lambda: _fit(robot, data, None, tukey),
+            again=lambda kept: _fit(robot, kept, validation, settings),
+        )
+    if folds:
+        used = found.identification.data
+        found = replace(
+            found, folds=cross_validate(used, folds, seed, lambda kept, held: _fit(robot, kept, held, plain))
+        )
+    return replace(found, seconds=time.perf_counter() - started)
+
+
+def _fit(robot: Robot, data: Measurements, validation: Measurements | None, settings: _Settings) -> Fit:
+    """Do steps 1 to 5 of the module docstring."""
     free = robot.free
-    _enough(robot, data, free)
+    check_measurements(robot, data, free)
     problem = Problem(robot, data, free)
     placed = _place(problem)
-    calibrated, sigma_used, outcome = _solve_with_noise(problem, placed, stated)
-    final = problem.evaluate(calibrated)
-    scaled = problem.weighted(final.jacobian) * problem.scales
-    rank = numerical_rank(scaled)
-    _require_identifiable(problem, scaled)
-    found = statistics(
-        scaled, problem.weighted(final.errors[..., None])[:, 0], problem.scales, problem.has_prior, sigma_used
-    )
-    _require_converged(outcome, problem, final, scaled, calibrated, sigma_used, found)
-    everything = numerical_rank(problem.weighted(final.all_columns) * np.array([p.sigma for p in robot.parameters]))
+    solved = _solve(problem, placed, settings)
+    final = problem.evaluate(solved.robot)
+    rows = problem.weighted(final.errors[..., None])[:, 0]
+    # everything below needs J^T J alone, which the small triangular factor of J has too
+    factor = _factor(problem.weighted(final.jacobian) * problem.scales)
+    rank = numerical_rank(factor)
+    require_identifiable(problem, factor)
+    noise = solved.noise or found_noise(rows, effective_parameters(factor, problem.has_prior, solved.sigma))
+    found = statistics(factor, noise, problem.scales, problem.has_prior, solved.sigma)
     before = problem.evaluate(placed)
-    identification = ErrorSet(data, before.errors, final.errors, calibrated.singular_values(final.configurations))
+    all_scales = np.array([p.sigma for p in robot.parameters])
     return Fit(
-        robot,
-        placed,
-        calibrated,
-        identification,
-        _errors_on(placed, calibrated, validation),
-        free,
-        found,
-        rank,
-        everything,
-        observability(rank.singular_values[: rank.rank], len(data)),
-        final.jacobian,
-        stated,
-        str(outcome.message),
-        time.perf_counter() - started,
+        nominal=robot,
+        placed=placed,
+        robot=solved.robot,
+        identification=ErrorSet(data, before.errors, final.errors, solved.robot.singular_values(final.configurations)),
+        validation=None if validation is None else _errors_on(placed, solved.robot, validation),
+        configurations=final.configurations,
+        free=free,
+        statistics=found,
+        rank=rank,
+        rank_all=numerical_rank(_factor(problem.weighted(final.all_columns) * all_scales)),
+        observability=observability(rank.singular_values[: rank.rank], len(data)),
+        jacobian=final.jacobian,
+        sigma_stated=settings.stated,
+        message=solved.solution.message,
+        seconds=float("nan"),
+        convergence=_convergence(problem, solved, final.jacobian, final.errors, found.std),
+        sigma_used=solved.sigma,
+        loss=settings.loss,
+        weights=np.ones(final.errors.shape[:2]) if solved.weights is None else solved.weights,
+        starts=solved.starts,
     )
 
 
-def _enough(robot: Robot, data: Measurements, free: BoolArray) -> None:
-    unknown = int(sum(use and not p.prior for p, use in zip(robot.parameters, free, strict=True)))
-    if not np.any(free):
-        raise DataError(f"{robot.path}: every parameter is held; there is nothing to identify")
-    rows = data.positions.size
-    if rows <= unknown or len(data) < 3:
-        needed = max(3, -(-(unknown + 1) // (rows // len(data))))
-        raise DataError(
-            f"{data.path}: {len(data)} poses give {rows} coordinates for {unknown} unknowns without a prior;"
-            f" measure at least {needed} poses (several times that for a useful result)"
-        )
+def _factor(rows: FloatArray) -> FloatArray:
+    """Return the triangular factor of a tall matrix."""
+    if len(rows) <= rows.shape[1]:
+        return rows
+    return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 def _place(problem: Problem) -> Robot:
@@ -186,15 +194,33 @@ def _place(problem: Problem) -> Robot:
     robot = problem.robot
     if not np.any(problem.moves):
         return robot
-    placed, outcome = problem.solve(register(robot, problem.data), 1e-4, problem.moves, priors=False)  # any sigma does
-    if outcome.status <= 0:
+    placed, solution = problem.solve(register(robot, problem.data), 1e-4, problem.moves, priors=False)  # any sigma does
+    if not solution.converged:
         raise NotConvergedError(
             "placing the base and the targets did not converge; check units and axes of the measurements"
         )
     return placed
 
 
-def _solve_with_noise(problem: Problem, placed: Robot, stated: float | None) -> tuple[Robot, float, OptimizeResult]:
+def _solve(problem: Problem, placed: Robot, settings: _Settings) -> _Solved:
+    """Solve with the stated noise or find it; from several starts and with a robust loss, if asked for."""
+    solved = _solve_with_noise(problem, placed, settings.stated)
+    if settings.starts > 1:
+        first = (solved.robot, solved.solution)
+        tried = explore(problem, placed, first, solved.sigma, settings.starts, settings.seed)
+        best = tried.minima[0]
+        solved = replace(solved, robot=best.robot, solution=best.solution, starts=tried)
+    if settings.loss == "none":
+        return solved
+    evaluation = problem.evaluate(solved.robot)
+    require_identifiable(problem, _factor(problem.weighted(evaluation.jacobian) * problem.scales))
+    robust = solve_robust(problem, solved.robot, settings.loss, settings.stated)
+    return _Solved(
+        robust.robot, robust.sigma, robust.solution, robust.weights, robust.noise, robust.settled, solved.starts
+    )
+
+
+def _solve_with_noise(problem: Problem, placed: Robot, stated: float | None) -> _Solved:
     """Solve with the stated noise; where none is stated, find it."""
     everything = np.ones(len(problem.scales), dtype=bool)
     first = problem.weighted(problem.evaluate(placed).errors[..., None])
@@ -202,83 +228,56 @@ def _solve_with_noise(problem: Problem, placed: Robot, stated: float | None) -> 
     moves = problem.moves
     # registration alone may have put a loosely determined target far from where its prior says it is
     robot = problem.solve(placed, sigma, moves)[0] if np.any(moves & problem.has_prior) else placed
-    if stated is not None:
-        robot, outcome = problem.solve(robot, stated, everything)
-        return robot, stated, outcome
+    if stated is not None or not np.any(problem.has_prior):  # without priors, sigma weighs nothing
+        robot, solution = problem.solve(robot, sigma, everything)
+        return _Solved(robot, sigma, solution)
     for _ in range(_SIGMA_ROUNDS):
-        robot, outcome = problem.solve(robot, sigma, everything, tolerance=tolerance)
+        robot, solution = problem.solve(robot, sigma, everything, tolerance=tolerance)
         evaluation = problem.evaluate(robot)
-        scaled = problem.weighted(evaluation.jacobian) * problem.scales
+        factor = _factor(problem.weighted(evaluation.jacobian) * problem.scales)
         rows = problem.weighted(evaluation.errors[..., None])[:, 0]
-        freedom = len(rows) - effective_parameters(scaled, problem.has_prior, sigma)
+        freedom = len(rows) - effective_parameters(factor, problem.has_prior, sigma)
         found = float(np.sqrt(rows @ rows / max(freedom, 1.0)))
-        settled = abs(found - sigma) <= 0.01 * sigma or found < 1e-9  # below a nanometre the data are exact
+        settled = abs(found - sigma) <= 0.01 * sigma or found < EXACT
         if settled and tolerance == TOLERANCE:
-            return robot, sigma, outcome
-        if abs(found - sigma) <= 0.1 * sigma or found < 1e-9:
+            return _Solved(robot, sigma, solution)
+        if abs(found - sigma) <= 0.1 * sigma or found < EXACT:
             tolerance = TOLERANCE
-        sigma = sigma if found < 1e-9 else found
+        sigma = sigma if found < EXACT else found
     raise NotConvergedError(
         "the noise of the measurements could not be found from the residuals; state it with --sigma-mm"
     )
 
 
-def _require_identifiable(problem: Problem, scaled: FloatArray) -> None:
-    """Raise unless data and priors together determine every free parameter."""
-    stacked = np.vstack([scaled, np.eye(len(problem.has_prior))[problem.has_prior]])
-    rank = numerical_rank(stacked)
-    if rank.rank == rank.n_columns:
-        return
-    names = [parameter.name for parameter, use in zip(problem.robot.parameters, problem.free, strict=True) if use]
-    null = np.linalg.svd(stacked)[2][rank.rank :]
-    involved = [name for name, size in zip(names, np.max(np.abs(null), axis=0), strict=True) if size > 1e-3]
-    raise NotIdentifiableError(
-        f"the poses determine {rank.rank} of {rank.n_columns} free parameters; not separable:"
-        f" {', '.join(involved[:12])}{', ...' if len(involved) > 12 else ''}; hold {rank.n_columns - rank.rank} of them"
-        " (`held`), or measure other poses"
-    )
+def _convergence(
+    problem: Problem, solved: _Solved, jacobian: FloatArray, errors: FloatArray, std: FloatArray
+) -> Convergence:
+    """Judge the end of the iteration by its stopping rule and by the Gauss-Newton step that is left."""
+    rows = problem.weighted(errors[..., None], solved.weights)[:, 0]
+    scaled = problem.weighted(jacobian, solved.weights) * problem.scales
+    prior = np.eye(len(problem.scales))[problem.has_prior]
+    stacked = np.vstack([scaled, solved.sigma * prior])
+    right = np.concatenate([rows, solved.sigma * (prior @ problem.scaled_values(solved.robot))])
+    q, r = np.linalg.qr(stacked)
+    left = np.abs(problem.scales * np.linalg.solve(r, q.T @ right)) / (std + _ROUNDING)
+    largest = int(np.argmax(left))
+    name = [p.name for p, use in zip(problem.robot.parameters, problem.free, strict=True) if use][largest]
+    converged = solved.solution.converged and solved.settled and bool(left[largest] < _STEP_LEFT)
+    return Convergence(converged, solved.solution.message, float(left[largest]), name, solved.settled)
 
 
-def _require_converged(
-    outcome: OptimizeResult,
-    problem: Problem,
-    final: Evaluation,
-    scaled: FloatArray,
-    calibrated: Robot,
-    sigma: float,
-    found: Statistics,
-) -> None:
-    """Raise unless the solver converged and the Gauss-Newton step left over is small against the uncertainty."""
-    if outcome.status <= 0:
-        raise NotConvergedError(
-            f"the fit did not converge: {outcome.message} Largest residual left:"
-            f" {1e3 * np.max(np.abs(final.errors)):.3g} mm; check units, joint order and signs"
-        )
-    weight = sigma**2 * problem.has_prior
-    u = (calibrated.values[problem.free] - problem.nominal) / problem.scales
-    gradient = scaled.T @ problem.weighted(final.errors[..., None])[:, 0] + weight * u
-    step = problem.scales * np.linalg.solve(scaled.T @ scaled + np.diag(weight), gradient)
-    left = np.abs(step) / (found.std + 1e-8)  # 10 nm and 10 nrad: below, rounding decides
-    if not np.all(left < 0.05):
-        name = [p.name for p, use in zip(problem.robot.parameters, problem.free, strict=True) if use][
-            int(np.argmax(left))
-        ]
-        raise NotConvergedError(
-            f"the fit stopped before its minimum: parameter '{name}' would still move by"
-            f" {np.max(left):.2g} standard deviations; check units, joint order and signs"
-        )
+def _errors_on(placed: Robot, calibrated: Robot, data: Measurements) -> ErrorSet:
+    before, _ = _errors_of(placed, data)
+    try:
+        after, singular = _errors_of(calibrated, data)
+    except UnreachablePoseError as error:
+        raise ComputationError(f"with the parameters found, the robot cannot be assembled: {error}") from None
+    return ErrorSet(data, before, after, singular)
 
 
-def _errors_on(placed: Robot, calibrated: Robot, data: Measurements | None) -> ErrorSet | None:
-    if data is None:
-        return None
-    errors = []
-    singular = np.full(len(data), np.inf)
-    for robot in (placed, calibrated):
-        closed = robot.close(data.joints)
-        if not np.all(closed.ok):
-            raise UnreachablePoseError(describe_open(robot, data.joints, closed, data.labels))
-        configurations = Configurations(data.joints, closed.passive, closed.slope)
-        singular = robot.singular_values(configurations)
-        errors.append(linearise(robot, configurations).positions - data.positions)
-    return ErrorSet(data, errors[0], errors[1], singular)
+def _errors_of(robot: Robot, data: Measurements) -> tuple[FloatArray, FloatArray]:
+    closed = robot.close(data.joints)
+    if not np.all(closed.ok):
+        raise UnreachablePoseError(describe_open(robot, data.joints, closed, data.labels))
+    configurations = Configurations(data.joints, closed.passive, closed.slope)
+    return linearise(robot, configurations).positions - data.positions, robot.singular_values(configurations)

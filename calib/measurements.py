@@ -9,16 +9,18 @@ import numpy as np
 
 from calib.errors import DataError
 from calib.mechanism import FloatArray, IntArray
+from calib.read_only import ReadOnlyArrays
 from calib.robot import Robot
 from calib.tables import Table, format_table, read_table
 from calib.units import DISPLAY_UNIT, PER_SI, Dimension
 
 _JOINTS_AGREE: dict[Dimension, float] = {"length": 1e-3, "angle": 2e-3}
 """Largest spread of a joint among repeats of one pose [m, rad]; more means that they are different poses."""
+_MOVED = 1e-4  # change of a joint between two rows that counts as motion [m, rad]
 
 
 @dataclass(frozen=True, eq=False)
-class Poses:
+class Poses(ReadOnlyArrays):
     """Joint values of a list of poses.
 
     Attributes:
@@ -47,21 +49,33 @@ class Measurements(Poses):
         positions: Mean measured positions in the measurement frame, (n_poses, n_targets, 3) [m].
         counts: How many readings each mean is of, (n_poses,).
         scatter: Standard deviation of the repeats about their mean, (n_poses, n_targets, 3) [m]; NaN without repeats.
+        readings: The readings of each pose, (counts[k], n_targets, 3) [m] each; empty where they are not known.
+        approach: Direction in which each joint moved last before the pose was measured, +1 or -1, 0 where not known,
+            and the mean over repeats, (n_poses, n_actuated). If not given: from the order of the poses.
     """
 
     positions: FloatArray
     counts: IntArray
     scatter: FloatArray
+    readings: tuple[FloatArray, ...] = ()
+    approach: FloatArray | None = None
 
     @property
     def n_rows(self) -> int:
         """Number of readings, repeats counted one by one."""
         return int(self.counts.sum())
 
+    @property
+    def approach_directions(self) -> FloatArray:
+        """`approach`, from the order of the poses where it is not given, (n_poses, n_actuated)."""
+        return directions_of_motion(self.joints) if self.approach is None else self.approach
+
     def subset(self, index: IntArray) -> Measurements:
         """Return the poses with these indices, in this order."""
         return replace(
             self,
+            readings=tuple(self.readings[i] for i in index) if self.readings else (),
+            approach=self.approach_directions[index],
             joints=self.joints[index],
             positions=self.positions[index],
             counts=self.counts[index],
@@ -78,6 +92,22 @@ class Measurements(Poses):
         freedom = self.counts[repeated] - 1
         squares = np.mean(self.scatter[repeated] ** 2, axis=(1, 2))
         return float(np.sqrt(np.sum(freedom * squares) / np.sum(freedom)))
+
+
+def directions_of_motion(joints: FloatArray) -> FloatArray:
+    """Return the direction in which each joint moved last before each pose: +1, -1, or 0 before its first motion.
+
+    A joint that stands still keeps its direction: that is what backlash depends on.
+
+    Args:
+        joints: Joint values in the order of measurement, (n_poses, n_actuated) [m or rad].
+    """
+    steps = np.diff(joints, axis=0, prepend=joints[:1])
+    direction = np.where(np.abs(steps) > _MOVED, np.sign(steps), 0.0)
+    rows = np.where(direction != 0, np.arange(len(joints))[:, None], 0)
+    last_moved = np.maximum.accumulate(rows, axis=0)
+    result: FloatArray = np.take_along_axis(direction, last_moved, axis=0)
+    return result
 
 
 def read_poses(path: Path | str, robot: Robot) -> Poses:
@@ -114,8 +144,22 @@ def read_measurements(path: Path | str, robot: Robot) -> Measurements:
     return _averaged(single, robot) if "pose" in table.names else single
 
 
-def format_measurements(robot: Robot, poses: Poses, positions: FloatArray, comments: tuple[str, ...] = ()) -> str:
-    """Return CSV text of poses and positions (n_poses, n_targets, 3) [m], in mm and degrees."""
+def format_measurements(
+    robot: Robot,
+    poses: Poses,
+    positions: FloatArray,
+    comments: tuple[str, ...] = (),
+    std: FloatArray | None = None,
+) -> str:
+    """Return CSV text in mm and degrees.
+
+    Args:
+        robot: Names joints and targets.
+        poses: Joint values.
+        positions: (n_poses, n_targets, 3) [m].
+        comments: Lines to put first.
+        std: Standard deviation of each coordinate, (n_poses, n_targets, 3) [m], in columns `<target>_std_x` ...
+    """
     columns: list[tuple[str, list[object]]] = [("pose", list(poses.names))]
     for j, name in enumerate(robot.joint_names):
         unit = DISPLAY_UNIT[robot.mechanism.dimensions[name]]
@@ -124,12 +168,19 @@ def format_measurements(robot: Robot, poses: Poses, positions: FloatArray, comme
     for t, target in enumerate(robot.target_names):
         for a, axis in enumerate("xyz"):
             columns.append((f"{target}_{axis} [mm]", list(positions[:, t, a] * 1e3)))
+    for t, target in enumerate(robot.target_names):
+        for a, axis in enumerate("xyz"):
+            if std is not None:
+                columns.append((f"{target}_std_{axis} [mm]", list(std[:, t, a] * 1e3)))
     return format_table(columns, comments)
 
 
 def _poses(table: Table, robot: Robot, used: set[str]) -> Poses:
     joints = np.stack([table.column(name, robot.mechanism.dimensions[name]) for name in robot.joint_names], axis=1)
     named = "pose" in table.names
+    if named and "" in table.text("pose"):
+        line = table.lines[table.text("pose").index("")]
+        raise DataError(f"{table.path}, line {line}, column 'pose': is empty; name the pose, or leave the column out")
     names = tuple(table.text("pose")) if named else tuple(str(k + 1) for k in range(len(table.rows)))
     labels = tuple(
         f"{table.path}, line {line}" + (f" (pose {name})" if named else "")
@@ -147,6 +198,7 @@ def _averaged(single: Measurements, robot: Robot) -> Measurements:
     if len(groups) == len(single):
         return single
     joints, positions, scatter = [], [], []
+    directions = directions_of_motion(single.joints)
     for name, rows in groups.items():
         values = single.joints[rows]
         spread = np.ptp(values, axis=0)
@@ -175,4 +227,6 @@ def _averaged(single: Measurements, robot: Robot) -> Measurements:
         counts=np.array([len(rows) for rows in groups.values()], dtype=np.intp),
         labels=tuple(single.labels[i] for i in first),
         names=tuple(groups),
+        readings=tuple(single.positions[rows] for rows in groups.values()),
+        approach=np.array([directions[rows].mean(axis=0) for rows in groups.values()]),
     )

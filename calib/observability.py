@@ -8,14 +8,24 @@ With singular values s1 >= ... >= sn of the identification Jacobian (n kept colu
     O4 = sn^2 / s1                           Nahvi and Hollerbach 1996
     O5 = 1 / (1/s1 + ... + 1/sn)             Sun and Hollerbach 2008
 
-Only O1 does not depend on the units of the parameters; the others are meaningful on scaled columns.
+Only the order that O1 gives does not depend on the units of the parameters (a change of units multiplies every O1 by
+the same number); the others are meaningful on scaled columns. None of them is what a user wants to know. That is the
+
+    task index: root mean square over poses of the predicted distance between true and predicted position,
+
+for poses where the robot will work, given the poses that were measured and the noise; and its largest value.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import dataclass
+
 import numpy as np
 
 from calib.mechanism import FloatArray
+from calib.parameters import Parameter
+from calib.units import PER_SI
 
 INDICES = ("O1", "O2", "O3", "O4", "O5")
 
@@ -40,3 +50,40 @@ def observability(singular_values: FloatArray, n_poses: int) -> dict[str, float]
         "O4": float(s[-1] ** 2 / s[0]),
         "O5": float(1.0 / np.sum(1.0 / s)),
     }
+
+
+def raw_columns(jacobian: FloatArray, parameters: Iterable[Parameter]) -> FloatArray:
+    """Return the Jacobian in the units of tables, as the paper has it: mm per unit of each parameter (mm or deg).
+
+    Args:
+        jacobian: d(positions)/d(parameters), (..., n_parameters) [m per m or rad].
+        parameters: The parameters of its columns.
+    """
+    per_unit = np.array([1.0 / PER_SI[parameter.dimension][parameter.unit] for parameter in parameters])
+    result: FloatArray = PER_SI["length"]["mm"] * jacobian * per_unit
+    return result
+
+
+@dataclass(frozen=True)
+class TaskIndex:
+    """Predicted position error over a set of poses, from measurement noise alone.
+
+    Attributes:
+        rms: Root mean square over poses and targets of the predicted distance [m]; infinite where a position depends on
+            parameters that nothing determines.
+        maximum: Largest predicted distance [m].
+        worst_pose: Pose of the largest.
+    """
+
+    rms: float
+    maximum: float
+    worst_pose: int
+
+
+def task_index(position_errors: FloatArray) -> TaskIndex:
+    """Summarise predicted position errors (n_poses, n_targets) [m], from `Information.position_errors`."""
+    return TaskIndex(
+        float(np.sqrt(np.mean(position_errors**2))),
+        float(np.max(position_errors)),
+        int(np.argmax(np.max(position_errors, axis=1))),
+    )

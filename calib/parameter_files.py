@@ -7,14 +7,19 @@ from pathlib import Path
 from calib.errors import DataError, InputError, ParameterError, nearest
 from calib.parameters import index_of
 from calib.robot import Robot
-from calib.tables import format_table, read_table
+from calib.tables import check_plausible, format_table, read_number, read_table
 from calib.units import PER_SI, per_si
 
 COLUMNS = ("parameter", "value", "unit")
 
 
-def read_parameters(path: Path | str, robot: Robot) -> dict[str, float]:
+def read_parameters(path: Path | str, robot: Robot, *, complete: bool = False) -> dict[str, float]:
     """Read parameter values in SI by name; parameters that the file does not name are absent.
+
+    Args:
+        path: The file.
+        robot: Whose parameters.
+        complete: Whether a parameter that the file does not name is an error.
 
     Raises:
         DataError, ParameterError: The message names file, line and parameter.
@@ -33,13 +38,17 @@ def read_parameters(path: Path | str, robot: Robot) -> dict[str, float]:
         parameter = robot.parameters[index_of(robot.parameters, name, where)]
         if name in values:
             raise ParameterError(f"{where}: parameter '{name}' is given twice")
+        place = f"{where}, parameter '{name}'"
         try:
-            number = float(text)
-            values[name] = number / per_si(unit.strip(), parameter.dimension, f"{where}, parameter '{name}'")
-        except ValueError:
-            raise ParameterError(f"{where}, parameter '{name}': '{text}' is not a number") from None
+            number = read_number(text, place)
+            if not unit:
+                check_plausible(number, parameter.dimension, place, "into the column 'unit'")
+            values[name] = number / per_si(unit, parameter.dimension, place)
         except InputError as error:
             raise ParameterError(str(error)) from None
+    absent = [parameter.name for parameter in robot.parameters if parameter.name not in values]
+    if complete and absent:
+        raise ParameterError(f"{path}: no value for parameter '{absent[0]}'; the file is not complete")
     return values
 
 

@@ -47,8 +47,14 @@ class WorldFrame:
     repeatability: float
 
 
-def world_from_nests(nominal: ArrayLike, measured: ArrayLike, sigma: float | None = None, *,
-                     names: Sequence[str] | None = None, exclude: Sequence[str] = ()) -> WorldFrame:
+def world_from_nests(
+    nominal: ArrayLike,
+    measured: ArrayLike,
+    sigma: float | None = None,
+    *,
+    names: Sequence[str] | None = None,
+    exclude: Sequence[str] = (),
+) -> WorldFrame:
     """Find the world frame from nests at known places on the robot, seen by an instrument in its own frame.
 
     `fit.apply` turns readings of the instrument into world coordinates. Nests that do not fit are reported, and left
@@ -72,8 +78,10 @@ def world_from_nests(nominal: ArrayLike, measured: ArrayLike, sigma: float | Non
         seen = seen.mean(axis=1)
     labels = list(names) if names is not None else [f"nest {k + 1}" for k in range(len(known))]
     if seen.shape != known.shape or len(labels) != len(known) or len(set(labels)) != len(labels):
-        raise DataError(f"{len(known)} nests, {len(seen)} measured, {len(set(labels))} different names; each nest needs"
-                        " its place (x, y, z), its reading and a name of its own")
+        raise DataError(
+            f"{len(known)} nests, {len(seen)} measured, {len(set(labels))} different names; each nest needs"
+            " its place (x, y, z), its reading and a name of its own"
+        )
     for name in exclude:
         if name not in labels:
             raise DataError(f"no nest '{name}' to leave out{nearest(name, labels)}")
@@ -89,12 +97,15 @@ def _refuse_mirror(seen: FloatArray, known: FloatArray, fit: RigidFit) -> None:
     rotation, translation = best_transform(-seen, known)
     mirrored = float(np.sqrt(np.mean(np.sum((known + seen @ rotation.T - translation) ** 2, axis=1))))
     if fit.rms > 1e-3 and mirrored < 0.1 * fit.rms:
-        raise DataError(f"the nests fit to {1e3 * mirrored:.3g} mm only as a mirror image ({1e3 * fit.rms:.3g} mm as"
-                        " they are); an axis has the wrong sign, or two columns are swapped")
+        raise DataError(
+            f"the nests fit to {1e3 * mirrored:.3g} mm only as a mirror image ({1e3 * fit.rms:.3g} mm as"
+            " they are); an axis has the wrong sign, or two columns are swapped"
+        )
 
 
-def place_base_and_target(T_base_link: ArrayLike, measured: ArrayLike, guess: ArrayLike, *,
-                          point_known: bool = False) -> tuple[pin.SE3, FloatArray]:
+def place_base_and_target(
+    T_base_link: ArrayLike, measured: ArrayLike, guess: ArrayLike, *, point_known: bool = False
+) -> tuple[pin.SE3, FloatArray]:
     """Find the measurement frame, and the measured point of a link, from poses of that link.
 
     Args:
@@ -150,8 +161,9 @@ def place_target(T_base_link: ArrayLike, measured: ArrayLike, T_base_measurement
 def _checked_poses(T_base_link: ArrayLike, measured: ArrayLike) -> tuple[FloatArray, FloatArray]:
     T, m = np.asarray(T_base_link, dtype=float), np.asarray(measured, dtype=float)
     if m.ndim != 2 or T.shape != (len(m), 4, 4) or m.shape != (len(m), 3) or len(m) == 0:
-        raise DataError(f"link poses {T.shape} and measured points {m.shape} do not belong together; expected (n, 4, 4)"
-                        " and (n, 3)")
+        raise DataError(
+            f"link poses {T.shape} and measured points {m.shape} do not belong together; expected (n, 4, 4) and (n, 3)"
+        )
     finite = np.isfinite(T).all(axis=(1, 2)) & np.isfinite(m).all(axis=1)
     if not finite.all():
         raise DataError(f"row {int(np.argmin(finite))}: a pose or a measured point is not finite; leave the row out")
@@ -169,7 +181,7 @@ def _relaxed_point(T: FloatArray, m: FloatArray) -> FloatArray | None:
     """Point from R m + t - R_i p = t_i with R's entries free (linear); None where that has no single solution."""
     matrix = np.zeros((len(m), 3, 15))
     for row in range(3):
-        matrix[:, row, 3 * row:3 * row + 3] = m
+        matrix[:, row, 3 * row : 3 * row + 3] = m
         matrix[:, row, 9 + row] = 1.0
     matrix[:, :, 12:] = -T[:, :3, :3]
     solution, _, rank, _ = np.linalg.lstsq(matrix.reshape(-1, 15), T[:, :3, 3].ravel(), rcond=_RANK)
@@ -226,6 +238,7 @@ def _refine(problem: _PlacementProblem, guess: FloatArray) -> tuple[pin.SE3, Flo
 
 
 def _least_squares(problem: _PlacementProblem, x: FloatArray) -> FloatArray:
-    solution: FloatArray = least_squares(problem.rows, x, jac=problem.slope, x_scale="jac", xtol=1e-12, ftol=1e-12,
-                                         gtol=1e-14).x
+    solution: FloatArray = least_squares(
+        problem.rows, x, jac=problem.slope, x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-14
+    ).x
     return solution

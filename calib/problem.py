@@ -2,11 +2,12 @@
 
 Unknowns u = (p - p_nominal) / s with scales s, the parameters' sigma. Rows are
 
-    sqrt(n_k) (x_k(p) - measured_k) / sigma     for every pose, target and axis, n_k readings averaged
-    u                                           for every parameter that has a prior
+    sqrt(w_k n_k) (x_k(p) - measured_k) / sigma     for every pose, target and axis, n_k readings averaged
+    u                                               for every parameter that has a prior
 
-Signed components, never distances: a distance loses its sign, and has no derivative at zero. A trial step that opens
-a loop is answered with NaN, on which scipy's trust-region solver shortens its step.
+with w_k = 1, or the weight that a robust loss gives the point (`calib.robust`). Signed components, never distances: a
+distance loses its sign, and has no derivative at zero. A trial step that opens a loop is answered with NaN, on which
+the solver (`calib.least_squares`) shortens its step.
 """
 
 from __future__ import annotations
@@ -14,18 +15,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import OptimizeResult, least_squares
 
 from calib import loops
 from calib.errors import ComputationError, UnreachablePoseError
 from calib.jacobian import linearise
+from calib.least_squares import TOLERANCE, Solution, minimise
 from calib.measurements import Measurements
 from calib.mechanism import BoolArray, FloatArray
 from calib.robot import Configurations, Robot, describe_open
 
-MAX_EVALUATIONS = 200
-TOLERANCE = 1e-9
-"""Relative change of the cost that ends the iteration: less than a thousandth of a standard deviation."""
+_REMEMBERED = 3  # evaluations: the start, where the solver is, and its trial step
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +65,7 @@ class Problem:
         if not np.all(closed.ok):
             raise UnreachablePoseError(describe_open(robot, data.joints, closed, data.labels))
         self._seed = closed.passive
-        self._last: tuple[bytes, Evaluation | None] = (b"", None)
+        self._recent: dict[bytes, Evaluation | None] = {}
 
     def evaluate(self, robot: Robot) -> Evaluation:
         """Evaluate a robot on the data.
@@ -74,9 +73,25 @@ class Problem:
         Raises:
             ComputationError: A loop opens.
         """
+        found = self._evaluate(robot)
+        if found is None:
+            closed = robot.close(self.data.joints)
+            raise ComputationError(describe_open(robot, self.data.joints, closed, self.data.labels))
+        return found
+
+    def _evaluate(self, robot: Robot) -> Evaluation | None:
+        """Evaluate a robot on the data; None where a loop opens. The last few answers are remembered."""
+        key = robot.values.tobytes()
+        if key not in self._recent:
+            while len(self._recent) >= _REMEMBERED:
+                del self._recent[next(iter(self._recent))]
+            self._recent[key] = self._compute(robot)
+        return self._recent[key]
+
+    def _compute(self, robot: Robot) -> Evaluation | None:
         closed = loops.close(robot.mechanism, robot.mode, self.data.joints, self._seed)
         if not np.all(closed.ok):
-            raise ComputationError(describe_open(robot, self.data.joints, closed, self.data.labels))
+            return None
         self._seed = closed.passive
         configurations = Configurations(self.data.joints, closed.passive, closed.slope)
         linear = linearise(robot, configurations)
@@ -84,9 +99,20 @@ class Problem:
             configurations, linear.positions - self.data.positions, linear.jacobian, linear.jacobian[..., self.free]
         )
 
-    def weighted(self, rows: FloatArray) -> FloatArray:
-        """Flatten (n_poses, n_targets, 3, k) to (n_rows, k), each row with the noise of one reading."""
-        result: FloatArray = (self._weight * rows).reshape(-1, rows.shape[-1])
+    def weighted(self, rows: FloatArray, weights: FloatArray | None = None) -> FloatArray:
+        """Flatten (n_poses, n_targets, 3, k) to (n_rows, k), each row with the noise of one reading.
+
+        Args:
+            rows: What to flatten.
+            weights: w_k of the module docstring, (n_poses, n_targets).
+        """
+        factor = self._weight if weights is None else self._weight * np.sqrt(weights)[:, :, None, None]
+        result: FloatArray = (factor * rows).reshape(-1, rows.shape[-1])
+        return result
+
+    def scaled_values(self, robot: Robot) -> FloatArray:
+        """Return u of a robot's free parameters, (n_free,)."""
+        result: FloatArray = (robot.values[self.free] - self.nominal) / self.scales
         return result
 
     def with_values(self, start: Robot, u: FloatArray, chosen: BoolArray) -> Robot:
@@ -97,37 +123,48 @@ class Problem:
         return start.with_parameters(values)
 
     def solve(
-        self, start: Robot, sigma: float, chosen: BoolArray, *, priors: bool = True, tolerance: float = TOLERANCE
-    ) -> tuple[Robot, OptimizeResult]:
-        """Minimise over the chosen free parameters, the others staying as in `start`."""
+        self,
+        start: Robot,
+        sigma: float,
+        chosen: BoolArray,
+        *,
+        priors: bool = True,
+        tolerance: float = TOLERANCE,
+        weights: FloatArray | None = None,
+    ) -> tuple[Robot, Solution]:
+        """Minimise over the chosen free parameters, the others staying as in `start`.
+
+        Args:
+            start: Where to begin.
+            sigma: Noise of one reading per axis [m].
+            chosen: Of the free parameters, (n_free,).
+            priors: Whether nominal +- sigma counts.
+            tolerance: See `calib.least_squares`.
+            weights: Of each point, (n_poses, n_targets).
+
+        Raises:
+            ComputationError: A loop is open at the start.
+        """
         prior = np.flatnonzero(self.has_prior[chosen] & priors)
         prior_rows = np.eye(int(np.sum(chosen)))[prior]
 
         def at(u: FloatArray) -> Evaluation | None:
-            if self._last[0] != u.tobytes():
-                try:
-                    self._last = (u.tobytes(), self.evaluate(self.with_values(start, u, chosen)))
-                except ComputationError:
-                    self._last = (u.tobytes(), None)
-            return self._last[1]
+            return self._evaluate(self.with_values(start, u, chosen))
 
         def residuals(u: FloatArray) -> FloatArray:
             found = at(u)
             if found is None:
                 return np.full(self.data.positions.size + len(prior), np.nan)
-            return np.concatenate([self.weighted(found.errors[..., None])[:, 0] / sigma, u[prior]])
+            return np.concatenate([self.weighted(found.errors[..., None], weights)[:, 0] / sigma, u[prior]])
 
         def jacobian(u: FloatArray) -> FloatArray:
             found = at(u)
-            if found is None:  # scipy asks for derivatives only where the residuals were finite
+            if found is None:  # derivatives are asked for only where the residuals were finite
                 raise ComputationError("the solver left the region where the loops close")
-            columns = self.weighted(found.jacobian[..., chosen]) * (self.scales[chosen] / sigma)
+            columns = self.weighted(found.jacobian[..., chosen], weights) * (self.scales[chosen] / sigma)
             return np.vstack([columns, prior_rows])
 
-        self._last = (b"", None)
-        values = start.values[np.flatnonzero(self.free)[chosen]]
-        first = (values - self.nominal[chosen]) / self.scales[chosen]
-        outcome = least_squares(
-            residuals, first, jac=jacobian, ftol=tolerance, xtol=1e-12, gtol=1e-12, max_nfev=MAX_EVALUATIONS
-        )
+        first = self.scaled_values(start)[chosen]
+        self.evaluate(self.with_values(start, first, chosen))  # says which loop is open, if one is
+        outcome = minimise(residuals, jacobian, first, tolerance=tolerance)
         return self.with_values(start, outcome.x, chosen), outcome

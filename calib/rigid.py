@@ -78,8 +78,9 @@ class RigidFit:
         return covariance
 
 
-def rigid_fit(p_from: ArrayLike, p_to: ArrayLike, sigma: float | None = None, *,
-              names: Sequence[str] | None = None) -> RigidFit:
+def rigid_fit(
+    p_from: ArrayLike, p_to: ArrayLike, sigma: float | None = None, *, names: Sequence[str] | None = None
+) -> RigidFit:
     """Find the rigid transform that carries points to where they were seen.
 
     Args:
@@ -96,10 +97,10 @@ def rigid_fit(p_from: ArrayLike, p_to: ArrayLike, sigma: float | None = None, *,
     p, q = checked_points(p_from, p_to, sigma, names)
     rotation, translation = best_transform(p, q)
     residuals = q - (p @ rotation.T + translation)
-    squares = float(np.sum(residuals ** 2))
+    squares = float(np.sum(residuals**2))
     noise = float(np.sqrt(squares / (3 * len(p) - 6))) if sigma is None else float(sigma)
     slope = _slope(rotation, p).reshape(-1, 6)
-    covariance: FloatArray = np.asarray(noise ** 2 * np.linalg.inv(slope.T @ slope))
+    covariance: FloatArray = np.asarray(noise**2 * np.linalg.inv(slope.T @ slope))
     for array in (rotation, translation, residuals, covariance):
         array.flags.writeable = False
     rms = float(np.sqrt(squares / len(p)))
@@ -133,9 +134,9 @@ def _outliers(p: FloatArray, q: FloatArray, sigma: float | None) -> tuple[int, .
 def _surprise(residuals: FloatArray, slope: FloatArray, sigma: float | None, probability: float) -> FloatArray:
     """The drop d_i over its largest value that chance explains, (n,); 0 where nothing is left to compare with."""
     information = np.linalg.inv(np.einsum("nij,nik->jk", slope, slope))
-    total, freedom = float(np.sum(residuals ** 2)), residuals.size - 6
+    total, freedom = float(np.sum(residuals**2)), residuals.size - 6
     surprise = np.zeros(len(residuals))
-    if total <= _EXACT ** 2 * residuals.size:
+    if total <= _EXACT**2 * residuals.size:
         return surprise
     for k, (r, J) in enumerate(zip(residuals, slope, strict=True)):
         values, vectors = np.linalg.eigh(np.eye(3) - J @ information @ J.T)
@@ -145,13 +146,14 @@ def _surprise(residuals: FloatArray, slope: FloatArray, sigma: float | None, pro
         if count and sigma is not None:
             surprise[k] = drop / max(sigma, _EXACT) ** 2 / chi2.isf(probability, count)
         elif count and left > 0:
-            rest = max(total - drop, _EXACT ** 2) / left
+            rest = max(total - drop, _EXACT**2) / left
             surprise[k] = drop / count / rest / f_distribution.isf(probability, count, left)
     return surprise
 
 
-def checked_points(p_from: ArrayLike, p_to: ArrayLike, sigma: float | None,
-                   names: Sequence[str] | None) -> tuple[FloatArray, FloatArray]:
+def checked_points(
+    p_from: ArrayLike, p_to: ArrayLike, sigma: float | None, names: Sequence[str] | None
+) -> tuple[FloatArray, FloatArray]:
     """Return both sets of points as (n, 3) arrays, or raise; see `rigid_fit`."""
     p, q = np.array(p_from, dtype=float), np.array(p_to, dtype=float)
     if p.ndim != 2 or p.shape[1] != 3 or p.shape != q.shape:
@@ -165,8 +167,11 @@ def checked_points(p_from: ArrayLike, p_to: ArrayLike, sigma: float | None,
     if sigma is not None and not (np.isfinite(sigma) and sigma >= 0):
         raise DataError(f"rigid fit: sigma is {sigma} m; it must be zero or more")
     for points, which in ((p, "as given"), (q, "as measured")):
-        _refuse_one_line(points, f"rigid fit: {', '.join(labels[:6])}{', ...' if len(labels) > 6 else ''} ({which})",
-                         3 * (sigma or 0.0))
+        _refuse_one_line(
+            points,
+            f"rigid fit: {', '.join(labels[:6])}{', ...' if len(labels) > 6 else ''} ({which})",
+            3 * (sigma or 0.0),
+        )
     return p, q
 
 
@@ -176,8 +181,10 @@ def _refuse_one_line(points: FloatArray, what: str, noise: float) -> None:
     if first <= max(1e-12, noise):
         raise DataError(f"{what} are all one point; use three points that are not on one line")
     if second <= max(_COLLINEAR * first, noise):
-        raise DataError(f"{what} lie on one line to {1e3 * second:.2g} mm, so the turn about it stays open;"
-                        " add a point beside the line")
+        raise DataError(
+            f"{what} lie on one line to {1e3 * second:.2g} mm, so the turn about it stays open;"
+            " add a point beside the line"
+        )
 
 
 def _extents(points: FloatArray) -> tuple[float, float]:

@@ -11,15 +11,20 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from calib import kinematics, loops
-from calib.description import BaseSection, Description, TargetSection, read_description
-from calib.errors import DataError, DescriptionError, ParameterError, UnreachablePoseError
-from calib.mechanism import BoolArray, FloatArray, Mechanism, build_mechanism, home_values
-from calib.parameters import Origin, Parameter, Parametrisation, build_parametrisation, default_sections, index_of
-from calib.urdf_text import HELD_TYPES, Triple, UrdfText, read_urdf
+from calib.description import Description, read_description
+from calib.errors import DataError, DescriptionError, InputError, ParameterError, UnreachablePoseError, nearest
+from calib.mechanism import BoolArray, FloatArray, Mechanism
+from calib.mechanism_builder import build_mechanism, home_values
+from calib.parameters import Origin, Parameter, Parametrisation, index_of
+from calib.parametrisation import build_parametrisation
+from calib.plain_urdf import describe
+from calib.read_only import ReadOnlyArrays, read_only
+from calib.units import Dimension, per_si, split_column
+from calib.urdf_text import Triple, UrdfText, read_urdf
 
 
 @dataclass(frozen=True, eq=False)
-class Configurations:
+class Configurations(ReadOnlyArrays):
     """Assembled configurations of a robot.
 
     Attributes:
@@ -33,8 +38,8 @@ class Configurations:
     slope: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class Robot:
+@dataclass(frozen=True, eq=False, repr=False)
+class Robot(ReadOnlyArrays):
     """A robot with given parameter values. `load` makes one; `with_parameters` makes a changed copy. Pickles.
 
     Attributes:
@@ -56,6 +61,12 @@ class Robot:
     parametrisation: Parametrisation
     values: FloatArray
     mode: loops.AssemblyMode
+
+    def __repr__(self) -> str:
+        return (
+            f"<Robot '{self.name}' from {self.path}: {len(self.joint_names)} actuated and {len(self.passive_names)}"
+            f" passive joints, {len(self.parameters)} parameters>"
+        )
 
     @property
     def name(self) -> str:
@@ -85,7 +96,7 @@ class Robot:
     @property
     def home(self) -> FloatArray:
         """Actuated joints of the home configuration, (n_actuated,) [m or rad]."""
-        return self.mode.actuated
+        return read_only(self.mode.actuated)
 
     @property
     def free(self) -> BoolArray:
@@ -112,7 +123,6 @@ class Robot:
         if not np.all(np.isfinite(vector)):
             bad = self.parameters[int(np.argmin(np.isfinite(vector)))].name
             raise ParameterError(f"parameter '{bad}': value is not finite")
-        vector.flags.writeable = False
         mechanism = self.nominal.with_placements(self.parametrisation.placements(vector))
         return replace(self, values=vector, mechanism=mechanism)
 
@@ -227,63 +237,37 @@ def load(path: str | Path) -> Robot:
     else:
         urdf = read_urdf(path)
         description = describe(urdf, path.name)
-    nominal = build_mechanism(urdf, description)
-    mode = loops.assembly_mode(nominal, home_values(urdf, description), description.singularity_limit, str(path))
-    parametrisation = build_parametrisation(description, _origins(nominal, urdf), nominal)
+    where = str(path)
+    nominal = build_mechanism(urdf, description, where)
+    _check_columns(description, nominal, where)
+    home = home_values(urdf, description, where)
+    mode = loops.assembly_mode(nominal, home, description.singularity_limit, where)
+    parametrisation = build_parametrisation(description, _origins(nominal, urdf, description), nominal, where)
     names = [parameter.name for parameter in parametrisation.parameters]
     for held in description.held:
         index_of(parametrisation.parameters, held, f"{path}: held")
     if len(set(names)) != len(names):
         raise DescriptionError(f"{path}: parametrisation: a parameter name is used twice")
     values = np.array([parameter.nominal for parameter in parametrisation.parameters])
-    values.flags.writeable = False
     return Robot(str(path), description, urdf, nominal, nominal, parametrisation, values, mode)
 
 
-def describe(urdf: UrdfText, urdf_path: str, target: str | None = None) -> Description:
-    """Return the description that a plain URDF stands for.
-
-    Args:
-        urdf: The URDF.
-        urdf_path: How the description names it.
-        target: Link that carries the measured point; the last link if not given.
-
-    Raises:
-        DescriptionError: The tree branches, so that there is no last link, or nothing moves.
-    """
-    parent_of = {joint.child: joint for joint in urdf.joints}
-
-    def moving(link: str) -> list[str]:
-        names: list[str] = []
-        while link in parent_of:
-            joint = parent_of[link]
-            if joint.type not in HELD_TYPES and joint.mimic is None:
-                names.insert(0, joint.name)
-            link = joint.parent
-        return names
-
-    if target is None:
-        ends = [link for link in urdf.links if all(joint.parent != link for joint in urdf.joints)]
-        longest = max(ends, key=lambda link: len(moving(link)))
-        if any(not set(moving(link)) <= set(moving(longest)) for link in ends):
+def _check_columns(description: Description, mechanism: Mechanism, where: str) -> None:
+    """Raise `DescriptionError` if a foreign column stands for something that is not read."""
+    dimensions: dict[str, Dimension] = {name: mechanism.dimensions[name] for name in mechanism.actuated}
+    dimensions |= {f"{target.name}_{axis}": "length" for target in mechanism.targets for axis in "xyz"}
+    for foreign, column in description.columns.items():
+        name, unit = split_column(column)
+        if name == "pose" and unit is None:
+            continue
+        if name not in dimensions:
             raise DescriptionError(
-                f"{urdf.path}: the robot branches, so it has no last link; choose one of"
-                f" {', '.join(ends)} with `calib init {urdf_path} --target LINK --out FILE`"
+                f"{where}: columns.{foreign}: no column '{name}'{nearest(name, (*dimensions, 'pose'))}"
             )
-        target = [link for link in ends if moving(link) == moving(longest)][-1]
-    elif target not in urdf.links:
-        raise DescriptionError(f"{urdf.path}: no link '{target}'")
-    names = moving(target)
-    if not names:
-        raise DescriptionError(f"{urdf.path}: no joint moves link '{target}'; there is nothing to calibrate")
-    root = next(link for link in urdf.links if link not in parent_of)
-    return Description(
-        urdf=urdf_path,
-        name_mot=tuple(names),
-        base=BaseSection(frame=root, pose="unknown"),
-        targets={target: TargetSection(frame=target, position="unknown")},
-        parametrisation=default_sections(),
-    )
+        try:
+            per_si(unit, dimensions[name], f"{where}: columns.{foreign}")
+        except InputError as error:
+            raise DescriptionError(str(error)) from None
 
 
 def describe_open(robot: Robot, q: FloatArray, closed: loops.Closed, labels: Sequence[str] | None = None) -> str:
@@ -302,13 +286,12 @@ def describe_open(robot: Robot, q: FloatArray, closed: loops.Closed, labels: Seq
     return f"{names[k]}{more}: {why}; check these joint values, or leave the pose out"
 
 
-def _origins(mechanism: Mechanism, urdf: UrdfText) -> dict[str, Origin]:
-    """Nominal origins by name; the file's own numbers where it has them."""
+def _origins(mechanism: Mechanism, urdf: UrdfText, description: Description) -> dict[str, Origin]:
+    """Nominal origins by name: the numbers of the two files, not what is left of them after a computation."""
     result = {joint.name: Origin(np.array(joint.xyz), np.array(joint.rpy)) for joint in urdf.joints}
-    for name in mechanism.origin_names:
-        if name not in result:
-            placement = mechanism.placement(name)
-            if name == mechanism.origin_names[mechanism.targets[0].a - 1]:
-                placement = placement.inverse()
-            result[name] = Origin(placement.translation.copy(), pin.rpy.matrixToRpy(placement.rotation))
+    base = mechanism.origin_names[mechanism.targets[0].a - 1]
+    result[base] = Origin(np.array(description.base.xyz), np.array(description.base.rpy))
+    for target in mechanism.targets:
+        point = np.array(description.targets[target.name].xyz)
+        result[mechanism.origin_names[target.b - 1]] = Origin(point, np.zeros(3))
     return result

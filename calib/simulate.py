@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.errors import DataError
+from calib.errors import DataError, UnreachablePoseError
 from calib.measurements import Measurements, Poses
 from calib.robot import Robot, describe_open
 
@@ -19,13 +19,14 @@ def simulate(robot: Robot, poses: Poses, sigma: float, rng: np.random.Generator)
         rng: Source of the noise.
 
     Raises:
-        DataError: A pose cannot be assembled, or sigma is not a number >= 0.
+        DataError: Sigma is not a number >= 0.
+        UnreachablePoseError: A pose cannot be assembled.
     """
     if not (np.isfinite(sigma) and sigma >= 0):
         raise DataError(f"sigma {sigma:g} m: must be a number, zero or positive")
     closed = robot.close(poses.joints)
     if not np.all(closed.ok):
-        raise DataError(describe_open(robot, poses.joints, closed, poses.labels))
+        raise UnreachablePoseError(describe_open(robot, poses.joints, closed, poses.labels))
     positions = robot.positions(poses.joints)
     positions = positions + sigma * rng.standard_normal(positions.shape)
     return Measurements(

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,35 +55,65 @@ class Table:
             divisor = per_si(self.units[index], dimension, f"{self.path}, column '{name}'")
         except InputError as error:
             raise DataError(str(error)) from None
-        values = np.array(
-            [self._number(row[index], line, name) for row, line in zip(self.rows, self.lines, strict=True)]
-        )
-        limit, unit = _SUSPICIOUS[dimension]
-        if self.units[index] is None and values.size and np.max(np.abs(values)) > limit:
-            line = self.lines[int(np.argmax(np.abs(values)))]
-            si = "rad" if dimension == "angle" else "m"
-            raise DataError(
-                f"{self.path}, line {line}, column '{name}': {np.max(np.abs(values)):g} {si} is not plausible;"
-                f" write the unit into the header, such as '{name} [{unit}]' (or '[{si}]' if it is right)"
-            )
+        values = self._numbers(index)
+        if self.units[index] is None:
+            worst = int(np.argmax(np.abs(values)))
+            check_plausible(values[worst], dimension, self._where(worst, index), "into the header")
         return values / divisor
 
     def text(self, name: str) -> list[str]:
-        """Return a column as text."""
+        """Return a column as text, without blanks around it."""
         index = self.names.index(name)
-        return [row[index] for row in self.rows]
+        return [row[index].strip() for row in self.rows]
 
-    def _number(self, cell: str, line: int, name: str) -> float:
-        where = f"{self.path}, line {line}, column '{name}'"
-        if not cell.strip():
-            raise DataError(f"{where}: is empty; fill it in, or remove the row")
+    def _numbers(self, index: int) -> FloatArray:
+        cells = [row[index] for row in self.rows]
         try:
-            value = float(cell)
+            values = np.array([float(cell) for cell in cells])
         except ValueError:
-            raise DataError(f"{where}: '{cell.strip()}' is not a number") from None
-        if not math.isfinite(value):
-            raise DataError(f"{where}: '{cell.strip()}' is not finite; remove the row")
-        return value
+            values = np.array([np.nan])
+        if np.all(np.isfinite(values)) and not any("_" in cell for cell in cells):  # float() also reads 1_000
+            return values
+        return np.array([read_number(cell, self._where(k, index)) for k, cell in enumerate(cells)])
+
+    def _where(self, row: int, index: int) -> str:
+        return f"{self.path}, line {self.lines[row]}, column '{self.names[index]}'"
+
+
+def read_number(cell: str, where: str) -> float:
+    """Read the number in a cell.
+
+    Raises:
+        DataError: It is empty, no number, or not finite.
+    """
+    text = cell.strip()
+    if not text:
+        raise DataError(f"{where}: is empty; fill it in, or remove the row")
+    try:
+        value = float(text.replace("_", " "))
+    except ValueError:
+        hint = "; write decimals with a point" if re.fullmatch(r"[-+]?\d*,\d+", text) else ""
+        raise DataError(f"{where}: '{text:.60}' is not a number{hint}") from None
+    if not math.isfinite(value):
+        raise DataError(f"{where}: '{text:.60}' is not finite; remove the row")
+    return value
+
+
+def check_plausible(value: float, dimension: Dimension, where: str, place: str) -> None:
+    """Raise `DataError` if a number without a unit is so large that it cannot be SI.
+
+    Args:
+        value: The number [m or rad].
+        dimension: What it measures.
+        where: For the message.
+        place: Where the unit should be written, such as `into the header`.
+    """
+    limit, unit = _SUSPICIOUS[dimension]
+    if abs(value) > limit:
+        si = "rad" if dimension == "angle" else "m"
+        raise DataError(
+            f"{where}: {value:g} {si} is not plausible; write the unit {place}: {unit}, or {si} if it is right"
+        )
 
 
 def read_table(path: Path | str, renamed: Mapping[str, str] | None = None) -> Table:
@@ -104,7 +135,7 @@ def read_table(path: Path | str, renamed: Mapping[str, str] | None = None) -> Ta
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
     comments, kept, numbers = [], [], []
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(text.split("\n"), start=1):
         if line.lstrip().startswith("#"):
             comments.append(line.lstrip()[1:].strip())
         elif line.strip().strip(","):
@@ -112,10 +143,7 @@ def read_table(path: Path | str, renamed: Mapping[str, str] | None = None) -> Ta
             numbers.append(number)
     if not kept:
         raise DataError(f"{path}: is empty; expected a header line and rows of numbers")
-    try:
-        cells = [tuple(next(csv.reader([line], strict=True))) for line in kept]
-    except csv.Error as error:
-        raise DataError(f"{path}: is not CSV ({error})") from None
+    cells = [_cells(str(path), line, number) for line, number in zip(kept, numbers, strict=True)]
     names, units = _header(str(path), kept[0], cells[0], renamed or {})
     for row, number in zip(cells[1:], numbers[1:], strict=True):
         if len(row) != len(names):
@@ -128,16 +156,26 @@ def read_table(path: Path | str, renamed: Mapping[str, str] | None = None) -> Ta
     return Table(str(path), names, units, tuple(cells[1:]), tuple(numbers[1:]), tuple(comments))
 
 
+def _cells(path: str, line: str, number: int) -> tuple[str, ...]:
+    try:
+        return tuple(next(csv.reader([line], strict=True, skipinitialspace=True)))
+    except csv.Error as error:
+        raise DataError(f"{path}, line {number}: is not CSV ({error})") from None
+
+
 def _header(
     path: str, line: str, cells: tuple[str, ...], renamed: Mapping[str, str]
 ) -> tuple[tuple[str, ...], tuple[str | None, ...]]:
     if len(cells) == 1 and any(mark in line for mark in ";\t"):
         raise DataError(f"{path}: columns are separated by {'semicolons' if ';' in line else 'tabs'}; use commas")
     names, units = [], []
-    for cell in cells:
+    for number, cell in enumerate(cells, start=1):
         name, unit = split_column(renamed.get(cell.strip(), cell))
-        if name == cell.strip() and name in renamed:
-            name, unit = split_column(renamed[name])
+        if cell.strip() not in renamed and name in renamed:
+            name, usual = split_column(renamed[name])
+            unit = unit or usual
+        if not name:
+            raise DataError(f"{path}: column {number} has no name in the header; name it, or remove it")
         names.append(name)
         units.append(unit)
     for name in names:
@@ -158,6 +196,9 @@ def format_table(columns: Sequence[tuple[str, Sequence[object]]], comments: Sequ
         stream.write(f"# {comment}\n")
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([header for header, _ in columns])
+    quoting = csv.writer(stream, lineterminator="\n", quoting=csv.QUOTE_ALL)
     for row in zip(*(values for _, values in columns), strict=True):
-        writer.writerow([repr(float(cell)) if isinstance(cell, (float, np.floating)) else cell for cell in row])
+        cells = [repr(float(cell)) if isinstance(cell, (float, np.floating)) else str(cell) for cell in row]
+        looks_like_comment = cells[0].lstrip().startswith("#")
+        (quoting if looks_like_comment else writer).writerow(cells)
     return stream.getvalue()

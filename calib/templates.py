@@ -5,7 +5,7 @@ from __future__ import annotations
 import yaml
 
 from calib.description import Description
-from calib.parameters import default_sections
+from calib.parametrisation import default_sections
 from calib.urdf_text import HELD_TYPES, UrdfText
 
 _TEXT = """\
@@ -61,15 +61,12 @@ def description_text(urdf: UrdfText, description: Description) -> str:
         link = parent[link].parent
     moving = [joint.name for joint in urdf.joints if joint.type not in HELD_TYPES]
 
-    def quoted(value: object) -> str:
-        return str(
-            yaml.safe_dump(value, default_flow_style=True, allow_unicode=True, width=10**6)
-            .removesuffix("\n...\n")
-            .strip()
-        )
+    def quoted(value: object) -> str:  # as an entry of a list, so that commas and brackets are quoted too
+        text = str(yaml.safe_dump([value], default_flow_style=True, allow_unicode=True, width=10**6))
+        return text.strip()[1:-1]
 
     return _TEXT.format(
-        robot=urdf.name or "a robot",
+        robot=" ".join(urdf.name.split()) or "a robot",
         urdf=quoted(description.urdf),
         actuated=quoted(list(description.name_mot)),
         home=", ".join(f"{quoted(name)}: 0" for name in moving[:2]),

@@ -20,7 +20,7 @@ PER_SI: dict[Dimension, dict[str, float]] = {
 }
 DISPLAY_UNIT: dict[Dimension, str] = {"length": "mm", "angle": "deg"}
 _QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-zµ]*)\s*$")
-_COLUMN = re.compile(r"^\s*(?P<name>[^\[\]]*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*$")
+_COLUMN = re.compile(r"^\s*(?P<name>.*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*$", re.DOTALL)
 
 
 def per_si(unit: str | None, dimension: Dimension, where: str) -> float:
@@ -56,21 +56,25 @@ def quantity(value: object, dimension: Dimension, where: str) -> float:
         InputError: It is not a finite number with an optional unit of this dimension.
     """
     number, unit = math.nan, None
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
-        number = float(value)
+    if isinstance(value, int) and not isinstance(value, bool):
+        number = float(value) if abs(value) < 10**300 else math.inf
+    elif isinstance(value, float):
+        number = value
     elif isinstance(value, str) and (match := _QUANTITY.match(value)):
         number, unit = float(match.group(1)), match.group(2)
     if not math.isfinite(number):
         example = "0.04 mm" if dimension == "length" else "1.5 deg"
-        raise InputError(f"{where}: {value!r} is not a finite number with a unit, such as '{example}'")
+        raise InputError(f"{where}: {value!r:.60} is not a finite number with a unit, such as '{example}'")
     return number / per_si(unit, dimension, where)
 
 
 def split_column(header: str) -> tuple[str, str | None]:
-    """Split the column header `name [unit]` into name and unit (None where there is none)."""
+    """Split the column header `name [unit]` into name and unit (None where there is none).
+
+    The unit is the last pair of brackets: a joint named `joint[1]` needs its unit written, `joint[1] [rad]`.
+    """
     match = _COLUMN.match(header)
-    if match is None:
-        raise InputError(f"column '{header}': write a header as 'name' or 'name [unit]'")
+    assert match is not None  # the pattern takes any text
     return match.group("name"), match.group("unit")
 
 

@@ -1,22 +1,25 @@
-"""Table I of the paper: the 36 parameters of MedRUE, in SI units.
+"""The paper's printed tables: parameters (I, III) in SI units, position errors (II, IV, V) in mm.
 
-The file `paper/table1.csv` holds the values as printed, in mm and degrees. This module converts them once,
-so that the rest of the package sees metres and radians only. A length is converted in decimal arithmetic
-(166.8 mm is exactly the float 0.1668), which keeps the numbers in the URDF short.
+The files `paper/table1.csv` to `table5.csv` hold the values as printed, in mm and degrees. Parameters are converted
+here once, so that the rest of the package sees metres and radians only. A length is converted in decimal arithmetic
+(166.8 mm is exactly the float 0.1668), which keeps the numbers in the URDF short. Errors are only ever shown, so they
+stay in mm.
 
 Table I prints non-zero nominal joint offsets, Table III prints zero. The nominal offsets are zero here
 (column `nominal`); the printed ones stay available in the column `nominal_as_printed`.
 
 Reference: joubair2015 (A. Joubair, L. F. Zhao, P. Bigras, I. Bonev, "Absolute accuracy analysis and
-improvement of a hybrid 6-DOF medical robot", Industrial Robot 42(1), 2015, Table I).
+improvement of a hybrid 6-DOF medical robot", Industrial Robot 42(1), 2015, Tables I to V).
 """
 
 import csv
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from functools import cache
 from importlib.resources import files
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,8 +70,7 @@ def table1() -> Table1:
     Raises:
         ValueError: The file does not list the parameters in the expected order, or holds an unknown unit.
     """
-    text = files("medrue").joinpath("paper", "table1.csv").read_text(encoding="utf-8")
-    rows = list(csv.DictReader(text.splitlines()))
+    rows = _rows("table1.csv")
     names = tuple(row["parameter"] for row in rows)
     if names != PARAMETERS:
         raise ValueError(f"paper/table1.csv lists {names}, expected {PARAMETERS}")
@@ -84,6 +86,59 @@ def table1() -> Table1:
     )
 
 
+@dataclass(frozen=True)
+class Table3:
+    """Table III: what the experiment identified, each `(36,)` in the order of `PARAMETERS`, in m and rad.
+
+    Attributes:
+        nominal: Nominal values.
+        identified: Identified values; the redundant ones are nominal.
+    """
+
+    nominal: NDArray[np.float64]
+    identified: NDArray[np.float64]
+
+
+@cache
+def table3() -> Table3:
+    """Read Table III from the package.
+
+    Raises:
+        ValueError: The file does not list the parameters in the expected order, or holds an unknown unit.
+    """
+    rows = _rows("table3.csv")
+    names = tuple(row["parameter"] for row in rows)
+    if names != PARAMETERS:
+        raise ValueError(f"paper/table3.csv lists {names}, expected {PARAMETERS}")
+    return Table3(nominal=_column(rows, "nominal"), identified=_column(rows, "identified"))
+
+
+ErrorTable = Mapping[str, Mapping[str, float]]
+"""Position errors in mm: column (`before`, `O1`, ...), then row (`mean`, `max`, `std`)."""
+
+
+@cache
+def error_table(number: int) -> ErrorTable:
+    """Read a table of position errors from the package.
+
+    Args:
+        number: 2: simulation, by index; 4: experiment, by index; 5: experiment with O1, by axis.
+
+    Returns:
+        Printed errors in mm by column, then by row; read-only.
+    """
+    rows = _rows(f"table{number}.csv")
+    columns = [name for name in rows[0] if name != "error_mm"]
+    return MappingProxyType(
+        {name: MappingProxyType({row["error_mm"]: float(row[name]) for row in rows}) for name in columns}
+    )
+
+
+def _rows(name: str) -> list[dict[str, str]]:
+    text = files("medrue").joinpath("paper", name).read_text(encoding="utf-8")
+    return list(csv.DictReader(text.splitlines()))
+
+
 def _column(rows: list[dict[str, str]], name: str) -> NDArray[np.float64]:
     """One column of the file in SI units, read-only, `(36,)`."""
     values = np.array([_to_si(row[name], row["unit"]) for row in rows])
@@ -97,4 +152,4 @@ def _to_si(text: str, unit: str) -> float:
         return float(Decimal(text) / 1000)
     if unit == "deg":
         return math.radians(float(text))
-    raise ValueError(f"paper/table1.csv: unit {unit!r} is neither mm nor deg")
+    raise ValueError(f"paper: unit {unit!r} is neither mm nor deg")

@@ -88,7 +88,7 @@ def largest_gap(model: pin.Model, data: pin.Data) -> float:
     gaps = []
     for first, second, axes in CLOSURES:
         difference = pose(model, data, first).actInv(pose(model, data, second).translation)
-        # The base's axes: the planes of the five-bars turn about x only, so the rows y and z may turn with the link.
+        # In the first frame's axes: the five-bars' links only turn about x, so x stays out of rows y and z.
         gaps.append(np.abs(difference[list(axes)]).max())
     return float(max(gaps))
 
@@ -110,7 +110,9 @@ def test_tree_matches_the_paper_with_nominal_values() -> None:
     found = {}
     for joint in ElementTree.parse(URDF).getroot().iterfind("joint"):
         parent, child, origin, axis = (joint.find(tag) for tag in ("parent", "child", "origin", "axis"))
-        assert parent is not None and child is not None and origin is not None
+        assert parent is not None
+        assert child is not None
+        assert origin is not None
         xyz, rpy = (tuple(map(float, origin.attrib[key].split())) for key in ("xyz", "rpy"))
         found[joint.attrib["name"]] = (joint.attrib["type"], parent.attrib["link"], child.attrib["link"],
                                        None if axis is None else axis.attrib["xyz"], (xyz, rpy))  # fmt: skip
@@ -146,7 +148,8 @@ def test_workspace_and_home_stay_inside_the_joint_limits() -> None:
     values = np.hstack([target_workspace().q, closed.passive])
     for name, column in zip(JOINTS, values.T, strict=True):
         lower, upper = limits[name]
-        assert lower < column.min() and column.max() < upper, name
+        assert lower < column.min(), name
+        assert column.max() < upper, name
         assert lower < HOME[name] < upper, name
 
 
@@ -192,7 +195,8 @@ def test_every_moving_link_has_a_possible_inertia() -> None:
     model = pin.buildModelFromUrdf(str(URDF))
     for name, inertia in zip(model.names[1:], list(model.inertias)[1:], strict=True):
         moments = np.sort(np.linalg.eigvalsh(inertia.inertia))
-        assert inertia.mass > 0.0 and moments[0] > 0.0, name
+        assert inertia.mass > 0.0, name
+        assert moments[0] > 0.0, name
         assert moments[0] + moments[1] >= moments[2] * (1.0 - 1e-9), name
 
 

@@ -138,8 +138,10 @@ def test_what_the_poses_cannot_tell_stays_at_the_guess() -> None:
     """A link that only turns about z shows nothing of its point's height: a shift of the frame does the same."""
     generator = np.random.default_rng(11)
     truth, point = some_pose(generator), np.array([0.1, -0.2, 0.3])
-    poses = [pin.SE3(Rotation.from_euler("z", a).as_matrix(), generator.uniform(-1, 1, 3))
-             for a in generator.uniform(-1, 1, 15)]
+    poses = [
+        pin.SE3(Rotation.from_euler("z", a).as_matrix(), generator.uniform(-1, 1, 3))
+        for a in generator.uniform(-1, 1, 15)
+    ]
     seen = np.array([(truth.inverse() * pose).act(point) for pose in poses])
     frame, found = place_base_and_target([pose.homogeneous for pose in poses], seen, (0.0, 0.0, 0.25))
     assert np.abs(found - (0.1, -0.2, 0.25)).max() < 1e-9
@@ -147,17 +149,25 @@ def test_what_the_poses_cannot_tell_stays_at_the_guess() -> None:
     assert np.abs(predicted - seen).max() < 1e-9
 
 
-@pytest.mark.parametrize(("p_from", "p_to", "sigma", "message"), [
-    (NESTS[:2], NESTS[:2], None, "at least three"),
-    (NESTS, NESTS[:2], None, "shapes"),
-    (NESTS[:, :2], NESTS[:, :2], None, "shapes"),
-    (np.outer([0.0, 1.0, 2.0], [1.0, 2.0, 3.0]), NESTS, None, "point 0, point 1, point 2 .as given. lie on one line"),
-    (NESTS, np.outer([0.0, 1.0, 2.0], [1.0, 2.0, 3.0]), None, "as measured. lie on one line"),
-    (NESTS * (1, 1e-4, 1e-4), NESTS, 1e-4, "lie on one line"),
-    (np.zeros((3, 3)), NESTS, None, "all one point"),
-    (NESTS, np.where(NESTS == 0.9, np.nan, NESTS), None, "point 1"),
-    (NESTS, NESTS, -1.0, "sigma"),
-])
+@pytest.mark.parametrize(
+    ("p_from", "p_to", "sigma", "message"),
+    [
+        (NESTS[:2], NESTS[:2], None, "at least three"),
+        (NESTS, NESTS[:2], None, "shapes"),
+        (NESTS[:, :2], NESTS[:, :2], None, "shapes"),
+        (
+            np.outer([0.0, 1.0, 2.0], [1.0, 2.0, 3.0]),
+            NESTS,
+            None,
+            "point 0, point 1, point 2 .as given. lie on one line",
+        ),
+        (NESTS, np.outer([0.0, 1.0, 2.0], [1.0, 2.0, 3.0]), None, "as measured. lie on one line"),
+        (NESTS * (1, 1e-4, 1e-4), NESTS, 1e-4, "lie on one line"),
+        (np.zeros((3, 3)), NESTS, None, "all one point"),
+        (NESTS, np.where(NESTS == 0.9, np.nan, NESTS), None, "point 1"),
+        (NESTS, NESTS, -1.0, "sigma"),
+    ],
+)
 def test_points_that_fix_no_frame_are_refused(p_from: Array, p_to: Array, sigma: float | None, message: str) -> None:
     with pytest.raises(DataError, match=message):
         rigid_fit(p_from, p_to, sigma)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import sys
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -61,11 +62,16 @@ class Output:
             yield
 
 
+def _one_line(message: str) -> str:
+    text = " ".join(message.split())
+    return "".join(letter if letter.isprintable() else "?" for letter in text)  # no control codes from broken files
+
+
 class OneLineError(click.ClickException):
     """An error that prints as one line."""
 
     def __init__(self, message: str, exit_code: int) -> None:
-        super().__init__(" ".join(message.split()))
+        super().__init__(_one_line(message))
         self.exit_code = exit_code  # type: ignore[misc]  # click declares it on the class, and documents setting it
 
 
@@ -116,12 +122,18 @@ def run_program(group: click.Group) -> None:
     try:
         result = group.main(standalone_mode=False)
         sys.exit(result if isinstance(result, int) else 0)
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message(), err=True)
+        sys.exit(2)
     except click.UsageError as error:
         path = error.ctx.command_path if error.ctx else group.name
-        click.echo(f"{path}: {error.format_message()} (see {path} --help)", err=True)
+        click.echo(f"{path}: {_one_line(error.format_message())} (see {path} --help)", err=True)
         sys.exit(2)
     except click.ClickException as error:
-        click.echo(f"{group.name}: {error.format_message()}", err=True)
+        click.echo(f"{group.name}: {_one_line(error.format_message())}", err=True)
+        sys.exit(error.exit_code)
+    except CalibrationError as error:  # only with --debug
+        traceback.print_exc()
         sys.exit(error.exit_code)
     except (click.Abort, KeyboardInterrupt):
         click.echo(f"{group.name}: interrupted", err=True)

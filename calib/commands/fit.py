@@ -7,9 +7,10 @@ from pathlib import Path
 import click
 
 from calib.commands.common import Output, shared_options, sigma_in_metres
-from calib.errors import InputError
+from calib.errors import ComputationError, InputError
 from calib.files import check_folder
 from calib.fit import fit
+from calib.losses import LOSSES
 from calib.measurements import Measurements, read_measurements
 from calib.results import save, to_dict
 from calib.robot import Robot, load
@@ -25,17 +26,45 @@ from calib.validation import split
     help="Measurements to judge the result with: a CSV file, or the part"
     " of DATA to hold out (0.2: a fifth of the poses).",
 )
+@click.option("--folds", type=int, default=0, help="Cross-validation: leave out each of so many parts of DATA in turn.")
 @click.option(
     "--sigma-mm",
     type=float,
     help="Standard deviation of one reading per axis [mm]; if neither this nor the"
     " description states it, it is found from the residuals.",
 )
-@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random choice of held-out poses.")
+@click.option(
+    "--loss",
+    type=click.Choice(LOSSES),
+    default="none",
+    show_default=True,
+    help="How far-off measurements count; all but none hold outliers back.",
+)
+@click.option("--exclude-outliers", is_flag=True, help="Leave outliers out and fit again; both results are shown.")
+@click.option("--starts", type=int, default=1, show_default=True, help="Fit from so many starting points.")
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Seed of the random choice of held-out poses, folds and starting points.",
+)
+@click.option("--force", is_flag=True, help="Export calibrated.urdf even if the verdict is FAIL; it says so inside.")
 @click.option("--out", required=True, metavar="DIR", help="Folder for the result.")
 @shared_options(json_output=True)
 def command(
-    robot: str, data: str, validate: str | None, sigma_mm: float | None, seed: int, out: str, output: Output
+    robot: str,
+    data: str,
+    validate: str | None,
+    folds: int,
+    sigma_mm: float | None,
+    loss: str,
+    exclude_outliers: bool,
+    starts: int,
+    seed: int,
+    force: bool,
+    out: str,
+    output: Output,
 ) -> None:
     """Calibrate ROBOT (YAML description or URDF) from the measurements DATA (CSV)."""
     check_folder(out)
@@ -48,11 +77,26 @@ def command(
     if sigma == 0:
         raise InputError("--sigma-mm 0: must be positive; leave it out to find the noise from the residuals")
     with output.working(f"fitting {len(identification)} poses"):
-        result = fit(model, identification, validation=validation, sigma=sigma)
-    save(result, out)
+        result = fit(
+            model,
+            identification,
+            validation=validation,
+            sigma=sigma,
+            loss=loss,
+            exclude_outliers=exclude_outliers,
+            starts=starts,
+            folds=folds,
+            seed=seed,
+        )
+    failed = result.verdict.grade == "FAIL"
+    save(result, out, force=force)
     output.say(result.report())
     output.say(f"Written to {Path(out)}")
-    output.json(to_dict(result))
+    output.json(to_dict(result, forced=failed and force))
+    if failed and not force:
+        raise ComputationError(
+            f"verdict FAIL: {result.verdict.reasons[0].text}; calibrated.urdf was not written (--force writes it)"
+        )
 
 
 def _hold_out(robot: Robot, data: Measurements, validate: str, seed: int) -> tuple[Measurements, Measurements]:

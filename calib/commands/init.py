@@ -10,7 +10,7 @@ import click
 from calib.commands.common import Output, shared_options
 from calib.errors import InputError
 from calib.files import check_file, write_file
-from calib.robot import describe
+from calib.plain_urdf import describe
 from calib.templates import description_text
 from calib.urdf_text import read_urdf
 

@@ -8,8 +8,9 @@ import numpy as np
 from calib.commands.common import Output, shared_options, with_values
 from calib.errors import UnreachablePoseError
 from calib.files import check_file, write_file
-from calib.measurements import format_measurements, read_poses
-from calib.robot import describe_open, load
+from calib.measurements import Poses, format_measurements, read_poses
+from calib.results import load_uncertainty
+from calib.robot import Robot, describe_open, load
 
 
 @click.command("predict")
@@ -18,16 +19,40 @@ from calib.robot import describe_open, load
 @click.option("--parameters", metavar="FILE", help="Parameter values (CSV parameter,value,unit); nominal if not given.")
 @click.option("--result", metavar="DIR", help="Use the calibrated values of this result folder.")
 @click.option("--out", required=True, metavar="FILE", help="CSV file to write.")
-@shared_options()
+@shared_options(json_output=True)
 def command(robot: str, joints: str, parameters: str | None, result: str | None, out: str, output: Output) -> None:
-    """Predict target positions of ROBOT at the poses in JOINTS (CSV), loops closed."""
+    """Predict target positions of ROBOT at the poses in JOINTS (CSV), loops closed.
+
+    With --result, also how well they are known: the standard deviation of each coordinate, from the measurement noise.
+    """
     check_file(out)
     model = with_values(load(robot), parameters, result)
     poses = read_poses(joints, model)
     closed = model.close(poses.joints)
     if not np.all(closed.ok):
         raise UnreachablePoseError(describe_open(model, poses.joints, closed, poses.labels))
-    positions = model.positions(poses.joints)
     source = parameters or result or "nominal values"
-    write_file(out, format_measurements(model, poses, positions, (f"predicted positions of {model.name}, {source}",)))
+    comment = (f"predicted positions of {model.name}, {source}",)
+    content: dict[str, object] = {"robot": model.path, "values": source, "n_poses": len(poses), "file": out}
+    if result:
+        text, summary = _with_uncertainty(model, poses, result, comment)
+        content["position_uncertainty"] = summary
+    else:
+        text = format_measurements(model, poses, model.positions(poses.joints), comment)
+    write_file(out, text)
     output.say(f"{len(poses)} poses written to {out}")
+    if result:
+        output.say(
+            f"Positions are known to {summary['mean']:.4f} mm on average, {summary['max']:.4f} mm at worst"
+            f" (pose {summary['worst_pose']}); from measurement noise alone"
+        )
+    output.json(content)
+
+
+def _with_uncertainty(
+    model: Robot, poses: Poses, result: str, comment: tuple[str, ...]
+) -> tuple[str, dict[str, object]]:
+    """Return the CSV text with standard deviations, and their summary [mm]."""
+    found = load_uncertainty(result, model).at(model, poses.joints)
+    text = format_measurements(model, poses, found.positions, comment, found.std)
+    return text, {**found.summary(), "worst_pose": poses.names[found.worst]}

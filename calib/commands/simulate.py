@@ -19,7 +19,7 @@ from calib.simulate import simulate
     "--parameters", metavar="FILE", help="True parameter values (CSV parameter,value,unit); nominal if not given."
 )
 @click.option("--sigma-mm", type=float, required=True, help="Standard deviation of the noise per axis [mm].")
-@click.option("--seed", type=int, required=True, help="Seed of the noise.")
+@click.option("--seed", type=click.IntRange(min=0), required=True, help="Seed of the noise.")
 @click.option("--out", required=True, metavar="FILE", help="CSV file to write.")
 @shared_options()
 def command(

@@ -1,0 +1,84 @@
+"""`calib check`: what can be identified from a set of poses, and what cannot."""
+
+from __future__ import annotations
+
+import click
+import numpy as np
+
+from calib.assessment import assess
+from calib.assessment_text import text_report, to_dict
+from calib.commands.common import Output, shared_options, sigma_in_metres, with_values
+from calib.errors import InputError
+from calib.figures import draw
+from calib.files import check_folder, write_folder
+from calib.measurements import Poses, read_measurements, read_poses
+from calib.pose_sampling import sample_poses
+from calib.registration import register
+from calib.robot import Robot, load
+from calib.tables import read_table
+
+
+@click.command("check")
+@click.argument("robot")
+@click.argument("data", required=False)
+@click.option("--poses", type=int, default=100, show_default=True, help="Without DATA: how many poses to sample.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Without DATA: seed of the sample.")
+@click.option("--task", metavar="FILE", help="Poses whose accuracy counts (CSV); those of DATA if not given.")
+@click.option(
+    "--sigma-mm", type=float, help="Standard deviation of one reading per axis [mm]; the description's if not given."
+)
+@click.option("--parameters", metavar="FILE", help="Parameter values (CSV parameter,value,unit); nominal if not given.")
+@click.option("--result", metavar="DIR", help="Use the calibrated values of this result folder.")
+@click.option("--plots", metavar="DIR", help="Folder for figures: singular values, correlations, accuracy.")
+@shared_options(json_output=True)
+def command(
+    robot: str,
+    data: str | None,
+    poses: int,
+    seed: int,
+    task: str | None,
+    sigma_mm: float | None,
+    parameters: str | None,
+    result: str | None,
+    plots: str | None,
+    output: Output,
+) -> None:
+    """Say which parameters of ROBOT the poses in DATA (CSV) determine, which combinations they cannot, and why.
+
+    DATA needs joint values only, so it can be checked before anything is measured; rows with the same pose value
+    count as repeats. Without DATA, poses are spread over the joint limits.
+    """
+    sigma = sigma_in_metres(sigma_mm)
+    if sigma == 0:
+        raise InputError("--sigma-mm 0: must be positive")
+    if plots is not None:
+        check_folder(plots)
+    model = with_values(load(robot), parameters, result)
+    if data is None:
+        if poses < 1:
+            raise InputError(f"--poses {poses}: at least one is needed")
+        found, source = (
+            sample_poses(model, poses, np.random.default_rng(seed)),
+            f"sampled over the joint limits, seed {seed}",
+        )
+    else:
+        model, found = _read(model, data, placed=parameters is None and result is None)
+        source = data
+    wanted = None if task is None else read_poses(task, model)
+    with output.working(f"checking {len(found)} poses"):
+        assessment = assess(model, found, task=wanted, sigma=sigma)
+    if plots is not None:
+        write_folder(plots, draw("assessment", assessment))
+    output.say(text_report(assessment, source))
+    output.json({"robot": model.path, "poses": source} | to_dict(assessment))
+
+
+def _read(robot: Robot, path: str, placed: bool) -> tuple[Robot, Poses]:
+    """Read poses; where there are measured positions, average repeats and place what is not known beforehand."""
+    names = read_table(path, robot.description.columns).names
+    if not all(f"{target}_{axis}" in names for target in robot.target_names for axis in "xyz"):
+        return robot, read_poses(path, robot)
+    data = read_measurements(path, robot)
+    if placed and any(parameter.placement for parameter in robot.parameters):
+        robot = register(robot, data)
+    return robot, data

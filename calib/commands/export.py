@@ -1,0 +1,98 @@
+"""`calib export`: the robot in the formats of other programs."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import cast
+
+import click
+
+from calib.commands.common import Output, shared_options, with_values
+from calib.export import FORMATS, export
+from calib.results import read_result
+from calib.robot import load
+from calib.urdf_text import UrdfText
+
+_WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
+
+
+@click.command("export")
+@click.argument("robot")
+@click.option("--parameters", metavar="FILE", help="Parameter values (CSV parameter,value,unit); nominal if not given.")
+@click.option("--result", metavar="DIR", help="Use the calibrated values of this result folder.")
+@click.option(
+    "--format",
+    "file_format",
+    required=True,
+    type=click.Choice(FORMATS),
+    help="urdf: only edited origins change. mjcf: MuJoCo, Pinocchio, Drake; loops closed. drake: URDF with"
+    " ball constraints. toolbox: robot.yaml of toolbox-parallel-robots, and the URDF beside it.",
+)
+@click.option(
+    "--free-slide",
+    is_flag=True,
+    help="mjcf, drake: add a free joint for each direction that a closure"
+    " leaves free, so that a 3D constraint has nothing to absorb.",
+)
+@click.option("--provenance", is_flag=True, help="urdf, toolbox: say in a comment where the URDF's numbers come from.")
+@click.option("--out", required=True, metavar="FILE", help="File to write.")
+@shared_options(json_output=True)
+def command(
+    robot: str,
+    parameters: str | None,
+    result: str | None,
+    file_format: str,
+    free_slide: bool,
+    provenance: bool,
+    out: str,
+    output: Output,
+) -> None:
+    """Write ROBOT (YAML description or URDF), nominal or calibrated, for other programs."""
+    model = with_values(load(robot), parameters, result)
+    lines = _origin_of_values(parameters, result) if provenance else None
+    gaps = export(model, file_format, out, free_slide=free_slide, provenance=lines)
+    output.say(f"{model.name}, {parameters or result or 'nominal values'}: written to {out}")
+    if file_format != "urdf":
+        for gap in gaps:
+            output.say(gap.text())
+        if file_format != "toolbox" and any(gap.change > _WORTH_A_SLIDE for gap in gaps):
+            output.note(
+                "note: --free-slide leaves nothing to absorb; without it, simulated links and motors are strained"
+            )
+    relative = _relative_meshes(model.urdf)
+    if relative and file_format in ("urdf", "drake", "toolbox"):
+        output.note(f"note: mesh paths such as '{relative}' start at the folder of the URDF; keep the file beside them")
+    output.json(
+        {
+            "robot": model.path,
+            "format": file_format,
+            "file": out,
+            "gaps": [asdict(gap) | {"unit": gap.unit} for gap in gaps],
+        }
+    )
+
+
+def _origin_of_values(parameters: str | None, result: str | None) -> list[str]:
+    """Lines for the comment in the URDF."""
+    if parameters:
+        return [f"values: {parameters}"]
+    if not result:
+        return []
+    content = read_result(result)
+    sigma = content.get("sigma")
+    found = "unknown" if sigma is None else f"{1e3 * cast(float, sigma):.4g} mm"
+    return [
+        f"values: {result}, made by {content.get('program', 'an unknown version')}",
+        f"fitted to {content['n_poses']} poses, {content['n_rows']} coordinates; noise found {found}",
+    ]
+
+
+def _relative_meshes(urdf: UrdfText) -> str:
+    """The first mesh file that is named relative to the URDF, or ""."""
+    from calib.export.links import read_links
+
+    shapes = (shape for link in read_links(urdf).values() for shape in (*link.visuals, *link.collisions))
+    return next(
+        (shape.file for shape in shapes if shape.file and "://" not in shape.file and not shape.file.startswith("/")),
+        "",
+    )

@@ -1,0 +1,151 @@
+"""`calib select`: which poses to measure."""
+
+from __future__ import annotations
+
+import click
+
+from calib.commands.common import Output, shared_options, sigma_in_metres, with_values
+from calib.errors import DataError, InputError, nearest
+from calib.figures import draw
+from calib.files import check_file, check_folder, write_file, write_folder
+from calib.measurements import Poses, read_measurements, read_poses
+from calib.robot import Robot, load
+from calib.selection import select
+from calib.selection_scores import CHOICES
+from calib.selection_text import format_poses, text_report, to_dict
+from calib.tables import read_table
+
+
+@click.command("select")
+@click.argument("robot")
+@click.argument("candidates")
+@click.option("--count", type=int, default=84, show_default=True, help="How many poses to choose.")
+@click.option(
+    "--index",
+    type=click.Choice(CHOICES, case_sensitive=False),
+    default="O1",
+    show_default=True,
+    help="What to make best: an observability index, or 'task', the predicted position error.",
+)
+@click.option("--measured", metavar="FILE", help="Poses that are measured already (CSV): choose which to add.")
+@click.option("--task", metavar="FILE", help="Poses whose accuracy counts (CSV); the candidates if not given.")
+@click.option(
+    "--exclude",
+    metavar="POSES",
+    help="Candidates not to choose: names from the 'pose' column (or row numbers), such as 3,17,20-25.",
+)
+@click.option(
+    "--min-distance-mm", type=float, default=0.0, help="Least distance between the targets of two poses [mm]."
+)
+@click.option(
+    "--start",
+    type=click.Choice(["uniform", "random"]),
+    default="uniform",
+    show_default=True,
+    help="First start of the exchange.",
+)
+@click.option("--starts", type=int, default=1, show_default=True, help="Number of starts; the others are random.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of everything random.")
+@click.option(
+    "--off-grid",
+    is_flag=True,
+    help="Then move the chosen poses continuously, within joint limits and the range of the candidates.",
+)
+@click.option(
+    "--skip-unreachable", is_flag=True, help="List candidates that cannot be assembled, and go on without them."
+)
+@click.option(
+    "--sigma-mm", type=float, help="Standard deviation of one reading per axis [mm]; the description's if not given."
+)
+@click.option("--parameters", metavar="FILE", help="Parameter values (CSV parameter,value,unit); nominal if not given.")
+@click.option("--result", metavar="DIR", help="Use the calibrated values of this result folder.")
+@click.option("--plots", metavar="DIR", help="Folder for a figure of the index over the exchanges.")
+@click.option(
+    "--out", required=True, metavar="FILE", help="CSV file to write: the chosen poses in order of measurement."
+)
+@shared_options(json_output=True)
+def command(
+    robot: str,
+    candidates: str,
+    count: int,
+    index: str,
+    measured: str | None,
+    task: str | None,
+    exclude: str | None,
+    min_distance_mm: float,
+    start: str,
+    starts: int,
+    seed: int,
+    off_grid: bool,
+    skip_unreachable: bool,
+    sigma_mm: float | None,
+    parameters: str | None,
+    result: str | None,
+    plots: str | None,
+    out: str,
+    output: Output,
+) -> None:
+    """Choose the poses from CANDIDATES (CSV) whose measurement determines the parameters of ROBOT best."""
+    check_file(out)
+    if plots is not None:
+        check_folder(plots)
+    sigma = sigma_in_metres(sigma_mm)
+    if sigma == 0:
+        raise InputError("--sigma-mm 0: must be positive")
+    model = with_values(load(robot), parameters, result)
+    poses = _read(model, candidates)
+    with output.working(f"choosing {count} of {len(poses)} poses"):
+        selection = select(
+            model,
+            poses,
+            count,
+            index,
+            measured=None if measured is None else _read(model, measured),
+            task=None if task is None else read_poses(task, model),
+            exclude=() if exclude is None else _excluded(exclude, poses),
+            minimum_distance=min_distance_mm / 1e3,
+            random_start=start == "random",
+            starts=starts,
+            seed=seed,
+            off_grid=off_grid,
+            skip_unreachable=skip_unreachable,
+            sigma=sigma,
+        )
+    table = read_table(candidates, model.description.columns)
+    write_file(out, format_poses(model, selection, poses, table))
+    if plots is not None:
+        write_folder(plots, draw("selection", selection))
+    output.say(text_report(selection, poses))
+    output.say(f"Written to {out}")
+    output.json({"robot": model.path} | to_dict(selection, poses))
+
+
+def _read(robot: Robot, path: str) -> Poses:
+    """Read poses; where a measured file repeats them, they are averaged, and their readings count."""
+    poses = read_poses(path, robot)
+    if len(set(poses.names)) == len(poses):
+        return poses
+    columns = read_table(path, robot.description.columns).names
+    if all(f"{target}_{axis}" in columns for target in robot.target_names for axis in "xyz"):
+        return read_measurements(path, robot)
+    again = next(k for k, name in enumerate(poses.names) if name in poses.names[:k])
+    raise DataError(f"{poses.labels[again]}: pose '{poses.names[again]}' is given twice; names must be unique")
+
+
+def _excluded(text: str, poses: Poses) -> list[int]:
+    """Turn names and ranges of numbers into candidate numbers."""
+    number_of = {name: k for k, name in enumerate(poses.names)}
+    found: list[int] = []
+    for item in (part.strip() for part in text.split(",")):
+        first, _, last = item.partition("-")
+        if item in number_of:
+            found.append(number_of[item])
+        elif first.isdigit() and last.isdigit() and int(first) <= int(last):
+            wanted = [str(k) for k in range(int(first), int(last) + 1)]
+            missing = [name for name in wanted if name not in number_of]
+            if missing:
+                raise InputError(f"--exclude {item}: {poses.path} has no pose '{missing[0]}'")
+            found += [number_of[name] for name in wanted]
+        else:
+            raise InputError(f"--exclude: {poses.path} has no pose '{item}'{nearest(item, number_of)}")
+    return found

@@ -1,0 +1,97 @@
+"""`calib solve`: joint commands that reach the targets."""
+
+from __future__ import annotations
+
+import click
+import numpy as np
+
+from calib.commands.common import Output, shared_options, with_values
+from calib.files import check_file, write_file
+from calib.goals import Goals, read_goals
+from calib.inverse import Solution, solve
+from calib.mechanism import FloatArray
+from calib.robot import Robot, load
+from calib.tables import format_table
+from calib.units import DISPLAY_UNIT, PER_SI
+
+
+@click.command("solve")
+@click.argument("robot")
+@click.argument("targets")
+@click.option("--parameters", metavar="FILE", help="Parameter values (CSV parameter,value,unit); nominal if not given.")
+@click.option("--result", metavar="DIR", help="Use the calibrated values of this result folder.")
+@click.option("--skip-unreachable", is_flag=True, help="List targets that are out of reach, and write the others.")
+@click.option("--out", required=True, metavar="FILE", help="CSV file to write: joint values and positions reached.")
+@shared_options(json_output=True)
+def command(
+    robot: str,
+    targets: str,
+    parameters: str | None,
+    result: str | None,
+    skip_unreachable: bool,
+    out: str,
+    output: Output,
+) -> None:
+    """Find joint values that bring a target of ROBOT to the places in TARGETS (CSV), through the closed loops.
+
+    TARGETS has the columns TARGET_x, TARGET_y, TARGET_z (such as 'tool_x [mm]'), in the measurement frame. Add
+    TARGET_rx, _ry, _rz (such as 'tool_rx [deg]'; roll, pitch, yaw about fixed axes, as URDF's rpy) to ask for the
+    orientation of the target's link too, or TARGET_ax, _ay, _az (no unit) to ask for the direction of its z axis.
+    A column 'pose' names the rows. Joint limits and the home's assembly mode are kept; what a target leaves open
+    stays near home.
+    """
+    check_file(out)
+    model = with_values(load(robot), parameters, result)
+    goals = read_goals(targets, model)
+    with output.working(f"solving {len(goals)} targets"):
+        solution = solve(model, goals)
+    misses = solution.misses()
+    if not skip_unreachable or not np.any(solution.ok):
+        solution.require_all()
+    for miss in misses:
+        output.note(f"{miss}; skipped")
+    source = parameters or result or "nominal values"
+    comments = (f"joint values of {model.name} that reach {targets} ({goals.asks_for}), {source}",)
+    write_file(out, _table(model, goals, solution, comments))
+    output.json({"robot": model.path, "asked_for": goals.asks_for, "targets": _rows(model, goals, solution)})
+    reached = np.flatnonzero(solution.ok)
+    output.say(
+        f"{len(reached)} of {len(goals)} targets reached ({goals.asks_for}), largest miss"
+        f" {1e6 * np.max(solution.miss_position[reached]):.1e} um; written to {out}"
+    )
+
+
+def _table(robot: Robot, goals: Goals, solution: Solution, comments: tuple[str, ...]) -> str:
+    """CSV text of the targets that are reached."""
+    reached = np.flatnonzero(solution.ok)
+    columns: list[tuple[str, list[object]]] = [("pose", [goals.names[k] for k in reached])]
+    for name, values in _in_display_units(robot, solution.q[reached]).items():
+        columns.append((name, list(values)))
+    for axis, values in zip("xyz", solution.positions[reached].T * 1e3, strict=True):
+        columns.append((f"{goals.target}_{axis} [mm]", list(values)))
+    return format_table(columns, comments)
+
+
+def _rows(robot: Robot, goals: Goals, solution: Solution) -> list[dict[str, object]]:
+    """One entry for each target; joints are null where it is out of reach."""
+    joints = _in_display_units(robot, solution.q)
+    return [
+        {
+            "pose": name,
+            "reached": bool(solution.ok[k]),
+            "miss_mm": float(1e3 * solution.miss_position[k]),
+            "miss_deg": float(np.degrees(solution.miss_angle[k])),
+            "joints": {joint: float(values[k]) for joint, values in joints.items()} if solution.ok[k] else None,
+        }
+        for k, name in enumerate(goals.names)
+    ]
+
+
+def _in_display_units(robot: Robot, q: FloatArray) -> dict[str, FloatArray]:
+    """Joint columns `name [unit]` and their values, (n,) each."""
+    columns: dict[str, FloatArray] = {}
+    for j, name in enumerate(robot.joint_names):
+        dimension = robot.mechanism.dimensions[name]
+        unit = DISPLAY_UNIT[dimension]
+        columns[f"{name} [{unit}]"] = q[:, j] * PER_SI[dimension][unit]
+    return columns

@@ -1,0 +1,23 @@
+"""The robot in the formats that other programs read."""
+
+from calib.export.closed_model import ClosedModel, closed_model
+from calib.export.drake import drake_bytes
+from calib.export.formats import FORMATS, export
+from calib.export.gap import Gap, loop_gaps
+from calib.export.mjcf import mjcf_bytes
+from calib.export.toolbox import calibrated_description, toolbox_yaml
+from calib.export.urdf import urdf_bytes
+
+__all__ = [
+    "FORMATS",
+    "ClosedModel",
+    "Gap",
+    "calibrated_description",
+    "closed_model",
+    "drake_bytes",
+    "export",
+    "loop_gaps",
+    "mjcf_bytes",
+    "toolbox_yaml",
+    "urdf_bytes",
+]

@@ -1,0 +1,221 @@
+"""What every simulator format is written from: the calibrated URDF, one assembled configuration, and the ties.
+
+A tie says that two links meet: in a point, or as whole frames. Everything is computed from the numbers in the text of
+the calibrated URDF, so a robot that was exported and loaded again gives the same model to the last bit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import pinocchio as pin
+
+from calib.errors import InputError
+from calib.export.gap import Gap, free_joints, loop_gaps, require_small
+from calib.export.servo import motor_inertia
+from calib.export.urdf import with_inserted
+from calib.robot import Robot
+from calib.urdf_text import HELD_TYPES, UrdfText, parse_urdf
+
+_FREE_MASS, _FREE_INERTIA = 1e-3, 1e-6
+"""Mass [kg] and moments of inertia [kg m^2] of the links between free joints: small, but what simulators can handle."""
+_SLIDE_LIMIT = 1.0  # of an added slide [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Tie:
+    """Two links that meet.
+
+    Attributes:
+        name: Of the closure.
+        a, b: Links.
+        full_pose: True: `a` is fixed to `b` in its `placement`. False: only the origin of `a` is, as a point.
+        placement: Link `a` seen from link `b`, at home.
+    """
+
+    name: str
+    a: str
+    b: str
+    full_pose: bool
+    placement: pin.SE3
+
+
+@dataclass(frozen=True, eq=False)
+class Marker:
+    """A named point on a link: a target or the measurement frame, at its current place."""
+
+    name: str
+    link: str
+    placement: pin.SE3
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedModel:
+    """A robot for a simulator.
+
+    Attributes:
+        urdf: Calibrated URDF, with free joints added where they were asked for.
+        home: Value of every moving joint in an assembled configuration [m or rad].
+        actuated: Joints with a motor.
+        inertia: Inertia that each motor feels at home, loops closed, the other motors at rest [kg or kg m^2].
+        ties: What closes the loops.
+        gaps: What the ties have to absorb; empty with free joints.
+        markers: Targets and measurement frame.
+        robot: The robot that it was made from.
+    """
+
+    urdf: UrdfText
+    home: dict[str, float]
+    actuated: tuple[str, ...]
+    inertia: tuple[float, ...]
+    ties: tuple[Tie, ...]
+    gaps: tuple[Gap, ...]
+    markers: tuple[Marker, ...]
+    robot: Robot
+
+
+def closed_model(robot: Robot, *, free_slide: bool = False) -> ClosedModel:
+    """Return the model that the simulator formats are written from.
+
+    Args:
+        robot: The robot, with its current values.
+        free_slide: Add a joint for each direction that a closure leaves free, so that nothing has to be absorbed.
+
+    Raises:
+        InputError: A tie would hold a motion that the mechanism has, or no joint has the motions that are free.
+    """
+    urdf = parse_urdf(robot.calibrated_urdf(), robot.urdf.path)
+    home = home_values(robot)
+    gaps = loop_gaps(robot)
+    ends = [(_link(urdf, a), _link(urdf, b)) for a, b in robot.description.closed_loop]
+    if free_slide:
+        urdf, ends, home = _with_free_joints(robot, urdf, ends, home)
+        gaps = ()
+    require_small(robot, gaps)
+    poses = link_poses(urdf, home)
+    names = [loop.name for loop in robot.mechanism.loops]
+    ties = tuple(
+        Tie(
+            loop.name if names.count(loop.name) == 1 else f"{loop.name}_{index}",
+            a,
+            b,
+            loop.full_pose,
+            poses[b].actInv(poses[a]),
+        )
+        for index, (loop, (a, b)) in enumerate(zip(robot.mechanism.loops, ends, strict=True))
+    )
+    return ClosedModel(urdf, home, robot.joint_names, motor_inertia(robot, urdf), ties, gaps, _markers(robot), robot)
+
+
+def home_values(robot: Robot) -> dict[str, float]:
+    """Return the value of every moving joint in the home configuration, loops closed [m or rad]."""
+    found = robot.assemble(robot.home)
+    joints = robot.mechanism.all_joints(found.actuated, found.passive)[0]
+    index = {name: i for i, name in enumerate(robot.mechanism.origin_names)}
+    return {joint.name: float(joints[index[joint.name]]) for joint in robot.urdf.joints if joint.type not in HELD_TYPES}
+
+
+def link_poses(urdf: UrdfText, values: dict[str, float]) -> dict[str, pin.SE3]:
+    """Return the pose of every link in the root link; joints that `values` does not name are at zero."""
+    poses = {urdf.root: pin.SE3.Identity()}
+    waiting = list(urdf.joints)
+    while waiting:
+        rest = []
+        for joint in waiting:
+            if joint.parent in poses:
+                motion = joint_motion(joint.type, joint.axis, values.get(joint.name, 0.0))
+                poses[joint.child] = poses[joint.parent] * origin(joint.xyz, joint.rpy) * motion
+            else:
+                rest.append(joint)
+        waiting = rest
+    return poses
+
+
+def origin(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> pin.SE3:
+    """Return a URDF origin as a rigid transform."""
+    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz))
+
+
+def joint_motion(kind: str, axis: tuple[float, ...], value: float) -> pin.SE3:
+    """Return what a joint adds to its origin at a value [m or rad]."""
+    if kind in HELD_TYPES or value == 0:
+        return pin.SE3.Identity()
+    if kind == "prismatic":
+        return pin.SE3(np.eye(3), value * np.array(axis))
+    return pin.SE3(pin.exp3(value * np.array(axis)), np.zeros(3))
+
+
+def tie_lines(model: ClosedModel) -> list[str]:
+    """Return what a user must know of the loops, as lines of a comment."""
+    if not model.ties:
+        return []
+    lines = ["loops are held softly by every simulator; poses that count come from calib predict"]
+    if not model.gaps:
+        return lines
+    return [
+        *lines,
+        "a closure here holds fewer directions than a 3D constraint does:",
+        *(f"  {gap.text()}" for gap in model.gaps),
+        "  (the gap at home is built into the constraint; the variant with free slides leaves nothing to absorb)",
+    ]
+
+
+def _link(urdf: UrdfText, frame: str) -> str:
+    """The link that a frame of the description is: a joint's name stands for its child."""
+    if frame in urdf.links:
+        return frame
+    child = next((joint.child for joint in urdf.joints if joint.name == frame), None)
+    if child is None:
+        raise InputError(f"{urdf.path}: frame '{frame}' is neither a link nor a joint of the URDF; name one of these")
+    return child
+
+
+def _markers(robot: Robot) -> tuple[Marker, ...]:
+    mechanism, description = robot.mechanism, robot.description
+    places = [("measurement_frame", description.base.frame, mechanism.targets[0].a)]
+    places += [
+        (f"target_{target.name}", description.targets[target.name].frame, target.b) for target in mechanism.targets
+    ]
+    return tuple(
+        Marker(name, _link(robot.urdf, frame), mechanism.model.jointPlacements[index].copy())
+        for name, frame, index in places
+    )
+
+
+def _with_free_joints(
+    robot: Robot, urdf: UrdfText, ends: list[tuple[str, str]], home: dict[str, float]
+) -> tuple[UrdfText, list[tuple[str, str]], dict[str, float]]:
+    """Put free joints behind the first link of each closure, and tie the last of them instead of it."""
+    poses = link_poses(urdf, home)
+    parts, new_ends, new_home = [], [], dict(home)
+    for index, (a, b) in enumerate(ends):
+        relative = poses[a].actInv(poses[b])
+        parent = a
+        for direction, slides in free_joints(robot, index):
+            name = f"{a}_to_{b}_free_{direction}"
+            moved = relative.translation if slides else pin.log3(relative.rotation)
+            new_home[name] = float(moved["xyz".index(direction[-1])])
+            parts.append(_free_joint(name, parent, direction[-1], slides))
+            parent = f"{name}_link"
+        new_ends.append((parent, b))
+    if not parts:
+        return urdf, ends, home
+    text = "\n".join(["", "  <!-- Free joints: the loops are closed behind them. -->", *parts, ""])
+    return parse_urdf(with_inserted(urdf, text, at=urdf.end), urdf.path), new_ends, new_home
+
+
+def _free_joint(name: str, parent: str, axis: str, slides: bool) -> str:
+    kind = "prismatic" if slides else "continuous"
+    limit = f'lower="-{_SLIDE_LIMIT}" upper="{_SLIDE_LIMIT}" ' if slides else ""
+    vector = " ".join("1" if axis == other else "0" for other in "xyz")
+    child = quoteattr(f"{name}_link")
+    moments = " ".join(f'i{a}{b}="{_FREE_INERTIA if a == b else 0}"' for a, b in ("xx", "xy", "xz", "yy", "yz", "zz"))
+    return (
+        f'  <joint name={quoteattr(name)} type="{kind}">\n'
+        f"    <parent link={quoteattr(parent)}/>\n    <child link={child}/>\n"
+        f'    <axis xyz="{vector}"/>\n    <limit {limit}effort="0" velocity="10"/>\n  </joint>\n'
+        f"  <link name={child}>\n"
+        f'    <inertial><mass value="{_FREE_MASS}"/><inertia {moments}/></inertial>\n  </link>'
+    )

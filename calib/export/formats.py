@@ -1,0 +1,74 @@
+"""Writing a robot in one of the formats, as `calib export` does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from calib.errors import InputError, nearest
+from calib.export.closed_model import closed_model
+from calib.export.drake import drake_bytes
+from calib.export.gap import Gap, loop_gaps
+from calib.export.mjcf import mjcf_bytes
+from calib.export.toolbox import toolbox_yaml
+from calib.export.urdf import urdf_bytes
+from calib.files import check_file, write_file
+from calib.robot import Robot
+
+FORMATS = ("urdf", "mjcf", "drake", "toolbox")
+
+
+def export(
+    robot: Robot,
+    file_format: str,
+    path: Path | str,
+    *,
+    free_slide: bool = False,
+    provenance: Sequence[str] | None = None,
+) -> tuple[Gap, ...]:
+    """Write a robot with its current values for another program.
+
+    Args:
+        robot: The robot.
+        file_format: `urdf`: the URDF, only edited origins changed. `mjcf`: for MuJoCo, Pinocchio and Drake, loops
+            closed. `drake`: URDF with Drake's ball constraints. `toolbox`: robot.yaml for toolbox-parallel-robots, with
+            the URDF beside it under the same name.
+        path: File to write.
+        free_slide: Formats `mjcf` and `drake`: a free joint for each direction that a closure leaves free.
+        provenance: Format `urdf`: lines for a comment that says where the numbers come from; None for no comment.
+
+    Returns:
+        What 3D constraints would have to absorb, for each direction that a closure leaves free.
+
+    Raises:
+        InputError: Unknown format, an option that the format does not have, a place that cannot be written or is the
+            robot's own input, or loops that the format cannot express.
+    """
+    path = Path(path)
+    if file_format not in FORMATS:
+        raise InputError(f"format '{file_format}': unknown{nearest(file_format, FORMATS)}")
+    if free_slide and file_format not in ("mjcf", "drake"):
+        raise InputError(f"format '{file_format}' has no variant with free slides; only mjcf and drake have")
+    files = _contents(robot, file_format, path, free_slide, provenance)
+    for file in files:
+        if file.resolve() in (Path(robot.urdf.path).resolve(), Path(robot.path).resolve()):
+            raise InputError(f"{file}: is the robot's own input; choose another file, so that nominal is not lost")
+        check_file(file)
+    for file, content in files.items():
+        write_file(file, content)
+    return () if free_slide else loop_gaps(robot)
+
+
+def _contents(
+    robot: Robot, file_format: str, path: Path, free_slide: bool, provenance: Sequence[str] | None
+) -> dict[Path, bytes]:
+    if file_format == "urdf":
+        return {path: urdf_bytes(robot, provenance)}
+    if file_format == "mjcf":
+        return {path: mjcf_bytes(closed_model(robot, free_slide=free_slide), path.parent)}
+    if file_format == "drake":
+        return {path: drake_bytes(closed_model(robot, free_slide=free_slide))}
+    urdf = path.with_suffix(".urdf")
+    if path == urdf:
+        raise InputError(f"{path}: format 'toolbox' writes a YAML file and the URDF beside it; name the YAML file")
+    return {urdf: urdf_bytes(robot, provenance), path: toolbox_yaml(robot, urdf.name)}

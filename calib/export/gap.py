@@ -1,0 +1,159 @@
+"""What a closure leaves open, and what a constraint in three dimensions would have to absorb.
+
+A loop of a planar mechanism is closed here in its plane only: perpendicular to it the bearings hold the links, and
+after calibration the two frames of a cut need not meet there any more. Other programs know points that coincide (three
+directions) or whole frames (six). Such a constraint sees the direction that is left free as well:
+
+* A gap that is the same in every pose does no harm: the constraint is placed at the assembled home, with the gap built
+  into its anchor.
+* A gap that changes from pose to pose has to be absorbed: the simulated links are strained, or sit where the real ones
+  do not. How much is the number `change`.
+
+The exact alternative is a joint that is free in just these directions, put between the first frame and the constraint:
+a slide for each free translation, a hinge for a free rotation. Both together then constrain what the closure
+constrains, no more and no less. This is so for translations of a point in any combination; for whole frames where the
+free motions are those of a joint: slides, one hinge, and a hinge with slides along it or across it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import qmc
+
+from calib import kinematics
+from calib.description import ANGLE_COMPONENTS, COMPONENTS, Component
+from calib.errors import InputError
+from calib.mechanism import FloatArray, RelativeFrame
+from calib.robot import Robot
+
+LARGEST_CHANGE = 0.01
+"""Largest change of a gap that a constraint may be left to absorb [characteristic lengths of the robot, or rad]."""
+_POSES, _REACH = 64, 0.1
+_UNLIMITED = {"length": 1.0, "angle": np.pi}  # taken as a joint's limit where it has none [m], [rad]
+
+
+@dataclass(frozen=True)
+class Gap:
+    """How far the two frames of a closure are apart in one direction that it leaves free.
+
+    Attributes:
+        loop: Index of the closure in the description.
+        name: Its name.
+        direction: Free direction, in the axes of the closure's first frame.
+        at_home: Gap in the home configuration [m or rad].
+        change: Largest difference to that over the poses [m or rad].
+        n_poses: How many assembled poses were looked at.
+    """
+
+    loop: int
+    name: str
+    direction: Component
+    at_home: float
+    change: float
+    n_poses: int
+
+    @property
+    def unit(self) -> str:
+        """Unit of `at_home` and `change`."""
+        return "rad" if self.direction in ANGLE_COMPONENTS else "m"
+
+    def text(self) -> str:
+        """Return one sentence, in mm or mrad."""
+        unit = "m" + self.unit
+        where = f"loop {self.name}, direction {self.direction}"
+        if max(abs(self.at_home), self.change) < 1e-9:
+            return f"{where}: closed as well in {self.n_poses} poses; a 3D constraint has nothing to absorb"
+        return (
+            f"{where}: {1e3 * self.at_home:.4f} {unit} apart at home; a 3D constraint would have to absorb up to"
+            f" {1e3 * self.change:.4f} {unit} over {self.n_poses} poses"
+        )
+
+
+def poses_near_home(robot: Robot) -> FloatArray:
+    """Return assembled poses within a tenth of each joint's range around home, home first, (n, n_actuated) [m or rad].
+
+    The points are evenly spread (Halton sequence, no random numbers); those that cannot be assembled are left out.
+    """
+    limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
+    default = np.array([_UNLIMITED[robot.mechanism.dimensions[name]] for name in robot.joint_names])
+    lower, upper = np.array([limits[name] for name in robot.joint_names]).T
+    lower = np.where(np.isfinite(lower), lower, -default)
+    upper = np.where(np.isfinite(upper), upper, default)
+    spread = 2 * qmc.Halton(len(default), scramble=False).random(_POSES + 1)[1:] - 1  # its first point is a corner
+    around = robot.home + _REACH * (upper - lower) * spread
+    inside = np.clip(around, np.minimum(lower, robot.home), np.maximum(upper, robot.home))
+    poses = np.vstack([robot.home, inside])
+    return poses[robot.close(poses).ok]
+
+
+def free_directions(robot: Robot, loop: int) -> tuple[Component, ...]:
+    """Directions that a 3D constraint would hold and the closure does not."""
+    held = robot.mechanism.loops[loop].rows
+    whole = range(6 if robot.mechanism.loops[loop].full_pose else 3)
+    return tuple(COMPONENTS[row] for row in whole if row not in held)
+
+
+def loop_gaps(robot: Robot, q: ArrayLike | None = None) -> tuple[Gap, ...]:
+    """Return the gap of every closure in every direction that it leaves free.
+
+    Args:
+        robot: The robot, with its current parameter values.
+        q: Poses to look at, (n, n_actuated) [m or rad]; `poses_near_home` if not given.
+
+    Raises:
+        UnreachablePoseError: A pose cannot be assembled.
+    """
+    if not any(free_directions(robot, loop) for loop in range(len(robot.mechanism.loops))):
+        return ()
+    poses = poses_near_home(robot) if q is None else robot.joint_vector(q)
+    found = robot.assemble(np.vstack([robot.home, poses]))
+    joints = robot.mechanism.all_joints(found.actuated, found.passive)
+    gaps = []
+    for index, loop in enumerate(robot.mechanism.loops):
+        values = _whole_value(robot, joints, loop)
+        for direction in free_directions(robot, index):
+            column = values[:, COMPONENTS.index(direction)]
+            change = float(np.max(np.abs(column - column[0])))
+            gaps.append(Gap(index, loop.name, direction, float(column[0]), change, len(poses)))
+    return tuple(gaps)
+
+
+def _whole_value(robot: Robot, joints: FloatArray, loop: RelativeFrame) -> FloatArray:
+    """All components of a closure, held or not, (n, 3 or 6) [m, rad]."""
+    whole = replace(loop, rows=tuple(range(6 if loop.full_pose else 3)))
+    return kinematics.value(kinematics.sweep(robot.mechanism, joints, (whole,)), whole)
+
+
+def require_small(robot: Robot, gaps: tuple[Gap, ...]) -> None:
+    """Raise `InputError` where a 3D constraint would hold a motion that the mechanism has."""
+    for gap in gaps:
+        limit = LARGEST_CHANGE * (1.0 if gap.direction in ANGLE_COMPONENTS else robot.mechanism.length)
+        if gap.change > limit:
+            raise InputError(
+                f"{gap.text()}, more than {1e3 * limit:.3g}: the mechanism moves in this direction;"
+                " use the variant with free slides (--free-slide)"
+            )
+
+
+def free_joints(robot: Robot, loop: int) -> tuple[tuple[Component, bool], ...]:
+    """Return the joints that the free directions of a closure stand for: (direction, whether it slides), slides first.
+
+    Raises:
+        InputError: No chain of joints has exactly these motions.
+    """
+    free = free_directions(robot, loop)
+    slides = [direction for direction in free if direction not in ANGLE_COMPONENTS]
+    hinges = [direction for direction in free if direction in ANGLE_COMPONENTS]
+    if hinges:
+        along = hinges[0][1]
+        across = {"x", "y", "z"} - {along}
+        if len(hinges) > 1 or (set(slides) - {along}) not in (set(), across):
+            raise InputError(
+                f"loop {robot.mechanism.loops[loop].name}: its free directions {', '.join(free)} are not"
+                " the motions of a joint, so that no other program can close it; constrain other"
+                " directions in closed_loop_axes, or split it into two closures"
+            )
+    return tuple((direction, True) for direction in slides) + tuple((direction, False) for direction in hinges)

@@ -1,0 +1,194 @@
+"""Masses and shapes of a URDF's links: what the simulators need and the calibration does not.
+
+Only reads. Prefixes that a file does not declare are accepted, as most programs accept them.
+"""
+
+from __future__ import annotations
+
+import os
+import xml.parsers.expat
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element, TreeBuilder
+
+import numpy as np
+import pinocchio as pin
+
+from calib.errors import UrdfError
+from calib.mechanism import FloatArray
+from calib.urdf_text import UrdfText
+
+
+@dataclass(frozen=True, eq=False)
+class Inertial:
+    """Mass properties of a link.
+
+    Attributes:
+        mass: [kg].
+        centre: Centre of mass in the link frame, (3,) [m].
+        inertia: About the centre of mass, in the axes of the link frame, (3, 3) [kg m^2].
+    """
+
+    mass: float
+    centre: FloatArray
+    inertia: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """One visual or collision geometry.
+
+    Attributes:
+        kind: `box`, `cylinder`, `sphere` or `mesh`.
+        placement: In the link frame.
+        size: Box: edge lengths; cylinder: radius, length; sphere: radius; mesh: scale [m, or factors].
+        file: Mesh file name as written, else "".
+        colour: Red, green, blue, opacity, or None.
+    """
+
+    kind: str
+    placement: pin.SE3
+    size: tuple[float, ...]
+    file: str
+    colour: tuple[float, ...] | None
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """A link's inertial (None where the file has none), visuals and collisions."""
+
+    inertial: Inertial | None
+    visuals: tuple[Shape, ...]
+    collisions: tuple[Shape, ...]
+
+
+def element_tree(source: bytes) -> Element:
+    """Parse XML into elements with tags as spelled, prefixes included."""
+    builder = TreeBuilder()
+    parser = xml.parsers.expat.ParserCreate()
+    parser.StartElementHandler = lambda tag, attributes: builder.start(tag, attributes) and None
+    parser.EndElementHandler = lambda tag: builder.end(tag) and None
+    parser.Parse(source, True)
+    return builder.close()
+
+
+def read_links(urdf: UrdfText) -> dict[str, Link]:
+    """Read all links, in file order.
+
+    Raises:
+        UrdfError: A mass, size or origin is not made of numbers.
+    """
+    root = element_tree(urdf.source)
+    colours = {
+        str(material.get("name")): colour
+        for material in root.iterfind("material")
+        if (colour := _colour(material, {}, urdf.path)) is not None
+    }
+    return {
+        str(link.get("name")): _link(link, colours, f"{urdf.path}, link '{link.get('name')}'")
+        for link in root.iterfind("link")
+    }
+
+
+def _link(link: Element, colours: dict[str, tuple[float, ...]], where: str) -> Link:
+    shapes: dict[str, list[Shape]] = {"visual": [], "collision": []}
+    for role, found in shapes.items():
+        for element in link.iterfind(role):
+            shape = _shape(element, colours, f"{where}, {role}")
+            if shape is not None:
+                found.append(shape)
+    inertial = link.find("inertial")
+    return Link(
+        None if inertial is None else _inertial(inertial, f"{where}, inertial"),
+        tuple(shapes["visual"]),
+        tuple(shapes["collision"]),
+    )
+
+
+def _inertial(element: Element, where: str) -> Inertial:
+    placement = _placement(element, where)
+    mass, inertia = element.find("mass"), element.find("inertia")
+    value = _numbers(mass.get("value", "0"), 1, where)[0] if mass is not None else 0.0
+    xx, xy, xz, yy, yz, zz = (
+        (0.0,) * 6
+        if inertia is None
+        else tuple(_numbers(inertia.get(f"i{key}", "0"), 1, where)[0] for key in ("xx", "xy", "xz", "yy", "yz", "zz"))
+    )
+    about = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    rotation = placement.rotation
+    return Inertial(value, placement.translation.copy(), rotation @ about @ rotation.T)
+
+
+def _shape(element: Element, colours: dict[str, tuple[float, ...]], where: str) -> Shape | None:
+    geometry = element.find("geometry")
+    found = next(iter(geometry), None) if geometry is not None else None
+    if found is None or found.tag not in ("box", "cylinder", "sphere", "mesh"):
+        return None
+    size: tuple[float, ...]
+    if found.tag == "box":
+        size = _numbers(found.get("size", ""), 3, where)
+    elif found.tag == "mesh":
+        size = _numbers(found.get("scale", "1 1 1"), 3, where)
+    else:
+        keys = ("radius", "length") if found.tag == "cylinder" else ("radius",)
+        size = tuple(_numbers(found.get(key, ""), 1, where)[0] for key in keys)
+    material = element.find("material")
+    colour = _colour(material, colours, where) if material is not None else None
+    return Shape(found.tag, _placement(element, where), size, found.get("filename", ""), colour)
+
+
+def _colour(material: Element, named: dict[str, tuple[float, ...]], where: str) -> tuple[float, ...] | None:
+    colour = material.find("color")
+    if colour is not None:
+        return _numbers(colour.get("rgba", "0.5 0.5 0.5 1"), 4, where)
+    return named.get(str(material.get("name")))
+
+
+def _placement(element: Element, where: str) -> pin.SE3:
+    origin = element.find("origin")
+    if origin is None:
+        return pin.SE3.Identity()
+    rpy = _numbers(origin.get("rpy", "0 0 0"), 3, where)
+    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(_numbers(origin.get("xyz", "0 0 0"), 3, where)))
+
+
+def _numbers(text: str, count: int, where: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(part) for part in text.split())
+    except ValueError:
+        values = ()
+    if len(values) != count or not np.all(np.isfinite(values)):
+        raise UrdfError(f"{where}: '{text}' is not {count} number{'s' * (count > 1)}")
+    return values
+
+
+def possible_inertia(inertia: FloatArray) -> FloatArray:
+    """Return the nearest inertia that a body can have: positive moments, none above the sum of the two others."""
+    moments, axes = np.linalg.eigh(inertia)
+    fixed = np.maximum(moments, max(1e-6 * float(moments[2]), 1e-12))
+    excess = fixed[2] - fixed[0] - fixed[1]
+    if excess > 0:
+        fixed[:2] += excess / 2 * (1 + 1e-9) + 1e-15
+    if np.array_equal(fixed, moments):
+        return inertia
+    result: FloatArray = axes @ np.diag(fixed) @ axes.T
+    return (result + result.T) / 2
+
+
+def find_mesh(filename: str, urdf_path: str) -> Path | None:
+    """Return where a mesh lies, or None: relative to the URDF, or a package:// path below a folder above it.
+
+    Folders of ROS_PACKAGE_PATH and `share` of AMENT_PREFIX_PATH are searched as well.
+    """
+    folder = Path(urdf_path).resolve().parent
+    name = filename.removeprefix("file://")
+    if "://" not in name:
+        found = folder / name  # an absolute name stays as it is
+        return found if found.is_file() else None
+    if not name.startswith("package://"):
+        return None
+    inside = name.removeprefix("package://")
+    roots = [folder, *folder.parents]
+    roots += [Path(entry) for entry in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if entry]
+    roots += [Path(entry) / "share" for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
+    return next((root / inside for root in roots if (root / inside).is_file()), None)

@@ -1,0 +1,231 @@
+"""MuJoCo's format (MJCF), in the form that MuJoCo, Pinocchio and Drake read alike.
+
+Bodies stand at the assembled home and each joint's `ref` is its value there, so that every program finds the loops
+closed where it looks for the second anchor of a `<connect>` (or the pose of a `<weld>`): in the reference
+configuration. Joint values mean the same as in the URDF. Numbers are written as the shortest decimals that read back
+to the same float; MuJoCo's own writer would keep six digits.
+
+Every link is a body, also the fixed ones; a root link named `world` becomes the body `world_link`, because MuJoCo keeps
+that name for itself. Targets and the measurement frame are empty bodies, because not every program reads sites. Motors
+are position servos whose stiffness comes from the inertia that they feel at home. Ties are soft in a simulator, though
+little here: never take its pose for the truth.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+import pinocchio as pin
+
+from calib.errors import InputError
+from calib.export.closed_model import ClosedModel, joint_motion, origin, tie_lines
+from calib.export.links import Inertial, Link, possible_inertia, read_links
+from calib.export.mjcf_shapes import Shapes, placed
+from calib.export.servo import servo_gains
+from calib.export.urdf import provenance_lines
+from calib.export.xml_text import comment, numbers
+from calib.urdf_text import HELD_TYPES, UrdfJoint
+
+TIE_SOFTNESS = {"solref": "-1000000 -1000", "solimp": "0.999 0.999 0.001 0.5 2"}
+"""MuJoCo's softness of the ties: stiffness [1/s^2] and damping [1/s] per effective mass, and impedance (1 is rigid)."""
+WORLD = "world_link"
+"""Name of the body for a root link called `world`, which MuJoCo keeps for itself."""
+_LEAST_MASS, _LEAST_INERTIA = 1e-6, 1e-9
+"""What a moving link without mass gets [kg], [kg m^2]: MuJoCo refuses massless ones."""
+_NO_MASS, _NO_INERTIA = 1e-9, 1e-12
+"""What a massless link with shapes gets [kg], [kg m^2]: MuJoCo before 3.4 takes its mass from the shapes otherwise."""
+_TYPES = {"prismatic": "slide", "revolute": "hinge", "continuous": "hinge"}
+
+
+def mjcf_bytes(model: ClosedModel, folder: Path | str = ".") -> bytes:
+    """Return the MJCF file.
+
+    Args:
+        model: The closed robot.
+        folder: Where the file will lie; mesh files are named relative to it.
+
+    Raises:
+        InputError: A link other than the root is named `world`, which MuJoCo keeps for itself.
+    """
+    return _Writer(model, Path(folder)).write()
+
+
+class _Writer:
+    def __init__(self, model: ClosedModel, folder: Path) -> None:
+        self.model = model
+        self.links = read_links(model.urdf)
+        self.remarks: list[str] = []
+        self.shapes = Shapes(model.robot.urdf.path, folder)
+        self.children: dict[str, list[UrdfJoint]] = {link: [] for link in model.urdf.links}
+        for joint in model.urdf.joints:
+            self.children[joint.parent].append(joint)
+
+    def write(self) -> bytes:
+        root = Element("mujoco", model=self.model.urdf.name or "robot")
+        SubElement(root, "compiler", angle="radian", autolimits="true")
+        SubElement(root, "option", timestep="0.001", integrator="implicitfast")
+        self._world(SubElement(root, "worldbody"))
+        if len(self.shapes.asset) > 0:
+            root.append(self.shapes.asset)
+        self._contact(root)
+        self._equality(root)
+        self._actuators(root)
+        ElementTree.indent(root)
+        header = comment(
+            [
+                "calib: a closed robot for MuJoCo, Pinocchio and Drake",
+                *provenance_lines(self.model.robot),
+                *tie_lines(self.model),
+                *dict.fromkeys(self.remarks + self.shapes.remarks),
+            ]
+        )
+        body = ElementTree.tostring(root, encoding="utf-8")
+        return b'<?xml version="1.0" encoding="utf-8"?>\n' + header.encode() + b"\n" + body + b"\n"
+
+    def _world(self, world: Element) -> None:
+        urdf = self.model.urdf
+        if "world" in urdf.links and urdf.root != "world":
+            raise InputError(
+                f"{urdf.path}: link 'world' is not the root link; MuJoCo keeps this name for its world: rename the link"
+            )
+        # Pinocchio passes over the placement of a body that is fixed to the worldbody itself: this one has none
+        self._content(SubElement(world, "body", name=self._body_name(urdf.root)), urdf.root, moving=False)
+
+    def _content(self, element: Element, name: str, moving: bool) -> None:
+        """Fill a body with its mass, shapes, markers and children."""
+        link = self.links[name]
+        self._inertial(element, name, link, moving)
+        self.shapes.add(element, link)
+        for marker in self.model.markers:
+            if marker.link == name:
+                SubElement(element, "body", {"name": marker.name, **placed(marker.placement)})
+        for joint in self.children[name]:
+            self._body(element, joint)
+
+    def _body(self, parent: Element, joint: UrdfJoint) -> None:
+        moving = joint.type not in HELD_TYPES
+        value = self.model.home[joint.name] if moving else 0.0
+        placement = origin(joint.xyz, joint.rpy) * joint_motion(joint.type, joint.axis, value)
+        body = SubElement(parent, "body", {"name": joint.child, **placed(placement)})
+        if moving:
+            attributes = {
+                "name": joint.name,
+                "type": _TYPES[joint.type],
+                "axis": numbers(joint.axis),
+                "ref": numbers([value]),
+            }
+            if math.isfinite(joint.lower) and joint.lower < joint.upper:
+                attributes |= {"limited": "true", "range": numbers([joint.lower, joint.upper])}
+            SubElement(body, "joint", attributes)
+        self._content(body, joint.child, moving)
+
+    def _inertial(self, element: Element, name: str, link: Link, moving: bool) -> None:
+        inertial = link.inertial
+        if inertial is None or inertial.mass <= 0:
+            if moving and self._carried_mass(name) <= 0:
+                inertial = Inertial(_LEAST_MASS, np.zeros(3), _LEAST_INERTIA * np.eye(3))
+                self.remarks.append(f"link {name} moves and has no mass: {_LEAST_MASS:g} kg added for the simulator")
+            elif link.visuals or link.collisions:
+                inertial = Inertial(_NO_MASS, np.zeros(3), _NO_INERTIA * np.eye(3))
+            else:
+                return
+        possible = possible_inertia(inertial.inertia)
+        if not np.array_equal(possible, inertial.inertia):
+            self.remarks.append(f"link {name}: no body has its moments of inertia; the nearest possible ones are taken")
+        xx, yy, zz = np.diag(possible)
+        SubElement(
+            element,
+            "inertial",
+            pos=numbers(inertial.centre),
+            mass=numbers([inertial.mass]),
+            fullinertia=numbers([xx, yy, zz, possible[0, 1], possible[0, 2], possible[1, 2]]),
+        )
+
+    def _carried_mass(self, name: str) -> float:
+        """Mass of the links that are fixed to a link [kg]."""
+        total = 0.0
+        for joint in self.children[name]:
+            inertial = self.links[joint.child].inertial
+            if joint.type in HELD_TYPES:
+                total += (inertial.mass if inertial else 0.0) + self._carried_mass(joint.child)
+        return total
+
+    def _contact(self, root: Element) -> None:
+        """Links that a tie holds together do not collide with each other."""
+        if not any(link.collisions for link in self.links.values()) or not self.model.ties:
+            return
+        contact = SubElement(root, "contact")
+        pairs = {
+            tuple(sorted((one, other)))
+            for tie in self.model.ties
+            for one in self._welded(tie.a)
+            for other in self._welded(tie.b)
+            if one != other
+        }
+        for one, other in sorted(pairs):
+            if self.links[one].collisions and self.links[other].collisions:
+                SubElement(contact, "exclude", body1=self._body_name(one), body2=self._body_name(other))
+
+    def _carrier(self, name: str) -> tuple[str, pin.SE3]:
+        """The moving body that carries a link, and the link's place in it (Pinocchio ties fixed bodies wrongly)."""
+        placement = pin.SE3.Identity()
+        while name != self.model.urdf.root:
+            joint = next(joint for joint in self.model.urdf.joints if joint.child == name)
+            if joint.type not in HELD_TYPES:
+                return name, placement
+            placement = origin(joint.xyz, joint.rpy) * placement
+            name = joint.parent
+        return self._body_name(name), placement
+
+    def _body_name(self, link: str) -> str:
+        return WORLD if link == "world" else link
+
+    def _welded(self, name: str) -> set[str]:
+        """Links that are fixed to a link, itself included."""
+        found, waiting = {name}, [name]
+        held = [joint for joint in self.model.urdf.joints if joint.type in HELD_TYPES]
+        while waiting:
+            link = waiting.pop()
+            near = {joint.child for joint in held if joint.parent == link}
+            near |= {joint.parent for joint in held if joint.child == link}
+            waiting.extend(near - found)
+            found |= near
+        return found
+
+    def _equality(self, root: Element) -> None:
+        followers = [
+            joint
+            for joint in self.model.urdf.joints
+            if joint.mimic and joint.type not in HELD_TYPES and joint.name not in self.model.actuated
+        ]
+        if not self.model.ties and not followers:
+            return
+        equality = SubElement(root, "equality")
+        for tie in self.model.ties:
+            (one, anchor), (other, _) = self._carrier(tie.a), self._carrier(tie.b)
+            attributes = {"name": tie.name, "body1": one, "body2": other, **TIE_SOFTNESS}
+            if tie.full_pose:
+                SubElement(equality, "weld", attributes)
+            else:
+                SubElement(equality, "connect", attributes, anchor=numbers(anchor.translation))
+        for joint in followers:
+            assert joint.mimic is not None
+            leader, factor, _ = joint.mimic  # about ref, where both stand, the offset is 0
+            SubElement(
+                equality,
+                "joint",
+                name=f"{joint.name}_mimics_{leader}",
+                joint1=joint.name,
+                joint2=leader,
+                polycoef=numbers([0.0, factor, 0.0, 0.0, 0.0]),
+            )
+
+    def _actuators(self, root: Element) -> None:
+        actuator = SubElement(root, "actuator")
+        for name, inertia in zip(self.model.actuated, self.model.inertia, strict=True):
+            stiffness, damping = servo_gains(inertia)
+            SubElement(actuator, "position", name=name, joint=name, kp=repr(stiffness), kv=repr(damping))

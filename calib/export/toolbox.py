@@ -1,0 +1,94 @@
+"""`robot.yaml`: what Pinocchio's toolbox-parallel-robots reads beside a URDF, and a description for `calib` as well.
+
+The toolbox looks for `closed_loop`, `type` and `name_mot` and passes over the rest. The rest is what makes the file a
+description of the calibrated robot: its assembled home, where the base and the targets were found to be, and the
+parametrisation, so that it loads in `calib` again.
+
+The toolbox holds all three directions of a `3d` closure, also those that `closed_loop_axes` leaves free.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import yaml
+
+from calib.description import Description
+from calib.export.closed_model import home_values
+from calib.export.gap import loop_gaps
+from calib.export.urdf import provenance_lines
+from calib.robot import Robot
+
+
+def calibrated_description(robot: Robot, urdf_name: str) -> Description:
+    """Return the description that fits the calibrated URDF: home assembled, base and targets where they were found.
+
+    Args:
+        robot: The robot, with its current values.
+        urdf_name: How the description names the URDF.
+    """
+    description, mechanism = robot.description, robot.mechanism
+    changes: dict[str, Any] = {"urdf": urdf_name}
+    if mechanism.loops:
+        moving = home_values(robot)
+        listed = dict.fromkeys((*mechanism.actuated, *mechanism.passive, *description.home))
+        changes["home"] = {name: moving[name] for name in listed}
+    base = mechanism.targets[0].a
+    if _moved(robot, base):
+        placement = mechanism.model.jointPlacements[base].inverse()  # the description has the link in the base
+        rpy = tuple(float(angle) for angle in pin.rpy.matrixToRpy(placement.rotation))
+        changes["base"] = description.base.model_copy(
+            update={"xyz": tuple(float(value) for value in placement.translation), "rpy": rpy}
+        )
+    targets = {}
+    for target in mechanism.targets:
+        targets[target.name] = description.targets[target.name]
+        if _moved(robot, target.b):
+            point = mechanism.model.jointPlacements[target.b].translation
+            place = tuple(float(value) for value in point)
+            targets[target.name] = targets[target.name].model_copy(update={"xyz": place})
+    changes["targets"] = targets
+    return description.model_copy(update=changes)
+
+
+def toolbox_yaml(robot: Robot, urdf_name: str) -> bytes:
+    """Return `robot.yaml`, with comments.
+
+    Args:
+        robot: The robot, with its current values.
+        urdf_name: Name of the URDF that goes beside it (the toolbox expects `robot.urdf`).
+    """
+    description = calibrated_description(robot, urdf_name)
+    lines = ["calib: robot description, for Pinocchio's toolbox-parallel-robots as well", *provenance_lines(robot)]
+    gaps = loop_gaps(robot)
+    if gaps:
+        lines += ["the toolbox holds all directions of a closure; calib those of closed_loop_axes only:"]
+        lines += [f"  {gap.text()}" for gap in gaps]
+    content = description.model_dump(mode="json", exclude_defaults=True)
+    content = {key: content[key] for key in Description.model_fields if key in content}
+    for key in ("closed_loop", "type"):  # the toolbox wants them in every file
+        content.setdefault(key, [])
+    header = "".join(f"# {line}\n" for line in lines)
+    text = yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=10**6, default_flow_style=None)
+    return (header + text).encode("utf-8")
+
+
+def _moved(robot: Robot, index: int) -> bool:
+    before, after = robot.nominal.model.jointPlacements[index], robot.mechanism.model.jointPlacements[index]
+    return not np.array_equal(before.homogeneous, after.homogeneous)
+
+
+class _Dumper(yaml.SafeDumper):
+    """YAML with floats that read back exactly, also in programs that want a point before the exponent."""
+
+
+def _float(dumper: yaml.SafeDumper, value: float) -> yaml.ScalarNode:
+    text = repr(value)
+    if "e" in text and "." not in text:
+        text = text.replace("e", ".0e")
+    return dumper.represent_scalar("tag:yaml.org,2002:float", text)
+
+
+_Dumper.add_representer(float, _float)

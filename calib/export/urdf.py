@@ -1,0 +1,59 @@
+"""The URDF that a robot's current values give, optionally with a comment that says where they come from.
+
+Everything but the edited origin values keeps its bytes. An export of an export is identical: where nothing is edited,
+the file goes out as it came in, and a comment of an earlier export is replaced, never repeated.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Sequence
+
+from calib.export.xml_text import comment
+from calib.robot import Robot
+from calib.units import PER_SI
+from calib.urdf_text import UrdfText, apply_edits, parse_urdf
+from calib.version import PROGRAM
+
+_MARK = "calib: calibrated origins"
+_EARLIER = re.compile(rb"\r?\n?<!-- " + _MARK.encode() + rb".*?-->", re.DOTALL)
+
+
+def urdf_bytes(robot: Robot, provenance: Sequence[str] | None = None) -> bytes:
+    """Return the URDF with the origins that the robot's values give.
+
+    Args:
+        robot: The robot.
+        provenance: None: no comment is added. Otherwise a comment goes behind the `<robot>` tag, with the nominal file,
+            every parameter that differs from nominal, and these lines.
+    """
+    edited = robot.calibrated_urdf()
+    if provenance is None or edited == robot.urdf.source:
+        return edited
+    lines = [_MARK, *provenance_lines(robot), *provenance]
+    cleaned = _EARLIER.sub(b"", edited)
+    urdf = parse_urdf(cleaned, robot.urdf.path)
+    return with_inserted(urdf, "\n" + comment(lines), at=urdf.root_span[1])
+
+
+def provenance_lines(robot: Robot) -> list[str]:
+    """Return what a file was made from: program, nominal file with its checksum, and every value that was changed."""
+    digest = hashlib.sha256(robot.urdf.source).hexdigest()
+    lines = [f"written by {PROGRAM} from {robot.urdf.path}", f"sha256 of that file: {digest}"]
+    changed = []
+    for parameter, value in zip(robot.parameters, robot.values, strict=True):
+        if value != parameter.nominal:
+            scale = PER_SI[parameter.dimension][parameter.unit]
+            changed.append(
+                f"  {parameter.name}: {parameter.nominal * scale:.9g} -> {float(value) * scale:.9g} {parameter.unit}"
+            )
+    if not changed:
+        return [*lines, "parameters: nominal"]
+    return [*lines, f"parameters that differ from nominal ({len(changed)} of {len(robot.parameters)}):", *changed]
+
+
+def with_inserted(urdf: UrdfText, text: str, at: int) -> bytes:
+    """Return the file with text inserted at a byte: in ASCII, with the line ends that the file has."""
+    line_end = b"\r\n" if b"\r\n" in urdf.source else b"\n"
+    return apply_edits(urdf.source, [(at, at, text.encode("ascii", "xmlcharrefreplace").replace(b"\n", line_end))])

@@ -1,0 +1,57 @@
+"""What a verdict is made of: a grade, and reasons in words that say what to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Grade = Literal["PASS", "CHECK", "FAIL"]
+_LISTED = 5
+
+
+@dataclass(frozen=True)
+class Reason:
+    """One thing to know.
+
+    Attributes:
+        grade: CHECK or FAIL.
+        code: Short name for programs.
+        text: What was found, and what to do.
+    """
+
+    grade: Grade
+    code: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The judgement of a fit.
+
+    Attributes:
+        grade: The worst of its reasons; PASS without any.
+        reasons: FAIL before CHECK.
+    """
+
+    grade: Grade
+    reasons: tuple[Reason, ...]
+
+    def to_dict(self, *, forced: bool = False) -> dict[str, object]:
+        """Return the entry of `result.json`.
+
+        Args:
+            forced: Whether a failed result was exported all the same.
+        """
+        entry: dict[str, object] = {
+            "grade": self.grade,
+            "reasons": [reason.text for reason in self.reasons],
+            "codes": [reason.code for reason in self.reasons],
+        }
+        if self.grade == "FAIL":
+            entry["forced"] = forced
+        return entry
+
+
+def listed(names: list[str], separator: str = ", ") -> str:
+    """Return the first few of many."""
+    return separator.join(names[:_LISTED]) + (f"{separator}..." if len(names) > _LISTED else "")

@@ -1,0 +1,154 @@
+"""The `medrue` program."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+import numpy as np
+
+from calib.commands.common import Output, run_program, shared_options
+from calib.files import check_file, check_folder, write_file, write_folder
+from calib.measurements import format_measurements
+from calib.robot import load
+from medrue import robot_file
+from medrue.parallel import Workers
+from medrue.progress import Silent, TerminalBars
+
+if TYPE_CHECKING:
+    from medrue.pages import Report
+
+
+@click.group(name="medrue", context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="medrue", prog_name="medrue")
+def group() -> None:
+    """MedRUE, and the studies of the paper that calibrates it."""
+
+
+@group.command("poses")
+@click.option("--out", required=True, metavar="FILE", help="CSV file to write.")
+@shared_options(json_output=True)
+def poses_command(out: str, output: Output) -> None:
+    """Write the 420 poses of the target workspace: joint values, and the nominal position of the tool."""
+    from medrue.poses import target_poses
+
+    check_file(out)
+    robot = load(robot_file())
+    with output.working("solving 420 poses"):
+        found = target_poses(robot)
+    comments = (
+        "420 poses on a half cylinder, 300 mm by 700 mm, around a patient's leg",
+        "joint values by inverse kinematics through the closed loops, nominal parameters; tool: nominal position",
+    )
+    write_file(out, format_measurements(robot, found.poses, found.positions, comments))
+    facts = {
+        "poses": len(found.poses),
+        "largest_difference_from_closed_form_m_rad": found.difference,
+        "q1_mm": [1e3 * q for q in found.stroke],
+        "smallest_singular_value_of_the_loops": found.singular_value,
+        "smallest_sine_between_links": found.sine,
+        "probe_tilt_mean_and_largest_deg": [float(np.degrees(angle)) for angle in found.tilt],
+    }
+    output.json(facts)
+    output.say(
+        f"{len(found.poses)} poses written to {out}\n"
+        f"largest difference from the closed-form inverse: {found.difference:.1e} (m, rad)\n"
+        f"q1 from {1e3 * found.stroke[0]:.1f} to {1e3 * found.stroke[1]:.1f} mm of 700 mm; probe tilted by"
+        f" {np.degrees(found.tilt[0]):.1f} deg on average, {np.degrees(found.tilt[1]):.1f} deg at most\n"
+        f"nearest to a singular pose: smallest singular value of the loops {found.singular_value:.3f}, smallest sine"
+        f" between two links {found.sine:.3f} (0 is singular)"
+    )
+
+
+def _simulation_options(function: Callable[..., None]) -> Callable[..., None]:
+    """Options that the study and the experiment share."""
+    options = (
+        click.option("--out", required=True, metavar="DIR", help="Folder to write tables, figures and a page to."),
+        click.option("--quick", is_flag=True, help="Few draws: seconds instead of minutes."),
+        click.option("--draws", type=click.IntRange(min=2), help="Draws of the noise, instead of the usual number."),
+        click.option(
+            "--jobs",
+            type=click.IntRange(min=1),
+            default=os.cpu_count() or 1,
+            show_default="all cores",
+            help="Processes to share the draws; the numbers do not depend on it.",
+        ),
+        click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of all draws."),
+    )
+    for option in reversed(options):
+        function = option(function)
+    return function
+
+
+@group.command("study")
+@_simulation_options
+@shared_options(json_output=True)
+def study_command(out: str, quick: bool, draws: int | None, jobs: int, seed: int, output: Output) -> None:
+    """Reproduce the paper's simulation study: Tables I and II, Figures 4 and 5. Everything is simulated."""
+    from medrue.reports import study_report
+    from medrue.study import QUICK, StudySize, run_study
+
+    size = QUICK if quick else StudySize()
+    check_folder(out)
+    size = replace(size, noise_draws=draws or size.noise_draws)
+    with Workers(jobs) as workers:
+        found = run_study(load(robot_file()), size, seed, workers, Silent() if output.quiet else TerminalBars())
+    _finish(study_report(found), out, output, shown=("table2",))
+
+
+@group.command("experiment")
+@_simulation_options
+@click.option("--backlash-mm", type=click.FloatRange(min=0), help="Backlash of the rail [mm].")
+@click.option("--lead-um", type=float, help="Lead error [um per 300 mm].")
+@click.option("--tilt-deg", type=click.FloatRange(0, 1), help="Tilt of the links' axes, one standard deviation [deg].")
+@shared_options(json_output=True)
+def experiment_command(
+    out: str,
+    quick: bool,
+    draws: int | None,
+    jobs: int,
+    seed: int,
+    backlash_mm: float | None,
+    lead_um: float | None,
+    tilt_deg: float | None,
+    output: Output,
+) -> None:
+    """Reproduce the paper's experiment on a simulated robot: Tables III to V, Figures 3, 7 and 8."""
+    from medrue.experiment import QUICK, ExperimentSize, run_experiment
+    from medrue.imperfections import Imperfections
+    from medrue.reports import experiment_report
+
+    size = QUICK if quick else ExperimentSize()
+    usual = Imperfections()
+    imperfections = Imperfections(
+        usual.backlash if backlash_mm is None else backlash_mm / 1e3,
+        usual.lead if lead_um is None else lead_um * 1e-6 / 0.3,
+        usual.tilt if tilt_deg is None else float(np.radians(tilt_deg)),
+    )
+    check_folder(out)
+    size = replace(size, draws=draws or size.draws)
+    progress = Silent() if output.quiet else TerminalBars()
+    with Workers(jobs) as workers:
+        found = run_experiment(load(robot_file()), size, seed, workers, progress, imperfections)
+    _finish(experiment_report(found), out, output, shown=("table4", "table5"))
+
+
+def _finish(report: Report, out: str, output: Output, shown: tuple[str, ...]) -> None:
+    """Write a report and say what is in it."""
+    write_folder(out, report.files())
+    output.json(report.to_dict())
+    for table in report.tables:
+        if table.name in shown:
+            output.say(f"{table.title}\n\n{table.text()}\n")
+    for finding in report.findings:
+        output.say(f"- {finding}")
+    output.say(f"\nwritten to {out}; open {Path(out) / 'index.html'}")
+
+
+def main() -> None:
+    """Run the program."""
+    run_program(group)

@@ -1,0 +1,206 @@
+"""Many simulated calibrations of one robot: the same truth and pose sets, other measurement noise.
+
+Each draw adds one noise field to the true positions of all candidate poses; every set of poses is calibrated from its
+part of that field, so that sets are compared on the same noise. `calib.fit` identifies once from nominal, with exact
+measurements. From there a draw is one or two Gauss-Newton steps away, with `calib`'s Jacobian; the minimum is the one
+that `calib.fit` finds (tested).
+
+The draws are done in chunks of fixed size with one thread for linear algebra, so that the numbers do not depend on how
+many processes share them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib import kinematics
+from calib.errors import NotConvergedError
+from calib.fit import fit
+from calib.jacobian import linearise
+from calib.measurements import Measurements
+from calib.mechanism import FloatArray, IntArray
+from calib.robot import Configurations, Robot
+from calib.threads import one_blas_thread
+from medrue.parallel import Workers
+
+CHUNK = 20
+"""Draws that are done together."""
+_MAX_STEPS = 12
+_SMALL_STEP = 1e-4  # part of the residual that the last step explains; the next one is its square
+
+
+@dataclass(frozen=True, eq=False)
+class PoseSet:
+    """Poses to identify with; all others validate.
+
+    Attributes:
+        name: What chose them.
+        chosen: Their indices among the candidates, ascending, (n,).
+    """
+
+    name: str
+    chosen: IntArray
+
+    def others(self, n_candidates: int) -> IntArray:
+        """Return the indices of the poses that validate."""
+        return np.setdiff1d(np.arange(n_candidates), self.chosen)
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Draws of noise on one truth.
+
+    Attributes:
+        robot: The nominal robot.
+        joints: Candidate poses, (n, n_actuated) [m, rad].
+        truth: Exact positions of the tool there, (n, 3) [m].
+        sets: The pose sets to compare.
+        sigma: Noise of one coordinate [m].
+        seeds: One for each draw.
+    """
+
+    robot: Robot
+    joints: FloatArray
+    truth: FloatArray
+    sets: tuple[PoseSet, ...]
+    sigma: float
+    seeds: tuple[np.random.SeedSequence, ...]
+
+    def noisy(self, seed: np.random.SeedSequence) -> FloatArray:
+        """Return the measured positions of one draw, (n, 3) [m]."""
+        return self.truth + np.random.default_rng(seed).normal(0.0, self.sigma, self.truth.shape)
+
+    def chunks(self) -> list[Task]:
+        """Return the same draws in chunks of `CHUNK`."""
+        return [
+            Task(self.robot, self.joints, self.truth, self.sets, self.sigma, self.seeds[start : start + CHUNK])
+            for start in range(0, len(self.seeds), CHUNK)
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What the draws gave, axes (draw, set, ...).
+
+    Attributes:
+        values: Identified parameters, (n_draws, n_sets, n_parameters) [m, rad].
+        distances: Distance of the predicted from the true position at every candidate, (n_draws, n_sets, n) [m].
+    """
+
+    values: FloatArray
+    distances: FloatArray
+
+    @staticmethod
+    def joined(parts: Sequence[Outcome]) -> Outcome:
+        """Put the draws of several outcomes one after another."""
+        return Outcome(
+            np.concatenate([part.values for part in parts]), np.concatenate([part.distances for part in parts])
+        )
+
+
+def measurements(joints: FloatArray, positions: FloatArray, index: IntArray) -> Measurements:
+    """Return single readings (n, 3) [m] of the poses `index` as measurements."""
+    names = tuple(str(k + 1) for k in index)
+    labels = tuple(f"simulated pose {name}" for name in names)
+    n = len(index)
+    return Measurements(
+        joints[index],
+        labels,
+        names,
+        "simulated measurements",
+        (),
+        positions[index][:, None, :],
+        np.ones(n, dtype=np.intp),
+        np.full((n, 1, 3), np.nan),
+    )
+
+
+def run(tasks: Sequence[Task], workers: Workers, done: Callable[[int], None]) -> list[Outcome]:
+    """Run tasks.
+
+    Args:
+        tasks: What to run.
+        workers: Who runs them.
+        done: Called with the number of calibrations finished, for a progress bar.
+
+    Returns:
+        One outcome for each task.
+    """
+    chunks = [chunk for task in tasks for chunk in task.chunks()]
+    parts = []
+    for chunk, part in zip(chunks, workers.in_order(run_chunk, chunks), strict=True):
+        parts.append(part)
+        done(len(chunk.seeds) * len(chunk.sets))
+    outcomes = []
+    for task in tasks:
+        count = len(task.chunks())
+        outcomes.append(Outcome.joined(parts[:count]))
+        parts = parts[count:]
+    return outcomes
+
+
+@one_blas_thread
+def run_chunk(task: Task) -> Outcome:
+    """Run the draws of one task, one after another."""
+    exact = measurements(task.joints, task.truth, task.sets[0].chosen)
+    start = fit(task.robot, exact, sigma=task.sigma or 1e-6).robot
+    nearby = start.assemble(task.joints).passive
+    calibrators = [Calibrator(task, pose_set, start, nearby) for pose_set in task.sets]
+    values = np.empty((len(task.seeds), len(task.sets), len(task.robot.values)))
+    distances = np.empty((len(task.seeds), len(task.sets), len(task.joints)))
+    for d, seed in enumerate(task.seeds):
+        noisy = task.noisy(seed)
+        for s, calibrator in enumerate(calibrators):
+            robot = calibrator.calibrate(noisy)
+            values[d, s] = robot.values
+            distances[d, s] = np.linalg.norm(calibrator.predict(robot) - task.truth, axis=1)
+    return Outcome(values, distances)
+
+
+class Calibrator:
+    """Calibrates from one set of poses, again and again.
+
+    Args:
+        task: Robot, poses and truth.
+        pose_set: Which poses to identify with.
+        start: A robot identified from exact measurements.
+        nearby: Its passive joints at the candidates, (n, n_passive) [m, rad].
+    """
+
+    def __init__(self, task: Task, pose_set: PoseSet, start: Robot, nearby: FloatArray) -> None:
+        self._chosen, self._joints, self._free = pose_set.chosen, task.joints, task.robot.free
+        self._scales = np.array([parameter.sigma for parameter in task.robot.parameters])[self._free]
+        self._start, self._passive = start, nearby
+        self._first = linearise(start, self._assembled(start, self._chosen))
+
+    def calibrate(self, positions: FloatArray) -> Robot:
+        """Return the robot identified from positions of all candidates, (n, 3) [m], of which only the set's are used.
+
+        Raises:
+            NotConvergedError: The steps do not become small.
+        """
+        robot, linear = self._start, self._first
+        for _ in range(_MAX_STEPS):
+            jacobian = linear.jacobian[:, 0][..., self._free].reshape(-1, len(self._scales)) * self._scales
+            residual = (positions[self._chosen] - linear.positions[:, 0]).ravel()
+            step = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
+            values = robot.values.copy()
+            values[self._free] += self._scales * step
+            robot = robot.with_parameters(values)
+            if np.linalg.norm(jacobian @ step) <= _SMALL_STEP * np.linalg.norm(residual):
+                return robot
+            linear = linearise(robot, self._assembled(robot, self._chosen))
+        raise NotConvergedError(f"a simulated identification did not settle in {_MAX_STEPS} steps")
+
+    def predict(self, robot: Robot) -> FloatArray:
+        """Return the positions of the tool at all candidates, (n, 3) [m]."""
+        configurations = self._assembled(robot, np.arange(len(self._joints)))
+        joints = robot.mechanism.all_joints(configurations.actuated, configurations.passive)
+        target = robot.mechanism.targets[0]
+        return kinematics.value(kinematics.sweep(robot.mechanism, joints, (target,)), target)
+
+    def _assembled(self, robot: Robot, index: IntArray) -> Configurations:
+        return robot.assemble(self._joints[index], self._passive[index])

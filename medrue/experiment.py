@@ -1,0 +1,188 @@
+"""The paper's experiment (its section 5) on a simulated robot: Tables III to V, Figures 3, 7 and 8.
+
+The paper's measurements are not public, so everything here is simulated. The truth is a robot with the parameters that
+the paper identified (Table III) plus what its model leaves out (`medrue.imperfections`). A simulated laser tracker
+(`medrue.tracker`) finds the world from three nests and reads every pose five times. Then the paper's protocol: 84
+poses chosen by each index identify 28 parameters, the 336 others validate. An error is the distance of the prediction
+from the measured position, as in an experiment.
+
+Beyond the paper: the same over many draws of the imperfections and the noise, and with each cause alone, which shows
+where the remaining error comes from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.fit import fit
+from calib.mechanism import FloatArray
+from calib.robot import Robot
+from calib.threads import one_blas_thread
+from medrue.draws import PoseSet, measurements
+from medrue.imperfections import Imperfections, imperfect_robot
+from medrue.paper_tables import table3
+from medrue.parallel import Workers
+from medrue.poses import target_poses
+from medrue.progress import Progress
+from medrue.study import choose_sets
+from medrue.tracker import measure
+
+SIGMA = 4e-5
+"""Noise of one tracker reading on each axis: the paper's tracker is good to +-40 um [m]."""
+REPEATS = 5
+"""Readings of each pose, averaged."""
+
+
+@dataclass(frozen=True)
+class ExperimentSize:
+    """How much to simulate.
+
+    Attributes:
+        draws: Robots with other imperfections and other noise.
+        cause_draws: Draws for each cause alone.
+    """
+
+    draws: int = 20
+    cause_draws: int = 5
+
+
+QUICK = ExperimentSize(draws=3, cause_draws=1)
+
+
+@dataclass(frozen=True, eq=False)
+class ExperimentTask:
+    """One simulated experiment.
+
+    Attributes:
+        robot: Nominal MedRUE.
+        joints: Poses, (n, 6) [m, rad].
+        sets: Pose sets to identify with.
+        imperfections: Sizes of what the parameters leave out.
+        seed: Seed of this draw.
+    """
+
+    robot: Robot
+    joints: FloatArray
+    sets: tuple[PoseSet, ...]
+    imperfections: Imperfections
+    seed: np.random.SeedSequence
+
+
+@dataclass(frozen=True, eq=False)
+class ExperimentDraw:
+    """What one simulated experiment gave; errors are predicted minus measured, in the world.
+
+    Attributes:
+        before: Errors of the nominal robot, (n, 3) [m].
+        after: Errors of the robot calibrated from each set, (n_sets, n, 3) [m].
+        values: Identified parameters, (n_sets, 36) [m, rad].
+        std: Their standard deviations as the fit states them, 0 for held ones, (n_sets, 36) [m, rad].
+        repeatability: Of the tracker's readings, per axis [m].
+        frame_sigma: Largest standard deviation that the world frame's uncertainty gives to a coordinate [m].
+        nest_outliers: Names of nests that do not fit.
+    """
+
+    before: FloatArray
+    after: FloatArray
+    values: FloatArray
+    std: FloatArray
+    repeatability: float
+    frame_sigma: float
+    nest_outliers: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """Everything that the simulated experiment found.
+
+    Attributes:
+        robot: Nominal MedRUE.
+        joints: Poses, (420, 6) [m, rad].
+        sets: Pose sets, in the order of every axis of the draws.
+        imperfections: Sizes of what the parameters leave out.
+        draws: Simulated experiments; the first is the one that the tables show.
+        causes: Experiments with one cause alone, from the set of O1, by name.
+        seed: Seed of everything random.
+    """
+
+    robot: Robot
+    joints: FloatArray
+    sets: tuple[PoseSet, ...]
+    imperfections: Imperfections
+    draws: tuple[ExperimentDraw, ...]
+    causes: Mapping[str, tuple[ExperimentDraw, ...]]
+    seed: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the pose sets."""
+        return tuple(pose_set.name for pose_set in self.sets)
+
+    def validation(self, draw: ExperimentDraw, name: str) -> tuple[FloatArray, FloatArray]:
+        """Return the errors before and after at the poses that the set `name` leaves for validation, (336, 3) [m]."""
+        s = self.names.index(name)
+        others = self.sets[s].others(len(self.joints))
+        return draw.before[others], draw.after[s, others]
+
+
+def run_experiment(
+    robot: Robot, size: ExperimentSize, seed: int, workers: Workers, progress: Progress, imperfections: Imperfections
+) -> Experiment:
+    """Run the simulated experiment.
+
+    Args:
+        robot: MedRUE with nominal parameters.
+        size: How much to simulate.
+        seed: Seed; the same one gives the same numbers, whoever works.
+        workers: Who does the draws.
+        progress: Told how far the work is.
+        imperfections: Sizes of what the parameters leave out.
+    """
+    joints = target_poses(robot).poses.joints
+    with progress.stage("choosing poses", 6) as advance:
+        _, sets = choose_sets(robot, joints, workers, advance)
+    seeds = np.random.SeedSequence(seed).spawn(max(size.draws, size.cause_draws))
+    tasks = [ExperimentTask(robot, joints, sets, imperfections, one) for one in seeds[: size.draws]]
+    for alone in imperfections.causes.values():
+        tasks += [ExperimentTask(robot, joints, sets[:1], alone, one) for one in seeds[: size.cause_draws]]
+    found = []
+    with progress.stage("simulated experiments", len(tasks)) as advance:
+        for draw in workers.in_order(experiment_draw, tasks):
+            found.append(draw)
+            advance(1)
+    causes = {}
+    for k, name in enumerate(imperfections.causes):
+        start = size.draws + k * size.cause_draws
+        causes[name] = tuple(found[start : start + size.cause_draws])
+    return Experiment(robot, joints, sets, imperfections, tuple(found[: size.draws]), causes, seed)
+
+
+@one_blas_thread
+def experiment_draw(task: ExperimentTask) -> ExperimentDraw:
+    """Build one imperfect robot, measure it, and calibrate from every set of poses."""
+    generator = np.random.default_rng(task.seed)
+    actual = task.robot.with_parameters(table3().identified)
+    truth = imperfect_robot(actual, task.imperfections, len(task.joints), generator)
+    readings = measure(truth.positions(task.joints), SIGMA, REPEATS, generator)
+    after, values, std = [], [], []
+    for pose_set in task.sets:
+        data = measurements(task.joints, readings.positions, pose_set.chosen)
+        result = fit(task.robot, data, sigma=SIGMA / np.sqrt(REPEATS))
+        after.append(result.robot.positions(task.joints)[:, 0] - readings.positions)
+        values.append(result.robot.values)
+        spread = np.zeros(len(result.robot.values))
+        spread[task.robot.free] = result.statistics.std
+        std.append(spread)
+    before = task.robot.positions(task.joints)[:, 0] - readings.positions
+    return ExperimentDraw(
+        before,
+        np.array(after),
+        np.array(values),
+        np.array(std),
+        readings.repeatability,
+        readings.frame_sigma,
+        readings.world.outliers,
+    )

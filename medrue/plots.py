@@ -1,0 +1,172 @@
+"""Figures of the paper's studies, drawn from simulated numbers. Nothing here opens a window or keeps state."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from calib.mechanism import FloatArray
+from calib.selection import Selection
+from medrue.workspace import Workspace
+
+BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#666666"
+"""Colours that people with any colour vision tell apart (Okabe and Ito)."""
+AXIS_COLOURS = (ORANGE, BLUE, GREEN)
+_MARKERS = ("o", "s", "^")
+
+
+def figure_files(figure: Figure, name: str) -> dict[str, bytes]:
+    """Return a figure as `name.png` and `name.svg`; the same figure gives the same bytes."""
+    png, svg = io.BytesIO(), io.BytesIO()
+    with matplotlib.rc_context({"svg.hashsalt": name}):
+        figure.savefig(png, format="png", dpi=150, metadata={"Software": None})
+        figure.savefig(svg, format="svg", metadata={"Date": None})
+    return {f"{name}.png": png.getvalue(), f"{name}.svg": svg.getvalue()}
+
+
+def workspace_figure(workspace: Workspace) -> Figure:
+    """The 420 positions on their half cylinder, the leg's axis, and the direction of the probe at each (Figure 3)."""
+    figure = Figure(figsize=(9, 5), layout="constrained")
+    axes = figure.add_subplot(projection="3d")
+    p = 1e3 * workspace.T_world_tool[:, :3, 3]
+    z = 30 * workspace.T_world_tool[:, :3, 2]
+    ends = 1e3 * np.stack([workspace.p_axis, workspace.p_axis + workspace.length * workspace.axis])
+    axes.plot(*p.T, "o", color=BLUE, markersize=3, label=f"{len(p)} positions of the tool")
+    axes.quiver(*p.T, *z.T, color=GREY, linewidth=0.6, arrow_length_ratio=0.2, label="direction of the probe")
+    axes.plot(*ends.T, color=ORANGE, linewidth=2, label="axis of the leg")
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]", yticks=(200, 300, 400), zticks=(-100, 0, 100))
+    axes.xaxis.labelpad = 18
+    axes.set_title("Target workspace: half cylinder, diameter 300 mm, length 700 mm")
+    axes.set_aspect("equal")
+    axes.view_init(elev=25, azim=-60)
+    axes.legend(loc="upper right", fontsize="small")
+    return figure
+
+
+def exchange_figure(selection: Selection) -> Figure:
+    """O1 while poses are exchanged (Figure 4)."""
+    figure = Figure(figsize=(7, 4), layout="constrained")
+    axes = figure.add_subplot()
+    run = selection.runs[0]
+    values = 1e3 * np.array(run.history)
+    paper = np.arange(run.n_paper + 1)
+    rest = np.arange(run.n_paper, len(values))
+    axes.plot(
+        paper, values[paper], "o-", color=BLUE, markersize=3, label="add the best, remove the worst (the paper's)"
+    )
+    if len(rest) > 1:
+        axes.plot(rest, values[rest], "s-", color=ORANGE, markersize=3, label="then single swaps, until none helps")
+    if selection.bound is not None:
+        axes.axhline(1e3 * selection.bound, color=GREY, linestyle="--", label="no choice of 84 poses can be above this")
+    axes.set(xlabel="exchange", ylabel="O1 [10$^{-3}$, columns in units of 2 mm and 1.5 deg]")
+    axes.set_title("Observability index O1 while 84 of 420 poses are chosen")
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower right", fontsize="small")
+    return figure
+
+
+def before_after_figure(before: FloatArray, after: FloatArray, title: str) -> Figure:
+    """Position errors at the validation poses before and after calibration, on the same axes (Figures 5 and 7).
+
+    Args:
+        before, after: Distances, (n,) [m].
+        title: What was calibrated.
+    """
+    figure = Figure(figsize=(10, 4.6), layout="constrained")
+    left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+    for axes, values, name, colour in ((left, before, "before", ORANGE), (right, after, "after", BLUE)):
+        millimetres = 1e3 * values
+        axes.plot(np.arange(1, len(values) + 1), millimetres, "o", color=colour, markersize=2.5, label="one pose")
+        axes.axhline(millimetres.mean(), color=GREY, label=f"mean {millimetres.mean():.3f} mm")
+        axes.axhline(millimetres.max(), color=GREY, linestyle=":", label=f"largest {millimetres.max():.3f} mm")
+        axes.set_title(f"{name} calibration")
+        _error_axes(axes)
+    left.set_ylabel("position error [mm]")
+    figure.suptitle(title)
+    return figure
+
+
+def axis_figure(before: FloatArray, after: FloatArray, title: str) -> Figure:
+    """Components of the position errors before and after calibration, on the same axes (Figure 8).
+
+    Args:
+        before, after: Errors, (n, 3) [m].
+        title: What was calibrated.
+    """
+    figure = Figure(figsize=(10, 4.6), layout="constrained")
+    left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+    for axes, errors, name in ((left, before, "before"), (right, after, "after")):
+        for k, axis in enumerate("xyz"):
+            values = 1e3 * np.abs(errors[:, k])
+            axes.plot(
+                np.arange(1, len(values) + 1),
+                np.maximum(values, 1e-4),
+                _MARKERS[k],
+                color=AXIS_COLOURS[k],
+                markersize=2.5,
+                alpha=0.7,
+                label=f"{axis}, mean {values.mean():.3f} mm",
+            )
+        axes.set_title(f"{name} calibration")
+        _error_axes(axes)
+    left.set_ylabel("magnitude of the component [mm]")
+    figure.suptitle(title)
+    return figure
+
+
+def _error_axes(axes: Axes) -> None:
+    axes.set_yscale("log")
+    axes.set_xlabel("validation pose")
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3, fontsize="small", frameon=False)
+
+
+def spread_figure(names: tuple[str, ...], errors: FloatArray, floors: FloatArray, title: str) -> Figure:
+    """How the error of every choice of poses scatters over the draws.
+
+    Args:
+        names: The choices.
+        errors: Root-mean-square error of each draw, (n_draws, n_sets) [m].
+        floors: What theory allows on average, (n_sets,) [m].
+        title: What was simulated.
+    """
+    figure = Figure(figsize=(7, 4), layout="constrained")
+    axes = figure.add_subplot()
+    places = np.arange(len(names))
+    boxes = axes.boxplot(1e3 * errors, positions=places, widths=0.6, patch_artist=True, showfliers=True)
+    for box in boxes["boxes"]:
+        box.set(facecolor=BLUE, alpha=0.35)
+    for median in boxes["medians"]:
+        median.set(color=ORANGE)
+    axes.plot(places, 1e3 * floors, "D", color=GREEN, markersize=5, label="what theory allows (Cramér-Rao, rms)")
+    axes.set_xticks(places, names)
+    axes.set(xlabel="index that chose the 84 poses", ylabel="rms error at the validation poses [mm]")
+    axes.set_title(title)
+    axes.grid(alpha=0.3, axis="y")
+    axes.legend(fontsize="small")
+    return figure
+
+
+def cause_figure(causes: Mapping[str, FloatArray]) -> Figure:
+    """What remains along each axis after calibration, by cause.
+
+    Args:
+        causes: Root mean square along x, y and z by cause, (3,) [mm].
+    """
+    figure = Figure(figsize=(8, 4), layout="constrained")
+    axes = figure.add_subplot()
+    places = np.arange(len(causes))
+    for k, axis in enumerate("xyz"):
+        values = [components[k] for components in causes.values()]
+        axes.bar(places + 0.26 * (k - 1), values, 0.24, color=AXIS_COLOURS[k], label=axis)
+    axes.set_xticks(places, [name.replace(" out of ", "\nout of ").replace(" of the ", "\nof the ") for name in causes])
+    axes.set_ylabel("rms component after calibration [mm]")
+    axes.set_title("What the paper's model leaves (simulated)")
+    axes.grid(alpha=0.3, axis="y")
+    axes.legend(title="axis", fontsize="small")
+    return figure

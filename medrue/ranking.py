@@ -1,0 +1,72 @@
+"""Which choice of poses is better, and whether that is more than luck.
+
+Every draw gives one error for each set of poses, on the same noise. Sets are ranked by their mean error; neighbours in
+the ranking are told apart where the mean of their paired differences exceeds three of its standard errors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import kendalltau
+
+from calib.mechanism import FloatArray
+
+SURE = 3.0
+"""Standard errors between two means that count as a difference."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """Sets of poses, the best first.
+
+    Attributes:
+        names: Names in the order of rank.
+        means: Mean error of each, in that order, (n_sets,).
+        standard_errors: Of these means, (n_sets,); NaN for a single draw.
+        steps: Mean paired difference of each to the next, over its standard error, (n_sets - 1,).
+    """
+
+    names: tuple[str, ...]
+    means: FloatArray
+    standard_errors: FloatArray
+    steps: FloatArray
+
+    def __str__(self) -> str:
+        """The order in one line: `a < b` where b is surely worse, `a ~ b` where that may be luck."""
+        text = self.names[0]
+        for name, step in zip(self.names[1:], self.steps, strict=True):
+            text += f" {'<' if step > SURE else '~'} {name}"
+        return text
+
+
+def rank(names: tuple[str, ...], errors: FloatArray) -> Ranking:
+    """Rank sets of poses.
+
+    Args:
+        names: The sets.
+        errors: One error for each draw and set, (n_draws, n_sets).
+    """
+    means = errors.mean(axis=0)
+    order = np.argsort(means, kind="stable")
+    n = len(errors)
+    differences = np.diff(errors[:, order], axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        spread = differences.std(axis=0, ddof=1) / np.sqrt(n) if n > 1 else np.full(len(names) - 1, np.nan)
+        steps = differences.mean(axis=0) / spread
+    return Ranking(tuple(names[k] for k in order), means[order], standard_error(errors)[order], steps)
+
+
+def standard_error(draws: FloatArray) -> FloatArray:
+    """Standard error of the mean over the first axis; NaN for a single draw."""
+    n = len(draws)
+    if n < 2:
+        return np.full(draws.shape[1:], np.nan)
+    return np.asarray(draws.std(axis=0, ddof=1) / np.sqrt(n))
+
+
+def agreement(first: dict[str, float], second: dict[str, float]) -> float:
+    """Kendall's tau of two lists of errors by name: 1 for the same order, 0 for none, -1 for the reverse."""
+    names = sorted(set(first) & set(second))
+    return float(kendalltau([first[name] for name in names], [second[name] for name in names]).statistic)

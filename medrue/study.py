@@ -1,0 +1,206 @@
+"""The paper's simulation study (its section 4): Tables I and II, Figures 4 and 5, and how sure their message is.
+
+Protocol, as the paper's: 420 candidate poses; for each index, 84 of them to identify with and the 336 others to
+validate; measurements simulated with the actual parameters of Table I and normal noise, sigma 40 um on each axis; 28
+parameters identified, the 8 redundant ones nominal. An error is the distance of the calibrated robot's prediction from
+the true position, without noise.
+
+What the paper does not say and one draw cannot: the same over many draws of the noise (paired: every set of poses sees
+the same noise), over many draws of the actual parameters (uniform within +-2 mm and +-1.5 deg, as the paper's), and
+beside what theory allows: with J_v the Jacobian at a validation pose and C = sigma^2 (J^T J)^-1, no unbiased estimate
+has a smaller mean squared error than trace(J_v C J_v^T) (Cramer-Rao). Least squares reaches it as far as the problem
+is linear.
+
+Everything here is simulated. The truth comes from the closed form, predictions from the calibrated model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.fit import Fit, fit
+from calib.jacobian import linearise
+from calib.mechanism import FloatArray
+from calib.robot import Robot
+from calib.selection import Selection, select
+from medrue.closed_form import forward
+from medrue.draws import Outcome, PoseSet, Task, measurements, run
+from medrue.paper_tables import table1
+from medrue.parallel import Workers
+from medrue.poses import target_poses
+from medrue.progress import Advance, Progress
+
+INDICES = ("O1", "O2", "O3", "O4", "O5", "task")
+COUNT = 84
+"""Poses to identify with."""
+SIGMA = 4e-5
+"""Measurement noise on each axis: the paper's +-120 um are three standard deviations [m]."""
+
+
+@dataclass(frozen=True)
+class StudySize:
+    """How much to simulate.
+
+    Attributes:
+        noise_draws: Draws of the noise on the actual parameters of Table I.
+        actual_draws: Draws of the actual parameters.
+        noise_per_actual: Draws of the noise on each of these.
+    """
+
+    noise_draws: int = 200
+    actual_draws: int = 20
+    noise_per_actual: int = 10
+
+
+QUICK = StudySize(noise_draws=10, actual_draws=2, noise_per_actual=5)
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """Everything that the study found.
+
+    Attributes:
+        robot: Nominal MedRUE.
+        joints: The 420 candidate poses, (420, 6) [m, rad].
+        truth: True positions of the tool there, (420, 3) [m].
+        selections: Choice of poses by index.
+        sets: The pose sets, in the order of every axis below: INDICES, then `uniform`.
+        exact: Fit of the set of O1 to measurements without noise.
+        single: Fit of the set of O1 to the first draw of the noise.
+        outcome: All draws of the noise on Table I's actual parameters.
+        by_actual: The same on drawn actual parameters, one outcome for each.
+        floors: Root-mean-square error over the validation poses that theory allows, (n_sets,) [m].
+        seed: Seed of everything random.
+        size: How much was simulated.
+    """
+
+    robot: Robot
+    joints: FloatArray
+    truth: FloatArray
+    selections: dict[str, Selection]
+    sets: tuple[PoseSet, ...]
+    exact: Fit
+    single: Fit
+    outcome: Outcome
+    by_actual: tuple[Outcome, ...]
+    floors: FloatArray
+    seed: int
+    size: StudySize
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the pose sets."""
+        return tuple(pose_set.name for pose_set in self.sets)
+
+    def validation_errors(self, outcome: Outcome) -> FloatArray:
+        """Return mean, max, std and rms of the distances over each set's validation poses, (n_draws, n_sets, 4) [m]."""
+        summaries = []
+        for s, pose_set in enumerate(self.sets):
+            summaries.append(summary(outcome.distances[:, s, pose_set.others(len(self.joints))]))
+        return np.stack(summaries, axis=1)
+
+    def before(self) -> FloatArray:
+        """Return mean, max, std and rms of the nominal robot's errors at O1's validation poses, (4,) [m]."""
+        errors = np.linalg.norm(self.robot.positions(self.joints)[:, 0] - self.truth, axis=1)
+        return summary(errors[None, self.sets[0].others(len(self.joints))])[0]
+
+
+def run_study(robot: Robot, size: StudySize, seed: int, workers: Workers, progress: Progress) -> Study:
+    """Run the study.
+
+    Args:
+        robot: MedRUE with nominal parameters.
+        size: How much to simulate.
+        seed: Seed; the same one gives the same numbers, whoever works.
+        workers: Who does the draws.
+        progress: Told how far the work is.
+    """
+    joints = target_poses(robot).poses.joints
+    truth = true_positions(joints, table1().actual)
+    with progress.stage("choosing poses", len(INDICES)) as advance:
+        selections, sets = choose_sets(robot, joints, workers, advance)
+    noise_seeds, actual_seeds = np.random.SeedSequence(seed).spawn(2)
+    main = Task(robot, joints, truth, sets, SIGMA, tuple(noise_seeds.spawn(size.noise_draws)))
+    tasks = [main, *_other_robots(robot, joints, sets, actual_seeds, size)]
+    with progress.stage("simulated calibrations", sum(len(task.seeds) for task in tasks) * len(sets)) as advance:
+        outcomes = run(tasks, workers, advance)
+    chosen = sets[0].chosen
+    others = measurements(joints, truth, sets[0].others(len(joints)))
+    exact = fit(robot, measurements(joints, truth, chosen), validation=others, sigma=SIGMA)
+    single = fit(robot, measurements(joints, main.noisy(main.seeds[0]), chosen), validation=others, sigma=SIGMA)
+    floors = error_floors(exact.robot, joints, sets, SIGMA)
+    return Study(
+        robot, joints, truth, selections, sets, exact, single, outcomes[0], tuple(outcomes[1:]), floors, seed, size
+    )
+
+
+def true_positions(joints: FloatArray, parameters: FloatArray) -> FloatArray:
+    """Positions of the tool by the closed form, (n, 3) [m]."""
+    closed = forward(joints, parameters)
+    if not closed.closes.all():
+        raise ValueError("a pose of the target workspace does not close with the parameters given")
+    return np.array(closed.p_world_tool)
+
+
+def choose_sets(
+    robot: Robot, joints: FloatArray, workers: Workers, advance: Advance
+) -> tuple[dict[str, Selection], tuple[PoseSet, ...]]:
+    """Choose 84 poses by every index, and 84 uniformly.
+
+    Args:
+        robot: The nominal robot, which is all that is known before measuring.
+        joints: Candidates, (n, 6) [m, rad].
+        workers: Who chooses.
+        advance: Called with 1 after each index.
+    """
+    selections, sets = {}, []
+    tasks = [(robot, joints, index) for index in INDICES]
+    for index, selection in zip(INDICES, workers.in_order(_choose, tasks), strict=True):
+        selections[index] = selection
+        sets.append(PoseSet(index, np.sort(selection.chosen)))
+        advance(1)
+    spacing = len(joints) // COUNT
+    sets.append(PoseSet("uniform", np.arange(COUNT) * spacing + spacing // 2))
+    return selections, tuple(sets)
+
+
+def _choose(task: tuple[Robot, FloatArray, str]) -> Selection:
+    robot, joints, index = task
+    return select(robot, joints, COUNT, index, sigma=SIGMA)
+
+
+def summary(distances: FloatArray) -> FloatArray:
+    """Mean, max, standard deviation and root mean square along the last axis, (..., 4)."""
+    squares = np.sqrt(np.mean(distances**2, axis=-1))
+    parts = (distances.mean(axis=-1), distances.max(axis=-1), distances.std(axis=-1, ddof=1), squares)
+    return np.stack(parts, axis=-1)
+
+
+def error_floors(robot: Robot, joints: FloatArray, sets: tuple[PoseSet, ...], sigma: float) -> FloatArray:
+    """Root-mean-square position error over each set's validation poses that theory allows, (n_sets,) [m]."""
+    jacobian = linearise(robot, robot.assemble(joints)).jacobian[:, 0][..., robot.free]
+    jacobian = jacobian * np.array([parameter.sigma for parameter in robot.parameters])[robot.free]
+    floors = []
+    for pose_set in sets:
+        used = jacobian[pose_set.chosen].reshape(-1, jacobian.shape[2])
+        seen = jacobian[pose_set.others(len(joints))]
+        half = np.linalg.solve(np.linalg.cholesky(used.T @ used), seen.reshape(-1, jacobian.shape[2]).T)
+        floors.append(sigma * np.sqrt(np.sum(half**2) / len(seen)))
+    return np.array(floors)
+
+
+def _other_robots(
+    robot: Robot, joints: FloatArray, sets: tuple[PoseSet, ...], seeds: np.random.SeedSequence, size: StudySize
+) -> list[Task]:
+    """Robots with actual parameters drawn as the paper's: within +-2 mm and +-1.5 deg, the redundant ones nominal."""
+    table = table1()
+    reach = np.where(np.array(table.units) == "m", 2e-3, np.radians(1.5)) * robot.free
+    tasks = []
+    for child in seeds.spawn(size.actual_draws):
+        own, noise = child.spawn(2)
+        actual = table.nominal + reach * np.random.default_rng(own).uniform(-1.0, 1.0, len(reach))
+        draws = tuple(noise.spawn(size.noise_per_actual))
+        tasks.append(Task(robot, joints, true_positions(joints, actual), sets, SIGMA, draws))
+    return tasks

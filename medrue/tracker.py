@@ -1,0 +1,58 @@
+"""A simulated laser tracker: it stands somewhere, sees points with noise, and finds the world from three nests."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from calib.mechanism import FloatArray
+from calib.placement import WorldFrame, world_from_nests
+
+NESTS = np.array([[0.0, 0.0, 0.0], [0.9, 0.0, 0.0], [0.0, 0.0, 0.5]])
+"""Nests on the robot's frame, in the world [m]."""
+NEST_NAMES = ("nest at the origin", "nest along x", "nest along z")
+PLACE = pin.SE3(pin.rpy.rpyToMatrix(0.02, -0.03, 2.4), np.array([0.4, 2.6, 0.9]))
+"""Where the tracker stands: its frame in the world. Nobody but the simulation knows it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Points as the tracker saw them, brought to the world.
+
+    Attributes:
+        positions: Mean of the repeats, in the world, (n, 3) [m].
+        repeatability: Standard deviation of one reading about its point's mean, per axis [m].
+        world: How the world was found.
+        frame_sigma: Largest standard deviation that the world's uncertainty gives to a coordinate of the points [m].
+    """
+
+    positions: FloatArray
+    repeatability: float
+    world: WorldFrame
+    frame_sigma: float
+
+
+def measure(points: FloatArray, sigma: float, repeats: int, generator: np.random.Generator) -> Readings:
+    """Measure points.
+
+    Args:
+        points: In the world, (n, 3) [m].
+        sigma: Noise of one reading on each axis [m].
+        repeats: Readings of each nest and each point, to be averaged.
+        generator: Source of the noise.
+    """
+    nests = _seen(NESTS, sigma, repeats, generator)
+    world = world_from_nests(NESTS, nests, sigma / np.sqrt(repeats) if sigma else None, names=NEST_NAMES)
+    readings = _seen(points, sigma, repeats, generator)
+    positions = world.fit.apply(readings.mean(axis=1))
+    scatter = float(np.sqrt(np.mean(np.var(readings, axis=1, ddof=1)))) if repeats > 1 else float("nan")
+    variances = np.diagonal(world.fit.point_covariance(readings.mean(axis=1)), axis1=1, axis2=2)
+    return Readings(positions, scatter, world, float(np.sqrt(variances.max())))
+
+
+def _seen(points: FloatArray, sigma: float, repeats: int, generator: np.random.Generator) -> FloatArray:
+    """Noisy readings in the tracker's frame, (n, repeats, 3) [m]."""
+    exact = (points - PLACE.translation) @ PLACE.rotation
+    return np.asarray(exact[:, None, :] + generator.normal(0.0, sigma, (len(points), repeats, 3)))

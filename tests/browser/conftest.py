@@ -1,0 +1,54 @@
+"""A real Chromium, and pages to open in it. Tests skip where playwright or Chromium is missing."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser_tab import Tab
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # for viz_examples
+
+CHROMIUM = Path("/usr/bin/chromium")
+
+
+@pytest.fixture(scope="session")
+def chromium():
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed (extra 'browser')")
+    if not CHROMIUM.exists():
+        pytest.skip(f"{CHROMIUM} is missing (Debian package 'chromium')")
+    with playwright.sync_playwright() as running:
+        browser = running.chromium.launch(executable_path=str(CHROMIUM))
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="session")
+def scene():
+    """MedRUE calibrated, with one suspected outlier among the validation poses."""
+    from dataclasses import replace
+
+    from viz_examples import medrue_fit
+
+    from viz.scene import scene_of_fit
+
+    shown = scene_of_fit(medrue_fit())
+    outlier = np.zeros(len(shown.poses), dtype=bool)
+    outlier[100] = True
+    return replace(shown, poses=replace(shown.poses, outlier=outlier))
+
+
+@pytest.fixture(scope="session")
+def viewer_file(scene, tmp_path_factory):
+    from viz.viewer_page import scene_page
+
+    return scene_page(scene).save(tmp_path_factory.mktemp("pages") / "viewer.html")
+
+
+@pytest.fixture
+def tab(chromium, viewer_file):
+    opened = Tab(chromium)
+    opened.open(viewer_file.as_uri())
+    yield opened
+    assert opened.problems == []
+    opened.context.close()

@@ -1,0 +1,84 @@
+"""The live viewer in a real Chromium: it follows the program, and survives its end."""
+
+import numpy as np
+import pytest
+from browser_tab import Tab
+from viz_examples import medrue_fit, medrue_robot
+
+import viz
+from viz.drawing import load_meshcat
+
+
+@pytest.fixture
+def live(chromium):
+    fit = medrue_fit(validation=None)
+    with viz.show(medrue_robot(), fit) as viewer:
+        tab = Tab(chromium)
+        tab.context.set_offline(False)  # this computer counts as a network
+        tab.open(viewer.url)
+        assert viewer.wait_for_browser(10)
+        yield viewer, tab, fit
+        tab.context.close()
+
+
+def wait(tab, condition):
+    tab.page.wait_for_function(f"() => {{ const v = calibrationViewer; return {condition}; }}", timeout=5000)
+
+
+def test_the_page_follows_the_program(live):
+    viewer, tab, fit = live
+    viewer.show_pose(12)
+    wait(tab, "v.row === 12")
+    q = fit.identification.data.joints[30]
+    viewer.display(q)
+    wait(tab, "v.stage.live !== null")
+    tool = viewer._shown.scene.bodies.names.index("tool")
+    drawn = np.array(tab.state("v.stage.solidMatrices"))[tool].reshape(3, 4)
+    np.testing.assert_allclose(drawn[:, 3], fit.robot.forward(q, "tool")[:3, 3], atol=1e-9)
+    tab.page.keyboard.press("ArrowRight")
+    assert tab.state("v.stage.live") is None
+    assert tab.problems == []
+
+
+def test_what_the_program_draws_appears(live):
+    viewer, tab, _ = live
+    meshcat = load_meshcat()
+
+    def draw():
+        viewer.meshcat["box"].set_object(meshcat.geometry.Box([0.5, 0.5, 0.5]))
+        wait(tab, "v.stage.root.children.some((child) => child.name === 'box')")
+
+    assert tab.changed(draw) > 0.01
+
+
+def test_only_this_computer_is_asked(live):
+    viewer, tab, _ = live
+    assert [url for url in tab.requests if not url.startswith((viewer.url, "data:", "blob:"))] == []
+
+
+def test_the_picture_stays_when_the_program_ends(live):
+    viewer, tab, _ = live
+    viewer.close()
+    tab.page.wait_for_selector("#banner:not([hidden])", timeout=10000)
+    assert "has ended" in tab.page.locator("#banner").inner_text()
+    tab.page.keyboard.press("ArrowRight")
+    assert tab.state("v.row") == 1
+    assert tab.picture().std() > 20
+
+
+def test_a_closed_browser_does_not_hold_the_program_up(live):
+    viewer, tab, _ = live
+    tab.page.close()
+    for row in range(84):
+        viewer.show_pose(row)
+    viewer.close()
+
+
+def test_a_browser_that_comes_later_sees_the_present_pose(live, chromium):
+    viewer, _, _ = live
+    viewer.show_pose(33)
+    later = Tab(chromium)
+    later.context.set_offline(False)
+    later.open(viewer.url)
+    wait(later, "v.row === 33")
+    later.context.close()

@@ -1,0 +1,77 @@
+"""Fixtures that several test files use."""
+
+import contextlib
+import io
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from unittest import mock
+
+import pytest
+
+import calib
+from calib.cli import group
+from calib.commands.common import run_program
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a run of the `calib` program left behind."""
+
+    code: int
+    out: str
+    err: str
+
+
+RunCalib = Callable[..., Run]
+
+
+def _in_process(*arguments: object, cwd: Path | None = None) -> Run:
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(contextlib.redirect_stdout(out))
+        stack.enter_context(contextlib.redirect_stderr(err))
+        stack.enter_context(mock.patch.object(sys, "argv", ["calib", *map(str, arguments)]))
+        stack.enter_context(contextlib.chdir(cwd or Path.cwd()))
+        try:
+            run_program(group)
+        except SystemExit as end:
+            code = int(end.code or 0)
+    return Run(code, out.getvalue(), err.getvalue())
+
+
+def _as_process(*arguments: object, cwd: Path | None = None) -> Run:
+    command = [sys.executable, "-m", "calib", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120)
+    return Run(done.returncode, done.stdout, done.stderr)
+
+
+@pytest.fixture(scope="session")
+def run_calib() -> RunCalib:
+    """Run the `calib` program inside this process: `run_calib("fit", robot, data, "--out", folder)`."""
+    return _in_process
+
+
+@pytest.fixture(scope="session")
+def spawn_calib() -> RunCalib:
+    """Run `python -m calib` as a process of its own, a second slower than `run_calib`."""
+    return _as_process
+
+
+@pytest.fixture(scope="session")
+def medrue() -> calib.Robot:
+    """MedRUE at its nominal parameters."""
+    return calib.load(ROOT / "urdf" / "medrue.yaml")
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Folder of real measurements by other people, which the project does not contain."""
+    folder = ROOT.parent / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip(f"real measurements are not here ({folder} is absent)")
+    return folder

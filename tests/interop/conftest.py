@@ -1,0 +1,186 @@
+"""MedRUE, nominal and calibrated, at 50 assembled configurations, and small mechanisms with special loops.
+
+Joint values come from the closed form of equations 1 to 17; link poses from Pinocchio reading the exported URDF, and
+test_pinocchio.py holds these against the closed form and against `calib`. The other tools are held against them.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+
+import calib
+from calib.export import export
+from medrue.closed_form import ACTUATED_JOINTS, PASSIVE_JOINTS, forward
+from medrue.paper_tables import table1
+from medrue.workspace import target_workspace
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Case:
+    """An exported robot and where its links should be.
+
+    Attributes:
+        robot: What was exported.
+        folder: Exports: robot.urdf, robot.yaml, robot.xml, free.xml, drake.urdf, free_drake.urdf.
+        q: Actuated joints, (50, 6).
+        joints: Every moving joint's value by name, per configuration.
+        poses: Every link's pose in the world by name, per configuration, (4, 4) each.
+        tool: Tool positions of the closed form, (50, 3) [m].
+    """
+
+    robot: calib.Robot
+    folder: Path
+    q: Array
+    joints: list[dict[str, float]]
+    poses: list[dict[str, Array]]
+    tool: Array
+
+    def largest_difference(self, label: str, pose: Callable[[int, str], Array]) -> float:
+        """Largest entry of |pose(k, link) - expected| over configurations and links [m, rad]; printed for the docs."""
+        largest = max(
+            float(np.abs(pose(k, link) - expected).max())
+            for k, links in enumerate(self.poses)
+            for link, expected in links.items()
+        )
+        print(
+            f"{label}: largest difference of any link's pose in {len(self.poses)} configurations {largest:.1e} m, rad"
+        )
+        return largest
+
+
+@pytest.fixture(scope="session", params=["nominal", "calibrated"])
+def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Case:
+    table = table1()
+    values = table.nominal if request.param == "nominal" else table.actual
+    robot = calib.load(REPOSITORY / "urdf" / "medrue.yaml").with_parameters(values)
+    folder = tmp_path_factory.mktemp(request.param)
+    for file_format, name in (("urdf", "robot.urdf"), ("toolbox", "robot.yaml"), ("mjcf", "robot.xml")):
+        export(robot, file_format, folder / name)
+    export(robot, "drake", folder / "drake.urdf")
+    export(robot, "mjcf", folder / "free.xml", free_slide=True)
+    export(robot, "drake", folder / "free_drake.urdf", free_slide=True)
+    q = target_workspace().q[::8][:50]
+    closed = forward(q, values)
+    names = (*ACTUATED_JOINTS, *PASSIVE_JOINTS)
+    joints = [dict(zip(names, row.tolist(), strict=True)) for row in np.hstack([q, closed.passive])]
+    return Case(robot, folder, q, joints, pinocchio_poses(folder / "robot.urdf", joints), closed.p_world_tool)
+
+
+def pinocchio_poses(urdf: Path, joints: list[dict[str, float]]) -> list[dict[str, Array]]:
+    model = pin.buildModelFromUrdf(str(urdf))
+    data = model.createData()
+    poses = []
+    for values in joints:
+        pin.framesForwardKinematics(model, data, np.array([values[name] for name in model.names[1:]]))
+        bodies = [i for i, frame in enumerate(model.frames) if frame.type == pin.FrameType.BODY]
+        poses.append({model.frames[i].name: data.oMf[i].homogeneous.copy() for i in bodies})
+    return poses
+
+
+def link(name: str, mass: float = 1.0) -> str:
+    return (
+        f'<link name="{name}"><inertial><origin xyz="0.05 0 0"/><mass value="{mass}"/>'
+        '<inertia ixx="0.001" ixy="0" ixz="0" iyy="0.002" iyz="0" izz="0.002"/></inertial></link>'
+    )
+
+
+def joint(name: str, parent: str, child: str, x: float = 0.0, kind: str = "revolute") -> str:
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{x} 0 0"/><axis xyz="0 0 1"/>'
+        '<limit lower="-3" upper="3" effort="10" velocity="10"/></joint>'
+    )
+
+
+def load(folder: Path, urdf: str, description: dict[str, object]) -> calib.Robot:
+    (folder / "small.urdf").write_text(f'<robot name="small">{urdf}</robot>')
+    (folder / "small.yaml").write_text(yaml.safe_dump({"urdf": "small.urdf", **description}))
+    return calib.load(folder / "small.yaml")
+
+
+@pytest.fixture
+def slider_crank(tmp_path: Path) -> calib.Robot:
+    """A crank of 0.1 m, a rod of 0.3 m whose end stays on the x axis: the closure holds y alone, x moves, z is idle."""
+    urdf = "".join(
+        [
+            link("ground"), link("crank"), link("rod"),
+            '<link name="end"/>',
+            joint("motor", "ground", "crank"),
+            joint("pin", "crank", "rod", 0.1),
+            joint("tip", "rod", "end", 0.3, "fixed"),
+        ]
+    )  # fmt: skip
+    at = 0.5
+    return load(
+        tmp_path,
+        urdf,
+        {
+            "name_mot": ["motor"],
+            "closed_loop": [["ground", "end"]],
+            "type": ["3d"],
+            "closed_loop_axes": [["y"]],
+            "home": {"motor": at, "pin": -at - float(np.arcsin(np.sin(at) / 3))},
+            "base": {"frame": "ground"},
+            "targets": {"end": {"frame": "end"}},
+            "parametrisation": [{"origin": "pin", "components": ["x", "z"], "sigma": "1 mm"}],
+        },
+    )
+
+
+@pytest.fixture
+def four_bar(tmp_path: Path) -> calib.Robot:
+    """A parallelogram of 0.2 m by 0.4 m whose coupler is cut in its middle: whole frames meet there."""
+    urdf = "".join(
+        [
+            link("ground"), link("left"), link("right"), link("half_1"), link("half_2"),
+            '<link name="cut_1"/><link name="cut_2"/>',
+            joint("motor", "ground", "left"),
+            joint("a", "left", "half_1", 0.2),
+            joint("to_cut_1", "half_1", "cut_1", 0.2, "fixed"),
+            joint("foot", "ground", "right", 0.4),
+            joint("b", "right", "half_2", 0.2),
+            joint("to_cut_2", "half_2", "cut_2", -0.2, "fixed"),
+        ]
+    )  # fmt: skip
+    return load(
+        tmp_path,
+        urdf,
+        {
+            "name_mot": ["motor"],
+            "closed_loop": [["cut_1", "cut_2"]],
+            "type": ["6d"],
+            "closed_loop_axes": [["x", "y", "rz"]],
+            "home": {"motor": 1.2, "a": -1.2, "foot": 1.2, "b": -1.2},
+            "base": {"frame": "ground"},
+            "targets": {"coupler": {"frame": "half_1", "xyz": [0.1, 0.05, 0]}},
+            "parametrisation": [{"origin": "a", "components": ["x"], "sigma": "1 mm"}],
+        },
+    )
+
+
+@pytest.fixture
+def tilted(tmp_path: Path) -> calib.Robot:
+    """MedRUE with links out of perpendicular by some mrad: its five-bars are no longer planar."""
+    (tmp_path / "tilted.urdf").write_bytes((REPOSITORY / "urdf" / "medrue.urdf").read_bytes())
+    content = yaml.safe_load((REPOSITORY / "urdf" / "medrue.yaml").read_text(encoding="utf-8"))
+    del content["held"]
+    content |= {
+        "urdf": "tilted.urdf",
+        "parametrisation": [
+            {"origin": "all", "components": ["x", "y", "z"], "sigma": "2 mm"},
+            {"origin": "all", "components": ["rx", "ry", "rz"], "sigma": "5 mrad"},
+        ],
+    }
+    (tmp_path / "tilted.yaml").write_text(yaml.safe_dump(content))
+    robot = calib.load(tmp_path / "tilted.yaml")
+    return robot.with_parameters(
+        {"B1.ry": 2e-3, "D1.rz": -3e-3, "E1_B_origin.x": 5e-4, "q4.rz": 1.5e-3, "B2.ry": -1e-3}
+    )

@@ -1,0 +1,111 @@
+"""What a 3D constraint would have to absorb, and the joints that leave it nothing to absorb."""
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import calib
+from calib.errors import InputError, UnreachablePoseError
+from calib.export import closed_model, export, loop_gaps, urdf_bytes
+from calib.export.gap import free_directions, free_joints, poses_near_home
+
+
+def test_the_papers_parameters_keep_the_five_bars_planar(case) -> None:
+    gaps = loop_gaps(case.robot, case.q)
+    assert [(gap.name, gap.direction) for gap in gaps] == [("E1_B-E1_D", "x"), ("E2_B-E2_D", "x")]
+    assert all(abs(gap.at_home) < 1e-12 and gap.change < 1e-12 for gap in gaps)
+    assert "nothing to absorb" in gaps[0].text()
+
+
+def test_gaps_of_tilted_links_are_those_that_pinocchio_measures(tilted: calib.Robot) -> None:
+    poses = poses_near_home(tilted)
+    assert np.array_equal(poses[0], tilted.home)
+    model = pin.buildModelFromXML(urdf_bytes(tilted).decode())
+    data = model.createData()
+    passive = tilted.assemble(poses).passive
+    apart = []
+    for row in np.hstack([poses, passive]):
+        values = dict(zip((*tilted.joint_names, *tilted.passive_names), row, strict=True))
+        pin.framesForwardKinematics(model, data, np.array([values[name] for name in model.names[1:]]))
+        one, other = (data.oMf[model.getFrameId(name)] for name in ("E1_B", "E1_D"))
+        difference = one.actInv(other.translation)
+        assert np.abs(difference[1:]).max() < 1e-11  # the plane itself is closed
+        apart.append(difference[0])
+    gap = loop_gaps(tilted)[0]
+    assert gap.n_poses == len(poses) > 40
+    assert gap.at_home == pytest.approx(apart[0], abs=1e-12)
+    assert gap.change == pytest.approx(np.abs(np.array(apart) - apart[0]).max(), abs=1e-12)
+    assert gap.change > 1e-4
+    assert f"{1e3 * gap.at_home:.4f} mm apart at home" in gap.text()
+    print(gap.text())
+
+
+def test_the_gap_is_said_in_every_export_that_has_it(tilted: calib.Robot, tmp_path) -> None:
+    for file_format, name in (("mjcf", "a.xml"), ("drake", "a.urdf"), ("toolbox", "a.yaml")):
+        export(tilted, file_format, tmp_path / name)
+        assert "a 3D constraint would have to absorb up to 0.4" in (tmp_path / name).read_text(encoding="utf-8")
+    for file_format, name in (("mjcf", "b.xml"), ("drake", "b.urdf")):
+        assert export(tilted, file_format, tmp_path / name, free_slide=True) == ()
+        text = (tmp_path / name).read_text(encoding="utf-8")
+        assert "would have to absorb" not in text
+        assert "E1_B_to_E1_D_free_x" in text
+
+
+def test_free_slides_stand_where_the_gap_is(tilted: calib.Robot) -> None:
+    model = closed_model(tilted, free_slide=True)
+    gaps = {f"{gap.name.replace('-', '_to_')}_free_x": gap.at_home for gap in loop_gaps(tilted)}
+    assert {name: model.home[name] for name in gaps} == pytest.approx(gaps, abs=1e-12)
+    for tie in model.ties:
+        assert np.abs(tie.placement.translation).max() < 1e-11
+
+
+def test_motions_of_the_mechanism_are_told_from_gaps(slider_crank: calib.Robot) -> None:
+    with pytest.raises(InputError, match="loop ground-end, direction x"):
+        closed_model(slider_crank)
+    model = closed_model(slider_crank, free_slide=True)
+    assert model.home["ground_to_end_free_x"] == pytest.approx(
+        0.1 * np.cos(0.5) + 0.3 * np.cos(np.arcsin(np.sin(0.5) / 3))
+    )
+    assert model.home["ground_to_end_free_z"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("free", "kinds"),
+    [
+        ("rz", [("rz", False)]),
+        ("z rz", [("z", True), ("rz", False)]),
+        ("x y rz", [("x", True), ("y", True), ("rz", False)]),
+        ("x y z rx", [("x", True), ("y", True), ("z", True), ("rx", False)]),
+        ("x z", [("x", True), ("z", True)]),
+        ("x rz", None),  # a slide across a hinge, and not the second one: no group of motions
+        ("rx ry", None),
+    ],
+)
+def test_free_directions_become_joints_where_joints_have_these_motions(four_bar, free: str, kinds) -> None:
+    names = ("x", "y", "z", "rx", "ry", "rz")
+    rows = tuple(i for i, name in enumerate(names) if name not in free.split())
+    loop = replace(four_bar.mechanism.loops[0], rows=rows)
+    robot = replace(four_bar, mechanism=replace(four_bar.mechanism, loops=(loop,)))
+    assert free_directions(robot, 0) == tuple(free.split())
+    if kinds is None:
+        with pytest.raises(InputError, match="are not the motions of a joint"):
+            free_joints(robot, 0)
+    else:
+        assert list(free_joints(robot, 0)) == kinds
+
+
+def test_poses_that_cannot_be_assembled_are_an_error(tilted: calib.Robot) -> None:
+    with pytest.raises(UnreachablePoseError):
+        loop_gaps(tilted, tilted.home + np.array([0, 2.0, 0, 0, 0, 0]))
+
+
+def test_a_robot_without_loops_has_no_gaps(tmp_path) -> None:
+    (tmp_path / "arm.urdf").write_text(
+        '<robot name="arm"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent link="a"/>'
+        '<child link="b"/></joint></robot>'
+    )
+    robot = calib.load(tmp_path / "arm.urdf")
+    assert loop_gaps(robot) == ()
+    assert closed_model(robot).ties == ()

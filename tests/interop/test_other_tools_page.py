@@ -1,0 +1,72 @@
+"""docs/other_tools.md: its commands and snippets run as printed, and all tools find the tool where calib does."""
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import calib
+from calib.commands import export, fit
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+PAGE = (REPOSITORY / "docs" / "other_tools.md").read_text(encoding="utf-8")
+SNIPPETS = {
+    code.splitlines()[0].removeprefix("# "): code for code in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+}
+NEEDS = {"MuJoCo": "mujoco", "Drake": "pydrake", "PyBullet": "pybullet", "urdf_parser_py": "urdf_parser_py"}
+STILL, SIMULATED, SINGLE_PRECISION = 1e-9, 5e-5, 1e-6
+TOLERANCES = {"MuJoCo": SIMULATED, "Drake": SIMULATED, "PyBullet": SIMULATED}
+
+pytestmark = pytest.mark.filterwarnings("ignore:zmq.eventloop.ioloop is deprecated:DeprecationWarning")  # meshcat's
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which the page's commands were run."""
+    folder = tmp_path_factory.mktemp("page")
+    shutil.copytree(REPOSITORY / "urdf", folder / "urdf")
+    shutil.copytree(REPOSITORY / "docs" / "examples", folder / "docs" / "examples")
+    commands = {"fit": fit.command, "export": export.command}
+    (block,) = re.findall(r"```bash\n(.*?)```", PAGE, re.DOTALL)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for line in block.strip().splitlines():
+            program, name, *arguments = shlex.split(line)
+            assert program == "calib"
+            result = CliRunner().invoke(commands[name], arguments)
+            assert result.exit_code == 0, result.output
+        exec(SNIPPETS["calib"], {})  # writes joints.json, which the others read
+    return folder
+
+
+@pytest.mark.parametrize("name", SNIPPETS)
+def test_snippet_finds_the_tool_where_calib_does(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if name in NEEDS:
+        pytest.importorskip(NEEDS[name], reason=f"{NEEDS[name]} is not installed (pip install medrue[interop])")
+    monkeypatch.chdir(folder)
+    found: dict[str, object] = {}
+    exec(SNIPPETS[name], found)
+    robot = calib.load("robot.yaml")
+    if name == "urdf_parser_py":
+        assert found["tool"].xyz == list(next(joint.xyz for joint in robot.urdf.joints if joint.name == "tool_origin"))
+        return
+    step = np.array([0, 0.02, 0, 0, 0, 0]) if name == "Pinocchio with loops" else np.zeros(6)
+    expected = robot.forward(robot.home + step, "tool")[:3, 3]
+    assert np.abs(np.array(found["position"]) - expected).max() < TOLERANCES.get(name, STILL)
+
+
+def test_the_page_has_a_snippet_for_each_tool() -> None:
+    assert set(SNIPPETS) == {"calib", "Pinocchio", "Pinocchio with loops", "yourdfpy", *NEEDS}
+
+
+def test_calibrated_urdf_is_the_one_that_the_fit_wrote_plus_provenance(folder: Path) -> None:
+    told = (folder / "calibrated.urdf").read_bytes()
+    comment = re.search(rb"\n<!-- calib: calibrated origins.*?-->", told, re.DOTALL)
+    assert comment is not None
+    assert b"out/fit" in comment.group()
+    assert told.replace(comment.group(), b"") == (folder / "out" / "fit" / "calibrated.urdf").read_bytes()
+    assert (folder / "robot.urdf").read_bytes() == (folder / "out" / "fit" / "calibrated.urdf").read_bytes()

@@ -1,0 +1,97 @@
+"""Small robots for tests, simple enough to compute by hand."""
+
+from pathlib import Path
+
+import calib
+
+ARM_URDF = """\
+<?xml version="1.0"?>
+<robot name="small arm">
+  <link name="ground"/> <link name="upper"/> <link name="slider"/> <link name="hand"/> <link name="tool"/>
+  <joint name="turn" type="revolute">
+    <parent link="ground"/> <child link="upper"/>
+    <origin xyz="0 0 0.5"/> <axis xyz="0 0 1"/> <limit lower="-3" upper="3" effort="1" velocity="1"/>
+  </joint>
+  <joint name="slide" type="prismatic">
+    <parent link="upper"/> <child link="slider"/>
+    <origin xyz="0.25 0 0" rpy="0 0 0"/> <axis xyz="1 0 0"/> <limit lower="0" upper="1" effort="1" velocity="1"/>
+  </joint>
+  <joint name="wrist" type="continuous">
+    <parent link="slider"/> <child link="hand"/>
+    <origin xyz="0.125 0 0.0" rpy="0 1.5707963267948966 0"/> <axis xyz="0 1 0"/>
+  </joint>
+  <joint name="flange" type="fixed">
+    <parent link="hand"/> <child link="tool"/> <origin rpy="0 0 0.75" xyz="0 0 1e-1"/>
+  </joint>
+</robot>
+"""
+
+ARM_YAML = """\
+urdf: arm.urdf
+name_mot: [turn, slide, wrist]
+base: {frame: ground}
+targets:
+  tip: {frame: tool, xyz: [10 mm, 20 mm, 30 mm]}
+parametrisation:
+  - {origin: all, components: [x, y, z], sigma: 2 mm}
+  - {origin: all, components: [rx, ry, rz], sigma: 5 mrad}
+"""
+
+PARALLELOGRAM_URDF = """\
+<robot name="parallelogram">
+  <link name="ground"/> <link name="crank"/> <link name="coupler"/> <link name="rocker"/>
+  <link name="coupler_end"/> <link name="rocker_end"/>
+  <joint name="a" type="continuous"> <parent link="ground"/> <child link="crank"/> <axis xyz="0 0 1"/> </joint>
+  <joint name="b" type="continuous">
+    <parent link="crank"/> <child link="coupler"/> <origin xyz="0.5 0 0"/> <axis xyz="0 0 1"/>
+  </joint>
+  <joint name="c" type="continuous">
+    <parent link="ground"/> <child link="rocker"/> <origin xyz="1 0 0"/> <axis xyz="0 0 1"/>
+  </joint>
+  <joint name="d" type="D_TYPE">
+    <parent link="coupler"/> <child link="coupler_end"/> <origin xyz="1 0 0"/> <axis xyz="0 0 1"/>
+  </joint>
+  <joint name="e" type="fixed"> <parent link="rocker"/> <child link="rocker_end"/> <origin xyz="0.5 0 0"/> </joint>
+</robot>
+"""
+
+PARALLELOGRAM_YAML = """\
+urdf: parallelogram.urdf
+name_mot: [a]
+closed_loop: [[rocker_end, coupler_end]]
+type: [3d]
+closed_loop_axes: [[x, y]]
+home: {a: 90 deg, b: -90 deg, c: 90 deg}
+base: {frame: ground}
+targets: {pin: {frame: coupler, xyz: [500 mm, 0, 0]}}
+parametrisation: [{origin: all, components: [x, y], sigma: 1 mm}]
+"""
+
+
+def write_arm(folder: Path, yaml: str = ARM_YAML, urdf: str = ARM_URDF) -> Path:
+    """Write the arm into a folder and return the path of its description.
+
+    Its tip is at Rz(turn) (0.375 + slide + r, 0.02 cos 0.75 + 0.01 sin 0.75, .) for a wrist that lifts the tool by r.
+    """
+    (folder / "arm.urdf").write_text(urdf)
+    (folder / "arm.yaml").write_text(yaml)
+    return folder / "arm.yaml"
+
+
+def write_parallelogram(folder: Path, yaml: str = PARALLELOGRAM_YAML, *, turning_end: bool = False) -> Path:
+    """Write a parallelogram with sides of 1 m and 0.5 m: b = -a, c = a, its pin at (0.5 cos a + 0.5, 0.5 sin a).
+
+    Args:
+        folder: Where to write it.
+        yaml: Its description.
+        turning_end: Whether joint d turns; for a loop of whole frames, d = a.
+    """
+    urdf = PARALLELOGRAM_URDF.replace("D_TYPE", "continuous" if turning_end else "fixed")
+    (folder / "parallelogram.urdf").write_text(urdf)
+    (folder / "parallelogram.yaml").write_text(yaml)
+    return folder / "parallelogram.yaml"
+
+
+def small_arm(folder: Path) -> calib.Robot:
+    """The arm as a robot."""
+    return calib.load(write_arm(folder))

@@ -1,0 +1,160 @@
+"""What `calib check` knows: MedRUE, a robot with priors, and poses that determine too little."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_robots import ARM_YAML, small_arm, write_arm
+
+import calib
+from calib.assessment import assess
+from calib.candidates import as_poses
+from calib.jacobian import linearise
+from calib.measurements import Measurements
+from calib.null_space import describe_group
+from calib.observability import raw_columns
+from calib.pose_count import accuracy_by_count
+from calib.pose_sampling import sample_poses
+from medrue.workspace import target_workspace
+
+Q = target_workspace().q
+
+
+@pytest.fixture(scope="module")
+def found(medrue):
+    return assess(medrue, as_poses(medrue, Q[::3]))
+
+
+def with_held(robot, *held):
+    return replace(robot, description=robot.description.model_copy(update={"held": held}))
+
+
+def test_medrue_is_determined_by_28_of_36(found):
+    assert (found.rank_all.rank, found.rank_all.n_columns) == (28, 36)
+    assert (found.rank_free.rank, found.rank_free.n_columns) == (28, 28)
+    assert found.open_groups == ()
+    assert len(found.groups) == 8
+    assert (found.n_poses, found.n_rows) == (140, 420)
+    assert not found.sigma_assumed
+
+
+def test_observability_on_scaled_and_on_raw_columns(medrue, found):
+    jacobian = linearise(medrue, medrue.assemble(Q[::3])).jacobian[..., medrue.free]
+    free = [p for p, use in zip(medrue.parameters, medrue.free, strict=True) if use]
+    raw = np.linalg.svd(raw_columns(jacobian, free).reshape(-1, 28), compute_uv=False)
+    assert found.raw["O2"] == pytest.approx(raw[-1] / raw[0], rel=1e-9)
+    assert found.raw["O1"] == pytest.approx(np.exp(np.mean(np.log(raw))) / np.sqrt(140), rel=1e-9)
+    # O1 changes by the same factor for every set of poses when units change
+    other = assess(medrue, as_poses(medrue, Q[1::3]))
+    assert found.raw["O1"] / found.scaled["O1"] == pytest.approx(other.raw["O1"] / other.scaled["O1"], rel=1e-9)
+
+
+def test_uncertainty_is_the_spread_of_the_normal_equations(medrue, found):
+    jacobian = linearise(medrue, medrue.assemble(Q[::3])).jacobian[..., medrue.free].reshape(-1, 28)
+    covariance = 4e-5**2 * np.linalg.inv(jacobian.T @ jacobian)
+    np.testing.assert_allclose(found.std, np.sqrt(np.diag(covariance)), rtol=1e-6)
+    rms = np.sqrt(np.trace(jacobian @ covariance @ jacobian.T) / 140)
+    assert found.accuracy.rms == pytest.approx(rms, rel=1e-6)
+    assert found.accuracy.maximum >= found.accuracy.rms
+
+
+def test_repeats_count_as_more_readings(medrue, found):
+    names = tuple(str(k) for k in range(140))
+    shape = (140, 1, 3)
+    data = Measurements(np.array(Q[::3]), names, names, "data", (), np.zeros(shape), np.full(140, 4, dtype=np.intp),
+                        np.full(shape, np.nan))  # fmt: skip
+    np.testing.assert_allclose(assess(medrue, data).std, found.std / 2, rtol=1e-9)
+    assert assess(medrue, data).accuracy.rms == pytest.approx(found.accuracy.rms / 2, rel=1e-9)
+
+
+def test_what_stays_undetermined_is_said_in_words_and_infinite(medrue):
+    freer = with_held(medrue, "A2y", "A2z", "d32", "d41", "d5", "zb", "phi_by")  # frees xb and d31
+    found = assess(freer, as_poses(freer, Q[::6]))
+    assert [describe_group(group, found.free_parameters) for group in found.open_groups] == [
+        "d31 has no effect",
+        "dq1 with xb: dq1 +1 mm, xb -1 mm",
+    ]
+    std = dict(zip([p.name for p in found.free_parameters], found.std, strict=True))
+    assert {name for name, value in std.items() if np.isinf(value)} == {"xb", "dq1", "d31"}
+    assert np.isfinite(found.accuracy.rms)  # positions do not depend on what cannot be told apart
+    assert {name for name, _ in found.hardly_known()} == {"xb", "dq1", "d31"}
+
+
+def test_accuracy_where_the_poses_say_nothing_is_infinite(medrue):
+    """All poses with the probe in one direction leave directions open that other poses need."""
+    few = as_poses(medrue, Q[:10])
+    found = assess(medrue, few, task=as_poses(medrue, Q[::40]))
+    if found.known.rank.rank == 28:
+        pytest.skip("these ten poses determine everything")
+    assert np.isinf(found.accuracy.rms)
+
+
+def test_priors_hold_what_poses_do_not(tmp_path):
+    arm = small_arm(tmp_path)
+    poses = sample_poses(arm, 30, np.random.default_rng(0))
+    found = assess(arm, poses, sigma=5e-5)
+    assert found.rank_free.rank < found.rank_free.n_columns
+    assert found.known.rank.rank == found.rank_free.n_columns
+    assert found.open_groups == ()
+    assert np.all(found.std <= np.array([p.sigma for p in found.free_parameters]) * (1 + 1e-9))
+    assert any(part > 0.99 for _, part in found.hardly_known())
+    assert np.isfinite(found.accuracy.rms)
+
+
+def test_correlations_above_the_limit_are_listed_largest_first(found):
+    pairs = found.correlated(0.9)
+    sizes = [abs(r) for _, _, r in pairs]
+    assert sizes == sorted(sizes, reverse=True)
+    assert min(sizes) > 0.9
+    matrix = found.known.correlations()
+    names = [p.name for p in found.free_parameters]
+    first, second, r = pairs[0]
+    assert matrix[names.index(first), names.index(second)] == pytest.approx(r)
+
+
+def test_fewer_coordinates_than_parameters_is_an_error(medrue):
+    with pytest.raises(calib.DataError, match="9 poses give 27 coordinates for 28 free parameters"):
+        assess(medrue, as_poses(medrue, Q[:9]))
+
+
+def test_more_poses_predict_better_and_the_best_beat_the_uniform_ones(found):
+    inside = [row for row in found.by_count if row.uniform is not None]
+    rms = [row.chosen.rms for row in found.by_count]
+    assert rms == sorted(rms, reverse=True)
+    assert all(row.chosen.rms <= row.uniform.rms * (1 + 1e-9) for row in inside)
+    assert inside[-1].count == 140
+    assert inside[-1].chosen.rms == pytest.approx(found.accuracy.rms, rel=1e-9)
+    assert found.by_count[-1].count == 560
+    assert found.by_count[-1].chosen.rms == pytest.approx(found.accuracy.rms / 2, rel=1e-6)
+
+
+def test_counts_can_be_chosen(medrue):
+    rows = np.random.default_rng(0).standard_normal((20, 3, 4))
+    table = accuracy_by_count(rows, np.zeros((0, 4)), rows, 1.0, (5, 20))
+    assert [row.count for row in table] == [5, 20, 40, 80]
+
+
+def test_an_elimination_order_with_an_unknown_name_is_an_error(tmp_path):
+    arm = calib.load(write_arm(tmp_path, ARM_YAML + "elimination_order: [turn.x, turn.w]\n"))
+    with pytest.raises(calib.ParameterError, match=r"elimination_order: no parameter 'turn.w'"):
+        assess(arm, sample_poses(arm, 20, np.random.default_rng(0)))
+
+
+def test_sampled_poses_can_be_taken_and_stay_within_limits(medrue):
+    poses = sample_poses(medrue, 40, np.random.default_rng(0))
+    assert medrue.close(poses.joints).ok.all()
+    assert medrue.singular_values(medrue.assemble(poses.joints)).min() >= medrue.description.singularity_limit
+    joints = {joint.name: joint for joint in medrue.urdf.joints}
+    for k, name in enumerate(medrue.joint_names):
+        assert joints[name].lower <= poses.joints[:, k].min()
+        assert poses.joints[:, k].max() <= joints[name].upper
+
+
+def test_a_sliding_joint_without_limits_cannot_be_sampled(tmp_path):
+    yaml = write_arm(tmp_path)
+    urdf = (tmp_path / "arm.urdf").read_text()
+    arm = calib.load(yaml)
+    assert len(sample_poses(arm, 5, np.random.default_rng(0))) == 5
+    (tmp_path / "arm.urdf").write_text(urdf.replace('<limit lower="0" upper="1" effort="1" velocity="1"/>', ""))
+    with pytest.raises(calib.CalibrationError):
+        sample_poses(calib.load(yaml), 5, np.random.default_rng(0))

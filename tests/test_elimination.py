@@ -1,0 +1,82 @@
+"""The paper's elimination: its eight parameters, and that ties never depend on rounding."""
+
+import numpy as np
+import pytest
+
+from calib.elimination import TIE, eliminate
+from calib.identifiability import numerical_rank
+from calib.jacobian import linearise
+from medrue.paper_tables import PARAMETERS, table1
+from medrue.workspace import target_workspace
+
+NAMES = list(PARAMETERS)
+PAPER = ["A2y", "A2z", "d31", "d32", "d41", "d5", "xb", "zb"]
+
+
+@pytest.fixture(scope="module")
+def scaled(medrue):
+    jacobian = linearise(medrue, medrue.assemble(target_workspace().q)).jacobian
+    return (jacobian * np.array([p.sigma for p in medrue.parameters])).reshape(-1, 36)
+
+
+def test_the_order_of_medrues_description_gives_the_papers_eight(medrue, scaled):
+    order = [NAMES.index(name) for name in medrue.description.elimination_order]
+    dropped = [NAMES[k] for k in eliminate(scaled, order).dropped]
+    assert sorted(dropped) == sorted(PAPER)
+    assert sorted(dropped) == sorted(table1().redundant)
+    assert sorted(dropped) == sorted(medrue.description.held)
+
+
+def test_the_papers_eight_do_not_hang_on_the_poses_or_on_rounding(medrue, scaled):
+    order = [NAMES.index(name) for name in medrue.description.elimination_order]
+    noise = 1 + 1e-12 * np.random.default_rng(0).standard_normal(scaled.shape)
+    for matrix in (scaled[::2], scaled[:630], scaled * noise):
+        assert sorted(NAMES[k] for k in eliminate(matrix, order).dropped) == sorted(PAPER)
+
+
+def test_the_rest_has_full_rank_and_the_condition_number_that_is_told(scaled):
+    found = eliminate(scaled, [NAMES.index(name) for name in PAPER])
+    assert len(found.kept) == 28
+    values = np.linalg.svd(scaled[:, found.kept], compute_uv=False)
+    assert numerical_rank(scaled[:, found.kept]).rank == 28
+    assert found.conditions[-1] == pytest.approx(values[0] / values[-1], rel=1e-9)
+
+
+def test_without_an_order_every_step_takes_the_smallest_condition_number(scaled):
+    found = eliminate(scaled)
+    left, scaled = list(range(36)), np.linalg.qr(scaled, mode="r")
+    for column, condition in zip(found.dropped, found.conditions, strict=True):
+        for other in left:
+            rest = scaled[:, [k for k in left if k != other]]
+            values = np.linalg.svd(rest, compute_uv=False)
+            if values[27] > 1e-9 * values[0]:
+                assert values[0] / values[27] >= condition * (1 - 1e-5)
+        left.remove(column)
+
+
+def test_no_step_with_the_order_is_worse_than_the_tie_allows(scaled):
+    free, ordered = eliminate(scaled), eliminate(scaled, [NAMES.index(name) for name in PAPER])
+    assert ordered.conditions[-1] <= TIE * free.conditions[-1]
+
+
+def test_among_equal_columns_the_later_goes():
+    matrix = np.random.default_rng(1).standard_normal((20, 4))
+    doubled = np.hstack([matrix, matrix[:, :1]])
+    assert eliminate(doubled).dropped == (4,)
+    assert eliminate(doubled, order=[0]).dropped == (0,)
+
+
+def test_a_column_that_is_needed_never_goes():
+    matrix = np.random.default_rng(1).standard_normal((20, 3))
+    doubled = np.hstack([matrix, matrix[:, :1]])
+    assert eliminate(doubled, order=[1, 2]).dropped in ((3,), (0,))
+
+
+def test_independent_columns_all_stay():
+    found = eliminate(np.random.default_rng(1).standard_normal((20, 4)))
+    assert found.dropped == ()
+    assert found.kept == (0, 1, 2, 3)
+
+
+def test_a_matrix_of_zeros_loses_every_column():
+    assert len(eliminate(np.zeros((6, 3))).dropped) == 3

@@ -1,0 +1,165 @@
+"""The simulated experiment: a truth that the paper's model cannot describe, a tracker, and what calibration leaves."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib import load
+from calib.robot import Robot
+from calib.selection import select
+from medrue import robot_file
+from medrue.closed_form import forward
+from medrue.draws import PoseSet
+from medrue.experiment import Experiment, ExperimentTask, experiment_draw
+from medrue.experiment_tables import cause_rms, experiment_findings, experiment_tables
+from medrue.imperfections import TILTED_JOINTS, Imperfections, ImperfectRobot, imperfect_robot
+from medrue.paper_tables import error_table, table3
+from medrue.tracker import NESTS, PLACE, measure
+from medrue.workspace import target_workspace
+
+NONE = Imperfections(0.0, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load(robot_file())
+
+
+@pytest.fixture(scope="module")
+def actual(robot: Robot) -> Robot:
+    return robot.with_parameters(table3().identified)
+
+
+@pytest.fixture(scope="module")
+def experiment(robot: Robot) -> Experiment:
+    """Two draws, poses of O1 and uniform ones."""
+    joints = np.array(target_workspace().q)
+    chosen = np.sort(select(robot, joints, 84, "O1").chosen)
+    sets = (PoseSet("O1", chosen), PoseSet("uniform", np.arange(2, 420, 5)))
+    seeds = np.random.SeedSequence(3).spawn(2)
+    usual = Imperfections()
+    draws = tuple(experiment_draw(ExperimentTask(robot, joints, sets, usual, seed)) for seed in seeds)
+    causes = {
+        name: (experiment_draw(ExperimentTask(robot, joints, sets[:1], alone, seeds[0])),)
+        for name, alone in usual.causes.items()
+    }
+    return Experiment(robot, joints, sets, usual, draws, causes, 3)
+
+
+def test_without_imperfections_the_truth_is_the_closed_form_with_table_3(actual: Robot) -> None:
+    joints = np.array(target_workspace().q[::7])
+    truth = imperfect_robot(actual, NONE, len(joints), np.random.default_rng(1))
+    assert np.abs(truth.positions(joints) - forward(joints, table3().identified).p_world_tool).max() < 1e-12
+
+
+def test_backlash_moves_the_tool_along_the_rail_by_half_of_it_against_the_approach(actual: Robot) -> None:
+    joints = np.array(target_workspace().q[:3])
+    joints[:, 0] = (0.2, 0.3, 0.1)
+    order = np.array([2, 0, 1])  # from home at 0.343: down to 0.1, up to 0.2, up to 0.3
+    exact = ImperfectRobot(actual, NONE, order).positions(joints)
+    late = ImperfectRobot(actual, Imperfections(1e-3, 0.0, 0.0), order).positions(joints)
+    along = pin.rpy.rpyToMatrix(*table3().identified[-6:-3])[:, 0]  # x_B in the world
+    assert np.abs((late - exact) - np.outer([-0.5e-3, -0.5e-3, 0.5e-3], along)).max() < 1e-12
+
+
+def test_lead_error_grows_with_the_travel(actual: Robot) -> None:
+    joints = np.tile(target_workspace().q[0], (2, 1))
+    joints[:, 0] = (0.1, 0.4)
+    order = np.arange(2)
+    exact = ImperfectRobot(actual, NONE, order).positions(joints)
+    wrong = ImperfectRobot(actual, Imperfections(0.0, 50e-6 / 0.3, 0.0), order).positions(joints)
+    assert np.linalg.norm(np.diff(wrong - exact, axis=0)) == pytest.approx(50e-6, rel=1e-6)
+
+
+def test_tilts_turn_the_eight_axes_and_move_the_tool_mostly_along_the_rail(actual: Robot) -> None:
+    joints = np.array(target_workspace().q)
+    exact = imperfect_robot(actual, NONE, 420, np.random.default_rng(1)).positions(joints)
+    truth = imperfect_robot(actual, Imperfections(0.0, 0.0, 1e-3), 420, np.random.default_rng(1))
+    for name in TILTED_JOINTS:
+        turn = actual.mechanism.placement(name).rotation.T @ truth.robot.mechanism.placement(name).rotation
+        assert 0 < np.arccos(turn[0, 0]) < 5e-3
+    moved = np.sqrt(np.mean((truth.positions(joints) - exact) ** 2, axis=0))
+    assert moved[0] > 2 * max(moved[1:])
+
+
+def test_tracker_finds_the_world_and_its_repeatability() -> None:
+    points = np.random.default_rng(2).uniform(-0.5, 0.5, (200, 3))
+    exact = measure(points, 0.0, 5, np.random.default_rng(1))
+    assert np.abs(exact.positions - points).max() < 1e-12
+    seen = measure(points, 4e-5, 5, np.random.default_rng(1))
+    assert abs(seen.repeatability / 4e-5 - 1) < 4 / np.sqrt(2 * 200 * 4 * 3)
+    assert seen.world.outliers == ()
+    assert 4e-5 / np.sqrt(15) < seen.frame_sigma < 1e-4
+
+
+def test_the_frame_s_uncertainty_is_the_scatter_of_the_frame() -> None:
+    """One far point, 400 trackers: the part of its error that all readings of one tracker share."""
+    far = np.array([[0.6, 0.5, 0.1]])
+    errors = [measure(far, 4e-5, 5, np.random.default_rng(k)).positions[0] - far[0] for k in range(400)]
+    own = 4e-5 / np.sqrt(5)
+    found = np.sqrt(np.var(errors, axis=0, ddof=1) - own**2)
+    stated = measure(far, 4e-5, 5, np.random.default_rng(0)).frame_sigma
+    assert abs(found.max() / stated - 1) < 0.2  # 400 draws of a sum of two variances: about 5 percent
+
+
+def test_the_tracker_s_frame_is_not_the_world() -> None:
+    assert np.linalg.norm(PLACE.translation) > 1.0
+    assert np.linalg.matrix_rank(NESTS - NESTS.mean(axis=0)) == 2
+
+
+def test_calibration_leaves_an_error_that_is_dominated_by_x(experiment: Experiment) -> None:
+    for draw in experiment.draws:
+        before, after = experiment.validation(draw, "O1")
+        squares = np.mean(after**2, axis=0)
+        assert squares[0] > 0.7 * squares.sum()
+        assert np.linalg.norm(after, axis=1).mean() < 0.05 * np.linalg.norm(before, axis=1).mean()
+
+
+def test_the_remaining_error_is_about_the_papers(experiment: Experiment) -> None:
+    """Sizes of the imperfections are chosen for that; the test keeps text and numbers together."""
+    for draw in experiment.draws:
+        after = 1e3 * experiment.validation(draw, "O1")[1]
+        assert 0.6 < np.linalg.norm(after, axis=1).mean() / error_table(4)["O1"]["mean"] < 1.6
+        assert 0.6 < np.abs(after[:, 0]).mean() / error_table(5)["after_x"]["mean"] < 1.6
+
+
+def test_without_imperfections_only_noise_remains(experiment: Experiment) -> None:
+    """Five averaged readings of 40 um, and the fit's own share: well below 0.05 mm in distance."""
+    rms = cause_rms(experiment)
+    noise = 0.04 / np.sqrt(5)
+    assert noise * 0.9 < rms["tracker noise alone"][:3].min()
+    assert rms["tracker noise alone"][:3].max() < noise * 1.4
+    assert rms["backlash of the rail"][0] > 10 * noise
+    assert rms["links out of perpendicular"][3] > rms["tracker noise alone"][3]
+
+
+def test_tables_stand_beside_the_papers_and_are_called_simulated(experiment: Experiment) -> None:
+    tables = {table.name: table for table in experiment_tables(experiment)}
+    assert set(tables) == {"table3", "table4", "table5", "causes"}
+    fifth = {column.header: column.values for column in tables["table5"].columns}
+    assert fifth["after x"][fifth["error [mm]"].index("mean, paper")] == 0.340
+    third = {column.header: column.values for column in tables["table3"].columns}
+    assert third["actual (paper: identified)"][0] == pytest.approx(-224.895)
+    for table in tables.values():
+        assert "simulated" in table.csv()
+        assert "nan" not in table.csv()
+        json.dumps(table.to_dict(), allow_nan=False)
+    text = " ".join(experiment_findings(experiment))
+    assert "mostly along x" in text
+    assert "nan" not in text
+
+
+def test_the_same_seed_gives_the_same_experiment(experiment: Experiment) -> None:
+    seed = np.random.SeedSequence(3).spawn(2)[0]
+    again = experiment_draw(
+        ExperimentTask(experiment.robot, experiment.joints, experiment.sets, experiment.imperfections, seed)
+    )
+    assert np.array_equal(again.after, experiment.draws[0].after)
+    other = replace(experiment.imperfections, backlash=0.0)
+    assert not np.array_equal(
+        experiment_draw(ExperimentTask(experiment.robot, experiment.joints, experiment.sets[:1], other, seed)).after[0],
+        again.after[0],
+    )

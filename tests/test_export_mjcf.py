@@ -1,0 +1,213 @@
+"""MJCF of URDFs as people write them: masses that simulators refuse, meshes, mimic joints, names in any alphabet."""
+
+import re
+import struct
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import calib
+from calib.errors import InputError, UrdfError
+from calib.export import closed_model, drake_bytes, export, mjcf_bytes
+from calib.export.links import find_mesh, possible_inertia, read_links
+from calib.urdf_text import parse_urdf
+
+ARM = """<?xml version="1.0"{encoding}?>
+<robot name="{name}" xmlns:xacro="x">
+  <material name="red"><color rgba="1 0 0 1"/></material>
+  <link name="socle"><visual><geometry><box size="0.2 0.4 0.6"/></geometry><material name="red"/></visual></link>
+  <joint name="drehung-ä" type="continuous"><parent link="socle"/><child link="bras"/><axis xyz="0 0 2"/>
+    <origin xyz="0 0 0.3" rpy="0.1 0.2 0.3"/></joint>
+  <link name="bras"><visual><origin xyz="0.5 0 0"/><geometry><cylinder radius="0.05" length="1"/></geometry></visual>
+    <collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+  <joint name="slide" type="prismatic"><parent link="bras"/><child link="main"/><axis xyz="1 0 0"/>
+    <limit lower="-0.1" upper="0.2" effort="1" velocity="1"/></joint>
+  <link name="main"><inertial><origin xyz="0 0 0.1" rpy="0 0 1.5707963267948966"/><mass value="2"/>
+    <inertia ixx="1" ixy="0.1" ixz="0" iyy="2" iyz="0" izz="2.5"/></inertial></link>
+  <joint name="finger" type="revolute"><parent link="main"/><child link="doigt"/><axis xyz="0 1 0"/>
+    <mimic joint="slide" multiplier="-2" offset="0.5"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <link name="doigt"><inertial><mass value="0.1"/>
+    <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="5"/></inertial></link>
+</robot>
+"""
+
+
+def arm(folder: Path, text: str = ARM.format(encoding="", name="bras")) -> calib.Robot:
+    """The arm with `main` as its measured link; the finger behind it follows the slide."""
+    (folder / "arm.urdf").write_text(text, encoding="utf-8")
+    (folder / "arm.yaml").write_text(
+        "urdf: arm.urdf\nname_mot: [drehung-ä, slide]\nbase: {frame: socle}\n"
+        "targets: {tip: {frame: main, xyz: [0, 0, 0.2]}}\n"
+        "parametrisation: [{origin: slide, components: [x, y, z], sigma: 1 mm}]\n",
+        encoding="utf-8",
+    )
+    return calib.load(folder / "arm.yaml")
+
+
+def written(robot: calib.Robot) -> Element:
+    return ElementTree.fromstring(mjcf_bytes(closed_model(robot)))
+
+
+def body(root: Element, name: str) -> Element:
+    (found,) = (element for element in root.iter("body") if element.get("name") == name)
+    return found
+
+
+def floats(element: Element | None, key: str) -> list[float]:
+    assert element is not None
+    return [float(part) for part in element.attrib[key].split()]
+
+
+def test_shapes_and_joints_mean_what_the_urdf_says(tmp_path: Path) -> None:
+    root = written(arm(tmp_path))
+    assert root.get("model") == "bras"
+    box = body(root, "socle").find("geom")
+    assert (box.get("type"), floats(box, "size"), floats(box, "rgba")) == ("box", [0.1, 0.2, 0.3], [1, 0, 0, 1])
+    cylinder, sphere = body(root, "bras").findall("geom")
+    assert (floats(cylinder, "size"), floats(cylinder, "pos"), cylinder.get("contype")) == (
+        [0.05, 0.5],
+        [0.5, 0, 0],
+        "0",
+    )
+    assert (floats(sphere, "size"), sphere.get("contype"), sphere.get("group")) == ([0.1], None, "3")
+    turn, slide = body(root, "bras").find("joint"), body(root, "main").find("joint")
+    assert (turn.get("name"), turn.get("type"), turn.get("range")) == ("drehung-ä", "hinge", None)
+    assert (slide.get("type"), floats(slide, "range")) == ("slide", [-0.1, 0.2])
+    w, x, y, z = floats(body(root, "bras"), "quat")
+    assert np.abs(pin.Quaternion(w, x, y, z).matrix() - pin.rpy.rpyToMatrix(0.1, 0.2, 0.3)).max() < 1e-15
+    assert floats(body(root, "target_tip"), "pos") == [0, 0, 0.2]
+
+
+def test_inertia_is_written_in_the_axes_of_the_link(tmp_path: Path) -> None:
+    inertial = body(written(arm(tmp_path)), "main").find("inertial")
+    assert (floats(inertial, "mass"), floats(inertial, "pos")) == ([2.0], [0, 0, 0.1])
+    # a quarter turn about z swaps x and y, and turns the sign of xy
+    assert floats(inertial, "fullinertia") == pytest.approx([2, 1, 2.5, -0.1, 0, 0], abs=1e-15)
+
+
+def test_a_moving_link_without_mass_gets_a_little_and_the_file_says_so(tmp_path: Path) -> None:
+    text = mjcf_bytes(closed_model(arm(tmp_path))).decode()
+    assert "link bras moves and has no mass" in text
+    assert floats(body(ElementTree.fromstring(text), "bras").find("inertial"), "mass") == [1e-6]
+
+
+def test_moments_that_no_body_has_are_replaced_and_the_file_says_so(tmp_path: Path) -> None:
+    text = mjcf_bytes(closed_model(arm(tmp_path))).decode()
+    assert "link doigt: no body has its moments of inertia" in text
+    xx, yy, zz = floats(body(ElementTree.fromstring(text), "doigt").find("inertial"), "fullinertia")[:3]
+    assert (xx, yy, zz) == pytest.approx((2.5, 2.5, 5.0), rel=1e-6)
+
+
+@pytest.mark.parametrize("moments", [(1, 2, 2.5), (0.1, 0.1, 0.2), (0, 0, 0), (-1, 2, 2), (1e-9, 1, 5), (3, 4, 5)])
+def test_possible_inertia_is_possible_and_changes_nothing_that_is(moments: tuple[float, ...]) -> None:
+    turn = pin.rpy.rpyToMatrix(0.3, -0.4, 1.1)
+    given = turn @ np.diag(np.array(moments, dtype=float)) @ turn.T
+    given = (given + given.T) / 2
+    found = possible_inertia(given)
+    least, middle, most = np.linalg.eigvalsh(found)
+    assert least > 0
+    assert least + middle >= most * (1 - 1e-12)
+    if min(moments) > 0 and sum(sorted(moments)[:2]) > max(moments):
+        assert np.array_equal(found, given)
+
+
+def test_a_follower_gets_an_equality_about_where_both_stand(tmp_path: Path) -> None:
+    root = written(arm(tmp_path))
+    (tie,) = root.find("equality")
+    assert (tie.tag, tie.get("joint1"), tie.get("joint2")) == ("joint", "finger", "slide")
+    assert floats(tie, "polycoef") == [0, -2, 0, 0, 0]
+    assert floats(body(root, "doigt").find("joint"), "ref") == [0.5]
+
+
+def binary_stl(path: Path) -> None:
+    triangle = struct.pack("<12fH", 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(b" " * 80 + struct.pack("<I", 4) + 4 * triangle)
+
+
+def with_meshes(*files: str) -> str:
+    shapes = "".join(
+        f'<visual><geometry><mesh filename="{file}" scale="0.001 1 1"/></geometry></visual>' for file in files
+    )
+    return ARM.format(encoding="", name="meshes").replace('<link name="main">', f'<link name="main">{shapes}')
+
+
+def test_meshes_that_mujoco_reads_are_named_relative_to_the_file_and_others_are_said(tmp_path: Path) -> None:
+    robots = tmp_path / "pkg" / "robots"
+    robots.mkdir(parents=True)
+    binary_stl(tmp_path / "pkg" / "meshes" / "a b.STL")
+    (tmp_path / "pkg" / "meshes" / "text.stl").write_text("solid x\n" + "facet normal 0 0 1\n" * 20)
+    (tmp_path / "pkg" / "meshes" / "c.dae").write_text("<collada/>")
+    names = ("package://pkg/meshes/a b.STL", "../meshes/a b.STL", "package://pkg/meshes/text.stl",
+             "package://pkg/meshes/c.dae", "package://gone/d.stl", "http://far/away.stl")  # fmt: skip
+    robot = arm(robots, with_meshes(*names))
+    (tmp_path / "out").mkdir()
+    export(robot, "mjcf", tmp_path / "out" / "arm.xml")
+    text = (tmp_path / "out" / "arm.xml").read_text(encoding="utf-8")
+    root = ElementTree.fromstring(text)
+    (mesh,) = root.find("asset")  # the same file and scale twice is one mesh
+    assert (tmp_path / "out" / mesh.get("file")).resolve() == (tmp_path / "pkg" / "meshes" / "a b.STL").resolve()
+    assert floats(mesh, "scale") == [0.001, 1, 1]
+    assert len([geom for geom in root.iter("geom") if geom.get("mesh") == mesh.get("name")]) == 2
+    assert set(re.findall(r"mesh (\S+) left out \((not found|neither)", text)) == {
+        ("package://pkg/meshes/text.stl", "neither"), ("package://pkg/meshes/c.dae", "neither"),
+        ("package://gone/d.stl", "not found"), ("http://far/away.stl", "not found"),
+    }  # fmt: skip
+
+
+def test_meshes_are_found_through_the_paths_of_ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    binary_stl(tmp_path / "one" / "pkg" / "m.stl")
+    binary_stl(tmp_path / "two" / "share" / "other" / "m.stl")
+    assert find_mesh("package://pkg/m.stl", "/robot.urdf") is None
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "one"))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "two"))
+    assert find_mesh("package://pkg/m.stl", "/robot.urdf") == tmp_path / "one" / "pkg" / "m.stl"
+    assert find_mesh("package://other/m.stl", "/robot.urdf") == tmp_path / "two" / "share" / "other" / "m.stl"
+
+
+def test_a_link_named_world_that_is_not_the_root_is_refused(tmp_path: Path) -> None:
+    robot = arm(tmp_path, ARM.format(encoding="", name="r").replace('"doigt"', '"world"'))
+    with pytest.raises(InputError, match="link 'world' is not the root link; MuJoCo keeps this name"):
+        mjcf_bytes(closed_model(robot))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('<mass value="2"/>', '<mass value="heavy"/>', "link 'main', inertial: 'heavy' is not 1 number"),
+        ('size="0.2 0.4 0.6"', 'size="0.2 0.4"', "link 'socle', visual: '0.2 0.4' is not 3 numbers"),
+        ('radius="0.1"', 'radius="nan"', "link 'bras', collision: 'nan' is not 1 number"),
+    ],
+)
+def test_shapes_and_masses_that_are_no_numbers_say_where(tmp_path: Path, old: str, new: str, words: str) -> None:
+    robot = arm(tmp_path, ARM.format(encoding="", name="r").replace(old, new))  # loads: calibrating needs neither
+    with pytest.raises(UrdfError, match=re.escape(words)):
+        closed_model(robot)
+
+
+@pytest.mark.parametrize("variant", ["CRLF and BOM", "Latin-1", "undeclared prefix"])
+def test_any_spelling_of_the_file_gives_the_same_model(tmp_path: Path, variant: str) -> None:
+    plain = ARM.format(encoding="", name="bras-é")
+    (tmp_path / "plain").mkdir()
+    expected = closed_model(arm(tmp_path / "plain", plain))
+    robot = arm(tmp_path, plain)
+    content = {
+        "CRLF and BOM": b"\xef\xbb\xbf" + plain.replace("\n", "\r\n").encode(),
+        "Latin-1": ARM.format(encoding=' encoding="iso-8859-1"', name="bras-é").encode("latin-1"),
+        "undeclared prefix": plain.replace("</robot>", "<drake:odd/></robot>").encode(),
+    }[variant]
+    (tmp_path / "arm.urdf").write_bytes(content)
+    robot = calib.load(tmp_path / "arm.yaml")
+    comments = re.compile(rb"<!--.*?-->", re.DOTALL)
+    found = closed_model(robot)
+    assert comments.sub(b"", mjcf_bytes(found)) == comments.sub(b"", mjcf_bytes(expected))
+    for_drake = parse_urdf(drake_bytes(found))
+    assert for_drake.links == parse_urdf(drake_bytes(expected)).links
+    assert for_drake.source.startswith(content[:25])
+    if variant == "CRLF and BOM":
+        assert re.search(rb"[^\r]\n", for_drake.source) is None
+    assert set(read_links(for_drake)) == set(for_drake.links)

@@ -1,0 +1,197 @@
+"""Writing files: whole or not at all, and an error that says why not."""
+
+import os
+import threading
+from pathlib import Path
+
+import pytest
+
+from calib.errors import InputError
+from calib.files import check_file, check_folder, write_file, write_folder
+
+RESULT = {"result.json": b"{}", "parameters.csv": b"parameter,value,unit\n"}
+
+
+def tree(folder):
+    """Every file below a folder with its bytes."""
+    return {str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
+
+
+def unwritable(tmp_path):
+    """Places where even root cannot write a file or a folder, with a word of the reason."""
+    (tmp_path / "file").write_text("a file")
+    return [
+        (tmp_path / "file" / "below", "not a"),
+        (Path("/proc/nothing_here"), "no such file"),
+        (Path("/sys/nothing_here"), ""),  # read-only file system, or permission denied
+        (tmp_path / ("x" * 300), "file name too long"),
+    ]
+
+
+def refusal(function, *arguments):
+    with pytest.raises(InputError) as caught:
+        function(*arguments)
+    assert caught.value.exit_code == 2
+    message = str(caught.value)
+    assert message.startswith(str(arguments[0]))
+    assert message.endswith("; choose another place for the output")
+    return message
+
+
+def test_a_file_is_written_and_replaced_as_a_whole(tmp_path):
+    path = tmp_path / "out.csv"
+    write_file(path, "one é\n")
+    assert path.read_bytes() == "one é\n".encode()
+    write_file(path, b"two")
+    assert path.read_bytes() == b"two"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_new_file_has_ordinary_permissions_and_an_old_one_keeps_its_own(tmp_path):
+    old = os.umask(0o027)
+    try:
+        write_file(tmp_path / "new", "")
+    finally:
+        os.umask(old)
+    assert (tmp_path / "new").stat().st_mode & 0o777 == 0o640
+    (tmp_path / "new").chmod(0o600)
+    write_file(tmp_path / "new", "again")
+    assert (tmp_path / "new").stat().st_mode & 0o777 == 0o600
+
+
+def test_a_symbolic_link_stays_one(tmp_path):
+    (tmp_path / "folder").mkdir()
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / "folder" / "real")
+    write_file(link, "first")
+    write_file(link, "second")
+    assert link.is_symlink()
+    assert (tmp_path / "folder" / "real").read_text() == "second"
+
+
+def test_files_are_refused_where_they_cannot_be_written(tmp_path):
+    for path, reason in [
+        *unwritable(tmp_path),
+        (tmp_path / "no" / "out.csv", "no such file"),
+        (tmp_path, "is a folder"),
+    ]:
+        for function, arguments in ((check_file, ()), (write_file, ("text",))):
+            before = tree(tmp_path)
+            assert reason in refusal(function, path, *arguments)
+            assert tree(tmp_path) == before
+
+
+def test_a_device_is_written_to_and_never_replaced():
+    for path in ("/dev/null", "/dev/stderr"):
+        check_file(path)
+    write_file("/dev/null", "nothing")
+    assert Path("/dev/null").is_char_device()
+    assert "no space left on device" in refusal(write_file, Path("/dev/full"), "text")
+    assert Path("/dev/full").is_char_device()
+
+
+def test_a_pipe_is_written_to(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    got = []
+    reader = threading.Thread(target=lambda: got.append(pipe.read_bytes()))
+    reader.start()
+    write_file(pipe, "through")
+    reader.join(timeout=10)
+    assert got == [b"through"]
+    assert pipe.is_fifo()
+
+
+def test_a_write_that_fails_half_way_leaves_the_old_file(tmp_path, monkeypatch):
+    path = tmp_path / "out.csv"
+    path.write_text("old")
+    monkeypatch.setattr(os, "fdopen", lambda *_: open("/dev/full", "wb"))  # noqa: PTH123, SIM115
+    assert "no space left" in refusal(write_file, path, "new")
+    assert tree(tmp_path) == {"out.csv": b"old"}
+
+
+def test_checking_creates_nothing(tmp_path):
+    check_file(tmp_path / "out.csv")
+    check_folder(tmp_path / "a" / "b" / "out")
+    assert tree(tmp_path) == {}
+
+
+def test_a_folder_is_written_with_its_parents(tmp_path):
+    write_folder(tmp_path / "a" / "b", RESULT)
+    assert {name: (tmp_path / "a" / "b" / name).read_bytes() for name in RESULT} == RESULT
+    assert os.listdir(tmp_path / "a") == ["b"]  # noqa: PTH208
+
+
+def test_a_folder_is_replaced_and_other_files_in_it_stay(tmp_path):
+    out = tmp_path / "out"
+    (out / "notes").mkdir(parents=True)
+    (out / "notes" / "mine.txt").write_text("keep")
+    (out / "link").symlink_to("notes/mine.txt")
+    (out / "result.json").write_text("old")
+    inode = (out / "notes" / "mine.txt").stat().st_ino
+    out.chmod(0o750)
+    (out / "calibrated.urdf").write_text("of an earlier result")
+    write_folder(out, RESULT, obsolete=("calibrated.urdf", "never there"))
+    assert (out / "result.json").read_bytes() == b"{}"
+    assert not (out / "calibrated.urdf").exists()
+    assert (out / "notes" / "mine.txt").read_text() == "keep"
+    assert (out / "notes" / "mine.txt").stat().st_ino == inode  # moved, not copied
+    assert (out / "link").is_symlink()
+    assert out.stat().st_mode & 0o777 == 0o750
+    assert os.listdir(tmp_path) == ["out"]  # noqa: PTH208
+
+
+def test_folders_are_refused_where_they_cannot_be_written(tmp_path):
+    for path, reason in [*unwritable(tmp_path), (tmp_path / "file", "is a file, not a folder")]:
+        for function, arguments in ((check_folder, ()), (write_folder, (RESULT,))):
+            before = tree(tmp_path)
+            assert reason in refusal(function, path, *arguments)
+            assert tree(tmp_path) == before
+
+
+def test_the_current_folder_and_its_parents_are_not_exchanged(tmp_path, monkeypatch):
+    here = tmp_path / "project" / "here"
+    here.mkdir(parents=True)
+    monkeypatch.chdir(here)
+    for path in (Path(), here, tmp_path / "project", Path("..")):
+        for function, arguments in ((check_folder, ()), (write_folder, (RESULT,))):
+            with pytest.raises(InputError, match="holds the current folder"):
+                function(path, *arguments)
+    check_folder(Path("result"))
+
+
+@pytest.mark.parametrize("failing", ["staging", "first exchange", "second exchange"])
+def test_a_folder_whose_writing_fails_is_left_as_it_was(tmp_path, monkeypatch, failing):
+    out = tmp_path / "out"
+    write_folder(out, {"result.json": b"old", "other": b"mine"})
+    renames = []
+    rename, write_bytes = Path.rename, Path.write_bytes
+
+    def failing_rename(self, target):
+        renames.append(self)
+        if failing != "staging" and len(renames) == (1 if failing == "first exchange" else 2):
+            raise OSError(28, "No space left on device")
+        return rename(self, target)
+
+    def failing_write(self, data):
+        if failing == "staging" and self.name == "parameters.csv":
+            raise OSError(28, "No space left on device")
+        return write_bytes(self, data)
+
+    monkeypatch.setattr(Path, "rename", failing_rename)
+    monkeypatch.setattr(Path, "write_bytes", failing_write)
+    assert "no space left on device" in refusal(write_folder, out, RESULT)
+    assert tree(tmp_path) == {"out": None, "out/result.json": b"old", "out/other": b"mine"}
+
+
+def test_an_interrupt_while_writing_leaves_the_old_folder(tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    write_folder(out, {"result.json": b"old"})
+
+    def interrupted(self, data):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "write_bytes", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_folder(out, RESULT)
+    assert tree(tmp_path) == {"out": None, "out/result.json": b"old"}

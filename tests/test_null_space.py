@@ -1,0 +1,143 @@
+"""Groups of parameters that move together: made-up null spaces, and MedRUE's from the paper."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from calib import elementary_vectors
+from calib.elementary_vectors import shortest_basis
+from calib.information import scaled_rows
+from calib.jacobian import linearise
+from calib.null_space import describe_group, natural_coefficients, null_groups
+from medrue.closed_form import forward
+from medrue.paper_tables import PARAMETERS, table1
+from medrue.workspace import target_workspace
+
+NAMES = list(PARAMETERS)
+
+
+def matrix_with_null_vectors(vectors, rows=40, seed=0):
+    """A random matrix whose null space is spanned by the given vectors."""
+    vectors = np.array(vectors, dtype=float)
+    seen = np.linalg.svd(vectors)[2][len(vectors):]
+    return np.random.default_rng(seed).standard_normal((rows, len(seen))) @ seen
+
+
+def as_dictionaries(groups):
+    return [
+        {member: round(float(c), 6) for member, c in zip(group.members, group.coefficients, strict=True)}
+        for group in groups
+    ]
+
+
+def test_groups_that_were_put_in_come_out():
+    groups = null_groups(matrix_with_null_vectors([[0, 0, 0, 0, 0, 1], [1, -2, 0, 0, 0, 0], [0, 0, 3, 1, 4, 0]]))
+    found = as_dictionaries(groups)
+    assert found[0] == {5: 1.0}
+    assert found[1] == {0: 1.0, 1: -2.0}
+    assert found[2] == {2: 1.0, 3: round(1 / 3, 6), 4: round(4 / 3, 6)}
+
+
+def test_full_rank_has_no_groups():
+    assert null_groups(np.random.default_rng(0).standard_normal((9, 4))) == ()
+
+
+def test_a_held_column_speaks_for_its_group():
+    (group,) = null_groups(matrix_with_null_vectors([[1, -2, 0]]), dropped=[1])
+    assert group.members == (1, 0)
+    np.testing.assert_allclose(group.coefficients, [1.0, -0.5], rtol=1e-9)
+
+
+def brute_force_length(basis):
+    """Total length of the shortest basis, by trying every support."""
+    n, k = basis.shape
+    found = []
+    for size in range(1, n + 1):
+        for support in combinations(range(n), size):
+            outside = np.delete(basis, support, axis=0)
+            _, s, vt = np.linalg.svd(outside) if len(outside) else (None, np.zeros(0), np.eye(k))
+            rank = int(np.sum(s > 1e-9))
+            if rank == k - 1:
+                vector = basis @ vt[-1]
+                if np.all(np.abs(vector[list(support)]) > 1e-9):
+                    if np.linalg.matrix_rank(np.array([*found, vector]), tol=1e-9) > len(found):
+                        found.append(vector)
+                    if len(found) == k:
+                        return sum(int(np.sum(np.abs(v) > 1e-9)) for v in found)
+    raise AssertionError
+
+
+def sparse_subspace(seed, n=9, k=4):
+    rng = np.random.default_rng(seed)
+    vectors = np.zeros((k, n))
+    for vector in vectors:
+        size = int(rng.integers(2, 5))
+        vector[rng.choice(n, size, replace=False)] = rng.integers(1, 4, size)
+    used = vectors[:, np.any(vectors != 0, axis=0)]
+    assert np.linalg.matrix_rank(used) == k
+    return np.linalg.qr((rng.standard_normal((k, k)) @ used).T)[0]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_basis_is_the_shortest_there_is(seed):
+    basis = sparse_subspace(seed)
+    found = shortest_basis(basis, np.zeros(len(basis), dtype=bool))
+    assert int(np.sum(found != 0)) == brute_force_length(basis)
+    np.testing.assert_allclose(found.T @ np.linalg.lstsq(found.T, basis, rcond=None)[0], basis, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_linear_programs_find_a_basis_of_elementary_vectors_too(seed, monkeypatch):
+    basis = np.linalg.qr(np.random.default_rng(seed).standard_normal((9, 4)))[0]
+    monkeypatch.setattr(elementary_vectors, "_MOST_SUPPORTS", 0)
+    found = shortest_basis(basis, np.zeros(9, dtype=bool))
+    assert np.linalg.matrix_rank(found) == 4
+    # in a random subspace every elementary vector has exactly n - k + 1 entries
+    assert {int(np.sum(vector != 0)) for vector in found} == {6}
+
+
+@pytest.fixture(scope="module")
+def groups(medrue):
+    q = target_workspace().q
+    rows = scaled_rows(linearise(medrue, medrue.assemble(q)).jacobian, medrue.parameters, np.ones(36, dtype=bool))
+    return null_groups(rows.reshape(-1, 36), dropped=np.flatnonzero(~medrue.free))
+
+
+def test_medrues_groups_are_the_papers(medrue, groups):
+    words = [describe_group(group, medrue.parameters) for group in groups]
+    assert words[:7] == [
+        "d31 has no effect",
+        "d32 has no effect",
+        "d5 with xt: d5 +1 mm, xt -1 mm",
+        "xb with dq1: xb +1 mm, dq1 -1 mm",
+        "d41 with d42, dq1, xt: d41 +1 mm, d42 -1 mm, dq1 +1 mm, xt -1 mm",
+        "A2y with A1y, C1y, C2y, yb: A2y +1 mm, A1y +1 mm, C1y +1 mm, C2y +1 mm, yb -1 mm",
+        "A2z with A1z, C1z, C2z, zb: A2z +1 mm, A1z +1 mm, C1z +1 mm, C2z +1 mm, zb -1 mm",
+    ]
+    assert len(words) == 8
+    turn = {NAMES[k] for k in groups[7].members}
+    assert "phi_bx" in turn
+    assert turn <= {"phi_bx", "yb", "zb"} | {f"{point}{i}{axis}" for point in "AC" for i in "12" for axis in "yz"}
+
+
+def test_the_turn_about_x_moves_nothing_in_the_closed_form(medrue, groups):
+    """To first order: the rest of a turn by t is of order t^2."""
+    q = target_workspace().q[::10]
+    moves = natural_coefficients(groups[7], medrue.parameters)
+    sizes = []
+    for step in (1e-4, 1e-5):  # of the first member, in m or rad
+        values = table1().nominal.copy()
+        for name, amount, unit in moves:
+            values[NAMES.index(name)] += step * amount * (np.radians(1.0) * 1e3 if unit == "deg" else 1.0)
+        difference = forward(q, values).p_world_tool - forward(q, table1().nominal).p_world_tool
+        sizes.append(np.abs(difference).max())
+    assert sizes[1] < 2e-9
+    assert sizes[0] / sizes[1] == pytest.approx(100, rel=0.1)
+
+
+def test_groups_do_not_hang_on_rounding(medrue, groups):
+    q = np.round(target_workspace().q, 9)
+    rows = scaled_rows(linearise(medrue, medrue.assemble(q)).jacobian, medrue.parameters, np.ones(36, dtype=bool))
+    again = null_groups(rows.reshape(-1, 36), dropped=np.flatnonzero(~medrue.free))
+    assert [group.members for group in again] == [group.members for group in groups]

@@ -1,0 +1,70 @@
+"""Poses off the grid: better, and never outside of what is allowed."""
+
+import numpy as np
+import pytest
+
+from calib.refinement import refine, region_of
+from calib.selection import select
+from calib.selection_problem import TASK, build_problem
+from calib.selection_scores import values_of_rows
+from medrue.workspace import target_workspace
+
+Q = target_workspace().q
+
+
+@pytest.fixture(scope="module")
+def moved(medrue):
+    return select(medrue, Q[::3], 16, "O1", off_grid=True, seed=1)
+
+
+def test_it_beats_every_choice_from_the_grid(moved):
+    assert moved.off_grid
+    assert moved.after["O1"] > moved.bound > moved.on_grid["O1"]
+    assert moved.after["O1"] > 1.2 * moved.on_grid["O1"]
+
+
+def test_the_poses_are_what_is_told_of_them(medrue, moved):
+    np.testing.assert_allclose(medrue.positions(moved.joints), moved.positions, atol=1e-12)
+    again = select(medrue, moved.joints, 16, "O1")
+    assert again.after["O1"] == pytest.approx(moved.after["O1"], rel=1e-9)
+
+
+def test_the_poses_stay_within_limits_and_range_of_the_candidates(medrue, moved):
+    joints = {joint.name: joint for joint in medrue.urdf.joints}
+    for k, name in enumerate(medrue.joint_names):
+        assert moved.joints[:, k].min() >= max(joints[name].lower, Q[::3, k].min())
+        assert moved.joints[:, k].max() <= min(joints[name].upper, Q[::3, k].max())
+    points = medrue.positions(Q[::3])[:, 0]
+    assert np.all(moved.positions[:, 0] >= points.min(axis=0) - 1e-8)
+    assert np.all(moved.positions[:, 0] <= points.max(axis=0) + 1e-8)
+
+
+def test_the_poses_close_away_from_singularities(medrue, moved):
+    closed = medrue.close(moved.joints)
+    assert closed.ok.all()
+    assert medrue.singular_values(medrue.assemble(moved.joints)).min() >= medrue.description.singularity_limit
+
+
+def test_the_poses_keep_the_distance_of_the_candidates(medrue, moved):
+    def smallest(points):
+        return (np.linalg.norm(points[:, None] - points, axis=2) + np.eye(len(points))).min()
+
+    assert moved.distance == pytest.approx(smallest(medrue.positions(Q[::3])[:, 0]), rel=1e-9)
+    assert smallest(moved.positions[:, 0]) >= moved.distance
+
+
+@pytest.mark.parametrize("index", ["O3", "O5", TASK])
+def test_any_index_can_be_refined(medrue, index):
+    found = select(medrue, Q[::21], 10, index, off_grid=True)
+    assert (found.after[index] < found.on_grid[index]) == (index == TASK)
+
+
+def test_a_region_of_one_point_leaves_the_poses_where_they_are(medrue):
+    q = Q[::30]
+    rows = np.random.default_rng(0).standard_normal((len(q), 3, int(np.sum(medrue.free))))
+    problem = build_problem(rows)
+    positions = medrue.positions(q)
+    region = region_of(medrue, q[:1], positions[:1])
+    found = refine(medrue, problem, "O1", q[:1], region, np.random.default_rng(0))
+    np.testing.assert_array_equal(found.joints, q[:1])
+    assert values_of_rows(problem, found.rows, 1.0)["O1"] == 0  # one pose cannot determine 28 parameters

@@ -1,0 +1,217 @@
+"""Choosing MedRUE's poses: certified, complementing what is measured, within what is asked for."""
+
+import numpy as np
+import pytest
+
+import calib
+from calib.candidates import assemble_known, build_candidates
+from calib.measurements import Measurements, Poses
+from calib.observability import observability
+from calib.selection import select
+from medrue.workspace import target_workspace
+from small_robots import small_arm, write_arm
+
+Q = target_workspace().q
+
+
+@pytest.fixture(scope="module")
+def by_o1(medrue):
+    return select(medrue, Q, 84, "O1")
+
+
+def singular_values(robot, q):
+    rows = assemble_known(robot, as_poses(q)).rows
+    return np.linalg.svd(rows.reshape(-1, rows.shape[2]), compute_uv=False)
+
+
+def as_poses(q):
+    names = tuple(str(k) for k in range(len(q)))
+    return Poses(np.array(q), names, names, "poses", ())
+
+
+def test_84_of_420_are_certified_to_a_thousandth(by_o1):
+    assert by_o1.efficiency >= 0.999
+    assert by_o1.after["O1"] <= by_o1.bound
+    assert by_o1.after["O1"] / by_o1.bound == pytest.approx(by_o1.efficiency, rel=1e-9)
+
+
+def test_the_chosen_poses_have_the_indices_that_are_told(medrue, by_o1):
+    assert len(set(by_o1.chosen.tolist())) == 84
+    np.testing.assert_array_equal(by_o1.joints, Q[by_o1.chosen])
+    np.testing.assert_allclose(by_o1.positions, medrue.positions(by_o1.joints), atol=1e-12)
+    expected = observability(singular_values(medrue, by_o1.joints), 84)
+    assert {name: by_o1.after[name] for name in expected} == pytest.approx(expected, rel=1e-9)
+    uniform = observability(singular_values(medrue, Q[2::5]), 84)
+    assert {name: by_o1.before[name] for name in uniform} == pytest.approx(uniform, rel=1e-9)
+
+
+def test_the_history_is_the_papers_figure_4(by_o1):
+    run = by_o1.runs[0]
+    assert run.start == "uniform"
+    assert run.history[0] == pytest.approx(by_o1.before["O1"], rel=1e-9)
+    assert np.all(np.diff(run.history) > 0)
+    assert len(run.history) == len(run.exchanges) + 1 > run.n_paper > 20
+
+
+@pytest.mark.parametrize("index", ["O2", "O3", "O4", "O5", "task"])
+def test_each_index_is_best_where_it_was_asked_for(medrue, index):
+    by_o1, found = (select(medrue, Q[::2], 42, name) for name in ("O1", index))
+    better = np.less if index == "task" else np.greater
+    assert better(found.after[index], by_o1.after[index])
+    assert better(found.after[index], found.before[index])
+    if index == "task":
+        assert found.efficiency > 0.99
+        assert found.bound <= found.after["task"]
+    else:
+        assert found.efficiency is None
+        assert found.bound is None
+
+
+def test_the_same_seed_gives_the_same_poses(medrue):
+    first, second = (select(medrue, Q[::4], 30, "O3", random_start=True, starts=2, seed=5) for _ in range(2))
+    np.testing.assert_array_equal(first.chosen, second.chosen)
+    assert [run.start for run in first.runs] == ["random", "random"]
+    other = select(medrue, Q[::4], 30, "O3", random_start=True, seed=6)
+    assert other.runs[0].history != first.runs[0].history
+
+
+def test_more_starts_are_never_worse(medrue):
+    one, five = (select(medrue, Q, 40, "O1", starts=starts) for starts in (1, 5))
+    assert five.after["O1"] >= one.after["O1"] * (1 - 1e-12)
+
+
+def test_the_order_of_measurement_is_short(by_o1):
+    assert by_o1.travel[1] < 0.6 * by_o1.travel[0]
+
+
+def test_excluded_candidates_are_never_chosen(medrue, by_o1):
+    out = by_o1.chosen[:20]
+    found = select(medrue, Q, 84, "O1", exclude=out.tolist())
+    assert not set(out.tolist()) & set(found.chosen.tolist())
+    assert found.after["O1"] < by_o1.after["O1"]
+    with pytest.raises(calib.InputError, match="no candidate 420"):
+        select(medrue, Q, 84, "O1", exclude=[420])
+
+
+def test_chosen_poses_keep_their_distance_also_from_measured_ones(medrue):
+    measured = Q[::40]
+    found = select(medrue, Q, 30, "O1", measured=measured, minimum_distance=0.06)
+    points = np.vstack([found.positions[:, 0], medrue.positions(measured)[:, 0]])
+    gaps = np.linalg.norm(points[:30, None] - points[None], axis=2)
+    gaps[np.arange(30), np.arange(30)] = 1.0
+    assert gaps.min() >= 0.06
+    with pytest.raises(calib.InputError, match="keep 300 mm from each other"):
+        select(medrue, Q, 84, "O1", minimum_distance=0.3)
+
+
+def test_poses_to_add_complement_those_measured(medrue):
+    """All indices are those of measured and chosen poses together, and measured ones are not chosen again."""
+    measured = Q[:60]
+    found = select(medrue, Q, 24, "O1", measured=measured)
+    assert found.already_measured == 60
+    assert not set(found.chosen.tolist()) & set(range(60))
+    together = observability(singular_values(medrue, np.vstack([measured, found.joints])), 84)
+    assert {name: found.after[name] for name in together} == pytest.approx(together, rel=1e-9)
+    alone = observability(singular_values(medrue, measured), 60)
+    assert {name: found.measured_only[name] for name in alone} == pytest.approx(alone, rel=1e-7)
+    blind = select(medrue, Q, 24, "O1", exclude=range(60))
+    blindly = observability(singular_values(medrue, np.vstack([measured, blind.joints])), 84)
+    assert found.after["O1"] > 1.01 * blindly["O1"]
+
+
+def test_repeats_of_a_measured_pose_count(medrue):
+    q, names = Q[:30], tuple(str(k) for k in range(30))
+    shape = (30, 1, 3)
+    once, often = (
+        Measurements(q, names, names, "data", (), np.zeros(shape), np.full(30, n, dtype=np.intp), np.full(shape, np.nan))
+        for n in (1, 4)
+    )
+    few, many = (select(medrue, Q, 20, "task", measured=data) for data in (once, often))
+    assert many.measured_only["O3"] == pytest.approx(2 * few.measured_only["O3"], rel=1e-6)
+
+
+def test_the_task_index_is_about_the_task_poses(medrue):
+    corner = Q[:28]
+    there, everywhere = select(medrue, Q, 40, "task", task=corner), select(medrue, Q, 40, "task")
+    compared = select(medrue, Q, 40, "O1", task=corner)
+    assert there.after["task"] < compared.after["task"]
+    assert set(there.chosen.tolist()) != set(everywhere.chosen.tolist())
+
+
+def test_a_robot_with_priors_is_chosen_for_on_the_stacked_rows(tmp_path):
+    arm = small_arm(tmp_path)
+    q = np.random.default_rng(0).uniform([-2, 0.1, -2], [2, 0.9, 2], (60, 3))
+    found = select(arm, q, 10, "O1", sigma=1e-4)
+    rows = build_candidates(arm, as_poses(found.joints)).rows
+    priors = 1e-4 * np.eye(rows.shape[2])[[p.prior for p in arm.parameters]]
+    values = np.linalg.svd(np.vstack([rows.reshape(-1, rows.shape[2]), priors]), compute_uv=False)
+    assert found.rank.rank == len(arm.parameters)
+    assert found.after["O1"] == pytest.approx(observability(values, 10)["O1"], rel=1e-9)
+    assert found.efficiency > 0.98
+    assert not found.sigma_assumed
+    assert select(arm, q, 10).sigma_assumed
+
+
+def test_two_targets_are_two_positions(tmp_path):
+    yaml = write_arm(tmp_path)
+    text = yaml.read_text().replace("parametrisation:", "  elbow: {frame: slider}\nparametrisation:")
+    yaml.write_text(text)
+    arm = calib.load(yaml)
+    q = np.random.default_rng(0).uniform([-2, 0.1, -2], [2, 0.9, 2], (40, 3))
+    found = select(arm, q, 8, "task", sigma=1e-4)
+    assert found.positions.shape == (8, 2, 3)
+    assert found.efficiency > 0.97
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"count": 421}, "count 421 is above the 420 candidates"),
+        ({"count": 0}, "count 0: choose at least one pose"),
+        ({"count": 9}, "27 coordinates cannot determine 28 parameters; choose at least 10 poses"),
+        ({"index": "O9"}, "index 'O9'"),
+        ({"starts": 0}, "0 starts"),
+        ({"minimum_distance": -1.0}, "minimum distance"),
+        ({"count": 400, "exclude": range(40)}, "400 is above the 380 candidates that can be chosen"),
+        ({"sigma": -1.0}, "must be a positive number"),
+    ],
+)
+def test_bad_arguments_are_one_clear_line(medrue, arguments, words):
+    with pytest.raises(calib.InputError, match=words):
+        select(medrue, Q, **arguments)
+
+
+def test_a_candidate_that_is_given_twice_is_an_error(medrue):
+    with pytest.raises(calib.DataError, match="pose 420: the same joint values as pose 7"):
+        select(medrue, np.vstack([Q, Q[7]]), 84)
+
+
+def test_poses_that_do_not_close_are_listed_and_skipped_only_on_request(medrue):
+    q = Q.copy()
+    q[3, 1:3] = np.pi, 0.0  # the cranks away from each other: the distal links do not meet
+    q[8, 1:3] = 0.0
+    with pytest.raises(calib.UnreachablePoseError) as error:
+        select(medrue, q, 84)
+    assert "pose 3: cannot be assembled (loop E1_B-E1_D stays open by " in str(error.value)
+    assert "pose 8: cannot be assembled" in str(error.value)
+    assert str(error.value).endswith("leave them out with --skip-unreachable")
+    found = select(medrue, q, 84, skip_unreachable=True)
+    assert not {3, 8} & set(found.chosen.tolist())
+    assert [line.split(":")[0] for line in found.skipped] == ["pose 3", "pose 8"]
+
+
+def test_poses_next_to_a_singularity_are_named_too(medrue):
+    strict = medrue.description.model_copy(update={"singularity_limit": 0.08})
+    careful = calib.robot.replace(medrue, description=strict)
+    smallest = int(np.argmin(medrue.singular_values(medrue.assemble(Q))))
+    with pytest.raises(calib.UnreachablePoseError, match="from a singularity of the loops"):
+        select(careful, Q, 84)
+    found = select(careful, Q, 84, skip_unreachable=True)
+    assert any(line.startswith(f"pose {smallest}:") for line in found.skipped)
+    assert smallest not in found.chosen
+
+
+def test_minimal_count_still_determines_everything(medrue):
+    found = select(medrue, Q, 10, "O1")
+    assert found.after["O3"] > 0
+    assert singular_values(medrue, found.joints)[-1] > 0

@@ -1,0 +1,110 @@
+"""The certificate: never below the true best of all subsets, and tight where it can be."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from calib.exchange import Spacing, exchange, swap, uniform_start
+from calib.selection_bound import CERTIFIED, log_phi, relax
+from calib.selection_problem import TASK, build_problem
+from calib.selection_scores import index_values
+
+N, COUNT, D = 11, 4, 5
+
+
+def made_up(seed, n=N, d=D, known=None):
+    rng = np.random.default_rng(seed)
+    rows = rng.standard_normal((n, 3, d)) * rng.uniform(0.2, 1, d)
+    return build_problem(rows, known, 0, rows)
+
+
+def mask_of(chosen, n=N):
+    mask = np.zeros(n, dtype=bool)
+    mask[list(chosen)] = True
+    return mask
+
+
+@pytest.mark.parametrize("index", CERTIFIED)
+@pytest.mark.parametrize("known", [None, 0.3 * np.eye(D)], ids=["poses alone", "with priors"])
+def test_no_subset_exceeds_the_bound(index, known):
+    for seed in range(8):
+        problem = made_up(seed, known=known)
+        bound = relax(problem, index, mask_of(range(COUNT)), np.ones(N, dtype=bool)).log_bound
+        best = max(
+            log_phi(problem, index, problem.gathered(mask_of(c).astype(float))) for c in combinations(range(N), COUNT)
+        )
+        assert best <= bound + 1e-12
+        assert bound <= best + 0.3  # and it says something: a quarter of the index at most, on so few poses
+
+
+@pytest.mark.parametrize("index", CERTIFIED)
+def test_the_bound_holds_for_random_fractional_weights_too(index):
+    problem, rng = made_up(3), np.random.default_rng(0)
+    bound = relax(problem, index, mask_of(range(COUNT)), np.ones(N, dtype=bool)).log_bound
+    for _ in range(300):
+        weights = rng.dirichlet(np.ones(N)) * COUNT
+        if weights.max() <= 1:
+            assert log_phi(problem, index, problem.gathered(weights)) <= bound + 1e-12
+
+
+@pytest.mark.parametrize("index", CERTIFIED)
+def test_weights_are_feasible_and_attain_the_bound(index):
+    problem = made_up(1, n=60)
+    found = relax(problem, index, mask_of(range(15), 60), np.ones(60, dtype=bool))
+    assert found.weights.min() >= 0
+    assert found.weights.max() <= 1
+    assert found.weights.sum() == pytest.approx(15, abs=1e-9)
+    # it stops at a gap of 2e-5
+    assert found.log_bound - log_phi(problem, index, problem.gathered(found.weights)) < 3e-5
+
+
+@pytest.mark.parametrize("index", CERTIFIED)
+def test_phi_is_concave_along_random_lines(index):
+    problem, rng = made_up(2), np.random.default_rng(1)
+    for _ in range(50):
+        a, b = rng.uniform(0, 1, (2, N))
+        ends = [np.exp(log_phi(problem, index, problem.gathered(w))) for w in (a, b)]
+        middle = np.exp(log_phi(problem, index, problem.gathered((a + b) / 2)))
+        assert middle >= np.mean(ends) * (1 - 1e-12)
+
+
+@pytest.mark.parametrize("index", CERTIFIED)
+def test_phi_goes_with_the_index(index):
+    problem = made_up(4)
+    values = [
+        (log_phi(problem, index, problem.gathered(mask_of(c).astype(float))), index_values(problem, mask_of(c), 1.0)[index])
+        for c in ([0, 1, 2, 3], [4, 5, 6, 7])
+    ]
+    ratio = values[0][1] / values[1][1]
+    expected = np.exp(0.5 * (values[0][0] - values[1][0]))
+    assert (1 / ratio if index == TASK else ratio) == pytest.approx(expected, rel=1e-9)
+
+
+def test_candidates_that_may_not_be_chosen_do_not_lift_the_bound():
+    problem = made_up(5)
+    usable = np.ones(N, dtype=bool)
+    strongest = np.argsort(-np.sum(problem.rows**2, axis=(1, 2)))[:3]
+    usable[strongest] = False
+    found = relax(problem, "O1", mask_of(np.flatnonzero(usable)[:COUNT]), usable)
+    assert found.weights[strongest].sum() == 0
+    best = max(
+        log_phi(problem, "O1", problem.gathered(mask_of(c).astype(float)))
+        for c in combinations(np.flatnonzero(usable), COUNT)
+    )
+    assert best <= found.log_bound + 1e-12
+
+
+def test_choosing_everything_is_certainly_best():
+    problem = made_up(6)
+    everything = np.ones(N, dtype=bool)
+    found = relax(problem, "O1", everything, everything)
+    assert found.efficiency(log_phi(problem, "O1", problem.gathered(np.ones(N)))) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_many_candidates_are_certified_by_few_unclear_ones():
+    problem = made_up(7, n=3000, d=8)
+    space = Spacing(np.zeros((3000, 3)), 0.0, np.ones(3000, dtype=bool))
+    done = swap(exchange(problem, "O1", uniform_start(np.arange(3000), 60), space), space)
+    found = relax(problem, "O1", done.chosen, space.usable)
+    assert found.efficiency(log_phi(problem, "O1", problem.gathered(done.chosen.astype(float)))) > 0.999

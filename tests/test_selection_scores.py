@@ -1,0 +1,127 @@
+"""Scores of choices against plain linear algebra: every fast path equals the slow one."""
+
+import numpy as np
+import pytest
+
+import calib
+from calib.observability import observability
+from calib.selection_problem import TASK, build_problem, task_is_determined
+from calib.selection_scores import CHOICES, index_of_score, index_values, scores
+
+N, K, D = 14, 3, 6
+
+
+def made_up(seed=0, n=N, k=K, d=D):
+    rng = np.random.default_rng(seed)
+    rows = rng.standard_normal((n, k, d)) * np.array([1.0, 0.3, 2.0, 0.1, 1.0, 0.5])[:d]
+    return rows, rng.standard_normal((5, k, d))
+
+
+def plain_value(rows, task, chosen, index, sigma=1.0, known=None):
+    """The index of a choice, from its rows."""
+    flat = rows[chosen].reshape(-1, rows.shape[2])
+    if known is not None:
+        flat = np.vstack([flat, known])
+    if index == TASK:
+        covariance = sigma**2 * np.linalg.inv(flat.T @ flat)
+        errors = np.array([np.trace(block @ covariance @ block.T) for block in task.reshape(-1, 3, task.shape[2])])
+        return np.sqrt(np.mean(errors))
+    return observability(np.linalg.svd(flat, compute_uv=False), len(rows[chosen]))[index]
+
+
+@pytest.mark.parametrize("index", CHOICES)
+def test_values_are_those_of_the_rows(index):
+    rows, task = made_up()
+    problem = build_problem(rows, task_rows=task)
+    chosen = np.zeros(N, dtype=bool)
+    chosen[[1, 4, 5, 9]] = True
+    expected = plain_value(rows, task, chosen, index, 0.3)
+    assert index_values(problem, chosen, 0.3)[index] == pytest.approx(expected, rel=1e-9)
+    score = scores(problem, index, chosen).value
+    assert index_of_score(problem, index, score, 4, 0.3) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("index", CHOICES)
+def test_values_with_priors_and_measured_poses_are_those_of_the_stacked_rows(index):
+    rows, task = made_up()
+    known = np.vstack([0.1 * np.eye(D)[:4], rows[13]])
+    problem = build_problem(rows[:13], known, 1, task)
+    chosen = np.zeros(13, dtype=bool)
+    chosen[[0, 3, 7]] = True
+    expected = plain_value(rows[:13], task, chosen, index, known=known)
+    if index == "O1":
+        expected *= np.sqrt(3 / 4)  # the measured pose counts among the poses
+    assert index_values(problem, chosen, 1.0)[index] == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("index", CHOICES)
+@pytest.mark.parametrize("k", [3, 6], ids=["one target", "two targets"])
+@pytest.mark.parametrize("add", [True, False], ids=["add", "remove"])
+def test_the_best_move_is_the_best_of_all_tried_one_by_one(index, k, add):
+    for seed in range(5):
+        rows, task = made_up(seed, k=k)
+        problem = build_problem(rows, task_rows=task)
+        chosen = np.zeros(N, dtype=bool)
+        chosen[np.random.default_rng(seed).choice(N, 5, replace=False)] = True
+        allowed = ~chosen if add else chosen
+        allowed[np.flatnonzero(allowed)[0]] = False
+        found = scores(problem, index, chosen).best(allowed, add=add)
+        values = {}
+        for j in np.flatnonzero(allowed):
+            tried = chosen.copy()
+            tried[j] = add
+            value = plain_value(rows, task, tried, index)
+            values[j] = -value if index == TASK else value
+        assert values[found] == pytest.approx(max(values.values()), rel=1e-9)
+        assert allowed[found]
+
+
+@pytest.mark.parametrize("index", CHOICES)
+def test_a_hundred_updates_do_not_drift(index):
+    rows, task = made_up(n=40)
+    problem = build_problem(rows, task_rows=task)
+    rng = np.random.default_rng(3)
+    chosen = np.zeros(40, dtype=bool)
+    chosen[:10] = True
+    state = scores(problem, index, chosen)
+    for _ in range(100):
+        added, removed = rng.choice(np.flatnonzero(~chosen)), rng.choice(np.flatnonzero(chosen))
+        state = state.moved(int(added), add=True).moved(int(removed), add=False)
+        chosen[added], chosen[removed] = True, False
+    fresh = scores(problem, index, chosen)
+    assert state.value == pytest.approx(fresh.value, rel=1e-9)
+    assert state.best(~chosen, add=True) == fresh.best(~chosen, add=True)
+
+
+@pytest.mark.parametrize("index", CHOICES)
+def test_a_pose_that_alone_sees_a_direction_cannot_be_spared(index):
+    rows, task = made_up()
+    rows[1:, :, 0] = 0.0
+    problem = build_problem(rows, task_rows=task)
+    state = scores(problem, index, np.ones(N, dtype=bool))
+    assert not state.spares(0)
+    assert all(state.spares(j) for j in range(1, N))
+
+
+def test_directions_that_no_candidate_sees_take_no_part():
+    rows, _ = made_up()
+    blind = np.concatenate([rows, rows[:, :, :1]], axis=2)  # two equal columns
+    problem = build_problem(blind, task_rows=blind)
+    assert problem.known.rank.rank == D
+    assert len(problem.strengths) == D
+    elsewhere = np.zeros((1, 3, D + 1))
+    elsewhere[0, 0, 0] = 1.0  # moves by one of the two only
+    assert task_is_determined(problem, blind)
+    assert not task_is_determined(problem, elsewhere)
+
+
+def test_all_candidates_together_are_the_identity():
+    rows, task = made_up()
+    problem = build_problem(rows, 0.2 * np.eye(D), 0, task)
+    np.testing.assert_allclose(problem.gathered(np.ones(N)), np.eye(D), atol=1e-12)
+
+
+def test_an_unknown_index_names_the_nearest():
+    problem = build_problem(made_up()[0])
+    with pytest.raises(calib.InputError, match="'O6'"):
+        scores(problem, "O6", np.ones(N, dtype=bool))

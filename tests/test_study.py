@@ -1,0 +1,182 @@
+"""The simulation study: exact recovery, errors as theory predicts them, and a ranking that is more than luck."""
+
+import json
+
+import numpy as np
+import pytest
+
+from calib import load
+from calib.fit import fit
+from calib.jacobian import linearise
+from calib.robot import Robot
+from calib.selection import select
+from medrue import robot_file
+from medrue.draws import Calibrator, Outcome, PoseSet, Task, measurements, run
+from medrue.paper_tables import PARAMETERS, error_table, table1
+from medrue.parallel import Workers
+from medrue.ranking import agreement, rank, standard_error
+from medrue.result_tables import Column, ResultTable
+from medrue.study import SIGMA, Study, StudySize, choose_sets, error_floors, summary, true_positions
+from medrue.study_tables import study_findings, study_tables
+from medrue.workspace import target_workspace
+
+DRAWS = 40
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load(robot_file())
+
+
+@pytest.fixture(scope="module")
+def task(robot: Robot) -> Task:
+    """84 poses chosen by O1 and 84 uniform ones, measured on the robot of Table I."""
+    joints = np.array(target_workspace().q)
+    chosen = np.sort(select(robot, joints, 84, "O1", sigma=SIGMA).chosen)
+    sets = (PoseSet("O1", chosen), PoseSet("uniform", np.arange(2, 420, 5)))
+    truth = true_positions(joints, table1().actual)
+    return Task(robot, joints, truth, sets, SIGMA, tuple(np.random.SeedSequence(7).spawn(DRAWS)))
+
+
+@pytest.fixture(scope="module")
+def outcome(task: Task) -> Outcome:
+    return run([task], Workers(1), lambda done: None)[0]
+
+
+def test_without_noise_the_actual_parameters_come_back(task: Task) -> None:
+    for pose_set in task.sets:
+        found = fit(task.robot, measurements(task.joints, task.truth, pose_set.chosen), sigma=SIGMA)
+        # 1e-9 mm or deg; rounding of the closures (1e-13 m) times the condition of the Jacobian (about 1500)
+        assert np.abs(found.robot.values - table1().actual).max() < 1e-11
+
+
+def test_a_draw_ends_in_the_minimum_that_fit_finds(task: Task) -> None:
+    noisy = task.noisy(task.seeds[0])
+    start = task.robot.with_parameters(table1().actual)
+    calibrator = Calibrator(task, task.sets[0], start, start.assemble(task.joints).passive)
+    found = fit(task.robot, measurements(task.joints, noisy, task.sets[0].chosen), sigma=SIGMA)
+    difference = (calibrator.calibrate(noisy).values - found.robot.values)[task.robot.free]
+    assert np.abs(difference / found.statistics.std).max() < 1e-3  # of a standard deviation
+
+
+def test_predicted_covariance_agrees_with_the_scatter_over_draws(task: Task, outcome: Outcome) -> None:
+    """The Mahalanobis distances of all draws add up to a chi-square of 28 degrees of freedom each."""
+    actual = task.robot.with_parameters(table1().actual)
+    free = task.robot.free
+    for s, pose_set in enumerate(task.sets):
+        jacobian = linearise(actual, actual.assemble(task.joints[pose_set.chosen])).jacobian[:, 0][..., free]
+        deviations = (outcome.values[:, s] - table1().actual)[:, free]
+        total = np.sum((deviations @ jacobian.reshape(-1, 28).T) ** 2) / SIGMA**2
+        n = 28 * DRAWS
+        assert abs(total - n) < 4 * np.sqrt(2 * n)
+
+
+def test_identification_reaches_the_floor_of_theory_and_does_not_fall_below(task: Task, outcome: Outcome) -> None:
+    actual = task.robot.with_parameters(table1().actual)
+    floors = error_floors(actual, task.joints, task.sets, SIGMA)
+    for s, pose_set in enumerate(task.sets):
+        squares = np.mean(outcome.distances[:, s, pose_set.others(420)] ** 2, axis=1)
+        assert abs(squares.mean() / floors[s] ** 2 - 1) < 4 * standard_error(squares) / floors[s] ** 2
+
+
+def test_poses_of_o1_beat_uniform_ones(task: Task, outcome: Outcome) -> None:
+    floors = error_floors(task.robot, task.joints, task.sets, SIGMA)
+    assert floors[0] < 0.92 * floors[1]
+    largest = np.stack([outcome.distances[:, s, p.others(420)].max(axis=1) for s, p in enumerate(task.sets)], axis=1)
+    ranking = rank(("O1", "uniform"), largest)
+    assert ranking.names == ("O1", "uniform")
+    assert ranking.steps[0] > 3
+    assert str(ranking) == "O1 < uniform"
+
+
+def test_the_same_seed_gives_the_same_numbers_whatever_the_number_of_processes(
+    task: Task, outcome: Outcome, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("medrue.draws.CHUNK", 2)
+    monkeypatch.setattr("medrue.study.INDICES", ("O1",))
+    few = Task(task.robot, task.joints, task.truth, task.sets, task.sigma, task.seeds[:4])
+    with Workers(2) as workers:
+        _, sets = choose_sets(task.robot, task.joints, workers, lambda done: None)
+        shared = run([few], workers, lambda done: None)[0]
+    assert [one.name for one in sets] == ["O1", "uniform"]
+    assert all(np.array_equal(one.chosen, other.chosen) for one, other in zip(sets, task.sets, strict=True))
+    assert np.array_equal(shared.values, outcome.values[:4])
+    assert np.array_equal(shared.distances, outcome.distances[:4])
+
+
+@pytest.fixture(scope="module")
+def small_study(task: Task, outcome: Outcome) -> Study:
+    """A study of two pose sets, put together from the draws above."""
+    chosen, others = task.sets[0].chosen, measurements(task.joints, task.truth, task.sets[0].others(420))
+    exact = fit(task.robot, measurements(task.joints, task.truth, chosen), validation=others, sigma=SIGMA)
+    noisy = measurements(task.joints, task.noisy(task.seeds[0]), chosen)
+    single = fit(task.robot, noisy, validation=others, sigma=SIGMA)
+    selections = {"O1": select(task.robot, task.joints, 84, "O1", sigma=SIGMA)}
+    floors = error_floors(exact.robot, task.joints, task.sets, SIGMA)
+    halves = tuple(Outcome(outcome.values[k::2], outcome.distances[k::2]) for k in (0, 1))
+    size = StudySize(DRAWS, 2, DRAWS // 2)
+    return Study(
+        task.robot, task.joints, task.truth, selections, task.sets, exact, single, outcome, halves, floors, 7, size
+    )
+
+
+def test_tables_stand_beside_the_papers_and_are_called_simulated(small_study: Study) -> None:
+    tables = {table.name: table for table in study_tables(small_study)}
+    assert set(tables) == {"table1", "table2", "floor", "observability"}
+    first = {column.header: column.values for column in tables["table1"].columns}
+    assert first["parameter"] == PARAMETERS
+    assert first["paper: with noise"][0] == pytest.approx(-231.815)
+    assert first["identified without noise"][0] == pytest.approx(-232.034, abs=1e-9)
+    assert first["predicted std"][PARAMETERS.index("d31")] is None
+    second = {column.header: column.values for column in tables["table2"].columns}
+    row = second["error [mm]"].index("mean, paper")
+    assert second["O1"][row] == error_table(2)["O1"]["mean"]
+    for table in tables.values():
+        assert "nan" not in table.csv()
+        json.dumps(table.to_dict(), allow_nan=False)
+    assert "simulated" in tables["table2"].csv()
+
+
+def test_findings_say_what_the_numbers_say(small_study: Study) -> None:
+    text = " ".join(study_findings(small_study))
+    assert "Without noise, all 28 parameters come back" in text
+    assert "O1 < uniform" in text
+    assert "nan" not in text
+
+
+def test_errors_before_are_those_of_the_nominal_robot(small_study: Study) -> None:
+    others = small_study.sets[0].others(420)
+    nominal = true_positions(small_study.joints, table1().nominal)[others]
+    errors = np.linalg.norm(nominal - small_study.truth[others], axis=1)
+    expected = (errors.mean(), errors.max(), errors.std(ddof=1), np.sqrt(np.mean(errors**2)))
+    assert small_study.before() == pytest.approx(expected, rel=1e-9)
+
+
+def test_rankings_tell_luck_from_difference() -> None:
+    generator = np.random.default_rng(3)
+    common = generator.normal(1.0, 0.5, 50)
+    errors = np.stack([common + 0.3, common, common + 1e-6 * generator.normal(size=50)], axis=1)
+    ranking = rank(("worse", "good", "alike"), errors)
+    assert ranking.names[2] == "worse"
+    assert str(ranking) in ("good ~ alike < worse", "alike ~ good < worse")
+    single = rank(("b", "a"), np.array([[2.0, 1.0]]))
+    assert str(single) == "a ~ b"
+    assert np.isnan(single.standard_errors).all()
+
+
+def test_agreement_is_one_for_the_same_order_and_minus_one_for_the_reverse() -> None:
+    assert agreement({"a": 1, "b": 2, "c": 3}, {"a": 10, "b": 20, "c": 30, "d": 0}) == pytest.approx(1.0)
+    assert agreement({"a": 1, "b": 2, "c": 3}, {"a": 3, "b": 2, "c": 1}) == pytest.approx(-1.0)
+
+
+def test_summary_is_mean_max_std_and_rms() -> None:
+    assert summary(np.array([1.0, 2.0, 6.0])) == pytest.approx((3.0, 6.0, np.sqrt(7.0), np.sqrt(41 / 3)))
+
+
+def test_tables_keep_all_digits_in_files_and_leave_unknown_cells_empty() -> None:
+    table = ResultTable("t", "title", (Column("name", ("a", "b")), Column("x [mm]", (1 / 3, None), 2)), ("note",))
+    assert table.csv() == "# title\n# note\nname,x [mm]\na,0.3333333333333333\nb,\n"
+    assert table.text() == "name  x [mm]\na       0.33\nb"
+    assert table.to_dict()["rows"] == [{"name": "a", "x [mm]": 1 / 3}, {"name": "b", "x [mm]": None}]
+    with pytest.raises(ValueError, match="different lengths"):
+        ResultTable("t", "title", (Column("a", ("x",)), Column("b", ())))

@@ -1,0 +1,180 @@
+"""CSV tables: what is read, and every mistake with its file, line and column."""
+
+import math
+
+import numpy as np
+import pytest
+
+from calib.errors import DataError
+from calib.tables import check_plausible, format_table, read_number, read_table
+
+
+@pytest.fixture
+def table_of(tmp_path):
+    """Write a file and read it as a table."""
+
+    def read(content, renamed=None):
+        path = tmp_path / "table.csv"
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return read_table(path, renamed)
+
+    return read
+
+
+def complaint(function, *arguments):
+    with pytest.raises(DataError) as caught:
+        function(*arguments)
+    return str(caught.value)
+
+
+def test_names_units_comments_and_lines_are_told_apart(table_of):
+    table = table_of("# first\nq1 [mm], q2,note\n\n1, 2,a\n # in between\n,,\n3,4,b\n")
+    assert table.names == ("q1", "q2", "note")
+    assert table.units == ("mm", None, None)
+    assert table.comments == ("first", "in between")
+    assert table.lines == (4, 7)
+    assert table.text("note") == ["a", "b"]
+    assert table.column("q1", "length").tolist() == [0.001, 0.003]
+    assert table.column("q2", "angle").tolist() == [2.0, 4.0]
+
+
+@pytest.mark.parametrize("ends", ["\n", "\r\n", "\r"])
+def test_line_ends_of_every_system_are_read(table_of, ends):
+    assert table_of(ends.join(["a,b", "1,2", "3,4"])).column("b", "length").tolist() == [2.0, 4.0]
+
+
+def test_a_byte_order_mark_is_not_part_of_the_first_name(table_of):
+    assert table_of(b"\xef\xbb\xbfa,b\n1,2\n").names == ("a", "b")
+
+
+def test_odd_separators_inside_a_cell_do_not_break_the_line(table_of):
+    table = table_of("note,x\nform\x0cfeed\x85next\u2028line,1\n")
+    assert table.lines == (2,)
+    assert table.column("x", "length").tolist() == [1.0]
+
+
+def test_quoted_cells_are_read_also_behind_a_blank(table_of):
+    table = table_of('"x, y", "z [mm]"\n"1", "2"\n')
+    assert table.names == ("x, y", "z")
+    assert table.column("z", "length").tolist() == [0.002]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "is empty; expected a header line and rows of numbers"),
+        ("# only a comment\n\n,,\n", "is empty; expected a header line and rows of numbers"),
+        ("a,b\n", "has a header but no rows"),
+        ("a;b\n1;2\n", "columns are separated by semicolons; use commas"),
+        ("a\tb\n1\t2\n", "columns are separated by tabs; use commas"),
+        ("a,b,a [mm]\n1,2,3\n", "column 'a' appears twice; names must be unique"),
+        ("a,,b\n1,2,3\n", "column 2 has no name in the header; name it, or remove it"),
+        ("a,[mm]\n1,2\n", "column 2 has no name in the header; name it, or remove it"),
+        ("a,b\n1,2\n3\n", "line 3: 1 cells for 2 columns"),
+        ("a,b\n1,5,2,5\n", "line 2: 4 cells for 2 columns; write decimals with a point"),
+        ('a,b\n1,"2\n3",4\n', "line 2: is not CSV (unexpected end of data)"),
+        (b"\xff\xfea\x00,\x00", "is not UTF-8 text; save it as CSV in UTF-8"),
+        ("a,b\n1,2\n".encode("utf-16"), "is not UTF-8 text; save it as CSV in UTF-8"),
+        (bytes(range(128, 256)), "is not UTF-8 text; save it as CSV in UTF-8"),
+    ],
+)
+def test_a_file_that_is_no_table_is_an_error_that_says_where(table_of, tmp_path, content, message):
+    assert complaint(table_of, content).removeprefix(f"{tmp_path / 'table.csv'}").lstrip(":, ") == message
+
+
+def test_a_missing_file_or_a_folder_is_an_error(tmp_path):
+    assert complaint(read_table, tmp_path / "no.csv") == f"{tmp_path / 'no.csv'}: no such file; give a CSV file"
+    assert complaint(read_table, tmp_path) == f"{tmp_path}: cannot be read (is a directory)"
+
+
+@pytest.mark.parametrize(
+    ("cell", "message"),
+    [
+        ("", "is empty; fill it in, or remove the row"),
+        ("  ", "is empty; fill it in, or remove the row"),
+        ("nan", "'nan' is not finite; remove the row"),
+        ("-inf", "'-inf' is not finite; remove the row"),
+        ("1e999", "'1e999' is not finite; remove the row"),
+        ("fast", "'fast' is not a number"),
+        ("1_000", "'1_000' is not a number"),  # Python's float() would read 1000
+        ("0x10", "'0x10' is not a number"),
+        ("12 mm", "'12 mm' is not a number"),
+        ('"1,5"', "'1,5' is not a number; write decimals with a point"),
+    ],
+)
+def test_a_cell_that_is_no_number_is_an_error_with_line_and_column(table_of, tmp_path, cell, message):
+    table = table_of(f"# comment\na,b\n1,2\n3,{cell}\n")
+    assert complaint(table.column, "b", "length") == f"{tmp_path / 'table.csv'}, line 4, column 'b': {message}"
+
+
+def test_a_long_cell_is_shortened_in_the_message():
+    assert len(complaint(read_number, "x" * 10_000, "here")) < 200
+
+
+def test_an_unknown_column_names_the_nearest(table_of):
+    assert complaint(table_of("tool_x,tool_y\n1,2\n").column, "tool_z", "length").endswith(
+        "no column 'tool_z'; did you mean 'tool_y'?"
+    )
+
+
+@pytest.mark.parametrize(
+    ("unit", "dimension", "message"),
+    [
+        ("furlong", "length", "column 'a': unknown unit 'furlong'; valid: m, mm, um"),
+        ("dge", "angle", "column 'a': unknown unit 'dge'; did you mean 'deg'?"),
+        ("deg", "length", "column 'a': unit 'deg' is for an angle; a length is expected (m, mm, um)"),
+    ],
+)
+def test_a_wrong_unit_names_the_column(table_of, unit, dimension, message):
+    assert complaint(table_of(f"a [{unit}]\n1\n").column, "a", dimension).endswith(message)
+
+
+def test_numbers_without_a_unit_that_cannot_be_si_are_refused(table_of):
+    table = table_of("q,x,far [m]\n1.0,0.3,300\n-90,412.7,400\n")
+    message = complaint(table.column, "q", "angle")
+    assert message.endswith(
+        "line 3, column 'q': -90 rad is not plausible; write the unit into the header: deg, or rad if it is right"
+    )
+    message = complaint(table.column, "x", "length")
+    assert message.endswith(
+        "line 3, column 'x': 412.7 m is not plausible; write the unit into the header: mm, or m if it is right"
+    )
+    assert table.column("far", "length").tolist() == [300.0, 400.0]
+
+
+def test_the_limits_of_plausible_leave_room_for_real_robots():
+    check_plausible(4 * math.pi, "angle", "here", "there")  # a last joint of two turns either way
+    check_plausible(50.0, "length", "here", "there")  # a tracker across a hall
+
+
+def test_foreign_columns_are_renamed_and_their_own_unit_counts(table_of):
+    renamed = {"x1": "tool_x [mm]", "j 1": "q1"}
+    table = table_of("x1,j 1 [deg]\n5,180\n", renamed)
+    assert table.names == ("tool_x", "q1")
+    assert table.column("tool_x", "length").tolist() == [0.005]
+    assert table.column("q1", "angle").tolist() == [math.pi]
+    assert table_of("x1 [um]\n5\n", renamed).column("tool_x", "length").tolist() == [5e-6]
+
+
+def test_a_foreign_column_that_becomes_one_that_is_there_is_a_duplicate(table_of):
+    assert complaint(table_of, "x1,tool_x\n1,2\n", {"x1": "tool_x"}).endswith(
+        "column 'tool_x' appears twice; names must be unique"
+    )
+
+
+def test_what_is_written_reads_back_exactly(tmp_path):
+    generator = np.random.default_rng(1)
+    numbers = np.concatenate([generator.normal(size=50) * 10.0 ** generator.integers(-12, 2, 50), [0.0, -0.0, 1 / 3]])
+    names = ["plain", "with, comma", 'with "quotes"', "#1", " # 2", "[a]"] + [f"n{k}" for k in range(len(numbers) - 6)]
+    text = format_table([("name, odd", names), ("x [m]", list(numbers))], ("a comment",))
+    path = tmp_path / "written.csv"
+    path.write_text(text)
+    table = read_table(path)
+    assert table.comments == ("a comment",)
+    assert table.text("name, odd") == [name.strip() for name in names]
+    assert table.column("x", "length").tolist() == numbers.tolist()
+
+
+def test_columns_of_different_length_cannot_be_written():
+    with pytest.raises(ValueError):
+        format_table([("a", [1.0]), ("b", [1.0, 2.0])])

@@ -1,0 +1,82 @@
+"""Units: every one of the contract's converts, and whatever else is given is an error that says what would be right."""
+
+import math
+
+import pytest
+
+from calib.errors import InputError
+from calib.units import per_si, quantity, split_column, to_unit
+
+
+@pytest.mark.parametrize(
+    ("text", "dimension", "expected"),
+    [
+        ("178 mm", "length", 0.178),  # exactly the float nearest to 0.178: the reason why the table holds units per SI
+        ("40um", "length", 40e-6),
+        ("-1.5e-3 m", "length", -1.5e-3),
+        ("0.25", "length", 0.25),
+        (3, "length", 3.0),
+        (0.1, "angle", 0.1),
+        ("180 deg", "angle", math.pi),
+        ("+90. deg", "angle", math.pi / 2),
+        (".5 mrad", "angle", 0.5e-3),
+        ("1 rad", "angle", 1.0),
+    ],
+)
+def test_a_quantity_is_read_exactly_in_si(text, dimension, expected):
+    assert quantity(text, dimension, "here") == expected
+
+
+@pytest.mark.parametrize(
+    ("value", "dimension", "message"),
+    [
+        ("1 deg", "length", "here: unit 'deg' is for an angle; a length is expected (m, mm, um)"),
+        ("1 mm", "angle", "here: unit 'mm' is for a length; an angle is expected (rad, deg, mrad)"),
+        ("1 inch", "length", "here: unknown unit 'inch'; valid: m, mm, um"),
+        ("1 degs", "angle", "here: unknown unit 'degs'; did you mean 'deg'?"),
+        ("1 MM", "length", "here: unknown unit 'MM'; valid: m, mm, um"),
+    ],
+)
+def test_a_wrong_unit_is_an_error_with_the_valid_ones(value, dimension, message):
+    with pytest.raises(InputError) as caught:
+        quantity(value, dimension, "here")
+    assert str(caught.value) == message
+
+
+@pytest.mark.parametrize(
+    "value",
+    ["", "mm", "1,5 mm", "1 2 mm", "nan", "inf mm", "1e999 mm", float("nan"), math.inf, 10**400, True, None, []],
+)
+def test_what_is_no_finite_number_is_an_error(value):
+    with pytest.raises(InputError, match=r"here: .* is not a finite number with a unit, such as '0.04 mm'"):
+        quantity(value, "length", "here")
+
+
+def test_no_unit_means_si():
+    assert per_si(None, "length", "here") == 1.0
+    assert per_si("", "angle", "here") == 1.0
+
+
+@pytest.mark.parametrize(
+    ("header", "expected"),
+    [
+        ("q1", ("q1", None)),
+        (" tool_x  [mm] ", ("tool_x", "mm")),
+        ("q2[deg]", ("q2", "deg")),
+        ("q2 [ deg ]", ("q2", "deg")),
+        ("q2 []", ("q2", "")),
+        ("joint[1] [rad]", ("joint[1]", "rad")),
+        ("left arm q", ("left arm q", None)),
+        ("q2 [deg", ("q2 [deg", None)),
+        ("", ("", None)),
+    ],
+)
+def test_a_header_is_a_name_and_perhaps_a_unit(header, expected):
+    assert split_column(header) == expected
+
+
+def test_to_unit_is_the_inverse_of_reading():
+    for unit, dimension in (("mm", "length"), ("um", "length"), ("deg", "angle"), ("mrad", "angle")):
+        assert quantity(f"{to_unit(0.123, unit, dimension)!r} {unit}", dimension, "here") == pytest.approx(
+            0.123, rel=1e-15
+        )

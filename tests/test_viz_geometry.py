@@ -1,0 +1,135 @@
+"""Shapes from URDFs: primitives, meshes, and stand-ins that are announced."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import calib
+import medrue
+from viz.geometry import GREY, mesh, primitive, read_shapes, rotation_onto_z, thinned
+
+URDF = """<robot name="arm">
+ <material name="red"><color rgba="1 0 0 1"/></material>
+ <link name="root">{root}</link>
+ <link name="upper">{upper}</link>
+ <link name="tip"/>
+ <joint name="a" type="revolute"><parent link="root"/><child link="upper"/><origin xyz="0 0 0.3"/><axis xyz="0 1 0"/>
+  <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+ <joint name="b" type="fixed"><parent link="upper"/><child link="tip"/><origin xyz="0.4 0 0"/></joint>
+</robot>"""
+
+
+def visual(geometry, material="", origin='<origin xyz="0 0 0.1" rpy="0 0 0"/>'):
+    return f"<visual>{origin}<geometry>{geometry}</geometry>{material}</visual>"
+
+
+def robot(tmp_path, root="", upper=""):
+    path = tmp_path / "arm.urdf"
+    path.write_text(URDF.format(root=root, upper=upper))
+    return calib.load(path)
+
+
+def test_primitives_keep_size_place_and_colour(tmp_path):
+    shapes, notes = read_shapes(
+        robot(
+            tmp_path,
+            visual('<box size="1 2 3"/>', '<material name="red"/>'),
+            visual('<cylinder radius="0.1" length="0.5"/>') + visual('<sphere radius="0.2"/>'),
+        )
+    )
+    assert notes == ()
+    assert [(shape.kind, shape.size, shape.body) for shape in shapes] == [
+        ("box", (1.0, 2.0, 3.0), "root"),
+        ("cylinder", (0.1, 0.5), "upper"),
+        ("sphere", (0.2,), "upper"),
+    ]
+    assert shapes[0].colour == (1.0, 0.0, 0.0, 1.0)
+    assert shapes[1].colour == GREY
+    np.testing.assert_allclose(shapes[0].T_body_shape[:3, 3], [0, 0, 0.1])
+
+
+def test_meshes_are_loaded_with_their_scale(tmp_path):
+    trimesh.creation.box((1.0, 2.0, 4.0)).export(tmp_path / "block.stl")
+    shapes, notes = read_shapes(robot(tmp_path, visual('<mesh filename="block.stl" scale="0.1 0.1 0.5"/>')))
+    assert notes == ()
+    assert [shape.kind for shape in shapes] == ["mesh"]
+    np.testing.assert_allclose(np.ptp(shapes[0].vertices, axis=0), [0.1, 0.2, 2.0], rtol=1e-6)
+
+
+def test_a_missing_mesh_is_announced_and_drawn_with_rods(tmp_path):
+    shapes, notes = read_shapes(robot(tmp_path, visual('<box size="1 1 1"/>'), visual('<mesh filename="lost.stl"/>')))
+    assert len(notes) == 1
+    assert "link 'upper'" in notes[0]
+    assert "lost.stl" in notes[0]
+    rods = [shape for shape in shapes if shape.body == "upper"]
+    assert rods
+    rod = next(shape for shape in rods if "rod" in shape.name)
+    ends = rod.T_body_shape @ np.array([[0, 0, -0.2, 1], [0, 0, 0.2, 1]]).T
+    np.testing.assert_allclose(ends[:3].T, [[0, 0, 0], [0.4, 0, 0]], atol=1e-12)
+
+
+@pytest.mark.parametrize("content", [b"", b"solid nothing", b"\x00" * 90])
+def test_a_broken_mesh_is_announced_and_drawn_with_rods(tmp_path, content):
+    (tmp_path / "broken.stl").write_bytes(content)
+    shapes, notes = read_shapes(robot(tmp_path, "", visual('<mesh filename="broken.stl"/>')))
+    assert len(notes) == 1
+    assert any(shape.body == "upper" for shape in shapes)
+
+
+def test_a_shape_that_the_reader_does_not_know_is_announced(tmp_path):
+    shapes, notes = read_shapes(robot(tmp_path, visual('<capsule radius="1" length="2"/>')))
+    assert "capsule" in notes[0]
+    assert shapes
+
+
+def test_a_urdf_without_shapes_is_drawn_with_rods(tmp_path):
+    shapes, notes = read_shapes(robot(tmp_path))
+    assert "has no shapes" in notes[0]
+    assert {shape.body for shape in shapes} >= {"root", "upper"}
+
+
+def test_medrue_has_its_rail_carriage_five_bars_support_and_reflector():
+    shapes, notes = read_shapes(calib.load(medrue.robot_file()))
+    assert notes == ()
+    bodies = {shape.body for shape in shapes}
+    assert {"base", "carriage", "probe_support", "tool"} <= bodies
+    assert {
+        f"{kind}_{letter}{number}"
+        for number in (1, 2)
+        for kind, letter in (("proximal", "A"), ("proximal", "C"), ("distal", "B"), ("distal", "D"))
+    } <= bodies
+    reflector = next(shape for shape in shapes if shape.body == "tool" and shape.kind == "sphere")
+    assert reflector.size[0] == pytest.approx(0.01905)  # 1.5 inch
+
+
+def test_corners_enclose_a_turned_shape():
+    T = np.eye(4)
+    T[:3, :3] = rotation_onto_z(np.array([1.0, 0.0, 0.0]))
+    T[:3, 3] = [1, 2, 3]
+    corners = primitive("c", "root", "cylinder", (0.1, 2.0), T).corners()
+    np.testing.assert_allclose(corners.min(axis=0), [0, 1.9, 2.9], atol=1e-12)
+    np.testing.assert_allclose(corners.max(axis=0), [2, 2.1, 3.1], atol=1e-12)
+
+
+def test_corners_enclose_a_mesh():
+    tetrahedron = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]])
+    corners = mesh("m", None, tetrahedron, np.array([[0, 1, 2]])).corners()
+    np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], [[0, 0, 0], [1, 2, 3]])
+
+
+def test_the_rotation_onto_a_direction_is_a_rotation():
+    for direction in np.vstack([np.eye(3), -np.eye(3), np.random.default_rng(1).normal(size=(20, 3))]):
+        unit = direction / np.linalg.norm(direction)
+        R = rotation_onto_z(unit)
+        np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-14)
+        np.testing.assert_allclose(R[:, 2], unit, atol=1e-14)
+        assert np.linalg.det(R) == pytest.approx(1.0)
+
+
+def test_thinning_keeps_the_outline_and_the_limit():
+    ball = trimesh.creation.icosphere(subdivisions=5)
+    vertices, faces = thinned(ball.vertices, ball.faces, 3000)
+    assert 200 < len(faces) <= 3000
+    np.testing.assert_allclose(np.ptp(vertices, axis=0), [2, 2, 2], atol=0.1)  # a grid cell is about 0.06
+    same = thinned(ball.vertices, ball.faces, len(ball.faces))
+    assert same[1] is ball.faces

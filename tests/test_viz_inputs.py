@@ -1,0 +1,66 @@
+"""From a robot, a fit or its folder, and measurements to a scene."""
+
+import numpy as np
+import pytest
+from viz_examples import measurements, medrue_fit, medrue_robot
+
+import calib
+from calib.errors import DataError, InputError
+from viz.inputs import gather
+
+ARM = """<robot name="arm"><link name="root"/><link name="l1"/><link name="l2"/><link name="tip"/>
+ <joint name="a" type="revolute"><parent link="root"/><child link="l1"/><origin xyz="0 0 {height}"/><axis xyz="0 0 1"/>
+  <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+ <joint name="b" type="revolute"><parent link="l1"/><child link="l2"/><origin xyz="0.5 0 0"/><axis xyz="0 1 0"/>
+  <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+ <joint name="c" type="fixed"><parent link="l2"/><child link="tip"/><origin xyz="0.4 0 0.1"/></joint></robot>"""
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return medrue_fit()
+
+
+def test_a_folder_shows_the_same_as_the_fit_that_was_saved(fit, tmp_path):
+    fit.save(str(tmp_path / "out"))
+    from_fit, from_folder = gather(medrue_robot(), fit), gather(medrue_robot(), tmp_path / "out")
+    a, b = from_fit.scene, from_folder.scene
+    np.testing.assert_allclose(b.solid.values, a.solid.values, atol=1e-9)
+    np.testing.assert_allclose(b.ghost.values, a.ghost.values, atol=1e-9)
+    np.testing.assert_allclose(b.poses.error("after"), a.poses.error("after"), atol=1e-12)
+    assert b.states == ("before", "after")
+
+
+def test_measurements_alone_show_the_nominal_errors():
+    data = measurements(range(0, 420, 60))
+    shown = gather(medrue_robot(), None, data)
+    assert shown.scene.states == ("before",)
+    assert shown.ghost is None
+    np.testing.assert_allclose(shown.scene.poses.sigma, 4e-5)  # the description states it
+
+
+def test_a_robot_whose_base_is_unknown_is_placed_before_it_is_judged(tmp_path):
+    true_path, path = tmp_path / "true.urdf", tmp_path / "arm.urdf"
+    path.write_text(ARM.format(height="0.3"))
+    true_path.write_text(ARM.format(height="0.3"))
+    robot = calib.load(path)
+    base = robot.mechanism.origin_names[robot.mechanism.targets[0].a - 1]
+    moved = robot.with_parameters({f"{base}.x": 3.0, f"{base}.rz": 0.7})
+    q = np.random.default_rng(0).uniform(-1, 1, (12, 2))
+    names = tuple(map(str, range(12)))
+    data = calib.Measurements(
+        q, names, names, "memory", (), moved.positions(q), np.ones(12, dtype=np.intp), np.full((12, 1, 3), np.nan)
+    )
+    scene = gather(robot, None, data).scene
+    np.testing.assert_allclose(scene.poses.error("before"), 0.0, atol=1e-9)
+
+
+def test_a_folder_without_a_result_and_a_fit_of_another_robot_are_refused(fit, tmp_path):
+    with pytest.raises(DataError, match="holds no result"):
+        gather(medrue_robot(), tmp_path)
+    (tmp_path / "arm.urdf").write_text(ARM.format(height="0.3"))
+    with pytest.raises(InputError, match="another robot"):
+        gather(calib.load(tmp_path / "arm.urdf"), fit)
+    fit.save(str(tmp_path / "out"))
+    with pytest.raises(DataError, match="another robot"):
+        gather(calib.load(tmp_path / "arm.urdf"), tmp_path / "out")

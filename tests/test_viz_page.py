@@ -1,0 +1,160 @@
+"""The page: self-contained, escaped, the same bytes for the same scene, and true to the numbers it was given."""
+
+import base64
+import json
+import re
+
+import numpy as np
+import pytest
+import umsgpack
+
+import calib
+import medrue
+import viz
+from calib.errors import InputError
+from medrue.paper_tables import table1
+from medrue.workspace import target_workspace
+from viz.drawing import draw
+from viz.poses import PoseTable
+from viz.scene import build_scene
+from viz.viewer_page import Page, in_script, json_in_script, ranges, scene_data, scene_page, summary
+
+HOSTILE = "</script><img src=x onerror=alert(1)>"
+
+
+@pytest.fixture(scope="module")
+def scene():
+    nominal = calib.load(medrue.robot_file())
+    calibrated = nominal.with_parameters(dict(zip(table1().names, table1().actual, strict=True)))
+    q = target_workspace().q[::40]
+    n = len(q)
+    before, after = (robot.positions(q)[:, 0] for robot in (nominal, calibrated))
+    measured = after + np.random.default_rng(3).normal(0, 4e-5, after.shape)
+    table = PoseTable(
+        q,
+        measured,
+        before,
+        after,
+        np.full(n, 4e-5),
+        np.full((n, 3), 2e-5),
+        ("identification",) * 5 + ("validation",) * (n - 5),
+        np.arange(n) == 2,
+        (HOSTILE, *map(str, range(1, n))),
+        ("tool",) * n,
+    )
+    return build_scene(nominal, calibrated, table)
+
+
+def scene_of(page):
+    return json.loads(re.search(r'<script type="application/json" id="scene">(.*?)</script>', page.html, re.S).group(1))
+
+
+def floats(text):
+    return np.frombuffer(base64.b64decode(text), dtype="<f8")
+
+
+def test_the_page_holds_the_numbers(scene):
+    data = scene_of(scene_page(scene))
+    table = scene.poses
+    for name, values in (
+        ("measured", table.measured),
+        ("before", table.error("before")),
+        ("after", table.error("after")),
+        ("joints", table.joints),
+        ("spread", table.spread),
+    ):
+        np.testing.assert_array_equal(floats(data["table"][name]).reshape(values.shape), values)
+    group = np.frombuffer(base64.b64decode(data["table"]["group"]), dtype=np.uint8)
+    assert group.tolist() == [0, 0, 3, 0, 0, *[1] * (len(table) - 5)]
+    assert data["table"]["labels"][0] == HOSTILE
+
+
+def test_nothing_from_files_can_leave_its_place(scene):
+    html = scene_page(scene).html
+    assert "onerror=alert" not in html.replace("\\u003cimg src=x onerror=alert(1)\\u003e", "")
+    assert html.count("<script") == html.count("</script>")
+
+
+def test_the_page_asks_nobody(scene):
+    html = scene_page(scene).html
+    assert "connect-src 'none'" in html
+    assert "default-src 'none'" in html
+    outside_scripts = re.sub(r"<script.*?</script>", "", html, flags=re.S)
+    assert not re.search(r"""(?:src|href|url)\s*[=(]\s*(?!["']?data:)""", outside_scripts)
+
+
+def test_the_same_scene_gives_the_same_bytes(scene):
+    assert scene_page(scene).html == scene_page(scene).html
+
+
+def test_the_scripts_licence_travels_along(scene):
+    assert "Three.js Authors" in scene_page(scene).html
+
+
+def test_five_thousand_poses_stay_small(scene):
+    assert len(scene_page(scene).html) < 1.2e6
+    per_pose = sum(len(text) for text in (scene_data(scene)["solid"]["values"], scene_data(scene)["ghost"]["values"]))
+    assert per_pose / len(scene.poses) < 150  # bytes of joint values of both robots, base64
+
+
+def test_a_saved_page_reads_back(tmp_path, scene):
+    page = scene_page(scene)
+    assert page.save(tmp_path / "viewer.html").read_text(encoding="utf-8") == page.html
+    with pytest.raises(InputError, match="cannot be written"):
+        page.save(tmp_path / "no" / "viewer.html")
+
+
+def test_a_notebook_shows_the_page_in_a_frame_of_its_own():
+    shown = Page('<p class="a">&</p>')._repr_html_()
+    assert 'srcdoc="&lt;p class=&quot;a&quot;&gt;&amp;&lt;/p&gt;"' in shown
+
+
+def test_summary_and_ranges_are_in_their_units(scene):
+    rows = {row["group"]: row for row in summary(scene)}
+    lengths = 1e3 * np.linalg.norm(scene.poses.error("after")[:5], axis=1)
+    assert rows["identification"]["after"] == {
+        "mean": pytest.approx(lengths.mean()),
+        "max": pytest.approx(lengths.max()),
+    }
+    assert rows["validation"]["count"] == len(scene.poses) - 5
+    assert "measured" not in rows
+    found = ranges(scene)
+    assert found["after"][1] == pytest.approx(np.linalg.norm(scene.poses.error("after"), axis=1).max())
+    assert 0 < found["both"][0] < found["after"][1] < found["both"][1]
+
+
+def test_code_cannot_end_its_script():
+    assert in_script('a = "</script>"; b = "<!--";') == 'a = "<\\/script>"; b = "<\\!--";'
+    text = json_in_script({"name": "</script>&\u2028"})
+    assert not set("<>&\u2028") & set(text)
+    assert json.loads(text) == {"name": "</script>&\u2028"}
+
+
+def test_the_commands_draw_every_shape_under_its_link(scene):
+    commands = [umsgpack.unpackb(command) for command in draw(scene)]
+    drawn = [command for command in commands if command["type"] == "set_object"]
+    assert len(drawn) == len(scene.shapes) + len(scene.decorations)
+    paths = {command["path"] for command in drawn}
+    assert any(re.fullmatch(r"/meshcat/robot/\d+ carriage/\d+", path) for path in paths)
+    assert len(paths) == len(drawn)
+    assert all(len(command["matrix"]) == 16 for command in commands if command["type"] == "set_transform")
+
+
+def test_cylinders_lie_along_their_z_axis(scene):
+    commands = {
+        command["path"]: command for command in map(umsgpack.unpackb, draw(scene)) if command["type"] == "set_transform"
+    }
+    number = next(k for k, shape in enumerate(scene.shapes) if shape.kind == "cylinder")
+    T = np.reshape(next(c for path, c in commands.items() if path.endswith(f"/{number}"))["matrix"], (4, 4)).T
+    np.testing.assert_allclose(T[:3, 1], scene.shapes[number].T_body_shape[:3, 2], atol=1e-15)  # meshcat's axis is y
+
+
+def test_a_missing_mesh_warns_in_python(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text("""<robot name="arm">
+     <link name="root"><visual><geometry><mesh filename="lost.stl"/></geometry></visual></link>
+     <link name="tip"/><joint name="a" type="revolute"><parent link="root"/><child link="tip"/><origin xyz="1 0 0"/>
+     <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>""")
+    with pytest.warns(viz.PictureWarning, match="lost.stl"):
+        page = viz.page(calib.load(path))
+    assert "lost.stl" in scene_of(page)["notes"][0]

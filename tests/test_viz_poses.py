@@ -1,0 +1,147 @@
+"""The pose table: from fits, folders and measurements; errors, uncertainty and suspected outliers."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from viz_examples import measurements, medrue_fit, medrue_robot
+
+import calib
+from calib.errors import DataError
+from viz import poses
+from viz.poses import PoseTable, suspects
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return medrue_robot()
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return medrue_fit()
+
+
+def small(**changes):
+    n = 4
+    values = {
+        "joints": np.zeros((n, 2)),
+        "measured": np.zeros((n, 3)),
+        "before": np.ones((n, 3)),
+        "after": np.full((n, 3), 1e-3),
+        "sigma": np.full(n, 1e-3),
+        "spread": np.zeros((n, 3)),
+        "group": ("identification",) * n,
+        "outlier": np.zeros(n, dtype=bool),
+        "labels": ("1", "2", "3", "4"),
+        "targets": ("tool",) * n,
+    }
+    return PoseTable(**(values | changes))
+
+
+def test_the_table_of_a_fit_holds_its_errors(fit):
+    table = poses.from_fit(fit)
+    assert len(table) == 84 + 47
+    assert table.group.count("identification") == 84
+    np.testing.assert_allclose(table.error("before")[:84], fit.identification.before[:, 0], atol=1e-15)
+    np.testing.assert_allclose(table.error("after")[84:], fit.validation.after[:, 0], atol=1e-15)
+
+
+def test_predictions_of_a_fit_agree_with_the_robots(fit):
+    table = poses.from_fit(fit)
+    np.testing.assert_allclose(table.after, fit.robot.positions(table.joints)[:, 0], atol=1e-10)
+    np.testing.assert_allclose(table.before, fit.nominal.positions(table.joints)[:, 0], atol=1e-10)
+
+
+def test_the_spread_of_predictions_agrees_with_random_parameters(fit):
+    table = poses.from_fit(fit)
+    generator = np.random.default_rng(0)
+    draws = generator.multivariate_normal(np.zeros(int(fit.free.sum())), fit.statistics.covariance, size=300)
+    values = fit.robot.values + np.zeros((300, len(fit.free)))
+    values[:, fit.free] += draws
+    q = table.joints[:3]
+    cloud = np.array([fit.robot.with_parameters(row).positions(q)[:, 0] for row in values])
+    # 300 draws give a standard deviation to 4 %; four of these sigmas
+    np.testing.assert_allclose(cloud.std(axis=0, ddof=1), table.spread[:3], rtol=0.17)
+
+
+def test_good_data_show_no_outliers_and_a_wrong_reading_is_found(robot, fit):
+    assert poses.from_fit(fit).outlier.sum() <= 1
+    data = measurements(np.arange(0, 420, 5))
+    positions = data.positions.copy()
+    positions[10, 0, 2] += 1e-3
+    spoiled = calib.fit(robot, dataclasses.replace(data, positions=positions))
+    assert np.flatnonzero(poses.from_fit(spoiled).outlier).tolist() == [10]
+
+
+def test_the_limit_for_suspects_gives_the_promised_false_alarms():
+    generator = np.random.default_rng(5)
+    alarms = sum(bool(suspects(generator.normal(size=(100, 3))).any()) for _ in range(1000))
+    assert abs(alarms - 50) < 4 * np.sqrt(1000 * 0.05 * 0.95)
+
+
+def test_unknown_residuals_are_never_suspects():
+    assert not suspects(np.full((5, 3), np.nan)).any()
+    assert not small(sigma=np.zeros(4)).with_suspects().outlier.any()
+    assert (
+        not small(group=("validation",) * 4, spread=np.full((4, 3), np.nan), after=np.ones((4, 3)))
+        .with_suspects()
+        .outlier.any()
+    )
+
+
+def test_residuals_over_an_unknown_sigma_are_unknown():
+    assert np.isnan(small(sigma=np.array([0.0, np.nan, 1e-3, 1e-3])).over_sigma()[:2]).all()
+    np.testing.assert_allclose(small().over_sigma(), 1.0)
+
+
+def test_a_result_folder_gives_the_same_table(tmp_path, robot, fit):
+    fit.save(str(tmp_path / "out"))
+    saved, table = poses.from_result(tmp_path / "out", robot), poses.from_fit(fit)
+    assert saved.group == table.group
+    assert saved.labels == table.labels
+    for name in ("joints", "measured", "before", "after", "sigma"):
+        np.testing.assert_allclose(getattr(saved, name), getattr(table, name), rtol=1e-9, atol=1e-12)
+    assert np.isnan(saved.spread).all()
+
+
+def test_a_folder_without_residuals_is_an_error(tmp_path, robot):
+    with pytest.raises(DataError, match=r"residuals\.csv"):
+        poses.from_result(tmp_path, robot)
+    (tmp_path / "residuals.csv").write_text("set,pose\nidentification,1\n")
+    with pytest.raises(DataError, match="no column 'target'"):
+        poses.from_result(tmp_path, robot)
+
+
+def test_measurements_without_a_calibrated_robot_have_no_error_after(robot):
+    data = measurements(np.arange(4))
+    table = poses.from_measurements(data, robot, None, float("nan"))
+    assert np.isnan(table.after).all()
+    np.testing.assert_allclose(table.before, robot.positions(data.joints)[:, 0])
+    assert set(table.group) == {"measured"}
+
+
+def test_tables_are_read_only_copies():
+    measured = np.zeros((4, 3))
+    table = small(measured=measured)
+    measured[0] = 1.0
+    assert np.all(table.measured == 0)
+    with pytest.raises(ValueError, match="read-only"):
+        table.measured[0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"measured": np.zeros((3, 3))}, "'measured' has shape"),
+        ({"group": ("identification", "validation", "other", "measured")}, "unknown group 'other'"),
+        ({"targets": ("tool",)}, "4 rows"),
+    ],
+)
+def test_tables_that_do_not_fit_together_are_refused(change, message):
+    with pytest.raises(DataError, match=message):
+        small(**change)
+
+
+def test_an_empty_table_has_the_robots_joints(robot):
+    assert poses.empty(robot).joints.shape == (0, 6)

@@ -1,0 +1,179 @@
+"""The live server: this computer only, no stranger, never waits, ends with its process and frees its port."""
+
+import http.client
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import psutil
+import pytest
+
+from calib.errors import InputError
+from viz.server import PageServer
+
+
+@pytest.fixture
+def server():
+    served = PageServer("<p>page ü</p>")
+    yield served
+    served.close()
+
+
+def get(server, path, host=None):
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=5)
+    try:
+        connection.request("GET", path, headers={} if host is None else {"Host": host})
+        answer = connection.getresponse()
+        return answer.status, answer.read()
+    finally:
+        connection.close()
+
+
+def path_of(server):
+    return server.url.split(str(server.port), 1)[1]
+
+
+def listen(server):
+    """Connect like a browser that listens to events."""
+    connection = socket.create_connection(("127.0.0.1", server.port), timeout=5)
+    connection.sendall(f"GET {path_of(server)}events HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\n\r\n".encode())
+    received = b""
+    while b"\r\n\r\n" not in received:
+        received += connection.recv(4096)
+    return connection, received.split(b"\r\n\r\n", 1)[1]
+
+
+def read_until(connection, received, wanted):
+    while wanted not in received:
+        received += connection.recv(4096)
+    return received
+
+
+def until(condition, seconds=5.0):
+    end = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.02)
+    return condition()
+
+
+def test_it_serves_the_page(server):
+    assert get(server, path_of(server)) == (200, "<p>page ü</p>".encode())
+
+
+def test_it_listens_on_this_computer_only(server):
+    listening = [c.laddr for c in psutil.Process().net_connections("inet") if c.status == psutil.CONN_LISTEN]
+    assert {place.ip for place in listening if place.port == server.port} == {"127.0.0.1"}
+
+
+def test_the_address_must_be_known(server):
+    assert get(server, "/")[0] == 404
+    assert get(server, "/events")[0] == 404
+    assert get(server, path_of(server) + "../../etc/passwd")[0] == 404
+    other = PageServer("")
+    assert path_of(server) != path_of(other)
+    other.close()
+
+
+def test_requests_in_the_name_of_another_host_are_refused(server):
+    assert get(server, path_of(server), host="evil.example")[0] == 403
+    assert get(server, path_of(server), host=f"localhost:{server.port}")[0] == 200
+
+
+def test_messages_reach_every_browser_and_later_ones_get_the_state(server):
+    first, received = listen(server)
+    assert server.wait_for_browser(5)
+    server.send("pose", "1", keep="pose")
+    server.send("pose", "2", keep="pose")
+    server.send("note", "gone")
+    assert b"data: gone" in read_until(first, received, b"data: gone\n\n")
+    second, received = listen(server)
+    received = read_until(second, received, b"data: 2\n\n")
+    assert b"data: 1" not in received
+    assert b"gone" not in received
+    first.close()
+    second.close()
+
+
+def test_forgotten_messages_are_not_sent(server):
+    server.send("command", "a", keep="draw:/x/1")
+    server.send("command", "b", keep="draw:/y/1")
+    server.forget("draw:/x/")
+    connection, received = listen(server)
+    assert b"data: a" not in read_until(connection, received, b"data: b\n\n")
+    connection.close()
+
+
+def test_nobody_listening_is_no_problem(server):
+    assert not server.wait_for_browser(0.01)
+    server.send("pose", "1")
+
+
+def test_a_closed_browser_is_noticed_and_never_waited_for(server):
+    connection, _ = listen(server)
+    assert until(lambda: server.n_browsers == 1)
+    connection.close()
+    started = time.monotonic()
+    for pose in range(20000):
+        server.send("pose", str(pose))
+    assert time.monotonic() - started < 5
+    assert until(lambda: server.n_browsers == 0)
+
+
+def test_a_browser_that_does_not_read_is_dropped(server):
+    connection, _ = listen(server)
+    assert until(lambda: server.n_browsers == 1)
+    for _ in range(6000):
+        server.send("pose", "x" * 1000)
+    assert until(lambda: server.n_browsers == 0)
+    connection.close()
+
+
+def test_closing_frees_the_port_and_may_be_repeated(server):
+    port = server.port
+    connection, _ = listen(server)
+    server.close()
+    server.close()
+    connection.settimeout(5)
+    assert connection.recv(10) == b""
+    connection.close()
+    server.send("pose", "1")  # goes nowhere
+    again = PageServer("", port)
+    again.close()
+
+
+def test_a_taken_port_is_an_error_that_says_so(server):
+    with pytest.raises(InputError, match=f"port {server.port} cannot be used"):
+        PageServer("", server.port)
+    with pytest.raises(InputError, match="port 99999"):
+        PageServer("", 99999)
+
+
+@pytest.mark.parametrize("end", ["SIGTERM", "SIGKILL", "_exit"])
+def test_it_ends_with_its_process(end):
+    program = (
+        "import os, sys, time\nfrom viz.server import PageServer\nserver = PageServer('x')\n"
+        "print(server.port, flush=True)\nsys.stdin.readline()\nos._exit(3)"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        port = int(process.stdout.readline())
+        socket.create_connection(("127.0.0.1", port), timeout=5).close()
+        if end == "_exit":
+            process.stdin.write("\n")
+            process.stdin.flush()
+        else:
+            os.kill(process.pid, getattr(signal, end))
+        process.wait(10)
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(("127.0.0.1", port), timeout=5)
+        PageServer("", port).close()
+    finally:
+        process.kill()
+        process.wait()
+        process.stdin.close()
+        process.stdout.close()

@@ -1,0 +1,73 @@
+"""Pictures of what calib knows: a viewer in the browser, live or as a file, and a report to print.
+
+* `viz.show(robot, result)`: live, in a browser on this computer.
+* `viz.page(robot, result).save("viewer.html")`: one file that opens without a server; it shows itself in a notebook.
+* `viz.report(result).save("report.html")`: one file to read and to print.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from calib import Fit, Measurements, Robot
+    from viz.inputs import Result
+    from viz.live import LiveViewer
+    from viz.viewer_page import Page
+
+__all__ = ["PictureWarning", "page", "report", "show"]
+
+
+class PictureWarning(UserWarning):
+    """The picture is not as the URDF asks, such as where a mesh is missing."""
+
+
+def show(robot: Robot, result: Result | None = None, *, data: Measurements | None = None, port: int = 0) -> LiveViewer:
+    """Show a robot and its calibration live: open `.url` of what is returned in a browser on this computer.
+
+    Args:
+        robot: The nominal robot.
+        result: A fit, or the folder that one was saved to.
+        data: Measurements to judge the robots with, instead of those of the fit.
+        port: Port to listen on, on this computer only; 0 for any free one.
+
+    Raises:
+        DataError: The folder holds no result of this robot.
+        UnreachablePoseError: A pose cannot be assembled.
+        InputError: The port is taken.
+    """
+    from viz.inputs import gather
+    from viz.live import LiveViewer
+
+    viewer = LiveViewer(gather(robot, result, data), port)
+    _warn(viewer.notes)
+    return viewer
+
+
+def page(robot: Robot, result: Result | None = None, *, data: Measurements | None = None) -> Page:
+    """Return the viewer as one self-contained page, with the arguments of `show`."""
+    from viz.inputs import gather
+    from viz.viewer_page import scene_page
+
+    scene = gather(robot, result, data).scene
+    _warn(scene.notes)
+    return scene_page(scene)
+
+
+def report(result: Fit, *, command: str = "", seed: int | None = None) -> Page:
+    """Return the report of a fit as one self-contained page.
+
+    Args:
+        result: The fit.
+        command: Command line that made it, to be printed with its origin.
+        seed: Seed of the random choices that were made, if any.
+    """
+    from viz.report_page import report_page
+
+    return report_page(result, command=command, seed=seed)
+
+
+def _warn(notes: tuple[str, ...]) -> None:
+    for note in notes:
+        warnings.warn(note, PictureWarning, stacklevel=3)

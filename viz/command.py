@@ -1,0 +1,86 @@
+"""`calib view`: look at a robot and its calibration. Registered in the entry point group `calib.commands`."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from types import FrameType
+
+import click
+
+from calib.commands.common import Output, shared_options
+from calib.errors import InputError
+
+
+@click.command("view")
+@click.argument("robot")
+@click.option(
+    "--result", metavar="DIR", help="Result folder of `calib fit`: robot before and after, its poses and errors."
+)
+@click.option("--data", metavar="FILE", help="Measurements (CSV) to judge the robot with, instead of those of the fit.")
+@click.option("--html", metavar="FILE", help="Write one self-contained page instead, and end.")
+@click.option(
+    "--port", type=click.IntRange(0, 65535), default=0, help="Port on this computer; any free one if not given."
+)
+@click.option("--no-browser", is_flag=True, help="Print the address only; open no browser.")
+@shared_options()
+def view(
+    robot: str, result: str | None, data: str | None, html: str | None, port: int, no_browser: bool, output: Output
+) -> None:
+    """Show ROBOT (YAML description or URDF) in a browser on this computer, until Ctrl-C."""
+    from calib.files import check_file
+    from calib.measurements import read_measurements
+    from calib.robot import load
+    from viz.inputs import gather
+    from viz.live import LiveViewer
+    from viz.viewer_page import scene_page
+
+    if html is not None:
+        if port or no_browser:
+            raise InputError("--html writes a file and starts no server: leave out --port and --no-browser")
+        check_file(html)
+    model = load(robot)
+    measurements = None if data is None else read_measurements(data, model)
+    with output.working("preparing the scene"):
+        shown = gather(model, result, measurements)
+    for note in shown.scene.notes:
+        output.note(f"Note: {note}")
+    if html is not None:
+        scene_page(shown.scene).save(html)
+        output.say(f"Written to {html}")
+        return
+    with LiveViewer(shown, port) as viewer:
+        if no_browser:
+            click.echo(viewer.url)  # also with --quiet: nothing else tells where to look
+        else:
+            output.say(viewer.url)
+            _open(viewer.url)
+        output.note("Press Ctrl-C to end.")
+        _until_stopped()
+
+
+def _until_stopped() -> None:
+    """Wait for Ctrl-C or a request to terminate, then return so that the server is closed in order."""
+    stop = threading.Event()
+
+    def end(number: int, frame: FrameType | None) -> None:
+        stop.set()
+
+    previous = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        while not stop.wait(1.0):  # an endless wait would keep signals out on some systems
+            pass
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def _open(url: str) -> None:
+    """Open a browser without waiting for it; do nothing without a desktop, where a text browser would start."""
+    import webbrowser
+
+    desktop = sys.platform in ("darwin", "win32") or "DISPLAY" in os.environ or "WAYLAND_DISPLAY" in os.environ
+    if desktop:
+        threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()

@@ -1,0 +1,118 @@
+"""The viewer, live: the page on this computer only, moved by the program that shows it."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+from types import TracebackType
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from calib.errors import DataError
+from viz.bodies import figure_of
+from viz.drawing import load_meshcat, pack
+from viz.inputs import Shown
+from viz.server import PageServer
+from viz.viewer_page import scene_page
+
+
+class LiveViewer:
+    """A page that a browser on this computer shows, and that this program can move.
+
+    No call waits for a browser or fails without one. The server ends with this process, however it ends.
+
+        with viz.show(robot, result) as viewer:
+            print(viewer.url)
+            viewer.show_pose(12)
+            viewer.display(q)
+            viewer.meshcat["my/box"].set_object(meshcat.geometry.Box([0.1, 0.1, 0.1]))
+
+    Args:
+        shown: What to show.
+        port: Port to listen on; 0 for any free one.
+
+    Raises:
+        InputError: The port is taken.
+    """
+
+    def __init__(self, shown: Shown, port: int = 0) -> None:
+        self._shown = shown
+        self._server = PageServer(scene_page(shown.scene, live=True).html, port)
+
+    @property
+    def url(self) -> str:
+        """Address to open in a browser on this computer. It cannot be guessed; whoever has it can look."""
+        return self._server.url
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know about the picture, such as missing meshes."""
+        return self._shown.scene.notes
+
+    @property
+    def meshcat(self) -> Any:
+        """A `meshcat.Visualizer` that draws into the page, in the measurement frame."""
+        return load_meshcat().Visualizer(window=_Window(self._server))
+
+    def show_pose(self, index: int) -> None:
+        """Go to a row of the pose table.
+
+        Raises:
+            DataError: There is no such row.
+        """
+        count = len(self._shown.scene.poses)
+        if not 0 <= index < count:
+            raise DataError(f"no pose {index}; the viewer shows {count} poses, counted from 0")
+        self._server.send("pose", str(int(index)), keep="pose")
+
+    def display(self, q: ArrayLike) -> None:
+        """Move the robots to actuated joint values, (n_actuated,) [m or rad], loops closed.
+
+        Raises:
+            DataError: Joint values of the wrong shape.
+            UnreachablePoseError: A loop cannot be closed.
+        """
+        bodies = self._shown.scene.bodies
+        values = [
+            None if robot is None else figure_of(robot, bodies, robot.joint_vector(q)).values[0].tolist()
+            for robot in (self._shown.solid, self._shown.ghost)
+        ]
+        self._server.send("joints", json.dumps({"solid": values[0], "ghost": values[1]}), keep="pose")
+
+    def wait_for_browser(self, timeout: float) -> bool:
+        """Wait until a browser has connected, at most `timeout` seconds; say whether one has."""
+        return self._server.wait_for_browser(timeout)
+
+    def close(self) -> None:
+        """Stop the server and free its port. Browsers keep the picture. Closing twice is fine."""
+        self._server.close()
+
+    def __enter__(self) -> LiveViewer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _repr_html_(self) -> str:
+        """Show the live page in a notebook cell, if the kernel runs on the browser's computer; see also `viz.page`."""
+        return f'<iframe src="{html.escape(self.url)}" style="width: 100%; height: 640px; border: 0"></iframe>'
+
+
+class _Window:
+    """A stand-in for `meshcat.visualizer.ViewerWindow` that sends to our page; later browsers get the last state."""
+
+    def __init__(self, server: PageServer) -> None:
+        self._server = server
+
+    def send(self, command: Any) -> None:
+        lowered = command.lower()
+        path = f"draw:{lowered['path'].rstrip('/')}/"
+        keep: str | None = f"{path}\n{lowered['type']} {lowered.get('property', '')}"
+        if lowered["type"] == "delete":
+            self._server.forget(path)
+            keep = None
+        self._server.send("command", base64.b64encode(pack(command)).decode(), keep=keep)

@@ -1,0 +1,201 @@
+"""The report of a fit: one page to read and to print, verdict first. No scripts, no requests, all text escaped."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import sys
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib import Fit
+from calib.report_text import notes
+from calib.results import parameter_rows
+from calib.version import PROGRAM
+from viz.plots import all_plots
+from viz.poses import PoseTable, from_fit
+from viz.scene import joints_of
+from viz.viewer_page import Page
+
+_PACKAGES = ("pin", "numpy", "scipy", "yourdfpy", "meshcat", "matplotlib")
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """One line of the accuracy table; numbers in mm as `calib.validation.error_table` gives them."""
+
+    group: str
+    state: str
+    poses: int
+    errors: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file that went into the result, and its SHA-256 (or why there is none)."""
+
+    role: str
+    path: str
+    digest: str
+
+
+def report_page(fit: Fit, *, command: str = "", seed: int | None = None, created: datetime | None = None) -> Page:
+    """Return the report of a fit.
+
+    Args:
+        fit: The fit.
+        command: Command line that made it.
+        seed: Seed of the random choices, if any were made.
+        created: Time to print; now if not given.
+    """
+    from jinja2 import Environment, PackageLoader
+
+    table = from_fit(fit)
+    environment = Environment(
+        loader=PackageLoader("viz", "templates"), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["mm"] = millimetres
+    environment.filters["number"] = number
+    when = created if created is not None else datetime.now(UTC)
+    return Page(
+        environment.get_template("report.html").render(
+            fit=fit,
+            robot=fit.nominal,
+            verdict=verdict(fit),
+            headline=headline(fit),
+            accuracy=accuracy(fit),
+            plots=all_plots(table, joints_of(fit.nominal)),
+            parameters=parameter_rows(fit),
+            notes=notes(fit),
+            unsure=unsure(fit),
+            outliers=outliers(table),
+            reach=reach(table),
+            sources=sources(fit),
+            versions=versions(),
+            program=PROGRAM,
+            command=command,
+            seed=seed,
+            created=when.strftime("%Y-%m-%d %H:%M UTC"),
+            table=table,
+        )
+    )
+
+
+def verdict(fit: Fit) -> tuple[str, str]:
+    """Return the verdict in one word and what it rests on."""
+    return "Converged", fit.message
+
+
+def headline(fit: Fit) -> tuple[Accuracy, Accuracy]:
+    """Return the lines before and after that count: validation where there is one."""
+    lines = accuracy(fit)
+    return lines[-2], lines[-1]
+
+
+def accuracy(fit: Fit) -> list[Accuracy]:
+    """Return the accuracy table: each set before and after calibration."""
+    sets = [("identification", fit.identification)]
+    if fit.validation is not None:
+        sets.append(("validation", fit.validation))
+    return [
+        Accuracy(group, state, len(found.data), dict(errors))
+        for group, found in sets
+        for state, errors in found.table().items()
+    ]
+
+
+def unsure(fit: Fit) -> dict[str, list[str]]:
+    """Return the names of parameters that the measurements do not decide, by status."""
+    found: dict[str, list[str]] = {}
+    for row in parameter_rows(fit):
+        if row["status"] != "identified":
+            found.setdefault(str(row["status"]), []).append(str(row["name"]))
+    return found
+
+
+def outliers(table: PoseTable) -> list[dict[str, Any]]:
+    """Return the suspected outliers, largest first."""
+    ratio = np.linalg.norm(table.over_sigma(), axis=1)
+    rows = np.flatnonzero(table.outlier)
+    return [
+        {
+            "label": table.labels[row],
+            "group": table.group[row],
+            "target": table.targets[row],
+            "error": list(1e3 * table.error("after")[row]),
+            "length": 1e3 * float(np.linalg.norm(table.error("after")[row])),
+            "over_sigma": float(ratio[row]),
+        }
+        for row in rows[np.argsort(-ratio[rows])]
+    ]
+
+
+def reach(table: PoseTable) -> dict[str, float]:
+    """Return how sure predictions are: mean and largest standard deviation over the poses [mm], axes together."""
+    spread = 1e3 * np.linalg.norm(table.spread, axis=1)
+    known = spread[np.isfinite(spread)]
+    return {"mean": float(known.mean()), "max": float(known.max())} if len(known) else {}
+
+
+def sources(fit: Fit) -> list[Source]:
+    """Return the files that went into the fit, with their hashes; the URDF's is of what was read."""
+    result = [_source("Robot description", fit.nominal.path)]
+    if fit.nominal.urdf.path != fit.nominal.path:
+        result.append(Source("URDF", fit.nominal.urdf.path, hashlib.sha256(fit.nominal.urdf.source).hexdigest()))
+    result.append(_source("Measurements to identify with", fit.identification.data.path))
+    if fit.validation is not None:
+        same = fit.validation.data.path == fit.identification.data.path
+        result.append(
+            _source(
+                "Measurements to validate with" + (", held out of the same file" if same else ""),
+                fit.validation.data.path,
+            )
+        )
+    return result
+
+
+def _source(role: str, path: str) -> Source:
+    try:
+        return Source(role, path, hashlib.sha256(Path(path).read_bytes()).hexdigest())
+    except OSError:
+        return Source(role, path or "not from a file", "no file to hash")
+
+
+def versions() -> list[tuple[str, str]]:
+    """Return the programs that took part, and their versions."""
+    found = [("Python", platform.python_version())]
+    for package in _PACKAGES:
+        try:
+            found.append((package, version(package)))
+        except PackageNotFoundError:
+            found.append((package, "unknown"))
+    return [*found, ("system", f"{platform.system()} {platform.machine()}")]
+
+
+def command_line() -> str:
+    """Return the command line of this process if it is one of our programs, else nothing."""
+    import shlex
+
+    name = Path(sys.argv[0]).name if sys.argv else ""
+    if name == "__main__.py":
+        return shlex.join(["python", "-m", Path(sys.argv[0]).parent.name, *sys.argv[1:]])
+    return shlex.join([name, *sys.argv[1:]]) if name in ("calib", "medrue") else ""
+
+
+def millimetres(value: float) -> str:
+    """Format a length in mm with three significant digits; a dash for unknown."""
+    if not np.isfinite(value):
+        return "–"
+    size = abs(value)
+    decimals = 4 if size < 0.1 else 3 if size < 1 else 2 if size < 10 else 1
+    return f"{value:.{decimals}f}".replace("-", "−")
+
+
+def number(value: float, decimals: int = 4) -> str:
+    """Format a number; a dash for unknown."""
+    return f"{value:.{decimals}f}".replace("-", "−") if np.isfinite(value) else "–"

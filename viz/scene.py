@@ -1,0 +1,224 @@
+"""Robot, poses and errors as named shapes, matrices and numbers: all that a viewer shows, without a viewer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from calib import Fit, Robot
+from calib.mechanism import FloatArray
+from calib.reasons import Verdict
+from calib.units import DISPLAY_UNIT, PER_SI
+from viz import poses as pose_tables
+from viz.bodies import Bodies, Figure, bodies_of, figure_of
+from viz.decorations import decorations_of
+from viz.geometry import Shape, read_shapes
+from viz.poses import PoseTable
+
+_NICE = (1.0, 2.0, 5.0)
+_VECTOR_SIZE, _GHOST_SIZE = 0.025, 0.04  # of the scene: how large typical exaggerated errors should look at first
+_LARGEST_FACTOR = 1000.0
+_TURN, _RISE = 0.65, 0.33  # first camera: from beside the points and from above [rad]
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A first look at the scene. Its frame has the measurement frame's origin, but stands upright like the root link.
+
+    Attributes:
+        upright: Rotation from the measurement frame to the view's frame, whose z axis points upwards, (3, 3).
+        low, high: Corners of the box around everything, (3,) [m].
+        outline: Points around everything: what must be visible, (m, 3) [m].
+        direction: Unit vector from the scene to the camera, (3,).
+    """
+
+    upright: FloatArray
+    low: FloatArray
+    high: FloatArray
+    outline: FloatArray
+    direction: FloatArray
+
+
+@dataclass(frozen=True)
+class Joint:
+    """How the panel names an actuated joint: its name, unit, and how many of the unit make one SI unit."""
+
+    name: str
+    unit: str
+    per_si: float
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Everything a viewer shows. Lengths in m, angles in rad, points in the measurement frame.
+
+    Attributes:
+        title: The robot's name.
+        joints: Actuated joints, in the order of the pose table's columns.
+        shapes: Shapes of the robot, each on a link.
+        decorations: Shapes that stand still.
+        bodies: How links hang together.
+        solid: The robot as well as it is known: calibrated, or nominal without a result.
+        ghost: The robot before calibration; None without a result.
+        poses: The points.
+        vector_factors: Exaggeration of the errors of each state to start with.
+        ghost_factor: Exaggeration of the ghost to start with.
+        view: First camera.
+        notes: What the user should know about the picture.
+        verdict: Verdict on the fit, if there is one.
+    """
+
+    title: str
+    joints: tuple[Joint, ...]
+    shapes: tuple[Shape, ...]
+    decorations: tuple[Shape, ...]
+    bodies: Bodies
+    solid: Figure
+    ghost: Figure | None
+    poses: PoseTable
+    vector_factors: dict[str, float]
+    ghost_factor: float
+    view: View
+    notes: tuple[str, ...]
+    verdict: Verdict | None = None
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """States whose errors are known: `before`, `after`."""
+        return tuple(state for state in ("before", "after") if np.any(np.isfinite(self.poses.error(state))))
+
+
+def scene_of_fit(fit: Fit) -> Scene:
+    """Return the scene of a fit."""
+    return build_scene(fit.placed, fit.robot, pose_tables.from_fit(fit), verdict=fit.verdict)
+
+
+def build_scene(
+    nominal: Robot,
+    calibrated: Robot | None = None,
+    poses: PoseTable | None = None,
+    *,
+    verdict: Verdict | None = None,
+    notes: tuple[str, ...] = (),
+) -> Scene:
+    """Return the scene of a robot and its poses.
+
+    Args:
+        nominal: The robot before calibration.
+        calibrated: The robot after it; None if there is none.
+        poses: Points to show; none: the robot at home.
+        verdict: Verdict on the fit.
+        notes: What to tell beside what the URDF's shapes give reason to.
+
+    Raises:
+        UnreachablePoseError: A pose cannot be assembled.
+    """
+    table = pose_tables.empty(nominal) if poses is None else poses
+    shown = table.joints if len(table) else nominal.home[None, :]
+    solid_robot = nominal if calibrated is None else calibrated
+    bodies = bodies_of(solid_robot)
+    solid = figure_of(solid_robot, bodies, shown)
+    ghost = None if calibrated is None else figure_of(nominal, bodies, shown)
+    if ghost is not None and nominal.description.base.pose == "unknown":
+        ghost = replace(ghost, root=bodies.poses(solid, 0)[0])
+    shapes, shape_notes = read_shapes(nominal)
+    decorations = decorations_of(nominal.name)
+    view = _view(bodies, solid, shapes, decorations, table)
+    size = float(np.linalg.norm(view.high - view.low))
+    factors = {state: nice_factor(_typical(table.error(state)), _VECTOR_SIZE * size) for state in ("before", "after")}
+    moved = float("nan") if ghost is None else _moved(bodies, solid, ghost)
+    return Scene(
+        nominal.name,
+        joints_of(nominal),
+        shapes,
+        decorations,
+        bodies,
+        solid,
+        ghost,
+        table,
+        factors,
+        nice_factor(moved, _GHOST_SIZE * size),
+        view,
+        (*notes, *shape_notes),
+        verdict,
+    )
+
+
+def joints_of(robot: Robot) -> tuple[Joint, ...]:
+    """Return how the actuated joints of a robot are named and counted."""
+    dimensions = robot.mechanism.dimensions
+    return tuple(
+        Joint(name, DISPLAY_UNIT[dimensions[name]], PER_SI[dimensions[name]][DISPLAY_UNIT[dimensions[name]]])
+        for name in robot.joint_names
+    )
+
+
+def nice_factor(typical: float, wanted: float) -> float:
+    """Return 1, 2 or 5 times a power of ten, from 1 to 1000, that makes `typical` at most `wanted` where it can [m]."""
+    if not (typical > 0 and wanted > 0):
+        return 1.0
+    ratio = min(max(wanted / typical, 1.0), _LARGEST_FACTOR)
+    decade = 10.0 ** np.floor(np.log10(ratio))
+    return float(max(step * decade for step in _NICE if step * decade <= ratio * (1 + 1e-9)))
+
+
+def _moved(bodies: Bodies, solid: Figure, ghost: Figure) -> float:
+    """Return how far apart the links of two figures typically are: median over poses of the farthest link [m]."""
+    n_poses = len(solid.values)
+    apart = []
+    for pose in range(0, n_poses, max(1, n_poses // 20)):
+        difference = bodies.poses(ghost, pose)[:, :3, 3] - bodies.poses(solid, pose)[:, :3, 3]
+        apart.append(max(np.linalg.norm(difference, axis=1)[[not name.startswith("(") for name in bodies.names]]))
+    return float(np.median(apart))
+
+
+def _typical(vectors: FloatArray) -> float:
+    """Return the median length of vectors, NaN where none is known."""
+    lengths = np.linalg.norm(vectors, axis=1)
+    known = lengths[np.isfinite(lengths)]
+    return float(np.median(known)) if len(known) else float("nan")
+
+
+def _view(
+    bodies: Bodies, solid: Figure, shapes: tuple[Shape, ...], decorations: tuple[Shape, ...], table: PoseTable
+) -> View:
+    """Look from the side where the points are, from slightly above, so that they stand before the robot."""
+    R = bodies.poses(solid, 0)[0, :3, :3].T
+    number = {name: body for body, name in enumerate(bodies.names)}
+    robot = [np.zeros((0, 3))]
+    n_poses = len(solid.values)
+    for pose in sorted({0, n_poses // 2, n_poses - 1}):
+        matrices = bodies.matrices(solid, pose)
+        for shape in shapes:
+            M = matrices[number[str(shape.body)]]
+            robot.append(shape.corners() @ M[:3, :3].T + M[:3, 3])
+    predicted = table.before if not np.any(np.isfinite(table.after)) else table.after
+    points = predicted[np.all(np.isfinite(predicted), axis=1)]
+    robot_points, all_points = np.concatenate(robot) @ R.T, np.concatenate([*robot, points]) @ R.T
+    still = [shape.corners() @ R.T for shape in decorations]
+    everything = np.concatenate([all_points, *still])
+    low, high = _box(everything)
+    forward = np.array([1.0, 0.0, 0.0])
+    if len(points):
+        away = ((points @ R.T).mean(axis=0) - np.mean(_box(robot_points), axis=0))[:2]
+        if np.linalg.norm(away) > 1e-3 * np.linalg.norm(high - low):
+            forward = np.append(away / np.linalg.norm(away), 0.0)
+    turned = np.cos(_TURN) * forward + np.sin(_TURN) * np.cross([0.0, 0.0, 1.0], forward)
+    return View(R, low, high, _outline(everything, low, high), np.append(np.cos(_RISE) * turned[:2], np.sin(_RISE)))
+
+
+def _outline(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return the corners of the convex hull, or of the box where all points lie in a plane."""
+    try:
+        corners: FloatArray = points[ConvexHull(points).vertices]
+    except (QhullError, ValueError):
+        corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
+    return corners
+
+
+def _box(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    if not len(points):
+        return np.full(3, -0.5), np.full(3, 0.5)
+    return points.min(axis=0), points.max(axis=0)

@@ -1,0 +1,98 @@
+"""Pictures of a result folder's pages in a real browser, for the documentation.
+
+`python -m viz.screenshots DIR --out FOLDER` needs Chromium and the extra `browser` (`pip install medrue[browser]`).
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import click
+
+from calib.commands.common import Output, shared_options
+from calib.errors import InputError
+
+DESKTOP = {"width": 1400, "height": 900}
+PHONE = {"width": 390, "height": 844}
+_BEFORE = "document.getElementById('state-before').click()"
+_FRAMES = "document.getElementById('show-frames').click()"
+PICTURES: tuple[tuple[str, str, dict[str, int], str], ...] = (
+    ("viewer", "viewer.html", DESKTOP, ""),
+    ("viewer-before", "viewer.html", DESKTOP, _BEFORE),
+    ("viewer-frames", "viewer.html", DESKTOP, _FRAMES),
+    ("viewer-phone", "viewer.html", PHONE, ""),
+    ("report", "report.html", {"width": 1000, "height": 1300}, ""),
+)
+"""Name of the picture, page, size of the window [px], and what to do before taking it."""
+
+
+def chromium() -> str:
+    """Return the path of the system's Chromium.
+
+    Raises:
+        InputError: There is none.
+    """
+    for name in ("chromium", "chromium-browser", "google-chrome"):
+        path = shutil.which(name)
+        if path is not None:
+            return path
+    raise InputError("no Chromium on this computer; install the package 'chromium'")
+
+
+def take(folder: Path, out: Path) -> list[Path]:
+    """Take all pictures.
+
+    Args:
+        folder: Result folder with viewer.html and report.html.
+        out: Folder to write PNG files to.
+
+    Raises:
+        InputError: A page, Chromium or playwright is missing.
+    """
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        raise InputError("playwright is not installed; pip install 'medrue[browser]'") from None
+    for _, page, _, _ in PICTURES:
+        if not (folder / page).is_file():
+            raise InputError(f"{folder}: has no {page}; give the folder that `calib fit --out` wrote")
+    out.mkdir(parents=True, exist_ok=True)
+    written = []
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium())
+        try:
+            for name, page, size, action in PICTURES:
+                written.append(_take_one(browser, (folder / page).resolve(), size, action, out / f"{name}.png"))
+        finally:
+            browser.close()
+    return written
+
+
+def _take_one(browser: Any, page: Path, size: dict[str, int], action: str, target: Path) -> Path:
+    tab = browser.new_page(viewport=size)
+    tab.goto(page.as_uri())
+    if page.name == "viewer.html":
+        tab.wait_for_selector("body[data-ready]")
+    if action:
+        tab.evaluate(action)
+    tab.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    tab.screenshot(path=str(target))
+    tab.close()
+    return target
+
+
+@click.command("screenshots")
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for the PNG files.")
+@shared_options()
+def command(folder: Path, out: Path, output: Output) -> None:
+    """Take pictures of the pages in the result FOLDER."""
+    with output.working("taking pictures"):
+        written = take(folder, out)
+    output.say("\n".join(str(path) for path in written))
+
+
+if __name__ == "__main__":
+    command()

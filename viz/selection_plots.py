@@ -1,0 +1,147 @@
+"""Figures of `calib check` and `calib select` as SVG files; registered in the entry point group `calib.figures`.
+
+matplotlib is imported where a figure is drawn. Figures are objects of their own: nothing global is touched and no
+window can open. The same input gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from calib.assessment import Assessment
+from calib.selection import Selection
+from calib.selection_problem import TASK
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+BLUE, ORANGE, GREY = "#0072B2", "#D55E00", "#7F7F7F"
+_MARKS = ("-", "--", ":", "-.")
+_STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "calibration",
+    "text.parse_math": False,
+    "font.family": "sans-serif",
+    "font.size": 9,
+    "axes.grid": True,
+    "grid.alpha": 0.35,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+}
+
+
+def assessment_figures(assessment: Assessment) -> dict[str, bytes]:
+    """Return singular values with the gap, correlations, and predicted accuracy against number of poses."""
+    import matplotlib
+
+    with matplotlib.rc_context(_STYLE):
+        return {
+            "singular_values.svg": _svg(singular_values(assessment)),
+            "correlations.svg": _svg(correlations(assessment)),
+            "accuracy.svg": _svg(accuracy(assessment)),
+        }
+
+
+def selection_figures(selection: Selection) -> dict[str, bytes]:
+    """Return the index over the exchanges."""
+    import matplotlib
+
+    with matplotlib.rc_context(_STYLE):
+        return {"index.svg": _svg(index_history(selection))}
+
+
+def singular_values(assessment: Assessment) -> Figure:
+    """Draw the singular values of all parameters, the threshold, and the gap where the rank ends."""
+    figure, axes = _axes((6.4, 3.6))
+    rank = assessment.rank_all
+    values = rank.singular_values
+    floor = 1e-3 * min(rank.threshold, float(np.min(values[values > 0], initial=rank.threshold)))
+    number = np.arange(1, len(values) + 1)
+    kept = number <= rank.rank
+    axes.plot(number[kept], values[kept], "o", color=BLUE, label=f"determined ({rank.rank})")
+    if not np.all(kept):
+        axes.plot(number[~kept], np.maximum(values[~kept], floor), "x", color=ORANGE, label="not determined")
+        axes.axvspan(rank.rank + 0.25, rank.rank + 0.75, color=GREY, alpha=0.3, linewidth=0, label="gap")
+    axes.axhline(rank.threshold, color=GREY, linestyle="--", linewidth=1, label="threshold")
+    axes.set(yscale="log", xlabel="number", ylabel="singular value of the scaled Jacobian [m]")
+    _plain(axes.yaxis)
+    axes.legend()
+    return figure
+
+
+def correlations(assessment: Assessment) -> Figure:
+    """Draw the correlation matrix of the free parameters; what is undetermined stays white."""
+    names = [parameter.name for parameter in assessment.free_parameters]
+    size = max(4.0, 0.17 * len(names) + 1.8)
+    figure, axes = _axes((size + 0.8, size))
+    image = axes.imshow(assessment.known.correlations(), cmap="RdBu_r", vmin=-1, vmax=1)
+    axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
+    axes.set_yticks(range(len(names)), names, fontsize=7)
+    axes.grid(visible=False)
+    figure.colorbar(image, ax=axes, label="correlation", shrink=0.8)
+    return figure
+
+
+def accuracy(assessment: Assessment) -> Figure:
+    """Draw the predicted position error against the number of poses."""
+    figure, axes = _axes((6.4, 3.6))
+    rows = assessment.by_count
+    counts = np.array([row.count for row in rows])
+    inside = np.array([row.uniform is not None for row in rows])
+    uniform = np.array([np.nan if row.uniform is None else 1e3 * row.uniform.rms for row in rows])
+    chosen = np.array([1e3 * row.chosen.rms for row in rows])
+    largest = np.array([1e3 * row.chosen.maximum for row in rows])
+    axes.plot(counts[inside], uniform[inside], "s--", color=ORANGE, label="spread uniformly, rms")
+    axes.plot(counts[inside], chosen[inside], "o-", color=BLUE, label="best of these, rms")
+    axes.plot(counts[inside], largest[inside], "o:", color=BLUE, label="best of these, largest")
+    last = np.append(np.flatnonzero(inside)[-1:], np.flatnonzero(~inside))
+    axes.plot(counts[last], chosen[last], "-", color=GREY, label="all measured several times, rms")
+    axes.set(xscale="log", yscale="log", xlabel="number of poses", ylabel="predicted position error [mm]")
+    _plain(axes.xaxis, axes.yaxis)
+    axes.legend()
+    return figure
+
+
+def index_history(selection: Selection) -> Figure:
+    """Draw the index over the exchanges of each run, and the proven bound."""
+    figure, axes = _axes((6.4, 3.6))
+    scale = 1e3 if selection.index == TASK else 1.0
+    for k, run in enumerate(selection.runs):
+        values = scale * np.array(run.history)
+        label = f"start {k + 1}: {run.start}"
+        axes.plot(range(len(values)), values, _MARKS[k % len(_MARKS)], color=BLUE, label=label)
+        axes.plot(run.n_paper, values[run.n_paper], "o", color=BLUE, markersize=4)
+    if selection.bound is not None:
+        axes.axhline(scale * selection.bound, color=GREY, linestyle="--", linewidth=1, label="no choice is beyond this")
+    name = "predicted position error, rms [mm]" if selection.index == TASK else selection.index
+    axes.set(xlabel="exchange (dot: end of add-and-remove, then single swaps)", ylabel=name)
+    axes.legend()
+    return figure
+
+
+def _plain(*axes: Any) -> None:
+    """Write the ticks of logarithmic axes as plain numbers, which need no mathematical text."""
+    from matplotlib.ticker import FuncFormatter, NullFormatter
+
+    for axis in axes:
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
+
+
+def _axes(size: tuple[float, float]) -> tuple[Figure, Axes]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, layout="constrained")
+    return figure, figure.subplots()
+
+
+def _svg(figure: Figure) -> bytes:
+    stream = io.BytesIO()
+    figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    return stream.getvalue()

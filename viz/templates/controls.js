@@ -1,0 +1,296 @@
+// The controls: state of the page, what each control changes, keys, picking, and the live connection.
+"use strict";
+
+const FACTORS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
+
+class Controls {
+  constructor(scene) {
+    this.scene = scene;
+    this.table = this.readTable(scene.table);
+    scene.colourBytes = decode(scene.colours, Uint8ClampedArray);
+    this.panel = new Panel(scene, this.table);
+    this.state = scene.states.includes("after") ? "after" : "before";
+    this.row = 0;
+    this.shown = { groups: KINDS.map(() => true), outliers: true };
+    this.stage = this.makeStage();
+    this.wire();
+    this.filter();
+    this.applyState();
+    this.go(0);
+  }
+
+  readTable(table) {
+    const floats = (name) => decode(table[name], Float64Array);
+    return { ...table, measured: floats("measured"), place: floats("place"), before: floats("before"), after: floats("after"),
+      sigma: floats("sigma"), spread: floats("spread"), joints: floats("joints"), group: decode(table.group, Uint8Array) };
+  }
+
+  /** The 3D stage; null where the browser has no WebGL: the numbers work without it. */
+  makeStage() {
+    const { scene, table } = this;
+    try {
+      const stage = new Stage(document.getElementById("pane"), document.getElementById("labels"), scene);
+      if (table.n) {
+        stage.addMarks(new Marks(stage.THREE, table, Uint8Array.from(scene.colourBytes), scene.point_radius));
+      }
+      return stage;
+    } catch (problem) {
+      const text = document.createElement("p");
+      text.className = "fatal";
+      text.textContent = `3D cannot be shown in this browser (${problem.message}). Switch WebGL on, or use another browser.`;
+      document.getElementById("stage").append(text);
+      return null;
+    }
+  }
+
+  wire() {
+    const on = (id, event, action) => document.getElementById(id).addEventListener(event, action);
+    for (const state of ["before", "after"]) {
+      const radio = document.getElementById(`state-${state}`);
+      radio.disabled = !this.scene.states.includes(state);
+      radio.addEventListener("change", () => { this.state = state; this.applyState(); });
+    }
+    on("same-scale", "change", () => this.applyState());
+    document.getElementById("scale-label").hidden = this.scene.states.length < 2;
+    document.getElementById("state-block").hidden = this.scene.states.length === 0;
+    document.getElementById("legend").hidden = this.scene.states.length === 0;
+    document.getElementById("pose-block").hidden = this.table.n === 0;
+    document.getElementById("ghost-row").hidden = !this.scene.ghost;
+    document.getElementById("decorations-row").hidden = this.scene.n_decorations === 0;
+    document.getElementById("robot-name").textContent = this.scene.ghost ? "Calibrated robot" : "Robot";
+    this.wireGroups();
+    this.vectorFactors = { ...this.scene.vector_factors };
+    this.wireFactor("vector-factor", this.vectorFactors[this.state], (factor) => {
+      this.vectorFactors[this.sameScale() ? "before" : this.state] = factor;
+      this.panel.vectorNote(factor, document.getElementById("show-vectors").checked);
+      if (this.stage && this.stage.marks) this.stage.marks.uniforms.factor.value = factor;
+    });
+    this.wireFactor("ghost-factor", this.scene.ghost_factor, (factor) => {
+      if (this.stage) {
+        this.stage.ghostFactor = factor;
+        this.stage.showPose(this.stage.pose);
+      }
+    });
+    for (const id of ["show-vectors", "show-ghost", "show-robot", "show-decorations", "show-frames"]) {
+      on(id, "change", () => this.applyVisibility());
+    }
+    document.getElementById("show-vectors").closest(".row").hidden = this.scene.states.length === 0;
+    on("pose", "input", (event) => this.go(this.rows[Number(event.target.value)]));
+    on("previous", "click", () => this.step(-1));
+    on("next", "click", () => this.step(1));
+    on("reset-camera", "click", () => this.resetCamera());
+    for (const button of document.querySelectorAll("[data-view]")) {
+      button.addEventListener("click", () => this.lookFrom(button.dataset.view));
+    }
+    document.addEventListener("keydown", (event) => this.key(event));
+    this.wirePicking();
+  }
+
+  wireGroups() {
+    const place = document.getElementById("groups");
+    const entries = KINDS.map((name, kind) => [name, kind, this.table.group.filter((code) => code % 4 === kind).length])
+      .filter(([, kind, count]) => count > 0 || kind < 2);
+    entries.push(["outliers", OUTLIERS, this.table.group.filter((code) => code >= OUTLIERS).length]);
+    for (const [name, kind, count] of entries) {
+      const box = element("input", { type: "checkbox", id: `show-${name.replace(" ", "-")}` });
+      box.checked = true;
+      box.disabled = count === 0;
+      box.addEventListener("change", () => {
+        if (kind === OUTLIERS) this.shown.outliers = box.checked;
+        else this.shown.groups[kind] = box.checked;
+        this.filter();
+      });
+      const text = name[0].toUpperCase() + name.slice(1);
+      place.append(element("label", { class: "check" }, box, mark(kind), element("span", {}, `${text} (${count})`)));
+    }
+    place.hidden = this.table.n === 0;
+    this.kindsPresent = entries.filter(([, , count]) => count > 0).map(([, kind]) => kind);
+  }
+
+  wireFactor(id, start, apply) {
+    const slider = document.getElementById(id);
+    slider.max = FACTORS.length - 1;
+    slider.show = (factor) => {
+      slider.value = Math.max(0, FACTORS.findIndex((listed) => listed >= factor));
+      changed();
+    };
+    const changed = () => {
+      const factor = FACTORS[Number(slider.value)];
+      document.getElementById(`${id}-text`).textContent = `\u00d7${factor}`;
+      slider.setAttribute("aria-valuetext", `${factor} times`);
+      apply(factor);
+      if (this.stage) this.stage.redraw();
+    };
+    slider.addEventListener("input", changed);
+    slider.show(start);
+  }
+
+  wirePicking() {
+    if (!this.stage) return;
+    const { pane } = this.stage; // the camera's controls capture the pointer there
+    let start = null;
+    pane.addEventListener("pointerdown", (event) => { start = [event.clientX, event.clientY]; });
+    pane.addEventListener("pointerup", (event) => {
+      if (!start || Math.hypot(event.clientX - start[0], event.clientY - start[1]) > 5 || !this.stage.marks) return;
+      const box = pane.getBoundingClientRect();
+      const reach = event.pointerType === "touch" ? 24 : 12;
+      const row = this.stage.marks.pick(this.stage.viewer.camera, event.clientX - box.left, event.clientY - box.top,
+                                        box.width, box.height, reach);
+      if (row >= 0) this.go(row);
+    });
+  }
+
+  /** Arrow keys step through the poses unless a control of its own uses them. */
+  key(event) {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const target = event.target;
+    const usesArrows = target.matches("input[type=range], input[type=radio]");
+    const toggles = { v: "show-vectors", g: "show-ghost", f: "show-frames" };
+    const name = event.key.toLowerCase();
+    if (!usesArrows && event.key === "ArrowLeft") this.step(-1);
+    else if (!usesArrows && event.key === "ArrowRight") this.step(1);
+    else if (!usesArrows && event.key === "Home" && this.rows.length) this.go(this.rows[0]);
+    else if (!usesArrows && event.key === "End" && this.rows.length) this.go(this.rows[this.rows.length - 1]);
+    else if (name === "b" && this.scene.states.length > 1) {
+      this.state = this.state === "before" ? "after" : "before";
+      this.applyState();
+    } else if (name === "r") this.resetCamera();
+    else if (name in toggles) {
+      const box = document.getElementById(toggles[name]);
+      box.checked = !box.checked;
+      this.applyVisibility();
+    } else return;
+    event.preventDefault();
+  }
+
+  /** Which rows are visible; the slider and the arrow keys run over these only. */
+  filter() {
+    const { group, n } = this.table;
+    const visible = [0, 1, 2, 3, 4, 5, 6, 7].map((code) => this.shown.groups[code % 4] && (code < OUTLIERS || this.shown.outliers));
+    this.rows = [];
+    for (let row = 0; row < n; row += 1) {
+      if (visible[group[row]]) this.rows.push(row);
+    }
+    if (this.stage && this.stage.marks) {
+      this.stage.marks.uniforms.visible.value = visible.map(Number);
+      this.stage.redraw();
+    }
+    const slider = document.getElementById("pose");
+    slider.max = Math.max(0, this.rows.length - 1);
+    for (const id of ["pose", "previous", "next"]) {
+      document.getElementById(id).disabled = this.rows.length === 0;
+    }
+    this.panel.worst(this.rows, this.state, (row) => this.go(row));
+    if (this.rows.length) {
+      this.go(this.rows.find((row) => row >= this.row) ?? this.rows[this.rows.length - 1]);
+    } else if (this.stage && this.stage.marks) {
+      this.stage.marks.choose(-1);
+    }
+  }
+
+  step(by) {
+    if (!this.rows.length) return;
+    const place = this.rows.indexOf(this.row) + by;
+    this.go(this.rows[Math.min(Math.max(place, 0), this.rows.length - 1)]);
+  }
+
+  go(row) {
+    this.row = row;
+    if (this.stage) {
+      this.stage.live = null;
+      this.stage.showPose(row);
+    }
+    if (!this.table.n) return;
+    if (this.stage) this.stage.marks.choose(row);
+    const slider = document.getElementById("pose");
+    slider.value = Math.max(0, this.rows.indexOf(row));
+    slider.setAttribute("aria-valuetext", `${poseName(this.table, row)}, ${Number(slider.value) + 1} of ${this.rows.length}`);
+    this.panel.pose(row, this.state);
+  }
+
+  /** Whether both states share colours (then logarithmic, to hold both) and enlargement. */
+  sameScale() {
+    return document.getElementById("same-scale").checked && this.scene.states.length > 1;
+  }
+
+  applyState() {
+    if (!this.scene.states.length) return;
+    document.getElementById(`state-${this.state}`).checked = true;
+    const same = this.sameScale();
+    document.getElementById("vector-factor").show(this.vectorFactors[same ? "before" : this.state]);
+    const [low, high] = same ? this.scene.range.both : this.scene.range[this.state];
+    const uniforms = this.stage && this.stage.marks && this.stage.marks.uniforms;
+    if (uniforms) {
+      Object.assign(uniforms.state, { value: this.state === "before" ? 0 : 1 });
+      Object.assign(uniforms.low, { value: low });
+      Object.assign(uniforms.high, { value: high });
+      Object.assign(uniforms.logarithmic, { value: Number(same) });
+      this.stage.redraw();
+    }
+    this.panel.legend(this.state, low, high, same, this.kindsPresent);
+    this.panel.worst(this.rows, this.state, (row) => this.go(row));
+    if (this.table.n) this.panel.pose(this.row, this.state);
+  }
+
+  applyVisibility() {
+    if (!this.stage) return;
+    const on = (id) => document.getElementById(id).checked;
+    const { viewer, marks, ghostRoot } = this.stage;
+    viewer.scene_tree.find(["meshcat", "robot"]).object.visible = on("show-robot");
+    viewer.scene_tree.find(["meshcat", "decorations"]).object.visible = on("show-decorations");
+    if (marks) marks.vectors.visible = on("show-vectors");
+    if (ghostRoot) ghostRoot.visible = on("show-ghost");
+    this.stage.showFrames(on("show-frames"));
+    this.panel.vectorNote(marks ? marks.uniforms.factor.value : 1, on("show-vectors"));
+  }
+
+  resetCamera() {
+    if (this.stage) this.stage.look(this.scene.view.direction);
+  }
+
+  /** Front, side and top are seen from the points' side of the robot. */
+  lookFrom(name) {
+    if (!this.stage) return;
+    const [x, y] = this.scene.view.direction;
+    const ahead = Math.abs(x) > Math.abs(y) ? [Math.sign(x), 0] : [0, Math.sign(y)];
+    const direction = { front: [...ahead, 0.02], side: [-ahead[1], ahead[0], 0.02], top: [0.001 * ahead[0], 0.001 * ahead[1], 1] };
+    this.stage.look(direction[name]);
+  }
+
+  /** Joint values of a live program, in the order of the tree's columns. */
+  showLive(solid, ghost) {
+    if (!this.stage) return;
+    this.stage.live = { solid, ghost };
+    this.stage.showPose(this.stage.pose);
+    if (this.stage.marks) this.stage.marks.choose(-1);
+  }
+
+  connect() {
+    const banner = document.getElementById("banner");
+    const source = new EventSource("events");
+    source.addEventListener("open", () => { banner.hidden = true; });
+    source.addEventListener("error", () => {
+      banner.textContent = "The program that showed this has ended. The picture stays as it is.";
+      banner.hidden = false;
+    });
+    source.addEventListener("pose", (event) => {
+      const row = JSON.parse(event.data);
+      if (row < this.table.n) this.go(row);
+    });
+    source.addEventListener("joints", (event) => {
+      const { solid, ghost } = JSON.parse(event.data);
+      this.showLive(solid, ghost);
+    });
+    source.addEventListener("command", (event) => {
+      if (this.stage) this.stage.viewer.handle_command_bytearray(decode(event.data, Uint8Array));
+    });
+  }
+}
+
+window.addEventListener("DOMContentLoaded", () => {
+  const controls = new Controls(JSON.parse(document.getElementById("scene").textContent));
+  window.calibrationViewer = controls;
+  if (controls.scene.live) controls.connect();
+  // two drawn frames later everything is on the screen
+  requestAnimationFrame(() => requestAnimationFrame(() => { document.body.dataset.ready = "true"; }));
+});

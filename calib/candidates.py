@@ -181,7 +181,7 @@ def _opening(robot: Robot, q: FloatArray) -> str:
     """Why one pose (n_actuated,) cannot be assembled."""
     misses = loops.smallest_miss(robot.mechanism, robot.mode, q)
     loop = int(np.argmax(misses))
-    if misses[loop] > 1e-9:
+    if misses[loop] > 1e-6:  # the search for the smallest miss ends a few nanometres from closed
         return f"loop {robot.mechanism.loops[loop].name} stays open by {1e3 * misses[loop]:.3g} mm"
     return "its loops close only in another assembly mode than home's, or beyond a passive joint's limit"
 

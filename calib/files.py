@@ -27,7 +27,8 @@ def write_file(path: Path | str, content: bytes | str) -> None:
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, "is a folder")
         if _is_stream(path):
-            path.write_bytes(data)
+            with path.open("ab") as stream:  # appending: standard output may be a file that holds something
+                stream.write(data)
             return
         target = path.resolve()  # a symbolic link stays one
         handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=".new-")

@@ -48,7 +48,7 @@ from calib.threads import one_blas_thread
 
 __all__ = ["ErrorSet", "Fit", "fit"]
 
-_LOOSE = 1e-2  # tolerance of the solver while the noise is still being found
+_LOOSE = 1e-2  # tolerance of the solver where another solve follows
 _SIGMA_ROUNDS = 20
 _STEP_LEFT = 0.05  # standard deviations that a converged fit may be away from its minimum
 _ROUNDING = 1e-8  # 10 nm and 10 nrad: below, rounding decides about a step
@@ -123,6 +123,8 @@ def fit(
         raise DataError(f"sigma {stated:g} m: must be a positive number")
     if starts < 1:
         raise InputError(f"starts {starts}: must be 1 or more")
+    if seed < 0:
+        raise InputError(f"seed {seed}: must be zero or more")
     settings = _Settings(stated, checked_loss(loss), starts, seed)
     found = _fit(robot, data, validation, settings)
     plain = replace(settings, starts=1)
@@ -147,6 +149,7 @@ def _fit(robot: Robot, data: Measurements, validation: Measurements | None, sett
     check_measurements(robot, data, free)
     problem = Problem(robot, data, free)
     placed = _place(problem)
+    before = problem.evaluate(placed).errors
     solved = _solve(problem, placed, settings)
     final = problem.evaluate(solved.robot)
     rows = problem.weighted(final.errors[..., None])[:, 0]
@@ -156,13 +159,12 @@ def _fit(robot: Robot, data: Measurements, validation: Measurements | None, sett
     require_identifiable(problem, factor)
     noise = solved.noise or found_noise(rows, effective_parameters(factor, problem.has_prior, solved.sigma))
     found = statistics(factor, noise, problem.scales, problem.has_prior, solved.sigma)
-    before = problem.evaluate(placed)
     all_scales = np.array([p.sigma for p in robot.parameters])
     return Fit(
         nominal=robot,
         placed=placed,
         robot=solved.robot,
-        identification=ErrorSet(data, before.errors, final.errors, solved.robot.singular_values(final.configurations)),
+        identification=ErrorSet(data, before, final.errors, solved.robot.singular_values(final.configurations)),
         validation=None if validation is None else _errors_on(placed, solved.robot, validation),
         configurations=final.configurations,
         free=free,
@@ -204,7 +206,8 @@ def _place(problem: Problem) -> Robot:
 
 def _solve(problem: Problem, placed: Robot, settings: _Settings) -> _Solved:
     """Solve with the stated noise or find it; from several starts and with a robust loss, if asked for."""
-    solved = _solve_with_noise(problem, placed, settings.stated)
+    exact = TOLERANCE if settings.loss == "none" else _LOOSE  # a robust loss goes on from there
+    solved = _solve_with_noise(problem, placed, settings.stated, exact)
     if settings.starts > 1:
         first = (solved.robot, solved.solution)
         tried = explore(problem, placed, first, solved.sigma, settings.starts, settings.seed)
@@ -220,7 +223,7 @@ def _solve(problem: Problem, placed: Robot, settings: _Settings) -> _Solved:
     )
 
 
-def _solve_with_noise(problem: Problem, placed: Robot, stated: float | None) -> _Solved:
+def _solve_with_noise(problem: Problem, placed: Robot, stated: float | None, exact: float) -> _Solved:
     """Solve with the stated noise; where none is stated, find it."""
     everything = np.ones(len(problem.scales), dtype=bool)
     first = problem.weighted(problem.evaluate(placed).errors[..., None])
@@ -229,7 +232,7 @@ def _solve_with_noise(problem: Problem, placed: Robot, stated: float | None) -> 
     # registration alone may have put a loosely determined target far from where its prior says it is
     robot = problem.solve(placed, sigma, moves)[0] if np.any(moves & problem.has_prior) else placed
     if stated is not None or not np.any(problem.has_prior):  # without priors, sigma weighs nothing
-        robot, solution = problem.solve(robot, sigma, everything)
+        robot, solution = problem.solve(robot, sigma, everything, tolerance=exact)
         return _Solved(robot, sigma, solution)
     for _ in range(_SIGMA_ROUNDS):
         robot, solution = problem.solve(robot, sigma, everything, tolerance=tolerance)
@@ -239,10 +242,10 @@ def _solve_with_noise(problem: Problem, placed: Robot, stated: float | None) -> 
         freedom = len(rows) - effective_parameters(factor, problem.has_prior, sigma)
         found = float(np.sqrt(rows @ rows / max(freedom, 1.0)))
         settled = abs(found - sigma) <= 0.01 * sigma or found < EXACT
-        if settled and tolerance == TOLERANCE:
+        if settled and tolerance == exact:
             return _Solved(robot, sigma, solution)
         if abs(found - sigma) <= 0.1 * sigma or found < EXACT:
-            tolerance = TOLERANCE
+            tolerance = exact
         sigma = sigma if found < EXACT else found
     raise NotConvergedError(
         "the noise of the measurements could not be found from the residuals; state it with --sigma-mm"

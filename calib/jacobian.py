@@ -105,7 +105,7 @@ def _through_loops(
 
 def _times(by_origin: FloatArray, twists: FloatArray) -> FloatArray:
     n = len(by_origin)
-    result: FloatArray = (by_origin.reshape(3 * n, -1) @ twists).reshape(n, 3, -1)
+    result: FloatArray = (by_origin.reshape(3 * n, len(twists)) @ twists).reshape(n, 3, twists.shape[1])
     return result
 
 

@@ -127,7 +127,7 @@ def joint_derivative(swept: Sweep, mapping: FloatArray, columns: FloatArray) -> 
         columns: `mechanism.between(pair)[:, None] * selection`, (n_joints, n_columns).
     """
     n = len(mapping)
-    rates = (swept.jacobian.reshape(6 * n, -1) @ columns).reshape(n, 6, -1)
+    rates = (swept.jacobian.reshape(6 * n, len(columns)) @ columns).reshape(n, 6, columns.shape[1])
     result: FloatArray = np.matmul(mapping, rates)
     return result
 

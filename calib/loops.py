@@ -6,10 +6,10 @@ up or down); only the one that can be reached from the home configuration withou
 Method. Continuation along the straight line from an already solved configuration (a0, p0) to a: a predicted step along
 the tangent dp = -C_p^-1 C_a da, then Newton steps on p. A step counts only if Newton contracts at once (each correction
 at most half of the one before, the first below 0.5 rad) and every diagonal block of C_p = dr/dp keeps the sign of its
-determinant; otherwise it is halved. A solution beyond the limits of a passive joint does not count as closed. The blocks are the strongly connected
-parts of C_p's pattern: one for each five-bar, so that two flips cannot cancel in one determinant. Poses are solved
-nearest to home first, each starting from the nearest solved pose, so that one step is usually enough; all poses
-advance together in arrays. After a small change of parameters the old solution is the start (`seed`).
+determinant; otherwise it is halved. A solution beyond the limits of a passive joint does not count as closed. The
+blocks are the strongly connected parts of C_p's pattern: one for each five-bar, so that two flips cannot cancel in one
+determinant. Poses are solved nearest to home first, each starting from the nearest solved pose, so that one step is
+usually enough; all poses advance together in arrays. After a small change of parameters the old solution is the start (`seed`).
 
 Why not minimise |r| from a guess: plain Newton from a crude guess ends in another assembly mode in a sixth of
 five-bar poses, and a small residual does not show it.
@@ -144,7 +144,7 @@ def assembly_mode(mechanism: Mechanism, home: dict[str, float], singularity_limi
         )
     blocks = _blocks(np.abs(scaled(mechanism, slope)[0]) > 1e-9)
     mode = AssemblyMode(actuated[0], passive[0], blocks, _signs(slope, blocks)[0])
-    polished, _, ok = _newton(mechanism, mode, actuated, passive)
+    polished, _, ok = newton(mechanism, mode, actuated, passive)
     if not ok[0]:
         raise DescriptionError(f"{where}: home: cannot be closed to {TOLERANCE:g} m from the values given")
     return AssemblyMode(actuated[0], polished[0], blocks, mode.signs)
@@ -166,11 +166,11 @@ def close(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, seed: 
     ok = np.zeros(n, dtype=bool)
     if seed is not None:
         tried = np.flatnonzero(np.all(np.isfinite(seed), axis=1))
-        passive[tried], slope[tried], ok[tried] = _newton(mechanism, mode, actuated[tried], seed[tried])
+        passive[tried], slope[tried], ok[tried] = newton(mechanism, mode, actuated[tried], seed[tried])
     if not np.all(ok):
         todo = np.flatnonzero(~ok)
         passive[todo], slope[todo], ok[todo] = _from_home(mechanism, mode, actuated[todo])
-    passive = _wrapped(mechanism, mode, passive)
+    passive = wrapped(mechanism, mode, passive)
     margin = 1e-9
     ok &= np.all((passive >= mechanism.lower - margin) & (passive <= mechanism.upper + margin), axis=1)
     passive[~ok], slope[~ok] = np.nan, np.nan
@@ -222,7 +222,7 @@ def _continue(
         next_a = np.where(done[active, None] + step >= 1, goal[active], at_a[active] + step * (goal - start_a)[active])
         change = np.matmul(slope_a, (next_a - at_a[active])[:, :, None])
         predicted = at_p[active] - _solve(slope_p, change[:, :, 0])
-        solved, new_slope, accepted = _newton(mechanism, mode, next_a, predicted)
+        solved, new_slope, accepted = newton(mechanism, mode, next_a, predicted)
         moved = np.max(np.abs(_in_radians(mechanism, solved - at_p[active])), axis=1)
         accepted &= moved < 4 * _LARGEST_STEP
         good, bad = active[accepted], active[~accepted]
@@ -234,7 +234,7 @@ def _continue(
     return at_p, slope, done >= 1
 
 
-def _newton(
+def newton(
     mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Newton on the passive joints; accepted only where it contracts at once and stays in the assembly mode.
@@ -280,7 +280,7 @@ def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
     return solution
 
 
-def _wrapped(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) -> FloatArray:
+def wrapped(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) -> FloatArray:
     """Bring turning joints within half a turn of home; a full turn is the same pose."""
     turns = np.round((passive - mode.passive) / (2 * np.pi))
     result: FloatArray = np.where(mechanism.is_metre_column, passive, passive - 2 * np.pi * turns)

@@ -50,7 +50,7 @@ def accuracy_by_count(
         counts: Numbers of poses up to those there are; chosen here if not given.
     """
     n = len(rows)
-    problem = build_problem(rows, known, 0, task_rows)
+    problem = build_problem(rows, None, known, 0, task_rows)
     rank_left = problem.known.rank.rank - int(np.linalg.matrix_rank(problem.before, hermitian=True))
     least = max(1, -(-rank_left // rows.shape[1]))
     if counts is None:

@@ -117,10 +117,13 @@ class Problem:
 
     def with_values(self, start: Robot, u: FloatArray, chosen: BoolArray) -> Robot:
         """Return `start` with the chosen free parameters at nominal + scale u."""
+        return start.with_parameters(self._values(start, u, chosen))
+
+    def _values(self, start: Robot, u: FloatArray, chosen: BoolArray) -> FloatArray:
         values = start.values.copy()
         index = np.flatnonzero(self.free)[chosen]
         values[index] = self.nominal[chosen] + self.scales[chosen] * u
-        return start.with_parameters(values)
+        return values
 
     def solve(
         self,
@@ -149,7 +152,9 @@ class Problem:
         prior_rows = np.eye(int(np.sum(chosen)))[prior]
 
         def at(u: FloatArray) -> Evaluation | None:
-            return self._evaluate(self.with_values(start, u, chosen))
+            values = self._values(start, u, chosen)
+            known = self._recent.get(values.tobytes())
+            return known or self._evaluate(start.with_parameters(values))
 
         def residuals(u: FloatArray) -> FloatArray:
             found = at(u)

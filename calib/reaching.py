@@ -157,8 +157,8 @@ class Reach:
         if not self.mechanism.loops:
             return at.passive, np.ones(len(trial), dtype=bool)
         change = np.einsum("nij,nj->ni", linear.passive_slope, (trial - at.actuated) / self.scale)
-        passive, _, ok = loops._newton(self.mechanism, self.mode, trial, at.passive + self.passive_scale * change)
-        passive = loops._wrapped(self.mechanism, self.mode, passive)
+        passive, _, ok = loops.newton(self.mechanism, self.mode, trial, at.passive + self.passive_scale * change)
+        passive = loops.wrapped(self.mechanism, self.mode, passive)
         lower, upper = self.mechanism.lower - _LIMIT_MARGIN, self.mechanism.upper + _LIMIT_MARGIN
         return passive, ok & np.all((passive >= lower) & (passive <= upper), axis=1)
 

@@ -20,10 +20,11 @@ Reference: Kolda, Lewis and Torczon 2003.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib import loops
 from calib.information import scaled_rows
 from calib.jacobian import linearise
 from calib.mechanism import BoolArray, FloatArray
@@ -36,8 +37,10 @@ _FIRST_STEP = 0.1  # of a joint's range
 _LARGEST_STEP = 0.25
 _SMALLEST_STEP = 3e-3
 _MAX_ROUNDS = 150
-_RISE = 1e-9
+_RISE = 1e-5  # relative rise of a score for which a pose moves; less is crawling
 _RIDGE = 1e-9  # of K; without one pose a direction may be lost, and must be found again
+_NEWTON_STEPS = 8
+_CLOSED = 1e-9  # closure residual from which `Robot.close` finishes at once [m, rad]
 _INNER = 1e-9  # of a range: rounding at the region's border
 
 
@@ -168,9 +171,16 @@ def _evaluate(
     """
     n, k, r = len(q), *problem.rows.shape[1:]
     allowed, points, rows = np.zeros(n, dtype=bool), np.full((n, k), np.nan), np.full((n, k, r), np.nan)
-    closed = robot.close(q, seed)
-    good = np.flatnonzero(closed.ok)
-    configurations = Configurations(q[good], closed.passive[good], closed.slope[good])
+    passive = np.full((n, len(robot.passive_names)), np.nan)
+    near = np.arange(n)
+    if seed is not None:
+        seed = _followed(robot, q, seed)
+        near = np.flatnonzero(np.all(np.isfinite(seed), axis=1))
+        seed = seed[near]
+    closed = robot.close(q[near], seed)
+    good = near[closed.ok]
+    passive[good] = closed.passive[closed.ok]
+    configurations = Configurations(q[good], passive[good], closed.slope[closed.ok])
     far = robot.singular_values(configurations) >= robot.description.singularity_limit
     linear = linearise(robot, configurations)
     margin = _INNER * np.maximum(1.0, np.abs(region.high_point))
@@ -179,7 +189,33 @@ def _evaluate(
     points[good] = linear.positions.reshape(len(good), -1)
     whiten = problem.known.directions / problem.known.strengths
     rows[good] = scaled_rows(linear.jacobian, robot.parameters, robot.free) @ whiten
-    return allowed, points, rows, closed.passive
+    return allowed, points, rows, passive
+
+
+def _followed(robot: Robot, q: FloatArray, seed: FloatArray) -> FloatArray:
+    """Passive joints by a few Newton steps from those of a nearby pose; NaN where these do not lead to a closed pose.
+
+    `Robot.close` would search for a way round, which costs more than the trial pose is worth.
+    """
+    mechanism, passive = robot.mechanism, seed.copy()
+    if not mechanism.loops:
+        return passive
+    active = np.arange(len(q))
+    for _ in range(_NEWTON_STEPS):
+        values, slope, _ = loops.residual(mechanism, q[active], passive[active])
+        active, values, slope = (
+            part[np.max(np.abs(values), axis=1) > loops.TOLERANCE] for part in (active, values, slope)
+        )
+        if len(active) == 0:
+            break
+        try:
+            passive[active] -= np.linalg.solve(slope, values[:, :, None])[:, :, 0]
+        except np.linalg.LinAlgError:  # one of them is exactly singular
+            passive[active] -= (np.linalg.pinv(slope) @ values[:, :, None])[:, :, 0]
+    values = loops.residual(mechanism, q, passive)[0]
+    inside = np.all((passive >= mechanism.lower) & (passive <= mechanism.upper), axis=1)
+    passive[~inside | (np.max(np.abs(values), axis=1) > _CLOSED)] = np.nan
+    return passive
 
 
 def _apart(points: FloatArray, others: FloatArray, region: Region) -> BoolArray:
@@ -200,7 +236,7 @@ def _better(
     if not np.any(free):
         return None
     rows = np.concatenate([np.where(free[:, None, None], trials, 0.0), present[None]])
-    local = Problem(rows, problem.before, problem.strengths, problem.task, problem.n_before, problem.known)
+    local = replace(problem, rows=rows)
     state: Scores = scores_of(local, index, rest + _RIDGE * np.eye(len(rest)))
     best = state.best(np.append(free, False), add=True)
     now, then = state.moved(len(rows) - 1, add=True).value, state.moved(best, add=True).value

@@ -2,7 +2,8 @@
 
 Given weights, the problem is the one of `calib.problem`; given its solution, `calib.losses` gives new weights. The
 alternation runs on the linear model around the present parameters, where a round costs next to nothing, until the
-weights stand; then the true problem is solved with them, and so on until they stand there too.
+weights stand; then the parameters go where the linear model says, and so on until the weights stand there too. Last,
+the true problem is solved with these weights.
 
 Cauchy and Tukey have several minima. They start from Huber's solution, which on a linear model has one, and keep its
 scale (the MM principle), so that the alternation cannot run away with a shrinking scale.
@@ -17,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from calib.errors import NotIdentifiableError
+from calib.errors import ComputationError, NotIdentifiableError
 from calib.least_squares import Solution
 from calib.losses import COORDINATES, Loss, noise, scale_of, weights
 from calib.mechanism import FloatArray
@@ -81,27 +82,45 @@ def solve_robust(problem: Problem, start: Robot, loss: Loss, stated: float | Non
         NotIdentifiableError: What the loss leaves of the data does not determine the parameters.
     """
     robot, scale = start, float("nan")
+    everything = np.ones(len(problem.scales), dtype=bool)
     stages: tuple[Loss, ...] = ("huber",) if loss == "huber" else ("huber", loss)
     for stage in stages:
         fixed = scale if stage != "huber" else None
         found: FloatArray = np.ones((len(problem.data), len(problem.robot.target_names)))
         settled = False
         for _ in range(_ROUNDS):
-            evaluation = problem.evaluate(robot)
-            new, scale = _linear_weights(_linear(problem, robot, evaluation), stage, stated, fixed)
-            new = new.reshape(found.shape)
-            settled = bool(np.max(np.abs(new - found)) < _WEIGHTS_STAND)
-            found = new
-            robot, solution = problem.solve(
-                robot, stated or scale, np.ones(len(problem.scales), dtype=bool), weights=found
-            )
+            linear = _linear(problem, robot, problem.evaluate(robot))
+            weights_now, scale, step = _linear_solution(linear, stage, stated, fixed)
+            settled = bool(np.max(np.abs(weights_now - found.ravel())) < _WEIGHTS_STAND)
+            found = weights_now.reshape(found.shape)
             if settled:
                 break
-    final = _linear(problem, robot, problem.evaluate(robot))
-    distances = _distances(final.residuals)
+            stepped = _stepped(problem, robot, linear, step, found, stated or scale)
+            robot = stepped or problem.solve(robot, stated or scale, everything, weights=found)[0]
     sigma = stated or scale
+    robot, solution = problem.solve(robot, sigma, everything, weights=found)
+    final = _linear(problem, robot, problem.evaluate(robot))
     n_effective = effective_parameters(np.sqrt(np.mean(found)) * final.jacobian, problem.has_prior, sigma)
-    return RobustFit(robot, solution, found, scale, noise(loss, distances, scale, n_effective), sigma, settled)
+    residual_noise = noise(loss, _distances(final.residuals), scale, n_effective)
+    return RobustFit(robot, solution, found, scale, residual_noise, sigma, settled)
+
+
+def _stepped(
+    problem: Problem, robot: Robot, linear: _Linear, step: FloatArray, found: FloatArray, sigma: float
+) -> Robot | None:
+    """Return the robot one Gauss-Newton step on; None if that lowers nothing."""
+    everything = np.ones(len(step), dtype=bool)
+    further = problem.with_values(robot, linear.values + step, everything)
+    try:
+        reached = _linear(problem, further, problem.evaluate(further))
+    except ComputationError:
+        return None
+    root = np.repeat(np.sqrt(found.ravel()), COORDINATES)
+
+    def cost(at: _Linear) -> float:
+        return float(np.sum((root * at.residuals) ** 2) + np.sum((sigma * (at.prior @ at.values)) ** 2))
+
+    return further if cost(reached) < cost(linear) else None
 
 
 def _linear(problem: Problem, robot: Robot, evaluation: Evaluation) -> _Linear:
@@ -118,10 +137,10 @@ def _distances(residuals: FloatArray) -> FloatArray:
     return result
 
 
-def _linear_weights(
+def _linear_solution(
     linear: _Linear, loss: Loss, stated: float | None, fixed_scale: float | None
-) -> tuple[FloatArray, float]:
-    """Alternate on the linear model; return weights (n_points,) and scale [m]."""
+) -> tuple[FloatArray, float, FloatArray]:
+    """Alternate on the linear model; return weights (n_points,), scale [m] and the step to its solution (n_free,)."""
     has_prior = np.any(linear.prior != 0, axis=0)
     found: FloatArray = np.ones(len(linear.residuals) // COORDINATES)
     step: FloatArray = np.zeros(linear.jacobian.shape[1])
@@ -132,13 +151,13 @@ def _linear_weights(
             assumed = stated or max(scale_of(distances, 0.0), _SMALLEST_SCALE)
             n_effective = effective_parameters(linear.jacobian, has_prior, assumed)
             scale = max(scale_of(distances, n_effective), _SMALLEST_SCALE)
-        new = weights(loss, distances / scale)
-        settled = bool(np.max(np.abs(new - found)) < _WEIGHTS_STAND / 10)
-        found = new
+        weights_now = weights(loss, distances / scale)
+        settled = bool(np.max(np.abs(weights_now - found)) < _WEIGHTS_STAND / 10)
+        found = weights_now
         step = _step(linear, found, stated or scale)
         if settled:
             break
-    return found, scale
+    return found, scale, step
 
 
 def _step(linear: _Linear, found: FloatArray, sigma: float) -> FloatArray:

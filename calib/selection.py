@@ -109,7 +109,8 @@ def select(
         distance=poses.distance,
         runs=runs,
         travel=(travel(poses.joints, robot.home, np.arange(count)), travel(poses.joints, robot.home, order)),
-        rank=setting.problem.known.rank,
+        rank=setting.problem.rank,
+        rank_of_poses=setting.problem.known.rank,
         sigma=setting.sigma,
         sigma_assumed=setting.sigma_assumed,
         skipped=setting.found.skipped,
@@ -165,9 +166,14 @@ def _certify(setting: Setting, runs: tuple[Run, ...], best: Exchange) -> tuple[t
     largest = np.argsort(-np.where(usable, relaxation.weights, -1.0), kind="stable")[: setting.wanted.count]
     more, run = _run(setting, np.sort(largest), "relaxed")
     best = max(best, more, key=lambda one: one.scores.value)
-    efficiency = relaxation.efficiency(log_phi(problem, index, problem.gathered(best.chosen.astype(float))))
-    value = index_values(problem, best.chosen, setting.sigma)[index]
-    return (*runs, run), best, efficiency, value * efficiency if index == TASK else value / efficiency
+    gathered = problem.gathered(best.chosen.astype(float))
+    if index == TASK:
+        least = float(np.exp(-relaxation.log_bound))
+        bound = index_of_score(problem, index, -least, setting.wanted.count, setting.sigma)
+        value = index_of_score(problem, index, -problem.task_trace(gathered), setting.wanted.count, setting.sigma)
+        return (*runs, run), best, min(1.0, bound / value), bound
+    efficiency = relaxation.efficiency(log_phi(problem, index, gathered))
+    return (*runs, run), best, efficiency, index_values(problem, best.chosen, setting.sigma)[index] / efficiency
 
 
 def _poses(setting: Setting, best: Exchange, on_grid: dict[str, float], rng: np.random.Generator) -> _Poses:

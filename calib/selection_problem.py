@@ -1,18 +1,28 @@
 """The problem of choosing poses, in coordinates in which it is well conditioned.
 
 Each candidate k adds A_k^T A_k to the information matrix of the scaled parameters, A_k its rows (`calib.information`).
-What is known before (priors, poses already measured) adds M_0. With all candidates together,
+Poses measured already add theirs, and priors add P. All poses together determine the directions V,
 
-    M_all = M_0 + sum_k A_k^T A_k = V S^2 V^T,         B_k = A_k V S^-1,      K = S^-1 V^T M V S^-1
+    sum_k A_k^T A_k + measured = V S^2 V^T
 
-so that K of all candidates is the identity, and K of a choice says which part of what could be known each direction
-keeps. Directions that no candidate determines are outside V and take no part. All indices are functions of K:
+and say nothing about the rest, N. There, P holds what it holds, whatever is chosen. N is eliminated (Schur
+complement):
 
-    log det of the information   log det K + constant
-    singular values of the rows  square roots of the eigenvalues of S K S
-    task index                   sigma sqrt(trace(W K^-1)),   W = mean over task poses of their B^T B
+    M = V^T (information of the choice + measured + P) V - P_VN P_NN^+ P_NV          P_VN = V^T P N, and so on
 
-A choice may use each candidate once: w_k in {0, 1}.
+is the information about V that a choice leaves with N unknown but held by its priors. Whitened, B_k = A_k V S^-1 and
+
+    K = S^-1 M S^-1 = K_before + sum_k B_k^T B_k
+
+so that K of all poses without priors is the identity, and K of a choice says which part of what could be known each
+direction keeps. All indices are functions of K:
+
+    log det of the information      log det K + constant
+    singular values of the rows     square roots of the eigenvalues of S K S
+    task index                      sigma sqrt(trace(W K^-1) + c),     W = mean over task poses of their B^T B
+
+with B = J (V - N P_NN^+ P_NV) S^-1 for a task pose with rows J, and c = mean of |J N P_NN^(+1/2)|^2, the part that
+only priors hold. Without priors the index values are the published ones. A choice may use each candidate once.
 """
 
 from __future__ import annotations
@@ -21,6 +31,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.identifiability import Rank, reduced
 from calib.information import OUTSIDE, Information, information
 from calib.mechanism import BoolArray, FloatArray
 
@@ -36,19 +47,23 @@ class Problem:
 
     Attributes:
         rows: B, (n_candidates, 3 n_targets, r).
-        before: K of what is known before, (r, r).
+        before: K_before: measured poses and priors, (r, r).
         strengths: S, (r,) [m].
         task: Factor L with W = L L^T, (r, at most r); without columns where no task is given.
+        task_floor: c; infinite where the task needs what nothing determines.
         n_before: Poses already measured.
-        known: What all candidates and the knowledge before determine.
+        known: V and S: what all poses determine.
+        rank: Rank of all poses and priors together.
     """
 
     rows: FloatArray
     before: FloatArray
     strengths: FloatArray
     task: FloatArray
+    task_floor: float
     n_before: int
     known: Information
+    rank: Rank
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -73,31 +88,58 @@ class Problem:
 
 
 def build_problem(
-    rows: FloatArray, known: FloatArray | None = None, n_before: int = 0, task_rows: FloatArray | None = None
+    rows: FloatArray,
+    measured: FloatArray | None = None,
+    priors: FloatArray | None = None,
+    n_before: int = 0,
+    task_rows: FloatArray | None = None,
 ) -> Problem:
     """Whiten candidates.
 
     Args:
         rows: Scaled Jacobian of each candidate, (n_candidates, 3 n_targets, n_parameters) [m].
-        known: Rows of priors and of poses already measured, (n_known, n_parameters) [m].
+        measured: Rows of the poses already measured, (n_rows, n_parameters) [m].
+        priors: Rows of the priors, (n_priors, n_parameters) [m].
         n_before: Poses already measured.
         task_rows: Scaled Jacobian at the poses whose accuracy counts, (n_task, 3 n_targets, n_parameters) [m].
     """
-    found = information(rows, known)
-    whiten = found.directions / found.strengths
-    before = np.zeros((found.rank.rank, found.rank.rank))
-    if known is not None and len(known):
-        before = (known @ whiten).T @ (known @ whiten)
-    task = np.zeros((found.rank.rank, 0))
-    if task_rows is not None:
-        flat = (task_rows @ whiten).reshape(-1, found.rank.rank)
-        n_positions = flat.shape[0] // 3
-        task = np.asarray(np.linalg.qr(flat, mode="r")).T / np.sqrt(n_positions)
-    return Problem(np.ascontiguousarray(rows @ whiten), before, found.strengths, task, n_before, found)
+    width = rows.shape[2]
+    measured = np.zeros((0, width)) if measured is None else measured
+    priors = np.zeros((0, width)) if priors is None else priors
+    known = information(rows, measured)
+    directions, strengths = known.directions, known.strengths
+    others = np.linalg.svd(directions)[0][:, known.rank.rank :] if known.rank.rank else np.eye(width)
+    held = np.linalg.pinv(priors @ others, rcond=OUTSIDE)  # P_NN^+ = held held^T
+    clear = directions - others @ (held @ (priors @ directions))  # V - N P_NN^+ P_NV
+    whiten = directions / strengths
+    before = measured @ whiten
+    prior_part = priors @ clear / strengths
+    everything = information(np.vstack([reduced(rows.reshape(-1, width)), measured]), priors).rank
+    task, floor = _task(task_rows, clear / strengths, others, held)
+    return Problem(
+        rows=np.ascontiguousarray(rows @ whiten),
+        before=before.T @ before + prior_part.T @ prior_part,
+        strengths=strengths,
+        task=task,
+        task_floor=floor,
+        n_before=n_before,
+        known=known,
+        rank=everything,
+    )
 
 
-def task_is_determined(problem: Problem, task_rows: FloatArray) -> bool:
-    """Return whether the candidates determine every position of the task, so that its index is finite."""
-    size = np.sum(task_rows**2, axis=2)
-    outside = size - np.sum((task_rows @ problem.known.directions) ** 2, axis=2)
-    return bool(np.all(outside <= OUTSIDE**2 * np.max(size)))
+def _task(
+    task_rows: FloatArray | None, clear: FloatArray, others: FloatArray, held: FloatArray
+) -> tuple[FloatArray, float]:
+    """L and c of the task."""
+    if task_rows is None:
+        return np.zeros((clear.shape[1], 0)), 0.0
+    flat = task_rows.reshape(-1, task_rows.shape[2])
+    n_positions = len(flat) // 3
+    factor = reduced(flat @ clear).T / np.sqrt(n_positions)
+    outside = flat @ others
+    held_part = outside @ held
+    unheld = outside - held_part @ np.linalg.pinv(held) if held.size else outside
+    if np.linalg.norm(unheld) > OUTSIDE * np.linalg.norm(flat):
+        return factor, float("inf")
+    return factor, float(np.sum(held_part**2)) / n_positions

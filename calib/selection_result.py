@@ -46,7 +46,8 @@ class Selection(ReadOnlyArrays):
         distance: Distance that the targets of any two poses keep [m]; 0 where none was asked for.
         runs: The runs of the exchange.
         travel: Length of the path in the candidates' order and in this one [joint ranges].
-        rank: What all candidates with priors and measured poses determine.
+        rank: What all candidates, measured poses and priors determine.
+        rank_of_poses: What all candidates and measured poses determine; the indices are about that.
         sigma: Noise of one reading per axis that was used [m].
         sigma_assumed: Whether nobody stated it.
         skipped: Candidates that could not be used, and why.
@@ -71,6 +72,7 @@ class Selection(ReadOnlyArrays):
     runs: tuple[Run, ...]
     travel: tuple[float, float]
     rank: Rank
+    rank_of_poses: Rank
     sigma: float
     sigma_assumed: bool
     skipped: tuple[str, ...]

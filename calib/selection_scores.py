@@ -92,7 +92,8 @@ def values_of_rows(problem: Problem, rows: FloatArray, sigma: float) -> dict[str
     singular = np.sqrt(np.where(eigenvalues > 1e-15 * eigenvalues[0], eigenvalues, 0.0))
     values = observability(singular, len(rows) + problem.n_before)
     if problem.task.shape[1]:
-        values[TASK] = sigma * float(np.sqrt(problem.task_trace(gathered))) if singular[-1] > 0 else float("inf")
+        trace = problem.task_trace(gathered) if singular[-1] > 0 else float("inf")
+        values[TASK] = sigma * float(np.sqrt(trace + problem.task_floor))
     return values
 
 
@@ -109,4 +110,4 @@ def index_of_score(problem: Problem, index: str, score: float, count: int, sigma
     if index == "O1":
         mean_log = 0.5 * score / len(problem.strengths) + float(np.mean(np.log(problem.strengths)))
         return float(np.exp(mean_log) / np.sqrt(count + problem.n_before))
-    return sigma * float(np.sqrt(-score)) if index == TASK else score
+    return sigma * float(np.sqrt(problem.task_floor - score)) if index == TASK else score

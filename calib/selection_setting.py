@@ -19,7 +19,7 @@ from calib.information import measurement_sigma, prior_rows
 from calib.measurements import Poses
 from calib.mechanism import BoolArray, FloatArray
 from calib.robot import Robot
-from calib.selection_problem import TASK, Problem, build_problem, task_is_determined
+from calib.selection_problem import TASK, Problem, build_problem
 from calib.selection_scores import CHOICES
 
 
@@ -85,16 +85,11 @@ def prepare(
     if not (np.isfinite(wanted.minimum_distance) and wanted.minimum_distance >= 0):
         raise InputError(f"minimum distance {wanted.minimum_distance:g} m: must be zero or positive")
     found = build_candidates(robot, poses, skip_unreachable=skip_unreachable)
-    known, n_before, points, again = (
-        prior_rows(robot.parameters, robot.free, noise),
-        0,
-        points_of(found.positions[:0]),
-        0,
-    )
+    done_rows, n_before, points, again = None, 0, points_of(found.positions[:0]), 0
     usable = found.usable & ~_excluded(exclude, len(poses))
     if measured is not None:
         done = assemble_known(robot, as_poses(robot, measured))
-        known, n_before, points = np.vstack([known, done.weighted()]), len(done.joints), points_of(done.positions)
+        done_rows, n_before, points = done.weighted(), len(done.joints), points_of(done.positions)
         same = near_measured(found.joints, done.joints)
         again = int(np.sum(same))
         usable &= ~same
@@ -103,8 +98,9 @@ def prepare(
         usable[usable] = cKDTree(points).query(candidate_points[usable])[0] >= wanted.minimum_distance
     _require_count(wanted.count, usable, len(poses))
     task_rows = found.rows[found.usable] if task is None else assemble_known(robot, as_poses(robot, task)).rows
-    problem = build_problem(found.rows, known, n_before, task_rows)
-    _require_answer(problem, wanted, task_rows)
+    priors = prior_rows(robot.parameters, robot.free, noise)
+    problem = build_problem(found.rows, done_rows, priors, n_before, task_rows)
+    _require_answer(problem, wanted)
     space = Spacing(candidate_points, wanted.minimum_distance, usable)
     return Setting(robot, wanted, found, problem, space, points, noise, assumed, again)
 
@@ -132,7 +128,7 @@ def _require_count(count: int, usable: BoolArray, n: int) -> None:
         raise InputError(f"count {count} is above the {left} candidates that can be chosen{of}; give more candidates")
 
 
-def _require_answer(problem: Problem, wanted: Wanted, task_rows: FloatArray) -> None:
+def _require_answer(problem: Problem, wanted: Wanted) -> None:
     rank, per_pose = problem.known.rank.rank, problem.rows.shape[1]
     if rank == 0:
         raise NotIdentifiableError(
@@ -144,7 +140,7 @@ def _require_answer(problem: Problem, wanted: Wanted, task_rows: FloatArray) -> 
             f"count {wanted.count}: {per_pose * wanted.count} coordinates cannot determine {missing} parameters;"
             f" choose at least {-(-missing // per_pose)} poses (several times that for a useful result)"
         )
-    if wanted.index == TASK and not task_is_determined(problem, task_rows):
+    if wanted.index == TASK and not np.isfinite(problem.task_floor):
         raise NotIdentifiableError(
             "the candidates do not determine the positions at the task poses, so their error has no bound;"
             " add candidates like the task poses, or hold parameters (`calib check` says which)"

@@ -56,6 +56,7 @@ def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
         "runs": [_run(run, s.index, poses) for run in s.runs],
         "travel_joint_ranges": {"candidate_order": s.travel[0], "this_order": s.travel[1]},
         "rank": s.rank.rank,
+        "rank_of_poses": s.rank_of_poses.rank,
         "n_parameters": s.rank.n_columns,
         "sigma_mm": 1e3 * s.sigma,
         "sigma_assumed": s.sigma_assumed,
@@ -158,6 +159,11 @@ def _remarks(s: Selection) -> list[str]:
         lines.append(
             f"Warning: all candidates together determine {s.rank.rank} of {s.rank.n_columns} free parameters;"
             " the indices are about those. `calib check` says which combinations are not determined."
+        )
+    elif s.rank_of_poses.rank < s.rank.rank:
+        lines.append(
+            f"All candidates together determine {s.rank_of_poses.rank} combinations of the {s.rank.n_columns} free"
+            " parameters, which the indices are about; priors hold the rest"
         )
     if s.sigma_assumed:
         lines.append(f"Noise {1e3 * s.sigma:g} mm per axis is assumed; state it with --sigma-mm or in the description")

@@ -2,7 +2,7 @@
 
 from medrue.workspace import target_workspace
 from viz.decorations import half_cylinder
-from viz.geometry import Shape
+from viz.shapes import Shape
 
 SKIN = (0.80, 0.62, 0.52, 0.28)
 

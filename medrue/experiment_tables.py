@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from calib.mechanism import FloatArray
+from calib.rigid import OUTLIER_PROBABILITY
 from calib.units import PER_SI
 from medrue.experiment import REPEATS, SIGMA, Experiment, ExperimentDraw
 from medrue.paper_tables import error_table, table1, table3
-from medrue.ranking import rank, standard_error
+from medrue.ranking import LEGEND, rank, standard_error
 from medrue.result_tables import Cell, Column, ResultTable
 
 STATISTICS = ("mean", "max", "std")
@@ -157,12 +158,13 @@ def experiment_findings(experiment: Experiment) -> tuple[str, ...]:
         " of Table III's parameters at our poses; the paper's poses are not public.",
         f"What the paper's model leaves is mostly along x: {100 * squares[0] / squares.sum():.0f} % of the mean square"
         f" error, in the paper {100 * paper_squares[0] / paper_squares.sum():.0f} %.",
-        f"Mean error over {len(errors)} draws, best first: {rank(experiment.names, errors)} (a < b: sure by three"
-        f" standard errors; a ~ b: may be luck). The worst choice is {100 * (means.max() / means.min() - 1):.0f} %"
-        f" above the best; in the paper {100 * (max(printed) / min(printed) - 1):.0f} %, from one experiment.",
+        f"Mean error over {len(errors)} draws, best first: {rank(experiment.names, errors)} ({LEGEND}). The worst"
+        f" choice is {100 * (means.max() / means.min() - 1):.0f} % above the best; in the paper"
+        f" {100 * (max(printed) / min(printed) - 1):.0f} %, from one experiment.",
         f"Repeats at one pose scatter by {1e6 * draw.repeatability:.1f} um on each axis (repeatability). The world"
         f" frame from three nests is uncertain by up to {1e6 * draw.frame_sigma:.0f} um at the tool (one standard"
-        f" deviation). Nests that do not fit: {outliers} in {len(experiment.draws)} draws.",
+        f" deviation). Nests that seem not to fit: {outliers} in {len(experiment.draws)} draws; chance alone"
+        f" does that in up to one of {1 / OUTLIER_PROBABILITY:.0f}.",
     )
 
 

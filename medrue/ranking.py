@@ -1,7 +1,8 @@
 """Which choice of poses is better, and whether that is more than luck.
 
 Every draw gives one error for each set of poses, on the same noise. Sets are ranked by their mean error; neighbours in
-the ranking are told apart where the mean of their paired differences exceeds three of its standard errors.
+the ranking are told apart where the mean of their paired differences, over its standard error, exceeds what luck gives
+once in a thousand (Student's t, so that few draws prove little).
 """
 
 from __future__ import annotations
@@ -10,11 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import kendalltau
+from scipy.stats import t as student_t
 
 from calib.mechanism import FloatArray
 
-SURE = 3.0
-"""Standard errors between two means that count as a difference."""
+LUCK = 1e-3
+"""How often luck alone may make a difference look sure."""
+LEGEND = "a < b: surely better, luck does that once in a thousand; a ~ b: may be luck"
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,20 +27,23 @@ class Ranking:
     Attributes:
         names: Names in the order of rank.
         means: Mean error of each, in that order, (n_sets,).
+        n_draws: Of how many draws.
         standard_errors: Of these means, (n_sets,); NaN for a single draw.
         steps: Mean paired difference of each to the next, over its standard error, (n_sets - 1,).
     """
 
     names: tuple[str, ...]
     means: FloatArray
+    n_draws: int
     standard_errors: FloatArray
     steps: FloatArray
 
     def __str__(self) -> str:
         """The order in one line: `a < b` where b is surely worse, `a ~ b` where that may be luck."""
         text = self.names[0]
+        sure = float(student_t.isf(LUCK, self.n_draws - 1)) if self.n_draws > 1 else np.inf
         for name, step in zip(self.names[1:], self.steps, strict=True):
-            text += f" {'<' if step > SURE else '~'} {name}"
+            text += f" {'<' if step > sure else '~'} {name}"
         return text
 
 
@@ -55,7 +61,7 @@ def rank(names: tuple[str, ...], errors: FloatArray) -> Ranking:
     with np.errstate(divide="ignore", invalid="ignore"):
         spread = differences.std(axis=0, ddof=1) / np.sqrt(n) if n > 1 else np.full(len(names) - 1, np.nan)
         steps = differences.mean(axis=0) / spread
-    return Ranking(tuple(names[k] for k in order), means[order], standard_error(errors)[order], steps)
+    return Ranking(tuple(names[k] for k in order), means[order], n, standard_error(errors)[order], steps)
 
 
 def standard_error(draws: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ import numpy as np
 from calib.mechanism import FloatArray
 from calib.units import PER_SI
 from medrue.paper_tables import error_table, table1
-from medrue.ranking import agreement, rank, standard_error
+from medrue.ranking import LEGEND, agreement, rank, standard_error
 from medrue.result_tables import Column, ResultTable
 from medrue.study import COUNT, SIGMA, Study
 
@@ -168,8 +168,7 @@ def _ranking_findings(study: Study) -> tuple[str, ...]:
     means = dict(zip(study.names, draws[:, :, 0].mean(axis=0).tolist(), strict=True))
     shared = [name for name in by_mean.names if name in printed]
     return (
-        f"Mean error over {len(draws)} draws of the noise, best first: {by_mean} (a < b: sure by three standard errors;"
-        " a ~ b: may be luck).",
+        f"Mean error over {len(draws)} draws of the noise, best first: {by_mean} ({LEGEND}).",
         f"Largest error over the same draws: {rank(study.names, draws[:, :, 1])}.",
         f"Mean error over {len(by_actual)} actual robots: {rank(study.names, by_actual[:, :, 0])}. Largest error over"
         f" these: {rank(study.names, by_actual[:, :, 1])}.",

@@ -12,8 +12,6 @@ from unittest import mock
 import pytest
 
 import calib
-from calib.cli import group
-from calib.commands.common import run_program
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -31,6 +29,9 @@ RunCalib = Callable[..., Run]
 
 
 def _in_process(*arguments: object, cwd: Path | None = None) -> Run:
+    from calib.cli import group  # here, so that tests of the library need no command line
+    from calib.commands.common import run_program
+
     out, err, code = io.StringIO(), io.StringIO(), 0
     with contextlib.ExitStack() as stack:
         stack.enter_context(contextlib.redirect_stdout(out))

@@ -1,4 +1,4 @@
-"""A six-axis arm for tests of statistics: every listed parameter is determined by positions alone."""
+"""A six-axis arm for tests of statistics, and measurements made for them."""
 
 from pathlib import Path
 
@@ -31,18 +31,44 @@ FREE = """\
   - {origin: all, components: [rx, ry, rz], sigma: 5 mrad}
 """
 
+HELD = ("j2.ry", "j4.y", "j1.rz", "j3.ry", "j3.y", "j6.y", "j5.rx", "j5.x", "j2.z", "j5.ry")
+"""Ten components that depend on the other 26, for positions of one ball."""
+
 YAML = """\
 urdf: arm.urdf
 name_mot: [j1, j2, j3, j4, j5, j6]
 base: {frame: l0}
 targets:
   ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm]}
-priors: false
 parametrisation:
 """
+NO_PRIORS = f"priors: false\nheld: [{', '.join(HELD)}]\n"
 
 
-def write_six_axis(folder: Path, yaml: str = YAML + FREE) -> Path:
+def write_six_axis(folder: Path, yaml: str = NO_PRIORS + YAML + FREE) -> Path:
     (folder / "arm.urdf").write_text(URDF)
     (folder / "arm.yaml").write_text(yaml)
     return folder / "arm.yaml"
+
+
+def six_axis_arm(folder: Path) -> calib.Robot:
+    """The arm without priors; its 26 free parameters are all determined by positions."""
+    return calib.load(write_six_axis(folder))
+
+
+def joints(n: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1.5, 1.5, (n, 6))
+
+
+def measurements(q: np.ndarray, positions: np.ndarray, *, counts: np.ndarray | None = None) -> Measurements:
+    """Measurements from arrays; positions are (n, n_targets, 3)."""
+    labels = tuple(f"row {k}" for k in range(len(q)))
+    names = tuple(str(k) for k in range(len(q)))
+    readings = np.ones(len(q), dtype=np.intp) if counts is None else counts
+    return Measurements(q, labels, names, "test", (), positions, readings, np.full(positions.shape, np.nan))
+
+
+def noisy(robot: calib.Robot, q: np.ndarray, sigma: float, seed: int) -> Measurements:
+    """What `robot` would measure, with normal noise."""
+    positions = robot.positions(q)
+    return measurements(q, positions + sigma * np.random.default_rng(seed).standard_normal(positions.shape))

@@ -39,7 +39,9 @@ def test_five_starts_against_all_subsets(index):
         problem, rng = made_up(seed)
         starts = [uniform_start(np.arange(N), COUNT)] + [rng.choice(N, COUNT, replace=False) for _ in range(4)]
         found = max(
-            merit(problem, np.flatnonzero(swap(exchange(problem, index, start, everywhere()), everywhere()).chosen), index)
+            merit(
+                problem, np.flatnonzero(swap(exchange(problem, index, start, everywhere()), everywhere()).chosen), index
+            )
             for start in starts
         )
         best = max(merit(problem, subset, index) for subset in combinations(range(N), COUNT))

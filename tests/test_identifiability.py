@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_robots import small_arm
 
 import calib
 from calib.candidates import as_poses
@@ -15,7 +16,6 @@ from calib.measurements import Measurements
 from medrue.closed_form import forward
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import target_workspace
-from small_robots import small_arm
 
 NAMES = list(PARAMETERS)
 

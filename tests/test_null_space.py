@@ -20,7 +20,7 @@ NAMES = list(PARAMETERS)
 def matrix_with_null_vectors(vectors, rows=40, seed=0):
     """A random matrix whose null space is spanned by the given vectors."""
     vectors = np.array(vectors, dtype=float)
-    seen = np.linalg.svd(vectors)[2][len(vectors):]
+    seen = np.linalg.svd(vectors)[2][len(vectors) :]
     return np.random.default_rng(seed).standard_normal((rows, len(seen))) @ seen
 
 

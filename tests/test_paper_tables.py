@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import medrue
-from medrue.paper_tables import PARAMETERS, table1
+from medrue.paper_tables import PARAMETERS, error_table, table1, table3
 
 CSV = Path(medrue.__file__).parent / "paper" / "table1.csv"
 
@@ -42,3 +42,24 @@ def test_redundant_parameters_are_the_papers_eight() -> None:
 def test_arrays_are_read_only() -> None:
     with pytest.raises(ValueError):
         table1().nominal[0] = 0.0
+
+
+def test_table_3_has_the_same_parameters_and_keeps_the_redundant_ones_nominal() -> None:
+    table = table3()
+    assert table.nominal == pytest.approx(table1().nominal, abs=1e-15)
+    assert table.identified[PARAMETERS.index("A1y")] == -0.224895
+    assert table.identified[PARAMETERS.index("dq6")] == pytest.approx(np.radians(5.727), rel=1e-14)
+    for name in table1().redundant:
+        assert table.identified[PARAMETERS.index(name)] == table.nominal[PARAMETERS.index(name)]
+
+
+@pytest.mark.parametrize(
+    ("number", "column", "values"),
+    [
+        (2, "uniform", (0.048, 0.166, 0.040)),
+        (4, "before", (3.992, 5.957, 0.639)),
+        (5, "after_x", (0.340, 0.819, 0.186)),
+    ],
+)
+def test_error_tables_are_the_printed_ones(number: int, column: str, values: tuple[float, float, float]) -> None:
+    assert tuple(error_table(number)[column][row] for row in ("mean", "max", "std")) == values

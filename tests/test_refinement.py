@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from small_robots import small_arm
 
 from calib.refinement import refine, region_of
 from calib.selection import select
@@ -14,7 +15,7 @@ Q = target_workspace().q
 
 @pytest.fixture(scope="module")
 def moved(medrue):
-    return select(medrue, Q[::3], 16, "O1", off_grid=True, seed=1)
+    return select(medrue, Q[::3], 12, "O1", off_grid=True, seed=1)
 
 
 def test_it_beats_every_choice_from_the_grid(moved):
@@ -25,7 +26,7 @@ def test_it_beats_every_choice_from_the_grid(moved):
 
 def test_the_poses_are_what_is_told_of_them(medrue, moved):
     np.testing.assert_allclose(medrue.positions(moved.joints), moved.positions, atol=1e-12)
-    again = select(medrue, moved.joints, 16, "O1")
+    again = select(medrue, moved.joints, 12, "O1")
     assert again.after["O1"] == pytest.approx(moved.after["O1"], rel=1e-9)
 
 
@@ -54,9 +55,12 @@ def test_the_poses_keep_the_distance_of_the_candidates(medrue, moved):
 
 
 @pytest.mark.parametrize("index", ["O3", "O5", TASK])
-def test_any_index_can_be_refined(medrue, index):
-    found = select(medrue, Q[::21], 10, index, off_grid=True)
-    assert (found.after[index] < found.on_grid[index]) == (index == TASK)
+def test_any_index_can_be_refined(tmp_path, index):
+    arm = small_arm(tmp_path)
+    q = np.random.default_rng(0).uniform([-2, 0.1, -2], [2, 0.9, 2], (40, 3))
+    found = select(arm, q, 10, index, off_grid=True, sigma=1e-4)
+    ratio = found.after[index] / found.on_grid[index]
+    assert ratio < 0.999 if index == TASK else ratio > 1.001
 
 
 def test_a_region_of_one_point_leaves_the_poses_where_they_are(medrue):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from small_robots import small_arm, write_arm
 
 import calib
 from calib.candidates import assemble_known, build_candidates
@@ -9,7 +10,6 @@ from calib.measurements import Measurements, Poses
 from calib.observability import observability
 from calib.selection import select
 from medrue.workspace import target_workspace
-from small_robots import small_arm, write_arm
 
 Q = target_workspace().q
 
@@ -123,7 +123,9 @@ def test_repeats_of_a_measured_pose_count(medrue):
     q, names = Q[:30], tuple(str(k) for k in range(30))
     shape = (30, 1, 3)
     once, often = (
-        Measurements(q, names, names, "data", (), np.zeros(shape), np.full(30, n, dtype=np.intp), np.full(shape, np.nan))
+        Measurements(
+            q, names, names, "data", (), np.zeros(shape), np.full(30, n, dtype=np.intp), np.full(shape, np.nan)
+        )
         for n in (1, 4)
     )
     few, many = (select(medrue, Q, 20, "task", measured=data) for data in (once, often))
@@ -143,10 +145,11 @@ def test_a_robot_with_priors_is_chosen_for_on_the_stacked_rows(tmp_path):
     q = np.random.default_rng(0).uniform([-2, 0.1, -2], [2, 0.9, 2], (60, 3))
     found = select(arm, q, 10, "O1", sigma=1e-4)
     rows = build_candidates(arm, as_poses(found.joints)).rows
-    priors = 1e-4 * np.eye(rows.shape[2])[[p.prior for p in arm.parameters]]
-    values = np.linalg.svd(np.vstack([rows.reshape(-1, rows.shape[2]), priors]), compute_uv=False)
-    assert found.rank.rank == len(arm.parameters)
-    assert found.after["O1"] == pytest.approx(observability(values, 10)["O1"], rel=1e-9)
+    # every parameter has a prior, so what the poses do not see is what it was, and the rest is seen and held
+    values = np.linalg.svd(rows.reshape(-1, rows.shape[2]), compute_uv=False)[: found.rank_of_poses.rank]
+    stacked = observability(np.sqrt(values**2 + 1e-4**2), 10)
+    assert found.rank.rank == len(arm.parameters) > found.rank_of_poses.rank
+    assert {name: found.after[name] for name in stacked} == pytest.approx(stacked, rel=1e-9)
     assert found.efficiency > 0.98
     assert not found.sigma_assumed
     assert select(arm, q, 10).sigma_assumed
@@ -188,7 +191,7 @@ def test_a_candidate_that_is_given_twice_is_an_error(medrue):
 
 def test_poses_that_do_not_close_are_listed_and_skipped_only_on_request(medrue):
     q = Q.copy()
-    q[3, 1:3] = np.pi, 0.0  # the cranks away from each other: the distal links do not meet
+    q[3, 1:3] = 0.0, np.pi  # the cranks away from each other: the distal links do not meet
     q[8, 1:3] = 0.0
     with pytest.raises(calib.UnreachablePoseError) as error:
         select(medrue, q, 84)

@@ -16,7 +16,7 @@ N, COUNT, D = 11, 4, 5
 def made_up(seed, n=N, d=D, known=None):
     rng = np.random.default_rng(seed)
     rows = rng.standard_normal((n, 3, d)) * rng.uniform(0.2, 1, d)
-    return build_problem(rows, known, 0, rows)
+    return build_problem(rows, None, known, 0, rows)
 
 
 def mask_of(chosen, n=N):
@@ -73,7 +73,10 @@ def test_phi_is_concave_along_random_lines(index):
 def test_phi_goes_with_the_index(index):
     problem = made_up(4)
     values = [
-        (log_phi(problem, index, problem.gathered(mask_of(c).astype(float))), index_values(problem, mask_of(c), 1.0)[index])
+        (
+            log_phi(problem, index, problem.gathered(mask_of(c).astype(float))),
+            index_values(problem, mask_of(c), 1.0)[index],
+        )
         for c in ([0, 1, 2, 3], [4, 5, 6, 7])
     ]
     ratio = values[0][1] / values[1][1]

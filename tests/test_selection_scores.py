@@ -5,7 +5,7 @@ import pytest
 
 import calib
 from calib.observability import observability
-from calib.selection_problem import TASK, build_problem, task_is_determined
+from calib.selection_problem import TASK, build_problem
 from calib.selection_scores import CHOICES, index_of_score, index_values, scores
 
 N, K, D = 14, 3, 6
@@ -45,7 +45,7 @@ def test_values_are_those_of_the_rows(index):
 def test_values_with_priors_and_measured_poses_are_those_of_the_stacked_rows(index):
     rows, task = made_up()
     known = np.vstack([0.1 * np.eye(D)[:4], rows[13]])
-    problem = build_problem(rows[:13], known, 1, task)
+    problem = build_problem(rows[:13], rows[13], 0.1 * np.eye(D)[:4], 1, task)
     chosen = np.zeros(13, dtype=bool)
     chosen[[0, 3, 7]] = True
     expected = plain_value(rows[:13], task, chosen, index, known=known)
@@ -111,14 +111,38 @@ def test_directions_that_no_candidate_sees_take_no_part():
     assert len(problem.strengths) == D
     elsewhere = np.zeros((1, 3, D + 1))
     elsewhere[0, 0, 0] = 1.0  # moves by one of the two only
-    assert task_is_determined(problem, blind)
-    assert not task_is_determined(problem, elsewhere)
+    assert problem.task_floor == 0
+    assert np.isinf(build_problem(blind, task_rows=elsewhere).task_floor)
+    held = build_problem(blind, priors=0.1 * np.eye(D + 1)[:1], task_rows=elsewhere)
+    assert np.isfinite(held.task_floor)
+
+
+@pytest.mark.parametrize("prior_columns", [range(8), [0, 3, 6, 7]], ids=["all", "some"])
+def test_directions_that_only_priors_hold_are_eliminated_exactly(prior_columns):
+    """Eight columns of rank six with priors: the task index and the order by O1 are those of the full matrices."""
+    rows, _ = made_up()
+    mixed = rows @ np.random.default_rng(9).standard_normal((D, 8))
+    priors = 0.3 * np.eye(8)[list(prior_columns)]
+    task = np.random.default_rng(8).standard_normal((4, 3, 8))
+    problem = build_problem(mixed, None, priors, 0, task)
+    assert problem.known.rank.rank == D
+    assert problem.rank.rank == 8
+    logs = []
+    for chosen in ([0, 1, 2], [5, 8, 9, 11], [3, 4, 10, 12, 13]):
+        mask = np.isin(np.arange(N), chosen)
+        full = np.vstack([mixed[mask].reshape(-1, 8), priors])
+        covariance = 0.2**2 * np.linalg.inv(full.T @ full)
+        expected = np.sqrt(np.mean([np.trace(block @ covariance @ block.T) for block in task]))
+        assert index_values(problem, mask, 0.2)[TASK] == pytest.approx(expected, rel=1e-9)
+        logs.append((scores(problem, "O1", mask).value, np.linalg.slogdet(full.T @ full)[1]))
+    found, expected = np.array(logs).T
+    np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=1e-9)
 
 
 def test_all_candidates_together_are_the_identity():
     rows, task = made_up()
-    problem = build_problem(rows, 0.2 * np.eye(D), 0, task)
-    np.testing.assert_allclose(problem.gathered(np.ones(N)), np.eye(D), atol=1e-12)
+    problem = build_problem(rows[2:], rows[:2].reshape(-1, D), None, 2, task)
+    np.testing.assert_allclose(problem.gathered(np.ones(N - 2)), np.eye(D), atol=1e-12)
 
 
 def test_an_unknown_index_names_the_nearest():

@@ -159,6 +159,9 @@ def test_rankings_tell_luck_from_difference() -> None:
     ranking = rank(("worse", "good", "alike"), errors)
     assert ranking.names[2] == "worse"
     assert str(ranking) in ("good ~ alike < worse", "alike ~ good < worse")
+    two = rank(("b", "a"), np.array([[2.0, 1.0], [2.01, 1.0]]))
+    assert two.steps[0] > 100
+    assert str(two) == "a ~ b"  # two draws prove nothing
     single = rank(("b", "a"), np.array([[2.0, 1.0]]))
     assert str(single) == "a ~ b"
     assert np.isnan(single.standard_errors).all()

@@ -61,7 +61,8 @@ def test_wrong_input_ends_with_2_and_one_line(arguments, message):
 def test_a_missing_mesh_is_told_and_is_no_error(tmp_path):
     path = tmp_path / "arm.urdf"
     path.write_text("""<robot name="arm">
-     <link name="root"><visual><geometry><mesh filename="lost.stl"/></geometry></visual></link><link name="tip"/><joint name="a" type="revolute"><parent link="root"/><child link="tip"/>
+     <link name="root"><visual><geometry><mesh filename="lost.stl"/></geometry></visual></link>
+     <link name="tip"/><joint name="a" type="revolute"><parent link="root"/><child link="tip"/>
      <origin xyz="1 0 0"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>""")
     outcome = run(str(path), "--html", str(tmp_path / "view.html"))
     assert outcome.exit_code == 0

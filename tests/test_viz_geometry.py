@@ -6,7 +6,8 @@ import trimesh
 
 import calib
 import medrue
-from viz.geometry import GREY, mesh, primitive, read_shapes, rotation_onto_z, thinned
+from viz.geometry import read_shapes
+from viz.shapes import GREY, mesh, primitive, rotation_onto_z, thinned
 
 URDF = """<robot name="arm">
  <material name="red"><color rgba="1 0 0 1"/></material>

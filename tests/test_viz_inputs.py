@@ -1,5 +1,7 @@
 """From a robot, a fit or its folder, and measurements to a scene."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from viz_examples import measurements, medrue_fit, medrue_robot
@@ -64,3 +66,22 @@ def test_a_folder_without_a_result_and_a_fit_of_another_robot_are_refused(fit, t
     fit.save(str(tmp_path / "out"))
     with pytest.raises(DataError, match="another robot"):
         gather(calib.load(tmp_path / "arm.urdf"), tmp_path / "out")
+
+
+def test_a_failed_result_can_be_looked_at_and_says_that_it_failed(tmp_path):
+    fit = calib.fit(medrue_robot(), measurements(range(0, 420, 5)), sigma=1e-6)  # a fortieth of the noise
+    assert fit.verdict.grade == "FAIL"
+    fit.save(str(tmp_path / "out"))
+    for scene in (gather(medrue_robot(), fit).scene, gather(medrue_robot(), tmp_path / "out").scene):
+        assert scene.verdict.grade == "FAIL"
+        assert "noise" in scene.verdict.reasons[0].text
+
+
+def test_outliers_that_a_folder_lacks_are_announced(tmp_path):
+    data = measurements(range(0, 420, 5))
+    positions = data.positions.copy()
+    positions[10, 0, 2] += 1e-3
+    fit = calib.fit(medrue_robot(), dataclasses.replace(data, positions=positions), exclude_outliers=True)
+    fit.save(str(tmp_path / "out"))
+    assert gather(medrue_robot(), fit).scene.notes == ()
+    assert "not shown: 1 poses" in gather(medrue_robot(), tmp_path / "out").scene.notes[0]

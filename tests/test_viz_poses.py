@@ -1,4 +1,4 @@
-"""The pose table: from fits, folders and measurements; errors, uncertainty and suspected outliers."""
+"""The pose table: from fits, folders and measurements; errors, uncertainty and outliers."""
 
 import dataclasses
 
@@ -9,7 +9,7 @@ from viz_examples import measurements, medrue_fit, medrue_robot
 import calib
 from calib.errors import DataError
 from viz import poses
-from viz.poses import PoseTable, suspects
+from viz.poses import PoseTable
 
 
 @pytest.fixture(scope="module")
@@ -65,29 +65,31 @@ def test_the_spread_of_predictions_agrees_with_random_parameters(fit):
     np.testing.assert_allclose(cloud.std(axis=0, ddof=1), table.spread[:3], rtol=0.17)
 
 
-def test_good_data_show_no_outliers_and_a_wrong_reading_is_found(robot, fit):
-    assert poses.from_fit(fit).outlier.sum() <= 1
+def test_a_wrong_reading_is_marked_where_it_is():
+    rows = np.arange(0, 420, 5)
+    data = measurements(rows)
+    positions = data.positions.copy()
+    positions[10, 0, 2] += 1e-3
+    spoiled = dataclasses.replace(data, positions=positions)
+    table = poses.from_fit(calib.fit(medrue_robot(), spoiled))
+    assert np.flatnonzero(table.outlier).tolist() == [10]
+    assert set(table.group) == {"identification"}
+
+
+def test_outliers_that_were_left_out_stay_in_the_table():
     data = measurements(np.arange(0, 420, 5))
     positions = data.positions.copy()
     positions[10, 0, 2] += 1e-3
-    spoiled = calib.fit(robot, dataclasses.replace(data, positions=positions))
-    assert np.flatnonzero(poses.from_fit(spoiled).outlier).tolist() == [10]
-
-
-def test_the_limit_for_suspects_gives_the_promised_false_alarms():
-    generator = np.random.default_rng(5)
-    alarms = sum(bool(suspects(generator.normal(size=(100, 3))).any()) for _ in range(1000))
-    assert abs(alarms - 50) < 4 * np.sqrt(1000 * 0.05 * 0.95)
-
-
-def test_unknown_residuals_are_never_suspects():
-    assert not suspects(np.full((5, 3), np.nan)).any()
-    assert not small(sigma=np.zeros(4)).with_suspects().outlier.any()
-    assert (
-        not small(group=("validation",) * 4, spread=np.full((4, 3), np.nan), after=np.ones((4, 3)))
-        .with_suspects()
-        .outlier.any()
-    )
+    spoiled = dataclasses.replace(data, positions=positions)
+    fit = calib.fit(medrue_robot(), spoiled, exclude_outliers=True)
+    table = poses.from_fit(fit)
+    assert table.group.count("identification") == 83
+    row = table.group.index("left out")
+    assert table.outlier[row]
+    assert table.labels[row] == "50"
+    np.testing.assert_allclose(
+        table.error("after")[row, 2], -1e-3, atol=2e-4
+    )  # noise and uncertainty of the prediction
 
 
 def test_residuals_over_an_unknown_sigma_are_unknown():
@@ -95,22 +97,33 @@ def test_residuals_over_an_unknown_sigma_are_unknown():
     np.testing.assert_allclose(small().over_sigma(), 1.0)
 
 
-def test_a_result_folder_gives_the_same_table(tmp_path, robot, fit):
+def calibrated(fit):
+    return poses.Calibrated(fit.robot, fit.uncertainty)
+
+
+def test_a_result_folder_gives_the_same_table(tmp_path):
+    data = measurements(np.arange(0, 420, 5))
+    positions = data.positions.copy()
+    positions[10, 0, 2] += 1e-3
+    spoiled = dataclasses.replace(data, positions=positions)
+    fit = calib.fit(medrue_robot(), spoiled, validation=measurements(np.arange(3, 420, 9), seed=2))
     fit.save(str(tmp_path / "out"))
-    saved, table = poses.from_result(tmp_path / "out", robot), poses.from_fit(fit)
+    saved, table = poses.from_result(tmp_path / "out", calibrated(fit)), poses.from_fit(fit)
     assert saved.group == table.group
     assert saved.labels == table.labels
-    for name in ("joints", "measured", "before", "after", "sigma"):
-        np.testing.assert_allclose(getattr(saved, name), getattr(table, name), rtol=1e-9, atol=1e-12)
-    assert np.isnan(saved.spread).all()
+    assert saved.outlier.tolist() == table.outlier.tolist()
+    assert saved.outlier.sum() >= 1
+    for name in ("joints", "measured", "before", "after", "sigma", "spread"):
+        np.testing.assert_allclose(getattr(saved, name), getattr(table, name), rtol=1e-6, atol=1e-12)
 
 
-def test_a_folder_without_residuals_is_an_error(tmp_path, robot):
+def test_a_folder_without_residuals_is_an_error(tmp_path, fit):
     with pytest.raises(DataError, match=r"residuals\.csv"):
-        poses.from_result(tmp_path, robot)
-    (tmp_path / "residuals.csv").write_text("set,pose\nidentification,1\n")
+        poses.from_result(tmp_path, calibrated(fit))
+    fit.save(str(tmp_path / "out"))
+    (tmp_path / "out" / "residuals.csv").write_text("set,pose\nidentification,1\n")
     with pytest.raises(DataError, match="no column 'target'"):
-        poses.from_result(tmp_path, robot)
+        poses.from_result(tmp_path / "out", calibrated(fit))
 
 
 def test_measurements_without_a_calibrated_robot_have_no_error_after(robot):

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from markupsafe import escape
 from viz_examples import measurements, medrue_fit, medrue_robot
 
 import calib
@@ -34,9 +35,9 @@ def text(html):
 def test_the_verdict_comes_first_and_with_the_accuracy(html, fit):
     first = text(html)[:700]
     after = fit.validation.table()["after"]
-    assert "Converged" in first
+    assert f"Verdict: {fit.verdict.grade}" in first
     assert millimetres(after["mean"]) in first
-    assert "47 validation poses" in first
+    assert "47 poses (validation)" in first
 
 
 def test_every_section_is_there(html):
@@ -45,7 +46,7 @@ def test_every_section_is_there(html):
         "Accuracy before and after",
         "Parameters",
         "What could not be identified",
-        "Suspected outliers",
+        "Outliers",
         "Where this comes from",
     ):
         assert heading in html
@@ -55,7 +56,7 @@ def test_every_section_is_there(html):
 def test_without_validation_the_report_says_so():
     html = report_page(medrue_fit(validation=None), created=NOON).html
     assert "No poses were kept for validation" in html
-    assert "identification poses" in html
+    assert "84 poses (identification)" in html
 
 
 def test_parameters_stand_with_their_intervals_and_held_ones_without(html, fit):
@@ -74,14 +75,35 @@ def test_what_is_held_is_named(html, fit):
     assert ", ".join(fit.nominal.description.held) in html
 
 
-def test_outliers_are_listed(fit):
+def spoiled_measurements():
     data = measurements(range(0, 420, 5))
     positions = data.positions.copy()
     positions[10, 0, 2] += 1e-3
-    html = report_page(calib.fit(medrue_robot(), dataclasses.replace(data, positions=positions)), created=NOON).html
+    return dataclasses.replace(data, positions=positions)
+
+
+def test_outliers_are_listed_and_the_verdict_says_why():
+    fit = calib.fit(medrue_robot(), spoiled_measurements())
+    html = report_page(fit, created=NOON).html
     section = html[html.index('id="outliers"') :]
     assert re.search(r'<th scope="row">50</th><td class="left">identification</td>', section)
-    assert "1 suspected outlier" in html
+    assert "None was left out" in section
+    assert fit.verdict.grade == "CHECK"
+    assert "Verdict: CHECK" in text(html)[:300]
+    assert all(str(escape(reason.text)) in html for reason in fit.verdict.reasons)
+
+
+def test_outliers_that_were_left_out_are_listed_and_both_results_shown():
+    fit = calib.fit(medrue_robot(), spoiled_measurements(), exclude_outliers=True)
+    html = report_page(fit, created=NOON).html
+    assert re.search(r'<th scope="row">50</th><td class="left">left out</td>', html)
+    assert "with outliers (84)" in html
+
+
+def test_cross_validation_is_shown_and_judged_by():
+    html = report_page(calib.fit(medrue_robot(), measurements(range(0, 420, 5)), folds=3), created=NOON).html
+    assert "left out in turns (84)" in html
+    assert "84 poses (left out in turns)" in text(html)[:700]
 
 
 def test_provenance_names_versions_files_command_and_seed(html, fit):
@@ -125,7 +147,7 @@ def test_the_report_is_reached_from_the_package(fit, tmp_path):
 
 
 def test_uncertainty_of_predictions_is_stated(html, fit):
-    spread = 1e3 * np.linalg.norm(from_fit(fit).spread, axis=1)
+    spread = 1e3 * np.linalg.norm(from_fit(fit).spread[:84], axis=1)
     assert f"{millimetres(spread.mean())} mm on average" in text(html)
 
 

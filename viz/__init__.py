@@ -20,7 +20,7 @@ __all__ = ["PictureWarning", "page", "report", "show"]
 
 
 class PictureWarning(UserWarning):
-    """The picture is not as the URDF asks, such as where a mesh is missing."""
+    """The picture is not all that it should be, such as where a mesh is missing."""
 
 
 def show(robot: Robot, result: Result | None = None, *, data: Measurements | None = None, port: int = 0) -> LiveViewer:

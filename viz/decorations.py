@@ -12,7 +12,7 @@ from importlib.metadata import entry_points
 import numpy as np
 
 from calib.mechanism import FloatArray
-from viz.geometry import Colour, Shape, mesh
+from viz.shapes import Colour, Shape, mesh
 
 ENTRY_POINTS = "viz.decorations"
 

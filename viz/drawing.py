@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from viz.geometry import Shape
 from viz.scene import Scene
+from viz.shapes import Shape
 
 
 class CommandRecorder:

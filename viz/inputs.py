@@ -81,7 +81,7 @@ def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None) ->
         placed = register(robot, data) if _unknown_place(robot) else robot
         table = pose_tables.from_measurements(data, placed, calibrated, float(content["sigma"]))
     left_out = content["excluded"] if data is None else []
-    notes = (f"{len(left_out)} outliers that were left out of the fit are not shown",) if left_out else ()
+    notes = (f"not shown: {len(left_out)} poses that were left out of the fit as outliers",) if left_out else ()
     scene = build_scene(placed, model, table, verdict=_verdict(content["verdict"]), notes=notes)
     return Shown(scene, model, placed)
 

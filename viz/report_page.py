@@ -15,13 +15,15 @@ import numpy as np
 
 from calib import Fit
 from calib.report_text import notes
-from calib.results import parameter_rows
+from calib.result_content import error_sets, outlier_rows, parameter_rows, position_uncertainty_table
 from calib.version import PROGRAM
 from viz.plots import all_plots
-from viz.poses import PoseTable, from_fit
+from viz.poses import from_fit
 from viz.scene import joints_of
 from viz.viewer_page import Page
 
+_NAMES = {"cross_validation": "left out in turns"}
+_JUDGED_BY = ("validation", "left out in turns", "identification")
 _PACKAGES = ("pin", "numpy", "scipy", "yourdfpy", "meshcat", "matplotlib")
 
 
@@ -66,15 +68,15 @@ def report_page(fit: Fit, *, command: str = "", seed: int | None = None, created
         environment.get_template("report.html").render(
             fit=fit,
             robot=fit.nominal,
-            verdict=verdict(fit),
+            verdict=fit.verdict,
             headline=headline(fit),
             accuracy=accuracy(fit),
             plots=all_plots(table, joints_of(fit.nominal)),
             parameters=parameter_rows(fit),
             notes=notes(fit),
             unsure=unsure(fit),
-            outliers=outliers(table),
-            reach=reach(table),
+            outliers=left_out(fit) + outlier_rows(fit),
+            reach=position_uncertainty_table(fit),
             sources=sources(fit),
             versions=versions(),
             program=PROGRAM,
@@ -86,27 +88,24 @@ def report_page(fit: Fit, *, command: str = "", seed: int | None = None, created
     )
 
 
-def verdict(fit: Fit) -> tuple[str, str]:
-    """Return the verdict in one word and what it rests on."""
-    return "Converged", fit.message
-
-
 def headline(fit: Fit) -> tuple[Accuracy, Accuracy]:
-    """Return the lines before and after that count: validation where there is one."""
-    lines = accuracy(fit)
-    return lines[-2], lines[-1]
+    """Return the lines before and after that count: poses that were not used, where there are any."""
+    lines = {(line.group, line.state): line for line in accuracy(fit)}
+    group = next(name for name in _JUDGED_BY if (name, "after") in lines)
+    return lines[group, "before"], lines[group, "after"]
 
 
 def accuracy(fit: Fit) -> list[Accuracy]:
     """Return the accuracy table: each set before and after calibration."""
-    sets = [("identification", fit.identification)]
-    if fit.validation is not None:
-        sets.append(("validation", fit.validation))
-    return [
-        Accuracy(group, state, len(found.data), dict(errors))
-        for group, found in sets
+    lines = [
+        Accuracy(_NAMES.get(group, group), state, len(found.data), dict(errors))
+        for group, found in error_sets(fit)
         for state, errors in found.table().items()
     ]
+    if fit.with_all is not None:
+        found = fit.with_all.identification
+        lines.append(Accuracy("with outliers", "after", len(found.data), dict(found.table()["after"])))
+    return lines
 
 
 def unsure(fit: Fit) -> dict[str, list[str]]:
@@ -118,28 +117,22 @@ def unsure(fit: Fit) -> dict[str, list[str]]:
     return found
 
 
-def outliers(table: PoseTable) -> list[dict[str, Any]]:
-    """Return the suspected outliers, largest first."""
-    ratio = np.linalg.norm(table.over_sigma(), axis=1)
-    rows = np.flatnonzero(table.outlier)
+def left_out(fit: Fit) -> list[dict[str, Any]]:
+    """Return the outliers that were left out of the fit, in the form of `outlier_rows`."""
+    if fit.with_all is None:
+        return []
+    names = fit.with_all.identification.data.names
     return [
         {
-            "label": table.labels[row],
-            "group": table.group[row],
-            "target": table.targets[row],
-            "error": list(1e3 * table.error("after")[row]),
-            "length": 1e3 * float(np.linalg.norm(table.error("after")[row])),
-            "over_sigma": float(ratio[row]),
+            "set": "left out",
+            "pose": names[found.pose],
+            "target": found.target,
+            "distance": 1e3 * found.distance,
+            "over_noise": found.studentised,
+            "leverage": found.leverage,
         }
-        for row in rows[np.argsort(-ratio[rows])]
+        for found in fit.excluded
     ]
-
-
-def reach(table: PoseTable) -> dict[str, float]:
-    """Return how sure predictions are: mean and largest standard deviation over the poses [mm], axes together."""
-    spread = 1e3 * np.linalg.norm(table.spread, axis=1)
-    known = spread[np.isfinite(spread)]
-    return {"mean": float(known.mean()), "max": float(known.max())} if len(known) else {}
 
 
 def sources(fit: Fit) -> list[Source]:

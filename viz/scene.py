@@ -14,8 +14,9 @@ from calib.units import DISPLAY_UNIT, PER_SI
 from viz import poses as pose_tables
 from viz.bodies import Bodies, Figure, bodies_of, figure_of
 from viz.decorations import decorations_of
-from viz.geometry import Shape, read_shapes
+from viz.geometry import read_shapes
 from viz.poses import PoseTable
+from viz.shapes import Shape
 
 _NICE = (1.0, 2.0, 5.0)
 _VECTOR_SIZE, _GHOST_SIZE = 0.025, 0.04  # of the scene: how large typical exaggerated errors should look at first

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from calib.files import write_file
 from calib.mechanism import FloatArray
 from calib.version import VERSION
-from viz.bodies import Figure
+from viz.bodies import Bodies, Figure
 from viz.drawing import body_path, draw, load_meshcat
 from viz.poses import GROUPS
 from viz.scene import Scene
 
-_SCRIPTS = ("kinematics.js", "marks.js", "stage.js", "panel.js", "controls.js")
+_SCRIPTS = ("kinematics.js", "marks.js", "stage.js", "panel.js", "controls.js", "start.js")
 _COLOURS = "viridis"  # even in lightness, and told apart with any colour vision
+_EXACT = 1e-12  # [m]: smallest range of colours, where nothing is wrong anywhere
 _POINT_RADIUS = (0.0025, 0.008)  # of the scene's size: of points that crowd, and of points with room
 
 
@@ -121,13 +122,7 @@ def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
         "groups": list(GROUPS),
         "states": list(scene.states),
         "joints": [{"name": joint.name, "unit": joint.unit, "per_si": joint.per_si} for joint in scene.joints],
-        "bodies": {
-            "parents": bodies.parents.tolist(),
-            "axes": bodies.axes.tolist(),
-            "sliding": list(bodies.sliding),
-            "columns": bodies.columns.tolist(),
-            "base": bodies.base,
-        },
+        "bodies": _bodies(scene.bodies),
         "body_paths": [body_path(scene, body) for body in range(len(bodies.names))],
         "frames": [{"body": body, "name": bodies.names[body]} for body in names],
         "solid": _figure(scene.solid),
@@ -151,6 +146,16 @@ def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
     }
 
 
+def _bodies(bodies: Bodies) -> dict[str, Any]:
+    return {
+        "parents": bodies.parents.tolist(),
+        "axes": bodies.axes.tolist(),
+        "sliding": list(bodies.sliding),
+        "columns": bodies.columns.tolist(),
+        "base": bodies.base,
+    }
+
+
 def summary(scene: Scene) -> list[dict[str, Any]]:
     """Return count, mean and largest error [mm] of each group, before and after calibration where known."""
     rows = []
@@ -168,18 +173,22 @@ def summary(scene: Scene) -> list[dict[str, Any]]:
 
 
 def ranges(scene: Scene) -> dict[str, list[float]]:
-    """Return the error [m] at both ends of the colours: of each state (from zero), and of all (logarithmic)."""
+    """Return the error [m] at both ends of the colours: of each state (from zero), and of all (logarithmic).
+
+    Outliers do not stretch the colours, where there is anything else: they have the last colour.
+    """
     result, known = {}, []
     for state in scene.states:
         lengths = np.linalg.norm(scene.poses.error(state), axis=1)
-        lengths = lengths[np.isfinite(lengths)]
-        known.append(lengths)
-        result[state] = [0.0, max(float(lengths.max()), 1e-12)]
+        usual = lengths[np.isfinite(lengths) & ~scene.poses.outlier]
+        known.append(usual if len(usual) else lengths[np.isfinite(lengths)])
+        result[state] = [0.0, max(float(known[-1].max()), _EXACT)]
     if known:
         everything = np.concatenate(known)
-        high = max(float(everything.max()), 1e-12)
+        high = max(float(everything.max()), _EXACT)
         positive = everything[everything > high * 1e-4]
-        result["both"] = [float(positive.min()) if len(positive) > 1 else high / 10, high * (1 + 1e-9)]
+        low = float(positive.min()) if len(positive) else high
+        result["both"] = [low if low < high else high / 10, high]
     return result
 
 

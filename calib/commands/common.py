@@ -120,7 +120,7 @@ def shared_options(*, json_output: bool = False) -> Callable[[Callable[..., None
 def run_program(group: click.Group) -> None:
     """Run a command line; every error is one line on standard error and an exit code."""
     try:
-        result = group.main(standalone_mode=False)
+        result = group.main(prog_name=group.name, standalone_mode=False)
         sys.exit(result if isinstance(result, int) else 0)
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message(), err=True)

@@ -24,6 +24,8 @@ def command(urdf: str, target: str | None, out: str, output: Output) -> None:
     """Write a commented robot description for URDF to start from."""
     if Path(out).exists():
         raise InputError(f"{out}: exists already; choose another name, so that no edited description is lost")
+    if Path(out).suffix.lower() not in (".yaml", ".yml"):
+        raise InputError(f"{out}: the name of a robot description ends in .yaml")
     check_file(out)
     text = read_urdf(urdf)
     relative = os.path.relpath(Path(urdf).resolve(), Path(out).resolve().parent)

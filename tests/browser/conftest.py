@@ -13,19 +13,26 @@ CHROMIUM = Path("/usr/bin/chromium")
 
 
 @pytest.fixture(scope="session")
-def chromium():
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed (extra 'browser')")
+def chromium_path():
+    pytest.importorskip("playwright.sync_api", reason="playwright is not installed (extra 'browser')")
     if not CHROMIUM.exists():
         pytest.skip(f"{CHROMIUM} is missing (Debian package 'chromium')")
-    with playwright.sync_playwright() as running:
-        browser = running.chromium.launch(executable_path=str(CHROMIUM))
+    return str(CHROMIUM)
+
+
+@pytest.fixture(scope="session")
+def chromium(chromium_path):
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as running:
+        browser = running.chromium.launch(executable_path=chromium_path)
         yield browser
         browser.close()
 
 
 @pytest.fixture(scope="session")
 def scene():
-    """MedRUE calibrated, with one suspected outlier among the validation poses."""
+    """MedRUE calibrated, with one outlier among the validation poses."""
     from dataclasses import replace
 
     from viz_examples import medrue_fit

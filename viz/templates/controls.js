@@ -1,4 +1,4 @@
-// The controls: state of the page, what each control changes, keys, picking, and the live connection.
+// The controls: state of the page, what each control changes, keys, picking, and what a live program shows.
 "use strict";
 
 const FACTORS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
@@ -264,33 +264,4 @@ class Controls {
     this.stage.showPose(this.stage.pose);
     if (this.stage.marks) this.stage.marks.choose(-1);
   }
-
-  connect() {
-    const banner = document.getElementById("banner");
-    const source = new EventSource("events");
-    source.addEventListener("open", () => { banner.hidden = true; });
-    source.addEventListener("error", () => {
-      banner.textContent = "The program that showed this has ended. The picture stays as it is.";
-      banner.hidden = false;
-    });
-    source.addEventListener("pose", (event) => {
-      const row = JSON.parse(event.data);
-      if (row < this.table.n) this.go(row);
-    });
-    source.addEventListener("joints", (event) => {
-      const { solid, ghost } = JSON.parse(event.data);
-      this.showLive(solid, ghost);
-    });
-    source.addEventListener("command", (event) => {
-      if (this.stage) this.stage.viewer.handle_command_bytearray(decode(event.data, Uint8Array));
-    });
-  }
 }
-
-window.addEventListener("DOMContentLoaded", () => {
-  const controls = new Controls(JSON.parse(document.getElementById("scene").textContent));
-  window.calibrationViewer = controls;
-  if (controls.scene.live) controls.connect();
-  // two drawn frames later everything is on the screen
-  requestAnimationFrame(() => requestAnimationFrame(() => { document.body.dataset.ready = "true"; }));
-});

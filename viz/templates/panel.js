@@ -194,7 +194,9 @@ class Panel {
       return tick;
     });
     document.getElementById("legend-ticks").replaceChildren(...ticks);
-    document.getElementById("legend-marks").replaceChildren(...groups.map((kind) => element("span", {}, mark(kind),
+    const beyond = Array.from({ length: this.table.n }, (_, row) => this.error(state, row)).some((error) => error > high);
+    document.getElementById("legend-beyond").textContent = beyond ? "Larger errors have the last colour" : "";
+    document.getElementById("legend-marks").replaceChildren(...groups.filter((kind) => kind !== 3).map((kind) => element("span", {}, mark(kind),
       kind === OUTLIERS ? "outlier" : KINDS[kind])));
   }
 }

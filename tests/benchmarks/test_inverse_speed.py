@@ -1,0 +1,27 @@
+"""Speed of the inverse kinematics: 420 poses of MedRUE through the loops. Run with `make bench`."""
+
+import numpy as np
+import pytest
+
+import calib
+from calib.goals import Goals
+from calib.inverse import solve
+from medrue import robot_file
+from medrue.workspace import target_workspace
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return calib.load(robot_file())
+
+
+@pytest.mark.parametrize("asked", ["full pose", "position and axis", "position"])
+def test_solve_420_targets(benchmark, robot, asked):
+    T = np.array(target_workspace().T_world_tool)
+    goals = Goals(
+        T[:, :3, 3],
+        T[:, :3, :3] if asked == "full pose" else None,
+        T[:, :3, 2] if asked == "position and axis" else None,
+    )
+    solution = benchmark.pedantic(solve, (robot, goals), rounds=3)
+    assert solution.ok.all()

@@ -1,0 +1,344 @@
+"""Bad input on the command line: one clear line, exit code 2, nothing written, an existing result untouched."""
+
+import os
+from pathlib import Path
+
+import pytest
+from small_robots import ARM_URDF, ARM_YAML, write_arm, write_parallelogram
+
+ROWS = ["turn,slide [mm],wrist [deg],tip_x [mm],tip_y [mm],tip_z [mm]"] + [
+    f"{0.1 * k},{10 * k},{-5 * k},{375 + k},{20 - k},{600 + 2 * k}" for k in range(8)
+]
+DATA = "\n".join(ROWS) + "\n"
+FIT = "fit arm.yaml data.csv --out out"
+PREDICT = "predict arm.yaml data.csv --out old.csv"
+SIMULATE = "simulate arm.yaml data.csv --sigma-mm 0.1 --seed 1 --out old.csv"
+
+
+def tree(folder):
+    """Every path below a folder, with its bytes and the time of its last change."""
+    return {
+        str(path.relative_to(folder)): (path.read_bytes(), path.stat().st_mtime_ns) if path.is_file() else None
+        for path in sorted(folder.rglob("*"))
+    }
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A working folder with a robot, data, and results of an earlier run."""
+    write_arm(tmp_path)
+    (tmp_path / "data.csv").write_text(DATA)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "result.json").write_text('{"an": "earlier result"}')
+    (tmp_path / "out" / "calibrated.urdf").write_text("an earlier result")
+    (tmp_path / "old.csv").write_text("an earlier result")
+    return tmp_path
+
+
+@pytest.fixture
+def refused(folder, run_calib):
+    """Run a command that must be refused, and return its one line."""
+
+    def run(command, *more):
+        before = tree(folder)
+        done = run_calib(*command.split(), *more, cwd=folder)
+        assert done.code == 2, done
+        assert done.out == ""
+        assert done.err.endswith("\n")
+        assert done.err.count("\n") == 1, done.err
+        assert done.err.startswith("calib")
+        assert "Traceback" not in done.err
+        assert "defect" not in done.err
+        assert tree(folder) == before
+        return done.err.strip()
+
+    return run
+
+
+def data(**changes):
+    """The measurement file with lines replaced: `data(line3="...")`."""
+    lines = list(ROWS)
+    for key, text in changes.items():
+        lines[int(key.removeprefix("line")) - 1] = text
+    return "\n".join(lines) + "\n"
+
+
+BAD_DATA = {
+    "missing joint column": (DATA.replace("slide", "slid_e"), "no column 'slide'; did you mean 'slid_e'?"),
+    "missing measured column": (DATA.replace("tip_z", "other"), "data.csv: no column 'tip_z'; did you mean 'tip_"),
+    "wrong joint name": (DATA.replace("wrist", "wirst"), "data.csv: no column 'wrist'; did you mean 'wirst'?"),
+    "duplicate column": (data(line1="turn,slide,wrist,tip_x,tip_y,tip_y"), "data.csv: column 'tip_y' appears twice"),
+    "duplicate with another unit": (DATA.replace("tip_y [mm]", "turn [deg]"), "data.csv: column 'turn' appears twice"),
+    "nameless column": (data(line1="turn,,wrist,tip_x,tip_y,tip_z"), "data.csv: column 2 has no name in the header"),
+    "unknown unit": (DATA.replace("turn", "turn [degree]"), "unknown unit 'degree'; did you mean 'deg'?"),
+    "length for an angle": (DATA.replace("turn", "turn [mm]"), "column 'turn': unit 'mm' is for a length; an angle is"),
+    "angle for a length": (DATA.replace("tip_x [mm]", "tip_x [deg]"), "column 'tip_x': unit 'deg' is for an angle; a"),
+    "text": (data(line4="a,0,0,1,2,3"), "data.csv, line 4, column 'turn': 'a' is not a number"),
+    "nan": (data(line5="0,0,nan,1,2,3"), "data.csv, line 5, column 'wrist': 'nan' is not finite"),
+    "infinite": (data(line5="0,0,0,inf,2,3"), "data.csv, line 5, column 'tip_x': 'inf' is not finite"),
+    "empty cell": (data(line6="0,0,0,1,,3"), "data.csv, line 6, column 'tip_y': is empty; fill it in, or remove the"),
+    "number with a unit": (data(line6="0,0,0,1 mm,2,3"), "data.csv, line 6, column 'tip_x': '1 mm' is not a number"),
+    "short row": (data(line7="0,0,0,1,2"), "data.csv, line 7: 5 cells for 6 columns"),
+    "decimal commas": (data(line2="0,1,0,2,0,3,1,5,2,5,3,5"), "line 2: 12 cells for 6 columns; write decimals with"),
+    "quoted decimal commas": (data(line2='"0,1",0,0,1,2,3'), "'0,1' is not a number; write decimals with a point"),
+    "semicolons": (DATA.replace(",", ";"), "data.csv: columns are separated by semicolons; use commas"),
+    "tabs": (DATA.replace(",", "\t"), "data.csv: columns are separated by tabs; use commas"),
+    "degrees without a unit": (DATA.replace(" [deg]", ""), "line 9, column 'wrist': -35 rad is not plausible; write"),
+    "millimetres without a unit": (DATA.replace("tip_x [mm]", "tip_x"), "column 'tip_x': 382 m is not plausible;"),
+    "empty file": ("", "data.csv: is empty; expected a header line and rows of numbers"),
+    "comments only": ("# nothing\n", "data.csv: is empty; expected a header line and rows of numbers"),
+    "header only": (ROWS[0] + "\n", "data.csv: has a header but no rows"),
+    "binary": (bytes(range(256)) * 4, "data.csv: is not UTF-8 text; save it as CSV in UTF-8"),
+    "UTF-16": (DATA.encode("utf-16"), "data.csv: is not UTF-8 text; save it as CSV in UTF-8"),
+    "open quote": (data(line3='"0,0,0,1,2,3'), "data.csv, line 3: is not CSV"),
+    "repeats that differ": (
+        "pose,turn,slide,wrist,tip_x,tip_y,tip_z\na,0,0,0,1,1,1\nb,0,0,0,1,1,1\na,0.1,0,0,1,1,1\n",
+        "data.csv, line 2 (pose a): joint 'turn' differs by 5.73 deg among the rows of pose 'a'",
+    ),
+    "nameless pose": ("pose,turn,slide,wrist,tip_x,tip_y,tip_z\n,0,0,0,1,1,1\n", "data.csv, line 2, column 'pose':"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("content", "message"), BAD_DATA.values(), ids=BAD_DATA)
+def test_bad_measurements_are_refused_by_fit(folder, refused, content, message):
+    (folder / "data.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
+    assert message in refused(FIT)
+
+
+@pytest.mark.parametrize("command", [PREDICT, SIMULATE])
+@pytest.mark.parametrize(
+    "case",
+    ["missing joint column", "wrong joint name", "duplicate column", "unknown unit", "length for an angle", "text",
+     "nan", "short row", "semicolons", "degrees without a unit", "empty file", "header only", "binary"],
+)  # fmt: skip
+def test_bad_joint_values_are_refused_by_predict_and_simulate(folder, refused, command, case):
+    content, message = BAD_DATA[case]
+    (folder / "data.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
+    assert message in refused(command)
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+def test_too_few_poses_are_refused(folder, refused, rows):
+    (folder / "data.csv").write_text("\n".join(ROWS[: rows + 1]) + "\n")
+    line = refused(FIT)
+    assert "data.csv: " in line
+    assert f"{rows} poses give" in line or "1 pose" in line
+    assert "measure at least" in line
+
+
+def test_data_that_is_not_there_is_refused(folder, refused):
+    (folder / "data.csv").unlink()
+    for command in (FIT, PREDICT, SIMULATE):
+        assert refused(command) == "calib: data.csv: no such file; give a CSV file"
+    (folder / "data.csv").mkdir()
+    for command in (FIT, PREDICT, SIMULATE):
+        assert refused(command) == "calib: data.csv: cannot be read (is a directory)"
+
+
+NO_PARAMETRISATION = ARM_YAML[: ARM_YAML.index("parametrisation:")]
+BAD_ROBOTS = {
+    "no file": (None, "arm.yaml: no such file; give a robot description (YAML) or a URDF"),
+    "empty": ("", "arm.yaml: is not a mapping of keys to values"),
+    "broken YAML": (ARM_YAML.replace("[turn,", "[turn"), "arm.yaml"),
+    "tab": (ARM_YAML.replace("base:", "\tbase:"), "arm.yaml, line 3: not valid YAML (found character '\\t'"),
+    "unknown key": (ARM_YAML + "hold: []\n", "arm.yaml: unknown key 'hold'; did you mean 'held'?"),
+    "key twice": (ARM_YAML + "urdf: b.urdf\n", "arm.yaml, line 9: not valid YAML (key 'urdf' is given twice)"),
+    "unknown joint": (ARM_YAML.replace("[turn,", "[trun,"), "name_mot: no joint 'trun'; did you mean 'turn'?"),
+    "unknown frame": (ARM_YAML.replace("frame: tool", "frame: toool"), "link or joint 'toool'; did you mean 'tool'?"),
+    "unknown plugin": (NO_PARAMETRISATION + "parametrisation: scara\n", "arm.yaml: no parametrisation 'scara' is"),
+    "unknown held": (ARM_YAML + "held: [turn.q]\n", "arm.yaml: held: no parameter 'turn.q'; did you mean 'turn."),
+    "sigma": (ARM_YAML + "sigma: -0.1 mm\n", "arm.yaml: sigma: should be greater than 0 (given: '-0.1 mm')"),
+    "missing URDF": (ARM_YAML.replace("arm.urdf", "leg.urdf"), "leg.urdf: no such file; give the path of a URDF"),
+    "UTF-16 YAML": (ARM_YAML.encode("utf-16"), "arm.yaml: is not UTF-8 text"),
+    "nothing but a list": ("- a\n", "arm.yaml: is not a mapping of keys to values"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("content", "message"), BAD_ROBOTS.values(), ids=BAD_ROBOTS)
+def test_a_bad_description_is_refused(folder, refused, content, message):
+    path = folder / "arm.yaml"
+    if content is None:
+        path.unlink()
+    else:
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    for command in (FIT, PREDICT, SIMULATE):
+        assert message in refused(command)
+
+
+BAD_URDFS = {
+    "broken XML": (ARM_URDF.replace("</robot>", ""), "arm.urdf, line 20: not valid XML (no element found)"),
+    "not XML": ("joints: none\n", "arm.urdf, line 1: not valid XML (syntax error)"),
+    "empty": ("", "arm.urdf, line 1: not valid XML (no element found)"),
+    "UTF-16": (ARM_URDF.encode("utf-16"), "arm.urdf: UTF-16 or binary, not a text URDF; save it as UTF-8"),
+    "binary": (bytes(range(256)), "arm.urdf: UTF-16 or binary, not a text URDF; save it as UTF-8"),
+    "another XML": ("<html/>", "arm.urdf: the top element is <html>, not <robot>"),
+    "no links": ("<robot name='r'/>", "arm.urdf: has no links"),
+    "a ring": (ARM_URDF.replace('parent link="ground"', 'parent link="tool"'), "'upper' is its own ancestor"),
+    "two parents": (ARM_URDF.replace('child link="tool"', 'child link="hand"'), "link 'hand' is the child of joints"),
+    "unknown link": (ARM_URDF.replace('parent link="upper"', 'parent link="uper"'), "did you mean 'upper'?"),
+    "unknown type": (ARM_URDF.replace('"continuous"', '"continous"'), "'continous'; did you mean 'continuous'?"),
+    "text in an origin": (ARM_URDF.replace("0.25 0 0", "0.25 0 O"), "joint 'slide', xyz: 'O' is not a number"),
+    "two numbers": (ARM_URDF.replace("0.25 0 0", "0.25 0"), "joint 'slide', xyz: '0.25 0' is not three numbers"),
+    "commas": (ARM_URDF.replace("0.25 0 0", "0.25,0,0"), "joint 'slide', xyz: "),
+    "nan": (ARM_URDF.replace("0.25 0 0", "nan 0 0"), "joint 'slide', xyz: 'nan' is not a number"),
+    "no axis": (ARM_URDF.replace("1 0 0", "0 0 0"), "joint 'slide': the axis has no direction"),
+    "xacro": (ARM_URDF.replace("0.25 0 0", "${length} 0 0"), "run xacro on the file first"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("content", "message"), BAD_URDFS.values(), ids=BAD_URDFS)
+def test_a_bad_urdf_is_refused(folder, refused, content, message):
+    assert content != ARM_URDF
+    (folder / "arm.urdf").write_bytes(content if isinstance(content, bytes) else content.encode())
+    for command in (FIT, "init arm.urdf --out new.yaml", "predict arm.urdf data.csv --out new.csv"):
+        assert message in refused(command)
+
+
+def test_a_home_that_does_not_close_is_refused(folder, refused):
+    path = write_parallelogram(folder)
+    path.write_text(path.read_text().replace("b: -90 deg", "b: -80 deg"))
+    line = refused("predict parallelogram.yaml data.csv --out old.csv")
+    assert "parallelogram.yaml: home: loop rocker_end-coupler_end is open by 174.311 mm" in line
+
+
+def test_a_pose_that_cannot_be_assembled_is_refused_with_pose_and_loop(folder, refused):
+    medrue = Path(__file__).parents[1] / "urdf" / "medrue.yaml"
+    header = "pose,q1 [mm],q2,q3,q4,q5,q6,tool_x,tool_y,tool_z"
+    good, bad = "300,0.59,2.478,0.59,2.478,-0.573,0.2,0.4,0.1", "300,-1.5,-1.5,0.59,2.478,-0.573,0.2,0.4,0.1"
+    rows = [f"good{k},{good}" for k in range(20)]
+    (folder / "data.csv").write_text("\n".join([header, *rows, f"far,{bad}"]) + "\n")
+    for command in ("fit", "predict", "simulate"):
+        options = "--sigma-mm 0 --seed 1 " if command == "simulate" else ""
+        line = refused(f"{command} {medrue} data.csv {options}--out {'out' if command == 'fit' else 'old.csv'}")
+        assert "data.csv, line 22 (pose far): " in line
+        assert "E1_B-E1_D" in line or "loop" in line
+
+
+BAD_OPTIONS = {
+    "validate fraction": (f"{FIT} --validate 1.5", "holding out 1.5 of 8 poses leaves nothing to"),
+    "validate zero": (f"{FIT} --validate 0", "holding out 0 of 8 poses leaves nothing to validate with"),
+    "validate nan": (f"{FIT} --validate nan", "nan"),
+    "validate file": (f"{FIT} --validate other.csv", "other.csv: no such file"),
+    "sigma text": (f"{FIT} --sigma-mm abc", "'--sigma-mm': 'abc' is not a valid float"),
+    "sigma negative": (f"{FIT} --sigma-mm -1", "--sigma-mm -1: must be a number, zero or positive"),
+    "sigma zero": (f"{FIT} --sigma-mm 0", "--sigma-mm 0: must be positive"),
+    "sigma nan": (f"{FIT} --sigma-mm nan", "--sigma-mm nan: must be a number"),
+    "sigma of simulate": (SIMULATE.replace("0.1", "inf"), "--sigma-mm inf: must be a number"),
+    "seed": (SIMULATE.replace("--seed 1", "--seed -1"), "'--seed': -1 is not in the range x>=0"),
+    "no seed": (SIMULATE.replace("--seed 1 ", ""), "Missing option '--seed'"),
+    "no out": ("fit arm.yaml data.csv", "Missing option '--out'"),
+    "no data": ("fit arm.yaml --out out", "Missing argument 'DATA'"),
+    "unknown command": ("fitt arm.yaml data.csv --out out", "No such command 'fitt'. Did you mean 'fit'?"),
+    "unknown option": (f"{FIT} --sigma 1", "No such option '--sigma'. Did you mean '--sigma-mm'?"),
+    "one argument too many": (f"{FIT} more.csv", "Got unexpected extra argument"),
+    "parameters and result": (f"{PREDICT} --parameters p.csv --result out", "--parameters and --result exclude each"),
+    "json place": (f"{FIT} --json no/where.json", "no/where.json: cannot be written (no such file or directory)"),
+    "no result": (f"{PREDICT} --result elsewhere", "elsewhere: holds no result (no result.json)"),
+    "broken result": (f"{PREDICT} --result out", "is not a result of format version"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("command", "message"), BAD_OPTIONS.values(), ids=BAD_OPTIONS)
+def test_bad_options_are_refused(refused, command, message):
+    assert message in refused(command)
+
+
+BAD_PARAMETERS = {
+    "missing file": (None, "p.csv: no such file"),
+    "missing column": ("parameter,value\nturn.x,1\n", "p.csv: no column 'unit'"),
+    "unknown parameter": ("parameter,value,unit\nturn.xx,1,mm\n", "p.csv, line 2: no parameter 'turn.xx'; did"),
+    "parameter twice": ("parameter,value,unit\nturn.x,1,mm\nturn.x,2,mm\n", "line 3: parameter 'turn.x' is given"),
+    "wrong unit": ("parameter,value,unit\nturn.x,1,deg\n", "p.csv, line 2, parameter 'turn.x': unit 'deg' is for an"),
+    "text": ("parameter,value,unit\nturn.x,x,mm\n", "p.csv, line 2, parameter 'turn.x': 'x' is not a number"),
+    "nan": ("parameter,value,unit\nturn.x,nan,mm\n", "p.csv, line 2, parameter 'turn.x': 'nan' is not finite"),
+    "no unit": ("parameter,value,unit\nturn.x,178,\n", "p.csv, line 2, parameter 'turn.x': 178 m is not plausible"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("content", "message"), BAD_PARAMETERS.values(), ids=BAD_PARAMETERS)
+def test_a_bad_parameter_file_is_refused(folder, refused, content, message):
+    if content is not None:
+        (folder / "p.csv").write_text(content)
+    for command in (PREDICT, SIMULATE):
+        assert message in refused(command, "--parameters", "p.csv")
+
+
+BAD_PLACES = {
+    "a file": ("data.csv", "data.csv: cannot be written (is a file, not a folder)"),
+    "below a file": ("data.csv/out", "data.csv/out: cannot be written (a part of the path is a file, not a folder)"),
+    "in /proc": ("/proc/out", "/proc/out: cannot be written ("),
+    "in /sys": ("/sys/out", "/sys/out: cannot be written ("),
+    "here": (".", ".: cannot be written (it holds the current folder; a result needs a folder of its own)"),
+    "long name": ("x" * 300, "cannot be written (file name too long)"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("place", "message"), BAD_PLACES.values(), ids=BAD_PLACES)
+def test_a_folder_that_cannot_be_written_is_refused_before_the_work(refused, place, message):
+    assert message in refused("fit arm.yaml data.csv --out", place)
+
+
+@pytest.mark.parametrize("place", ["out", "data.csv/p.csv", "no/p.csv", "/proc/p.csv", "/sys/p.csv", "x" * 300])
+def test_a_file_that_cannot_be_written_is_refused_before_the_work(refused, place):
+    for command in ("predict arm.yaml data.csv", "simulate arm.yaml data.csv --sigma-mm 0 --seed 1"):
+        line = refused(f"{command} --out", place)
+        assert line.startswith(f"calib: {place}: cannot be written (")
+        assert line.endswith("; choose another place for the output")
+
+
+def test_several_mistakes_are_still_one_line(folder, refused):
+    (folder / "arm.yaml").write_text(ARM_YAML + "a: 1\nb: 2\n")
+    (folder / "data.csv").write_text("")
+    assert "arm.yaml: unknown key 'a'" in refused(FIT)
+
+
+def test_control_codes_of_a_broken_file_do_not_reach_the_terminal(folder, refused):
+    (folder / "data.csv").write_text(data(line4="\x1b[31mred\x07,0,0,1,2,3"))
+    line = refused(FIT)
+    assert line.isprintable()
+    assert "'?[31mred?' is not a number" in line
+
+
+def test_a_plain_urdf_that_branches_is_refused_with_the_way_out(folder, refused):
+    branch = '<link name="left"/><joint name="l" type="continuous"><parent link="upper"/><child link="left"/></joint>'
+    (folder / "arm.urdf").write_text(ARM_URDF.replace("</robot>", branch + "</robot>"))
+    line = refused("fit arm.urdf data.csv --out out")
+    assert "the robot branches, so it has no last link; choose a link such as tool, left with `calib init" in line
+
+
+def test_debug_shows_the_traceback_and_keeps_the_exit_code(folder, run_calib):
+    before = tree(folder)
+    done = run_calib(*FIT.replace("data.csv", "no.csv").split(), "--debug", cwd=folder)
+    assert done.code == 2
+    assert done.err.startswith("Traceback (most recent call last):")
+    assert done.err.splitlines()[-1].endswith("DataError: no.csv: no such file; give a CSV file")
+    assert tree(folder) == before
+
+
+def test_no_command_shows_the_help(run_calib):
+    done = run_calib()
+    assert done.code == 2
+    assert "Usage: calib [OPTIONS] COMMAND" in done.err
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("fit no.yaml data.csv --out out", "calib: no.yaml: no such file; give a robot description (YAML) or a URDF\n"),
+        ("fit arm.yaml bad.csv --out out", "calib: bad.csv, line 2, column 'turn': 'a' is not a number\n"),
+        ("fitt", "calib: No such command 'fitt'. Did you mean 'fit'? (see calib --help)\n"),
+    ],
+)
+def test_the_program_as_a_process_says_the_same(folder, spawn_calib, command, message):
+    (folder / "bad.csv").write_text(data(line2="a,0,0,0,0,0"))
+    before = tree(folder)
+    done = spawn_calib(*command.split(), cwd=folder)
+    assert (done.code, done.out, done.err) == (2, "", message)
+    assert tree(folder) == before
+
+
+def test_nothing_is_left_in_the_folder_for_temporary_files(folder, refused, monkeypatch, tmp_path_factory):
+    temporary = tmp_path_factory.mktemp("temporary")
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    refused(FIT.replace("data.csv", "no.csv"))
+    assert os.listdir(temporary) == []  # noqa: PTH208

@@ -1,0 +1,178 @@
+"""`calib init`: the description that it writes loads and works as it is, whatever the names in the URDF."""
+
+import re
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import pytest
+import yaml
+from small_robots import ARM_URDF
+
+import calib
+from calib.description import Description
+
+ODD_NAMES = [
+    "a, b",
+    "c: d",
+    "#e",
+    "yes",
+    "1",
+    "[f]",
+    "{g}",
+    "it's",
+    'say "h"',
+    "- i",
+    "*j",
+    "é µ",
+    "~",
+    "0x1",
+    "null",
+    "k #l",
+    "a" * 200,
+]
+
+
+def chain_urdf(joints, links, name="robot"):
+    """A chain of revolute joints with these joint and link names."""
+    text = [f"<link name={quoteattr(link)}/>" for link in links]
+    for joint, parent, child in zip(joints, links[:-1], links[1:], strict=True):
+        text.append(
+            f"<joint name={quoteattr(joint)} type='revolute'><parent link={quoteattr(parent)}/>"
+            f"<child link={quoteattr(child)}/><origin xyz='0.1 0 0.2'/><limit lower='-3' upper='3'/></joint>"
+        )
+    return f"<robot name='{name}'>{''.join(text)}</robot>"
+
+
+def test_the_description_means_the_same_as_the_plain_urdf(tmp_path, run_calib):
+    (tmp_path / "arm.urdf").write_text(ARM_URDF)
+    run = run_calib("init", "arm.urdf", "--out", "arm.yaml", cwd=tmp_path)
+    assert (run.code, run.err) == (0, "")
+    assert run.out == "arm.yaml written; it works as it is, and its comments say what to change\n"
+    described, plain = calib.load(tmp_path / "arm.yaml"), calib.load(tmp_path / "arm.urdf")
+    assert described.parameters == plain.parameters
+    assert described.description == plain.description
+    q = np.array([[0.1, 0.2, 0.3]])
+    assert np.array_equal(described.positions(q), plain.positions(q))
+
+
+def test_it_can_be_used_at_once_to_simulate_fit_and_predict(tmp_path, run_calib):
+    (tmp_path / "arm.urdf").write_text(ARM_URDF)
+    q = np.random.default_rng(31).uniform([-1.5, 0, -1.5], [1.5, 0.5, 1.5], (25, 3))
+    rows = "\n".join(f"{turn},{slide},{wrist}" for turn, slide, wrist in q.tolist())
+    (tmp_path / "q.csv").write_text(f"turn,slide,wrist\n{rows}\n")
+    (tmp_path / "truth.csv").write_text("parameter,value,unit\nslide.x,252,mm\nwrist.rx,0.2,deg\n")
+    for command in (
+        "init arm.urdf --out arm.yaml",
+        "simulate arm.yaml q.csv --parameters truth.csv --sigma-mm 0.02 --seed 3 --out measured.csv",
+        "fit arm.yaml measured.csv --sigma-mm 0.02 --out result",
+        "predict arm.yaml q.csv --result result --out predicted.csv",
+    ):
+        run = run_calib(*command.split(), cwd=tmp_path)
+        assert run.code == 0, (command, run.err)
+    robot = calib.load(tmp_path / "arm.yaml")
+    measured = calib.read_measurements(tmp_path / "measured.csv", robot).positions
+    predicted = calib.read_measurements(tmp_path / "predicted.csv", robot).positions
+    assert np.sqrt(np.mean((predicted - measured) ** 2)) < 25e-6  # the noise, 20 um, and what a short fit adds
+
+
+@pytest.mark.parametrize("odd", ODD_NAMES)
+def test_odd_names_are_quoted(tmp_path, run_calib, odd):
+    (tmp_path / "r.urdf").write_text(chain_urdf([odd, "second"], ["root " + odd, "middle", odd + " end"]))
+    run = run_calib("init", "r.urdf", "--out", "r.yaml", cwd=tmp_path)
+    assert run.code == 0, run.err
+    robot = calib.load(tmp_path / "r.yaml")
+    assert robot.joint_names == (odd, "second")
+    assert robot.target_names == (odd + " end",)
+    assert robot.description.base.frame == "root " + odd
+
+
+def test_an_odd_name_as_the_whole_link_name_is_quoted_too(tmp_path, run_calib):
+    (tmp_path / "r.urdf").write_text(chain_urdf([f"j{k}" for k in range(len(ODD_NAMES) - 1)], ODD_NAMES))
+    for k, link in enumerate(ODD_NAMES[1:]):
+        run = run_calib("init", "r.urdf", "--target", link, "--out", f"r{k}.yaml", cwd=tmp_path)
+        assert run.code == 0, run.err
+        assert calib.load(tmp_path / f"r{k}.yaml").target_names == (link,)
+
+
+def test_an_odd_place_of_the_urdf_is_found_from_the_description(tmp_path, run_calib):
+    folder = tmp_path / "my robots: #1, [new]"
+    folder.mkdir()
+    (folder / "it's é.urdf").write_text(ARM_URDF)
+    (tmp_path / "elsewhere").mkdir()
+    run = run_calib("init", folder / "it's é.urdf", "--out", "elsewhere/arm.yaml", cwd=tmp_path)
+    assert run.code == 0, run.err
+    assert calib.load(tmp_path / "elsewhere" / "arm.yaml").joint_names == ("turn", "slide", "wrist")
+    assert str(tmp_path) not in (tmp_path / "elsewhere" / "arm.yaml").read_text()  # relative: the folders can move
+
+
+def test_a_robot_name_with_line_ends_stays_in_its_comment(tmp_path, run_calib):
+    (tmp_path / "r.urdf").write_text(chain_urdf(["a"], ["x", "y"], name="one&#10;priors: false&#10;two"))
+    assert run_calib("init", "r.urdf", "--out", "r.yaml", cwd=tmp_path).code == 0
+    assert calib.load(tmp_path / "r.yaml").description.priors is True
+
+
+def test_every_key_is_explained_and_every_commented_key_exists(tmp_path, run_calib):
+    (tmp_path / "arm.urdf").write_text(ARM_URDF)
+    run_calib("init", "arm.urdf", "--out", "arm.yaml", cwd=tmp_path)
+    text = (tmp_path / "arm.yaml").read_text()
+    keys = set(yaml.safe_load(text)) | set(re.findall(r"^# ([a-z_]+): \S", text, flags=re.MULTILINE))
+    assert keys <= set(Description.model_fields)
+    assert {"urdf", "name_mot", "closed_loop", "type", "closed_loop_axes", "home", "base", "targets",
+            "parametrisation", "held", "priors", "sigma", "columns"} <= keys  # fmt: skip
+
+
+def test_the_commented_examples_are_valid_once_uncommented(tmp_path, run_calib):
+    (tmp_path / "arm.urdf").write_text(ARM_URDF)
+    run_calib("init", "arm.urdf", "--out", "arm.yaml", cwd=tmp_path)
+    text = (tmp_path / "arm.yaml").read_text()
+    text = re.sub(r"^# ((held|priors|sigma|columns|home): )", r"\1", text, flags=re.MULTILINE)
+    (tmp_path / "arm.yaml").write_text(text)
+    description = calib.load(tmp_path / "arm.yaml").description
+    assert description.held == ("turn.x",)
+    assert description.priors is False
+    assert description.sigma == 40e-6
+    assert description.columns == {"x1": "tool_x [m]", "j1": "turn [deg]"}
+
+
+def test_a_target_inside_the_chain_can_be_chosen(tmp_path, run_calib):
+    (tmp_path / "arm.urdf").write_text(ARM_URDF)
+    assert run_calib("init", "arm.urdf", "--target", "slider", "--out", "arm.yaml", cwd=tmp_path).code == 0
+    robot = calib.load(tmp_path / "arm.yaml")
+    assert robot.joint_names == ("turn", "slide")
+    assert robot.target_names == ("slider",)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("--target tol --out new.yaml", "arm.urdf: no link 'tol'; did you mean 'tool'?"),
+        ("--target ground --out new.yaml", "arm.urdf: no joint moves link 'ground'; there is nothing to calibrate"),
+        ("--out old.yaml", "old.yaml: exists already; choose another name, so that no edited description is lost"),
+        ("--out new.txt", "new.txt: the name of a robot description ends in .yaml"),
+        (
+            "--out no/new.yaml",
+            "no/new.yaml: cannot be written (no such file or directory); choose another place for the",
+        ),
+    ],
+)
+def test_mistakes_are_one_line_and_nothing_is_written(tmp_path, run_calib, arguments, message):
+    (tmp_path / "arm.urdf").write_text(ARM_URDF)
+    (tmp_path / "old.yaml").write_text("edited by hand")
+    run = run_calib("init", "arm.urdf", *arguments.split(), cwd=tmp_path)
+    assert (run.code, run.out, run.err.count("\n")) == (2, "", 1)
+    assert run.err.startswith(f"calib: {message}")
+    assert {path.name for path in tmp_path.iterdir()} == {"arm.urdf", "old.yaml"}
+    assert (tmp_path / "old.yaml").read_text() == "edited by hand"
+
+
+def test_quiet_says_nothing(tmp_path, run_calib):
+    (tmp_path / "arm.urdf").write_text(ARM_URDF)
+    run = run_calib("init", "arm.urdf", "--out", "arm.yaml", "--quiet", cwd=tmp_path)
+    assert (run.code, run.out, run.err) == (0, "", "")
+
+
+@pytest.mark.parametrize("name", ["motoman_right/robot.urdf", "ur10/robot.urdf", "mukca/urdf/iiwa14.urdf"])
+def test_descriptions_of_real_robots_load(shared_data, tmp_path, run_calib, name):
+    run = run_calib("init", shared_data / name, "--out", "robot.yaml", cwd=tmp_path)
+    assert run.code == 0, run.err
+    assert len(calib.load(tmp_path / "robot.yaml").joint_names) in (6, 7)

@@ -1,0 +1,98 @@
+import csv
+import json
+
+import numpy as np
+import pytest
+from six_axis_arm import joints, noisy, six_axis_arm
+
+import calib
+from calib.results import load_calibrated, load_uncertainty
+
+SIGMA = 4e-5
+
+
+@pytest.fixture(scope="module")
+def fit(tmp_path_factory):
+    robot = six_axis_arm(tmp_path_factory.mktemp("arm"))
+    return calib.fit(robot, noisy(robot, joints(60), SIGMA, seed=1))
+
+
+def test_the_covariance_is_that_of_drawn_parameters(fit):
+    q = joints(4, seed=5)
+    found = fit.uncertainty(q)
+    rng = np.random.default_rng(2)
+    drawn = rng.multivariate_normal(np.zeros(fit.free.sum()), fit.statistics.covariance, size=3000)
+    positions = []
+    for step in drawn:
+        values = fit.robot.values.copy()
+        values[fit.free] += step
+        positions.append(fit.robot.with_parameters(values).positions(q))
+    for k in range(4):
+        simulated = np.cov(np.array(positions)[:, k, 0].T)
+        size = np.max(np.abs(simulated))
+        np.testing.assert_allclose(found.covariance[k, 0], simulated, atol=0.08 * size)  # standard error 2.6 %
+
+
+def test_positions_are_those_of_the_calibrated_robot(fit):
+    q = joints(4, seed=5)
+    np.testing.assert_array_equal(fit.uncertainty(q).positions, fit.robot.positions(q))
+
+
+def test_the_summary_names_mean_rms_largest_and_the_worst_pose(fit):
+    found = fit.uncertainty(np.vstack([joints(10, seed=5), 2.9 * np.ones((1, 6))]))
+    distance = 1e3 * np.sqrt(np.trace(found.covariance[:, 0], axis1=1, axis2=2))
+    assert found.worst == int(np.argmax(distance))
+    summary = found.summary()
+    assert summary["mean"] == pytest.approx(distance.mean())
+    assert summary["rms"] == pytest.approx(np.sqrt(np.mean(distance**2)))
+    assert summary["max"] == pytest.approx(distance.max())
+
+
+def test_positions_are_better_known_than_single_parameters(fit):
+    # neighbouring lengths and angles trade against each other without moving the ball much
+    assert fit.identification_uncertainty.summary()["max"] < 1e3 * np.max(fit.statistics.std)
+
+
+def test_the_uncertainty_comes_back_from_the_result_folder(fit, tmp_path):
+    fit.save(tmp_path / "out")
+    calibrated = load_calibrated(tmp_path / "out", fit.nominal)
+    q = joints(4, seed=5)
+    again = load_uncertainty(tmp_path / "out", fit.nominal).at(calibrated, q)
+    np.testing.assert_allclose(again.covariance, fit.uncertainty(q).covariance, rtol=1e-9)
+    assert again.coverage_factor == pytest.approx(fit.statistics.coverage_factor)
+
+
+def test_predict_writes_a_standard_deviation_for_each_coordinate(fit, tmp_path, run_calib):
+    fit.save(tmp_path / "out")
+    poses = tmp_path / "poses.csv"
+    q = joints(3, seed=5)
+    rows = [",".join(f"j{k} [rad]" for k in range(1, 7)), *(",".join(repr(float(v)) for v in row) for row in q)]
+    poses.write_text("\n".join(rows) + "\n")
+    out = tmp_path / "predicted.csv"
+    run = run_calib(
+        "predict", fit.nominal.path, poses, "--result", tmp_path / "out", "--out", out, "--json", tmp_path / "p.json"
+    )
+    assert run.code == 0, run.err
+    table = list(csv.DictReader(line for line in out.read_text().splitlines() if not line.startswith("#")))
+    std = 1e3 * fit.uncertainty(q).std[:, 0]
+    for axis, name in enumerate("xyz"):
+        written = [float(row[f"ball_std_{name} [mm]"]) for row in table]
+        np.testing.assert_allclose(written, std[:, axis], rtol=1e-9)
+    content = json.loads((tmp_path / "p.json").read_text())
+    assert content["position_uncertainty"]["max"] == pytest.approx(fit.uncertainty(q).summary()["max"])
+    assert "at worst (pose" in run.out
+
+
+def test_predict_without_a_result_states_no_uncertainty(fit, tmp_path, run_calib):
+    poses = tmp_path / "poses.csv"
+    poses.write_text("j1,j2,j3,j4,j5,j6\n0.1,0.2,0.3,0.1,0.2,0.3\n")
+    run = run_calib("predict", fit.nominal.path, poses, "--out", tmp_path / "p.csv")
+    assert run.code == 0, run.err
+    assert "std" not in (tmp_path / "p.csv").read_text()
+    assert "known to" not in run.out
+
+
+def test_a_covariance_of_another_robot_is_refused(fit, tmp_path, medrue):
+    fit.save(tmp_path / "out")
+    with pytest.raises(calib.DataError, match="run the fit again"):
+        load_uncertainty(tmp_path / "out", medrue)

@@ -1,0 +1,64 @@
+"""Figures of check and select: drawn without a window, the same every time."""
+
+import numpy as np
+import pytest
+
+import calib
+from calib.assessment import assess
+from calib.candidates import as_poses
+from calib.figures import draw
+from calib.selection import select
+from medrue.workspace import target_workspace
+from viz.selection_plots import accuracy, assessment_figures, index_history, selection_figures, singular_values
+
+Q = target_workspace().q[::6]
+
+
+@pytest.fixture(scope="module")
+def assessment(medrue):
+    return assess(medrue, as_poses(medrue, Q))
+
+
+@pytest.fixture(scope="module")
+def selection(medrue):
+    return select(medrue, Q, 20, starts=2)
+
+
+def test_singular_values_show_the_threshold_and_the_gap(assessment):
+    (axes,) = singular_values(assessment).axes
+    heights = np.concatenate([line.get_ydata() for line in axes.lines[:2]])
+    assert len(heights) == 36
+    assert np.sum(heights > assessment.rank_all.threshold) == 28
+    assert axes.patches  # the gap
+
+
+def test_accuracy_is_drawn_against_the_number_of_poses(assessment):
+    (axes,) = accuracy(assessment).axes
+    uniform, chosen = axes.lines[:2]
+    assert np.all(np.asarray(chosen.get_ydata()) <= np.asarray(uniform.get_ydata()) * (1 + 1e-9))
+    assert max(chosen.get_xdata()) == len(Q)
+
+
+def test_every_run_has_a_line_below_the_bound(selection):
+    (axes,) = index_history(selection).axes
+    curves = [line for line in axes.lines if len(line.get_xdata()) > 2]
+    assert len(curves) == len([run for run in selection.runs if len(run.history) > 2])
+    assert all(np.max(curve.get_ydata()) <= selection.bound for curve in curves)
+
+
+def test_figures_are_svg_and_the_same_twice(assessment, selection):
+    first = assessment_figures(assessment) | selection_figures(selection)
+    again = assessment_figures(assessment) | selection_figures(selection)
+    assert set(first) == {"singular_values.svg", "correlations.svg", "accuracy.svg", "index.svg"}
+    assert first == again
+    assert all(content.startswith(b"<?xml") for content in first.values())
+    assert b"mathdefault" not in first["accuracy.svg"]
+
+
+def test_the_engine_finds_them_by_entry_point(selection):
+    assert set(draw("selection", selection)) == {"index.svg"}
+
+
+def test_a_kind_that_nobody_draws_is_an_error():
+    with pytest.raises(calib.InputError, match="nothing that draws an opera"):
+        draw("opera", None)

@@ -1,0 +1,87 @@
+"""Starts on a problem with two valleys, and on a robot with one."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from six_axis_arm import joints, noisy, six_axis_arm
+
+import calib
+from calib.errors import ComputationError
+from calib.least_squares import minimise
+from calib.starts import explore
+
+
+@dataclass(frozen=True)
+class Point:
+    u: float
+
+
+class TwoValleys:
+    """r = (u^2 - 1, 0.1 (u - 1)): minima near u = -1 and at u = 1, the second lower. Cannot start beyond |u| = 4."""
+
+    scales = np.ones(1)
+
+    def scaled_values(self, robot):
+        return np.array([robot.u])
+
+    def with_values(self, robot, u, chosen):
+        return Point(float(u[0]))
+
+    def evaluate(self, robot):
+        errors = np.array([robot.u**2 - 1, 0.1 * (robot.u - 1), 0.0]).reshape(1, 1, 3)
+        return type("Evaluation", (), {"errors": errors})
+
+    def solve(self, robot, sigma, chosen):
+        if abs(robot.u) > 4:
+            raise ComputationError("open")
+        found = minimise(
+            lambda u: np.array([u[0] ** 2 - 1, 0.1 * (u[0] - 1)]),
+            lambda u: np.array([[2 * u[0]], [0.1]]),
+            np.array([robot.u]),
+        )
+        return Point(float(found.x[0])), found
+
+
+def start(u, n, scale=1.0):
+    problem = TwoValleys()
+    problem.scales = np.array([scale])
+    placed = Point(u)
+    return explore(problem, placed, problem.solve(placed, 1.0, None), 0.01, n, seed=3)
+
+
+def test_starts_find_the_lower_of_two_minima():
+    found = start(-0.8, 20)
+    assert [round(minimum.robot.u, 1) for minimum in found.minima] == [1.0, -1.0]
+    assert found.minima[0].cost < found.minima[1].cost
+    assert sum(minimum.count for minimum in found.minima) == found.total == 20
+
+
+def test_a_step_that_cannot_be_assembled_is_halved():
+    class Far(TwoValleys):
+        def with_values(self, robot, u, chosen):
+            return Point(40 * float(u[0]))  # most steps are out of reach at first
+
+    problem, placed = Far(), Point(0.5)
+    found = explore(problem, placed, TwoValleys().solve(placed, 1.0, None), 0.01, 10, seed=3)
+    assert found.failed < 10
+    assert found.total == 10
+
+
+def test_a_robot_with_one_minimum_comes_back_to_it_from_everywhere(tmp_path):
+    arm = six_axis_arm(tmp_path)
+    fit = calib.fit(arm, noisy(arm, joints(40), 4e-5, seed=1), starts=6, seed=2)
+    assert len(fit.starts.minima) == 1
+    assert fit.starts.minima[0].count == 6
+    assert "6 starts (seed 2)" in fit.report()
+
+
+def test_the_same_seed_gives_the_same_starts():
+    first, second = start(-0.8, 12), start(-0.8, 12)
+    assert [m.count for m in first.minima] == [m.count for m in second.minima]
+
+
+def test_no_start_is_an_error(tmp_path):
+    arm = six_axis_arm(tmp_path)
+    with pytest.raises(calib.InputError, match="starts 0"):
+        calib.fit(arm, noisy(arm, joints(40), 4e-5, seed=1), starts=0)

@@ -1,0 +1,120 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from six_axis_arm import FREE, YAML, joints, measurements, six_axis_arm, write_six_axis
+
+import calib
+from calib.measurements import directions_of_motion
+from calib.systematic import describe, joint_jacobian
+
+SIGMA = 4e-5
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    return six_axis_arm(tmp_path_factory.mktemp("arm"))
+
+
+def fitted(arm, q_true, shift=0.0, n=80, seed=3):
+    """A fit of the joint values `joints(n)`, while the robot really stood at q_true."""
+    positions = arm.positions(q_true) + shift
+    positions = positions + SIGMA * np.random.default_rng(seed).standard_normal(positions.shape)
+    return calib.fit(arm, measurements(joints(n), positions))
+
+
+def findings(fit):
+    return [pattern for pattern in fit.patterns if pattern.significant]
+
+
+def test_joint_derivatives_are_those_of_central_differences(arm):
+    q = joints(5)
+    analytic = joint_jacobian(arm, arm.assemble(q))
+    for j in range(6):
+        step = np.zeros(6)
+        step[j] = 1e-6
+        numeric = (arm.positions(q + step) - arm.positions(q - step)) / 2e-6
+        np.testing.assert_allclose(analytic[..., j], numeric, atol=1e-9)
+
+
+def test_joint_derivatives_go_through_closed_loops(medrue):
+    q = medrue.home[None] + 0.02
+    analytic = joint_jacobian(medrue, medrue.assemble(q))
+    for j in range(6):
+        step = np.zeros(6)
+        step[j] = 1e-6
+        numeric = (medrue.positions(q + step) - medrue.positions(q - step)) / 2e-6
+        np.testing.assert_allclose(analytic[..., j], numeric, atol=2e-8)
+
+
+def test_the_direction_of_motion_is_kept_while_a_joint_stands_still():
+    q = np.array([[0, 0], [1, 0], [1, -2], [0.5, -2], [0.5, 3], [0.5, 3]], dtype=float)
+    np.testing.assert_array_equal(directions_of_motion(q), [[0, 0], [1, 0], [1, -1], [-1, -1], [-1, 1], [-1, 1]])
+
+
+def test_a_hold_out_set_keeps_the_directions_of_the_whole_file(arm):
+    data = measurements(joints(10), arm.positions(joints(10)))
+    part = data.subset(np.array([4, 7]))
+    np.testing.assert_array_equal(part.approach_directions, directions_of_motion(data.joints)[[4, 7]])
+
+
+def test_backlash_is_found_with_its_joint_and_size(arm):
+    q = joints(80)
+    half = 1e-4
+    played = q.copy()
+    played[:, 2] += half * directions_of_motion(q)[:, 2]
+    found = findings(fitted(arm, played))
+    assert (found[0].kind, found[0].name) == ("approach", "j3")
+    assert abs(found[0].amount) == pytest.approx(half, rel=0.3)
+    words = describe(found[0], arm.mechanism.dimensions)
+    assert words.startswith("joint j3 differs by 0.01")
+    assert "deg with the direction of approach" in words
+
+
+def test_a_gear_error_is_found_at_its_joint(arm):
+    q = joints(80)
+    geared = q.copy()
+    geared[:, 1] += 2e-4 * np.sin(3 * q[:, 1])
+    found = findings(fitted(arm, geared))
+    assert (found[0].kind, found[0].name) == ("joint", "j2")
+
+
+def test_a_constant_shift_is_found_where_nothing_absorbs_it(tmp_path):
+    yaml = YAML + "  - {origin: j3, components: [rx, rz], sigma: 5 mrad}\n"
+    robot = calib.load(write_six_axis(tmp_path, yaml))
+    fit = fitted(robot, joints(80), shift=np.array([0, 0, 3e-5]))
+    assert [(p.kind, p.name) for p in findings(fit)] == [("axis", "z")]
+    assert findings(fit)[0].amount == pytest.approx(-3e-5, abs=1e-5)  # predicted minus measured
+
+
+def test_a_constant_shift_is_not_tested_where_the_base_is_free(tmp_path):
+    robot = calib.load(write_six_axis(tmp_path, YAML.replace("frame: l0", "frame: l0, pose: unknown") + FREE))
+    fit = fitted(robot, joints(80))
+    assert not any(pattern.kind == "axis" for pattern in fit.patterns)
+
+
+def test_enough_data_do_not_make_a_trifle_a_finding(arm):
+    q = joints(3000)
+    played = q.copy()
+    played[:, 2] += 6e-6 * directions_of_motion(q)[:, 2]  # a tenth of the noise at the ball
+    fit = fitted(arm, played, n=3000)
+    trifle = next(p for p in fit.patterns if (p.kind, p.name) == ("approach", "j3"))
+    assert trifle.p_value < 1e-3
+    assert not trifle.significant
+
+
+def test_a_joint_that_always_moves_the_same_way_has_no_direction_to_compare(arm):
+    q = joints(60)
+    q = q[np.argsort(q[:, 0])]
+    positions = arm.positions(q) + SIGMA * np.random.default_rng(1).standard_normal((60, 1, 3))
+    fit = calib.fit(arm, measurements(q, positions))
+    tested = {pattern.name for pattern in fit.patterns if pattern.kind == "approach"}
+    first_pose_only = dataclasses.replace(fit.identification.data, approach=np.ones((60, 6)))
+    again = calib.fit(arm, first_pose_only)
+    assert tested >= {"j2", "j3"}
+    assert not any(pattern.kind == "approach" for pattern in again.patterns)
+
+
+def test_exact_data_are_not_tested(arm):
+    fit = calib.fit(arm, measurements(joints(40), arm.positions(joints(40))))
+    assert fit.patterns == ()

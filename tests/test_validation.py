@@ -1,0 +1,111 @@
+import numpy as np
+import pytest
+from six_axis_arm import joints, measurements, noisy, six_axis_arm
+
+import calib
+from calib.validation import deal, error_table, split
+
+RNG = np.random.default_rng(0)
+
+
+def some(n, same=()):
+    """n poses; those listed in `same` stand at the joint values of pose 0."""
+    q = joints(n)
+    for k in same:
+        q[k] = q[0]
+    return measurements(q, np.zeros((n, 1, 3)))
+
+
+def test_an_error_table_by_hand():
+    table = error_table(np.array([[3e-3, 0, 4e-3], [0, -1e-3, 0]]))
+    assert table["mean"] == pytest.approx(3.0)
+    assert table["max"] == pytest.approx(5.0)
+    assert table["rms"] == pytest.approx(np.sqrt(13))
+    assert table["std"] == pytest.approx(np.sqrt(8))
+    assert table["median"] == pytest.approx(3.0)
+    assert table["p90"] == pytest.approx(1 + 0.9 * 4)
+    assert table["x"]["mean"] == pytest.approx(1.5)
+    assert table["y"]["bias"] == pytest.approx(-0.5)
+    assert table["y"]["max"] == pytest.approx(1.0)
+    assert table["y"]["p95"] == pytest.approx(0.95)
+    assert table["z"]["rms"] == pytest.approx(np.sqrt(8))
+
+
+def test_the_scatter_of_a_single_error_is_unknown():
+    assert np.isnan(error_table(np.zeros((1, 3)))["std"])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_split_keeps_repeats_of_one_pose_together(seed):
+    kept, held = split(some(20, same=(4, 9, 15)), 0.3, seed)
+    assert len(kept) + len(held) == 20
+    assert len(held) >= 6
+    repeats = {"0", "4", "9", "15"}
+    assert repeats <= set(held.names) or not repeats & set(held.names)
+
+
+def test_a_split_is_in_file_order_and_repeatable():
+    kept, held = split(some(30), 0.2, 7)
+    assert len(held) == 6
+    assert [int(name) for name in held.names] == sorted(int(name) for name in held.names)
+    assert held.names == split(some(30), 0.2, 7)[1].names
+    assert held.names != split(some(30), 0.2, 8)[1].names
+    assert not set(held.names) & set(kept.names)
+
+
+@pytest.mark.parametrize("fraction", [0.0, 1.0, -0.5, 0.01, 0.99])
+def test_a_split_that_leaves_nothing_is_an_error(fraction):
+    with pytest.raises(calib.DataError, match="leaves nothing to"):
+        split(some(10), fraction)
+
+
+def test_all_poses_the_same_cannot_be_split():
+    with pytest.raises(calib.DataError, match="nothing to identify"):
+        split(some(10, same=range(1, 10)), 0.5)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_every_pose_is_in_one_fold_and_repeats_are_in_the_same(seed):
+    folds = deal(some(23, same=(4, 9, 15)), 5, seed)
+    assert sorted(np.concatenate(folds)) == list(range(23))
+    assert max(map(len, folds)) - min(map(len, folds)) <= 4
+    assert sum(bool({0, 4, 9, 15} & set(fold)) for fold in folds) == 1
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    return six_axis_arm(tmp_path_factory.mktemp("arm"))
+
+
+def test_folds_predict_each_pose_by_a_fit_that_did_not_see_it(arm):
+    data = noisy(arm, joints(45), 4e-5, seed=1)
+    fit = calib.fit(arm, data, folds=3, seed=4)
+    for held in deal(data, 3, 4):
+        kept = np.setdiff1d(np.arange(45), held)
+        alone = calib.fit(arm, data.subset(kept), validation=data.subset(held))
+        np.testing.assert_array_equal(fit.folds.errors.after[held], alone.validation.after)
+    assert len(fit.folds.rms) == 3
+    unused, used = (1e3 * np.sqrt(np.mean(np.sum(e.after**2, axis=2))) for e in (fit.folds.errors, fit.identification))
+    assert unused > used
+
+
+@pytest.mark.parametrize("folds", [1, -2, 46])
+def test_a_senseless_number_of_folds_is_an_error(arm, folds):
+    with pytest.raises(calib.InputError, match=f"folds {folds}: must be 2 or more"):
+        calib.fit(arm, noisy(arm, joints(45), 4e-5, seed=1), folds=folds)
+
+
+def test_before_is_with_base_and_target_placed_alone(tmp_path):
+    from six_axis_arm import FREE, YAML, write_six_axis
+
+    yaml = YAML.replace("frame: l0", "frame: l0, pose: unknown").replace("100 mm]", "100 mm], position: unknown")
+    robot = calib.load(write_six_axis(tmp_path, yaml + FREE))
+    moved = {"base.x": 0.7, "base.rz": 0.4, "ball.y": 0.05, "j3.rx": 0.002}
+    data = noisy(robot.with_parameters(moved), joints(60), 4e-5, seed=1)
+    fit = calib.fit(robot, data, validation=noisy(robot.with_parameters(moved), joints(20, 3), 4e-5, seed=2))
+    placed = [p.placement for p in robot.parameters]
+    assert np.any(fit.placed.values[placed] != robot.values[placed])
+    np.testing.assert_array_equal(fit.placed.values[~np.array(placed)], robot.values[~np.array(placed)])
+    for found in (fit.identification, fit.validation):
+        rms = found.table()["before"]["rms"]
+        assert 0.2 < rms < 5  # the robot's own 2 mrad, not the base's 700 mm

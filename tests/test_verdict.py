@@ -1,0 +1,218 @@
+"""Each reason of a verdict, from measurements that deserve it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from six_axis_arm import FREE, YAML, joints, measurements, noisy, six_axis_arm, write_six_axis
+
+import calib
+from calib.fitted import Convergence
+from calib.starts import Minimum, Starts
+
+SIGMA = 4e-5
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    return six_axis_arm(tmp_path_factory.mktemp("arm"))
+
+
+@pytest.fixture(scope="module")
+def truth(arm):
+    """The arm with errors of half its parameters' sigma."""
+    values = arm.values.copy()
+    values[arm.free] += 0.5 * np.random.default_rng(6).standard_normal(arm.free.sum()) * [
+        p.sigma for p, use in zip(arm.parameters, arm.free, strict=True) if use
+    ]
+    return arm.with_parameters(values)
+
+
+@pytest.fixture(scope="module")
+def good(arm, truth):
+    return calib.fit(arm, noisy(truth, joints(80), SIGMA, 1), sigma=SIGMA, validation=noisy(truth, joints(30, 5), SIGMA, 2))
+
+
+@pytest.fixture(scope="module")
+def prior_arm(tmp_path_factory):
+    """The arm with priors on all of its components."""
+    return calib.load(write_six_axis(tmp_path_factory.mktemp("arm"), YAML + FREE))
+
+
+def reason(fit, code):
+    found = [reason for reason in fit.verdict.reasons if reason.code == code]
+    assert found, [reason.text for reason in fit.verdict.reasons]
+    return found[0]
+
+
+def test_a_good_fit_passes_without_reasons(good):
+    assert good.verdict.grade == "PASS"
+    assert good.verdict.reasons == ()
+    assert good.verdict.to_dict() == {"grade": "PASS", "reasons": [], "codes": []}
+    assert "Verdict: PASS" in good.report()
+
+
+@pytest.mark.parametrize(
+    ("end", "words"),
+    [
+        (Convergence(False, "the limit of evaluations was reached", 0.01, "j1.x", True), "the limit of evaluations"),
+        (Convergence(False, "the sum no longer changes", 12.0, "j1.x", True), "j1.x would still move by 12 standard"),
+        (Convergence(False, "the sum no longer changes", 0.0, "j1.x", False), "weights of the robust loss"),
+    ],
+)
+def test_not_converged_fails(good, end, words):
+    failed = replace(good, convergence=end)
+    assert failed.verdict.grade == "FAIL"
+    assert words in reason(failed, "not_converged").text
+    assert failed.verdict.reasons[0].grade == "FAIL"
+
+
+def test_noise_three_times_what_was_stated_fails_without_proof(arm, truth):
+    fit = calib.fit(arm, noisy(truth, joints(80), 4 * SIGMA, 1), sigma=SIGMA)
+    found = reason(fit, "noise")
+    assert found.grade == fit.verdict.grade == "FAIL"
+    assert "times what was stated (0.1" in found.text
+    assert "where 0.04 mm was stated" in found.text
+    assert "--validate" in found.text
+
+
+def test_noise_three_times_what_was_stated_is_a_check_where_unused_poses_prove_the_fit(arm, truth):
+    data, other = noisy(truth, joints(80), 4 * SIGMA, 1), noisy(truth, joints(30, 5), 4 * SIGMA, 2)
+    assert reason(calib.fit(arm, data, sigma=SIGMA, validation=other), "noise").grade == "CHECK"
+    assert reason(calib.fit(arm, data, sigma=SIGMA, folds=4), "noise").grade == "CHECK"
+
+
+@pytest.mark.parametrize(("factor", "words"), [(1.6, "more than chance"), (0.5, "less than chance")])
+def test_noise_that_chance_does_not_explain_is_a_check(arm, truth, factor, words):
+    found = reason(calib.fit(arm, noisy(truth, joints(80), factor * SIGMA, 1), sigma=SIGMA), "noise")
+    assert found.grade == "CHECK"
+    assert words in found.text
+
+
+def test_noise_of_metres_fails(arm, truth):
+    fit = calib.fit(arm, noisy(truth, joints(80), 2.0, 1))
+    assert fit.verdict.grade == "FAIL"
+    assert "nothing fits: check units, axes, joint order" in reason(fit, "noise_as_large_as_robot").text
+
+
+def test_computed_data_are_called_so(arm, truth):
+    fit = calib.fit(arm, noisy(truth, joints(80), 0.0, 1))
+    np.testing.assert_allclose(fit.robot.values, truth.values, atol=1e-9)
+    found = reason(fit, "no_noise")
+    assert found.grade == "CHECK"
+    assert "computed, not measured" in found.text
+
+
+def test_worse_than_before_on_validation_fails(arm, truth):
+    fit = calib.fit(arm, noisy(truth, joints(80), SIGMA, 1), validation=noisy(arm, joints(30, 5), SIGMA, 2))
+    found = reason(fit, "worse_on_validation")
+    assert found.grade == fit.verdict.grade == "FAIL"
+    assert "worse than before on the validation poses" in found.text
+
+
+def test_validation_poses_that_fit_worse_than_predicted_are_a_check(arm, truth):
+    fit = calib.fit(arm, noisy(truth, joints(80), SIGMA, 1), validation=noisy(truth, joints(30, 5), 3 * SIGMA, 2))
+    assert "times as far off as noise and uncertainty predict" in reason(fit, "validation").text
+
+
+def test_poses_that_are_all_the_same_fail(prior_arm):
+    q = np.tile(joints(1), (10, 1))
+    fit = calib.fit(prior_arm, noisy(prior_arm, q, SIGMA, 1))
+    assert "all poses are the same" in reason(fit, "poses_equal").text
+    assert fit.verdict.grade == "FAIL"
+
+
+def test_a_joint_that_never_moved_is_named(prior_arm):
+    q = joints(80)
+    q[:, 3] = 0.2
+    fit = calib.fit(prior_arm, noisy(prior_arm, q, SIGMA, 1))
+    assert reason(fit, "joint_never_moved").text.startswith("joint j4 never moved")
+
+
+def test_too_few_poses_are_a_check(arm, truth):
+    fit = calib.fit(arm, noisy(truth, joints(11), SIGMA, 1))
+    assert "too few poses: 33 measured coordinates decide 26.0 parameters and leave 7.0" in reason(fit, "too_few_poses").text
+
+
+def test_parameters_far_from_nominal_are_named(prior_arm):
+    moved = prior_arm.with_parameters({"j3.x": prior_arm.values[[p.name for p in prior_arm.parameters].index("j3.x")] + 0.02})
+    fit = calib.fit(prior_arm, noisy(moved, joints(80), SIGMA, 1), sigma=SIGMA)
+    assert "j3.x" in reason(fit, "at_bounds").text
+
+
+def test_a_placement_without_a_prior_may_be_anywhere(tmp_path):
+    robot = calib.load(write_six_axis(tmp_path, YAML.replace("frame: l0", "frame: l0, pose: unknown") + FREE))
+    moved = robot.with_parameters({"base.x": 3.0, "base.rz": 1.0})
+    fit = calib.fit(robot, noisy(moved, joints(80), SIGMA, 1))
+    assert "at_bounds" not in [reason.code for reason in fit.verdict.reasons]
+
+
+def test_angles_beyond_the_linear_range_are_named(arm, truth):
+    fit = calib.fit(arm, noisy(truth, 0.02 * joints(40), SIGMA, 1))
+    assert "hardly determined" in reason(fit, "not_linear").text
+    assert "deg)" in reason(fit, "not_linear").text
+
+
+def test_a_robot_that_is_as_good_as_its_model_is_told(arm):
+    fit = calib.fit(arm, noisy(arm, joints(80), SIGMA, 1), sigma=SIGMA)
+    assert "no more than chance would" in reason(fit, "no_gain").text
+    assert fit.verdict.grade == "CHECK"
+
+
+def test_outliers_are_listed_with_row_and_what_to_do(arm, truth):
+    q = joints(80)
+    positions = truth.positions(q) + SIGMA * np.random.default_rng(1).standard_normal((80, 1, 3))
+    positions[17] += 1e-3
+    fit = calib.fit(arm, measurements(q, positions))
+    found = reason(fit, "outliers")
+    assert found.text.startswith("1 outliers")
+    assert "row 17, ball: 1." in found.text
+    assert "--exclude-outliers" in found.text
+
+
+def test_many_excluded_poses_are_no_outliers(arm, truth):
+    q = joints(80)
+    positions = truth.positions(q) + SIGMA * np.random.default_rng(1).standard_normal((80, 1, 3))
+    positions[::7] += np.random.default_rng(2).normal(0, 2e-3, positions[::7].shape)
+    fit = calib.fit(arm, measurements(q, positions), exclude_outliers=True)
+    assert "of 80 poses were excluded: so many are no outliers" in reason(fit, "many_excluded").text
+    assert "Outliers left out: row" in fit.report()
+    assert "with outliers, after" in fit.report()
+
+
+def test_another_minimum_as_good_is_a_check_and_a_worse_one_is_not(good):
+    def starts(cost):
+        ends = [Minimum(good.robot, None, 200.0, 7e-5, 3), Minimum(good.robot, None, cost, 7.1e-5, 2)]
+        return replace(good, starts=Starts(tuple(ends), 0, 1))
+
+    assert "other minima explain the data as well" in reason(starts(203.0), "other_minimum").text
+    assert starts(900.0).verdict.grade == "PASS"
+
+
+def test_a_pose_that_decides_its_own_prediction_is_named(tmp_path):
+    # only one pose moves joint 6, so that it alone sees the axis of that joint
+    yaml = f"priors: false\n{YAML}  - {{origin: j6, components: [rx, ry], sigma: 5 mrad}}\n"
+    robot = calib.load(write_six_axis(tmp_path, yaml))
+    q = joints(30)
+    q[:, 5] = 0.3
+    q[11, 5] = 1.9
+    data = noisy(robot, q, SIGMA, 1)
+    fit = calib.fit(robot, data)
+    high = np.argwhere(fit.studentised.leverage > 0.5)
+    assert set(high[:, 0]) <= {11}
+
+
+def test_poses_near_a_singularity_are_named(good):
+    near = good.identification.singular_value.copy()
+    near[4] = 0.001
+    fit = replace(good, identification=replace(good.identification, singular_value=near))
+    assert "1 poses are near a singularity of the loops" in reason(fit, "near_singular").text
+    assert "row 4" in reason(fit, "near_singular").text
+
+
+def test_fail_comes_before_check(arm, truth):
+    fit = calib.fit(arm, noisy(truth, joints(11), 2.0, 1))
+    grades = [reason.grade for reason in fit.verdict.reasons]
+    assert grades == sorted(grades, reverse=True)
+    assert grades[0] == "FAIL"
+    assert grades[-1] == "CHECK"

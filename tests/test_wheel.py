@@ -1,0 +1,73 @@
+"""The wheel: installed elsewhere, it works without the folder it was built from."""
+
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("calib", "viz", "medrue")
+SCRIPT = """
+import calib, medrue, viz
+robot = calib.load(medrue.robot_file())
+print(calib.__file__, medrue.__file__, viz.__file__, medrue.robot_file(), robot.urdf.path, sep="\\n")
+print(robot.with_parameters(robot.values).calibrated_urdf() == robot.urdf.source, len(robot.parameters))
+"""
+
+
+def run(*command: object, cwd: Path, **environment: str) -> str:
+    variables = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | environment
+    done = subprocess.run(
+        [sys.executable, *map(str, command)], capture_output=True, text=True, cwd=cwd, env=variables, timeout=120
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    pytest.importorskip("hatchling", reason="hatchling (dev extra) builds the wheel")
+    out = tmp_path_factory.mktemp("wheel")
+    run("-m", "build", "--wheel", "--no-isolation", "--outdir", out, ROOT, cwd=out)
+    (path,) = out.glob("*.whl")
+    return path
+
+
+@pytest.fixture(scope="module")
+def installed(wheel, tmp_path_factory):
+    """Folder that holds nothing but the installed wheel."""
+    folder = tmp_path_factory.mktemp("installed")
+    run("-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", folder, wheel, cwd=folder)
+    return folder
+
+
+def test_the_wheel_holds_every_file_of_the_packages_and_the_robot(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+    expected = {
+        str(path.relative_to(ROOT))
+        for package in PACKAGES
+        for path in (ROOT / package).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    assert expected <= names
+    assert {"medrue/urdf/medrue.urdf", "medrue/urdf/medrue.yaml"} <= names
+    assert not {name for name in names if name.startswith(("tests", "docs", "urdf"))}
+
+
+def test_the_packages_and_the_robot_are_found_when_installed_elsewhere(installed, tmp_path):
+    lines = run("-c", SCRIPT, cwd=tmp_path, PYTHONPATH=str(installed)).splitlines()
+    assert all(Path(line).is_relative_to(installed) for line in lines[:5]), lines
+    assert all(Path(line).is_file() for line in lines[:5])
+    assert lines[5] == "True 36"
+
+
+def test_the_command_works_when_installed_elsewhere(installed, tmp_path):
+    robot = installed / "medrue" / "urdf" / "medrue.yaml"
+    (tmp_path / "q.csv").write_text("q1 [mm],q2,q3,q4,q5,q6\n343,0.59,2.478,0.59,2.478,-0.573\n")
+    out = run("-m", "calib", "predict", robot, "q.csv", "--out", "p.csv", cwd=tmp_path, PYTHONPATH=str(installed))
+    assert out == "1 poses written to p.csv\n"
+    assert "tool_x [mm]" in (tmp_path / "p.csv").read_text()

@@ -1,0 +1,139 @@
+"""Shapes to draw: boxes, cylinders, spheres, meshes, and plain rods for links that have none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from calib import Robot
+from calib.mechanism import FloatArray, IntArray
+
+Colour = tuple[float, float, float, float]
+GREY: Colour = (0.62, 0.66, 0.7, 1.0)
+DARK: Colour = (0.3, 0.34, 0.4, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """One drawable shape.
+
+    Attributes:
+        name: Unique name.
+        body: Link that carries it; None for what stands still in the measurement frame.
+        kind: What `size` means.
+        size: box: edge lengths; cylinder: radius and length along z; sphere: radius; mesh: empty [m].
+        T_body_shape: Pose of the shape in its link, (4, 4) [m].
+        colour: Red, green, blue, opacity, 0 to 1.
+        vertices, faces: Of a mesh, (n, 3) [m] and (m, 3); empty otherwise.
+    """
+
+    name: str
+    body: str | None
+    kind: Literal["box", "cylinder", "sphere", "mesh"]
+    size: tuple[float, ...]
+    T_body_shape: FloatArray
+    colour: Colour
+    vertices: FloatArray
+    faces: IntArray
+
+    def corners(self) -> FloatArray:
+        """Return points that enclose the shape in its link's frame, (n, 3) [m]."""
+        if self.kind == "mesh":
+            low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
+        else:
+            high = np.array(self.size) / 2 if self.kind == "box" else np.full(3, self.size[0])
+            if self.kind == "cylinder":
+                high[2] = self.size[1] / 2
+            low = -high
+        grid = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
+        corners: FloatArray = grid @ self.T_body_shape[:3, :3].T + self.T_body_shape[:3, 3]
+        return corners
+
+
+def primitive(
+    name: str,
+    body: str | None,
+    kind: Literal["box", "cylinder", "sphere"],
+    size: tuple[float, ...],
+    T_body_shape: FloatArray,
+    colour: Colour = GREY,
+) -> Shape:
+    """Return a box, cylinder or sphere."""
+    return Shape(
+        name,
+        body,
+        kind,
+        tuple(float(value) for value in size),
+        np.array(T_body_shape, dtype=float),
+        colour,
+        np.empty((0, 3)),
+        np.empty((0, 3), dtype=np.intp),
+    )
+
+
+def mesh(
+    name: str,
+    body: str | None,
+    vertices: FloatArray,
+    faces: IntArray,
+    colour: Colour = GREY,
+    T_body_shape: FloatArray | None = None,
+) -> Shape:
+    """Return a triangle mesh."""
+    return Shape(
+        name,
+        body,
+        "mesh",
+        (),
+        np.eye(4) if T_body_shape is None else np.array(T_body_shape, dtype=float),
+        colour,
+        np.array(vertices, dtype=float),
+        np.array(faces, dtype=np.intp),
+    )
+
+
+def stand_ins(robot: Robot, link: str) -> list[Shape]:
+    """Rods from the link's frame to the origins of its child joints; a drum at the joint that moves the link."""
+    radius = 0.04 * robot.mechanism.length
+    shapes = []
+    children = [joint for joint in robot.urdf.joints if joint.parent == link]
+    for number, joint in enumerate(children):
+        length = float(np.linalg.norm(joint.xyz))
+        if length > radius:
+            pose = np.eye(4)
+            pose[:3, :3] = rotation_onto_z(np.array(joint.xyz) / length)
+            pose[:3, 3] = np.array(joint.xyz) / 2
+            shapes.append(primitive(f"{link}/rod{number}", link, "cylinder", (0.6 * radius, length), pose))
+    for joint in robot.urdf.joints:
+        if joint.child == link and joint.type in ("revolute", "continuous"):
+            pose = np.eye(4)
+            pose[:3, :3] = rotation_onto_z(np.array(joint.axis))
+            shapes.append(primitive(f"{link}/drum", link, "cylinder", (radius, 2 * radius), pose, DARK))
+        elif joint.child == link and (joint.type == "prismatic" or not children):
+            shapes.append(primitive(f"{link}/block", link, "box", (1.4 * radius,) * 3, np.eye(4), DARK))
+    return shapes
+
+
+def thinned(vertices: FloatArray, faces: IntArray, most: int) -> tuple[FloatArray, IntArray]:
+    """Return a mesh with at most `most` faces: vertices that share a cell of a grid, as fine as fits, become one."""
+    cells = 512
+    fewer_vertices, fewer = vertices, faces
+    while len(fewer) > most:
+        low, extent = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
+        keys = np.floor((vertices - low) / extent * cells).astype(np.int64)
+        _, first, cell_of = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+        fewer_vertices, moved = vertices[first], cell_of.reshape(-1)[faces]
+        flat = (moved[:, 0] == moved[:, 1]) | (moved[:, 1] == moved[:, 2]) | (moved[:, 2] == moved[:, 0])
+        fewer = moved[~flat]
+        cells //= 2
+    return fewer_vertices, fewer
+
+
+def rotation_onto_z(direction: FloatArray) -> FloatArray:
+    """Return a rotation whose third column is the unit vector `direction`, (3, 3)."""
+    helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
+    x = np.cross(helper, direction)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(direction, x), direction], axis=1)

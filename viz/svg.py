@@ -1,0 +1,90 @@
+"""Figures as SVG text: readable in any size and print, text selectable, safe to put into a page.
+
+matplotlib is imported where a figure is drawn. Figures are objects of their own: nothing global is touched and no
+window can open. Text is never read as mathematics, because names come from files.
+"""
+
+from __future__ import annotations
+
+import functools
+import io
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ParamSpec
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_Arguments = ParamSpec("_Arguments")
+_STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "calibration",
+    "text.parse_math": False,
+    "font.family": "sans-serif",
+    "font.size": 9,
+    "axes.grid": True,
+    "grid.alpha": 0.35,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+    "axes.titlesize": 9.5,
+    "axes.formatter.useoffset": False,
+}
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A finished figure.
+
+    Attributes:
+        name: Short name, unique in the report.
+        title: What it shows.
+        text: How to read it.
+        svg: The drawing.
+    """
+
+    name: str
+    title: str
+    text: str
+    svg: str
+
+
+def styled(draw: Callable[_Arguments, Plot]) -> Callable[_Arguments, Plot]:
+    """Draw with our style and put matplotlib's settings back afterwards."""
+
+    @functools.wraps(draw)
+    def drawn(*args: _Arguments.args, **options: _Arguments.kwargs) -> Plot:
+        import matplotlib
+
+        with matplotlib.rc_context(_STYLE):
+            return draw(*args, **options)
+
+    return drawn
+
+
+def new_figure(rows: int, columns: int, size: tuple[float, float], **shared: Any) -> tuple[Figure, list[Axes]]:
+    """Return a figure of `size` [inch] and its panels, row by row; `shared` goes to `Figure.subplots`."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False, **shared)
+    return figure, list(panels.ravel())
+
+
+def finished(name: str, title: str, text: str, figure: Figure) -> Plot:
+    """Return a figure as a `Plot`."""
+    return Plot(name, title, text, svg_text(figure, name, title))
+
+
+def svg_text(figure: Figure, name: str, title: str) -> str:
+    """Return a figure as an SVG element to put into a page; its identifiers begin with `name`, so that none clash."""
+    stream = io.StringIO()
+    figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    svg = stream.getvalue()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', svg)
+    svg = re.sub(r'(xlink:href="#|url\(#)', rf"\g<1>{name}-", svg)
+    return svg.replace("<svg ", f'<svg role="img" aria-label="{title}" ', 1)

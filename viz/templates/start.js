@@ -1,0 +1,32 @@
+// Start the page, and follow the program that shows it, if it is live.
+"use strict";
+
+/** Do what a live program sends; say so when it ends. */
+function follow(controls) {
+  const banner = document.getElementById("banner");
+  const source = new EventSource("events");
+  source.addEventListener("open", () => { banner.hidden = true; });
+  source.addEventListener("error", () => {
+    banner.textContent = "The program that showed this has ended. The picture stays as it is.";
+    banner.hidden = false;
+  });
+  source.addEventListener("pose", (event) => {
+    const row = JSON.parse(event.data);
+    if (row < controls.table.n) controls.go(row);
+  });
+  source.addEventListener("joints", (event) => {
+    const { solid, ghost } = JSON.parse(event.data);
+    controls.showLive(solid, ghost);
+  });
+  source.addEventListener("command", (event) => {
+    if (controls.stage) controls.stage.viewer.handle_command_bytearray(decode(event.data, Uint8Array));
+  });
+}
+
+window.addEventListener("DOMContentLoaded", () => {
+  const controls = new Controls(JSON.parse(document.getElementById("scene").textContent));
+  window.calibrationViewer = controls;
+  if (controls.scene.live) follow(controls);
+  // two drawn frames later everything is on the screen
+  requestAnimationFrame(() => requestAnimationFrame(() => { document.body.dataset.ready = "true"; }));
+});

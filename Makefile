@@ -2,7 +2,7 @@
 # make test   the tests
 # make lint   style and types
 # make bench  speed, as ratios within one run
-# make docs   the documentation site, into out/site/
+# make docs   the documentation site, into out/site/ (after make ci-packages)
 # Everything is installed into .venv, from pinned versions, and again only when the pins change.
 PYTHON ?= python3
 VENV := .venv
@@ -11,7 +11,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 COMPILE := $(BIN)/pip-compile --quiet --upgrade --strip-extras --no-header --no-emit-index-url --no-emit-find-links --no-emit-trusted-host
 JOBS ?= 2
 
-.PHONY: demo test lint bench docs pins ci-packages data clean
+.PHONY: demo test lint bench docs pictures pins ci-packages data clean
 
 demo: $(VENV)/.ready
 	$(BIN)/calib fit urdf/medrue.yaml docs/examples/medrue_simulated.csv --validate 0.8 --out out/demo
@@ -26,6 +26,14 @@ lint: $(VENV)/.ready
 
 bench: $(VENV)/.ready
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-enable --benchmark-only -n 0 -s
+
+# The pictures of README and docs, from a fresh demo.
+pictures: demo
+	$(BIN)/python -m viz.screenshots out/demo --out docs/images
+
+# Needs the extra `docs`: make ci-packages.
+docs: $(VENV)/.ready
+	$(BIN)/mkdocs build --quiet --strict -f docs/site/mkdocs.yml
 
 # The shipped measurement file, written again (a test compares it).
 data: $(VENV)/.ready

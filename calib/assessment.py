@@ -20,7 +20,7 @@ from calib.jacobian import linearise
 from calib.measurements import Measurements, Poses
 from calib.mechanism import BoolArray, FloatArray
 from calib.null_space import Group, null_groups
-from calib.observability import TaskIndex, observability, raw_columns, task_index
+from calib.observability import TaskIndex, observability_of, task_index
 from calib.parameters import Parameter, index_of
 from calib.pose_count import CountRow, accuracy_by_count
 from calib.read_only import ReadOnlyArrays
@@ -130,7 +130,7 @@ def assess(robot: Robot, poses: Poses, *, task: Poses | None = None, sigma: floa
     task_rows = rows / weight[:, None, None] if task is None else assemble_known(robot, task).rows
     errors = known.position_errors(task_rows, noise)
     kept = [p for p, use in zip(parameters, free, strict=True) if use]
-    raw = numerical_rank(raw_columns(weighted[..., free], kept).reshape(-1, len(kept)))
+    scaled, raw = observability_of(weighted[..., free], kept)
     near = np.flatnonzero(robot.singular_values(configurations) < robot.description.singularity_limit)
     return Assessment(
         parameters=parameters,
@@ -145,8 +145,8 @@ def assess(robot: Robot, poses: Poses, *, task: Poses | None = None, sigma: floa
         groups=null_groups(everything, _spoken_for(robot, elimination)),
         open_groups=null_groups(np.vstack([everything[:, free], priors])),
         elimination=elimination,
-        scaled=_indices(rank_free, rank_free.rank, len(poses)),
-        raw=_indices(raw, rank_free.rank, len(poses)),
+        scaled=scaled,
+        raw=raw,
         std=known.standard_deviations(noise) * np.array([p.sigma for p in kept]),
         accuracy=task_index(errors),
         position_errors=errors,
@@ -164,11 +164,6 @@ def _require_rows(robot: Robot, poses: Poses, n_targets: int) -> None:
             f"{poses.path}: {len(poses)} poses give {per_pose * len(poses)} coordinates for {needed} free parameters"
             f" without a prior; give at least {-(-needed // per_pose)} poses (several times that for a useful result)"
         )
-
-
-def _indices(found: Rank, rank: int, n_poses: int) -> dict[str, float]:
-    """O1 to O5 over the singular values that are not zero; all 0 where there is none."""
-    return observability(found.singular_values[:rank] if rank else np.zeros(1), n_poses)
 
 
 def _order(robot: Robot) -> list[int]:

@@ -15,6 +15,7 @@ from calib.observability import INDICES, TaskIndex
 from calib.units import PER_SI
 
 _SHOWN = 12
+_SINGLE = 5  # parameters without effect that get a line of their own
 
 
 def text_report(assessment: Assessment, source: str, width: int = 110) -> str:
@@ -113,7 +114,11 @@ def _groups(a: Assessment) -> list[str]:
     if not a.groups:
         return ["No parameters move together unseen."]
     lines = ["These move together (by these amounts) without moving any measured position:"]
-    lines += [f"  {describe_group(group, a.parameters)}" for group in a.groups]
+    single = [a.parameters[group.members[0]].name for group in a.groups if len(group.members) == 1]
+    if len(single) > _SINGLE:
+        lines.append(f"  {', '.join(single)} have no effect")
+    listed = [group for group in a.groups if len(group.members) > 1 or len(single) <= _SINGLE]
+    lines += [f"  {describe_group(group, a.parameters)}" for group in listed]
     dropped = [a.parameters[k].name for k in a.elimination.dropped]
     lines.append(
         f"To leave a determined set, hold {', '.join(dropped)}"

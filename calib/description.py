@@ -132,7 +132,7 @@ def _name_or_list(value: Any) -> str:
 class Description(_Section):
     """A robot description, as the YAML file has it. See docs/robot_description.md for every key.
 
-    `elimination_order` names parameters in the order in which `calib check` proposes to hold them, where it has a choice.
+    `elimination_order` names parameters in the order in which `calib check` proposes to hold them, where it can choose.
     """
 
     urdf: str

@@ -9,7 +9,8 @@ at most half of the one before, the first below 0.5 rad) and every diagonal bloc
 determinant; otherwise it is halved. A solution beyond the limits of a passive joint does not count as closed. The
 blocks are the strongly connected parts of C_p's pattern: one for each five-bar, so that two flips cannot cancel in one
 determinant. Poses are solved nearest to home first, each starting from the nearest solved pose, so that one step is
-usually enough; all poses advance together in arrays. After a small change of parameters the old solution is the start (`seed`).
+usually enough; all poses advance together in arrays. After a small change of parameters the old solution is the start
+(`seed`).
 
 Why not minimise |r| from a guess: plain Newton from a crude guess ends in another assembly mode in a sixth of
 five-bar poses, and a small residual does not show it.

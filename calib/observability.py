@@ -18,11 +18,12 @@ for poses where the robot will work, given the poses that were measured and the 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from calib.identifiability import numerical_rank
 from calib.mechanism import FloatArray
 from calib.parameters import Parameter
 from calib.units import PER_SI
@@ -62,6 +63,27 @@ def raw_columns(jacobian: FloatArray, parameters: Iterable[Parameter]) -> FloatA
     per_unit = np.array([1.0 / PER_SI[parameter.dimension][parameter.unit] for parameter in parameters])
     result: FloatArray = PER_SI["length"]["mm"] * jacobian * per_unit
     return result
+
+
+def observability_of(
+    jacobian: FloatArray, parameters: Sequence[Parameter]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return O1 to O5 of a Jacobian, on scaled columns [m] and on raw ones (mm per unit of table).
+
+    Where the Jacobian is short of rank they are taken over the singular values that are not zero.
+
+    Args:
+        jacobian: d(positions)/d(parameters), (n_poses, n_targets, 3, n_parameters) [m per m or rad].
+        parameters: The parameters of its columns.
+    """
+    n_poses, width = len(jacobian), jacobian.shape[-1]
+    scaled = numerical_rank((jacobian * np.array([p.sigma for p in parameters])).reshape(-1, width))
+    raw = numerical_rank(raw_columns(jacobian, parameters).reshape(-1, width))
+    kept = slice(scaled.rank) if scaled.rank else slice(0, 1)
+    return (
+        observability(scaled.singular_values[kept], n_poses),
+        observability(raw.singular_values[kept], n_poses),
+    )
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,9 @@ an outlier where 3 F(3, nu/2) exceeds (T / scale)^2 with a chance below 1 % over
 measurements of any number show one in a set out of a hundred. (nu/2, because a median finds a scale about half as well
 as the squares.)
 
-Leverage is trace(h)/3: the part of a point's own error that its prediction follows. Near 1 a point cannot be judged.
+Leverage is trace(h)/3: the part of a point's own error that its prediction follows, the mean over its coordinates;
+leverages of all points, times 3, add up to the effective parameters. The largest eigenvalue of h is the same for the
+direction in which it is worst. Near 1 a point cannot be judged there.
 
 When it fails. Several outliers that agree with each other pull a least-squares fit to them; fit with a robust loss to
 see them. A point of leverage near 1 is never an outlier.
@@ -33,8 +35,8 @@ from calib.statistics import EXACT
 
 FALSE_ALARM = 0.01
 """Chance that a set of good measurements shows an outlier."""
-HIGH_LEVERAGE = 0.8
-"""Leverage above which a point decides its own prediction and cannot be judged."""
+HIGH_LEVERAGE = 0.9
+"""Largest leverage along any direction, above which a point decides its own prediction and cannot be judged."""
 _MEDIAN = float(chi(3).median())
 _SMALLEST = 1e-6  # eigenvalue of V below which a direction has no residual left
 
@@ -74,13 +76,15 @@ class Studentised(ReadOnlyArrays):
 
     Attributes:
         ratio: T over its scale, (n_poses, n_targets).
-        leverage: (n_poses, n_targets).
+        leverage: Mean over the coordinates, (n_poses, n_targets).
+        largest_leverage: That of the worst direction, (n_poses, n_targets).
         p_value: Chance of such a point among good measurements of this number, (n_poses, n_targets).
         scale: Scale of T [m].
     """
 
     ratio: FloatArray
     leverage: FloatArray
+    largest_leverage: FloatArray
     p_value: FloatArray
     scale: float
 
@@ -114,8 +118,8 @@ def studentised(
     found = max(found, EXACT)
     ratio = size / found
     p_value = np.minimum(1.0, ratio.size * f_distribution.sf(ratio**2 / 3.0, 3, max(freedom / 2.0, 1.0)))
-    leverage = np.trace(own, axis1=-2, axis2=-1) / 3.0
-    return Studentised(ratio, leverage, p_value, found)
+    own_values = np.linalg.eigvalsh(own)
+    return Studentised(ratio, np.mean(own_values, axis=-1), own_values[..., -1], p_value, found)
 
 
 def outliers(

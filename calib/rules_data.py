@@ -98,7 +98,7 @@ def repeats(fit: Fit) -> Iterator[Reason]:
 
 def leverage(fit: Fit) -> Iterator[Reason]:
     """List poses that decide their own prediction."""
-    high = [fit.identification.data.labels[k] for k, _ in np.argwhere(fit.studentised.leverage > HIGH_LEVERAGE)]
+    high = [fit.identification.data.labels[k] for k, _ in np.argwhere(fit.studentised.largest_leverage > HIGH_LEVERAGE)]
     if high and fit.statistics.freedom >= FEW:
         yield Reason(
             "CHECK",

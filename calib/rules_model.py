@@ -25,6 +25,8 @@ LARGE_NOISE = 0.1
 """Noise, over the spread of the measured positions, that means that nothing fits."""
 PLAUSIBLE = 4.0
 """Prior sigmas that a parameter may be away from nominal."""
+SMALLEST_SHARE = 0.05
+"""Share of a parameter that the data must decide for its deviation to say anything."""
 LOOSE_ANGLE = 0.1
 """Standard deviation of an angle beyond which its effect is not linear [rad]."""
 OTHER_MINIMUM = 10.0
@@ -138,20 +140,31 @@ def unused_fits_worse(fit: Fit) -> Iterator[Reason]:
 
 
 def implausible(fit: Fit) -> Iterator[Reason]:
-    """List parameters far from nominal."""
+    """List parameters far from nominal.
+
+    Where priors share an error between parameters that the data cannot tell apart, each moves by less than the error: a
+    deviation u scatters by the root of the share that the data decide, so that is what it is compared with. Without a
+    prior, noise alone moves a parameter too: two standard deviations of that are allowed for.
+    """
     far = []
-    std = iter(fit.statistics.std)
+    known = iter(zip(fit.statistics.std, fit.statistics.data_share, strict=True))
     for parameter, value, free in zip(fit.nominal.parameters, fit.robot.values, fit.free, strict=True):
-        away = abs(value - parameter.nominal) / parameter.sigma
-        spread = 2.0 * next(std) / parameter.sigma if free else 0.0  # what noise alone may do to it
-        if free and (parameter.prior or not parameter.placement) and away - spread > PLAUSIBLE:
+        if not free:
+            continue
+        std, share = next(known)
+        away = abs(float(value) - parameter.nominal) / parameter.sigma
+        if parameter.prior:
+            away /= np.sqrt(max(share, SMALLEST_SHARE))
+        else:
+            away -= 2.0 * std / parameter.sigma
+        if (parameter.prior or not parameter.placement) and away > PLAUSIBLE:
             far.append(f"{parameter.name} ({away:.1f} sigma)")
     if far:
         yield Reason(
             "CHECK",
             "at_bounds",
-            f"parameters further from nominal than {PLAUSIBLE:g} times their stated sigma: {listed(far)}; check zero"
-            " positions and units, or, if that is possible, state a larger sigma in the description",
+            f"parameters further from nominal than {PLAUSIBLE:g} times what their stated sigma allows: {listed(far)};"
+            " check zero positions and units, or, if that is possible, state a larger sigma in the description",
         )
 
 

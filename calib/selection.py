@@ -23,9 +23,11 @@ from scipy.spatial import cKDTree
 
 from calib.errors import InputError
 from calib.exchange import Exchange, exchange, swap, uniform_start
+from calib.jacobian import linearise
 from calib.measurement_order import shortest_order, travel
 from calib.measurements import Poses
 from calib.mechanism import FloatArray, IntArray
+from calib.observability import observability_of
 from calib.refinement import refine, region_of
 from calib.robot import Robot
 from calib.selection_bound import CERTIFIED, log_phi, relax
@@ -102,6 +104,7 @@ def select(
         before=index_values(setting.problem, uniform, setting.sigma),
         after=poses.values,
         on_grid=on_grid,
+        raw=_raw(robot, poses.joints),
         measured_only=_measured_only(setting),
         efficiency=efficiency,
         bound=bound,
@@ -186,6 +189,11 @@ def _poses(setting: Setting, best: Exchange, on_grid: dict[str, float], rng: np.
     moved = refine(setting.robot, setting.problem, setting.wanted.index, found.joints[chosen], region, rng)
     values = values_of_rows(setting.problem, moved.rows, setting.sigma)
     return _Poses(chosen, moved.joints, moved.positions, values, distance)
+
+
+def _raw(robot: Robot, joints: FloatArray) -> dict[str, float]:
+    jacobian = linearise(robot, robot.assemble(joints)).jacobian[..., robot.free]
+    return observability_of(jacobian, [p for p, free in zip(robot.parameters, robot.free, strict=True) if free])[1]
 
 
 def _measured_only(setting: Setting) -> dict[str, float] | None:

@@ -48,6 +48,7 @@ def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
         "before": _values(s.before),
         "after": _values(s.after),
         "on_grid": _values(s.on_grid),
+        "after_raw": _values(s.raw),
         "measured_only": None if s.measured_only is None else _values(s.measured_only),
         "efficiency": s.efficiency,
         "efficiency_percent": 100 * s.efficiency if s.efficiency is not None else None,
@@ -145,8 +146,9 @@ def _indices(s: Selection) -> Printed:
         rows.insert(0, ("measured alone", s.measured_only))
     if s.off_grid:
         rows.append(("off the grid", s.after))
+    rows.append(("these alone, mm per mm or deg", s.raw))
     for label, values in rows:
-        table.add_row(label, *(f"{_shown(key, values[key]):.5g}" for key in keys))
+        table.add_row(label, *(f"{_shown(key, values[key]):.5g}" if key in values else "" for key in keys))
     return table
 
 

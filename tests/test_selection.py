@@ -6,8 +6,9 @@ from small_robots import small_arm, write_arm
 
 import calib
 from calib.candidates import assemble_known, build_candidates
+from calib.jacobian import linearise
 from calib.measurements import Measurements, Poses
-from calib.observability import observability
+from calib.observability import observability, raw_columns
 from calib.selection import select
 from medrue.workspace import target_workspace
 
@@ -41,6 +42,10 @@ def test_the_chosen_poses_have_the_indices_that_are_told(medrue, by_o1):
     np.testing.assert_allclose(by_o1.positions, medrue.positions(by_o1.joints), atol=1e-12)
     expected = observability(singular_values(medrue, by_o1.joints), 84)
     assert {name: by_o1.after[name] for name in expected} == pytest.approx(expected, rel=1e-9)
+    free = [p for p, use in zip(medrue.parameters, medrue.free, strict=True) if use]
+    jacobian = linearise(medrue, medrue.assemble(by_o1.joints)).jacobian[..., medrue.free]
+    raw = np.linalg.svd(raw_columns(jacobian, free).reshape(-1, 28), compute_uv=False)
+    assert by_o1.raw == pytest.approx(observability(raw, 84), rel=1e-9)
     uniform = observability(singular_values(medrue, Q[2::5]), 84)
     assert {name: by_o1.before[name] for name in uniform} == pytest.approx(uniform, rel=1e-9)
 

@@ -1,0 +1,217 @@
+"""Measurements that cannot give a calibration end in the right words and exit code, never in a wrong number."""
+
+import json
+
+import numpy as np
+import pytest
+from six_axis_arm import FREE, YAML, joints, measurements, write_six_axis
+from small_robots import write_arm
+
+import calib
+from medrue.closed_form import forward
+from medrue.paper_tables import table1
+from medrue.workspace import target_workspace
+
+SIGMA = 4e-5
+ARM_HEADER = ",".join([*(f"j{k} [rad]" for k in range(1, 7)), *(f"ball_{axis} [m]" for axis in "xyz")])
+MEDRUE_HEADER = ",".join(["q1 [m]", *(f"q{k} [rad]" for k in range(2, 7)), *(f"tool_{axis} [m]" for axis in "xyz")])
+UNKNOWN_BASE = YAML.replace("frame: l0", "frame: l0, pose: unknown")
+RNG = np.random.default_rng(3)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    write_six_axis(tmp_path)
+    (tmp_path / "priors.yaml").write_text(YAML + FREE)
+    (tmp_path / "unknown_base.yaml").write_text(UNKNOWN_BASE + FREE)
+    return tmp_path
+
+
+@pytest.fixture
+def fit_file(folder, run_calib):
+    """Write joints and positions to a file, fit it, and return the run and the result (None if none was written)."""
+
+    def fit(q, positions, robot="arm.yaml", *options, header=ARM_HEADER):
+        rows = [",".join(repr(float(cell)) for cell in (*a, *b)) for a, b in zip(q, positions, strict=True)]
+        (folder / "data.csv").write_text("\n".join([header, *rows]) + "\n")
+        run = run_calib("fit", folder / robot, folder / "data.csv", "--out", folder / "out", *options)
+        result = folder / "out" / "result.json"
+        return run, json.loads(result.read_text()) if result.exists() else None
+
+    return fit
+
+
+def arm_positions(folder, q, sigma=SIGMA):
+    positions = calib.load(folder / "arm.yaml").positions(q)[:, 0]
+    return positions + sigma * RNG.standard_normal(positions.shape)
+
+
+def one_line(run):
+    assert len(run.err.strip().splitlines()) == 1
+    assert "Traceback" not in run.err
+    return run.err
+
+
+@pytest.mark.parametrize("n", [1, 2, 8])
+def test_too_few_rows_are_a_wrong_input(folder, fit_file, n):
+    run, result = fit_file(joints(n), arm_positions(folder, joints(n)))
+    assert run.code == 2
+    assert f"{n} pose" in one_line(run)
+    assert f"{3 * n} coordinates for 26 unknowns without a prior; measure at least 9 poses" in run.err
+    assert result is None
+
+
+def test_rank_loss_names_the_parameters_that_cannot_be_separated(folder, fit_file):
+    (folder / "all.yaml").write_text("priors: false\n" + YAML + FREE)  # 36 components, 26 combinations
+    run, result = fit_file(joints(60), arm_positions(folder, joints(60)), "all.yaml")
+    assert run.code == 3
+    assert "the poses determine 26 of 36 free parameters; not separable: " in one_line(run)
+    assert "hold 10 of them" in run.err
+    assert result is None
+
+
+def test_all_poses_equal_without_priors(folder, fit_file):
+    q = np.tile(joints(1), (20, 1))
+    run, result = fit_file(q, arm_positions(folder, q))
+    assert run.code == 3
+    assert "(all poses are the same)" in one_line(run)
+    assert result is None
+
+
+def test_all_poses_equal_with_priors(folder, fit_file):
+    q = np.tile(joints(1), (20, 1))
+    run, result = fit_file(q, arm_positions(folder, q), "priors.yaml")
+    assert run.code == 3
+    assert "verdict FAIL" in one_line(run)
+    assert any("all poses are the same" in text for text in result["verdict"]["reasons"])
+    assert not (folder / "out" / "calibrated.urdf").exists()
+
+
+def test_one_joint_never_moved_without_priors_is_named(folder, fit_file):
+    q = joints(60)
+    q[:, 2] = 0.4
+    run, _ = fit_file(q, arm_positions(folder, q))
+    assert run.code == 3
+    assert "(joint j3 never moved)" in one_line(run)
+
+
+def test_one_joint_never_moved_with_priors_is_a_check(folder, fit_file):
+    q = joints(60)
+    q[:, 2] = 0.4
+    run, result = fit_file(q, arm_positions(folder, q), "priors.yaml")
+    assert run.code == 0
+    assert result["verdict"]["grade"] == "CHECK"
+    assert "joint_never_moved" in result["verdict"]["codes"]
+    assert "joint j3 never moved" in run.out
+
+
+def test_positions_on_a_line_fix_no_measurement_frame(folder, fit_file):
+    q = np.zeros((12, 6))
+    positions = np.outer(np.linspace(0, 1, 12), [1.0, 2.0, 0.5]) + [2.0, 0, 0]
+    run, result = fit_file(q, positions, "unknown_base.yaml")
+    assert run.code == 2
+    assert "line" in one_line(run) or "same" in run.err
+    assert result is None
+
+
+def test_zero_noise_is_found_exactly_and_called_computed(folder, fit_file):
+    run, result = fit_file(joints(60), arm_positions(folder, joints(60), sigma=0.0))
+    assert run.code == 0
+    assert result["sigma"] < 1e-9
+    assert result["verdict"]["codes"] == ["no_noise"]
+    nominal = {row["name"]: row["nominal"] for row in result["parameters"]}
+    assert all(abs(row["value"] - nominal[row["name"]]) < 1e-6 for row in result["parameters"])
+
+
+def test_noise_of_metres_fails_and_exports_no_robot(folder, fit_file):
+    run, result = fit_file(joints(60), arm_positions(folder, joints(60), sigma=2.0))
+    assert run.code == 3
+    assert "calibrated.urdf was not written" in one_line(run)
+    assert result["verdict"]["grade"] == "FAIL"
+    assert "noise_as_large_as_robot" in result["verdict"]["codes"]
+    assert not (folder / "out" / "calibrated.urdf").exists()
+
+
+@pytest.mark.parametrize("cell", ["nan", "inf", "", "1,5", "x"])
+def test_a_cell_that_is_no_number_is_named(folder, run_calib, cell):
+    rows = [[repr(float(v)) for v in (*q, *p)] for q, p in zip(joints(40), arm_positions(folder, joints(40)), strict=True)]
+    rows[17][7] = cell
+    (folder / "data.csv").write_text("\n".join([ARM_HEADER, *(",".join(row) for row in rows)]) + "\n")
+    run = run_calib("fit", folder / "arm.yaml", folder / "data.csv", "--out", folder / "out")
+    assert run.code == 2
+    assert "line 19" in one_line(run)
+    assert not (folder / "out").exists()
+
+
+def test_nan_from_python_is_named(folder):
+    robot = calib.load(folder / "arm.yaml")
+    positions = robot.positions(joints(40))
+    positions[5, 0, 1] = np.nan
+    with pytest.raises(calib.DataError, match="row 5: positions are not finite"):
+        calib.fit(robot, measurements(joints(40), positions))
+    q = joints(40)
+    q[6, 2] = np.inf
+    with pytest.raises(calib.DataError, match="row 6: joint values are not finite"):
+        calib.fit(robot, measurements(q, robot.positions(joints(40))))
+
+
+@pytest.mark.parametrize("sigma", [0.0, -1e-4, np.nan, np.inf])
+def test_a_senseless_noise_is_refused(folder, sigma):
+    robot = calib.load(folder / "arm.yaml")
+    with pytest.raises(calib.DataError, match="must be a positive number"):
+        calib.fit(robot, measurements(joints(40), robot.positions(joints(40))), sigma=sigma)
+
+
+def test_joints_and_positions_that_do_not_belong_together_fail(folder, fit_file):
+    run, result = fit_file(joints(60), arm_positions(folder, joints(60, seed=9)))
+    assert run.code == 3
+    assert result["verdict"]["grade"] == "FAIL"
+    assert result["verdict"]["codes"][0] in ("not_converged", "noise_as_large_as_robot")
+
+
+def test_positions_in_the_wrong_unit_fail(folder, fit_file):
+    run, result = fit_file(joints(60), 1e-3 * arm_positions(folder, joints(60)))
+    assert run.code == 3
+    assert result["verdict"]["grade"] == "FAIL"
+
+
+@pytest.mark.parametrize("trouble", ["metres", "other poses", "wrong unit"])
+def test_a_closed_loop_robot_ends_in_a_verdict_too(medrue, fit_file, run_calib, trouble):
+    q = np.array(target_workspace().q)[::5]
+    positions = forward(q, table1().actual).p_world_tool
+    if trouble == "metres":
+        positions = positions + 2.0 * RNG.standard_normal(positions.shape)
+    elif trouble == "other poses":
+        positions = positions[::-1]
+    else:
+        positions = 1e-3 * positions
+    run, result = fit_file(q, positions, medrue.path, header=MEDRUE_HEADER)
+    assert run.code == 3
+    one_line(run)
+    if result is not None:
+        assert result["verdict"]["grade"] == "FAIL"
+
+
+def test_a_hundred_thousand_rows_are_one_fit_like_any_other(tmp_path):
+    yaml = """\
+urdf: arm.urdf
+name_mot: [turn, slide, wrist]
+base: {frame: ground}
+targets: {tip: {frame: tool}}
+priors: false
+parametrisation:
+  - {origin: turn, components: [x, y, z], sigma: 2 mm}
+  - {origin: slide, components: [rx, rz], sigma: 5 mrad}
+"""
+    robot = calib.load(write_arm(tmp_path, yaml))
+    n = 100_000
+    q = np.random.default_rng(0).uniform([-2, 0, -2], [2, 1, 2], (n, 3))
+    truth = robot.with_parameters({"turn.x": 1e-3, "slide.rz": 2e-3})
+    positions = truth.positions(q) + SIGMA * np.random.default_rng(1).standard_normal((n, 1, 3))
+    fit = calib.fit(robot, measurements(q, positions), sigma=SIGMA)
+    assert fit.verdict.grade == "PASS"
+    assert fit.statistics.sigma == pytest.approx(SIGMA, rel=0.005)  # standard error 0.13 %
+    assert fit.statistics.freedom == pytest.approx(3 * n - 5)
+    assert np.all(np.abs(fit.robot.values - truth.values) < 5 * fit.statistics.std)
+    assert np.max(fit.statistics.std) < 3e-6  # 1e5 readings of 0.04 mm, arm of 0.5 m
+

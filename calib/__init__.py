@@ -16,6 +16,7 @@ from calib.fit import Fit, fit
 from calib.measurements import Measurements, Poses, read_measurements, read_poses
 from calib.parameters import Origin, Parameter, Parametrisation, twist_of_edit
 from calib.robot import Robot, load
+from calib.selection import Selection, select
 from calib.simulate import simulate
 
 __all__ = [
@@ -34,12 +35,14 @@ __all__ = [
     "Parametrisation",
     "Poses",
     "Robot",
+    "Selection",
     "UnreachablePoseError",
     "UrdfError",
     "fit",
     "load",
     "read_measurements",
     "read_poses",
+    "select",
     "simulate",
     "twist_of_edit",
 ]

@@ -15,7 +15,7 @@ from calib.candidates import assemble_known, assembled
 from calib.elimination import Elimination, eliminate
 from calib.errors import DataError
 from calib.identifiability import Rank, numerical_rank
-from calib.information import Information, information, measurement_sigma, prior_rows
+from calib.information import Information, information, measurement_sigma, prior_rows, require_free
 from calib.jacobian import linearise
 from calib.measurements import Measurements, Poses
 from calib.mechanism import BoolArray, FloatArray
@@ -114,6 +114,7 @@ def assess(robot: Robot, poses: Poses, *, task: Poses | None = None, sigma: floa
         UnreachablePoseError: A pose cannot be assembled.
         ParameterError: The description's `elimination_order` names an unknown parameter.
     """
+    require_free(robot)
     parameters, free = robot.parameters, robot.free
     noise, assumed = measurement_sigma(robot, sigma)
     configurations = assembled(robot, poses)
@@ -130,7 +131,7 @@ def assess(robot: Robot, poses: Poses, *, task: Poses | None = None, sigma: floa
     task_rows = rows / weight[:, None, None] if task is None else assemble_known(robot, task).rows
     errors = known.position_errors(task_rows, noise)
     kept = [p for p, use in zip(parameters, free, strict=True) if use]
-    scaled, raw = observability_of(weighted[..., free], kept)
+    scaled, raw = observability_of(rows, kept)
     near = np.flatnonzero(robot.singular_values(configurations) < robot.description.singularity_limit)
     return Assessment(
         parameters=parameters,

@@ -69,7 +69,7 @@ def to_dict(assessment: Assessment) -> dict[str, object]:
             {
                 "count": row.count,
                 "uniform": None if row.uniform is None else _task(row.uniform),
-                "chosen": _task(row.chosen),
+                "chosen": None if row.chosen is None else _task(row.chosen),
             }
             for row in a.by_count
         ],
@@ -168,9 +168,9 @@ def _counts(a: Assessment) -> Table:
     for header in ("poses", "uniform: rms", "max", "best of these: rms", "max"):
         table.add_column(header, justify="right")
     for row in a.by_count:
-        uniform = ("-", "-") if row.uniform is None else _pair(row.uniform)
+        uniform, chosen = (("-", "-") if task is None else _pair(task) for task in (row.uniform, row.chosen))
         times = f" ({row.count // a.n_poses}x all)" if row.count > a.n_poses else ""
-        table.add_row(f"{row.count}{times}", *uniform, *_pair(row.chosen))
+        table.add_row(f"{row.count}{times}", *uniform, *chosen)
     return table
 
 

@@ -59,6 +59,11 @@ class NotConvergedError(ComputationError):
 def nearest(name: str, valid: Iterable[str]) -> str:
     """Return the hint `"; did you mean 'x'?"`, or the list of valid names when none is close.
 
+    >>> nearest("degrees", ["rad", "deg"])
+    "; did you mean 'deg'?"
+    >>> nearest("q", ["rad", "deg"])
+    '; valid: deg, rad'
+
     Args:
         name: What was given.
         valid: What would have been accepted.

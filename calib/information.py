@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.errors import DataError
+from calib.errors import DataError, InputError
 from calib.identifiability import Rank, numerical_rank, reduced
 from calib.mechanism import BoolArray, FloatArray
 from calib.parameters import Parameter
@@ -50,6 +50,16 @@ def measurement_sigma(robot: Robot, stated: float | None = None) -> tuple[float,
     if not (np.isfinite(sigma) and sigma > 0):
         raise DataError(f"sigma {sigma:g} m: must be a positive number")
     return sigma, False
+
+
+def require_free(robot: Robot) -> None:
+    """Raise unless some parameter is free.
+
+    Raises:
+        InputError: All are held.
+    """
+    if not np.any(robot.free):
+        raise InputError(f"{robot.path}: held: names every parameter, so there is nothing to identify; free some")
 
 
 def scaled_rows(jacobian: FloatArray, parameters: Iterable[Parameter], chosen: BoolArray) -> FloatArray:

@@ -34,6 +34,9 @@ INDICES = ("O1", "O2", "O3", "O4", "O5")
 def observability(singular_values: FloatArray, n_poses: int) -> dict[str, float]:
     """Return O1 to O5.
 
+    >>> observability([4.0, 1.0], n_poses=4)
+    {'O1': 1.0, 'O2': 0.25, 'O3': 1.0, 'O4': 0.25, 'O5': 0.8}
+
     Args:
         singular_values: All singular values of the Jacobian, as many as it has columns, largest first, (n,).
         n_poses: Number of poses m.
@@ -65,25 +68,21 @@ def raw_columns(jacobian: FloatArray, parameters: Iterable[Parameter]) -> FloatA
     return result
 
 
-def observability_of(
-    jacobian: FloatArray, parameters: Sequence[Parameter]
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Return O1 to O5 of a Jacobian, on scaled columns [m] and on raw ones (mm per unit of table).
+def observability_of(rows: FloatArray, parameters: Sequence[Parameter]) -> tuple[dict[str, float], dict[str, float]]:
+    """Return O1 to O5 of poses, on scaled columns [m] and on raw ones (mm per unit of table).
 
-    Where the Jacobian is short of rank they are taken over the singular values that are not zero.
+    Where the poses are short of rank they are taken over the singular values that are not zero.
 
     Args:
-        jacobian: d(positions)/d(parameters), (n_poses, n_targets, 3, n_parameters) [m per m or rad].
+        rows: Scaled Jacobian, (n_poses, 3 n_targets, n_parameters) [m].
         parameters: The parameters of its columns.
     """
-    n_poses, width = len(jacobian), jacobian.shape[-1]
-    scaled = numerical_rank((jacobian * np.array([p.sigma for p in parameters])).reshape(-1, width))
-    raw = numerical_rank(raw_columns(jacobian, parameters).reshape(-1, width))
-    kept = slice(scaled.rank) if scaled.rank else slice(0, 1)
-    return (
-        observability(scaled.singular_values[kept], n_poses),
-        observability(raw.singular_values[kept], n_poses),
-    )
+    n_poses, width = len(rows), rows.shape[-1]
+    scales = np.array([parameter.sigma for parameter in parameters])
+    scaled = numerical_rank(rows.reshape(-1, width))
+    raw = numerical_rank(raw_columns(rows / scales, parameters).reshape(-1, width))
+    kept = slice(max(scaled.rank, 1))
+    return observability(scaled.singular_values[kept], n_poses), observability(raw.singular_values[kept], n_poses)
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from calib.observability import TaskIndex, task_index
 from calib.selection_problem import TASK, build_problem
 
 _COUNTS = 8  # numbers of poses up to all of them
+_MOST_CHOSEN, _MOST_CANDIDATES = 400, 2000  # for more, the search for the best poses would take long
 _BEYOND = (2, 4)  # how many times all poses
 
 
@@ -29,12 +30,13 @@ class CountRow:
     Attributes:
         count: Number of poses.
         uniform: With that many of the given poses spread uniformly; None beyond the poses there are.
-        chosen: With the best of the given poses; beyond them, with all measured several times.
+        chosen: With the best of the given poses; beyond them, with all measured several times. None where the search
+            for the best would take long.
     """
 
     count: int
     uniform: TaskIndex | None
-    chosen: TaskIndex
+    chosen: TaskIndex | None
 
 
 def accuracy_by_count(
@@ -50,18 +52,22 @@ def accuracy_by_count(
         counts: Numbers of poses up to those there are; chosen here if not given.
     """
     n = len(rows)
-    problem = build_problem(rows, None, known, 0, task_rows)
+    candidates = uniform_start(np.arange(n), min(n, _MOST_CANDIDATES))
+    problem = build_problem(rows[candidates], None, known, 0, task_rows)
     rank_left = problem.known.rank.rank - int(np.linalg.matrix_rank(problem.before, hermitian=True))
     least = max(1, -(-rank_left // rows.shape[1]))
     if counts is None:
         counts = tuple(int(m) for m in np.unique(np.round(np.geomspace(min(least + 1, n), n, _COUNTS))))
-    space = Spacing(np.zeros((n, 3)), 0.0, np.ones(n, dtype=bool))
+    space = Spacing(np.zeros((len(candidates), 3)), 0.0, np.ones(len(candidates), dtype=bool))
     table = []
     for count in counts:
-        start = uniform_start(np.arange(n), count)
-        uniform = _accuracy(rows[start], known, task_rows, sigma, 1.0)
-        chosen = start if count == n else np.flatnonzero(exchange(problem, TASK, start, space).chosen)
-        table.append(CountRow(count, uniform, _accuracy(rows[chosen], known, task_rows, sigma, 1.0)))
+        uniform = _accuracy(rows[uniform_start(np.arange(n), count)], known, task_rows, sigma, 1.0)
+        chosen = uniform if count == n else None
+        if count < n and count <= _MOST_CHOSEN:
+            start = uniform_start(np.arange(len(candidates)), count)
+            best = candidates[exchange(problem, TASK, start, space).chosen]
+            chosen = _accuracy(rows[best], known, task_rows, sigma, 1.0)
+        table.append(CountRow(count, uniform, chosen))
     for times in _BEYOND:
         table.append(CountRow(times * n, None, _accuracy(rows, known, task_rows, sigma, float(times))))
     return tuple(table)

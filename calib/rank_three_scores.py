@@ -19,6 +19,7 @@ from calib.mechanism import BoolArray, FloatArray
 from calib.selection_problem import Problem
 
 _REFRESH = 32  # moves after which the determinant's small matrices are computed anew, against rounding
+_UPDATED = 1e-6  # least det(I - G) for an update; where a direction nearly goes it would lose its digits
 _LOST = 1e-10  # part of a direction's information that counts as none
 
 
@@ -62,11 +63,10 @@ class Determinant:
         sign = 1.0 if add else -1.0
         rows = self.problem.rows[candidate]
         gathered = self.gathered + sign * rows.T @ rows
-        small = np.eye(len(rows)) + sign * self.seen[:, :, candidate]
-        if (
-            self.age >= _REFRESH or np.linalg.eigvalsh(small)[0] < 1e-6
-        ):  # where a direction nearly goes, updates lose digits
+        left = _determinants(self.seen[:, :, candidate : candidate + 1], sign)[0]
+        if self.age >= _REFRESH or left < _UPDATED:
             return Determinant.of(self.problem, gathered)
+        small = np.eye(len(rows)) + sign * self.seen[:, :, candidate]
         half = np.linalg.solve(np.linalg.cholesky(small), rows @ self.inverse).T
         inverse = self.inverse - sign * half @ half.T
         through = _products(self.problem.rows, half)
@@ -75,8 +75,8 @@ class Determinant:
 
     def spares(self, candidate: int) -> bool:
         """Return whether a chosen candidate can go; see `calib.selection_scores.Scores`."""
-        seen = self.seen[:, :, candidate]
-        return bool(np.linalg.eigvalsh(np.eye(len(seen)) - seen)[0] > _LOST)
+        # all eigenvalues of I - G are at most 1, so the smallest is no less than their product
+        return bool(_determinants(self.seen[:, :, candidate : candidate + 1], -1.0)[0] > _LOST)
 
 
 def _products(rows: FloatArray, matrix: FloatArray) -> FloatArray:

@@ -134,7 +134,7 @@ def _options(fit: Fit) -> list[str]:
 
 
 def _accuracy(fit: Fit) -> Table:
-    table = Table(title="Position error [mm] (|x|, |y|, |z|: mean)", title_justify="left")
+    table = Table(title="Position error, mm (|x|, |y|, |z|: mean)", title_justify="left")
     for header in ("", "poses", "mean", "max", "rms", "std", "95 %", "|x|", "|y|", "|z|"):
         table.add_column(header, justify="left" if not header else "right")
     names = {"cross_validation": "left out in turns"}

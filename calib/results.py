@@ -65,9 +65,7 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False) -> None:
     for entry in entry_points(group=REPORTS) if fit.assembles else ():  # no pictures of what cannot be assembled
         write: Callable[[Fit], dict[str, bytes]] = entry.load()
         files.update(write(fit))
-    write_folder(folder, files)
-    for name in set(_OF_GOOD_FITS) - set(files):
-        (Path(folder) / name).unlink(missing_ok=True)
+    write_folder(folder, files, obsolete=sorted(set(_OF_GOOD_FITS) - set(files)))
 
 
 def _forced_urdf(fit: Fit) -> bytes:
@@ -91,7 +89,7 @@ def load_calibrated(folder: Path | str, robot: Robot, *, failed_too: bool = Fals
         ComputationError: The result failed, and was not forced.
     """
     content = read_result(folder)
-    names = [row["name"] for row in content["parameters"]]
+    names = [row.get("name") for row in content["parameters"]]
     if names != [parameter.name for parameter in robot.parameters]:
         raise DataError(f"{folder}: is the result of another robot ({content['robot']}); its parameters differ")
     verdict = content.get("verdict", {})
@@ -100,7 +98,7 @@ def load_calibrated(folder: Path | str, robot: Robot, *, failed_too: bool = Fals
             f"{folder}: the fit failed and gives no calibrated robot ({verdict['reasons'][0]}); fit again, with --force"
             " if you want these numbers all the same"
         )
-    return robot.with_parameters(read_parameters(Path(folder) / "parameters.csv", robot))
+    return robot.with_parameters(read_parameters(Path(folder) / "parameters.csv", robot, complete=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,4 +157,7 @@ def read_result(folder: Path | str) -> dict[str, Any]:
         raise DataError(f"{path}: cannot be read ({error})") from None
     if not isinstance(content, dict) or content.get("version") != FORMAT_VERSION:
         raise DataError(f"{path}: is not a result of format version {FORMAT_VERSION}; run the fit again")
+    rows = content.get("parameters")
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows) or "robot" not in content:
+        raise DataError(f"{path}: is incomplete; run the fit again")
     return content

@@ -278,7 +278,7 @@ def describe_open(robot: Robot, q: FloatArray, closed: loops.Closed, labels: Seq
     misses = loops.smallest_miss(robot.mechanism, robot.mode, q[k])
     loop = int(np.argmax(misses))
     miss = misses[loop]
-    if miss > 1e-9:
+    if miss > 1e-6:
         why = f"loop {robot.mechanism.loops[loop].name} stays open by {1e3 * miss:.3f} mm at best"
     else:
         why = "the loops close there only in another assembly mode than home's, or beyond a passive joint's limit"

@@ -23,7 +23,6 @@ from scipy.spatial import cKDTree
 
 from calib.errors import InputError
 from calib.exchange import Exchange, exchange, swap, uniform_start
-from calib.jacobian import linearise
 from calib.measurement_order import shortest_order, travel
 from calib.measurements import Poses
 from calib.mechanism import FloatArray, IntArray
@@ -83,6 +82,8 @@ def select(
         NotIdentifiableError: No choice determines what the index is about.
     """
     started = time.perf_counter()
+    if seed < 0:
+        raise InputError(f"seed {seed}: must be zero or positive")
     wanted = Wanted(index, count, minimum_distance, off_grid)
     setting = prepare(robot, candidates, wanted, measured, task, exclude, skip_unreachable, sigma)
     prepared = time.perf_counter()
@@ -104,7 +105,7 @@ def select(
         before=index_values(setting.problem, uniform, setting.sigma),
         after=poses.values,
         on_grid=on_grid,
-        raw=_raw(robot, poses.joints),
+        raw=_raw(setting, poses.rows),
         measured_only=_measured_only(setting),
         efficiency=efficiency,
         bound=bound,
@@ -131,6 +132,7 @@ class _Poses:
     chosen: IntArray
     joints: FloatArray
     positions: FloatArray
+    rows: FloatArray
     values: dict[str, float]
     distance: float
 
@@ -183,17 +185,20 @@ def _poses(setting: Setting, best: Exchange, on_grid: dict[str, float], rng: np.
     """The chosen candidates, moved off the grid if that is wanted."""
     chosen, found, usable = np.flatnonzero(best.chosen), setting.found, setting.space.usable
     if not setting.wanted.off_grid:
-        return _Poses(chosen, found.joints[chosen], found.positions[chosen], on_grid, setting.wanted.minimum_distance)
+        joints, positions, rows = (part[chosen] for part in (found.joints, found.positions, setting.problem.rows))
+        return _Poses(chosen, joints, positions, rows, on_grid, setting.wanted.minimum_distance)
     distance = setting.wanted.minimum_distance or _smallest_gap(setting.space.points[usable])
     region = region_of(setting.robot, found.joints[usable], found.positions[usable], distance, setting.measured_points)
     moved = refine(setting.robot, setting.problem, setting.wanted.index, found.joints[chosen], region, rng)
     values = values_of_rows(setting.problem, moved.rows, setting.sigma)
-    return _Poses(chosen, moved.joints, moved.positions, values, distance)
+    return _Poses(chosen, moved.joints, moved.positions, moved.rows, values, distance)
 
 
-def _raw(robot: Robot, joints: FloatArray) -> dict[str, float]:
-    jacobian = linearise(robot, robot.assemble(joints)).jacobian[..., robot.free]
-    return observability_of(jacobian, [p for p, free in zip(robot.parameters, robot.free, strict=True) if free])[1]
+def _raw(setting: Setting, rows: FloatArray) -> dict[str, float]:
+    """O1 to O5 of whitened rows, (n_poses, 3 n_targets, r), on raw columns."""
+    known, robot = setting.problem.known, setting.robot
+    scaled = (rows * known.strengths) @ known.directions.T
+    return observability_of(scaled, [p for p, free in zip(robot.parameters, robot.free, strict=True) if free])[1]
 
 
 def _measured_only(setting: Setting) -> dict[str, float] | None:

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from calib.candidates import Candidates, as_poses, assemble_known, build_candidates, near_measured
 from calib.errors import InputError, NotIdentifiableError, nearest
 from calib.exchange import Spacing
-from calib.information import measurement_sigma, prior_rows
+from calib.information import measurement_sigma, prior_rows, require_free
 from calib.measurements import Poses
 from calib.mechanism import BoolArray, FloatArray
 from calib.robot import Robot
@@ -80,6 +80,7 @@ def prepare(
     """Assemble and linearise everything, and check that the question has an answer; see `calib.selection.select`."""
     if wanted.index not in CHOICES:
         raise InputError(f"index '{wanted.index}'{nearest(wanted.index, CHOICES)}")
+    require_free(robot)
     poses = as_poses(robot, candidates)
     noise, assumed = measurement_sigma(robot, sigma)
     if not (np.isfinite(wanted.minimum_distance) and wanted.minimum_distance >= 0):

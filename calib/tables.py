@@ -187,6 +187,12 @@ def _header(
 def format_table(columns: Sequence[tuple[str, Sequence[object]]], comments: Sequence[str] = ()) -> str:
     """Return CSV text; floats are written so that they read back exactly.
 
+    >>> print(format_table([("pose", ["A", "B"]), ("q1 [mm]", [0.1, 2.0])], ("two poses",)), end="")
+    # two poses
+    pose,q1 [mm]
+    A,0.1
+    B,2.0
+
     Args:
         columns: (header, values) of each column, values of equal length.
         comments: Lines to put first, behind #.

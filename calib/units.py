@@ -52,6 +52,9 @@ def per_si(unit: str | None, dimension: Dimension, where: str) -> float:
 def quantity(value: object, dimension: Dimension, where: str) -> float:
     """Read `0.04 mm`, `1.5 deg` or a bare SI number, and return it in SI.
 
+    >>> quantity("178 mm", "length", "a link")
+    0.178
+
     Raises:
         InputError: It is not a finite number with an optional unit of this dimension.
     """
@@ -72,6 +75,9 @@ def split_column(header: str) -> tuple[str, str | None]:
     """Split the column header `name [unit]` into name and unit (None where there is none).
 
     The unit is the last pair of brackets: a joint named `joint[1]` needs its unit written, `joint[1] [rad]`.
+
+    >>> split_column("tool_x [mm]")
+    ('tool_x', 'mm')
     """
     match = _COLUMN.match(header)
     assert match is not None  # the pattern takes any text
@@ -79,5 +85,9 @@ def split_column(header: str) -> tuple[str, str | None]:
 
 
 def to_unit(value: float, unit: str, dimension: Dimension) -> float:
-    """Convert an SI value to `unit`."""
+    """Convert an SI value to `unit`.
+
+    >>> to_unit(0.178, "mm", "length")
+    178.0
+    """
     return value * PER_SI[dimension][unit]

@@ -134,6 +134,21 @@ def test_counts_can_be_chosen(medrue):
     assert [row.count for row in table] == [5, 20, 40, 80]
 
 
+def test_of_very_many_poses_only_few_are_searched_for_the_best():
+    rows = np.random.default_rng(0).standard_normal((2500, 3, 4))
+    table = accuracy_by_count(rows, np.zeros((0, 4)), rows[:50], 1.0, (10, 1000, 2500))
+    assert table[0].chosen.rms < table[0].uniform.rms
+    assert table[1].chosen is None
+    assert table[2].chosen.rms == pytest.approx(table[2].uniform.rms)
+
+
+def test_a_robot_with_everything_held_is_an_error(tmp_path):
+    arm = calib.load(write_arm(tmp_path))
+    held = with_held(arm, *(p.name for p in arm.parameters))
+    with pytest.raises(calib.InputError, match="nothing to identify"):
+        assess(held, sample_poses(held, 5, np.random.default_rng(0)))
+
+
 def test_an_elimination_order_with_an_unknown_name_is_an_error(tmp_path):
     arm = calib.load(write_arm(tmp_path, ARM_YAML + "elimination_order: [turn.x, turn.w]\n"))
     with pytest.raises(calib.ParameterError, match=r"elimination_order: no parameter 'turn.w'"):
@@ -141,7 +156,7 @@ def test_an_elimination_order_with_an_unknown_name_is_an_error(tmp_path):
 
 
 def test_sampled_poses_can_be_taken_and_stay_within_limits(medrue):
-    poses = sample_poses(medrue, 40, np.random.default_rng(0))
+    poses = sample_poses(medrue, 15, np.random.default_rng(0))
     assert medrue.close(poses.joints).ok.all()
     assert medrue.singular_values(medrue.assemble(poses.joints)).min() >= medrue.description.singularity_limit
     joints = {joint.name: joint for joint in medrue.urdf.joints}

@@ -218,7 +218,7 @@ BAD_OPTIONS = {
     "validate fraction": (f"{FIT} --validate 1.5", "holding out 1.5 of 8 poses leaves nothing to"),
     "validate zero": (f"{FIT} --validate 0", "holding out 0 of 8 poses leaves nothing to validate with"),
     "validate nan": (f"{FIT} --validate nan", "nan"),
-    "validate file": (f"{FIT} --validate other.csv", "other.csv: no such file"),
+    "validate file": (f"{FIT} --validate other.csv", "other.csv: is neither a file nor a fraction"),
     "sigma text": (f"{FIT} --sigma-mm abc", "'--sigma-mm': 'abc' is not a valid float"),
     "sigma negative": (f"{FIT} --sigma-mm -1", "--sigma-mm -1: must be a number, zero or positive"),
     "sigma zero": (f"{FIT} --sigma-mm 0", "--sigma-mm 0: must be positive"),

@@ -107,7 +107,7 @@ def test_one_joint_never_moved_with_priors_is_a_check(folder, fit_file):
 
 def test_positions_on_a_line_fix_no_measurement_frame(folder, fit_file):
     q = np.zeros((12, 6))
-    positions = np.outer(np.linspace(0, 1, 12), [1.0, 2.0, 0.5]) + [2.0, 0, 0]
+    positions = [*np.outer(np.linspace(0, 1, 12), [1.0, 2.0, 0.5]), 2.0, 0, 0]
     run, result = fit_file(q, positions, "unknown_base.yaml")
     assert run.code == 2
     assert "line" in one_line(run) or "same" in run.err
@@ -134,7 +134,9 @@ def test_noise_of_metres_fails_and_exports_no_robot(folder, fit_file):
 
 @pytest.mark.parametrize("cell", ["nan", "inf", "", "1,5", "x"])
 def test_a_cell_that_is_no_number_is_named(folder, run_calib, cell):
-    rows = [[repr(float(v)) for v in (*q, *p)] for q, p in zip(joints(40), arm_positions(folder, joints(40)), strict=True)]
+    rows = [
+        [repr(float(v)) for v in (*q, *p)] for q, p in zip(joints(40), arm_positions(folder, joints(40)), strict=True)
+    ]
     rows[17][7] = cell
     (folder / "data.csv").write_text("\n".join([ARM_HEADER, *(",".join(row) for row in rows)]) + "\n")
     run = run_calib("fit", folder / "arm.yaml", folder / "data.csv", "--out", folder / "out")
@@ -214,4 +216,3 @@ parametrisation:
     assert fit.statistics.freedom == pytest.approx(3 * n - 5)
     assert np.all(np.abs(fit.robot.values - truth.values) < 5 * fit.statistics.std)
     assert np.max(fit.statistics.std) < 3e-6  # 1e5 readings of 0.04 mm, arm of 0.5 m
-

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from small_robots import ARM_YAML, write_arm
 
+import calib
 from calib.tables import format_table
+from medrue import robot_file
 from medrue.workspace import target_workspace
 
-ROBOT = "urdf/medrue.yaml"
+ROBOT = robot_file()
 Q = target_workspace().q
 
 
@@ -110,6 +112,31 @@ def test_repeats_of_a_measured_pose_count_as_readings(run_calib, tmp_path):
     assert many["accuracy_mm"]["rms"] == pytest.approx(few["accuracy_mm"]["rms"] / math.sqrt(3), rel=1e-6)
 
 
+def test_a_file_that_waits_for_its_measurements_is_poses_only(run_calib, tmp_path):
+    blank = [(f"tool_{axis} [mm]", [""] * 21) for axis in "xyz"]
+    run = run_calib("check", ROBOT, write_poses(tmp_path / "poses.csv", Q[::20], blank), "--json", "-")
+    assert run.code == 0, run.err
+    assert json.loads(run.out)["n_poses"] == 21
+
+
+def test_measured_positions_place_an_unknown_target(run_calib, tmp_path):
+    """The tip of a plain URDF is found before its leverage is judged."""
+    write_arm(tmp_path)
+    arm = calib.load(tmp_path / "arm.yaml")
+    q = np.random.default_rng(0).uniform([-2, 0.1, -2], [2, 0.9, 2], (30, 3))
+    joints = [(name, list(q[:, k])) for k, name in enumerate(arm.joint_names)]
+    points = arm.positions(q)[:, 0]
+    measured = [(f"tool_{axis}", list(points[:, k])) for k, axis in enumerate("xyz")]
+    (tmp_path / "poses.csv").write_text(format_table(joints))
+    (tmp_path / "data.csv").write_text(format_table([*joints, *measured]))
+    blind, seeing = (
+        json.loads(run_calib("check", tmp_path / "arm.urdf", tmp_path / name, "--json", "-").out)
+        for name in ("poses.csv", "data.csv")
+    )
+    assert blind["rank_all"]["singular_values"] != seeing["rank_all"]["singular_values"]
+    assert blind["accuracy_mm"]["rms"] != seeing["accuracy_mm"]["rms"]
+
+
 def test_accuracy_is_told_for_the_task_poses(run_calib, tmp_path):
     data, task = write_poses(tmp_path / "a.csv", Q[:200:5]), write_poses(tmp_path / "b.csv", Q[300::10])
     here, there = (
@@ -130,17 +157,13 @@ def test_accuracy_is_told_for_the_task_poses(run_calib, tmp_path):
         (("poses.csv", "--json", "nowhere/out.json"), "cannot be written"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(run_calib, tmp_path, monkeypatch, arguments, words):
-    robot = (tmp_path.parents[0] / ".").resolve()  # arguments are relative to the folder of the files
-    assert robot.exists()
+def test_bad_input_is_one_line_and_exit_code_2(run_calib, tmp_path, arguments, words):
     write_poses(tmp_path / "few.csv", Q[:9])
     write_poses(tmp_path / "poses.csv", Q[::20])
     wrong = Q[::20].copy()
     wrong[2, 1:3] = 0.0, np.pi
     write_poses(tmp_path / "open.csv", wrong)
-    from medrue import robot_file
-
-    run = run_calib("check", robot_file(), *arguments, cwd=tmp_path)
+    run = run_calib("check", ROBOT, *arguments, cwd=tmp_path)
     assert run.code == 2
     assert words in run.err
     assert len(run.err.strip().splitlines()) == 1

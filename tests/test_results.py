@@ -235,10 +235,7 @@ def test_the_result_of_another_robot_is_refused(folder, tmp_path):
         load_calibrated(folder, other)
 
 
-INCOMPLETE = pytest.mark.xfail(strict=True, reason="load_calibrated accepts a parameters.csv that lacks parameters")
-
-
-@pytest.mark.parametrize("damage", ["missing", pytest.param("truncated", marks=INCOMPLETE), "another name"])
+@pytest.mark.parametrize("damage", ["missing", "truncated", "another name"])
 def test_a_damaged_result_is_an_error_and_never_another_robot(fitted, folder, tmp_path, damage):
     for name, content in tree(folder).items():
         (tmp_path / name).write_bytes(content)

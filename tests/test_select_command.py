@@ -213,7 +213,7 @@ def test_a_task_that_the_candidates_do_not_determine_is_exit_code_3(run_calib, t
     for name, spread in (("c.csv", [0.0, 0.4, 1.0]), ("t.csv", [2.0, 0.4, 1.0])):  # candidates do not turn
         q = np.array([0.0, 0.5, 0.0]) + rng.uniform(-1, 1, (30, 3)) * spread
         (tmp_path / name).write_text(format_table([(n, list(q[:, k])) for k, n in enumerate(arm.joint_names)]))
-    run = run_calib("select", "arm.yaml", "c.csv", "--count", 20, "--index", "task", "--task", "t.csv", "--out", "o.csv",
-                    cwd=tmp_path)  # fmt: skip
+    arguments = ("--count", 20, "--index", "task", "--task", "t.csv", "--out", "o.csv")
+    run = run_calib("select", "arm.yaml", "c.csv", *arguments, cwd=tmp_path)
     assert run.code == 3
     assert "has no bound" in run.err

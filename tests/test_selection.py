@@ -179,6 +179,7 @@ def test_two_targets_are_two_positions(tmp_path):
         ({"count": 9}, "27 coordinates cannot determine 28 parameters; choose at least 10 poses"),
         ({"index": "O9"}, "index 'O9'"),
         ({"starts": 0}, "0 starts"),
+        ({"seed": -1}, "seed -1"),
         ({"minimum_distance": -1.0}, "minimum distance"),
         ({"count": 400, "exclude": range(40)}, "400 is above the 380 candidates that can be chosen"),
         ({"sigma": -1.0}, "must be a positive number"),

@@ -94,9 +94,11 @@ def accuracy(assessment: Assessment) -> Figure:
     rows = assessment.by_count
     counts = np.array([row.count for row in rows])
     inside = np.array([row.uniform is not None for row in rows])
-    uniform = np.array([np.nan if row.uniform is None else 1e3 * row.uniform.rms for row in rows])
-    chosen = np.array([1e3 * row.chosen.rms for row in rows])
-    largest = np.array([1e3 * row.chosen.maximum for row in rows])
+    uniform, chosen = (
+        np.array([np.nan if task is None else 1e3 * task.rms for task in tasks])
+        for tasks in ([row.uniform for row in rows], [row.chosen for row in rows])
+    )
+    largest = np.array([np.nan if row.chosen is None else 1e3 * row.chosen.maximum for row in rows])
     axes.plot(counts[inside], uniform[inside], "s--", color=ORANGE, label="spread uniformly, rms")
     axes.plot(counts[inside], chosen[inside], "o-", color=BLUE, label="best of these, rms")
     axes.plot(counts[inside], largest[inside], "o:", color=BLUE, label="best of these, largest")

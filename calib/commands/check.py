@@ -8,21 +8,22 @@ import numpy as np
 from calib.assessment import assess
 from calib.assessment_text import text_report, to_dict
 from calib.commands.common import Output, shared_options, sigma_in_metres, with_values
+from calib.commands.pose_files import placed, read_pose_file
 from calib.errors import InputError
 from calib.figures import draw
 from calib.files import check_folder, write_folder
-from calib.measurements import Poses, read_measurements, read_poses
+from calib.measurements import read_poses
 from calib.pose_sampling import sample_poses
-from calib.registration import register
-from calib.robot import Robot, load
-from calib.tables import read_table
+from calib.robot import load
 
 
 @click.command("check")
 @click.argument("robot")
 @click.argument("data", required=False)
 @click.option("--poses", type=int, default=100, show_default=True, help="Without DATA: how many poses to sample.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Without DATA: seed of the sample.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Without DATA: seed of the sample."
+)
 @click.option("--task", metavar="FILE", help="Poses whose accuracy counts (CSV); those of DATA if not given.")
 @click.option(
     "--sigma-mm", type=float, help="Standard deviation of one reading per axis [mm]; the description's if not given."
@@ -62,23 +63,15 @@ def command(
             f"sampled over the joint limits, seed {seed}",
         )
     else:
-        model, found = _read(model, data, placed=parameters is None and result is None)
-        source = data
+        found, source = read_pose_file(data, model), data
+        if parameters is None and result is None:
+            model = placed(model, found)
     wanted = None if task is None else read_poses(task, model)
     with output.working(f"checking {len(found)} poses"):
         assessment = assess(model, found, task=wanted, sigma=sigma)
     if plots is not None:
         write_folder(plots, draw("assessment", assessment))
     output.say(text_report(assessment, source))
+    if plots is not None:
+        output.say(f"Figures written to {plots}")
     output.json({"robot": model.path, "poses": source} | to_dict(assessment))
-
-
-def _read(robot: Robot, path: str, placed: bool) -> tuple[Robot, Poses]:
-    """Read poses; where there are measured positions, average repeats and place what is not known beforehand."""
-    names = read_table(path, robot.description.columns).names
-    if not all(f"{target}_{axis}" in names for target in robot.target_names for axis in "xyz"):
-        return robot, read_poses(path, robot)
-    data = read_measurements(path, robot)
-    if placed and any(parameter.placement for parameter in robot.parameters):
-        robot = register(robot, data)
-    return robot, data

@@ -103,5 +103,7 @@ def _hold_out(robot: Robot, data: Measurements, validate: str, seed: int) -> tup
     try:
         fraction = float(validate)
     except ValueError:
+        if not Path(validate).exists():
+            raise InputError(f"--validate {validate}: is neither a file nor a fraction such as 0.2") from None
         return data, read_measurements(validate, robot)
     return split(data, fraction, seed)

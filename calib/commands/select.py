@@ -5,11 +5,12 @@ from __future__ import annotations
 import click
 
 from calib.commands.common import Output, shared_options, sigma_in_metres, with_values
-from calib.errors import DataError, InputError, nearest
+from calib.commands.pose_files import placed, read_pose_file
+from calib.errors import InputError, nearest
 from calib.figures import draw
 from calib.files import check_file, check_folder, write_file, write_folder
-from calib.measurements import Poses, read_measurements, read_poses
-from calib.robot import Robot, load
+from calib.measurements import Poses, read_poses
+from calib.robot import load
 from calib.selection import select
 from calib.selection_scores import CHOICES
 from calib.selection_text import format_poses, text_report, to_dict
@@ -45,7 +46,7 @@ from calib.tables import read_table
     help="First start of the exchange.",
 )
 @click.option("--starts", type=int, default=1, show_default=True, help="Number of starts; the others are random.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Seed of everything random.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.")
 @click.option(
     "--off-grid",
     is_flag=True,
@@ -93,14 +94,17 @@ def command(
     if sigma == 0:
         raise InputError("--sigma-mm 0: must be positive")
     model = with_values(load(robot), parameters, result)
-    poses = _read(model, candidates)
+    poses = read_pose_file(candidates, model)
+    done = None if measured is None else read_pose_file(measured, model)
+    if parameters is None and result is None:
+        model = placed(model, done, poses)
     with output.working(f"choosing {count} of {len(poses)} poses"):
         selection = select(
             model,
             poses,
             count,
             index,
-            measured=None if measured is None else _read(model, measured),
+            measured=done,
             task=None if task is None else read_poses(task, model),
             exclude=() if exclude is None else _excluded(exclude, poses),
             minimum_distance=min_distance_mm / 1e3,
@@ -116,20 +120,8 @@ def command(
     if plots is not None:
         write_folder(plots, draw("selection", selection))
     output.say(text_report(selection, poses))
-    output.say(f"Written to {out}")
+    output.say(f"Written to {out}" + (f", figure to {plots}" if plots is not None else ""))
     output.json({"robot": model.path} | to_dict(selection, poses))
-
-
-def _read(robot: Robot, path: str) -> Poses:
-    """Read poses; where a measured file repeats them, they are averaged, and their readings count."""
-    poses = read_poses(path, robot)
-    if len(set(poses.names)) == len(poses):
-        return poses
-    columns = read_table(path, robot.description.columns).names
-    if all(f"{target}_{axis}" in columns for target in robot.target_names for axis in "xyz"):
-        return read_measurements(path, robot)
-    again = next(k for k, name in enumerate(poses.names) if name in poses.names[:k])
-    raise DataError(f"{poses.labels[again]}: pose '{poses.names[again]}' is given twice; names must be unique")
 
 
 def _excluded(text: str, poses: Poses) -> list[int]:

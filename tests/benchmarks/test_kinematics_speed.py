@@ -22,7 +22,7 @@ N = 420
 
 @pytest.fixture(scope="module")
 def case():
-    """MedRUE's 420 poses, assembled at nominal; then the parameters move by a tenth of Table I's errors, as in a fit."""
+    """MedRUE's 420 poses, assembled at nominal; then the parameters move by a tenth of Table I's errors."""
     robot = calib.load(robot_file())
     q = np.array(target_workspace().q)
     moved = robot.with_parameters(robot.values + 0.1 * (table1().actual - robot.values))

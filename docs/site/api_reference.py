@@ -1,0 +1,88 @@
+"""The Python reference: one page for each module, and a first page that says which names to start from."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = {
+    "calib": "the engine, for any robot",
+    "viz": "pictures of what calib knows",
+    "medrue": "MedRUE, and the studies of the paper",
+}
+FOLDER = "reference/api"
+
+
+def modules(package: str) -> list[str]:
+    """Dotted names of the public modules of a package, found on disk so that none is forgotten."""
+    names = []
+    for path in sorted((ROOT / package).rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        if parts[-1] == "__init__":
+            parts = parts[:-1]
+        if not any(part.startswith("_") for part in parts):
+            names.append(".".join(parts))
+    return names
+
+
+def source(module: str) -> str:
+    """Text of a module."""
+    path = ROOT.joinpath(*module.split("."))
+    path = path / "__init__.py" if path.is_dir() else path.parent / f"{path.name}.py"
+    return path.read_text(encoding="utf-8")
+
+
+def summary(module: str) -> str:
+    """First sentence of a module's docstring."""
+    text = ast.get_docstring(ast.parse(source(module))) or ""
+    return " ".join(text.split("\n\n")[0].split())
+
+
+def navigation() -> list[object]:
+    """Entries of the navigation."""
+    sections: list[object] = [f"{FOLDER}/index.md"]
+    for package in PACKAGES:
+        sections.append({package: [{name: f"{FOLDER}/{name}.md"} for name in modules(package)]})
+    return sections
+
+
+def pages() -> dict[str, str]:
+    """Path in docs/ and Markdown text of every page."""
+    result = {f"{FOLDER}/index.md": _index()}
+    for package in PACKAGES:
+        for name in modules(package):
+            result[f"{FOLDER}/{name}.md"] = f"---\ntitle: {name}\n---\n\n::: {name}\n"
+    return result
+
+
+def _index() -> str:
+    parts = ["# Python reference\n\nWhat to start from; every module has a page of its own.\n"]
+    for package in ("calib", "viz"):
+        parts.append(f"## From `{package}`\n\n| name | what it is |\n|---|---|")
+        module = importlib.import_module(package)
+        rows = [
+            f"| [`{package}.{name}`][{_place(module, name)}] | {_first_line(module, name)} |" for name in module.__all__
+        ]
+        parts.append("\n".join(rows) + "\n")
+    for package, what in PACKAGES.items():
+        parts.append(f"## Modules of `{package}`: {what}\n\n| module | what it is about |\n|---|---|")
+        rows = [f"| [`{name}`]({name}.md) | {_cell(summary(name))} |" for name in modules(package)]
+        parts.append("\n".join(rows) + "\n")
+    return "\n".join(parts).replace("|---|---|\n\n", "|---|---|\n")
+
+
+def _place(module: object, name: str) -> str:
+    """Where an object is defined, which is where its documentation stands."""
+    thing = getattr(module, name)
+    return f"{thing.__module__}.{thing.__qualname__}"
+
+
+def _first_line(module: object, name: str) -> str:
+    return _cell((inspect.getdoc(getattr(module, name)) or "").split("\n\n")[0])
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")

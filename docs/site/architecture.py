@@ -1,0 +1,205 @@
+"""The rooms of the house: which module is in which, and the picture of them. A test holds them against the imports.
+
+A module imports, while it is loaded, only from its own room and from rooms of lower floors.
+"""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import dataclass
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyBboxPatch
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@dataclass(frozen=True)
+class Room:
+    """One room.
+
+    Attributes:
+        name: As CONTRIBUTING.md has it.
+        floor: 0 is the lowest; rooms import from lower floors.
+        modules: What is in it; a package stands for all its modules.
+    """
+
+    name: str
+    floor: int
+    modules: tuple[str, ...]
+
+
+ROOMS = (
+    Room(
+        "Ground",
+        0,
+        ("errors", "units", "files", "yaml_file", "read_only", "threads", "version", "figures"),
+    ),
+    Room(
+        "Robot",
+        1,
+        (
+            "description",
+            "urdf_reader",
+            "urdf_text",
+            "mechanism",
+            "mechanism_builder",
+            "kinematics",
+            "loops",
+            "parameters",
+            "parametrisation",
+            "plain_urdf",
+            "templates",
+            "robot",
+        ),
+    ),
+    Room(
+        "Matrices",
+        2,
+        (
+            "identifiability",
+            "elementary_vectors",
+            "null_space",
+            "elimination",
+            "observability",
+            "statistics",
+            "losses",
+            "outliers",
+            "least_squares",
+            "rigid",
+            "placement",
+            "measurement_order",
+        ),
+    ),
+    Room(
+        "Measurements",
+        2,
+        ("tables", "measurements", "parameter_files", "simulate", "repeats"),
+    ),
+    Room("Jacobian", 3, ("jacobian", "information", "prediction", "candidates", "registration")),
+    Room(
+        "Choice of poses",
+        4,
+        (
+            "pose_sampling",
+            "pose_count",
+            "assessment",
+            "selection_problem",
+            "selection_scores",
+            "rank_three_scores",
+            "spectral_scores",
+            "exchange",
+            "refinement",
+            "selection_bound",
+            "selection_setting",
+            "selection_result",
+            "selection",
+        ),
+    ),
+    Room(
+        "Fit",
+        4,
+        (
+            "problem",
+            "pose_checks",
+            "robust",
+            "starts",
+            "systematic",
+            "validation",
+            "fitted",
+            "fit",
+            "folds",
+            "exclusion",
+            "reasons",
+            "rules_data",
+            "rules_model",
+            "verdict",
+        ),
+    ),
+    Room("Inverse", 4, ("goals", "reaching", "redundancy", "inverse")),
+    Room("Results", 5, ("result_content", "results", "report_text", "assessment_text", "selection_text")),
+    Room("Export", 5, ("export",)),
+    Room("Commands", 6, ("commands", "cli")),
+)
+
+
+def modules() -> dict[str, Path]:
+    """Every module of `calib` but its front door, with its file."""
+    found = {}
+    for path in sorted((ROOT / "calib").rglob("*.py")):
+        parts = path.relative_to(ROOT / "calib").with_suffix("").parts
+        name = ".".join(part for part in parts if part != "__init__")
+        if name not in ("", "__main__"):
+            found[name] = path
+    return found
+
+
+def room_of(module: str) -> Room:
+    """Return the room of a module such as `loops` or `export.mjcf`.
+
+    Raises:
+        KeyError: It has none yet.
+    """
+    for room in ROOMS:
+        if module in room.modules or module.partition(".")[0] in room.modules:
+            return room
+    raise KeyError(f"calib.{module} has no room: put it into one in docs/site/architecture.py")
+
+
+def imported(path: Path) -> set[str]:
+    """Modules of `calib` that a file imports while it is loaded (not inside functions, nor for type checkers only)."""
+    names: set[str] = set()
+    known = modules()
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "calib":
+            base = node.module.removeprefix("calib").removeprefix(".")
+            for alias in node.names:
+                full = f"{base}.{alias.name}" if base else alias.name
+                names.add(full if full in known else base)
+    return names - {""}
+
+
+def picture() -> Figure:
+    """Draw the rooms, floor above floor, with their modules."""
+    figure = Figure(figsize=(9.5, 6.4))
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.axis("off")
+    floors: dict[int, list[Room]] = {}
+    for room in ROOMS:
+        floors.setdefault(room.floor, []).append(room)
+    y = 1.5
+    for rooms in floors.values():
+        shares = [max(sum(len(name) + 2 for name in room.modules), 40) for room in rooms]
+        widths = [94.5 * share / sum(shares) for share in shares]
+        texts = [_wrapped(room.modules, width - 1.0) for room, width in zip(rooms, widths, strict=True)]
+        height = 3.4 + 1.7 * max(text.count("\n") + 1 for text in texts)
+        x = 2.5
+        for room, width, text in zip(rooms, widths, texts, strict=True):
+            _box(axes, x, y, width - 1.0, height, room.name, text, "#e8eef4")
+            x += width
+        y += height + 1.2
+    _box(axes, 2.5, y, 46.0, 5.5, "viz", "viewer, plots, report page", "#fbe9dd")
+    _box(axes, 50.0, y, 46.0, 5.5, "medrue", "this robot and the paper's studies", "#e3f1e5")
+    top = y + 5.5
+    axes.set(xlim=(0, 98), ylim=(0, top + 1.5))
+    axes.annotate("", (1.6, 1.5), (1.6, top), arrowprops={"arrowstyle": "->", "color": "#767676"})
+    axes.text(1.4, top / 2, "imports", rotation=90, ha="right", va="center", color="#767676", fontsize=8)
+    return figure
+
+
+def _box(axes: Axes, x: float, y: float, width: float, height: float, title: str, text: str, colour: str) -> None:
+    style = "round,pad=0.1,rounding_size=0.6"
+    axes.add_patch(FancyBboxPatch((x, y), width, height, boxstyle=style, facecolor=colour, edgecolor="#767676"))
+    axes.text(x + 0.8, y + height - 0.6, title, weight="bold", va="top", fontsize=10)
+    axes.text(x + 0.8, y + height - 2.9, text, va="top", fontsize=8, linespacing=1.2)
+
+
+def _wrapped(names: tuple[str, ...], width: float) -> str:
+    lines, limit = [""], int((width - 2.0) / 0.7)
+    for name in names:
+        if lines[-1] and len(lines[-1]) + len(name) + 2 > limit:
+            lines.append("")
+        lines[-1] += (", " if lines[-1] else "") + name
+    return "\n".join(lines)

@@ -1,0 +1,48 @@
+"""The command reference, from the programs' own `--help`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import click
+
+WIDTH = 100
+
+_HEAD = """\
+# Commands
+
+This page is what `--help` prints. `python -m calib` is the same as `calib`.
+
+**Exit codes.** 0: done. 2: the input is wrong; one line on standard error says what, where, and what to do. 3: the
+computation could not give an answer that can be trusted, and says why. An existing result is never half overwritten.
+"""
+
+
+def programs() -> tuple[click.Group, ...]:
+    """The programs that this project installs."""
+    from calib.cli import group as calib
+    from medrue.cli import group as medrue
+
+    return calib, medrue
+
+
+def commands() -> Iterator[tuple[str, click.Command, click.Context]]:
+    """Every program and command: its full name, itself, and a context to ask it with."""
+    for program in programs():
+        context = click.Context(program, info_name=program.name, terminal_width=WIDTH, max_content_width=WIDTH)
+        yield str(program.name), program, context
+        for name, command in program.commands.items():
+            yield (
+                f"{program.name} {name}",
+                command,
+                click.Context(command, info_name=name, parent=context, terminal_width=WIDTH, max_content_width=WIDTH),
+            )
+
+
+def page() -> str:
+    """Return the page as Markdown."""
+    parts = [_HEAD]
+    for name, command, context in commands():
+        level = "##" if isinstance(command, click.Group) else "###"
+        parts.append(f"{level} {name}\n\n```text\n{command.get_help(context)}\n```\n")
+    return "\n".join(parts)

@@ -1,0 +1,45 @@
+"""MkDocs hooks: pages that are made from the program, and formulas as MathML."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import api_reference
+import command_reference
+import formulas
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Fill the `Reference` section of the navigation."""
+    for entry in config.nav or []:
+        if "Reference" in entry:
+            entry["Reference"] = [{"Commands": "reference/commands.md"}, {"Python": api_reference.navigation()}]
+    return config
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the generated pages."""
+    pages = {
+        "reference/commands.md": command_reference.page(),
+        "changelog.md": (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"),
+        "contributing.md": _as_site_page((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")),
+        **api_reference.pages(),
+    }
+    for path, text in pages.items():
+        files.append(File.generated(config, path, content=text))
+    return files
+
+
+def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Turn formulas into MathML, which browsers show without scripts."""
+    return formulas.to_mathml(html, page.file.src_uri)
+
+
+def _as_site_page(text: str) -> str:
+    """Links of a file at the top of the checkout, as seen from a page of the site."""
+    return text.replace("](docs/", "](")

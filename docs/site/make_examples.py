@@ -1,0 +1,113 @@
+"""Write the simulated measurements of the tutorials again: docs/examples/arm_*.csv and five_bar_*.csv.
+
+    python docs/site/make_examples.py [FOLDER]
+
+Each robot gets true parameters drawn at random, is sent to random poses, and is measured with normal noise. The truth
+is shipped too, so that a reader can see how near a calibration comes to it.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import calib
+from calib.files import write_file
+from calib.measurements import Poses
+from calib.parameter_files import format_parameters
+from calib.tables import format_table
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+Array = NDArray[np.float64]
+
+# Where the tracker sees the robot's base from, and the noise of one reading.
+ARM_BASE = {"base.x": 2.1, "base.y": -1.4, "base.z": 0.6, "base.rx": 0.01, "base.ry": -0.02, "base.rz": 2.2}
+ARM_SIGMA, ARM_SEED, ARM_POSES = 0.03e-3, 8, 80
+FIVE_BAR_BASE = {"base.x": 0.4, "base.y": 1.1, "base.z": -0.3, "base.rx": 0.02, "base.ry": 0.03, "base.rz": -1.2}
+FIVE_BAR_SIGMA, FIVE_BAR_SEED, FIVE_BAR_POSES = 0.02e-3, 5, 40
+
+
+def arm() -> dict[str, str]:
+    """Return the files of the serial arm."""
+    robot = calib.load(EXAMPLES / "arm.yaml")
+    rng = np.random.default_rng(ARM_SEED)
+    low, high = np.array([[-80, -40, -10, -120, -90, -170], [80, 80, 100, 120, 90, 170]], dtype=float)
+    poses: list[Array] = []
+    while len(poses) < ARM_POSES:
+        degrees = np.round(rng.uniform(low, high), 3)
+        x, _, z = robot.positions(np.radians(degrees))[0, 0]
+        if x > 0.1 and z > 0.15:  # in front of the robot, where the tracker sees it, and above the table
+            poses.append(np.radians(degrees))
+    truth = _drawn(robot, rng) | ARM_BASE
+    for axis, offset in zip("xyz", (1.5e-3, -2.0e-3, 0.8e-3), strict=True):
+        truth[f"reflector.{axis}"] += offset
+    return _files(robot, "arm", np.array(poses), truth, ARM_SIGMA, ARM_SEED, rng)
+
+
+def five_bar() -> dict[str, str]:
+    """Return the files of the five-bar."""
+    robot = calib.load(EXAMPLES / "five_bar.yaml")
+    rng = np.random.default_rng(FIVE_BAR_SEED)
+    truth = {name: value for name, value in _drawn(robot, rng).items() if name not in robot.description.held}
+    truth |= FIVE_BAR_BASE
+    actual = robot.with_parameters(truth)
+    poses: list[Array] = []
+    while len(poses) < FIVE_BAR_POSES:
+        degrees = np.round(rng.uniform([90, -20], [200, 90]), 3)
+        q = np.radians(degrees)[None]
+        if np.all(robot.close(q).ok) and np.all(actual.close(q).ok):
+            distance = robot.singular_values(robot.assemble(q))
+            if np.all(distance > 0.2) and robot.positions(q)[0, 0, 1] > 0.15:  # in front of the motors
+                poses.append(q[0])
+    return _files(robot, "five_bar", np.array(poses), truth, FIVE_BAR_SIGMA, FIVE_BAR_SEED, rng)
+
+
+def _drawn(robot: calib.Robot, rng: np.random.Generator) -> dict[str, float]:
+    """True values: nominal plus half of what the description expects; placements stay nominal."""
+    return {
+        parameter.name: parameter.nominal + (0.0 if parameter.placement else 0.5 * parameter.sigma * rng.normal())
+        for parameter in robot.parameters
+    }
+
+
+def _files(
+    robot: calib.Robot,
+    name: str,
+    joints: Array,
+    truth: dict[str, float],
+    sigma: float,
+    seed: int,
+    rng: np.random.Generator,
+) -> dict[str, str]:
+    actual = robot.with_parameters(truth)
+    names = tuple(str(k + 1) for k in range(len(joints)))
+    poses = Poses(joints, names, names, name, ())
+    measured = calib.simulate(actual, poses, sigma, rng)
+    comments = (
+        f"Simulated measurements of docs/examples/{name}.urdf; no real robot was measured.",
+        f"Truth: {name}_truth.csv. Normal noise, sigma {1e3 * sigma:g} mm per axis; everything from seed {seed}.",
+    )
+    columns: list[tuple[str, list[object]]] = [("pose", list(names))]
+    for joint, degrees in zip(robot.joint_names, np.degrees(joints).T, strict=True):
+        columns.append((f"{joint} [deg]", [f"{value:.3f}" for value in degrees]))
+    for axis, millimetres in zip("xyz", 1e3 * measured.positions[:, 0].T, strict=True):
+        columns.append((f"{robot.target_names[0]}_{axis} [mm]", [f"{value:.4f}" for value in millimetres]))
+    return {
+        f"{name}_simulated.csv": format_table(columns, comments),
+        f"{name}_truth.csv": format_parameters(actual),
+    }
+
+
+def main() -> None:
+    """Run the command line."""
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else EXAMPLES
+    for name, text in (arm() | five_bar()).items():
+        write_file(folder / name, text)
+        print(f"{folder / name} written")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,148 @@
+"""Draw the figures of the pages: docs/figures/*.svg.
+
+    python docs/site/make_figures.py [FOLDER]
+
+Each function makes one figure from the program itself, with fixed seeds.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import architecture
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+import calib
+from calib.identifiability import numerical_rank
+from calib.information import scaled_rows
+from calib.jacobian import linearise
+from calib.kinematics import sweep
+from calib.validation import split
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = ROOT / "docs" / "examples"
+FIGURES = ROOT / "docs" / "figures"
+BLUE, ORANGE, GREY = "#0072b2", "#d55e00", "#767676"  # told apart without colour vision
+Array = NDArray[np.float64]
+
+mpl.rcParams |= {
+    "svg.hashsalt": "docs",
+    "svg.fonttype": "none",
+    "font.family": "sans-serif",
+    "font.size": 10.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+
+
+def five_bar_cut() -> Figure:
+    """The tutorial's five-bar: the tree that the URDF holds, and the assembled robot."""
+    robot = calib.load(EXAMPLES / "five_bar.yaml")
+    home_a, home_p = robot.mode.actuated, robot.mode.passive
+    figure = Figure(figsize=(8, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    _draw_five_bar(left, _joint_points(robot, home_a, home_p + np.radians([14.0, -6.0])))
+    left.set_title("In the URDF: a tree, cut open at the tip")
+    left.annotate("left_tip", (-0.18, 0.405), color=BLUE)
+    left.annotate("right_tip", (0.045, 0.385), color=ORANGE)
+    _draw_five_bar(right, _joint_points(robot, home_a, home_p))
+    right.set_title("With closed_loop: assembled")
+    right.annotate("left_tip = right_tip", (0.0, 0.368), (0.03, 0.385))
+    for axes in (left, right):
+        axes.annotate("left_motor", (-0.1, 0), (-0.15, -0.04))
+        axes.annotate("right_motor", (0.1, 0), (0.06, -0.04))
+        axes.set(aspect="equal", xlim=(-0.32, 0.32), ylim=(-0.06, 0.43), xlabel="x [m]")
+    left.set_ylabel("y [m]")
+    return figure
+
+
+def singular_values() -> Figure:
+    """Singular values of MedRUE's 36 parameters on its 420 poses."""
+    robot = calib.load(ROOT / "urdf" / "medrue.yaml")
+    poses = calib.read_poses(EXAMPLES / "medrue_simulated.csv", robot)
+    jacobian = linearise(robot, robot.assemble(poses.joints)).jacobian
+    rows = scaled_rows(jacobian, robot.parameters, np.ones(len(robot.parameters), dtype=bool))
+    rank = numerical_rank(rows.reshape(-1, rows.shape[-1]))
+    values = np.maximum(rank.singular_values, 1e-20)
+    number = np.arange(1, len(values) + 1)
+    figure = Figure(figsize=(7, 3.2), layout="constrained")
+    axes = figure.subplots()
+    axes.semilogy(number[: rank.rank], values[: rank.rank], "o", color=BLUE, label=f"determined: {rank.rank}")
+    axes.semilogy(
+        number[rank.rank :], values[rank.rank :], "x", color=ORANGE, label=f"not: {rank.n_columns - rank.rank}"
+    )
+    axes.axhline(rank.threshold, color=GREY, linestyle="--", label="threshold")
+    axes.set(xlabel="number", ylabel="singular value [m]", title="MedRUE, 36 parameters, 420 poses")
+    axes.legend(frameon=False)
+    return figure
+
+
+def errors_before_after() -> Figure:
+    """Position errors of the first calibration on the start page, on poses that it has not seen."""
+    robot = calib.load(ROOT / "urdf" / "medrue.yaml")
+    data = calib.read_measurements(EXAMPLES / "medrue_simulated.csv", robot)
+    used, others = split(data, 0.8)
+    fit = calib.fit(robot, used, validation=others)
+    assert fit.validation is not None
+    figure = Figure(figsize=(8, 2.8), layout="constrained")
+    for axes, errors, colour, title in zip(
+        figure.subplots(1, 2),
+        (fit.validation.before, fit.validation.after),
+        (ORANGE, BLUE),
+        ("before", "after"),
+        strict=True,
+    ):
+        distance = 1e3 * np.linalg.norm(errors[:, 0], axis=1)
+        axes.hist(distance, bins=24, color=colour)
+        axes.axvline(float(distance.mean()), color="black", linestyle=":")
+        axes.set(xlabel="position error [mm]", ylabel="poses", title=f"{title}: mean {distance.mean():.3g} mm")
+    return figure
+
+
+def _joint_points(robot: calib.Robot, actuated: Array, passive: Array) -> dict[str, Array]:
+    """Positions of all joints in the root link's frame [m], loops closed or not."""
+    mechanism = robot.mechanism
+    names = [name for name in mechanism.origin_names if name in {joint.name for joint in robot.urdf.joints}]
+    pairs = tuple(_from_root(mechanism.origin_names.index(name) + 1) for name in names)
+    swept = sweep(mechanism, mechanism.all_joints(actuated[None], passive[None]), pairs)
+    return {name: swept.translation[0, swept.index[pair.b]] for name, pair in zip(names, pairs, strict=True)}
+
+
+def _from_root(joint: int) -> calib.mechanism.RelativeFrame:
+    return calib.mechanism.RelativeFrame("", 0, joint, False, (0, 1, 2))
+
+
+def _draw_five_bar(axes: Axes, at: dict[str, Array]) -> None:
+    axes.plot(*zip(at["left_motor"][:2], at["right_motor"][:2], strict=True), color=GREY, linewidth=6, alpha=0.4)
+    for side, colour in (("left", BLUE), ("right", ORANGE)):
+        chain = np.array([at[f"{side}_{joint}"] for joint in ("motor", "elbow", "end")])
+        axes.plot(chain[:, 0], chain[:, 1], "-", color=colour, linewidth=3, solid_capstyle="round")
+        axes.plot(chain[0, 0], chain[0, 1], "s", color="black", markersize=9)
+        axes.plot(chain[1:, 0], chain[1:, 1], "o", color=colour, markerfacecolor="white", markersize=8)
+
+
+FIGURE_MAKERS: dict[str, Callable[[], Figure]] = {
+    "architecture": architecture.picture,
+    "five_bar_cut": five_bar_cut,
+    "singular_values": singular_values,
+    "errors_before_after": errors_before_after,
+}
+
+
+def main() -> None:
+    """Run the command line."""
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else FIGURES
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, draw in FIGURE_MAKERS.items():
+        draw().savefig(folder / f"{name}.svg", metadata={"Date": None})
+        print(f"{folder / name}.svg written")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""Does choosing poses help on a real arm? 53 of its 159 measured poses, by O1 and the task index, against random ones.
+
+    python tests/benchmarks/motoman_choice.py FOLDER [--draws 200]
+
+FOLDER holds robot.urdf, train.csv and test.csv of the arm in docs/examples/motoman_right.yaml. Each choice is fitted
+and judged on the 53 held-out poses. Then the same poses are measured by simulation, where the calibrated arm is the
+truth and the only error is normal noise of the size found in the real residuals.
+"""
+
+import argparse
+import shutil
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+import calib
+from calib.candidates import assemble_known
+from calib.information import information, prior_rows
+from calib.selection import select
+from calib.threads import one_blas_thread
+
+COUNT = 53
+DESCRIPTION = Path(__file__).resolve().parents[2] / "docs" / "examples" / "motoman_right.yaml"
+
+
+def load(folder):
+    """Robot, training and held-out measurements."""
+    with tempfile.TemporaryDirectory() as together:
+        for name in ("robot.urdf", "train.csv", "test.csv"):
+            shutil.copy(Path(folder) / name, together)
+        shutil.copy(DESCRIPTION, together)
+        robot = calib.load(Path(together) / DESCRIPTION.name)
+        return robot, *(calib.read_measurements(Path(together) / name, robot) for name in ("train.csv", "test.csv"))
+
+
+def rms(errors):
+    """Root mean square length of errors (n, 1, 3) [m], in mm."""
+    return 1e3 * np.sqrt(np.mean(np.sum(errors**2, axis=2)))
+
+
+def choices(fit, train, test, draws, seed=0):
+    """Pose numbers by name, and `draws` random ones."""
+    sigma = fit.statistics.sigma
+    chosen = {
+        "O1": select(fit.robot, train.joints, COUNT, "O1", sigma=sigma).chosen,
+        "task": select(fit.robot, train.joints, COUNT, "task", task=test.joints, sigma=sigma).chosen,
+    }
+    rng = np.random.default_rng(seed)
+    return chosen, [rng.choice(len(train), COUNT, replace=False) for _ in range(draws)]
+
+
+def predicted(fit, train, test):
+    """A function from pose numbers to the position error at the held-out poses that noise alone leaves [mm]."""
+    robot, sigma = fit.robot, fit.statistics.sigma
+    rows, there = (assemble_known(robot, data).rows for data in (train, test))
+    priors = prior_rows(robot.parameters, robot.free, sigma)
+
+    @one_blas_thread
+    def error(index):
+        return 1e3 * np.sqrt(np.mean(information(rows[index], priors).position_errors(there, sigma) ** 2))
+
+    return error
+
+
+def report(title, chosen, random):
+    """Print the chosen ones beside the random ones."""
+    print(f"\n{title} [mm]")
+    low, tenth, middle, high = np.quantile(random, [0, 0.1, 0.5, 1])
+    print(f"  random: best {low:.4f}, best tenth up to {tenth:.4f}, median {middle:.4f}, worst {high:.4f}")
+    for name, value in chosen.items():
+        print(f"  {name}: {value:.4f}, better than {100 * np.mean(np.array(random) > value):.0f} % of the random ones")
+
+
+def main():
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--draws", type=int, default=200)
+    options = parser.parse_args()
+    robot, train, test = load(options.folder)
+    everything = calib.fit(robot, train, validation=test)
+    chosen, random = choices(everything, train, test, options.draws)
+    print(f"all {len(train)} poses: held-out rms {rms(everything.validation.after):.4f} mm,"
+          f" noise found {1e6 * everything.statistics.sigma:.1f} um per axis")  # fmt: skip
+
+    def real(index):
+        return rms(calib.fit(robot, train.subset(np.sort(index)), validation=test).validation.after)
+
+    report("held-out rms, real measurements", {k: real(v) for k, v in chosen.items()}, [real(i) for i in random])
+    error = predicted(everything, train, test)
+    report("predicted from noise alone", {k: error(v) for k, v in chosen.items()}, [error(i) for i in random])
+    data = calib.simulate(everything.robot, train, everything.statistics.sigma, np.random.default_rng(1))
+    truth = everything.robot.positions(test.joints)
+
+    def simulated(index):
+        fit = calib.fit(robot, data.subset(np.sort(index)), sigma=everything.statistics.sigma)
+        return rms(fit.robot.positions(test.joints) - truth)
+
+    few = random[: max(20, options.draws // 4)]
+    report("error against the truth, simulated noise", {k: simulated(v) for k, v in chosen.items()},
+           [simulated(i) for i in few])  # fmt: skip
+    inside = np.isin(np.arange(len(train)), chosen["O1"])
+    residual = everything.identification.after
+    print(f"\nresiduals of the fit to all poses [mm]: {rms(residual[inside]):.4f} at the poses that O1 chooses,"
+          f" {rms(residual[~inside]):.4f} at the others")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,38 @@
+"""How long a whole fit takes: MedRUE, 84 poses from the nominal parameters, plain and with a robust loss."""
+
+import numpy as np
+import pytest
+
+import calib
+from calib.measurements import Measurements
+from medrue import robot_file
+from medrue.closed_form import forward
+from medrue.paper_tables import table1
+from medrue.workspace import target_workspace
+
+
+@pytest.fixture(scope="module")
+def problem():
+    robot, q = calib.load(robot_file()), np.array(target_workspace().q)[::5]
+    positions = forward(q, table1().actual).p_world_tool[:, None]
+    positions = positions + 4e-5 * np.random.default_rng(1).standard_normal(positions.shape)
+    labels = tuple(str(k) for k in range(len(q)))
+    counts = np.ones(len(q), dtype=np.intp)
+    return robot, Measurements(q, labels, labels, "simulated", (), positions, counts, np.full(positions.shape, np.nan))
+
+
+@pytest.mark.parametrize("loss", ["none", "huber", "tukey"])
+def test_fit_of_84_poses(benchmark, problem, loss):
+    fit = benchmark(calib.fit, *problem, loss=loss)
+    assert fit.converged
+
+
+def test_verdict_of_84_poses(benchmark, problem):
+    fit = calib.fit(*problem)
+
+    def judged():
+        for name in ("verdict", "patterns", "studentised", "outliers", "_inverse", "assembles"):
+            fit.__dict__.pop(name, None)  # what is computed once on request
+        return fit.verdict
+
+    assert benchmark(judged).grade in ("PASS", "CHECK")

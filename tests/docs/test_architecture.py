@@ -1,0 +1,31 @@
+"""The picture of the architecture is that of the code."""
+
+import architecture
+import pytest
+from architecture import ROOMS, imported, modules, room_of
+
+CONTRIBUTING = (architecture.ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+
+
+def test_every_module_has_exactly_one_room():
+    for name in modules():
+        room_of(name)
+    placed = [name for room in ROOMS for name in room.modules]
+    assert len(set(placed)) == len(placed)
+    gone = [name for name in placed if name not in modules()]
+    assert gone == [], "in a room, but not in calib"
+
+
+@pytest.mark.parametrize("room", ROOMS, ids=[room.name for room in ROOMS])
+def test_a_room_imports_only_from_itself_and_from_lower_floors(room):
+    for name, path in modules().items():
+        if room_of(name) is not room:
+            continue
+        for other in imported(path):
+            from_room = room_of(other)
+            assert from_room is room or from_room.floor < room.floor, f"{name} ({room.name}) imports {other}"
+
+
+def test_the_contributors_guide_has_a_paragraph_for_each_room():
+    for room in ROOMS:
+        assert f"**{room.name}.**" in CONTRIBUTING

@@ -1,0 +1,30 @@
+"""The command reference is what the programs print for --help."""
+
+import re
+
+import command_reference
+from click.testing import CliRunner
+from command_reference import WIDTH, commands, page, programs
+
+
+def test_every_command_is_on_the_page_with_its_help():
+    text = page()
+    names = [name for name, _, _ in commands()]
+    assert {"calib", "calib fit", "calib check", "calib select", "medrue study"} <= set(names)
+    for name in names:
+        assert len(re.findall(rf"^#+ {name}$", text, re.MULTILINE)) == 1
+
+
+def test_the_page_says_what_the_programs_print():
+    runner = CliRunner()
+    text = page()
+    for program in programs():
+        for arguments in ([], *([name] for name in program.commands)):
+            done = runner.invoke(program, [*arguments, "--help"], prog_name=program.name, terminal_width=WIDTH)
+            assert done.exit_code == 0
+            assert done.output.strip() in text
+
+
+def test_the_page_has_a_section_for_each_installed_program():
+    assert [program.name for program in programs()] == ["calib", "medrue"]
+    assert command_reference.page().count("## ") >= 2

@@ -1,0 +1,31 @@
+"""The numbers of this project on the comparison page; skipped where the real measurements are absent."""
+
+import re
+import shutil
+
+import pytest
+from snippets import DOCS
+
+import calib
+
+
+@pytest.fixture(scope="module")
+def motoman(shared_data, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("motoman")
+    for path in (*(shared_data / "motoman_right").glob("*.*"), DOCS / "examples" / "motoman_right.yaml"):
+        shutil.copy(path, folder)
+    robot = calib.load(folder / "motoman_right.yaml")
+    train, test = (calib.read_measurements(folder / name, robot) for name in ("train.csv", "test.csv"))
+    return calib.fit(robot, train, validation=test)
+
+
+@pytest.mark.parametrize(
+    ("row", "state"), [("base and target placed, robot nominal", "before"), ("this project", "after")]
+)
+def test_the_page_has_what_a_fit_gives(motoman, row, state):
+    found = motoman.validation.table()[state]
+    page = (DOCS / "comparison.md").read_text()
+    mean, rms, largest = re.search(rf"^\| {row} \|[^|]*\| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|", page, re.M).groups()
+    assert float(mean) == pytest.approx(found["mean"], abs=0.0011)  # printed to 0.001 mm
+    assert float(rms) == pytest.approx(found["rms"], abs=0.0011)
+    assert float(largest) == pytest.approx(found["max"], abs=0.0011)

@@ -1,0 +1,32 @@
+"""Every figure of the pages is made by a command, and none is left over."""
+
+import re
+
+import make_figures
+import pytest
+from snippets import DOCS, ROOT
+
+
+def test_every_drawing_has_its_maker_and_every_picture_is_shown():
+    drawings = {path.stem for path in (DOCS / "figures").glob("*.svg")}
+    assert drawings == set(make_figures.FIGURE_MAKERS)
+    shown = set()
+    for page in (*DOCS.rglob("*.md"), ROOT / "CONTRIBUTING.md", ROOT / "README.md"):
+        shown |= set(re.findall(r"figures/([\w-]+\.\w+)", page.read_text()))
+    for path in (DOCS / "figures").glob("*.*"):
+        assert path.name in shown, f"{path.name} is on no page"
+
+
+def test_pictures_are_those_that_the_screenshot_command_takes():
+    screenshots = pytest.importorskip("viz.screenshots")
+    taken = {f"{name}.png" for name, *_ in screenshots.PICTURES}
+    assert {path.name for path in (DOCS / "figures").glob("*.png")} <= taken
+
+
+@pytest.mark.parametrize("name", sorted(make_figures.FIGURE_MAKERS))
+def test_a_figure_is_drawn(name, tmp_path):
+    path = tmp_path / f"{name}.svg"
+    make_figures.FIGURE_MAKERS[name]().savefig(path, metadata={"Date": None})
+    drawn, shipped = path.read_text(), (DOCS / "figures" / f"{name}.svg").read_text()
+    texts = [re.findall(r">([A-Za-z][^<>]{3,})</text>", svg) for svg in (drawn, shipped)]
+    assert texts[0] == texts[1], "run docs/site/make_figures.py"

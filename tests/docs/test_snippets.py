@@ -1,0 +1,128 @@
+"""Every snippet of the pages runs, and prints what the page says."""
+
+import re
+
+import pytest
+import snippets
+from snippets import DOCS, ROOT, SnippetError, blocks, compare, refreshed, run_page, same
+
+TESTED_ELSEWHERE = {"docs/other_tools.md": "tests/interop/test_other_tools_page.py"}
+PAGES = [page for page in snippets.all_pages() if str(page.relative_to(ROOT)) not in TESTED_ELSEWHERE]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
+def test_the_snippets_of_a_page_run_and_print_what_it_says(page):
+    run_page(page)
+
+
+def test_the_python_of_the_readme_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("urdf", "docs"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    names = {}
+    for block in blocks((ROOT / "README.md").read_text(encoding="utf-8")):
+        if block.language == "python":
+            exec(compile(block.text, "README.md", "exec"), names)
+    assert names
+
+
+def test_pages_that_are_left_to_other_tests_are_named_there():
+    for page, test in TESTED_ELSEWHERE.items():
+        assert page.rpartition("/")[2] in (ROOT / test).read_text()
+
+
+def test_nothing_that_could_run_is_left_out_without_a_reason():
+    known = {"sh", "toml", "python", "yaml", "csv", "xml", "text", "json", "urdf"}
+    for page in PAGES:
+        for block in blocks(page.read_text(encoding="utf-8")):
+            where = f"{page.relative_to(ROOT)}, line {block.line}"
+            assert block.language in known, f"{where}: fence of language {block.language!r}"
+            if block.language in ("yaml", "csv", "xml", "json", "urdf"):
+                assert block.title or block.comment, f"{where}: neither a file nor part of one"
+
+
+def test_commands_that_are_not_run_here_are_targets_of_the_makefile():
+    targets = set(re.findall(r"^(\w[\w-]*):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    for page in PAGES:
+        for word in re.findall(r"^make (\w+)|`make (\w+)`", page.read_text(encoding="utf-8"), re.MULTILINE):
+            word = "".join(word)
+            assert word in targets, f"{page.relative_to(ROOT)}: make {word}"
+
+
+def test_every_figure_that_a_page_shows_exists():
+    for page in DOCS.rglob("*.md"):
+        for target in re.findall(r"!\[[^\]]*\]\(([^)#]+)\)", page.read_text(encoding="utf-8")):
+            assert (page.parent / target).is_file(), f"{page.relative_to(ROOT)}: {target}"
+
+
+# The runner itself
+
+
+@pytest.mark.parametrize(
+    ("expected", "printed"),
+    [
+        ("mean 0.021 mm", "mean 0.021 mm"),
+        ("mean 0.021 mm", "mean 0.0211 mm"),  # within the last digit
+        ("mean 18.67 mm", "mean 18.60 mm"),  # within a percent
+        ("84 poses, 0.208 s", "84 poses, 12.7 s"),  # durations
+        ("the next 1.35e-17", "the next -8.1e-19"),  # rounding noise
+        ("│ -0.0000 │", "│  0.0000 │"),
+    ],
+)
+def test_numbers_may_differ_as_they_do_between_machines(expected, printed):
+    assert same(expected, printed)
+
+
+@pytest.mark.parametrize(
+    ("expected", "printed"),
+    [
+        ("mean 0.021 mm", "mean 0.041 mm"),
+        ("84 poses", "85 poses"),  # counts are exact
+        ("PASS", "FAIL"),
+        ("mean 0.021 mm", "mean 0.021 m"),
+        ("mean 1.5 mm", "mean -1.5 mm"),
+    ],
+)
+def test_other_differences_count(expected, printed):
+    assert not same(expected, printed)
+
+
+def test_dots_stand_for_any_lines():
+    compare("...\nb\n...\n", "a\nb\nc\n")
+    with pytest.raises(SnippetError, match="prints 'c'"):
+        compare("...\nb\n", "a\nb\nc\n")
+    with pytest.raises(SnippetError, match="nothing more"):
+        compare("a\nb\n", "a\n")
+
+
+def test_refreshing_keeps_the_dots_and_takes_the_new_numbers():
+    assert refreshed("...\nmean 1.0\n...\n", "x\nmean 2.5\ny\n") == "...\nmean 2.5\n...\n"
+    assert refreshed("old\n", "new\nlines\n") == "new\nlines\n"
+    with pytest.raises(SnippetError, match="any more"):
+        refreshed("...\ngone 1\n", "x\n")
+
+
+def test_a_failing_snippet_is_an_error_with_page_and_line(tmp_path, monkeypatch):
+    monkeypatch.setattr(snippets, "ROOT", tmp_path)
+    (tmp_path / "urdf").mkdir()
+    (tmp_path / "docs").mkdir()
+    page = tmp_path / "page.md"
+    for text, message in (
+        ("# Page\n\n```python\n1 / 0\n```\n", r"page.md, line 3: fails:[\s\S]*ZeroDivisionError"),
+        ("```sh\nfalse\n```\n", "page.md, line 1: `false` ended with exit code 1"),
+        ('```sh\necho 1\n```\n\n```text title="Output"\n2\n```\n', "page.md, line 5: prints '1'"),
+    ):
+        page.write_text(text)
+        with pytest.raises(SnippetError, match=message):
+            run_page(page)
+
+
+def test_a_refreshed_page_passes(tmp_path, monkeypatch):
+    monkeypatch.setattr(snippets, "ROOT", tmp_path)
+    (tmp_path / "urdf").mkdir()
+    (tmp_path / "docs").mkdir()
+    page = tmp_path / "page.md"
+    page.write_text('```sh\necho 1\n```\n\n```text title="Output"\nold\n```\n\nEnd.\n')
+    run_page(page, write=True)
+    assert page.read_text() == '```sh\necho 1\n```\n\n```text title="Output"\n1\n```\n\nEnd.\n'
+    run_page(page)

@@ -1,0 +1,204 @@
+"""The fit as a whole: noise stated or found, repeats, loss, folds, and what a failed one leaves behind."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from six_axis_arm import FREE, YAML, joints, measurements, noisy, six_axis_arm, write_six_axis
+
+import calib
+from calib.fitted import Convergence
+from calib.results import load_calibrated, read_result, save
+
+SIGMA = 4e-5
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    return six_axis_arm(tmp_path_factory.mktemp("arm"))
+
+
+@pytest.fixture(scope="module")
+def prior_arm(tmp_path_factory):
+    return calib.load(write_six_axis(tmp_path_factory.mktemp("arm"), YAML + FREE))
+
+
+@pytest.fixture(scope="module")
+def good(arm):
+    return calib.fit(arm, noisy(arm, joints(60), SIGMA, 1))
+
+
+@pytest.fixture
+def failed(good):
+    return replace(good, convergence=Convergence(False, "the limit of evaluations was reached", 0.01, "j1.x", True))
+
+
+@pytest.fixture(autouse=True)
+def _without_pages(monkeypatch):
+    """Report pages take seconds, and have tests of their own."""
+    monkeypatch.setattr("calib.results.entry_points", lambda group: ())
+
+
+def test_without_priors_the_stated_noise_changes_no_parameter(arm):
+    data = noisy(arm, joints(60), SIGMA, 1)
+    found, stated = calib.fit(arm, data), calib.fit(arm, data, sigma=3e-4)
+    np.testing.assert_allclose(found.robot.values, stated.robot.values, atol=1e-9)
+    assert found.statistics.sigma == pytest.approx(stated.statistics.sigma)
+    assert found.sigma_stated is None
+    assert found.chi_square is None
+    assert stated.chi_square.value == pytest.approx(154 * (stated.statistics.sigma / 3e-4) ** 2)
+
+
+def test_with_priors_the_found_noise_is_that_which_weighed_them(prior_arm):
+    values = prior_arm.values + np.random.default_rng(2).standard_normal(36) * [p.sigma for p in prior_arm.parameters]
+    fit = calib.fit(prior_arm, noisy(prior_arm.with_parameters(values), joints(60), SIGMA, 1))
+    assert fit.sigma_used == pytest.approx(fit.statistics.sigma, rel=0.01)
+    assert fit.statistics.sigma == pytest.approx(SIGMA, rel=0.2)  # standard error 6 %
+    assert 20 < fit.statistics.effective_parameters < 26.5
+    assert fit.statistics.freedom == pytest.approx(180 - fit.statistics.effective_parameters)
+
+
+def test_a_pose_read_nine_times_weighs_nine_times(arm):
+    q = joints(40)
+    data = noisy(arm, q, SIGMA, 1)
+    nine = measurements(q, data.positions, counts=np.where(np.arange(40) == 3, 9, 1))
+    repeated = np.concatenate([np.arange(40), np.full(8, 3)])
+    written_out = measurements(q[repeated], data.positions[repeated])
+    a, b = calib.fit(arm, nine), calib.fit(arm, written_out)
+    np.testing.assert_allclose(a.robot.values, b.robot.values, atol=1e-8)
+    assert a.statistics.freedom == 120 - 26
+
+
+def test_rotating_the_frame_of_a_robust_fit_changes_nothing(tmp_path):
+    # the base is free, so turned measurements turn the base alone; a loss by coordinate would depend on the axes
+    robot = calib.load(write_six_axis(tmp_path, YAML.replace("frame: l0", "frame: l0, pose: unknown") + FREE))
+    q = joints(60)
+    positions = robot.positions(q) + SIGMA * np.random.default_rng(1).standard_normal((60, 1, 3))
+    positions[[4, 30]] += 2e-3
+    turn = np.linalg.qr(np.random.default_rng(5).standard_normal((3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    fits = [calib.fit(robot, measurements(q, p), loss="tukey", sigma=SIGMA) for p in (positions, positions @ turn.T)]
+    np.testing.assert_allclose(fits[0].weights, fits[1].weights, atol=1e-3)
+    np.testing.assert_allclose(
+        np.linalg.norm(fits[0].identification.after, axis=2), np.linalg.norm(fits[1].identification.after, axis=2),
+        atol=1e-7,
+    )  # fmt: skip
+
+
+def test_asking_for_everything_at_once_works(arm):
+    data = noisy(arm, joints(60), SIGMA, 1)
+    fit = calib.fit(
+        arm,
+        data,
+        validation=noisy(arm, joints(20, 3), SIGMA, 2),
+        loss="huber",
+        exclude_outliers=True,
+        starts=3,
+        folds=3,
+    )
+    report = fit.report()
+    for words in (
+        "Verdict:",
+        "left out in turns, after",
+        "Robust loss huber",
+        "3 starts",
+        "Cross-validation in 3 folds",
+    ):
+        assert words in report
+
+
+def test_fits_are_repeatable_to_the_last_bit(arm):
+    data = noisy(arm, joints(60), SIGMA, 1)
+    a, b = (calib.fit(arm, data, loss="tukey", starts=3, folds=3, seed=5) for _ in range(2))
+    np.testing.assert_array_equal(a.robot.values, b.robot.values)
+    np.testing.assert_array_equal(a.folds.errors.after, b.folds.errors.after)
+
+
+def test_an_unknown_loss_and_a_negative_seed_are_refused(arm):
+    data = noisy(arm, joints(60), SIGMA, 1)
+    with pytest.raises(calib.InputError, match="loss 'hubert'; did you mean 'huber'"):
+        calib.fit(arm, data, loss="hubert")
+    with pytest.raises(calib.InputError, match="seed -1"):
+        calib.fit(arm, data, seed=-1)
+
+
+def test_a_failed_fit_leaves_no_calibrated_robot(failed, tmp_path):
+    save(failed, tmp_path / "out")
+    content = read_result(tmp_path / "out")
+    assert content["verdict"]["grade"] == "FAIL"
+    assert content["verdict"]["forced"] is False
+    assert content["converged"] is False
+    assert not (tmp_path / "out" / "calibrated.urdf").exists()
+    with pytest.raises(calib.ComputationError, match="the fit failed and gives no calibrated robot"):
+        load_calibrated(tmp_path / "out", failed.nominal)
+    seen = load_calibrated(tmp_path / "out", failed.nominal, failed_too=True)  # to look at, in a viewer
+    np.testing.assert_allclose(seen.values, failed.robot.values)
+
+
+def test_a_forced_export_says_so_inside(failed, tmp_path):
+    save(failed, tmp_path / "out", force=True)
+    assert read_result(tmp_path / "out")["verdict"]["forced"] is True
+    urdf = (tmp_path / "out" / "calibrated.urdf").read_text()
+    assert "verdict: FAIL, exported by force" in urdf
+    assert "the limit of evaluations was reached" in urdf
+    (tmp_path / "out" / "arm.yaml").write_text((YAML + FREE).replace("arm.urdf", "calibrated.urdf"))
+    again = calib.load(tmp_path / "out" / "arm.yaml")
+    q = joints(5)
+    np.testing.assert_allclose(again.positions(q), failed.robot.positions(q), atol=1e-12)
+    assert load_calibrated(tmp_path / "out", failed.nominal).name == "six axes"
+
+
+def test_an_old_calibrated_robot_does_not_stay_beside_a_failed_result(good, failed, tmp_path):
+    save(good, tmp_path / "out")
+    (tmp_path / "out" / "report.html").write_text("of the old fit")
+    (tmp_path / "out" / "notes.txt").write_text("mine")
+    save(failed, tmp_path / "out")
+    left = {path.name for path in (tmp_path / "out").iterdir()}
+    assert left == {"result.json", "parameters.csv", "covariance.csv", "residuals.csv", "notes.txt"}
+
+
+def test_result_json_has_the_verdict_and_what_it_rests_on(arm, tmp_path):
+    q = joints(60)
+    truth = arm.with_parameters({"j2.x": 0.053, "j3.rx": 0.004})
+    data = noisy(truth, q, SIGMA, 1)
+    positions = data.positions.copy()
+    positions[8] += 1e-3
+    fit = calib.fit(
+        arm, measurements(q, positions), sigma=SIGMA, validation=noisy(truth, joints(20, 3), SIGMA, 2),
+        exclude_outliers=True, starts=2, folds=3,
+    )  # fmt: skip
+    save(fit, tmp_path / "out")
+    content = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert content["verdict"]["grade"] in ("PASS", "CHECK")
+    assert content["excluded"][0]["pose"] == "8"
+    assert content["excluded"][0]["where"] == "row 8"
+    assert content["with_excluded"]["n_poses"] == 60
+    assert content["with_excluded"]["sigma"] > content["sigma"]
+    assert content["chi_square"]["freedom"] == pytest.approx(content["degrees_of_freedom"])
+    assert content["position_uncertainty"]["validation"]["max"] > 0
+    assert set(content["errors"]) == {"identification", "validation", "cross_validation"}
+    assert content["cross_validation"]["folds"] == 3
+    assert content["starts"]["count"] == 2
+    assert content["effective_parameters"] == pytest.approx(26)
+    assert {"kind", "name", "p_value", "size", "amount", "significant"} == set(content["patterns"][0])
+    assert content["errors"]["validation"]["after"]["p95"] > content["errors"]["validation"]["after"]["median"]
+
+
+def test_the_command_exits_with_3_and_says_why(arm, tmp_path, run_calib):
+    q = joints(60)
+    positions = arm.positions(q)[:, 0] + 2 * np.random.default_rng(1).standard_normal((60, 3))
+    header = ",".join([*(f"j{k}" for k in range(1, 7)), "ball_x", "ball_y", "ball_z"])
+    rows = [",".join(repr(float(cell)) for cell in (*a, *b)) for a, b in zip(q, positions, strict=True)]
+    (tmp_path / "data.csv").write_text("\n".join([header, *rows]) + "\n")
+    arguments = ("fit", arm.path, tmp_path / "data.csv", "--out", tmp_path / "out")
+    run = run_calib(*arguments)
+    assert run.code == 3
+    assert run.err.startswith("calib: verdict FAIL: ")
+    assert "(--force writes it)" in run.err
+    assert "Verdict: FAIL" in run.out
+    forced = run_calib(*arguments, "--force")
+    assert forced.code == 0
+    assert (tmp_path / "out" / "calibrated.urdf").exists()
+    assert run_calib("predict", arm.path, tmp_path / "data.csv", "--result", tmp_path / "out",
+                     "--out", tmp_path / "p.csv").code == 0  # fmt: skip

@@ -19,6 +19,12 @@ UNKNOWN_BASE = YAML.replace("frame: l0", "frame: l0, pose: unknown")
 RNG = np.random.default_rng(3)
 
 
+@pytest.fixture(autouse=True)
+def _without_pages(monkeypatch):
+    """Report pages take seconds, and have tests of their own."""
+    monkeypatch.setattr("calib.results.entry_points", lambda group: ())
+
+
 @pytest.fixture
 def folder(tmp_path):
     write_six_axis(tmp_path)
@@ -107,7 +113,7 @@ def test_one_joint_never_moved_with_priors_is_a_check(folder, fit_file):
 
 def test_positions_on_a_line_fix_no_measurement_frame(folder, fit_file):
     q = np.zeros((12, 6))
-    positions = [*np.outer(np.linspace(0, 1, 12), [1.0, 2.0, 0.5]), 2.0, 0, 0]
+    positions = np.array([2.0, 0, 0]) + np.outer(np.linspace(0, 1, 12), [1.0, 2.0, 0.5])
     run, result = fit_file(q, positions, "unknown_base.yaml")
     assert run.code == 2
     assert "line" in one_line(run) or "same" in run.err

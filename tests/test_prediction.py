@@ -11,6 +11,12 @@ from calib.results import load_calibrated, load_uncertainty
 SIGMA = 4e-5
 
 
+@pytest.fixture(autouse=True)
+def _without_pages(monkeypatch):
+    """Report pages take seconds, and have tests of their own."""
+    monkeypatch.setattr("calib.results.entry_points", lambda group: ())
+
+
 @pytest.fixture(scope="module")
 def fit(tmp_path_factory):
     robot = six_axis_arm(tmp_path_factory.mktemp("arm"))

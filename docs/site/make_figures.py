@@ -16,20 +16,19 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 import calib
 from calib.identifiability import numerical_rank
 from calib.information import scaled_rows
 from calib.jacobian import linearise
 from calib.kinematics import sweep
+from calib.mechanism import FloatArray, RelativeFrame
 from calib.validation import split
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "docs" / "examples"
 FIGURES = ROOT / "docs" / "figures"
 BLUE, ORANGE, GREY = "#0072b2", "#d55e00", "#767676"  # told apart without colour vision
-Array = NDArray[np.float64]
 
 mpl.rcParams |= {
     "svg.hashsalt": "docs",
@@ -105,7 +104,7 @@ def errors_before_after() -> Figure:
     return figure
 
 
-def _joint_points(robot: calib.Robot, actuated: Array, passive: Array) -> dict[str, Array]:
+def _joint_points(robot: calib.Robot, actuated: FloatArray, passive: FloatArray) -> dict[str, FloatArray]:
     """Positions of all joints in the root link's frame [m], loops closed or not."""
     mechanism = robot.mechanism
     names = [name for name in mechanism.origin_names if name in {joint.name for joint in robot.urdf.joints}]
@@ -114,11 +113,11 @@ def _joint_points(robot: calib.Robot, actuated: Array, passive: Array) -> dict[s
     return {name: swept.translation[0, swept.index[pair.b]] for name, pair in zip(names, pairs, strict=True)}
 
 
-def _from_root(joint: int) -> calib.mechanism.RelativeFrame:
-    return calib.mechanism.RelativeFrame("", 0, joint, False, (0, 1, 2))
+def _from_root(joint: int) -> RelativeFrame:
+    return RelativeFrame("", 0, joint, False, (0, 1, 2))
 
 
-def _draw_five_bar(axes: Axes, at: dict[str, Array]) -> None:
+def _draw_five_bar(axes: Axes, at: dict[str, FloatArray]) -> None:
     axes.plot(*zip(at["left_motor"][:2], at["right_motor"][:2], strict=True), color=GREY, linewidth=6, alpha=0.4)
     for side, colour in (("left", BLUE), ("right", ORANGE)):
         chain = np.array([at[f"{side}_{joint}"] for joint in ("motor", "elbow", "end")])

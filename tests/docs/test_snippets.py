@@ -4,10 +4,9 @@ import re
 
 import pytest
 import snippets
-from snippets import DOCS, ROOT, SnippetError, blocks, compare, refreshed, run_page, same
+from snippets import DOCS, ROOT, TESTED_ELSEWHERE, SnippetError, blocks, compare, refreshed, run_page, same
 
-TESTED_ELSEWHERE = {"docs/other_tools.md": "tests/interop/test_other_tools_page.py"}
-PAGES = [page for page in snippets.all_pages() if str(page.relative_to(ROOT)) not in TESTED_ELSEWHERE]
+PAGES = snippets.all_pages()
 
 
 @pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])

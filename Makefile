@@ -29,7 +29,7 @@ bench: $(VENV)/.ready
 
 # The pictures of README and docs, from a fresh demo.
 pictures: demo
-	$(BIN)/python -m viz.screenshots out/demo --out docs/images
+	$(BIN)/python -m viz.screenshots out/demo --out docs/figures
 
 # Needs the extra `docs`: make ci-packages.
 docs: $(VENV)/.ready

@@ -1,0 +1,59 @@
+"""List public functions whose docstring leaves out the shape of an array or an error that they raise themselves.
+
+    python docs/site/docstring_gaps.py
+
+That docstrings exist, and their form, is checked by ruff. A function passes if its docstring shows some shape such as
+`(n, 3)`, names every error class of its own `raise` statements, or says `see` another one.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+
+import api_reference
+
+_ARRAY = re.compile(r"\b(FloatArray|BoolArray|IntArray|ArrayLike|Array)\b")
+_SHAPE = re.compile(r"\(\w+,|\(\d")
+
+
+def gaps(text: str) -> Iterator[tuple[int, str, str]]:
+    """Return line, name and what is missing, for each function of a module that leaves something out."""
+    for node, name in _public(ast.parse(text), ""):
+        docstring = ast.get_docstring(node) or ""
+        if "see `" in docstring.lower():
+            continue
+        missing = []
+        annotations = [argument.annotation for argument in (*node.args.args, *node.args.kwonlyargs)] + [node.returns]
+        if any(a is not None and _ARRAY.search(ast.unparse(a)) for a in annotations) and not _SHAPE.search(docstring):
+            missing.append("no shape")
+        missing += [f"raises {error}" for error in sorted(_raised(node)) if error not in docstring]
+        if missing:
+            yield node.lineno, name, ", ".join(missing)
+
+
+def _public(body: ast.Module | ast.ClassDef, prefix: str) -> Iterator[tuple[ast.FunctionDef, str]]:
+    for node in body.body:
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            yield from _public(node, f"{prefix}{node.name}.")
+        elif isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
+            yield node, prefix + node.name
+
+
+def _raised(function: ast.FunctionDef) -> set[str]:
+    raised = (node.exc for node in ast.walk(function) if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call))
+    return {ast.unparse(call.func) for call in raised}
+
+
+def main() -> None:
+    """Run the command line."""
+    for package in api_reference.PACKAGES:
+        for module in api_reference.modules(package):
+            if not module.startswith("calib.commands"):  # their help is the documentation
+                for line, name, missing in gaps(api_reference.source(module)):
+                    print(f"{module}, line {line}: {name}: {missing}")
+
+
+if __name__ == "__main__":
+    main()

@@ -8,6 +8,7 @@ import api_reference
 import command_reference
 import formulas
 from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
@@ -38,6 +39,14 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Turn formulas into MathML, which browsers show without scripts."""
     return formulas.to_mathml(html, page.file.src_uri)
+
+
+def on_post_page(output: str, page: Page, config: MkDocsConfig) -> str:
+    """Refuse a page that asks another computer for something, or that shows a formula as its source."""
+    for wrong in ('<script src="http', '<link rel="stylesheet" href="http', 'class="arithmatex"'):
+        if wrong in output:
+            raise PluginError(f"{page.file.src_uri}: contains {wrong}")
+    return output
 
 
 def _as_site_page(text: str) -> str:

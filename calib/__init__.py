@@ -1,5 +1,7 @@
 """Kinematic calibration of any robot with a URDF, closed loops included, on Pinocchio."""
 
+from calib.data.measurements import Measurements, Poses, read_measurements, read_poses
+from calib.data.simulate import simulate
 from calib.errors import (
     CalibrationError,
     ComputationError,
@@ -12,12 +14,10 @@ from calib.errors import (
     UnreachablePoseError,
     UrdfError,
 )
-from calib.fit import Fit, fit
-from calib.measurements import Measurements, Poses, read_measurements, read_poses
-from calib.parameters import Origin, Parameter, Parametrisation, twist_of_edit
-from calib.robot import Robot, load
-from calib.selection import Selection, select
-from calib.simulate import simulate
+from calib.identification.fit import Fit, fit
+from calib.model.parameters import Origin, Parameter, Parametrisation, twist_of_edit
+from calib.model.robot import Robot, load
+from calib.pose_choice.selection import Selection, select
 
 __all__ = [
     "CalibrationError",

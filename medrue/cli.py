@@ -12,9 +12,9 @@ import click
 import numpy as np
 
 from calib.commands.common import Output, run_program, shared_options
+from calib.data.measurements import format_measurements
 from calib.files import check_file, check_folder, write_file, write_folder
-from calib.measurements import format_measurements
-from calib.robot import load
+from calib.model.robot import load
 from medrue import robot_file
 from medrue.parallel import Workers
 from medrue.progress import Silent, TerminalBars

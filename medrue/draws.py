@@ -16,13 +16,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib import kinematics
+from calib.data.measurements import Measurements
 from calib.errors import NotConvergedError
-from calib.fit import fit
-from calib.jacobian import linearise
-from calib.measurements import Measurements
-from calib.mechanism import FloatArray, IntArray
-from calib.robot import Configurations, Robot
+from calib.identification.fit import fit
+from calib.linearisation.jacobian import linearise
+from calib.model import kinematics
+from calib.model.mechanism import FloatArray, IntArray
+from calib.model.robot import Configurations, Robot
 from calib.threads import one_blas_thread
 from medrue.parallel import Workers
 

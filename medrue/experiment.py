@@ -17,9 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.fit import fit
-from calib.mechanism import FloatArray
-from calib.robot import Robot
+from calib.identification.fit import fit
+from calib.model.mechanism import FloatArray
+from calib.model.robot import Robot
 from calib.threads import one_blas_thread
 from medrue.draws import PoseSet, measurements
 from medrue.imperfections import Imperfections, imperfect_robot

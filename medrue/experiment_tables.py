@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.mechanism import FloatArray
-from calib.rigid import OUTLIER_PROBABILITY
+from calib.model.mechanism import FloatArray
+from calib.numerics.rigid import OUTLIER_PROBABILITY
 from calib.units import PER_SI
 from medrue.experiment import REPEATS, SIGMA, Experiment, ExperimentDraw
 from medrue.paper_tables import error_table, table1, table3

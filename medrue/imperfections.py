@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from calib.mechanism import FloatArray, IntArray
-from calib.robot import Robot
+from calib.model.mechanism import FloatArray, IntArray
+from calib.model.robot import Robot
 
 TILTED_JOINTS = ("q2", "q3", "q4", "q5", "B1", "D1", "B2", "D2")
 

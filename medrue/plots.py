@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calib.mechanism import FloatArray
-from calib.selection import Selection
+from calib.model.mechanism import FloatArray
+from calib.pose_choice.selection import Selection
 from medrue.workspace import Workspace
 
 BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#666666"

@@ -1,7 +1,7 @@
 """The 420 poses of the target workspace, with joint values from the general inverse kinematics.
 
-`calib.inverse` solves them through the loops in Pinocchio; the closed-form inverse is solved beside it, and the two
-must agree, so that an error in either is seen before anything is measured.
+`calib.inverse_kinematics.inverse` solves them through the loops in Pinocchio; the closed-form inverse is solved beside
+it, and the two must agree, so that an error in either is seen before anything is measured.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.data.measurements import Poses
 from calib.errors import ComputationError
-from calib.goals import Goals
-from calib.inverse import solve
-from calib.measurements import Poses
-from calib.mechanism import FloatArray
-from calib.robot import Robot
+from calib.inverse_kinematics.goals import Goals
+from calib.inverse_kinematics.inverse import solve
+from calib.model.mechanism import FloatArray
+from calib.model.robot import Robot
 from medrue.closed_form import singularity_sines
 from medrue.closed_form_inverse import inverse
 from medrue.paper_tables import table1

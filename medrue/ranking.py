@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import kendalltau
 from scipy.stats import t as student_t
 
-from calib.mechanism import FloatArray
+from calib.model.mechanism import FloatArray
 
 LUCK = 1e-3
 """How often luck alone may make a difference look sure."""

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calib.tables import format_table
+from calib.data.tables import format_table
 
 Cell = str | float | None
 

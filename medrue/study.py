@@ -20,11 +20,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.fit import Fit, fit
-from calib.jacobian import linearise
-from calib.mechanism import FloatArray
-from calib.robot import Robot
-from calib.selection import Selection, select
+from calib.identification.fit import Fit, fit
+from calib.linearisation.jacobian import linearise
+from calib.model.mechanism import FloatArray
+from calib.model.robot import Robot
+from calib.pose_choice.selection import Selection, select
 from medrue.closed_form import forward
 from medrue.draws import Outcome, PoseSet, Task, measurements, run
 from medrue.paper_tables import table1

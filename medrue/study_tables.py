@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.mechanism import FloatArray
+from calib.model.mechanism import FloatArray
 from calib.units import PER_SI
 from medrue.paper_tables import error_table, table1
 from medrue.ranking import LEGEND, agreement, rank, standard_error

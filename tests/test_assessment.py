@@ -7,14 +7,14 @@ import pytest
 from small_robots import ARM_YAML, small_arm, write_arm
 
 import calib
-from calib.assessment import assess
-from calib.candidates import as_poses
-from calib.jacobian import linearise
-from calib.measurements import Measurements
-from calib.null_space import describe_group
-from calib.observability import raw_columns
-from calib.pose_count import accuracy_by_count
-from calib.pose_sampling import sample_poses
+from calib.data.measurements import Measurements
+from calib.linearisation.candidates import as_poses
+from calib.linearisation.jacobian import linearise
+from calib.numerics.null_space import describe_group
+from calib.numerics.observability import raw_columns
+from calib.pose_choice.assessment import assess
+from calib.pose_choice.pose_count import accuracy_by_count
+from calib.pose_choice.pose_sampling import sample_poses
 from medrue.workspace import target_workspace
 
 Q = target_workspace().q

@@ -13,9 +13,9 @@ import pytest
 from six_axis_arm import FREE, YAML, joints, measurements, six_axis_arm, write_six_axis
 
 import calib
-from calib.jacobian import linearise
-from calib.losses import LOSSES
-from calib.prediction import carried
+from calib.linearisation.jacobian import linearise
+from calib.linearisation.prediction import carried
+from calib.numerics.losses import LOSSES
 from calib.threads import one_blas_thread
 from medrue import robot_file
 from medrue.workspace import target_workspace

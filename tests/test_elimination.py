@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from calib.elimination import TIE, eliminate
-from calib.identifiability import numerical_rank
-from calib.jacobian import linearise
+from calib.linearisation.jacobian import linearise
+from calib.numerics.elimination import TIE, eliminate
+from calib.numerics.identifiability import numerical_rank
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import target_workspace
 

@@ -8,8 +8,8 @@ import pinocchio as pin
 import pytest
 
 from calib import load
-from calib.robot import Robot
-from calib.selection import select
+from calib.model.robot import Robot
+from calib.pose_choice.selection import select
 from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.draws import PoseSet

@@ -17,7 +17,7 @@ from calib.commands.export import command
 from calib.errors import InputError
 from calib.export import FORMATS, closed_model, export, mjcf_bytes, urdf_bytes
 from calib.export.closed_model import home_values, link_poses
-from calib.urdf_text import parse_urdf
+from calib.model.urdf_text import parse_urdf
 from medrue.closed_form import ACTUATED_JOINTS, PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace

@@ -14,7 +14,7 @@ import calib
 from calib.errors import InputError, UrdfError
 from calib.export import closed_model, drake_bytes, export, mjcf_bytes
 from calib.export.links import find_mesh, possible_inertia, read_links
-from calib.urdf_text import parse_urdf
+from calib.model.urdf_text import parse_urdf
 
 ARM = """<?xml version="1.0"{encoding}?>
 <robot name="{name}" xmlns:xacro="x">

@@ -8,8 +8,8 @@ import pytest
 from six_axis_arm import FREE, YAML, joints, measurements, noisy, six_axis_arm, write_six_axis
 
 import calib
-from calib.fitted import Convergence
-from calib.results import load_calibrated, read_result, save
+from calib.identification.fitted import Convergence
+from calib.reporting.results import load_calibrated, read_result, save
 
 SIGMA = 4e-5
 
@@ -37,7 +37,7 @@ def failed(good):
 @pytest.fixture(autouse=True)
 def _without_pages(monkeypatch):
     """Report pages take seconds, and have tests of their own."""
-    monkeypatch.setattr("calib.results.entry_points", lambda group: ())
+    monkeypatch.setattr("calib.reporting.results.entry_points", lambda group: ())
 
 
 def test_without_priors_the_stated_noise_changes_no_parameter(arm):

@@ -7,12 +7,12 @@ import pytest
 from small_robots import small_arm
 
 import calib
-from calib.candidates import as_poses
-from calib.fit import fit
-from calib.identifiability import RANK_TOLERANCE, numerical_rank, reduced
-from calib.information import information, measurement_sigma, prior_rows, scaled_rows
-from calib.jacobian import linearise
-from calib.measurements import Measurements
+from calib.data.measurements import Measurements
+from calib.identification.fit import fit
+from calib.linearisation.candidates import as_poses
+from calib.linearisation.information import information, measurement_sigma, prior_rows, scaled_rows
+from calib.linearisation.jacobian import linearise
+from calib.numerics.identifiability import RANK_TOLERANCE, numerical_rank, reduced
 from medrue.closed_form import forward
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import target_workspace

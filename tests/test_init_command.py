@@ -9,7 +9,7 @@ import yaml
 from small_robots import ARM_URDF
 
 import calib
-from calib.description import Description
+from calib.model.description import Description
 
 ODD_NAMES = [
     "a, b",

@@ -13,10 +13,10 @@ from scipy.optimize import minimize
 from calib import UnreachablePoseError, load
 from calib.commands.solve import command
 from calib.errors import DataError
-from calib.goals import Goals, read_goals
-from calib.inverse import solve
-from calib.reaching import actuated_jacobian
-from calib.robot import Robot
+from calib.inverse_kinematics.goals import Goals, read_goals
+from calib.inverse_kinematics.inverse import solve
+from calib.inverse_kinematics.reaching import actuated_jacobian
+from calib.model.robot import Robot
 from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.closed_form_inverse import inverse

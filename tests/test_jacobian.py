@@ -7,8 +7,8 @@ import pinocchio as pin
 import pytest
 
 import calib
-from calib.identifiability import numerical_rank
-from calib.jacobian import linearise, origin_jacobian
+from calib.linearisation.jacobian import linearise, origin_jacobian
+from calib.numerics.identifiability import numerical_rank
 from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.paper_tables import table1

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from calib.errors import ComputationError
-from calib.least_squares import minimise
+from calib.numerics.least_squares import minimise
 
 
 def rosenbrock(x):

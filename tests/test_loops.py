@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib import loops
+from calib.model import loops
 from medrue import robot_file
 from medrue.closed_form import PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1

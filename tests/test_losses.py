@@ -3,7 +3,7 @@ import pytest
 from scipy.stats import chi
 
 from calib.errors import InputError, NotIdentifiableError
-from calib.losses import CONSTANTS, LOSSES, checked_loss, efficiency, noise, scale_of, slopes, weights
+from calib.numerics.losses import CONSTANTS, LOSSES, checked_loss, efficiency, noise, scale_of, slopes, weights
 
 ROBUST = [loss for loss in LOSSES if loss != "none"]
 

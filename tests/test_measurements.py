@@ -5,8 +5,8 @@ import pytest
 from small_robots import ARM_YAML, small_arm, write_arm
 
 import calib
+from calib.data.measurements import format_measurements, read_measurements, read_poses
 from calib.errors import DataError
-from calib.measurements import format_measurements, read_measurements, read_poses
 
 HEADER = "pose,turn [deg],slide [mm],wrist,tip_x [mm],tip_y,tip_z [um]\n"
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.least_squares import minimise
-from calib.statistics import found_noise, statistics
+from calib.numerics.least_squares import minimise
+from calib.numerics.statistics import found_noise, statistics
 
 
 def mgh09(b, x):

@@ -5,11 +5,11 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calib import elementary_vectors
-from calib.elementary_vectors import shortest_basis
-from calib.information import scaled_rows
-from calib.jacobian import linearise
-from calib.null_space import describe_group, natural_coefficients, null_groups
+from calib.linearisation.information import scaled_rows
+from calib.linearisation.jacobian import linearise
+from calib.numerics import elementary_vectors
+from calib.numerics.elementary_vectors import shortest_basis
+from calib.numerics.null_space import describe_group, natural_coefficients, null_groups
 from medrue.closed_form import forward
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import target_workspace

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calib.observability import INDICES, observability, raw_columns, task_index
-from calib.parameters import Parameter
+from calib.model.parameters import Parameter
+from calib.numerics.observability import INDICES, observability, raw_columns, task_index
 
 
 def indices_of(matrix, n_poses):

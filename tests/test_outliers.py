@@ -4,7 +4,7 @@ from six_axis_arm import joints, measurements, six_axis_arm
 from small_robots import write_arm
 
 import calib
-from calib.outliers import studentised
+from calib.numerics.outliers import studentised
 
 SIGMA = 4e-5
 RNG = np.random.default_rng(11)

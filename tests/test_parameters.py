@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 from small_robots import ARM_YAML, write_arm, write_parallelogram
 
 import calib
-import calib.parametrisation
+import calib.model.parametrisation
 from calib.errors import DescriptionError, ParameterError
-from calib.jacobian import linearise
-from calib.parameters import Origin, Parameter, index_of, twist_of_edit
+from calib.linearisation.jacobian import linearise
+from calib.model.parameters import Origin, Parameter, index_of, twist_of_edit
 
 EVERYTHING = ARM_YAML.replace(
     "{frame: ground}", "{frame: ground, xyz: [1, -2, 0.5], rpy: [0.3, -0.7, 2], pose: unknown}"
@@ -216,7 +216,7 @@ def install(tmp_path, monkeypatch):
             return factory
 
         entry = SimpleNamespace(name="mine", value="somewhere:Mine", load=loaded)
-        monkeypatch.setattr(calib.parametrisation, "entry_points", lambda group: [entry])
+        monkeypatch.setattr(calib.model.parametrisation, "entry_points", lambda group: [entry])
         yaml = ARM_YAML[: ARM_YAML.index("parametrisation:")] + "parametrisation: mine\n"
         return calib.load(write_arm(tmp_path, yaml))
 

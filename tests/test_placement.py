@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.errors import DataError
-from calib.placement import place_base_and_target, place_target, rigid_fit, world_from_nests
+from calib.numerics.placement import place_base_and_target, place_target, rigid_fit, world_from_nests
 
 Array = NDArray[np.float64]
 NESTS = np.array([[0.0, 0.0, 0.0], [0.9, 0.1, 0.0], [0.1, 0.7, 0.2]])

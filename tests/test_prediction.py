@@ -6,7 +6,7 @@ import pytest
 from six_axis_arm import joints, noisy, six_axis_arm
 
 import calib
-from calib.results import load_calibrated, load_uncertainty
+from calib.reporting.results import load_calibrated, load_uncertainty
 
 SIGMA = 4e-5
 
@@ -14,7 +14,7 @@ SIGMA = 4e-5
 @pytest.fixture(autouse=True)
 def _without_pages(monkeypatch):
     """Report pages take seconds, and have tests of their own."""
-    monkeypatch.setattr("calib.results.entry_points", lambda group: ())
+    monkeypatch.setattr("calib.reporting.results.entry_points", lambda group: ())
 
 
 @pytest.fixture(scope="module")

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from small_robots import small_arm
 
-from calib.refinement import refine, region_of
-from calib.selection import select
-from calib.selection_problem import TASK, build_problem
-from calib.selection_scores import values_of_rows
+from calib.pose_choice.refinement import refine, region_of
+from calib.pose_choice.selection import select
+from calib.pose_choice.selection_problem import TASK, build_problem
+from calib.pose_choice.selection_scores import values_of_rows
 from medrue.workspace import target_workspace
 
 Q = target_workspace().q

@@ -6,7 +6,7 @@ from small_robots import ARM_YAML, write_arm
 
 import calib
 from calib.errors import DataError
-from calib.registration import register
+from calib.linearisation.registration import register
 
 ROUNDING = 1e-9
 """The iteration of the rigid fits stops below a nanometre."""

@@ -3,8 +3,8 @@ import pytest
 from six_axis_arm import joints, six_axis_arm
 
 import calib
-from calib.measurements import read_measurements
-from calib.repeats import beyond_repeatability, repeats
+from calib.data.measurements import read_measurements
+from calib.data.repeats import beyond_repeatability, repeats
 
 HEADER = ",".join(["pose", *(f"j{k} [rad]" for k in range(1, 7)), *(f"ball_{axis} [mm]" for axis in "xyz")])
 

@@ -9,9 +9,9 @@ import pytest
 from small_robots import ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallelogram
 
 import calib
+from calib.data.tables import read_table
 from calib.errors import CalibrationError, DataError, InputError
-from calib.results import load_calibrated, read_result, save
-from calib.tables import read_table
+from calib.reporting.results import load_calibrated, read_result, save
 
 CONTRACT = ("version", "robot", "converged", "message", "seconds", "n_poses", "n_rows", "n_parameters", "rank",
             "redundant", "sigma", "observability", "parameters", "errors")  # fmt: skip
@@ -22,7 +22,7 @@ SIGMA = 20e-6
 def _without_pages():
     """Report pages take seconds, and have tests of their own."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calib.results.entry_points", lambda group: ())
+        patch.setattr("calib.reporting.results.entry_points", lambda group: ())
         yield
 
 

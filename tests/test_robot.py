@@ -220,7 +220,7 @@ def test_real_robots_have_the_same_forward_kinematics_as_in_yourdfpy(name, reque
         pytest.skip("the package example-robot-data is not installed")
     path = tmp_path / "robot.urdf"
     path.write_bytes((folder / name).read_bytes())
-    urdf = calib.urdf_text.read_urdf(path)
+    urdf = calib.model.urdf_text.read_urdf(path)
     moving = [j.name for j in urdf.joints if j.type in ("revolute", "continuous", "prismatic") and j.mimic is None]
     if not moving:
         with pytest.raises(DescriptionError, match="no joint moves link"):

@@ -7,7 +7,7 @@ import pytest
 from small_robots import small_arm, write_arm
 
 import calib
-from calib.tables import format_table, read_table
+from calib.data.tables import format_table, read_table
 from medrue import robot_file
 from medrue.workspace import target_workspace
 

@@ -5,11 +5,11 @@ import pytest
 from small_robots import small_arm, write_arm
 
 import calib
-from calib.candidates import assemble_known, build_candidates
-from calib.jacobian import linearise
-from calib.measurements import Measurements, Poses
-from calib.observability import observability, raw_columns
-from calib.selection import select
+from calib.data.measurements import Measurements, Poses
+from calib.linearisation.candidates import assemble_known, build_candidates
+from calib.linearisation.jacobian import linearise
+from calib.numerics.observability import observability, raw_columns
+from calib.pose_choice.selection import select
 from medrue.workspace import target_workspace
 
 Q = target_workspace().q
@@ -211,7 +211,7 @@ def test_poses_that_do_not_close_are_listed_and_skipped_only_on_request(medrue):
 
 def test_poses_next_to_a_singularity_are_named_too(medrue):
     strict = medrue.description.model_copy(update={"singularity_limit": 0.08})
-    careful = calib.robot.replace(medrue, description=strict)
+    careful = calib.model.robot.replace(medrue, description=strict)
     smallest = int(np.argmin(medrue.singular_values(medrue.assemble(Q))))
     with pytest.raises(calib.UnreachablePoseError, match="from a singularity of the loops"):
         select(careful, Q, 84)

@@ -5,10 +5,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calib.exchange import Spacing, exchange, swap, uniform_start
-from calib.selection_bound import CERTIFIED, log_phi, relax
-from calib.selection_problem import TASK, build_problem
-from calib.selection_scores import index_values
+from calib.pose_choice.exchange import Spacing, exchange, swap, uniform_start
+from calib.pose_choice.selection_bound import CERTIFIED, log_phi, relax
+from calib.pose_choice.selection_problem import TASK, build_problem
+from calib.pose_choice.selection_scores import index_values
 
 N, COUNT, D = 11, 4, 5
 

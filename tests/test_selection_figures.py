@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import calib
-from calib.fit import fit
-from calib.jacobian import linearise
-from calib.measurements import Measurements
-from calib.selection import select
+from calib.data.measurements import Measurements
+from calib.identification.fit import fit
+from calib.linearisation.jacobian import linearise
+from calib.pose_choice.selection import select
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace

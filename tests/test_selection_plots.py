@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import calib
-from calib.assessment import assess
-from calib.candidates import as_poses
 from calib.figures import draw
-from calib.selection import select
+from calib.linearisation.candidates import as_poses
+from calib.pose_choice.assessment import assess
+from calib.pose_choice.selection import select
 from medrue.workspace import target_workspace
 from viz.selection_plots import accuracy, assessment_figures, index_history, selection_figures, singular_values
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import calib
-from calib.observability import observability
-from calib.selection_problem import TASK, build_problem
-from calib.selection_scores import CHOICES, index_of_score, index_values, scores
+from calib.numerics.observability import observability
+from calib.pose_choice.selection_problem import TASK, build_problem
+from calib.pose_choice.selection_scores import CHOICES, index_of_score, index_values, scores
 
 N, K, D = 14, 3, 6
 

@@ -5,8 +5,8 @@ import pytest
 from small_robots import small_arm
 
 import calib
+from calib.data.tables import read_table
 from calib.errors import DataError, UnreachablePoseError
-from calib.tables import read_table
 
 
 def some_poses(n):

@@ -8,8 +8,8 @@ from six_axis_arm import joints, noisy, six_axis_arm
 
 import calib
 from calib.errors import ComputationError
-from calib.least_squares import minimise
-from calib.starts import explore
+from calib.identification.starts import explore
+from calib.numerics.least_squares import minimise
 
 
 @dataclass(frozen=True)

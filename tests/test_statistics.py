@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from calib.errors import NotIdentifiableError
-from calib.statistics import Noise, chi_square, effective_parameters, found_noise, statistics
+from calib.numerics.statistics import Noise, chi_square, effective_parameters, found_noise, statistics
 
 RNG = np.random.default_rng(7)
 

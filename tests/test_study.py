@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from calib import load
-from calib.fit import fit
-from calib.jacobian import linearise
-from calib.robot import Robot
-from calib.selection import select
+from calib.identification.fit import fit
+from calib.linearisation.jacobian import linearise
+from calib.model.robot import Robot
+from calib.pose_choice.selection import select
 from medrue import robot_file
 from medrue.draws import Calibrator, Outcome, PoseSet, Task, measurements, run
 from medrue.paper_tables import PARAMETERS, error_table, table1

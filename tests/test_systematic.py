@@ -5,8 +5,8 @@ import pytest
 from six_axis_arm import FREE, YAML, joints, measurements, six_axis_arm, write_six_axis
 
 import calib
-from calib.measurements import directions_of_motion
-from calib.systematic import describe, joint_jacobian
+from calib.data.measurements import directions_of_motion
+from calib.identification.systematic import describe, joint_jacobian
 
 SIGMA = 4e-5
 

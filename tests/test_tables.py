@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from calib.data.tables import check_plausible, format_table, read_number, read_table
 from calib.errors import DataError
-from calib.tables import check_plausible, format_table, read_number, read_table
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 from calib.errors import UrdfError
-from calib.urdf_text import UrdfText, parse_urdf, read_urdf
+from calib.model.urdf_text import UrdfText, parse_urdf, read_urdf
 
 URDF = Path(__file__).resolve().parents[1] / "urdf" / "medrue.urdf"
 

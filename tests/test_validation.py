@@ -3,7 +3,7 @@ import pytest
 from six_axis_arm import joints, measurements, noisy, six_axis_arm
 
 import calib
-from calib.validation import deal, error_table, split
+from calib.identification.validation import deal, error_table, split
 
 RNG = np.random.default_rng(0)
 

@@ -7,8 +7,8 @@ import pytest
 from six_axis_arm import FREE, YAML, joints, measurements, noisy, six_axis_arm, write_six_axis
 
 import calib
-from calib.fitted import Convergence
-from calib.starts import Minimum, Starts
+from calib.identification.fitted import Convergence
+from calib.identification.starts import Minimum, Starts
 
 SIGMA = 4e-5
 

@@ -4,7 +4,7 @@ import numpy as np
 
 import calib
 import medrue
-from calib.measurements import Measurements
+from calib.data.measurements import Measurements
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace

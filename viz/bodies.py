@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib import Robot
-from calib.mechanism import FloatArray, IntArray, Mechanism
+from calib.model.mechanism import FloatArray, IntArray, Mechanism
 
 _FLATTEST = 0.05  # directions in which a link's joint origins spread less than this are not stretched
 

@@ -30,9 +30,9 @@ def view(
     robot: str, result: str | None, data: str | None, html: str | None, port: int, no_browser: bool, output: Output
 ) -> None:
     """Show ROBOT (YAML description or URDF) in a browser on this computer, until Ctrl-C."""
+    from calib.data.measurements import read_measurements
     from calib.files import check_file
-    from calib.measurements import read_measurements
-    from calib.robot import load
+    from calib.model.robot import load
     from viz.inputs import gather
     from viz.live import LiveViewer
     from viz.viewer_page import scene_page

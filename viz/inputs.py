@@ -10,9 +10,9 @@ import numpy as np
 
 from calib import Fit, Measurements, Robot
 from calib.errors import InputError
-from calib.reasons import Reason, Verdict
-from calib.registration import register
-from calib.results import load_calibrated, load_uncertainty, read_result
+from calib.identification.reasons import Reason, Verdict
+from calib.linearisation.registration import register
+from calib.reporting.results import load_calibrated, load_uncertainty, read_result
 from viz import poses as pose_tables
 from viz.poses import IDENTIFICATION, Calibrated, PoseTable
 from viz.scene import Scene, build_scene, scene_of_fit

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from calib.mechanism import FloatArray
+from calib.model.mechanism import FloatArray
 from viz.poses import IDENTIFICATION, PoseTable
 from viz.scene import Joint
 from viz.svg import Plot, finished, new_figure, styled

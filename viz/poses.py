@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from calib import Fit, Measurements, Robot
+from calib.data.tables import Table, read_table
 from calib.errors import DataError
-from calib.fitted import ErrorSet
-from calib.mechanism import BoolArray, FloatArray
-from calib.outliers import Outlier
-from calib.prediction import PositionUncertainty
+from calib.identification.fitted import ErrorSet
+from calib.linearisation.prediction import PositionUncertainty
+from calib.model.mechanism import BoolArray, FloatArray
+from calib.numerics.outliers import Outlier
 from calib.read_only import ReadOnlyArrays
-from calib.results import read_result
-from calib.tables import Table, read_table
+from calib.reporting.results import read_result
 
 IDENTIFICATION, VALIDATION, MEASURED, EXCLUDED = "identification", "validation", "measured", "left out"
 GROUPS = (IDENTIFICATION, VALIDATION, MEASURED, EXCLUDED)

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from calib import Fit
-from calib.report_text import notes
-from calib.result_content import error_sets, outlier_rows, parameter_rows, position_uncertainty_table
+from calib.reporting.report_text import notes
+from calib.reporting.result_content import error_sets, outlier_rows, parameter_rows, position_uncertainty_table
 from calib.version import PROGRAM
 from viz.plots import all_plots
 from viz.poses import from_fit
@@ -29,7 +29,7 @@ _PACKAGES = ("pin", "numpy", "scipy", "yourdfpy", "meshcat", "matplotlib")
 
 @dataclass(frozen=True)
 class Accuracy:
-    """One line of the accuracy table; numbers in mm as `calib.validation.error_table` gives them."""
+    """One line of the accuracy table; numbers in mm as `calib.identification.validation.error_table` gives them."""
 
     group: str
     state: str

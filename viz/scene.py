@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from calib import Fit, Robot
-from calib.mechanism import FloatArray
-from calib.reasons import Verdict
+from calib.identification.reasons import Verdict
+from calib.model.mechanism import FloatArray
 from calib.units import DISPLAY_UNIT, PER_SI
 from viz import poses as pose_tables
 from viz.bodies import Bodies, Figure, bodies_of, figure_of

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from calib.assessment import Assessment
-from calib.selection import Selection
-from calib.selection_problem import TASK
+from calib.pose_choice.assessment import Assessment
+from calib.pose_choice.selection import Selection
+from calib.pose_choice.selection_problem import TASK
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

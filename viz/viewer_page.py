@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.files import write_file
-from calib.mechanism import FloatArray
+from calib.model.mechanism import FloatArray
 from calib.version import VERSION
 from viz.bodies import Bodies, Figure
 from viz.drawing import body_path, draw, load_meshcat

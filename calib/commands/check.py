@@ -5,16 +5,16 @@ from __future__ import annotations
 import click
 import numpy as np
 
-from calib.assessment import assess
-from calib.assessment_text import text_report, to_dict
 from calib.commands.common import Output, shared_options, sigma_in_metres, with_values
 from calib.commands.pose_files import placed, read_pose_file
+from calib.data.measurements import read_poses
 from calib.errors import InputError
 from calib.figures import draw
 from calib.files import check_folder, write_folder
-from calib.measurements import read_poses
-from calib.pose_sampling import sample_poses
-from calib.robot import load
+from calib.model.robot import load
+from calib.pose_choice.assessment import assess
+from calib.pose_choice.pose_sampling import sample_poses
+from calib.reporting.assessment_text import text_report, to_dict
 
 
 @click.command("check")

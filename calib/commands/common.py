@@ -16,7 +16,7 @@ from rich.console import Console
 
 from calib.errors import CalibrationError, InputError
 from calib.files import check_file, write_file
-from calib.robot import Robot
+from calib.model.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -151,8 +151,8 @@ def sigma_in_metres(sigma_mm: float | None) -> float | None:
 
 def with_values(robot: Robot, parameters: str | None, result: str | None) -> Robot:
     """Return the robot with the values of a parameter file or of a result folder, if one is given."""
-    from calib.parameter_files import read_parameters
-    from calib.results import load_calibrated
+    from calib.data.parameter_files import read_parameters
+    from calib.reporting.results import load_calibrated
 
     if parameters and result:
         raise InputError("--parameters and --result exclude each other")

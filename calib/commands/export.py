@@ -9,9 +9,9 @@ import click
 
 from calib.commands.common import Output, shared_options, with_values
 from calib.export import FORMATS, export
-from calib.results import read_result
-from calib.robot import load
-from calib.urdf_text import UrdfText
+from calib.model.robot import load
+from calib.model.urdf_text import UrdfText
+from calib.reporting.results import read_result
 
 _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
 

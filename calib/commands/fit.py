@@ -7,14 +7,14 @@ from pathlib import Path
 import click
 
 from calib.commands.common import Output, shared_options, sigma_in_metres
+from calib.data.measurements import Measurements, read_measurements
 from calib.errors import ComputationError, InputError
 from calib.files import check_folder
-from calib.fit import fit
-from calib.losses import LOSSES
-from calib.measurements import Measurements, read_measurements
-from calib.results import save, to_dict
-from calib.robot import Robot, load
-from calib.validation import split
+from calib.identification.fit import fit
+from calib.identification.validation import split
+from calib.model.robot import Robot, load
+from calib.numerics.losses import LOSSES
+from calib.reporting.results import save, to_dict
 
 
 @click.command("fit")

@@ -10,9 +10,9 @@ import click
 from calib.commands.common import Output, shared_options
 from calib.errors import InputError
 from calib.files import check_file, write_file
-from calib.plain_urdf import describe
-from calib.templates import description_text
-from calib.urdf_text import read_urdf
+from calib.model.plain_urdf import describe
+from calib.model.templates import description_text
+from calib.model.urdf_text import read_urdf
 
 
 @click.command("init")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from calib.data.measurements import Measurements, Poses, read_measurements, read_poses
+from calib.data.tables import read_table
 from calib.errors import DataError
-from calib.measurements import Measurements, Poses, read_measurements, read_poses
-from calib.registration import register
-from calib.robot import Robot
-from calib.tables import read_table
+from calib.linearisation.registration import register
+from calib.model.robot import Robot
 
 
 def read_pose_file(path: str, robot: Robot) -> Poses:

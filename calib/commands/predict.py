@@ -6,11 +6,11 @@ import click
 import numpy as np
 
 from calib.commands.common import Output, shared_options, with_values
+from calib.data.measurements import Poses, format_measurements, read_poses
 from calib.errors import UnreachablePoseError
 from calib.files import check_file, write_file
-from calib.measurements import Poses, format_measurements, read_poses
-from calib.results import load_uncertainty
-from calib.robot import Robot, describe_open, load
+from calib.model.robot import Robot, describe_open, load
+from calib.reporting.results import load_uncertainty
 
 
 @click.command("predict")

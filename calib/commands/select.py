@@ -6,15 +6,15 @@ import click
 
 from calib.commands.common import Output, shared_options, sigma_in_metres, with_values
 from calib.commands.pose_files import placed, read_pose_file
+from calib.data.measurements import Poses, read_poses
+from calib.data.tables import read_table
 from calib.errors import InputError, nearest
 from calib.figures import draw
 from calib.files import check_file, check_folder, write_file, write_folder
-from calib.measurements import Poses, read_poses
-from calib.robot import load
-from calib.selection import select
-from calib.selection_scores import CHOICES
-from calib.selection_text import format_poses, text_report, to_dict
-from calib.tables import read_table
+from calib.model.robot import load
+from calib.pose_choice.selection import select
+from calib.pose_choice.selection_scores import CHOICES
+from calib.reporting.selection_text import format_poses, text_report, to_dict
 
 
 @click.command("select")

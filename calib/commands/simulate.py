@@ -6,10 +6,10 @@ import click
 import numpy as np
 
 from calib.commands.common import Output, shared_options, sigma_in_metres, with_values
+from calib.data.measurements import format_measurements, read_poses
+from calib.data.simulate import simulate
 from calib.files import check_file, write_file
-from calib.measurements import format_measurements, read_poses
-from calib.robot import load
-from calib.simulate import simulate
+from calib.model.robot import load
 
 
 @click.command("simulate")

@@ -6,12 +6,12 @@ import click
 import numpy as np
 
 from calib.commands.common import Output, shared_options, with_values
+from calib.data.tables import format_table
 from calib.files import check_file, write_file
-from calib.goals import Goals, read_goals
-from calib.inverse import Solution, solve
-from calib.mechanism import FloatArray
-from calib.robot import Robot, load
-from calib.tables import format_table
+from calib.inverse_kinematics.goals import Goals, read_goals
+from calib.inverse_kinematics.inverse import Solution, solve
+from calib.model.mechanism import FloatArray
+from calib.model.robot import Robot, load
 from calib.units import DISPLAY_UNIT, PER_SI
 
 

@@ -16,8 +16,8 @@ from calib.errors import InputError
 from calib.export.gap import Gap, free_joints, loop_gaps, require_small
 from calib.export.servo import motor_inertia
 from calib.export.urdf import with_inserted
-from calib.robot import Robot
-from calib.urdf_text import HELD_TYPES, UrdfText, parse_urdf
+from calib.model.robot import Robot
+from calib.model.urdf_text import HELD_TYPES, UrdfText, parse_urdf
 
 _FREE_MASS, _FREE_INERTIA = 1e-3, 1e-6
 """Mass [kg] and moments of inertia [kg m^2] of the links between free joints: small, but what simulators can handle."""

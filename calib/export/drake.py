@@ -17,8 +17,8 @@ from calib.export.links import element_tree
 from calib.export.servo import servo_gains
 from calib.export.urdf import provenance_lines, with_inserted
 from calib.export.xml_text import comment, numbers
-from calib.mechanism import FloatArray
-from calib.urdf_text import parse_urdf
+from calib.model.mechanism import FloatArray
+from calib.model.urdf_text import parse_urdf
 
 NAMESPACE = "http://drake.mit.edu"
 

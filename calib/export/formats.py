@@ -13,7 +13,7 @@ from calib.export.mjcf import mjcf_bytes
 from calib.export.toolbox import toolbox_yaml
 from calib.export.urdf import urdf_bytes
 from calib.files import check_file, write_file
-from calib.robot import Robot
+from calib.model.robot import Robot
 
 FORMATS = ("urdf", "mjcf", "drake", "toolbox")
 

@@ -23,11 +23,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import qmc
 
-from calib import kinematics
-from calib.description import ANGLE_COMPONENTS, COMPONENTS, Component
 from calib.errors import InputError
-from calib.mechanism import FloatArray, RelativeFrame
-from calib.robot import Robot
+from calib.model import kinematics
+from calib.model.description import ANGLE_COMPONENTS, COMPONENTS, Component
+from calib.model.mechanism import FloatArray, RelativeFrame
+from calib.model.robot import Robot
 
 LARGEST_CHANGE = 0.01
 """Largest change of a gap that a constraint may be left to absorb [characteristic lengths of the robot, or rad]."""

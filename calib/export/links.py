@@ -15,8 +15,8 @@ import numpy as np
 import pinocchio as pin
 
 from calib.errors import UrdfError
-from calib.mechanism import FloatArray
-from calib.urdf_text import UrdfText
+from calib.model.mechanism import FloatArray
+from calib.model.urdf_text import UrdfText
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ from calib.export.mjcf_shapes import Shapes, placed
 from calib.export.servo import servo_gains
 from calib.export.urdf import provenance_lines
 from calib.export.xml_text import comment, numbers
-from calib.urdf_text import HELD_TYPES, UrdfJoint
+from calib.model.urdf_text import HELD_TYPES, UrdfJoint
 
 TIE_SOFTNESS = {"solref": "-1000000 -1000", "solimp": "0.999 0.999 0.001 0.5 2"}
 """MuJoCo's softness of the ties: stiffness [1/s^2] and damping [1/s] per effective mass, and impedance (1 is rigid)."""

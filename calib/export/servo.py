@@ -13,9 +13,9 @@ import numpy as np
 import pinocchio as pin
 
 from calib.export.links import possible_inertia, read_links
-from calib.loops import residual
-from calib.robot import Robot
-from calib.urdf_text import UrdfText
+from calib.model.loops import residual
+from calib.model.robot import Robot
+from calib.model.urdf_text import UrdfText
 
 SERVO_FREQUENCY = 100.0
 """Undamped frequency of the position servos at home, with critical damping [Hz]."""

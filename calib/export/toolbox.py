@@ -15,11 +15,11 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
-from calib.description import Description
 from calib.export.closed_model import home_values
 from calib.export.gap import loop_gaps
 from calib.export.urdf import provenance_lines
-from calib.robot import Robot
+from calib.model.description import Description
+from calib.model.robot import Robot
 
 
 def calibrated_description(robot: Robot, urdf_name: str) -> Description:

@@ -11,9 +11,9 @@ import re
 from collections.abc import Sequence
 
 from calib.export.xml_text import comment
-from calib.robot import Robot
+from calib.model.robot import Robot
+from calib.model.urdf_text import UrdfText, apply_edits, parse_urdf
 from calib.units import PER_SI
-from calib.urdf_text import UrdfText, apply_edits, parse_urdf
 from calib.version import PROGRAM
 
 _MARK = "calib: calibrated origins"

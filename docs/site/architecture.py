@@ -18,110 +18,38 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @dataclass(frozen=True)
 class Room:
-    """One room.
+    """One room: a folder of `calib`, or the files beside the folders.
 
     Attributes:
         name: As CONTRIBUTING.md has it.
         floor: 0 is the lowest; rooms import from lower floors.
-        modules: What is in it; a package stands for all its modules.
+        folder: Its folder; empty for the ground floor's files, which lie in `calib` itself.
     """
 
     name: str
     floor: int
-    modules: tuple[str, ...]
+    folder: str
+
+    @property
+    def modules(self) -> tuple[str, ...]:
+        """What is in it, by the names under which the picture shows them."""
+        folder = ROOT / "calib" / self.folder
+        names = (path.stem for path in sorted(folder.glob("*.py")) if not path.stem.startswith("__"))
+        return tuple(name for name in names if self.folder or name != "cli")
 
 
 ROOMS = (
-    Room(
-        "Ground",
-        0,
-        ("errors", "units", "files", "yaml_file", "read_only", "threads", "version", "figures"),
-    ),
-    Room(
-        "Robot",
-        1,
-        (
-            "description",
-            "urdf_reader",
-            "urdf_text",
-            "mechanism",
-            "mechanism_builder",
-            "kinematics",
-            "loops",
-            "parameters",
-            "parametrisation",
-            "plain_urdf",
-            "templates",
-            "robot",
-        ),
-    ),
-    Room(
-        "Matrices",
-        2,
-        (
-            "identifiability",
-            "elementary_vectors",
-            "null_space",
-            "elimination",
-            "observability",
-            "statistics",
-            "losses",
-            "outliers",
-            "least_squares",
-            "rigid",
-            "placement",
-            "measurement_order",
-        ),
-    ),
-    Room(
-        "Measurements",
-        2,
-        ("tables", "measurements", "parameter_files", "simulate", "repeats"),
-    ),
-    Room("Jacobian", 3, ("jacobian", "information", "prediction", "candidates", "registration")),
-    Room(
-        "Choice of poses",
-        4,
-        (
-            "pose_sampling",
-            "pose_count",
-            "assessment",
-            "selection_problem",
-            "selection_scores",
-            "rank_three_scores",
-            "spectral_scores",
-            "exchange",
-            "refinement",
-            "selection_bound",
-            "selection_setting",
-            "selection_result",
-            "selection",
-        ),
-    ),
-    Room(
-        "Fit",
-        4,
-        (
-            "problem",
-            "pose_checks",
-            "robust",
-            "starts",
-            "systematic",
-            "validation",
-            "fitted",
-            "fit",
-            "folds",
-            "exclusion",
-            "reasons",
-            "rules_data",
-            "rules_model",
-            "verdict",
-        ),
-    ),
-    Room("Inverse", 4, ("goals", "reaching", "redundancy", "inverse")),
-    Room("Results", 5, ("result_content", "results", "report_text", "assessment_text", "selection_text")),
-    Room("Export", 5, ("export",)),
-    Room("Commands", 6, ("commands", "cli")),
+    Room("Ground", 0, ""),
+    Room("Model", 1, "model"),
+    Room("Numerics", 2, "numerics"),
+    Room("Data", 2, "data"),
+    Room("Linearisation", 3, "linearisation"),
+    Room("Pose choice", 4, "pose_choice"),
+    Room("Identification", 4, "identification"),
+    Room("Inverse kinematics", 4, "inverse_kinematics"),
+    Room("Reporting", 5, "reporting"),
+    Room("Export", 5, "export"),
+    Room("Commands", 6, "commands"),
 )
 
 
@@ -137,15 +65,20 @@ def modules() -> dict[str, Path]:
 
 
 def room_of(module: str) -> Room:
-    """Return the room of a module such as `loops` or `export.mjcf`.
+    """Return the room of a module such as `model.loops` or `errors`.
 
     Raises:
-        KeyError: It has none yet.
+        KeyError: Its folder is not a room yet.
     """
+    folder, _, rest = module.partition(".")
+    if module == "cli":
+        folder = "commands"
+    elif not rest and not (ROOT / "calib" / module).is_dir():
+        folder = ""
     for room in ROOMS:
-        if module in room.modules or module.partition(".")[0] in room.modules:
+        if room.folder == folder:
             return room
-    raise KeyError(f"calib.{module} has no room: put it into one in docs/site/architecture.py")
+    raise KeyError(f"calib.{module} has no room: name its folder in docs/site/architecture.py")
 
 
 def imported(path: Path) -> set[str]:

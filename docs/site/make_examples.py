@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import calib
+from calib.data.measurements import Poses
+from calib.data.parameter_files import format_parameters
+from calib.data.tables import format_table
 from calib.files import write_file
-from calib.measurements import Poses
-from calib.parameter_files import format_parameters
-from calib.tables import format_table
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 Array = NDArray[np.float64]

@@ -18,12 +18,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import calib
-from calib.identifiability import numerical_rank
-from calib.information import scaled_rows
-from calib.jacobian import linearise
-from calib.kinematics import sweep
-from calib.mechanism import FloatArray, RelativeFrame
-from calib.validation import split
+from calib.identification.validation import split
+from calib.linearisation.information import scaled_rows
+from calib.linearisation.jacobian import linearise
+from calib.model.kinematics import sweep
+from calib.model.mechanism import FloatArray, RelativeFrame
+from calib.numerics.identifiability import numerical_rank
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "docs" / "examples"

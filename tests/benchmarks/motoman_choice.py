@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 import calib
-from calib.candidates import assemble_known
-from calib.information import information, prior_rows
-from calib.selection import select
+from calib.linearisation.candidates import assemble_known
+from calib.linearisation.information import information, prior_rows
+from calib.pose_choice.selection import select
 from calib.threads import one_blas_thread
 
 COUNT = 53

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.measurements import Measurements
+from calib.data.measurements import Measurements
 from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.paper_tables import table1

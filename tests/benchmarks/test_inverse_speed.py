@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.goals import Goals
-from calib.inverse import solve
+from calib.inverse_kinematics.goals import Goals
+from calib.inverse_kinematics.inverse import solve
 from medrue import robot_file
 from medrue.workspace import target_workspace
 

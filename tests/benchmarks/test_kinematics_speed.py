@@ -11,8 +11,8 @@ import pinocchio as pin
 import pytest
 
 import calib
-from calib import kinematics, loops
-from calib.jacobian import linearise, origin_jacobian
+from calib.linearisation.jacobian import linearise, origin_jacobian
+from calib.model import kinematics, loops
 from medrue import robot_file
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace

@@ -5,7 +5,7 @@ import pytest
 from snippets import DOCS
 
 import calib
-from calib.parameter_files import read_parameters
+from calib.data.parameter_files import read_parameters
 
 EXAMPLES = DOCS / "examples"
 

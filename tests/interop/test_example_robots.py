@@ -15,8 +15,8 @@ from click.testing import CliRunner
 
 import calib
 from calib.commands.init import command as init
+from calib.data.measurements import Poses
 from calib.export import export
-from calib.measurements import Poses
 
 SHARE = Path("share") / "example-robot-data" / "robots"
 ARMS = {  # file below robots/: link that carries the measured point

@@ -9,10 +9,10 @@ from click.testing import CliRunner
 
 import calib
 from calib.commands.predict import command as predict
+from calib.data.measurements import read_measurements
+from calib.data.parameter_files import format_parameters
 from calib.errors import InputError
 from calib.export import export
-from calib.measurements import read_measurements
-from calib.parameter_files import format_parameters
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed (pip install medrue[interop])")
 

@@ -1,0 +1,1 @@
+"""Files of poses, measurements and parameters, repeats, and simulated measurements."""

@@ -1,0 +1,232 @@
+"""Measurements: joint values of each pose and where the targets were seen, checked at the door."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from calib.data.tables import Table, format_table, read_table
+from calib.errors import DataError
+from calib.model.mechanism import FloatArray, IntArray
+from calib.model.robot import Robot
+from calib.read_only import ReadOnlyArrays
+from calib.units import DISPLAY_UNIT, PER_SI, Dimension
+
+_JOINTS_AGREE: dict[Dimension, float] = {"length": 1e-3, "angle": 2e-3}
+"""Largest spread of a joint among repeats of one pose [m, rad]; more means that they are different poses."""
+_MOVED = 1e-4  # change of a joint between two rows that counts as motion [m, rad]
+
+
+@dataclass(frozen=True, eq=False)
+class Poses(ReadOnlyArrays):
+    """Joint values of a list of poses.
+
+    Attributes:
+        joints: Actuated joints in the robot's order, (n_poses, n_actuated) [m or rad].
+        labels: What to call each pose in messages: file, line and pose name.
+        names: The pose names of the file, or their running number.
+        path: Where they came from.
+        ignored: Columns of the file that nothing was read from.
+    """
+
+    joints: FloatArray
+    labels: tuple[str, ...]
+    names: tuple[str, ...]
+    path: str
+    ignored: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.joints)
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements(Poses):
+    """Poses with measured positions; repeats of a pose are already averaged.
+
+    Attributes:
+        positions: Mean measured positions in the measurement frame, (n_poses, n_targets, 3) [m].
+        counts: How many readings each mean is of, (n_poses,).
+        scatter: Standard deviation of the repeats about their mean, (n_poses, n_targets, 3) [m]; NaN without repeats.
+        readings: The readings of each pose, (counts[k], n_targets, 3) [m] each; empty where they are not known.
+        approach: Direction in which each joint moved last before the pose was measured, +1 or -1, 0 where not known,
+            and the mean over repeats, (n_poses, n_actuated). If not given: from the order of the poses.
+    """
+
+    positions: FloatArray
+    counts: IntArray
+    scatter: FloatArray
+    readings: tuple[FloatArray, ...] = ()
+    approach: FloatArray | None = None
+
+    @property
+    def n_rows(self) -> int:
+        """Number of readings, repeats counted one by one."""
+        return int(self.counts.sum())
+
+    @property
+    def approach_directions(self) -> FloatArray:
+        """`approach`, from the order of the poses where it is not given, (n_poses, n_actuated)."""
+        return directions_of_motion(self.joints) if self.approach is None else self.approach
+
+    def subset(self, index: IntArray) -> Measurements:
+        """Return the poses with these indices, in this order."""
+        return replace(
+            self,
+            readings=tuple(self.readings[i] for i in index) if self.readings else (),
+            approach=self.approach_directions[index],
+            joints=self.joints[index],
+            positions=self.positions[index],
+            counts=self.counts[index],
+            scatter=self.scatter[index],
+            labels=tuple(self.labels[i] for i in index),
+            names=tuple(self.names[i] for i in index),
+        )
+
+    def repeatability(self) -> float:
+        """Return the pooled standard deviation of one reading about its pose's mean, per axis [m], or NaN."""
+        repeated = self.counts > 1
+        if not np.any(repeated):
+            return float("nan")
+        freedom = self.counts[repeated] - 1
+        squares = np.mean(self.scatter[repeated] ** 2, axis=(1, 2))
+        return float(np.sqrt(np.sum(freedom * squares) / np.sum(freedom)))
+
+
+def directions_of_motion(joints: FloatArray) -> FloatArray:
+    """Return the direction in which each joint moved last before each pose: +1, -1, or 0 before its first motion.
+
+    A joint that stands still keeps its direction: that is what backlash depends on.
+
+    Args:
+        joints: Joint values in the order of measurement, (n_poses, n_actuated) [m or rad].
+    """
+    steps = np.diff(joints, axis=0, prepend=joints[:1])
+    direction = np.where(np.abs(steps) > _MOVED, np.sign(steps), 0.0)
+    rows = np.where(direction != 0, np.arange(len(joints))[:, None], 0)
+    last_moved = np.maximum.accumulate(rows, axis=0)
+    result: FloatArray = np.take_along_axis(direction, last_moved, axis=0)
+    return result
+
+
+def read_poses(path: Path | str, robot: Robot) -> Poses:
+    """Read joint values; one column for each actuated joint, other columns are ignored.
+
+    Raises:
+        DataError: The message names file, line and column.
+    """
+    table = read_table(path, robot.description.columns)
+    return _poses(table, robot, used=set(robot.joint_names) | {"pose"})
+
+
+def read_measurements(path: Path | str, robot: Robot) -> Measurements:
+    """Read joint values and measured positions; rows with the same `pose` are averaged.
+
+    Raises:
+        DataError: The message names file, line and column.
+    """
+    table = read_table(path, robot.description.columns)
+    measured = [f"{name}_{axis}" for name in robot.target_names for axis in "xyz"]
+    poses = _poses(table, robot, used=set(robot.joint_names) | set(measured) | {"pose"})
+    positions = np.stack([table.column(name, "length") for name in measured], axis=1)
+    positions = positions.reshape(len(poses), len(robot.target_names), 3)
+    single = Measurements(
+        poses.joints,
+        poses.labels,
+        poses.names,
+        poses.path,
+        poses.ignored,
+        positions,
+        np.ones(len(poses), dtype=np.intp),
+        np.full(positions.shape, np.nan),
+    )
+    return _averaged(single, robot) if "pose" in table.names else single
+
+
+def format_measurements(
+    robot: Robot,
+    poses: Poses,
+    positions: FloatArray,
+    comments: tuple[str, ...] = (),
+    std: FloatArray | None = None,
+) -> str:
+    """Return CSV text in mm and degrees.
+
+    Args:
+        robot: Names joints and targets.
+        poses: Joint values.
+        positions: (n_poses, n_targets, 3) [m].
+        comments: Lines to put first.
+        std: Standard deviation of each coordinate, (n_poses, n_targets, 3) [m], in columns `<target>_std_x` ...
+    """
+    columns: list[tuple[str, list[object]]] = [("pose", list(poses.names))]
+    for j, name in enumerate(robot.joint_names):
+        unit = DISPLAY_UNIT[robot.mechanism.dimensions[name]]
+        scale = PER_SI[robot.mechanism.dimensions[name]][unit]
+        columns.append((f"{name} [{unit}]", list(poses.joints[:, j] * scale)))
+    for t, target in enumerate(robot.target_names):
+        for a, axis in enumerate("xyz"):
+            columns.append((f"{target}_{axis} [mm]", list(positions[:, t, a] * 1e3)))
+    for t, target in enumerate(robot.target_names):
+        for a, axis in enumerate("xyz"):
+            if std is not None:
+                columns.append((f"{target}_std_{axis} [mm]", list(std[:, t, a] * 1e3)))
+    return format_table(columns, comments)
+
+
+def _poses(table: Table, robot: Robot, used: set[str]) -> Poses:
+    joints = np.stack([table.column(name, robot.mechanism.dimensions[name]) for name in robot.joint_names], axis=1)
+    named = "pose" in table.names
+    if named and "" in table.text("pose"):
+        line = table.lines[table.text("pose").index("")]
+        raise DataError(f"{table.path}, line {line}, column 'pose': is empty; name the pose, or leave the column out")
+    names = tuple(table.text("pose")) if named else tuple(str(k + 1) for k in range(len(table.rows)))
+    labels = tuple(
+        f"{table.path}, line {line}" + (f" (pose {name})" if named else "")
+        for line, name in zip(table.lines, names, strict=True)
+    )
+    ignored = tuple(name for name in table.names if name not in used)
+    return Poses(joints, labels, names, table.path, ignored)
+
+
+def _averaged(single: Measurements, robot: Robot) -> Measurements:
+    """Average the rows that share a pose name, keeping the order in which the names first appear."""
+    groups: dict[str, list[int]] = {}
+    for row, name in enumerate(single.names):
+        groups.setdefault(name, []).append(row)
+    if len(groups) == len(single):
+        return single
+    joints, positions, scatter = [], [], []
+    directions = directions_of_motion(single.joints)
+    for name, rows in groups.items():
+        values = single.joints[rows]
+        spread = np.ptp(values, axis=0)
+        limits = np.array([_JOINTS_AGREE[robot.mechanism.dimensions[joint]] for joint in robot.joint_names])
+        if np.any(spread > limits):
+            joint = int(np.argmax(spread / limits))
+            dimension = robot.mechanism.dimensions[robot.joint_names[joint]]
+            unit = DISPLAY_UNIT[dimension]
+            raise DataError(
+                f"{single.labels[rows[0]]}: joint '{robot.joint_names[joint]}' differs by"
+                f" {spread[joint] * PER_SI[dimension][unit]:.3g} {unit} among the rows of pose '{name}';"
+                " rows with the same pose value must repeat one pose"
+            )
+        joints.append(values.mean(axis=0))
+        positions.append(single.positions[rows].mean(axis=0))
+        several = len(rows) > 1
+        scatter.append(
+            single.positions[rows].std(axis=0, ddof=1) if several else np.full(single.positions.shape[1:], np.nan)
+        )
+    first = [rows[0] for rows in groups.values()]
+    return replace(
+        single,
+        joints=np.array(joints),
+        positions=np.array(positions),
+        scatter=np.array(scatter),
+        counts=np.array([len(rows) for rows in groups.values()], dtype=np.intp),
+        labels=tuple(single.labels[i] for i in first),
+        names=tuple(groups),
+        readings=tuple(single.positions[rows] for rows in groups.values()),
+        approach=np.array([directions[rows].mean(axis=0) for rows in groups.values()]),
+    )

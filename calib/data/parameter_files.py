@@ -1,0 +1,62 @@
+"""Parameter files: CSV `parameter,value,unit`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from calib.data.tables import check_plausible, format_table, read_number, read_table
+from calib.errors import DataError, InputError, ParameterError, nearest
+from calib.model.parameters import index_of
+from calib.model.robot import Robot
+from calib.units import PER_SI, per_si
+
+COLUMNS = ("parameter", "value", "unit")
+
+
+def read_parameters(path: Path | str, robot: Robot, *, complete: bool = False) -> dict[str, float]:
+    """Read parameter values in SI by name; parameters that the file does not name are absent.
+
+    Args:
+        path: The file.
+        robot: Whose parameters.
+        complete: Whether a parameter that the file does not name is an error.
+
+    Raises:
+        DataError, ParameterError: The message names file, line and parameter.
+    """
+    table = read_table(path)
+    for name in COLUMNS:
+        if name not in table.names:
+            raise DataError(
+                f"{path}: no column '{name}'{nearest(name, table.names)}; a parameter file has the columns"
+                f" {', '.join(COLUMNS)}"
+            )
+    values: dict[str, float] = {}
+    rows = zip(table.text("parameter"), table.text("value"), table.text("unit"), table.lines, strict=True)
+    for name, text, unit, line in rows:
+        where = f"{path}, line {line}"
+        parameter = robot.parameters[index_of(robot.parameters, name, where)]
+        if name in values:
+            raise ParameterError(f"{where}: parameter '{name}' is given twice")
+        place = f"{where}, parameter '{name}'"
+        try:
+            number = read_number(text, place)
+            if not unit:
+                check_plausible(number, parameter.dimension, place, "into the column 'unit'")
+            values[name] = number / per_si(unit, parameter.dimension, place)
+        except InputError as error:
+            raise ParameterError(str(error)) from None
+    absent = [parameter.name for parameter in robot.parameters if parameter.name not in values]
+    if complete and absent:
+        raise ParameterError(f"{path}: no value for parameter '{absent[0]}'; the file is not complete")
+    return values
+
+
+def format_parameters(robot: Robot) -> str:
+    """Return CSV text of a robot's current values; reading it gives the same values to the last digits."""
+    names, values, units = [], [], []
+    for parameter, value in zip(robot.parameters, robot.values, strict=True):
+        names.append(parameter.name)
+        values.append(float(value * PER_SI[parameter.dimension][parameter.unit]))
+        units.append(parameter.unit)
+    return format_table([("parameter", names), ("value", values), ("unit", units)])

@@ -1,0 +1,210 @@
+"""CSV tables with units in their headers: read with the line and column of every mistake, and written back.
+
+A column is `name` or `name [unit]`; without a unit the numbers are SI. Lines that start with # are comments.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calib.errors import DataError, InputError, nearest
+from calib.model.mechanism import FloatArray
+from calib.units import Dimension, per_si, split_column
+
+_SUSPICIOUS: dict[Dimension, tuple[float, str]] = {"angle": (4 * math.pi, "deg"), "length": (50.0, "mm")}
+
+
+@dataclass(frozen=True)
+class Table:
+    """A CSV file as text.
+
+    Attributes:
+        path: Where it came from, for messages.
+        names: Column names without units.
+        units: Unit of each column, None where none is written.
+        rows: Cells of each row.
+        lines: Line number in the file of each row.
+        comments: Comment lines without their #.
+    """
+
+    path: str
+    names: tuple[str, ...]
+    units: tuple[str | None, ...]
+    rows: tuple[tuple[str, ...], ...]
+    lines: tuple[int, ...]
+    comments: tuple[str, ...]
+
+    def column(self, name: str, dimension: Dimension) -> FloatArray:
+        """Return a column of numbers in SI, (n_rows,).
+
+        Raises:
+            DataError: No such column, wrong unit, or a cell that is not a finite number.
+        """
+        if name not in self.names:
+            raise DataError(f"{self.path}: no column '{name}'{nearest(name, self.names)}")
+        index = self.names.index(name)
+        try:
+            divisor = per_si(self.units[index], dimension, f"{self.path}, column '{name}'")
+        except InputError as error:
+            raise DataError(str(error)) from None
+        values = self._numbers(index)
+        if self.units[index] is None:
+            worst = int(np.argmax(np.abs(values)))
+            check_plausible(values[worst], dimension, self._where(worst, index), "into the header")
+        return values / divisor
+
+    def text(self, name: str) -> list[str]:
+        """Return a column as text, without blanks around it."""
+        index = self.names.index(name)
+        return [row[index].strip() for row in self.rows]
+
+    def _numbers(self, index: int) -> FloatArray:
+        cells = [row[index] for row in self.rows]
+        try:
+            values = np.array([float(cell) for cell in cells])
+        except ValueError:
+            values = np.array([np.nan])
+        if np.all(np.isfinite(values)) and not any("_" in cell for cell in cells):  # float() also reads 1_000
+            return values
+        return np.array([read_number(cell, self._where(k, index)) for k, cell in enumerate(cells)])
+
+    def _where(self, row: int, index: int) -> str:
+        return f"{self.path}, line {self.lines[row]}, column '{self.names[index]}'"
+
+
+def read_number(cell: str, where: str) -> float:
+    """Read the number in a cell.
+
+    Raises:
+        DataError: It is empty, no number, or not finite.
+    """
+    text = cell.strip()
+    if not text:
+        raise DataError(f"{where}: is empty; fill it in, or remove the row")
+    try:
+        value = float(text.replace("_", " "))
+    except ValueError:
+        hint = "; write decimals with a point" if re.fullmatch(r"[-+]?\d*,\d+", text) else ""
+        raise DataError(f"{where}: '{text:.60}' is not a number{hint}") from None
+    if not math.isfinite(value):
+        raise DataError(f"{where}: '{text:.60}' is not finite; remove the row")
+    return value
+
+
+def check_plausible(value: float, dimension: Dimension, where: str, place: str) -> None:
+    """Raise `DataError` if a number without a unit is so large that it cannot be SI.
+
+    Args:
+        value: The number [m or rad].
+        dimension: What it measures.
+        where: For the message.
+        place: Where the unit should be written, such as `into the header`.
+    """
+    limit, unit = _SUSPICIOUS[dimension]
+    if abs(value) > limit:
+        si = "rad" if dimension == "angle" else "m"
+        raise DataError(
+            f"{where}: {value:g} {si} is not plausible; write the unit {place}: {unit}, or {si} if it is right"
+        )
+
+
+def read_table(path: Path | str, renamed: Mapping[str, str] | None = None) -> Table:
+    """Read a CSV file.
+
+    Args:
+        path: The file.
+        renamed: Foreign column names and the `name` or `name [unit]` they stand for.
+
+    Raises:
+        DataError: Missing or unreadable file, no header or rows, duplicate columns, rows of the wrong length.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such file; give a CSV file") from None
+    except UnicodeDecodeError:
+        raise DataError(f"{path}: is not UTF-8 text; save it as CSV in UTF-8") from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
+    comments, kept, numbers = [], [], []
+    for number, line in enumerate(text.split("\n"), start=1):
+        if line.lstrip().startswith("#"):
+            comments.append(line.lstrip()[1:].strip())
+        elif line.strip().strip(","):
+            kept.append(line)
+            numbers.append(number)
+    if not kept:
+        raise DataError(f"{path}: is empty; expected a header line and rows of numbers")
+    cells = [_cells(str(path), line, number) for line, number in zip(kept, numbers, strict=True)]
+    names, units = _header(str(path), kept[0], cells[0], renamed or {})
+    for row, number in zip(cells[1:], numbers[1:], strict=True):
+        if len(row) != len(names):
+            raise DataError(
+                f"{path}, line {number}: {len(row)} cells for {len(names)} columns"
+                + ("; write decimals with a point" if len(row) > len(names) else "")
+            )
+    if len(cells) == 1:
+        raise DataError(f"{path}: has a header but no rows")
+    return Table(str(path), names, units, tuple(cells[1:]), tuple(numbers[1:]), tuple(comments))
+
+
+def _cells(path: str, line: str, number: int) -> tuple[str, ...]:
+    try:
+        return tuple(next(csv.reader([line], strict=True, skipinitialspace=True)))
+    except csv.Error as error:
+        raise DataError(f"{path}, line {number}: is not CSV ({error})") from None
+
+
+def _header(
+    path: str, line: str, cells: tuple[str, ...], renamed: Mapping[str, str]
+) -> tuple[tuple[str, ...], tuple[str | None, ...]]:
+    if len(cells) == 1 and any(mark in line for mark in ";\t"):
+        raise DataError(f"{path}: columns are separated by {'semicolons' if ';' in line else 'tabs'}; use commas")
+    names, units = [], []
+    for number, cell in enumerate(cells, start=1):
+        name, unit = split_column(renamed.get(cell.strip(), cell))
+        if cell.strip() not in renamed and name in renamed:
+            name, usual = split_column(renamed[name])
+            unit = unit or usual
+        if not name:
+            raise DataError(f"{path}: column {number} has no name in the header; name it, or remove it")
+        names.append(name)
+        units.append(unit)
+    for name in names:
+        if names.count(name) > 1:
+            raise DataError(f"{path}: column '{name}' appears twice; names must be unique")
+    return tuple(names), tuple(units)
+
+
+def format_table(columns: Sequence[tuple[str, Sequence[object]]], comments: Sequence[str] = ()) -> str:
+    """Return CSV text; floats are written so that they read back exactly.
+
+    >>> print(format_table([("pose", ["A", "B"]), ("q1 [mm]", [0.1, 2.0])], ("two poses",)), end="")
+    # two poses
+    pose,q1 [mm]
+    A,0.1
+    B,2.0
+
+    Args:
+        columns: (header, values) of each column, values of equal length.
+        comments: Lines to put first, behind #.
+    """
+    stream = io.StringIO()
+    for comment in comments:
+        stream.write(f"# {comment}\n")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow([header for header, _ in columns])
+    quoting = csv.writer(stream, lineterminator="\n", quoting=csv.QUOTE_ALL)
+    for row in zip(*(values for _, values in columns), strict=True):
+        cells = [repr(float(cell)) if isinstance(cell, (float, np.floating)) else str(cell) for cell in row]
+        looks_like_comment = cells[0].lstrip().startswith("#")
+        (quoting if looks_like_comment else writer).writerow(cells)
+    return stream.getvalue()

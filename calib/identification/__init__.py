@@ -1,0 +1,1 @@
+"""The fit, its validation, its tests for bad data, and the verdict."""

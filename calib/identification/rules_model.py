@@ -1,0 +1,249 @@
+"""Rules of the verdict about the fit: convergence, noise, validation, parameters, what the model leaves out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.stats import chi2
+from scipy.stats import f as f_distribution
+
+from calib.identification.fitted import ErrorSet, Fit
+from calib.identification.reasons import Reason, listed
+from calib.identification.rules_data import UNLIKELY
+from calib.identification.systematic import describe
+from calib.model.mechanism import FloatArray
+from calib.numerics.statistics import EXACT
+
+NOISE_RATIO = 3.0
+"""Found over stated noise from which the statement, or the model, is wrong."""
+PROVEN = 0.5
+"""Errors on poses that were not used, after over before, that prove a calibration."""
+UNUSED_RATIO = 1.5
+"""Residuals of poses that were not used, over their predicted scatter."""
+LARGE_NOISE = 0.1
+"""Noise, over the spread of the measured positions, that means that nothing fits."""
+PLAUSIBLE = 4.0
+"""Prior sigmas that a parameter may be away from nominal."""
+SMALLEST_SHARE = 0.05
+"""Share of a parameter that the data must decide for its deviation to say anything."""
+LOOSE_ANGLE = 0.1
+"""Standard deviation of an angle beyond which its effect is not linear [rad]."""
+OTHER_MINIMUM = 10.0
+"""Difference of the cost within which another minimum explains the data as well."""
+
+
+def not_converged(fit: Fit) -> Iterator[Reason]:
+    """Judge how the iteration ended."""
+    end = fit.convergence
+    advice = "check units, joint order and signs, or try --starts"
+    if end.converged:
+        return
+    if not end.weights_stand:
+        text = (
+            f"not converged: the weights of the robust loss '{fit.loss}' do not settle; too many measurements disagree"
+        )
+    elif not end.step_left < np.inf or end.step_left > 1.0:
+        text = f"not converged: parameter {end.parameter} would still move by {end.step_left:.2g} standard deviations"
+    else:
+        text = f"not converged: {end.message}"
+    yield Reason("FAIL", "not_converged", f"{text}; {advice}")
+
+
+def noise(fit: Fit) -> Iterator[Reason]:
+    """Compare the noise found with the positions and with the stated noise."""
+    found, stated, chi = fit.statistics.sigma, fit.sigma_stated, fit.chi_square
+    spread = _spread(fit)
+    if found > LARGE_NOISE * spread:
+        yield Reason(
+            "FAIL",
+            "noise_as_large_as_robot",
+            f"noise found: {1e3 * found:.4g} mm per axis, for positions that spread over {1e3 * spread:.4g} mm; nothing"
+            " fits: check units, axes, joint order and signs, and that joints and positions belong together",
+        )
+    elif found < EXACT:
+        yield Reason(
+            "CHECK",
+            "no_noise",
+            "noise found: below a nanometre; these data were computed, not measured, and the intervals say nothing"
+            " about a real robot",
+        )
+    elif stated is not None and chi is not None:
+        yield from _against_statement(fit, found / stated, chi.p_larger, chi.p_smaller)
+
+
+def _against_statement(fit: Fit, ratio: float, p_larger: float, p_smaller: float) -> Iterator[Reason]:
+    numbers = (
+        f"{1e3 * fit.statistics.sigma:.3g} mm per axis where {1e3 * fit.statistics.sigma / ratio:.3g} mm was stated"
+    )
+    if ratio > NOISE_RATIO and p_larger < UNLIKELY:
+        proven = any(_rms(found.after) < PROVEN * _rms(found.before) for _, found in _unused(fit))
+        yield Reason(
+            "CHECK" if proven else "FAIL",
+            "noise",
+            f"noise found is {ratio:.1f} times what was stated ({numbers}): the model does not explain the"
+            " measurements;"
+            + (
+                " poses that were not used do get better, so what is left is what the model leaves out: state the noise"
+                " of robot and sensor together (--sigma-mm)"
+                if proven
+                else " look at outliers and units, state the noise of robot and sensor together (--sigma-mm), or prove"
+                " the result on other poses (--validate, --folds)"
+            ),
+        )
+    elif p_larger < UNLIKELY:
+        text = f"noise found is {ratio:.2f} times what was stated ({numbers}), more than chance explains"
+        yield Reason("CHECK", "noise", f"{text}: state what robot and sensor do together, or look for what is missing")
+    elif p_smaller < UNLIKELY:
+        text = f"noise found is only {ratio:.2f} times what was stated ({numbers}), less than chance explains"
+        yield Reason("CHECK", "noise", f"{text}: state it anew; the same reading may have been used more than once")
+
+
+def not_assembled(fit: Fit) -> Iterator[Reason]:
+    """Assemble the calibrated robot afresh."""
+    if not fit.assembles:
+        yield Reason(
+            "FAIL",
+            "not_assembled",
+            "with the parameters found, the robot cannot be assembled from its home configuration: they are not those"
+            " of this robot; check units, joint order and signs",
+        )
+
+
+def worse_on_validation(fit: Fit) -> Iterator[Reason]:
+    """Compare errors on unused poses before and after."""
+    for name, found in _unused(fit):
+        before, after = _rms(found.before), _rms(found.after)
+        if after > before:
+            yield Reason(
+                "FAIL",
+                "worse_on_validation",
+                f"worse than before on {name}: RMS {1e3 * after:.3g} mm after, {1e3 * before:.3g} mm before; the fit"
+                " follows its own measurements, not the robot: measure more poses, spread over the same space",
+            )
+
+
+def unused_fits_worse(fit: Fit) -> Iterator[Reason]:
+    """Compare errors on unused poses with what noise and uncertainty predict."""
+    if fit.validation is None or fit.validation_uncertainty is None or fit.statistics.sigma < EXACT:
+        return
+    noise = fit.statistics.sigma**2 / fit.validation.data.counts[:, None, None]
+    expected = noise + fit.validation_uncertainty.std**2
+    ratio = float(np.sqrt(np.median(np.sum(fit.validation.after**2 / expected, axis=2)) / chi2(3).median()))
+    if ratio > UNUSED_RATIO:
+        yield Reason(
+            "CHECK",
+            "validation",
+            f"poses that were not used are {ratio:.1f} times as far off as noise and uncertainty predict: the robot"
+            " does something there that the poses used do not show; measure also there",
+        )
+
+
+def implausible(fit: Fit) -> Iterator[Reason]:
+    """List parameters far from nominal.
+
+    Where priors share an error between parameters that the data cannot tell apart, each moves by less than the error: a
+    deviation u scatters by the root of the share that the data decide, so that is what it is compared with. Without a
+    prior, noise alone moves a parameter too: two standard deviations of that are allowed for.
+    """
+    far = []
+    known = iter(zip(fit.statistics.std, fit.statistics.data_share, strict=True))
+    for parameter, value, free in zip(fit.nominal.parameters, fit.robot.values, fit.free, strict=True):
+        if not free:
+            continue
+        std, share = next(known)
+        away = abs(float(value) - parameter.nominal) / parameter.sigma
+        if parameter.prior:
+            away /= np.sqrt(max(share, SMALLEST_SHARE))
+        else:
+            away -= 2.0 * std / parameter.sigma
+        if (parameter.prior or not parameter.placement) and away > PLAUSIBLE:
+            far.append(f"{parameter.name} ({away:.1f} sigma)")
+    if far:
+        yield Reason(
+            "CHECK",
+            "at_bounds",
+            f"parameters further from nominal than {PLAUSIBLE:g} times what their stated sigma allows: {listed(far)};"
+            " check zero positions and units, or, if that is possible, state a larger sigma in the description",
+        )
+
+
+def loose(fit: Fit) -> Iterator[Reason]:
+    """List angles that are hardly determined."""
+    free = [p for p, use in zip(fit.nominal.parameters, fit.free, strict=True) if use]
+    loose = [
+        f"{p.name} (+-{np.degrees(std):.1f} deg)"
+        for p, std in zip(free, fit.statistics.std, strict=True)
+        if p.dimension == "angle" and std > LOOSE_ANGLE
+    ]
+    if loose:
+        yield Reason(
+            "CHECK",
+            "not_linear",
+            f"hardly determined, so that intervals, which suppose a linear model, do not hold: {listed(loose)};"
+            " measure poses that differ more, or hold these parameters",
+        )
+
+
+def no_gain(fit: Fit) -> Iterator[Reason]:
+    """F test of all parameters against placing base and targets alone."""
+    weight = (fit.identification.data.counts[:, None] * fit.weights)[:, :, None]
+    before = float(np.sum(weight * fit.identification.before**2))
+    after = float(np.sum(weight * fit.identification.after**2))
+    placed = sum(p.placement for p, use in zip(fit.nominal.parameters, fit.free, strict=True) if use)
+    k = fit.statistics.effective_parameters - placed
+    if k < 0.5 or after <= 0 or fit.statistics.sigma < EXACT:
+        return
+    p_value = float(f_distribution.sf((before - after) / k / fit.statistics.sigma**2, k, fit.statistics.freedom))
+    if p_value > UNLIKELY:
+        yield Reason(
+            "CHECK",
+            "no_gain",
+            f"the calibration explains no more than chance would (p = {p_value:.2g}): the robot may be as good as its"
+            " nominal model, or the measurements too noisy or too few",
+        )
+
+
+def systematic(fit: Fit) -> Iterator[Reason]:
+    """List patterns in the residuals."""
+    found = [pattern for pattern in fit.patterns if pattern.significant]
+    if found:
+        words = [describe(pattern, fit.nominal.mechanism.dimensions) for pattern in found]
+        yield Reason(
+            "CHECK",
+            "systematic",
+            f"residuals are not only noise: {listed(words, '; ')}; the model leaves this out, and intervals do not"
+            " count it",
+        )
+
+
+def other_minima(fit: Fit) -> Iterator[Reason]:
+    """Look at what perturbed starts found."""
+    if fit.starts is None:
+        return
+    best, *others = fit.starts.minima
+    near = [other for other in others if other.cost - best.cost < OTHER_MINIMUM]
+    if near:
+        yield Reason(
+            "CHECK",
+            "other_minimum",
+            f"{len(near)} other minima explain the data as well (RMS {1e3 * near[0].rms:.4g} mm against"
+            f" {1e3 * best.rms:.4g} mm): the data do not say which is the robot; measure more different poses",
+        )
+
+
+def _unused(fit: Fit) -> Iterator[tuple[str, ErrorSet]]:
+    if fit.validation is not None:
+        yield "the validation poses", fit.validation
+    if fit.folds is not None:
+        yield "poses left out in turns", fit.folds.errors
+
+
+def _rms(errors: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.sum(errors**2, axis=2))))
+
+
+def _spread(fit: Fit) -> float:
+    """Root mean square distance per axis of the measured positions from their centre [m], of the widest target."""
+    positions = fit.identification.data.positions
+    return float(np.max(np.sqrt(np.mean(np.var(positions, axis=0), axis=1))))

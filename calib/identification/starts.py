@@ -1,0 +1,121 @@
+"""Other minima: the same fit again from perturbed starting points.
+
+Least squares finds the minimum in whose valley it starts. Each further start moves every free parameter by a normal
+random step of its sigma from where the first one started (base and targets placed, the rest nominal); where the loops
+cannot close there, the step is halved, up to five times. Ends whose predicted positions differ by less than a tenth of
+the noise from a minimum already known are the same minimum.
+
+When it fails. Not finding another minimum is no proof that there is none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.errors import ComputationError
+from calib.identification.problem import Problem
+from calib.model.mechanism import BoolArray, FloatArray
+from calib.model.robot import Robot
+from calib.numerics.least_squares import Solution
+
+_HALVINGS = 5
+_SAME = 0.1  # root mean square difference of predictions, over the noise, within one minimum
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """One end that starts came to.
+
+    Attributes:
+        robot: The parameters there.
+        solution: What the solver said.
+        cost: Sum of squared residuals and priors, in units of the noise that weighed them.
+        rms: Root mean square distance of the residuals [m].
+        count: How many starts came there.
+    """
+
+    robot: Robot
+    solution: Solution
+    cost: float
+    rms: float
+    count: int
+
+
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """What the starts found.
+
+    Attributes:
+        minima: Lowest cost first.
+        failed: Starts that did not converge or could not be assembled.
+        seed: Seed of the random steps.
+    """
+
+    minima: tuple[Minimum, ...]
+    failed: int
+    seed: int
+
+    @property
+    def total(self) -> int:
+        """Number of starts, the unperturbed one included."""
+        return self.failed + sum(minimum.count for minimum in self.minima)
+
+
+def explore(problem: Problem, placed: Robot, first: tuple[Robot, Solution], sigma: float, n: int, seed: int) -> Starts:
+    """Fit again from n - 1 perturbed starts.
+
+    Args:
+        problem: The problem.
+        placed: Where the first start began.
+        first: Where it ended.
+        sigma: Noise that weighs data against priors [m].
+        n: Number of starts, the first included.
+        seed: Seed of the random steps.
+    """
+    rng = np.random.default_rng(seed)
+    everything = np.ones(len(problem.scales), dtype=bool)
+    found: list[tuple[Minimum, FloatArray]] = []
+    failed = 0
+    _add(found, problem, first)
+    for _ in range(n - 1):
+        step = rng.standard_normal(len(problem.scales))
+        end = _from(problem, placed, step, sigma, everything)
+        if end is None:
+            failed += 1
+        else:
+            _add(found, problem, end, sigma)
+    return Starts(tuple(minimum for minimum, _ in sorted(found, key=lambda entry: entry[0].cost)), failed, seed)
+
+
+def _from(
+    problem: Problem, placed: Robot, step: FloatArray, sigma: float, everything: BoolArray
+) -> tuple[Robot, Solution] | None:
+    base = problem.scaled_values(placed)
+    for halving in range(_HALVINGS + 1):
+        start = problem.with_values(placed, base + step / 2**halving, everything)
+        try:
+            robot, solution = problem.solve(start, sigma, everything)
+        except ComputationError:
+            continue
+        return (robot, solution) if solution.converged else None
+    return None
+
+
+def _add(
+    found: list[tuple[Minimum, FloatArray]], problem: Problem, end: tuple[Robot, Solution], sigma: float = np.inf
+) -> None:
+    """Count an end towards the minimum that it belongs to, or as a new one."""
+    robot, solution = end
+    errors = problem.evaluate(robot).errors
+    rms = float(np.sqrt(np.mean(np.sum(errors**2, axis=2))))
+    for k, (minimum, known) in enumerate(found):
+        if np.sqrt(np.mean((errors - known) ** 2)) <= _SAME * sigma:
+            better = solution.cost < minimum.cost
+            kept = (robot, solution, solution.cost, rms) if better else (
+                minimum.robot, minimum.solution, minimum.cost, minimum.rms
+            )  # fmt: skip
+            found[k] = Minimum(*kept, minimum.count + 1), errors if better else known
+            return
+    found.append((Minimum(robot, solution, solution.cost, rms, 1), errors))

@@ -1,0 +1,112 @@
+"""Position errors as tables, and splitting measurements into those to identify with and those to validate with."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.data.measurements import Measurements
+from calib.errors import DataError
+from calib.model.mechanism import FloatArray, IntArray
+
+_SAME_JOINTS = 1e-6  # joint values that agree to this are one pose [m, rad]
+PERCENTILES = {"median": 50, "p90": 90, "p95": 95, "p99": 99}
+"""Percentiles of error tables by their key."""
+
+
+def error_table(errors: FloatArray) -> dict[str, object]:
+    """Summarise position errors.
+
+    Args:
+        errors: Predicted minus measured, (n, 3) [m].
+
+    Returns:
+        `mean`, `max`, `rms`, `std`, `median`, `p90`, `p95`, `p99` of the distance; and for each of `x`, `y`, `z` the
+        `mean`, `max` and percentiles of the absolute component, its `rms`, its `std` and its signed mean `bias`. All
+        [mm]; std is NaN for a single error.
+    """
+
+    def spread(values: FloatArray) -> float:
+        return float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
+
+    def percentiles(values: FloatArray) -> dict[str, float]:
+        found = np.percentile(values, list(PERCENTILES.values()))
+        return {key: float(value) for key, value in zip(PERCENTILES, found, strict=True)}
+
+    millimetres = 1e3 * np.asarray(errors)
+    distance = np.linalg.norm(millimetres, axis=1)
+    table: dict[str, object] = {
+        "mean": float(np.mean(distance)),
+        "max": float(np.max(distance)),
+        "rms": float(np.sqrt(np.mean(distance**2))),
+        "std": spread(distance),
+        **percentiles(distance),
+    }
+    for axis, values in zip("xyz", millimetres.T, strict=True):
+        table[axis] = {
+            "mean": float(np.mean(np.abs(values))),
+            "max": float(np.max(np.abs(values))),
+            "rms": float(np.sqrt(np.mean(values**2))),
+            "std": spread(values),
+            "bias": float(np.mean(values)),
+            **percentiles(np.abs(values)),
+        }
+    return table
+
+
+def format_error(table: dict[str, object]) -> list[str]:
+    """Return mean, max, rms, std, 95th percentile and the mean of |x|, |y|, |z| of an error table as text [mm]."""
+    axes = [table[axis] for axis in "xyz"]
+    numbers = [table[key] for key in ("mean", "max", "rms", "std", "p95")]
+    numbers += [axis["mean"] for axis in axes if isinstance(axis, dict)]
+    return [f"{number:.4f}" for number in numbers]
+
+
+def split(data: Measurements, fraction: float, seed: int = 0) -> tuple[Measurements, Measurements]:
+    """Hold out a random part of the poses for validation; repeats of one pose stay together.
+
+    Args:
+        data: All measurements.
+        fraction: Part of the poses to hold out, between 0 and 1.
+        seed: Seed of the random choice.
+
+    Returns:
+        Measurements to identify with, and to validate with, both in file order.
+
+    Raises:
+        DataError: The fraction leaves one of them empty.
+    """
+    n_held = round(fraction * len(data)) if 0 < fraction < 1 else 0
+    chosen: list[int] = []
+    for group in _shuffled(data, seed):
+        if len(chosen) >= n_held:
+            break
+        chosen.extend(int(k) for k in group)
+    held: IntArray = np.array(chosen, dtype=np.intp)
+    if not 0 < len(held) < len(data):
+        raise DataError(
+            f"{data.path}: holding out {fraction:g} of {len(data)} poses leaves nothing to"
+            f" {'validate' if len(held) == 0 else 'identify'} with; give a fraction between 0 and 1, or a file"
+        )
+    return data.subset(np.setdiff1d(np.arange(len(data)), held)), data.subset(np.sort(held))
+
+
+def deal(data: Measurements, count: int, seed: int = 0) -> list[IntArray]:
+    """Deal the poses into folds of about equal size; poses with the same joint values stay together.
+
+    Returns:
+        Indices of each fold, ascending; empty where there are fewer different poses than folds.
+    """
+    folds: list[list[int]] = [[] for _ in range(max(count, 1))]
+    for group in _shuffled(data, seed):
+        min(folds, key=len).extend(int(k) for k in group)
+    return [np.sort(np.array(fold, dtype=np.intp)) for fold in folds]
+
+
+def _shuffled(data: Measurements, seed: int) -> list[IntArray]:
+    """Return groups of poses with the same joint values (to 1e-6 m or rad) in random order."""
+    _, label = np.unique(np.round(data.joints / _SAME_JOINTS), axis=0, return_inverse=True)
+    label = label.reshape(-1)
+    by_label = np.argsort(label, kind="stable")
+    groups = np.split(by_label, np.cumsum(np.bincount(label))[:-1])
+    groups.sort(key=lambda group: int(group[0]))  # in file order, so that without repeats a pose is a pose
+    return [groups[k] for k in np.random.default_rng(seed).permutation(len(groups))]

@@ -1,0 +1,42 @@
+"""PASS, CHECK or FAIL: whether a fit can be trusted, with reasons in words that say what to do.
+
+FAIL: the numbers must not be used (the robot is not exported as calibrated unless forced).
+CHECK: they can be used by someone who has read the reasons.
+PASS: nothing was found; that is no proof that nothing is wrong.
+
+Each rule looks at one thing. Tests with a chance in them state it where they are made: chi-square, gain and repeats
+0.1 %, patterns and outliers 1 % each. Good data therefore get a CHECK by chance in about one fit of thirty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from calib.identification import rules_data, rules_model
+from calib.identification.fitted import Fit
+from calib.identification.reasons import Reason, Verdict
+
+_RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
+    rules_model.not_converged,
+    rules_model.not_assembled,
+    rules_model.noise,
+    rules_model.worse_on_validation,
+    rules_data.poses_that_say_little,
+    rules_data.too_few_poses,
+    rules_model.implausible,
+    rules_model.loose,
+    rules_model.no_gain,
+    rules_model.unused_fits_worse,
+    rules_model.systematic,
+    rules_data.outliers,
+    rules_data.repeats,
+    rules_model.other_minima,
+    rules_data.leverage,
+)
+
+
+def judge(fit: Fit) -> Verdict:
+    """Return the verdict on a fit: the worst of the reasons found, FAIL before CHECK."""
+    found = [reason for rule in _RULES for reason in rule(fit)]
+    found.sort(key=lambda reason: reason.grade != "FAIL")
+    return Verdict(found[0].grade if found else "PASS", tuple(found))

@@ -1,0 +1,1 @@
+"""Joint values that bring a target to a goal, through closed loops."""

@@ -1,0 +1,1 @@
+"""The identification Jacobian, and what follows from it without a fit: information, prediction, registration."""

@@ -1,0 +1,93 @@
+"""How well a calibrated robot knows where its targets are: the parameters' covariance, carried to positions.
+
+    covariance of x(q)  =  B C B^T,      B = d(position)/d(free parameters) at the pose
+
+Directions of C that no measurement determined (redundant or prior-held parameters) drop out where B does not see them,
+so a position can be known to micrometres although no single parameter is. Only noise is counted: what the model leaves
+out, and what the robot does not repeat, come on top.
+
+Reference: jcgm100 (GUM), section 5.2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.linearisation.jacobian import linearise
+from calib.model.mechanism import BoolArray, FloatArray
+from calib.model.robot import Robot
+from calib.read_only import ReadOnlyArrays
+
+_CHUNK = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class PositionUncertainty(ReadOnlyArrays):
+    """Predicted positions and how sure they are.
+
+    Attributes:
+        positions: (n_poses, n_targets, 3) [m].
+        covariance: (n_poses, n_targets, 3, 3) [m^2].
+        coverage_factor: How many standard deviations make half a 95 % interval of one coordinate.
+    """
+
+    positions: FloatArray
+    covariance: FloatArray
+    coverage_factor: float
+
+    @property
+    def std(self) -> FloatArray:
+        """Standard deviation of each coordinate, (n_poses, n_targets, 3) [m]."""
+        result: FloatArray = np.sqrt(np.maximum(np.diagonal(self.covariance, axis1=2, axis2=3), 0.0))
+        return result
+
+    @property
+    def distance(self) -> FloatArray:
+        """Root mean square distance between true and predicted position, (n_poses, n_targets) [m]."""
+        result: FloatArray = np.sqrt(np.sum(self.std**2, axis=2))
+        return result
+
+    @property
+    def worst(self) -> int:
+        """The pose at which `distance` is largest."""
+        return int(np.argmax(np.max(self.distance, axis=1)))
+
+    def summary(self) -> dict[str, float]:
+        """Return mean, root mean square and largest `distance` over the poses [mm]."""
+        distance = 1e3 * self.distance
+        return {
+            "mean": float(np.mean(distance)),
+            "rms": float(np.sqrt(np.mean(distance**2))),
+            "max": float(np.max(distance)),
+        }
+
+
+def carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return B C B^T of each position, (n_poses, n_targets, 3, 3), from B (n_poses, n_targets, 3, n_free)."""
+    result: FloatArray = (jacobian @ covariance) @ jacobian.swapaxes(2, 3)
+    return result
+
+
+def position_uncertainty(
+    robot: Robot, free: BoolArray, covariance: FloatArray, coverage_factor: float, q: FloatArray
+) -> PositionUncertainty:
+    """Predict positions of all targets, loops closed, with their covariance.
+
+    Args:
+        robot: The calibrated robot.
+        free: Which of its parameters the covariance is of, (n_parameters,).
+        covariance: (n_free, n_free) [m, rad].
+        coverage_factor: Of the fit's 95 % intervals.
+        q: Actuated joints, (n_poses, n_actuated) [m or rad].
+
+    Raises:
+        UnreachablePoseError: A loop stays open.
+    """
+    positions, spread = [], []
+    for start in range(0, len(q), _CHUNK):
+        linear = linearise(robot, robot.assemble(q[start : start + _CHUNK]))
+        positions.append(linear.positions)
+        spread.append(carried(linear.jacobian[..., free], covariance))
+    return PositionUncertainty(np.concatenate(positions), np.concatenate(spread), coverage_factor)

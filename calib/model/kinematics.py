@@ -1,0 +1,153 @@
+"""Poses of frames seen from each other, and how joints and origins move them, for many configurations at once.
+
+Everything a calibration needs is one primitive: frame b seen from frame a (`RelativeFrame`). A loop closure demands
+that it is zero; a tracker measures it. With world twists V = [v; w] of the two frames (v at the world's origin), and
+T_b in a written as (R_ab, p_ab):
+
+    translation p_ab = R_a^T (p_b - p_a)      d p_ab = R_a^T [ I  -[p_b]x ] (V_b - V_a)
+    log6(T_ab)                                d log6 = Jlog6(T_ab) Ad(T_b)^-1 (V_b - V_a)
+
+Both are a (rows, 6) `map` of the twist difference, exact also where a loop is open. Joints that move both frames
+alike drop out of V_b - V_a.
+
+* A joint's column of Pinocchio's world Jacobian is its V per joint rate.
+* An origin's block of Pinocchio's kinematic regressor (world frame) is its V per twist xi of the **right**
+  perturbation `placement * exp6(xi)`, xi = [linear; angular] in the joint's own frame.
+
+Pinocchio has no batch interface, so the poses are looped over in Python, through views of its data that are fetched
+once; all further algebra runs on arrays of poses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from calib.model.mechanism import FloatArray, Mechanism, RelativeFrame
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """Kinematics of `n` configurations.
+
+    Attributes:
+        index: Position of a joint index in the second axis of `rotation` and `translation`.
+        rotation: World rotation of each wanted frame, (n, n_frames, 3, 3).
+        translation: World position of each wanted frame [m], (n, n_frames, 3).
+        jacobian: World Jacobian, columns per joint, (n, 6, n_joints).
+        leaves: Joint indices whose regressors were taken.
+        regressor: World kinematic regressor of each leaf, (n, n_leaves, 6, 6 n_joints); empty if not wanted.
+    """
+
+    index: dict[int, int]
+    rotation: FloatArray
+    translation: FloatArray
+    jacobian: FloatArray
+    leaves: tuple[int, ...]
+    regressor: FloatArray
+
+
+def sweep(
+    mechanism: Mechanism, joints: FloatArray, pairs: tuple[RelativeFrame, ...], *, regressors: bool = False
+) -> Sweep:
+    """Run Pinocchio over the configurations `joints`, (n, n_joints) [m or rad]."""
+    model = mechanism.model
+    data = model.createData()
+    wanted = sorted({frame for pair in pairs for frame in (pair.a, pair.b)})
+    leaves = regressor_leaves(mechanism, pairs) if regressors else ()
+    n = len(joints)
+    rotation = np.empty((n, len(wanted), 3, 3))
+    translation = np.empty((n, len(wanted), 3))
+    jacobian = np.empty((n, 6, model.nv))
+    regressor = np.empty((n, len(leaves), 6, 6 * model.nv))
+    pin.computeJointJacobians(model, data, pin.neutral(model))  # sizes the views below
+    placements = [data.oMi[frame] for frame in wanted]  # live: they follow every later computation
+    rotation_views = [placement.rotation for placement in placements]
+    translation_views = [placement.translation for placement in placements]
+    compute, regress, world = pin.computeJointJacobians, pin.computeJointKinematicRegressor, pin.ReferenceFrame.WORLD
+    jacobian_view = data.J
+    for k in range(n):
+        compute(model, data, joints[k])
+        jacobian[k] = jacobian_view
+        for f, view in enumerate(rotation_views):
+            rotation[k, f] = view
+            translation[k, f] = translation_views[f]
+        for f, leaf in enumerate(leaves):
+            regressor[k, f] = regress(model, data, leaf, world)
+    index = {frame: f for f, frame in enumerate(wanted)}
+    return Sweep(index, rotation, translation, jacobian, leaves, regressor)
+
+
+def regressor_leaves(mechanism: Mechanism, pairs: tuple[RelativeFrame, ...]) -> tuple[int, ...]:
+    """Return frames whose regressors together cover every origin that the pairs depend on."""
+    frames = {frame for pair in pairs for frame in (pair.a, pair.b)} - {0}
+    support = mechanism.support
+    return tuple(sorted(f for f in frames if not any(support[other, f - 1] for other in frames if other != f)))
+
+
+def value(swept: Sweep, pair: RelativeFrame) -> FloatArray:
+    """Return the pair's constrained components, (n, n_rows) [m, rad]."""
+    a, b = swept.index[pair.a], swept.index[pair.b]
+    rotation_a = swept.rotation[:, a]
+    offset = swept.translation[:, b] - swept.translation[:, a]
+    translation: FloatArray = np.matmul(offset[:, None, :], rotation_a)[:, 0, :]
+    if not pair.full_pose:
+        return translation[:, pair.rows]
+    relative = np.matmul(rotation_a.transpose(0, 2, 1), swept.rotation[:, b])
+    logs = [pin.log6(pin.SE3(rotation, point)).vector for rotation, point in zip(relative, translation, strict=True)]
+    return np.array(logs).reshape(-1, 6)[:, pair.rows]
+
+
+def twist_map(swept: Sweep, pair: RelativeFrame) -> FloatArray:
+    """Return the (n, n_rows, 6) map from V_b - V_a (world twists) to the derivative of `value`."""
+    a, b = swept.index[pair.a], swept.index[pair.b]
+    if pair.full_pose:
+        return _pose_map(swept, a, b)[:, pair.rows]
+    rows = swept.rotation[:, a].transpose(0, 2, 1)[:, pair.rows]
+    # r^T (v + w x p) = r^T v + (p x r)^T w
+    return np.concatenate([rows, np.cross(swept.translation[:, b][:, None, :], rows)], axis=2)
+
+
+def _pose_map(swept: Sweep, a: int, b: int) -> FloatArray:
+    maps = np.empty((len(swept.rotation), 6, 6))
+    for k in range(len(maps)):
+        world_a = pin.SE3(swept.rotation[k, a], swept.translation[k, a])
+        world_b = pin.SE3(swept.rotation[k, b], swept.translation[k, b])
+        maps[k] = pin.Jlog6(world_a.actInv(world_b)) @ world_b.toActionMatrixInverse()
+    return maps
+
+
+def joint_derivative(swept: Sweep, mapping: FloatArray, columns: FloatArray) -> FloatArray:
+    """Return d(value)/d(joint coordinates), (n, n_rows, n_columns).
+
+    Args:
+        mapping: From `twist_map`.
+        columns: `mechanism.between(pair)[:, None] * selection`, (n_joints, n_columns).
+    """
+    n = len(mapping)
+    rates = (swept.jacobian.reshape(6 * n, len(columns)) @ columns).reshape(n, 6, columns.shape[1])
+    result: FloatArray = np.matmul(mapping, rates)
+    return result
+
+
+def origin_derivative(mechanism: Mechanism, swept: Sweep, terms: list[tuple[FloatArray, FloatArray]]) -> FloatArray:
+    """Return sum over terms of map (V_b - V_a) per origin twist, (n, n_rows, 6 n_joints).
+
+    Args:
+        terms: (twist map (n, n_rows, 6), sign per joint from `Mechanism.between` (n_joints,)) of each pair.
+    """
+    n, n_rows = terms[0][0].shape[:2]
+    result = np.zeros((n, n_rows, 6 * mechanism.n_joints))
+    signs = np.array([sign for _, sign in terms])
+    groups: dict[tuple[int, tuple[float, ...]], list[int]] = {}
+    for origin in range(mechanism.n_joints):
+        if np.any(signs[:, origin]):
+            leaf = next(f for f, frame in enumerate(swept.leaves) if mechanism.support[frame, origin])
+            groups.setdefault((leaf, tuple(signs[:, origin])), []).append(origin)
+    for (leaf, pattern), origins in groups.items():
+        combined = sum(sign * terms[t][0] for t, sign in enumerate(pattern) if sign)
+        columns = (6 * np.array(origins)[:, None] + np.arange(6)).ravel()
+        result[:, :, columns] = np.matmul(combined, swept.regressor[:, leaf][:, :, columns])
+    return result

@@ -1,0 +1,263 @@
+"""From a URDF and its description to a `Mechanism`: the tree in Pinocchio, and which joint is what."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from calib.errors import DescriptionError, InputError, UrdfError, nearest
+from calib.model.description import ANGLE_COMPONENTS, COMPONENTS, Description
+from calib.model.mechanism import FloatArray, Mechanism, RelativeFrame
+from calib.model.urdf_text import HELD_TYPES, UrdfJoint, UrdfText
+from calib.units import Dimension, quantity
+
+Loops = tuple[RelativeFrame, ...]
+
+
+def build_mechanism(urdf: UrdfText, description: Description, where: str) -> Mechanism:
+    """Build the mechanism of a URDF and its description.
+
+    Args:
+        urdf: The URDF.
+        description: What the URDF cannot say.
+        where: File of the description, for messages.
+
+    Raises:
+        DescriptionError: A name that the URDF does not have, or loops that do not determine the passive joints.
+        UrdfError: A joint mimics itself.
+    """
+    model, frames = _tree(urdf)
+    origin_names = [joint.name for joint in _topological(urdf)]
+    base_link = _frame(frames, description.base.frame, f"{where}: base.frame")
+    base_name = _new_name("base", "measurement_base", origin_names)
+    T_measurement_link = _pose(description.base.xyz, description.base.rpy)
+    base = int(model.addJoint(base_link, pin.JointModelRX(), T_measurement_link.inverse(), base_name))
+    origin_names.append(base_name)
+    targets = []
+    for name, section in description.targets.items():
+        link = _frame(frames, section.frame, f"{where}: targets.{name}.frame")
+        origin = _new_name(name, f"{name}_point", origin_names)
+        index = int(model.addJoint(link, pin.JointModelRX(), _pose(section.xyz, (0.0, 0.0, 0.0)), origin))
+        origin_names.append(origin)
+        frames.setdefault(name, index)
+        targets.append(RelativeFrame(name, base, index, False, (0, 1, 2)))
+    support = _support(model)
+    loops = tuple(_loop(description, frames, index, where) for index in range(len(description.closed_loop)))
+    groups = _joint_groups(urdf, description, origin_names, _in_loops(support, loops), where)
+    _check_count(groups.passive, loops, where)
+    return Mechanism(
+        model=model,
+        origin_names=tuple(origin_names),
+        frames=frames,
+        actuated=groups.actuated,
+        passive=groups.passive,
+        dimensions={name: _dimension(joint) for name, joint in groups.moving.items()},
+        lower=np.array([groups.moving[name].lower for name in groups.passive]),
+        upper=np.array([groups.moving[name].upper for name in groups.passive]),
+        loops=loops,
+        targets=tuple(targets),
+        support=support,
+        length=_length(model, support, targets, loops),
+        **_selection(urdf, groups, origin_names, home_values(urdf, description, where)),
+    )
+
+
+def home_values(urdf: UrdfText, description: Description, where: str) -> dict[str, float]:
+    """Return the home configuration by joint name [m or rad]; joints that it does not name are absent.
+
+    Raises:
+        DescriptionError: An unknown joint, or a value that is not a length or angle as the joint needs it.
+    """
+    moving = _moving(urdf)
+    values = {}
+    for name, value in description.home.items():
+        if name not in moving:
+            raise DescriptionError(f"{where}: home: no moving joint '{name}'{nearest(name, moving)}")
+        try:
+            values[name] = quantity(value, _dimension(moving[name]), f"{where}: home.{name}")
+        except InputError as error:
+            raise DescriptionError(str(error)) from None
+    return values
+
+
+def _moving(urdf: UrdfText) -> dict[str, UrdfJoint]:
+    return {joint.name: joint for joint in urdf.joints if joint.type not in HELD_TYPES}
+
+
+def _dimension(joint: UrdfJoint) -> Dimension:
+    return "length" if joint.type == "prismatic" else "angle"
+
+
+def _topological(urdf: UrdfText) -> list[UrdfJoint]:
+    """Joints so that parents come first, otherwise in file order."""
+    children: dict[str, list[UrdfJoint]] = {link: [] for link in urdf.links}
+    for joint in urdf.joints:
+        children[joint.parent].append(joint)
+    order: list[UrdfJoint] = []
+    waiting = [urdf.root]
+    while waiting:
+        found = children[waiting.pop(0)]
+        order.extend(found)
+        waiting = [joint.child for joint in found] + waiting
+    return order
+
+
+def _tree(urdf: UrdfText) -> tuple[pin.Model, dict[str, int]]:
+    """Return the model, and the joint index of every link and joint name (a link's where both have the name)."""
+    model = pin.Model()
+    frames = {urdf.root: 0}
+    indices: dict[str, int] = {}
+    for joint in _topological(urdf):
+        axis = np.array(joint.axis)
+        kind: pin.JointModel = pin.JointModelRX()
+        if joint.type == "prismatic":
+            kind = pin.JointModelPrismaticUnaligned(axis)
+        elif joint.type not in HELD_TYPES:
+            kind = pin.JointModelRevoluteUnaligned(axis)
+        indices[joint.name] = int(model.addJoint(frames[joint.parent], kind, _pose(joint.xyz, joint.rpy), joint.name))
+        frames[joint.child] = indices[joint.name]
+    return model, indices | frames
+
+
+def _new_name(name: str, other: str, taken: list[str]) -> str:
+    """Return `name`, or `other` where that is taken, with as many _ behind it as make it new."""
+    while name in taken:
+        name, other = other, f"{other}_"
+    return name
+
+
+def _pose(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> pin.SE3:
+    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz))
+
+
+def _frame(frames: Mapping[str, int], name: str, where: str) -> int:
+    if name not in frames:
+        raise DescriptionError(f"{where}: no link or joint '{name}'{nearest(name, frames)}")
+    return frames[name]
+
+
+def _support(model: pin.Model) -> FloatArray:
+    support = np.zeros((model.njoints, model.njoints - 1))
+    for index in range(1, model.njoints):
+        support[index] = support[model.parents[index]]
+        support[index, index - 1] = 1.0
+    return support
+
+
+def _loop(description: Description, frames: Mapping[str, int], index: int, where: str) -> RelativeFrame:
+    first, second = description.closed_loop[index]
+    where = f"{where}: closed_loop[{index}]"
+    axes = description.loop_axes(index)
+    full_pose = description.type[index] == "6d"
+    for axis in axes:
+        if axis in ANGLE_COMPONENTS and not full_pose:
+            raise DescriptionError(f"{where}: axis '{axis}' is a rotation; that needs type 6d")
+    if not axes or len(set(axes)) != len(axes):
+        raise DescriptionError(f"{where}: closed_loop_axes {list(axes)} must name each direction once, at least one")
+    rows = tuple(COMPONENTS.index(axis) for axis in axes)
+    return RelativeFrame(
+        f"{first}-{second}", _frame(frames, first, where), _frame(frames, second, where), full_pose, rows
+    )
+
+
+@dataclass(frozen=True)
+class _JointGroups:
+    """Which joint is what: given by the user, decided by the loops, following another one; the others are held.
+
+    Attributes:
+        moving: Joints that can move, by name.
+        actuated, passive: Their names.
+        followers: Leader, multiplier and offset of each joint that mimics another one.
+    """
+
+    moving: dict[str, UrdfJoint]
+    actuated: tuple[str, ...]
+    passive: tuple[str, ...]
+    followers: dict[str, tuple[str, float, float]]
+
+
+def _in_loops(support: FloatArray, loops: Loops) -> list[bool]:
+    """Which joints move one side of a closure and not the other."""
+    inside = [support[loop.b] != support[loop.a] for loop in loops]
+    return [bool(moves) for moves in np.any(inside, axis=0)] if inside else [False] * support.shape[1]
+
+
+def _joint_groups(
+    urdf: UrdfText, description: Description, origin_names: list[str], in_loop: list[bool], where: str
+) -> _JointGroups:
+    moving = _moving(urdf)
+    types = {joint.name: joint.type for joint in urdf.joints}
+    actuated = tuple(description.name_mot)
+    for name in actuated:
+        if name not in types:
+            raise DescriptionError(f"{where}: name_mot: no joint '{name}'{nearest(name, moving)}")
+        if name not in moving:
+            raise DescriptionError(f"{where}: name_mot: joint '{name}' is {types[name]}, it does not move")
+        if actuated.count(name) > 1:
+            raise DescriptionError(f"{where}: name_mot: joint '{name}' is listed twice")
+    followers = {
+        name: joint.mimic for name, joint in moving.items() if joint.mimic is not None and name not in actuated
+    }
+    passive = tuple(
+        name
+        for name, inside in zip(origin_names, in_loop, strict=True)
+        if inside and name in moving and name not in actuated and name not in followers
+    )
+    return _JointGroups(moving, actuated, passive, followers)
+
+
+def _check_count(passive: tuple[str, ...], loops: Loops, where: str) -> None:
+    n_rows = sum(len(loop.rows) for loop in loops)
+    if n_rows != len(passive):
+        raise DescriptionError(
+            f"{where}: the closures constrain {n_rows} directions but leave {len(passive)} passive joints"
+            f" ({', '.join(passive) or 'none'}); they must be equal: check name_mot, and constrain in closed_loop_axes"
+            " only what the mechanism constrains (y and z for a planar loop about x)"
+        )
+
+
+def _selection(
+    urdf: UrdfText, groups: _JointGroups, origin_names: list[str], home: Mapping[str, float]
+) -> dict[str, Any]:
+    """Return the selection matrices and the constant of `Mechanism`."""
+    select_actuated = np.zeros((len(origin_names), len(groups.actuated)))
+    select_passive = np.zeros((len(origin_names), len(groups.passive)))
+    constant = np.zeros(len(origin_names))
+    for i, name in enumerate(origin_names):
+        leader, multiplier, constant[i] = _leader(urdf, groups, name)
+        if leader in groups.actuated:
+            select_actuated[i, groups.actuated.index(leader)] = multiplier
+        elif leader in groups.passive:
+            select_passive[i, groups.passive.index(leader)] = multiplier
+        elif leader in home:
+            constant[i] += multiplier * home[leader]
+    return {"select_actuated": select_actuated, "select_passive": select_passive, "constant": constant}
+
+
+def _leader(urdf: UrdfText, groups: _JointGroups, name: str) -> tuple[str, float, float]:
+    """Follow mimics of mimics: the joint at their end, and value = multiplier * its value + offset."""
+    leader, multiplier, offset = name, 1.0, 0.0
+    seen: list[str] = []
+    while leader in groups.followers:
+        if leader in seen:
+            raise UrdfError(f"{urdf.path}, joint '{name}': mimics itself through {', '.join(seen)}")
+        seen.append(leader)
+        leader, factor, shift = groups.followers[leader]
+        offset, multiplier = offset + multiplier * shift, multiplier * factor
+    return leader, multiplier, offset
+
+
+def _length(
+    model: pin.Model, support: FloatArray, targets: list[RelativeFrame], loops: tuple[RelativeFrame, ...]
+) -> float:
+    """Longest origin translation inside a loop, or on the way to a target, as the robot's characteristic length [m]."""
+    sizes = np.array([float(np.linalg.norm(model.jointPlacements[i].translation)) for i in range(1, model.njoints)])
+    inside = [np.max(sizes * (support[pair.b] != support[pair.a])) for pair in loops]
+    if inside and max(inside) > 0:
+        return float(max(inside))
+    reach = max(float(np.sum(sizes * support[target.b])) for target in targets)
+    return reach if reach > 0 else 1.0

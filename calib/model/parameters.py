@@ -1,0 +1,161 @@
+"""Parameters: what may be wrong with a robot, and what a parameter does to the joint origins.
+
+A parametrisation maps a vector of values to joint origins and gives the derivative as twists. The twist xi_i of origin
+i is the right perturbation `placement_i * exp6(xi_i)`, [linear; angular] in the joint's own frame, so
+
+    d(measured)/d(parameters) = d(measured)/d(xi) . d(xi)/d(parameters)
+
+and the first factor is the same for every parametrisation.
+
+`OriginComponents` is the general one. With nominal origin (t, R), its parameters give
+
+    translation  t + [x, y, z]        (in the parent link, as URDF's xyz)
+    rotation     R exp([rx, ry, rz])  (a rotation vector in the joint frame, 0 at nominal)
+
+A rotation vector, and not URDF's rpy, because rpy has no derivative at pitch = +-90 degrees, where many robots have
+joints. The value shown for a translation is the coordinate itself; for a rotation it is the deviation.
+
+The measurement frame is the one origin that is edited the other way round: the parameters of `base` are those of the
+robot's link seen in the measurement frame. A tracker stands metres away; turning the robot about its own base keeps
+the model close to linear, turning it about the tracker would not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import pinocchio as pin
+
+from calib.errors import ParameterError, nearest
+from calib.model.mechanism import FloatArray
+from calib.read_only import ReadOnlyArrays
+from calib.units import Dimension
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number that may differ from its nominal value.
+
+    Attributes:
+        name: Unique name.
+        dimension: Length or angle.
+        nominal: Value in the description [m or rad].
+        sigma: Expected deviation from nominal, one standard deviation [m or rad]; scales its column, and is its prior.
+        unit: Unit in tables.
+        prior: Whether nominal +- sigma counts as information in a fit. False: the measurements alone decide.
+        placement: Whether it only says where the measurement frame or a target is, which is no error of the robot.
+    """
+
+    name: str
+    dimension: Dimension
+    nominal: float
+    sigma: float
+    unit: str
+    prior: bool = True
+    placement: bool = False
+
+
+@dataclass(frozen=True)
+class Origin(ReadOnlyArrays):
+    """A nominal joint origin as the URDF has it: `xyz` (3,) [m] in the parent link, `rpy` (3,) fixed-axis angles [rad].
+
+    That of `base` is the pose of its link in the measurement frame.
+    """
+
+    xyz: FloatArray
+    rpy: FloatArray
+
+    @property
+    def placement(self) -> pin.SE3:
+        """The origin as a rigid transform, parent link to joint."""
+        return pin.SE3(pin.rpy.rpyToMatrix(*self.rpy), self.xyz)
+
+
+class Parametrisation(Protocol):
+    """What the engine needs to know of a set of parameters."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameters, in the order of every vector and column."""
+
+    def placements(self, values: FloatArray) -> dict[str, pin.SE3]:
+        """Return the origins that the values (n_parameters,) [m or rad] give, by name; the others stay nominal."""
+
+    def twists(self, values: FloatArray) -> dict[str, FloatArray]:
+        """Return d(xi)/d(values) of the same origins, (6, n_parameters) each; see the module docstring for xi."""
+
+
+def twist_of_edit(rpy: FloatArray, d_xyz: FloatArray, d_rpy: FloatArray) -> FloatArray:
+    """Turn derivatives of URDF's xyz and rpy into a right-perturbation twist.
+
+    xi = [R^T dxyz ; W(rpy) drpy], with W Pinocchio's local roll-pitch-yaw Jacobian.
+
+    Args:
+        rpy: Angles at which to differentiate, (3,) [rad].
+        d_xyz: d(xyz)/d(parameters), (3, n_parameters).
+        d_rpy: d(rpy)/d(parameters), (3, n_parameters).
+
+    Returns:
+        (6, n_parameters).
+    """
+    rotation = pin.rpy.rpyToMatrix(*rpy)
+    return np.vstack([rotation.T @ d_xyz, pin.rpy.computeRpyJacobian(rpy, pin.ReferenceFrame.LOCAL) @ d_rpy])
+
+
+@dataclass(frozen=True, eq=False)
+class OriginComponents:
+    """Any components of any joint origins; see the module docstring.
+
+    Attributes:
+        parameters: One for each component.
+        places: (origin name, index into x, y, z, rx, ry, rz) of each parameter.
+        nominal: Nominal (t, R) of each origin that has parameters.
+        inverted: Origins whose (t, R) is the inverse of their placement.
+    """
+
+    parameters: tuple[Parameter, ...]
+    places: tuple[tuple[str, int], ...]
+    nominal: dict[str, pin.SE3]
+    inverted: frozenset[str] = frozenset()
+
+    def placements(self, values: FloatArray) -> dict[str, pin.SE3]:
+        """Return the edited origins; see `Parametrisation`."""
+        edited = {name: self._edited(name, moved) for name, moved in self._deviations(values).items()}
+        return {name: pose.inverse() if name in self.inverted else pose for name, pose in edited.items()}
+
+    def twists(self, values: FloatArray) -> dict[str, FloatArray]:
+        """Return the derivative of each origin; see `Parametrisation`."""
+        result: dict[str, FloatArray] = {}
+        for name, moved in self._deviations(values).items():
+            columns = [k for k, (origin, _) in enumerate(self.places) if origin == name]
+            components = [self.places[k][1] for k in columns]
+            pose = self._edited(name, moved)
+            whole = np.zeros((6, 6))
+            whole[:3, :3] = pose.rotation.T
+            whole[3:, 3:] = pin.Jexp3(moved[3:])
+            if name in self.inverted:  # (T exp(xi))^-1 = T^-1 exp(-Ad(T) xi)
+                whole = -pose.toActionMatrix() @ whole
+            result[name] = np.zeros((6, len(self.parameters)))
+            result[name][:, columns] = whole[:, components]
+        return result
+
+    def _edited(self, name: str, moved: FloatArray) -> pin.SE3:
+        nominal = self.nominal[name]
+        return pin.SE3(nominal.rotation @ pin.exp3(moved[3:]), nominal.translation + moved[:3])
+
+    def _deviations(self, values: FloatArray) -> dict[str, FloatArray]:
+        moved: dict[str, FloatArray] = {name: np.zeros(6) for name in self.nominal}
+        for parameter, (name, component), value in zip(self.parameters, self.places, values, strict=True):
+            moved[name][component] = value - parameter.nominal
+        return moved
+
+
+def index_of(parameters: Sequence[Parameter], name: str, where: str = "parameters") -> int:
+    """Return the position of a parameter; an unknown name is an error that names the nearest one."""
+    for index, parameter in enumerate(parameters):
+        if parameter.name == name:
+            return index
+    raise ParameterError(f"{where}: no parameter '{name}'{nearest(name, [p.name for p in parameters])}")

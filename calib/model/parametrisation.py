@@ -1,0 +1,174 @@
+"""Which parameters a robot description means: the origin components that it lists, or a named plugin.
+
+Other packages add parametrisations of their own under the entry point group `calib.parametrisations`: a callable that
+takes the nominal origins by name and returns a `calib.model.parameters.Parametrisation`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from importlib.metadata import entry_points
+
+import numpy as np
+
+from calib.errors import DescriptionError, InputError, nearest
+from calib.model.description import (
+    ANGLE_COMPONENTS,
+    COMPONENTS,
+    LENGTH_COMPONENTS,
+    Component,
+    Description,
+    OriginSection,
+)
+from calib.model.mechanism import Mechanism
+from calib.model.parameters import Origin, OriginComponents, Parameter, Parametrisation
+from calib.units import DISPLAY_UNIT, per_si, quantity
+
+ENTRY_POINTS = "calib.parametrisations"
+DEFAULT_LENGTH_SIGMA = 2e-3
+"""Expected error of an origin's coordinate where nothing is stated [m]."""
+DEFAULT_ANGLE_SIGMA = 5e-3
+"""Expected error of an origin's angle where nothing is stated [rad]."""
+
+
+def build_parametrisation(
+    description: Description, origins: Mapping[str, Origin], mechanism: Mechanism, where: str
+) -> Parametrisation:
+    """Build the parametrisation that a description names or lists, plus an unknown base and unknown targets.
+
+    Args:
+        description: The robot description.
+        origins: Nominal origins by name.
+        mechanism: The nominal mechanism.
+        where: File of the description, for messages.
+
+    Raises:
+        DescriptionError: Unknown plugin, origin or unit, or a component listed twice.
+    """
+    if isinstance(description.parametrisation, str):
+        if description.base.pose == "unknown" or any(t.position == "unknown" for t in description.targets.values()):
+            raise DescriptionError(
+                f"{where}: a named parametrisation has its own base and target parameters;"
+                " set base.pose and targets.*.position to 'known'"
+            )
+        return _from_plugin(description.parametrisation, origins, mechanism, where)
+    listed = sorted(description.parametrisation, key=lambda section: section.origin == "all")  # exact entries win
+    entries = [(section, description.priors, False) for section in listed]
+    entries += [(section, prior, True) for section, prior in _unknown_places(description, mechanism)]
+    parameters: dict[str, Parameter] = {}
+    places: list[tuple[str, int]] = []
+    from_all: set[str] = set()
+    for section, prior, placement in entries:
+        for origin in _origins_of(section, mechanism, where):
+            for component in section.components:
+                parameter = _component_parameter(section, origin, component, origins, where)
+                parameter = replace(parameter, prior=prior, placement=placement)
+                if parameter.name in parameters:
+                    if section.origin == "all" and parameter.name not in from_all:
+                        continue
+                    why = "; an unknown pose of the base or place of a target is free already" if placement else ""
+                    raise DescriptionError(f"{where}: parametrisation: '{parameter.name}' is listed twice{why}")
+                parameters[parameter.name] = parameter
+                if section.origin == "all":
+                    from_all.add(parameter.name)
+                places.append((origin, COMPONENTS.index(component)))
+    nominal = {name: origins[name].placement for name in dict.fromkeys(origin for origin, _ in places)}
+    return OriginComponents(tuple(parameters.values()), tuple(places), nominal, inverted=frozenset({_base(mechanism)}))
+
+
+def default_sections() -> tuple[OriginSection, ...]:
+    """Return the entries for a plain URDF: every component of every origin that moves a target, with default priors."""
+    return (
+        OriginSection(origin="all", components=LENGTH_COMPONENTS, sigma=f"{DEFAULT_LENGTH_SIGMA * 1e3:g} mm"),
+        OriginSection(origin="all", components=ANGLE_COMPONENTS, sigma=f"{DEFAULT_ANGLE_SIGMA * 1e3:g} mrad"),
+    )
+
+
+def _base(mechanism: Mechanism) -> str:
+    return mechanism.origin_names[mechanism.targets[0].a - 1]
+
+
+def _unknown_places(description: Description, mechanism: Mechanism) -> list[tuple[OriginSection, bool]]:
+    """Entries for a base or targets whose place is not known beforehand, and whether `sigma` is a prior for them."""
+    sections = []
+    base = _base(mechanism)
+    if description.base.pose == "unknown":
+        sections += [
+            (OriginSection(origin=base, components=LENGTH_COMPONENTS, sigma="10 mm"), False),
+            (OriginSection(origin=base, components=ANGLE_COMPONENTS, sigma="10 mrad"), False),
+        ]
+    for target in mechanism.targets:
+        section = description.targets[target.name]
+        if section.position == "unknown":
+            origin = mechanism.origin_names[target.b - 1]
+            sections.append(
+                (
+                    OriginSection(origin=origin, components=LENGTH_COMPONENTS, sigma=section.sigma or "10 mm"),
+                    section.sigma is not None,
+                )
+            )
+    return sections
+
+
+def _origins_of(section: OriginSection, mechanism: Mechanism, where: str) -> list[str]:
+    if section.origin != "all":
+        if section.origin not in mechanism.origin_names:
+            raise DescriptionError(
+                f"{where}: parametrisation: no joint origin '{section.origin}'"
+                f"{nearest(section.origin, (*mechanism.origin_names, 'all'))}"
+            )
+        return [section.origin]
+    pairs = mechanism.targets + mechanism.loops
+    virtual = {pair.a for pair in mechanism.targets} | {pair.b for pair in mechanism.targets}
+    return [
+        name
+        for i, name in enumerate(mechanism.origin_names)
+        if i + 1 not in virtual and any(mechanism.between(pair)[i] for pair in pairs)
+    ]
+
+
+def _component_parameter(
+    section: OriginSection, origin: str, component: Component, origins: Mapping[str, Origin], where: str
+) -> Parameter:
+    dimension = section.dimension
+    name = f"{origin}.{component}"
+    place = f"{where}: parametrisation: {name}"
+    try:
+        sigma = quantity(section.sigma, dimension, f"{place}, sigma")
+        unit = section.unit or DISPLAY_UNIT[dimension]
+        per_si(unit, dimension, f"{place}, unit")
+    except InputError as error:
+        raise DescriptionError(str(error)) from None
+    if sigma <= 0:
+        raise DescriptionError(f"{place}: sigma must be positive; leave a component out to keep it at nominal")
+    nominal = float(origins[origin].xyz[COMPONENTS.index(component)]) if dimension == "length" else 0.0
+    return Parameter(name, dimension, nominal, sigma, unit)
+
+
+def _from_plugin(name: str, origins: Mapping[str, Origin], mechanism: Mechanism, where: str) -> Parametrisation:
+    found = {entry.name: entry for entry in entry_points(group=ENTRY_POINTS)}
+    if name not in found:
+        raise DescriptionError(f"{where}: no parametrisation '{name}' is installed{nearest(name, found)}")
+    try:
+        factory: Callable[[Mapping[str, Origin]], Parametrisation] = found[name].load()
+    except (ImportError, AttributeError) as error:
+        raise DescriptionError(
+            f"{where}: parametrisation '{name}' ({found[name].value}) cannot be loaded: {error}; install it again"
+        ) from None
+    parametrisation = factory(origins)
+    nominal = np.array([parameter.nominal for parameter in parametrisation.parameters])
+    twists = parametrisation.twists(nominal)
+    edited = parametrisation.placements(nominal)
+    for origin in (*edited, *twists):
+        if origin not in mechanism.origin_names:
+            raise DescriptionError(
+                f"{where}: parametrisation '{name}': edits an origin '{origin}' that the robot does not have"
+                f"{nearest(origin, mechanism.origin_names)}"
+            )
+    if set(edited) != set(twists) or any(twist.shape != (6, len(nominal)) for twist in twists.values()):
+        raise DescriptionError(
+            f"{where}: parametrisation '{name}': twists must give a (6, {len(nominal)}) array for each of the origins"
+            " that placements edits"
+        )
+    return parametrisation

@@ -1,0 +1,297 @@
+"""The robot: description, kinematics with closed loops, and the current values of its parameters. Immutable."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from calib.errors import DataError, DescriptionError, InputError, ParameterError, UnreachablePoseError, nearest
+from calib.model import kinematics, loops
+from calib.model.description import Description, read_description
+from calib.model.mechanism import BoolArray, FloatArray, Mechanism
+from calib.model.mechanism_builder import build_mechanism, home_values
+from calib.model.parameters import Origin, Parameter, Parametrisation, index_of
+from calib.model.parametrisation import build_parametrisation
+from calib.model.plain_urdf import describe
+from calib.model.urdf_text import Triple, UrdfText, read_urdf
+from calib.read_only import ReadOnlyArrays, read_only
+from calib.units import Dimension, per_si, split_column
+
+
+@dataclass(frozen=True, eq=False)
+class Configurations(ReadOnlyArrays):
+    """Assembled configurations of a robot.
+
+    Attributes:
+        actuated: (n, n_actuated) [m or rad].
+        passive: (n, n_passive) [m or rad].
+        slope: Derivative of the closures by the passive joints, (n, n_passive, n_passive).
+    """
+
+    actuated: FloatArray
+    passive: FloatArray
+    slope: FloatArray
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Robot(ReadOnlyArrays):
+    """A robot with given parameter values. `load` makes one; `with_parameters` makes a changed copy. Pickles.
+
+    Attributes:
+        path: File that it was loaded from.
+        description: The robot description.
+        urdf: The nominal URDF.
+        nominal: Mechanism with nominal origins.
+        mechanism: Mechanism with the origins that `values` give.
+        parametrisation: Its parameters.
+        values: Current parameter values, (n_parameters,) [m or rad].
+        mode: Home configuration and assembly mode of the nominal robot.
+    """
+
+    path: str
+    description: Description
+    urdf: UrdfText
+    nominal: Mechanism
+    mechanism: Mechanism
+    parametrisation: Parametrisation
+    values: FloatArray
+    mode: loops.AssemblyMode
+
+    def __repr__(self) -> str:
+        return (
+            f"<Robot '{self.name}' from {self.path}: {len(self.joint_names)} actuated and {len(self.passive_names)}"
+            f" passive joints, {len(self.parameters)} parameters>"
+        )
+
+    @property
+    def name(self) -> str:
+        """The robot's name in its URDF."""
+        return self.urdf.name
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the actuated joints, in the order of every joint vector."""
+        return self.mechanism.actuated
+
+    @property
+    def passive_names(self) -> tuple[str, ...]:
+        """Names of the joints that the loops decide."""
+        return self.mechanism.passive
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """Names of the measured points."""
+        return tuple(target.name for target in self.mechanism.targets)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Parameters, in the order of `values`."""
+        return self.parametrisation.parameters
+
+    @property
+    def home(self) -> FloatArray:
+        """Actuated joints of the home configuration, (n_actuated,) [m or rad]."""
+        return read_only(self.mode.actuated)
+
+    @property
+    def free(self) -> BoolArray:
+        """Which parameters a fit may change: all but the held ones, (n_parameters,)."""
+        return np.array([parameter.name not in self.description.held for parameter in self.parameters])
+
+    def with_parameters(self, values: Mapping[str, float] | ArrayLike) -> Robot:
+        """Return a robot with other parameter values.
+
+        Args:
+            values: New values by name [m or rad], the others staying as they are; or the whole vector.
+
+        Raises:
+            ParameterError: Unknown name, wrong number of values, or a value that is not finite.
+        """
+        if isinstance(values, Mapping):
+            vector = self.values.copy()
+            for name, value in values.items():
+                vector[index_of(self.parameters, name)] = value
+        else:
+            vector = np.array(values, dtype=float)
+        if vector.shape != self.values.shape:
+            raise ParameterError(f"{vector.size} values given for {self.values.size} parameters")
+        if not np.all(np.isfinite(vector)):
+            bad = self.parameters[int(np.argmin(np.isfinite(vector)))].name
+            raise ParameterError(f"parameter '{bad}': value is not finite")
+        mechanism = self.nominal.with_placements(self.parametrisation.placements(vector))
+        return replace(self, values=vector, mechanism=mechanism)
+
+    def joint_vector(self, q: ArrayLike) -> FloatArray:
+        """Check actuated joint values and return them as (n, n_actuated).
+
+        Raises:
+            DataError: Wrong shape, or values that are not finite.
+        """
+        values = np.atleast_2d(np.asarray(q, dtype=float))
+        if values.ndim != 2 or values.shape[1] != len(self.joint_names):
+            raise DataError(
+                f"joint values of shape {np.shape(q)}; expected (n, {len(self.joint_names)}) in the order"
+                f" {', '.join(self.joint_names)}"
+            )
+        if not np.all(np.isfinite(values)):
+            row, column = np.argwhere(~np.isfinite(values))[0]
+            raise DataError(f"pose {row}: joint '{self.joint_names[column]}' is not finite")
+        return values
+
+    def close(self, q: ArrayLike, seed: FloatArray | None = None) -> loops.Closed:
+        """Solve the loops of each pose without raising; see `calib.model.loops.close`."""
+        return loops.close(self.mechanism, self.mode, self.joint_vector(q), seed)
+
+    def assemble(self, q: ArrayLike, seed: FloatArray | None = None) -> Configurations:
+        """Solve the loops of each pose in the assembly mode of home.
+
+        Args:
+            q: Actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
+            seed: Passive joints of the same poses under slightly different parameters, to start from.
+
+        Raises:
+            UnreachablePoseError: A loop stays open; the message names pose and loop and the miss.
+        """
+        values = self.joint_vector(q)
+        closed = loops.close(self.mechanism, self.mode, values, seed)
+        if not np.all(closed.ok):
+            raise UnreachablePoseError(describe_open(self, values, closed))
+        return Configurations(values, closed.passive, closed.slope)
+
+    def singular_values(self, configurations: Configurations) -> FloatArray:
+        """Return each pose's distance to a singularity of the loops, (n,): see `calib.model.loops.singular_values`."""
+        return loops.singular_values(self.mechanism, configurations.slope)
+
+    def forward(self, q: ArrayLike, frame: str | None = None) -> FloatArray:
+        """Pose of a frame in the measurement frame, loops closed.
+
+        Args:
+            q: Actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
+            frame: Link, joint or target; the first target if not given.
+
+        Returns:
+            Homogeneous transforms T_base_frame, (n, 4, 4) or (4, 4) [m].
+
+        Raises:
+            DataError: Joint values of the wrong shape.
+            DescriptionError: Unknown frame.
+            UnreachablePoseError: A loop cannot be closed.
+        """
+        configurations = self.assemble(q)
+        target = self.mechanism.targets[0]
+        index = target.b if frame is None else self.mechanism.joint(frame)
+        pair = replace(target, b=index)
+        joints = self.mechanism.all_joints(configurations.actuated, configurations.passive)
+        swept = kinematics.sweep(self.mechanism, joints, (pair,))
+        base, b = swept.index[pair.a], swept.index[pair.b]
+        transforms = np.tile(np.eye(4), (len(joints), 1, 1))
+        transforms[:, :3, :3] = swept.rotation[:, base].transpose(0, 2, 1) @ swept.rotation[:, b]
+        transforms[:, :3, 3] = kinematics.value(swept, pair)
+        return transforms[0] if np.ndim(q) == 1 else transforms
+
+    def positions(self, q: ArrayLike) -> FloatArray:
+        """Positions of all targets in the measurement frame, loops closed, (n, n_targets, 3) [m]."""
+        configurations = self.assemble(q)
+        joints = self.mechanism.all_joints(configurations.actuated, configurations.passive)
+        swept = kinematics.sweep(self.mechanism, joints, self.mechanism.targets)
+        return np.stack([kinematics.value(swept, target) for target in self.mechanism.targets], axis=1)
+
+    def calibrated_urdf(self) -> bytes:
+        """Return the URDF with the origins that the current values give; unchanged numbers keep their bytes."""
+        edits: dict[str, tuple[Triple, Triple]] = {}
+        for joint in self.urdf.joints:
+            before, after = self.nominal.placement(joint.name), self.mechanism.placement(joint.name)
+            xyz = _keep(joint.xyz, before.translation, after.translation)
+            rpy = joint.rpy
+            if not np.array_equal(before.rotation, after.rotation):
+                x, y, z = (float(angle) for angle in pin.rpy.matrixToRpy(after.rotation))
+                rpy = (x, y, z)
+            edits[joint.name] = (xyz, rpy)
+        return self.urdf.with_origins(edits)
+
+
+def _keep(text: Triple, before: FloatArray, after: FloatArray) -> Triple:
+    x, y, z = (text[i] if before[i] == after[i] else float(after[i]) for i in range(3))
+    return (x, y, z)
+
+
+def load(path: str | Path) -> Robot:
+    """Load a robot from a robot description (YAML) or from a plain URDF.
+
+    A plain URDF means: every moving joint on the way to the last link is actuated, every joint origin on that way may
+    be wrong (with default priors), and neither the measurement frame nor the measured point is known beforehand.
+
+    Raises:
+        UrdfError: The URDF is not valid.
+        DescriptionError: The description is not valid, or does not fit the URDF.
+    """
+    path = Path(path)
+    if path.suffix.lower() in (".yaml", ".yml"):
+        description = read_description(path)
+        urdf = read_urdf(path.parent / description.urdf)
+    else:
+        urdf = read_urdf(path)
+        description = describe(urdf, path.name)
+    where = str(path)
+    nominal = build_mechanism(urdf, description, where)
+    _check_columns(description, nominal, where)
+    home = home_values(urdf, description, where)
+    mode = loops.assembly_mode(nominal, home, description.singularity_limit, where)
+    parametrisation = build_parametrisation(description, _origins(nominal, urdf, description), nominal, where)
+    names = [parameter.name for parameter in parametrisation.parameters]
+    for held in description.held:
+        index_of(parametrisation.parameters, held, f"{path}: held")
+    if len(set(names)) != len(names):
+        raise DescriptionError(f"{path}: parametrisation: a parameter name is used twice")
+    values = np.array([parameter.nominal for parameter in parametrisation.parameters])
+    return Robot(str(path), description, urdf, nominal, nominal, parametrisation, values, mode)
+
+
+def _check_columns(description: Description, mechanism: Mechanism, where: str) -> None:
+    """Raise `DescriptionError` if a foreign column stands for something that is not read."""
+    dimensions: dict[str, Dimension] = {name: mechanism.dimensions[name] for name in mechanism.actuated}
+    dimensions |= {f"{target.name}_{axis}": "length" for target in mechanism.targets for axis in "xyz"}
+    for foreign, column in description.columns.items():
+        name, unit = split_column(column)
+        if name == "pose" and unit is None:
+            continue
+        if name not in dimensions:
+            raise DescriptionError(
+                f"{where}: columns.{foreign}: no column '{name}'{nearest(name, (*dimensions, 'pose'))}"
+            )
+        try:
+            per_si(unit, dimensions[name], f"{where}: columns.{foreign}")
+        except InputError as error:
+            raise DescriptionError(str(error)) from None
+
+
+def describe_open(robot: Robot, q: FloatArray, closed: loops.Closed, labels: Sequence[str] | None = None) -> str:
+    """Say which of the poses q (n, n_actuated) do not close, at which loop, and by how much the first one misses."""
+    poses = np.flatnonzero(~closed.ok)
+    names = labels or [f"pose {k}" for k in range(len(closed.ok))]
+    k = int(poses[0])
+    misses = loops.smallest_miss(robot.mechanism, robot.mode, q[k])
+    loop = int(np.argmax(misses))
+    miss = misses[loop]
+    if miss > 1e-6:
+        why = f"loop {robot.mechanism.loops[loop].name} stays open by {1e3 * miss:.3f} mm at best"
+    else:
+        why = "the loops close there only in another assembly mode than home's, or beyond a passive joint's limit"
+    more = f" (and {len(poses) - 1} more poses)" if len(poses) > 1 else ""
+    return f"{names[k]}{more}: {why}; check these joint values, or leave the pose out"
+
+
+def _origins(mechanism: Mechanism, urdf: UrdfText, description: Description) -> dict[str, Origin]:
+    """Nominal origins by name: the numbers of the two files, not what is left of them after a computation."""
+    result = {joint.name: Origin(np.array(joint.xyz), np.array(joint.rpy)) for joint in urdf.joints}
+    base = mechanism.origin_names[mechanism.targets[0].a - 1]
+    result[base] = Origin(np.array(description.base.xyz), np.array(description.base.rpy))
+    for target in mechanism.targets:
+        point = np.array(description.targets[target.name].xyz)
+        result[mechanism.origin_names[target.b - 1]] = Origin(point, np.zeros(3))
+    return result

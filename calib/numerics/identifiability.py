@@ -1,0 +1,80 @@
+"""What the measurements can tell: the rank of the identification Jacobian, with the gap that shows it.
+
+Columns are scaled by the parameters' sigma before anything is judged, so that metres and radians can be compared: a
+scaled column says how far the target moves when the parameter is off by its expected error. The Jacobian is exact to
+about 1e-12 of its largest entry, so singular values below 1e-9 of the largest are zero; the gap around that threshold
+is reported.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.model.mechanism import FloatArray
+from calib.read_only import ReadOnlyArrays
+
+RANK_TOLERANCE = 1e-9
+"""Singular values of the scaled Jacobian below this part of the largest count as zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rank(ReadOnlyArrays):
+    """Rank of a Jacobian and how clearly it stands out.
+
+    Attributes:
+        rank: Number of singular values above the threshold.
+        n_columns: Number of columns.
+        singular_values: Of the scaled Jacobian, largest first, (n_columns,); zeros where there are fewer rows.
+        threshold: Largest singular value that counts as zero.
+        smallest_kept: Smallest singular value above the threshold; NaN when the rank is 0.
+        largest_dropped: Largest one below it; 0 at full rank.
+    """
+
+    rank: int
+    n_columns: int
+    singular_values: FloatArray
+    threshold: float
+    smallest_kept: float
+    largest_dropped: float
+
+    def __str__(self) -> str:
+        text = f"rank {self.rank} of {self.n_columns}"
+        if self.rank and self.rank < self.n_columns:
+            text += (
+                f" (gap: singular value {self.rank} is {self.smallest_kept:.2e}, the next {self.largest_dropped:.2e},"
+                f" threshold {self.threshold:.1e})"
+            )
+        elif self.rank:
+            text += f" (smallest singular value {self.smallest_kept:.2e}, threshold {self.threshold:.1e})"
+        return text
+
+
+def reduced(rows: FloatArray) -> FloatArray:
+    """Return at most n_columns rows with the same singular values and null space: the R of a QR factorisation.
+
+    Args:
+        rows: (n_rows, n_columns).
+    """
+    if len(rows) <= rows.shape[1]:
+        return rows
+    return np.asarray(np.linalg.qr(rows, mode="r"))
+
+
+def numerical_rank(scaled_jacobian: FloatArray) -> Rank:
+    """Return the rank of a Jacobian whose columns are scaled, (n_rows, n_columns)."""
+    n_columns = scaled_jacobian.shape[1]
+    values = np.zeros(n_columns)
+    found = np.linalg.svd(scaled_jacobian, compute_uv=False)
+    values[: len(found)] = found
+    threshold = RANK_TOLERANCE * float(values[0]) if n_columns else 0.0
+    rank = int(np.sum(values > threshold))
+    return Rank(
+        rank,
+        n_columns,
+        values,
+        threshold,
+        float(values[rank - 1]) if rank else float("nan"),
+        float(values[rank]) if rank < n_columns else 0.0,
+    )

@@ -1,0 +1,77 @@
+"""How many poses are needed: predicted accuracy against the number of poses measured.
+
+The question that is asked first. For each number m it is answered three times, from the information of the given poses
+alone: for m of them spread uniformly over their order; for the m of them that are best for this purpose (exchange for
+the task index); and, beyond the poses there are, for all of them measured m / n times on average. Only measurement
+noise counts: where the model does not fit the robot, more poses do not help, which the residuals of a fit show.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.linearisation.information import information
+from calib.model.mechanism import FloatArray
+from calib.numerics.observability import TaskIndex, task_index
+from calib.pose_choice.exchange import Spacing, exchange, uniform_start
+from calib.pose_choice.selection_problem import TASK, build_problem
+
+_COUNTS = 8  # numbers of poses up to all of them
+_MOST_CHOSEN, _MOST_CANDIDATES = 400, 2000  # for more, the search for the best poses would take long
+_BEYOND = (2, 4)  # how many times all poses
+
+
+@dataclass(frozen=True)
+class CountRow:
+    """Predicted accuracy with one number of poses.
+
+    Attributes:
+        count: Number of poses.
+        uniform: With that many of the given poses spread uniformly; None beyond the poses there are.
+        chosen: With the best of the given poses; beyond them, with all measured several times. None where the search
+            for the best would take long.
+    """
+
+    count: int
+    uniform: TaskIndex | None
+    chosen: TaskIndex | None
+
+
+def accuracy_by_count(
+    rows: FloatArray, known: FloatArray, task_rows: FloatArray, sigma: float, counts: tuple[int, ...] | None = None
+) -> tuple[CountRow, ...]:
+    """Predict the accuracy for several numbers of poses.
+
+    Args:
+        rows: Scaled Jacobian of each pose, (n_poses, 3 n_targets, n_parameters) [m].
+        known: Prior rows, (n_priors, n_parameters) [m].
+        task_rows: Scaled Jacobian at the poses whose accuracy counts, (n_task, 3 n_targets, n_parameters) [m].
+        sigma: Noise of one reading per axis [m].
+        counts: Numbers of poses up to those there are; chosen here if not given.
+    """
+    n = len(rows)
+    candidates = uniform_start(np.arange(n), min(n, _MOST_CANDIDATES))
+    problem = build_problem(rows[candidates], None, known, 0, task_rows)
+    rank_left = problem.known.rank.rank - int(np.linalg.matrix_rank(problem.before, hermitian=True))
+    least = max(1, -(-rank_left // rows.shape[1]))
+    if counts is None:
+        counts = tuple(int(m) for m in np.unique(np.round(np.geomspace(min(least + 1, n), n, _COUNTS))))
+    space = Spacing(np.zeros((len(candidates), 3)), 0.0, np.ones(len(candidates), dtype=bool))
+    table = []
+    for count in counts:
+        uniform = _accuracy(rows[uniform_start(np.arange(n), count)], known, task_rows, sigma, 1.0)
+        chosen = uniform if count == n else None
+        if count < n and count <= _MOST_CHOSEN:
+            start = uniform_start(np.arange(len(candidates)), count)
+            best = candidates[exchange(problem, TASK, start, space).chosen]
+            chosen = _accuracy(rows[best], known, task_rows, sigma, 1.0)
+        table.append(CountRow(count, uniform, chosen))
+    for times in _BEYOND:
+        table.append(CountRow(times * n, None, _accuracy(rows, known, task_rows, sigma, float(times))))
+    return tuple(table)
+
+
+def _accuracy(rows: FloatArray, known: FloatArray, task_rows: FloatArray, sigma: float, times: float) -> TaskIndex:
+    return task_index(information(np.sqrt(times) * rows, known).position_errors(task_rows, sigma))

@@ -1,0 +1,62 @@
+"""Poses to try a robot with where nobody gives any: spread at random over its joint limits.
+
+A closed-loop robot can take only part of its joint limits, sometimes a small one. The box of the limits is therefore
+drawn in towards home, by a third each time, until enough of the poses in it close, at a distance from singularities.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.data.measurements import Poses
+from calib.errors import DataError
+from calib.model.robot import Configurations, Robot
+
+_DRAWN_IN = 2.0 / 3.0
+_SMALLEST_BOX = 0.01  # of the joint limits
+_TRIES = 4  # poses tried for each one wanted, in each box
+
+
+def sample_poses(robot: Robot, count: int, rng: np.random.Generator) -> Poses:
+    """Return `count` poses that the robot can take, named by their number.
+
+    Args:
+        robot: The robot at its present values.
+        count: How many.
+        rng: Source of the joint values.
+
+    Raises:
+        DataError: Not enough were found, even near home; or a sliding joint has no limits.
+    """
+    lower, upper = _limits(robot)
+    found = np.zeros((0, len(robot.joint_names)))
+    size = 1.0
+    while len(found) < count and size > _SMALLEST_BOX:
+        low, high = robot.home + size * (lower - robot.home), robot.home + size * (upper - robot.home)
+        q = rng.uniform(low, high, (_TRIES * count, len(low)))
+        closed = robot.close(q)
+        good = np.flatnonzero(closed.ok)
+        distance = robot.singular_values(Configurations(q[good], closed.passive[good], closed.slope[good]))
+        found = np.vstack([found, q[good[distance >= robot.description.singularity_limit]]])[:count]
+        size *= _DRAWN_IN
+    if len(found) < count:
+        raise DataError(
+            f"{robot.path}: only {len(found)} of {count} random poses can be assembled; give a file of poses"
+        )
+    names = tuple(str(k + 1) for k in range(count))
+    return Poses(found, tuple(f"sampled pose {name}" for name in names), names, "sampled poses", ())
+
+
+def _limits(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """Joint limits that contain home; a turning joint without limits gets half a turn to both sides."""
+    joints = {joint.name: joint for joint in robot.urdf.joints}
+    lower, upper = robot.home.copy(), robot.home.copy()
+    for k, name in enumerate(robot.joint_names):
+        low, high = joints[name].lower, joints[name].upper
+        if robot.mechanism.dimensions[name] == "length" and not np.isfinite(high - low):
+            raise DataError(
+                f"{robot.path}: sliding joint '{name}' has no limits to spread poses over; give a file of poses"
+            )
+        lower[k] = min(lower[k], low if np.isfinite(low) else robot.home[k] - np.pi)
+        upper[k] = max(upper[k], high if np.isfinite(high) else robot.home[k] + np.pi)
+    return lower, upper

@@ -1,0 +1,244 @@
+"""Off the grid: move chosen poses continuously, to do better than any choice from the candidates.
+
+Problem. Maximise an index over the joint values of all chosen poses, within a region. Method: pattern search, pose by
+pose. Around each pose trial poses are laid out, one step forward and back along each joint, along a random direction,
+and along the pose's last success. Those that are not in the region are struck out; the rest are candidates like any
+other, so the index of each follows from a change of rank three, and the best one takes the pose's place if the index
+rises. A pose that found nothing halves its step; one that did doubles it. No derivatives, so no index needs its own
+code, and the index never falls. All trial poses of a round are assembled together.
+
+The region: every joint within its limits in the URDF and within the range that the candidates span; targets within the
+box that the candidates' positions span; loops closed in the robot's assembly mode, at least `singularity_limit` away
+from a singularity; and the least distance to the other poses. Obstacles are not known: look at the poses before
+sending them.
+
+When it fails. A pattern search finds a local optimum. How far it is from the best is not known, but whether it is
+above the proven bound of all choices from the candidates is.
+
+Reference: Kolda, Lewis and Torczon 2003.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.linearisation.information import scaled_rows
+from calib.linearisation.jacobian import linearise
+from calib.model import loops
+from calib.model.mechanism import BoolArray, FloatArray
+from calib.model.robot import Configurations, Robot
+from calib.pose_choice.selection_problem import Problem
+from calib.pose_choice.selection_scores import Scores, scores_of
+from calib.read_only import ReadOnlyArrays
+
+_FIRST_STEP = 0.1  # of a joint's range
+_LARGEST_STEP = 0.25
+_SMALLEST_STEP = 3e-3
+_MAX_ROUNDS = 150
+_RISE = 1e-5  # relative rise of a score for which a pose moves; less is crawling
+_RIDGE = 1e-9  # of K; without one pose a direction may be lost, and must be found again
+_NEWTON_STEPS = 8
+_CLOSED = 1e-9  # closure residual from which `Robot.close` finishes at once [m, rad]
+_INNER = 1e-9  # of a range: rounding at the region's border
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """Where poses may move.
+
+    Attributes:
+        lower, upper: Joint values, (n_actuated,) [m or rad].
+        low_point, high_point: Box of each target, (n_targets, 3) [m].
+        distance: Least distance between poses, see `calib.pose_choice.exchange.Spacing` [m].
+        occupied: Points of poses already measured, from `calib.pose_choice.selection_setting.points_of`, (n, 3
+            n_targets) [m].
+    """
+
+    lower: FloatArray
+    upper: FloatArray
+    low_point: FloatArray
+    high_point: FloatArray
+    distance: float
+    occupied: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Refined(ReadOnlyArrays):
+    """Moved poses.
+
+    Attributes:
+        joints: (n_poses, n_actuated) [m or rad].
+        positions: Targets, (n_poses, n_targets, 3) [m].
+        rows: Whitened rows, (n_poses, 3 n_targets, r).
+        rounds: Rounds of the search.
+    """
+
+    joints: FloatArray
+    positions: FloatArray
+    rows: FloatArray
+    rounds: int
+
+
+def region_of(
+    robot: Robot, joints: FloatArray, positions: FloatArray, distance: float = 0.0, occupied: FloatArray | None = None
+) -> Region:
+    """Return the region that candidates span.
+
+    Args:
+        robot: The robot, for its joint limits.
+        joints: Candidates, (n, n_actuated) [m or rad].
+        positions: Their targets, (n, n_targets, 3) [m].
+        distance: Least distance between poses [m].
+        occupied: See `Region`.
+    """
+    limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
+    lower = np.array([limits[name][0] for name in robot.joint_names])
+    upper = np.array([limits[name][1] for name in robot.joint_names])
+    points = np.zeros((0, positions[0].size)) if occupied is None else occupied
+    return Region(
+        np.maximum(lower, np.min(joints, axis=0)),
+        np.minimum(upper, np.max(joints, axis=0)),
+        np.min(positions, axis=0),
+        np.max(positions, axis=0),
+        distance,
+        points,
+    )
+
+
+def refine(
+    robot: Robot, problem: Problem, index: str, joints: FloatArray, region: Region, rng: np.random.Generator
+) -> Refined:
+    """Move poses until no trial pose raises the index.
+
+    Args:
+        robot: The robot.
+        problem: Candidates that the poses were chosen from; its directions and scales are kept.
+        index: Index to raise.
+        joints: Poses to start from, (n_poses, n_actuated) [m or rad].
+        region: Where they may go.
+        rng: Source of the random directions.
+    """
+    q, width = joints.copy(), region.upper - region.lower
+    _, positions, rows, passive = _evaluate(robot, problem, q, region, None)
+    step, last = np.full(len(q), _FIRST_STEP), np.zeros_like(q)
+    rounds = 0
+    while rounds < _MAX_ROUNDS and np.any(step > _SMALLEST_STEP):
+        rounds += 1
+        active = np.flatnonzero(step > _SMALLEST_STEP)
+        trials = np.stack([_trials(q[k], last[k], step[k], width, rng) for k in active])
+        trials = np.clip(trials, region.lower, region.upper)
+        seeds = np.repeat(passive[active], trials.shape[1], axis=0)
+        flat = _evaluate(robot, problem, trials.reshape(-1, q.shape[1]), region, seeds)
+        inside, where, seen, closed = (part.reshape(*trials.shape[:2], *part.shape[1:]) for part in flat)
+        gathered = problem.before + np.einsum("nki,nkj->ij", rows, rows)
+        for a, k in enumerate(active):
+            rest = gathered - rows[k].T @ rows[k]
+            free = inside[a] & _apart(where[a], np.delete(positions, k, axis=0), region)
+            found = _better(problem, index, rest, rows[k], seen[a], free)
+            if found is None:
+                step[k], last[k] = step[k] / 2, 0.0
+                continue
+            last[k] = trials[a, found] - q[k]
+            q[k], positions[k], rows[k], passive[k] = (
+                trials[a, found],
+                where[a, found],
+                seen[a, found],
+                closed[a, found],
+            )
+            gathered = rest + rows[k].T @ rows[k]
+            step[k] = min(2 * step[k], _LARGEST_STEP)
+    return Refined(q, positions.reshape(len(q), -1, 3), rows, rounds)
+
+
+def _trials(q: FloatArray, last: FloatArray, step: float, width: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Joint values one step away, (n_trials, n_actuated)."""
+    axes = np.eye(len(q)) * width
+    random = rng.standard_normal(len(q))
+    random = width * random / np.linalg.norm(random)
+    moves = np.vstack([axes, -axes, random, -random]) * step
+    result: FloatArray = q + np.vstack([moves, last, 2 * last])
+    return result
+
+
+def _evaluate(
+    robot: Robot, problem: Problem, q: FloatArray, region: Region, seed: FloatArray | None
+) -> tuple[BoolArray, FloatArray, FloatArray, FloatArray]:
+    """Assemble poses.
+
+    Returns:
+        Which lie in the region, (n,), points (n, 3 n_targets) [m], whitened rows (n, k, r), passive joints; NaN: open.
+    """
+    n, k, r = len(q), *problem.rows.shape[1:]
+    allowed, points, rows = np.zeros(n, dtype=bool), np.full((n, k), np.nan), np.full((n, k, r), np.nan)
+    passive = np.full((n, len(robot.passive_names)), np.nan)
+    near = np.arange(n)
+    if seed is not None:
+        seed = _followed(robot, q, seed)
+        near = np.flatnonzero(np.all(np.isfinite(seed), axis=1))
+        seed = seed[near]
+    closed = robot.close(q[near], seed)
+    good = near[closed.ok]
+    passive[good] = closed.passive[closed.ok]
+    configurations = Configurations(q[good], passive[good], closed.slope[closed.ok])
+    far = robot.singular_values(configurations) >= robot.description.singularity_limit
+    linear = linearise(robot, configurations)
+    margin = _INNER * np.maximum(1.0, np.abs(region.high_point))
+    inside = (linear.positions >= region.low_point - margin) & (linear.positions <= region.high_point + margin)
+    allowed[good] = far & np.all(inside, axis=(1, 2))
+    points[good] = linear.positions.reshape(len(good), -1)
+    whiten = problem.known.directions / problem.known.strengths
+    rows[good] = scaled_rows(linear.jacobian, robot.parameters, robot.free) @ whiten
+    return allowed, points, rows, passive
+
+
+def _followed(robot: Robot, q: FloatArray, seed: FloatArray) -> FloatArray:
+    """Passive joints by a few Newton steps from those of a nearby pose; NaN where these do not lead to a closed pose.
+
+    `Robot.close` would search for a way round, which costs more than the trial pose is worth.
+    """
+    mechanism, passive = robot.mechanism, seed.copy()
+    if not mechanism.loops:
+        return passive
+    active = np.arange(len(q))
+    for _ in range(_NEWTON_STEPS):
+        values, slope, _ = loops.residual(mechanism, q[active], passive[active])
+        active, values, slope = (
+            part[np.max(np.abs(values), axis=1) > loops.TOLERANCE] for part in (active, values, slope)
+        )
+        if len(active) == 0:
+            break
+        try:
+            passive[active] -= np.linalg.solve(slope, values[:, :, None])[:, :, 0]
+        except np.linalg.LinAlgError:  # one of them is exactly singular
+            passive[active] -= (np.linalg.pinv(slope) @ values[:, :, None])[:, :, 0]
+    values = loops.residual(mechanism, q, passive)[0]
+    inside = np.all((passive >= mechanism.lower) & (passive <= mechanism.upper), axis=1)
+    passive[~inside | (np.max(np.abs(values), axis=1) > _CLOSED)] = np.nan
+    return passive
+
+
+def _apart(points: FloatArray, others: FloatArray, region: Region) -> BoolArray:
+    """Which points keep the least distance to other poses, (n,)."""
+    if region.distance == 0:
+        return np.ones(len(points), dtype=bool)
+    scale = np.sqrt(points.shape[1] / 3)  # of `calib.pose_choice.selection_setting.points_of`
+    others = np.vstack([others / scale, region.occupied])
+    gaps = np.linalg.norm(points[:, None] / scale - others, axis=2)
+    result: BoolArray = np.min(gaps, axis=1, initial=np.inf) >= region.distance
+    return result
+
+
+def _better(
+    problem: Problem, index: str, rest: FloatArray, present: FloatArray, trials: FloatArray, free: BoolArray
+) -> int | None:
+    """Return the free trial that raises the index most above the present pose, or None."""
+    if not np.any(free):
+        return None
+    rows = np.concatenate([np.where(free[:, None, None], trials, 0.0), present[None]])
+    local = replace(problem, rows=rows)
+    state: Scores = scores_of(local, index, rest + _RIDGE * np.eye(len(rest)))
+    best = state.best(np.append(free, False), add=True)
+    now, then = state.moved(len(rows) - 1, add=True).value, state.moved(best, add=True).value
+    return best if then > now + _RISE * abs(now) else None

@@ -1,0 +1,218 @@
+"""Choosing the poses to measure: from candidates to an ordered list with its index, and how close to the best it is.
+
+Order of work. Candidates are assembled and linearised at the robot's present values. The paper's exchange runs from
+each start, then single swaps until none helps. For O1 and the task index the concave relaxation gives a bound on every
+possible choice, and its weights one more start. Then, if asked for, the poses move off the grid. Last, they are put in
+an order of short travel.
+
+Priors and poses already measured are information that is there before the first pose is chosen. Their rows stack with
+those of the poses (`calib.linearisation.information`), so for a robot with priors every index, O1 included, is that of
+the stacked rows, with the measurement noise as the weight between the two: a direction that the prior holds well enough
+attracts no poses. Without priors the noise plays no part and the indices are the published ones.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+
+from calib.data.measurements import Poses
+from calib.errors import InputError
+from calib.model.mechanism import FloatArray, IntArray
+from calib.model.robot import Robot
+from calib.numerics.observability import observability_of
+from calib.pose_choice.exchange import Exchange, exchange, swap, uniform_start
+from calib.pose_choice.measurement_order import shortest_order, travel
+from calib.pose_choice.refinement import refine, region_of
+from calib.pose_choice.selection_bound import CERTIFIED, log_phi, relax
+from calib.pose_choice.selection_problem import TASK
+from calib.pose_choice.selection_result import Run, Selection
+from calib.pose_choice.selection_scores import index_of_score, index_values, values_of_rows
+from calib.pose_choice.selection_setting import Setting, Wanted, prepare
+from calib.threads import one_blas_thread
+
+__all__ = ["Run", "Selection", "select"]
+
+
+@one_blas_thread
+def select(
+    robot: Robot,
+    candidates: Poses | ArrayLike,
+    count: int = 84,
+    index: str = "O1",
+    *,
+    measured: Poses | ArrayLike | None = None,
+    task: Poses | ArrayLike | None = None,
+    exclude: Sequence[int] = (),
+    minimum_distance: float = 0.0,
+    random_start: bool = False,
+    starts: int = 1,
+    seed: int = 0,
+    off_grid: bool = False,
+    skip_unreachable: bool = False,
+    sigma: float | None = None,
+) -> Selection:
+    """Choose the poses that determine the parameters best.
+
+    Args:
+        robot: The robot; its present values are where it is linearised.
+        candidates: Poses to choose from, (n, n_actuated) [m or rad], or from a file.
+        count: How many to choose.
+        index: What to make best: O1 to O5, or `task`, the predicted position error over the task poses.
+        measured: Poses that are measured already; the chosen ones are to complement them.
+        task: Poses whose accuracy counts, for the task index; the candidates if not given.
+        exclude: Candidates not to choose, by their number.
+        minimum_distance: Least distance between the targets of two poses (root mean square over targets) [m].
+        random_start: Start from a random choice instead of a uniform one.
+        starts: How many starts; all but the first are random.
+        seed: Seed of everything random.
+        off_grid: Move the chosen poses continuously afterwards; see `calib.pose_choice.refinement` for where they may
+            go.
+        skip_unreachable: Leave out candidates that cannot be assembled, instead of an error.
+        sigma: Noise of one reading per axis [m]; the description's if not given.
+
+    Raises:
+        InputError: An argument is wrong; count above the candidates, or too small for the parameters.
+        DataError: A candidate is given twice.
+        UnreachablePoseError: Candidates cannot be assembled.
+        NotIdentifiableError: No choice determines what the index is about.
+    """
+    started = time.perf_counter()
+    if seed < 0:
+        raise InputError(f"seed {seed}: must be zero or positive")
+    wanted = Wanted(index, count, minimum_distance, off_grid)
+    setting = prepare(robot, candidates, wanted, measured, task, exclude, skip_unreachable, sigma)
+    prepared = time.perf_counter()
+    rng = np.random.default_rng(seed)
+    kinds = _start_kinds(random_start, starts)
+    runs, best = _run_all(setting, kinds, rng)
+    efficiency, bound = None, None
+    if wanted.index in CERTIFIED:
+        runs, best, efficiency, bound = _certify(setting, runs, best)
+    on_grid = index_values(setting.problem, best.chosen, setting.sigma)
+    poses = _poses(setting, best, on_grid, rng)
+    order = shortest_order(poses.joints, robot.home)
+    uniform = np.isin(np.arange(len(setting.problem)), uniform_start(np.flatnonzero(setting.space.usable), count))
+    return Selection(
+        index=wanted.index,
+        chosen=poses.chosen[order],
+        joints=poses.joints[order],
+        positions=poses.positions[order],
+        before=index_values(setting.problem, uniform, setting.sigma),
+        after=poses.values,
+        on_grid=on_grid,
+        raw=_raw(setting, poses.rows),
+        measured_only=_measured_only(setting),
+        efficiency=efficiency,
+        bound=bound,
+        off_grid=off_grid,
+        distance=poses.distance,
+        runs=runs,
+        travel=(travel(poses.joints, robot.home, np.arange(count)), travel(poses.joints, robot.home, order)),
+        rank=setting.problem.rank,
+        rank_of_poses=setting.problem.known.rank,
+        sigma=setting.sigma,
+        sigma_assumed=setting.sigma_assumed,
+        skipped=setting.found.skipped,
+        already_measured=setting.already_measured,
+        seed=seed,
+        seconds=time.perf_counter() - started,
+        selecting_seconds=time.perf_counter() - prepared,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Poses:
+    """Chosen poses before they are put in order."""
+
+    chosen: IntArray
+    joints: FloatArray
+    positions: FloatArray
+    rows: FloatArray
+    values: dict[str, float]
+    distance: float
+
+
+def _run_all(setting: Setting, kinds: Sequence[str], rng: np.random.Generator) -> tuple[tuple[Run, ...], Exchange]:
+    """Run the exchange from each start; return the runs and the best result."""
+    usable = np.flatnonzero(setting.space.usable)
+    runs, results = [], []
+    for kind in kinds:
+        count = setting.wanted.count
+        start = uniform_start(usable, count) if kind == "uniform" else np.sort(rng.choice(usable, count, replace=False))
+        result, run = _run(setting, start, kind)
+        results.append(result)
+        runs.append(run)
+    return tuple(runs), max(results, key=lambda one: one.scores.value)
+
+
+def _run(setting: Setting, start: IntArray, kind: str) -> tuple[Exchange, Run]:
+    wanted = setting.wanted
+    start = setting.space.spread(start, wanted.count)
+    if len(start) < wanted.count:
+        raise InputError(
+            f"only {len(start)} candidates were found that keep {1e3 * wanted.minimum_distance:g} mm from each other,"
+            f" for {wanted.count} wanted; choose a smaller distance or count"
+        )
+    paper = exchange(setting.problem, wanted.index, start, setting.space)
+    result = swap(paper, setting.space)
+    history = [index_of_score(setting.problem, wanted.index, v, wanted.count, setting.sigma) for v in result.values]
+    return result, Run(kind, result.history[1:], tuple(history), len(paper.values) - 1)
+
+
+def _certify(setting: Setting, runs: tuple[Run, ...], best: Exchange) -> tuple[tuple[Run, ...], Exchange, float, float]:
+    """Bound all choices, start once more from the relaxed weights, and compare the best choice with the bound."""
+    problem, index, usable = setting.problem, setting.wanted.index, setting.space.usable
+    relaxation = relax(problem, index, best.chosen, usable)
+    largest = np.argsort(-np.where(usable, relaxation.weights, -1.0), kind="stable")[: setting.wanted.count]
+    more, run = _run(setting, np.sort(largest), "relaxed")
+    best = max(best, more, key=lambda one: one.scores.value)
+    gathered = problem.gathered(best.chosen.astype(float))
+    if index == TASK:
+        least = float(np.exp(-relaxation.log_bound))
+        bound = index_of_score(problem, index, -least, setting.wanted.count, setting.sigma)
+        value = index_of_score(problem, index, -problem.task_trace(gathered), setting.wanted.count, setting.sigma)
+        return (*runs, run), best, min(1.0, bound / value), bound
+    efficiency = relaxation.efficiency(log_phi(problem, index, gathered))
+    return (*runs, run), best, efficiency, index_values(problem, best.chosen, setting.sigma)[index] / efficiency
+
+
+def _poses(setting: Setting, best: Exchange, on_grid: dict[str, float], rng: np.random.Generator) -> _Poses:
+    """The chosen candidates, moved off the grid if that is wanted."""
+    chosen, found, usable = np.flatnonzero(best.chosen), setting.found, setting.space.usable
+    if not setting.wanted.off_grid:
+        joints, positions, rows = (part[chosen] for part in (found.joints, found.positions, setting.problem.rows))
+        return _Poses(chosen, joints, positions, rows, on_grid, setting.wanted.minimum_distance)
+    distance = setting.wanted.minimum_distance or _smallest_gap(setting.space.points[usable])
+    region = region_of(setting.robot, found.joints[usable], found.positions[usable], distance, setting.measured_points)
+    moved = refine(setting.robot, setting.problem, setting.wanted.index, found.joints[chosen], region, rng)
+    values = values_of_rows(setting.problem, moved.rows, setting.sigma)
+    return _Poses(chosen, moved.joints, moved.positions, moved.rows, values, distance)
+
+
+def _raw(setting: Setting, rows: FloatArray) -> dict[str, float]:
+    """O1 to O5 of whitened rows, (n_poses, 3 n_targets, r), on raw columns."""
+    known, robot = setting.problem.known, setting.robot
+    scaled = (rows * known.strengths) @ known.directions.T
+    return observability_of(scaled, [p for p, free in zip(robot.parameters, robot.free, strict=True) if free])[1]
+
+
+def _measured_only(setting: Setting) -> dict[str, float] | None:
+    if setting.problem.n_before == 0:
+        return None
+    return index_values(setting.problem, np.zeros(len(setting.problem), dtype=bool), setting.sigma)
+
+
+def _smallest_gap(points: FloatArray) -> float:
+    return float(np.min(cKDTree(points).query(points, k=[2])[0])) if len(points) > 1 else 0.0
+
+
+def _start_kinds(random_start: bool, starts: int) -> list[str]:
+    if starts < 1:
+        raise InputError(f"{starts} starts: at least one is needed")
+    return ["random" if random_start else "uniform"] + ["random"] * (starts - 1)

@@ -1,0 +1,206 @@
+"""How good a choice of poses can be at most: a proven bound from the concave relaxation, and weights that attain it.
+
+Problem. Choose m of n candidates, each at most once: K(w) = K_0 + sum w_k B_k^T B_k with w_k in {0, 1}, sum w = m. Let
+the weights be anything in [0, 1] with the same sum: that set contains every choice, so no choice is better than its
+best.
+
+Bound. With r rows of K, two functions are concave in K:
+
+    phi(K) = det(K)^(1/r)             (Minkowski)                 O1 is proportional to its square root
+    phi(K) = 1 / trace(W K^-1)        the least trace(Y^T K Y) with trace(Y^T L) = 1: a minimum of linear functions
+                                                                  the task index is proportional to phi^(-1/2)
+
+A concave function lies below its tangents. At any weights w, with g_k = d(log phi)/d(w_k), every w' has
+
+    phi(w') / phi(w)  <=  1 + sum_k g_k (w'_k - w_k)  <=  1 + (sum of the m largest g_k) - sum_k g_k w_k  =  1 + gap(w)
+
+So each w proves a bound, at the choice itself too; the least one found counts. Nothing has to converge for it to hold.
+
+Weights. A primal-dual interior-point method on the weights that are not clear yet: fractional ones and those whose g
+is nearest to the m-th largest, while the others stay at 0 or 1; then g of all candidates decides again which are not
+clear. With the matrices G_kl = B_k K^-1 B_l^T the curvature of log det is -|G_kl|^2, so a step costs one product and
+one solve of the number of unclear candidates, however many candidates there are.
+
+Reference: Kiefer and Wolfowitz 1960; Boyd and Vandenberghe 2004, sections 3.1.5, 7.5 and 11.7; Pukelsheim 1993.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.model.mechanism import BoolArray, FloatArray, IntArray
+from calib.pose_choice.selection_problem import TASK, Problem
+from calib.read_only import ReadOnlyArrays
+
+CERTIFIED = ("O1", TASK)
+"""Indices for which a bound can be proven."""
+_CLOSE_ENOUGH = 2e-5  # gap of the relaxation at which to stop: 0.001 % of the index
+_UNCLEAR = 110  # candidates that the interior-point method works on at once
+_ROUNDS = 12
+_STEPS = 25
+_TO_BOUNDARY = 0.95
+_CENTRING = 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxation(ReadOnlyArrays):
+    """A bound on all choices of one size.
+
+    Attributes:
+        log_bound: No choice has log phi above this.
+        weights: The weights that were found, (n_candidates,); the largest of them make a good choice.
+    """
+
+    log_bound: float
+    weights: FloatArray
+
+    def efficiency(self, log_phi: float) -> float:
+        """Return the index of a choice over the bound on the index (of the task index: bound over index), at most 1."""
+        return float(min(1.0, np.exp(0.5 * (log_phi - self.log_bound))))
+
+
+def relax(problem: Problem, index: str, chosen: BoolArray, usable: BoolArray) -> Relaxation:
+    """Bound what any choice of as many poses can reach.
+
+    Args:
+        problem: The candidates.
+        index: `O1` or `task`.
+        chosen: A choice to start from, (n_candidates,).
+        usable: Candidates that may be chosen, (n_candidates,); all others keep weight 0.
+    """
+    weights = chosen.astype(float)
+    count = int(np.sum(chosen))
+    lowest = np.inf
+    for _ in range(_ROUNDS):
+        gathered = problem.gathered(weights)
+        slope = np.where(usable, _slope(problem, index, gathered, problem.rows), -np.inf)
+        used = np.flatnonzero(weights)
+        gap = float(np.sum(np.partition(slope, -count)[-count:]) - slope[used] @ weights[used])
+        lowest = min(lowest, log_phi(problem, index, gathered) + float(np.log1p(max(gap, 0.0))))
+        if gap < _CLOSE_ENOUGH or int(np.sum(usable)) == count:
+            break
+        unclear = _unclear(slope, weights, count)
+        fixed = weights.copy()
+        fixed[unclear] = 0.0
+        weights = fixed.copy()
+        weights[unclear] = _interior_point(
+            problem, index, unclear, problem.gathered(fixed), count - float(np.sum(fixed))
+        )
+    return Relaxation(lowest, weights)
+
+
+def log_phi(problem: Problem, index: str, gathered: FloatArray) -> float:
+    """Return log phi of the module docstring.
+
+    Args:
+        problem: The candidates.
+        index: `O1` or `task`.
+        gathered: K, (r, r).
+    """
+    if index == TASK:
+        return -float(np.log(problem.task_trace(gathered)))
+    return float(np.linalg.slogdet(gathered)[1]) / len(gathered)
+
+
+def _slope(problem: Problem, index: str, gathered: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return g_k of these rows, (n,)."""
+    if index == TASK:
+        half = np.linalg.solve(gathered, problem.task)
+        scale = float(np.sum(half * problem.task))
+    else:
+        half = np.linalg.inv(np.linalg.cholesky(gathered)).T
+        scale = float(len(gathered))
+    result: FloatArray = np.sum((rows @ half) ** 2, axis=(1, 2)) / scale
+    return result
+
+
+def _unclear(slope: FloatArray, weights: FloatArray, count: int) -> IntArray:
+    """Candidates whose weight the interior-point method shall find, ascending."""
+    level = np.partition(slope, -count)[-count]
+    # how much a candidate's slope speaks against its weight; fractional ones are always in
+    against = np.where(weights == 0, slope - level, np.where(weights == 1, level - slope, np.inf))
+    size = min(_UNCLEAR + int(np.sum((weights > 0) & (weights < 1))), int(np.sum(slope > -np.inf)))
+    return np.sort(np.argpartition(-against, size - 1)[:size])
+
+
+def _interior_point(problem: Problem, index: str, unclear: IntArray, fixed: FloatArray, total: float) -> FloatArray:
+    """Maximise log phi over weights of the unclear candidates in [0, 1] with a given sum; clear ones become 0 or 1.
+
+    Primal-dual: slope - level + lower - upper = 0, w lower = (1 - w) upper = mu -> 0, sum w = total.
+    """
+    rows = problem.rows[unclear]
+    n = len(unclear)
+    if not 0 < total < n:
+        return np.full(n, float(total > 0))
+    w = np.full(n, total / n)
+    slope, curvature = _derivatives(problem, index, rows, fixed, w)
+    level = float(np.partition(slope, -max(round(total), 1))[-max(round(total), 1)])
+    floor = 0.1 * float(np.mean(np.abs(slope)))
+    lower, upper = np.maximum(level - slope, 0) + floor, np.maximum(slope - level, 0) + floor
+    for _ in range(_STEPS):
+        complementarity = float(w @ lower + (1 - w) @ upper)
+        if complementarity < _CLOSE_ENOUGH / 4:
+            break
+        mu = _CENTRING * complementarity / (2 * n)
+        matrix = curvature + np.diag(lower / w + upper / (1 - w))
+        right = slope - level + mu / w - mu / (1 - w)
+        solved = np.linalg.solve(matrix, np.stack([right, np.ones(n)], axis=1))
+        level_step = float((np.sum(solved[:, 0]) + np.sum(w) - total) / np.sum(solved[:, 1]))
+        step = solved[:, 0] - level_step * solved[:, 1]
+        lower_step = mu / w - lower - lower / w * step
+        upper_step = mu / (1 - w) - upper + upper / (1 - w) * step
+        length = min(_reach(w, step), _reach(1 - w, -step))
+        dual = min(_reach(lower, lower_step), _reach(upper, upper_step))
+        w = w + length * step
+        lower, upper, level = lower + dual * lower_step, upper + dual * upper_step, level + dual * level_step
+        slope, curvature = _derivatives(problem, index, rows, fixed, w)
+    return _rounded(w, total)
+
+
+def _derivatives(
+    problem: Problem, index: str, rows: FloatArray, fixed: FloatArray, w: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Slope of log phi by the weights, and minus its second derivative, (n,), (n, n)."""
+    n, k, r = rows.shape
+    flat = (rows * np.sqrt(w)[:, None, None]).reshape(-1, r)
+    gathered = fixed + flat.T @ flat
+    half = rows.reshape(-1, r) @ np.linalg.inv(np.linalg.cholesky(gathered)).T
+    between = half @ half.T
+    if index == TASK:
+        felt = rows.reshape(-1, r) @ np.linalg.solve(gathered, problem.task)
+        trace = problem.task_trace(gathered)
+        slope = np.sum(felt.reshape(n, -1) ** 2, axis=1) / trace
+        return slope, 2.0 * _blocks(between * (felt @ felt.T), k) / trace - np.outer(slope, slope)
+    slope = np.diag(between).reshape(n, k).sum(axis=1) / r
+    return slope, _blocks(between**2, k) / r
+
+
+def _blocks(matrix: FloatArray, k: int) -> FloatArray:
+    """Sums of the k x k blocks of a matrix, (k n, k n) -> (n, n)."""
+    rows = matrix[0::k].copy()
+    for i in range(1, k):  # slices, because numpy sums short axes slowly
+        rows += matrix[i::k]
+    result = rows[:, 0::k].copy()
+    for i in range(1, k):
+        result += rows[:, i::k]
+    return result
+
+
+def _reach(values: FloatArray, step: FloatArray) -> float:
+    """Longest part of a step, at most 1, that keeps positive values positive."""
+    falling = step < 0
+    return min(1.0, _TO_BOUNDARY * float(np.min(values[falling] / -step[falling]))) if np.any(falling) else 1.0
+
+
+def _rounded(w: FloatArray, total: float) -> FloatArray:
+    """Put weights that are nearly 0 or 1 there, and spread the difference so that the sum stays."""
+    result = np.where(w < 1e-4, 0.0, np.where(w > 1 - 1e-4, 1.0, w))
+    between = (result > 0) & (result < 1)
+    rest = total - float(np.sum(result))
+    if np.any(between):
+        room = np.where(between, 1.0 - result if rest > 0 else result, 0.0)
+        if float(np.sum(room)) > abs(rest):
+            return result + rest * room / np.sum(room)
+    return w

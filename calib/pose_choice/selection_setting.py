@@ -1,0 +1,151 @@
+"""The setting of a selection: everything assembled, linearised and checked before the first pose is chosen.
+
+Priors and poses already measured are information that is there before: their rows stack with those of the poses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+
+from calib.data.measurements import Poses
+from calib.errors import InputError, NotIdentifiableError, nearest
+from calib.linearisation.candidates import Candidates, as_poses, assemble_known, build_candidates, near_measured
+from calib.linearisation.information import measurement_sigma, prior_rows, require_free
+from calib.model.mechanism import BoolArray, FloatArray
+from calib.model.robot import Robot
+from calib.pose_choice.exchange import Spacing
+from calib.pose_choice.selection_problem import TASK, Problem, build_problem
+from calib.pose_choice.selection_scores import CHOICES
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What was asked for.
+
+    Attributes:
+        index: One of `CHOICES`.
+        count: Number of poses.
+        minimum_distance: Least distance between the targets of two poses [m].
+        off_grid: Whether poses shall leave the grid.
+    """
+
+    index: str
+    count: int
+    minimum_distance: float
+    off_grid: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """Everything that is known before the first choice.
+
+    Attributes:
+        robot: The robot.
+        wanted: What was asked for.
+        found: The candidates.
+        problem: The same in whitened coordinates.
+        space: Which candidates may be chosen.
+        measured_points: Points of the poses already measured, (n, 3 n_targets) [m].
+        sigma: Noise of one reading per axis [m].
+        sigma_assumed: Whether nobody stated it.
+        already_measured: How many candidates are measured already.
+    """
+
+    robot: Robot
+    wanted: Wanted
+    found: Candidates
+    problem: Problem
+    space: Spacing
+    measured_points: FloatArray
+    sigma: float
+    sigma_assumed: bool
+    already_measured: int
+
+
+def prepare(
+    robot: Robot,
+    candidates: Poses | ArrayLike,
+    wanted: Wanted,
+    measured: Poses | ArrayLike | None,
+    task: Poses | ArrayLike | None,
+    exclude: Sequence[int],
+    skip_unreachable: bool,
+    sigma: float | None,
+) -> Setting:
+    """Assemble and linearise everything, and check that the question has an answer.
+
+    Arguments and errors are those of `calib.select`.
+    """
+    if wanted.index not in CHOICES:
+        raise InputError(f"index '{wanted.index}'{nearest(wanted.index, CHOICES)}")
+    require_free(robot)
+    poses = as_poses(robot, candidates)
+    noise, assumed = measurement_sigma(robot, sigma)
+    if not (np.isfinite(wanted.minimum_distance) and wanted.minimum_distance >= 0):
+        raise InputError(f"minimum distance {wanted.minimum_distance:g} m: must be zero or positive")
+    found = build_candidates(robot, poses, skip_unreachable=skip_unreachable)
+    done_rows, n_before, points, again = None, 0, points_of(found.positions[:0]), 0
+    usable = found.usable & ~_excluded(exclude, len(poses))
+    if measured is not None:
+        done = assemble_known(robot, as_poses(robot, measured))
+        done_rows, n_before, points = done.weighted(), len(done.joints), points_of(done.positions)
+        same = near_measured(found.joints, done.joints)
+        again = int(np.sum(same))
+        usable &= ~same
+    candidate_points = points_of(found.positions)
+    if wanted.minimum_distance > 0 and len(points):
+        usable[usable] = cKDTree(points).query(candidate_points[usable])[0] >= wanted.minimum_distance
+    _require_count(wanted.count, usable, len(poses))
+    task_rows = found.rows[found.usable] if task is None else assemble_known(robot, as_poses(robot, task)).rows
+    priors = prior_rows(robot.parameters, robot.free, noise)
+    problem = build_problem(found.rows, done_rows, priors, n_before, task_rows)
+    _require_answer(problem, wanted)
+    space = Spacing(candidate_points, wanted.minimum_distance, usable)
+    return Setting(robot, wanted, found, problem, space, points, noise, assumed, again)
+
+
+def points_of(positions: FloatArray) -> FloatArray:
+    """Points whose distance is the root mean square over targets, (n, 3 n_targets) [m]."""
+    result: FloatArray = positions.reshape(len(positions), 3 * positions.shape[1]) / np.sqrt(positions.shape[1])
+    return result
+
+
+def _excluded(exclude: Sequence[int], n: int) -> BoolArray:
+    for number in exclude:
+        if not 0 <= number < n:
+            raise InputError(f"exclude: there is no candidate {number}; they are numbered 0 to {n - 1}")
+    result: BoolArray = np.isin(np.arange(n), np.asarray(exclude, dtype=np.intp))
+    return result
+
+
+def _require_count(count: int, usable: BoolArray, n: int) -> None:
+    left = int(np.sum(usable))
+    if count < 1:
+        raise InputError(f"count {count}: choose at least one pose")
+    if count > left:
+        of = "" if left == n else f" (of {n}; the others are excluded, measured already, or cannot be used)"
+        raise InputError(f"count {count} is above the {left} candidates that can be chosen{of}; give more candidates")
+
+
+def _require_answer(problem: Problem, wanted: Wanted) -> None:
+    rank, per_pose = problem.known.rank.rank, problem.rows.shape[1]
+    if rank == 0:
+        raise NotIdentifiableError(
+            "the candidates determine no parameter at all; the targets do not depend on any free one"
+        )
+    missing = rank - int(np.linalg.matrix_rank(problem.before, hermitian=True))
+    if per_pose * wanted.count < missing:
+        raise InputError(
+            f"count {wanted.count}: {per_pose * wanted.count} coordinates cannot determine {missing} parameters;"
+            f" choose at least {-(-missing // per_pose)} poses (several times that for a useful result)"
+        )
+    if wanted.index == TASK and not np.isfinite(problem.task_floor):
+        raise NotIdentifiableError(
+            "the candidates do not determine the positions at the task poses, so their error has no bound;"
+            " add candidates like the task poses, or hold parameters (`calib check` says which)"
+        )

@@ -1,0 +1,236 @@
+"""What `calib check` prints, and the same as data."""
+
+from __future__ import annotations
+
+import io
+import math
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from calib.numerics.null_space import describe_group, natural_coefficients
+from calib.numerics.observability import INDICES, TaskIndex
+from calib.pose_choice.assessment import CORRELATION_LIMIT, HARDLY, Assessment
+from calib.units import PER_SI
+
+_SHOWN = 12
+_SINGLE = 5  # parameters without effect that get a line of their own
+
+
+def text_report(assessment: Assessment, source: str, width: int = 110) -> str:
+    """Return everything as text.
+
+    Args:
+        assessment: What was found.
+        source: Where the poses came from.
+        width: Of the tables, in characters.
+    """
+    console = Console(file=io.StringIO(), width=width, color_system=None)
+    for line in (*_heading(assessment, source), "", *_verdict(assessment), "", *_groups(assessment), ""):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    console.print(_observability(assessment))
+    console.print(_parameters(assessment))
+    for line in (*_doubts(assessment), ""):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    console.print(_counts(assessment))
+    for line in _accuracy(assessment):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    stream = console.file
+    assert isinstance(stream, io.StringIO)
+    return stream.getvalue().rstrip()
+
+
+def to_dict(assessment: Assessment) -> dict[str, object]:
+    """Return everything as data for JSON, in mm and deg; infinite and unknown numbers are None."""
+    a = assessment
+    names = [parameter.name for parameter in a.parameters]
+    return {
+        "n_poses": a.n_poses,
+        "n_rows": a.n_rows,
+        "sigma_mm": 1e3 * a.sigma,
+        "sigma_assumed": a.sigma_assumed,
+        "rank_all": _rank(a, everything=True),
+        "rank_free": _rank(a, everything=False),
+        "rank_with_priors": a.known.rank.rank,
+        "held": [name for name, free in zip(names, a.free, strict=True) if not free],
+        "groups": [_group(a, k) for k in range(len(a.groups))],
+        "undetermined": [[a.free_parameters[member].name for member in group.members] for group in a.open_groups],
+        "elimination": [
+            {"name": names[k], "condition": condition}
+            for k, condition in zip(a.elimination.dropped, a.elimination.conditions, strict=True)
+        ],
+        "observability": {"scaled": a.scaled, "raw": a.raw},
+        "parameters": _parameter_rows(a),
+        "correlations": [{"a": first, "b": second, "r": r} for first, second, r in a.correlated()],
+        "hardly_known": [{"name": name, "part": _finite(part)} for name, part in a.hardly_known()],
+        "accuracy_mm": _task(a.accuracy),
+        "by_count": [
+            {
+                "count": row.count,
+                "uniform": None if row.uniform is None else _task(row.uniform),
+                "chosen": None if row.chosen is None else _task(row.chosen),
+            }
+            for row in a.by_count
+        ],
+        "near_singular": list(a.near_singular),
+    }
+
+
+def _heading(a: Assessment, source: str) -> list[str]:
+    noise = " (assumed; state it with --sigma-mm or in the description)" if a.sigma_assumed else ""
+    return [
+        f"{a.n_poses} poses ({source}), {a.n_rows} coordinates; noise {1e3 * a.sigma:g} mm per axis{noise}",
+        "Columns are scaled: each parameter's by the error that the description expects of it (its sigma)",
+        f"All {a.rank_all.n_columns} parameters, poses alone: {a.rank_all}",
+        f"The {a.rank_free.n_columns} free ones, poses alone: {a.rank_free}",
+    ]
+
+
+def _verdict(a: Assessment) -> list[str]:
+    held = [parameter.name for parameter, free in zip(a.parameters, a.free, strict=True) if not free]
+    lines = [f"Held at nominal: {', '.join(held)}"] if held else []
+    n_free, missing = a.rank_free.n_columns, a.known.rank.n_columns - a.known.rank.rank
+    if a.rank_free.rank == n_free:
+        lines.append(f"These poses determine all {n_free} free parameters.")
+    elif missing == 0:
+        lines.append(
+            f"These poses determine {a.rank_free.rank} combinations of the {n_free} free parameters;"
+            " priors hold the rest."
+        )
+    else:
+        lines.append(
+            f"NOT determined: {missing} combinations of the free parameters. Hold one of each, or add other poses:"
+        )
+        lines += [f"  {describe_group(group, a.free_parameters)}" for group in a.open_groups]
+    if a.near_singular:
+        lines.append(
+            f"Warning: {len(a.near_singular)} poses are near a singularity of the loops: {_some(a.near_singular)}"
+        )
+    return lines
+
+
+def _groups(a: Assessment) -> list[str]:
+    if not a.groups:
+        return ["No parameters move together unseen."]
+    lines = ["These move together (by these amounts) without moving any measured position:"]
+    single = [a.parameters[group.members[0]].name for group in a.groups if len(group.members) == 1]
+    if len(single) > _SINGLE:
+        lines.append(f"  {', '.join(single)} have no effect")
+    listed = [group for group in a.groups if len(group.members) > 1 or len(single) <= _SINGLE]
+    lines += [f"  {describe_group(group, a.parameters)}" for group in listed]
+    dropped = [a.parameters[k].name for k in a.elimination.dropped]
+    lines.append(
+        f"To leave a determined set, hold {', '.join(dropped)}"
+        f" (condition number of the rest {a.elimination.conditions[-1]:.0f})"
+    )
+    if {a.parameters[k].name for k in a.elimination.dropped} == {
+        parameter.name for parameter, free in zip(a.parameters, a.free, strict=True) if not free
+    }:
+        lines[-1] += "; these are held"
+    return lines
+
+
+def _observability(a: Assessment) -> Table:
+    table = Table(title="Observability of the free parameters, poses alone", title_justify="left")
+    table.add_column("columns")
+    for name in INDICES:
+        table.add_column(name, justify="right")
+    table.add_row("scaled by sigma, m", *(f"{a.scaled[name]:.4g}" for name in INDICES))
+    table.add_row("raw, mm per mm or deg", *(f"{a.raw[name]:.4g}" for name in INDICES))
+    return table
+
+
+def _parameters(a: Assessment) -> Table:
+    table = Table(title="Predicted uncertainty of the free parameters", title_justify="left")
+    for header in ("name", "unit", "expected error", "std after fit", "part left"):
+        table.add_column(header, justify="left" if header in ("name", "unit") else "right")
+    for row in _parameter_rows(a):
+        std, part = row["std"], row["part"]
+        shown = (f"{std:.4f}", f"{part:.3f}") if std is not None and part is not None else ("unbounded", "-")
+        table.add_row(str(row["name"]), str(row["unit"]), f"{row['sigma']:.4f}", *shown)
+    return table
+
+
+def _doubts(a: Assessment) -> list[str]:
+    pairs, weak = a.correlated(), a.hardly_known()
+    listed = [f"{first} with {second} {r:+.4f}" for first, second, r in pairs]
+    names = [name if not math.isfinite(part) else f"{name} ({part:.2f})" for name, part in weak]
+    return [
+        f"Correlations above {CORRELATION_LIMIT:g}: {_some(listed) if listed else 'none'}",
+        f"Hardly better known than before (more than {HARDLY:g} of the expected error left):"
+        f" {_some(names) if names else 'none'}",
+    ]
+
+
+def _counts(a: Assessment) -> Table:
+    table = Table(title="Predicted position error against number of poses, mm", title_justify="left")
+    for header in ("poses", "uniform: rms", "max", "best of these: rms", "max"):
+        table.add_column(header, justify="right")
+    for row in a.by_count:
+        uniform, chosen = (("-", "-") if task is None else _pair(task) for task in (row.uniform, row.chosen))
+        times = f" ({row.count // a.n_poses}x all)" if row.count > a.n_poses else ""
+        table.add_row(f"{row.count}{times}", *uniform, *chosen)
+    return table
+
+
+def _accuracy(a: Assessment) -> list[str]:
+    rms, largest = _pair(a.accuracy)
+    return [
+        f"With all {a.n_poses}: rms {rms} mm, largest {largest} mm. From measurement noise alone: what the model"
+        " leaves out (backlash, bending) comes on top, and more poses do not remove it."
+    ]
+
+
+def _pair(task: TaskIndex) -> tuple[str, str]:
+    return tuple(f"{1e3 * value:.4f}" if math.isfinite(value) else "unbounded" for value in (task.rms, task.maximum))  # type: ignore[return-value]
+
+
+def _task(task: TaskIndex) -> dict[str, object]:
+    return {"rms": _finite(1e3 * task.rms), "max": _finite(1e3 * task.maximum), "worst_pose": task.worst_pose}
+
+
+def _rank(a: Assessment, *, everything: bool) -> dict[str, object]:
+    rank = a.rank_all if everything else a.rank_free
+    return {
+        "rank": rank.rank,
+        "n_columns": rank.n_columns,
+        "singular_values": [float(value) for value in rank.singular_values],
+        "threshold": rank.threshold,
+        "smallest_kept": _finite(rank.smallest_kept),
+        "largest_dropped": rank.largest_dropped,
+    }
+
+
+def _group(a: Assessment, k: int) -> dict[str, object]:
+    moves = natural_coefficients(a.groups[k], a.parameters)
+    return {
+        "text": describe_group(a.groups[k], a.parameters),
+        "members": [{"name": name, "moves": amount, "unit": unit} for name, amount, unit in moves],
+    }
+
+
+def _parameter_rows(a: Assessment) -> list[dict[str, object | None]]:
+    rows: list[dict[str, object | None]] = []
+    for parameter, std in zip(a.free_parameters, a.std, strict=True):
+        scale = PER_SI[parameter.dimension][parameter.unit]
+        rows.append(
+            {
+                "name": parameter.name,
+                "unit": parameter.unit,
+                "sigma": parameter.sigma * scale,
+                "prior": parameter.prior,
+                "std": _finite(float(std) * scale),
+                "part": _finite(float(std) / parameter.sigma),
+            }
+        )
+    return rows
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _some(items: list[str] | tuple[str, ...]) -> str:
+    more = f" and {len(items) - _SHOWN} more" if len(items) > _SHOWN else ""
+    return ", ".join(items[:_SHOWN]) + more

@@ -1,0 +1,163 @@
+"""The result folder: what a fit found, in files that people and programs read, and reading it back.
+
+`result.json` holds everything in mm and degrees; unknown numbers are null, never zero. The calibrated robot is rebuilt
+from `parameters.csv` and the nominal description, so it is the same to the last digits, and its uncertainty from
+`covariance.csv`. A fit with the verdict FAIL is written without `calibrated.urdf`, and is not read back as a calibrated
+robot, unless that is forced; then the files say so.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student_t
+
+from calib.data.parameter_files import format_parameters, read_parameters
+from calib.data.tables import read_table
+from calib.errors import ComputationError, DataError
+from calib.files import write_folder
+from calib.identification.fitted import Fit
+from calib.linearisation.prediction import PositionUncertainty, position_uncertainty
+from calib.model.mechanism import BoolArray, FloatArray
+from calib.model.robot import Robot
+from calib.reporting.result_content import FORMAT_VERSION, covariance_table, parameter_rows, residual_table, to_dict
+
+__all__ = ["load_calibrated", "load_uncertainty", "parameter_rows", "read_result", "save", "to_dict"]
+
+REPORTS = "calib.reports"
+"""Entry point group of page writers: name -> callable(result) returning file name -> content."""
+_URDF = "calibrated.urdf"
+_OF_GOOD_FITS = (_URDF, "report.html", "viewer.html")  # an old one must not stay beside a new result
+
+
+def save(fit: Fit, folder: Path | str, *, force: bool = False) -> None:
+    """Write result.json, calibrated.urdf, parameters.csv, covariance.csv, residuals.csv, and pages of report writers.
+
+    A failed fit gets no calibrated.urdf, and one that was in the folder is removed; pages are written unless the
+    robot cannot be assembled with the parameters found.
+
+    Args:
+        fit: The fit.
+        folder: Where to; files of other names in it stay.
+        force: Export a failed fit all the same; its files say so.
+
+    Raises:
+        InputError: The folder cannot be written; what was there is untouched.
+    """
+    failed = fit.verdict.grade == "FAIL"
+    result = to_dict(fit, forced=failed and force)
+    files = {
+        "result.json": (json.dumps(result, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode(),
+        "parameters.csv": format_parameters(fit.robot).encode(),
+        "covariance.csv": covariance_table(fit).encode(),
+        "residuals.csv": residual_table(fit).encode(),
+    }
+    if not failed:
+        files[_URDF] = fit.robot.calibrated_urdf()
+    elif force:
+        files[_URDF] = _forced_urdf(fit)
+    for entry in entry_points(group=REPORTS) if fit.assembles else ():  # no pictures of what cannot be assembled
+        write: Callable[[Fit], dict[str, bytes]] = entry.load()
+        files.update(write(fit))
+    write_folder(folder, files, obsolete=sorted(set(_OF_GOOD_FITS) - set(files)))
+
+
+def _forced_urdf(fit: Fit) -> bytes:
+    """The calibrated URDF with a comment that says that its fit failed, and why."""
+    from calib.export.urdf import urdf_bytes
+
+    reasons = [f"  {reason.text}" for reason in fit.verdict.reasons if reason.grade == "FAIL"]
+    return urdf_bytes(fit.robot, ["verdict: FAIL, exported by force:", *reasons])
+
+
+def load_calibrated(folder: Path | str, robot: Robot, *, failed_too: bool = False) -> Robot:
+    """Return `robot` with the parameters of a result folder.
+
+    Args:
+        folder: Of `save`.
+        robot: The nominal robot.
+        failed_too: Whether to load a result that failed and was not forced, to look at it.
+
+    Raises:
+        DataError: The folder holds no result, or one of another robot.
+        ComputationError: The result failed, and was not forced.
+    """
+    content = read_result(folder)
+    names = [row.get("name") for row in content["parameters"]]
+    if names != [parameter.name for parameter in robot.parameters]:
+        raise DataError(f"{folder}: is the result of another robot ({content['robot']}); its parameters differ")
+    verdict = content.get("verdict", {})
+    if verdict.get("grade") == "FAIL" and not verdict.get("forced") and not failed_too:
+        raise ComputationError(
+            f"{folder}: the fit failed and gives no calibrated robot ({verdict['reasons'][0]}); fit again, with --force"
+            " if you want these numbers all the same"
+        )
+    return robot.with_parameters(read_parameters(Path(folder) / "parameters.csv", robot, complete=True))
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedUncertainty:
+    """The uncertainty of a result folder.
+
+    Attributes:
+        free: Which parameters were free, (n_parameters,).
+        covariance: Of these, (n_free, n_free) [m, rad].
+        coverage_factor: How many standard deviations make half a 95 % interval.
+    """
+
+    free: BoolArray
+    covariance: FloatArray
+    coverage_factor: float
+
+    def at(self, robot: Robot, q: FloatArray) -> PositionUncertainty:
+        """Predict positions of the calibrated robot at actuated joints q (n, n_actuated), with their covariance."""
+        return position_uncertainty(robot, self.free, self.covariance, self.coverage_factor, q)
+
+
+def load_uncertainty(folder: Path | str, robot: Robot) -> LoadedUncertainty:
+    """Return the uncertainty of a result folder.
+
+    Raises:
+        DataError: The file is missing or broken, or belongs to another robot.
+    """
+    path = Path(folder) / "covariance.csv"
+    table = read_table(path)
+    names = table.text("parameter") if "parameter" in table.names else []
+    if table.names != ("parameter", *names) or names != [p.name for p in robot.parameters if p.name in names]:
+        raise DataError(f"{path}: is not the covariance of parameters of {robot.path}; run the fit again")
+    try:
+        covariance = np.array([[float(cell) for cell in row[1:]] for row in table.rows])
+    except ValueError:
+        raise DataError(f"{path}: holds text where a number is expected; run the fit again") from None
+    free = np.array([p.name in names for p in robot.parameters])
+    freedom = float(read_result(folder)["degrees_of_freedom"])
+    return LoadedUncertainty(free, covariance, float(student_t.ppf(0.975, freedom)))
+
+
+def read_result(folder: Path | str) -> dict[str, Any]:
+    """Return `result.json` of a result folder as a dictionary.
+
+    Raises:
+        DataError: Missing, broken, or of another version.
+    """
+    path = Path(folder) / "result.json"
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise DataError(
+            f"{folder}: holds no result (no result.json); give the folder that `calib fit --out` wrote"
+        ) from None
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path}: cannot be read ({error})") from None
+    if not isinstance(content, dict) or content.get("version") != FORMAT_VERSION:
+        raise DataError(f"{path}: is not a result of format version {FORMAT_VERSION}; run the fit again")
+    rows = content.get("parameters")
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows) or "robot" not in content:
+        raise DataError(f"{path}: is incomplete; run the fit again")
+    return content

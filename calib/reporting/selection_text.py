@@ -1,0 +1,218 @@
+"""What `calib select` prints and writes: a table for people, data for programs, and the poses as CSV."""
+
+from __future__ import annotations
+
+import io
+import math
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table as Printed
+
+from calib.data.measurements import Poses, format_measurements
+from calib.data.tables import Table, format_table
+from calib.model.robot import Robot
+from calib.numerics.observability import INDICES
+from calib.pose_choice.selection import Run, Selection
+from calib.pose_choice.selection_problem import TASK
+
+
+def text_report(selection: Selection, poses: Poses, width: int = 110) -> str:
+    """Return the result of a selection as text.
+
+    Args:
+        selection: The result.
+        poses: The candidates.
+        width: Of the table, in characters.
+    """
+    console = Console(file=io.StringIO(), width=width, color_system=None)
+    for line in _summary(selection, poses):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    console.print(_indices(selection))
+    for line in _remarks(selection):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    stream = console.file
+    assert isinstance(stream, io.StringIO)
+    return stream.getvalue().rstrip()
+
+
+def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
+    """Return the result as data for JSON; the task index in mm, unknown and infinite numbers None."""
+    s = selection
+    certified = s.efficiency is not None
+    return {
+        "index": s.index,
+        "count": len(s),
+        "candidates": len(poses),
+        "chosen": [poses.names[k] for k in s.chosen],
+        "before": _values(s.before),
+        "after": _values(s.after),
+        "on_grid": _values(s.on_grid),
+        "after_raw": _values(s.raw),
+        "measured_only": None if s.measured_only is None else _values(s.measured_only),
+        "efficiency": s.efficiency,
+        "efficiency_percent": 100 * s.efficiency if s.efficiency is not None else None,
+        "bound": _shown(s.index, s.bound) if certified else None,
+        "off_grid": _off_grid(s),
+        "runs": [_run(run, s.index, poses) for run in s.runs],
+        "travel_joint_ranges": {"candidate_order": s.travel[0], "this_order": s.travel[1]},
+        "rank": s.rank.rank,
+        "rank_of_poses": s.rank_of_poses.rank,
+        "n_parameters": s.rank.n_columns,
+        "sigma_mm": 1e3 * s.sigma,
+        "sigma_assumed": s.sigma_assumed,
+        "skipped": list(s.skipped),
+        "already_measured": s.already_measured,
+        "seed": s.seed,
+        "seconds": s.seconds,
+        "selecting_seconds": s.selecting_seconds,
+    }
+
+
+def format_poses(robot: Robot, selection: Selection, poses: Poses, table: Table) -> str:
+    """Return the chosen poses as CSV in the order of measurement.
+
+    Poses from the candidates keep their rows of the file, all columns as they are. Poses that left the grid are new:
+    their joint values, and predicted positions where the file has positions too.
+
+    Args:
+        robot: The robot.
+        selection: The result.
+        poses: The candidates.
+        table: The candidates' file.
+    """
+    comment = (
+        f"{len(selection)} of {len(poses)} poses of {poses.path}, chosen by {selection.index}, in order of measurement"
+    )
+    if not selection.off_grid:
+        headers = [
+            name if unit is None else f"{name} [{unit}]" for name, unit in zip(table.names, table.units, strict=True)
+        ]
+        named = "pose" in table.names
+        lines_of = _lines_of(table) if named else {name: [k] for k, name in enumerate(poses.names)}
+        lines = [line for k in selection.chosen for line in lines_of[poses.names[k]]]
+        columns = [(header, [table.rows[line][c] for line in lines]) for c, header in enumerate(headers)]
+        if not named:
+            columns.insert(0, ("pose", [poses.names[k] for k in selection.chosen]))
+        return format_table(columns, (comment,))
+    names = tuple(poses.names[k] for k in selection.chosen)
+    moved = Poses(selection.joints, names, names, "off the grid", ())
+    text = format_measurements(
+        robot, moved, selection.positions, (f"{comment}, then moved off the grid; positions are predicted",)
+    )
+    if all(f"{target}_{axis}" in table.names for target in robot.target_names for axis in "xyz"):
+        return text
+    return _without_positions(text, 1 + len(robot.joint_names))
+
+
+def _lines_of(table: Table) -> dict[str, list[int]]:
+    """Rows of the file by pose name; a measured file may repeat a pose."""
+    found: dict[str, list[int]] = {}
+    for line, name in enumerate(table.text("pose")):
+        found.setdefault(name, []).append(line)
+    return found
+
+
+def _without_positions(text: str, n_columns: int) -> str:
+    lines = [line if line.startswith("#") else ",".join(line.split(",")[:n_columns]) for line in text.splitlines()]
+    return "\n".join(lines).replace("; positions are predicted", "") + "\n"
+
+
+def _summary(s: Selection, poses: Poses) -> list[str]:
+    lines = [f"{len(s)} of {len(poses)} poses ({poses.path}), chosen by {s.index}"]
+    if s.efficiency is not None and s.bound is not None:
+        limit = f"{_shown(s.index, s.bound):.5g}" + (" mm" if s.index == TASK else "")
+        word = "goes below" if s.index == TASK else "exceeds"
+        lines.append(
+            f"Efficiency {100 * s.efficiency:.3f} %, certified: no choice of {len(s)} candidates {word} {limit}"
+        )
+    if s.off_grid:
+        off = _off_grid(s)
+        assert off is not None
+        lines.append(f"Moved off the grid: {off['better_percent']:.2f} % better than the choice from the candidates")
+        if off["above_bound_percent"] is not None:
+            lines[-1] += f", {off['above_bound_percent']:.2f} % better than any choice from them can be"
+    return lines
+
+
+def _indices(s: Selection) -> Printed:
+    table = Printed(title="Indices (scaled columns; task: predicted position error)", title_justify="left")
+    table.add_column("")
+    keys = [key for key in (*INDICES, TASK) if key in s.after]
+    for key in keys:
+        table.add_column(f"{key}, mm" if key == TASK else key, justify="right")
+    rows = [("uniform", s.before), ("chosen", s.on_grid)]
+    if s.measured_only is not None:
+        rows.insert(0, ("measured alone", s.measured_only))
+    if s.off_grid:
+        rows.append(("off the grid", s.after))
+    rows.append(("these alone, mm per mm or deg", s.raw))
+    for label, values in rows:
+        table.add_row(label, *(f"{_shown(key, values[key]):.5g}" if key in values else "" for key in keys))
+    return table
+
+
+def _remarks(s: Selection) -> list[str]:
+    lines = [f"Targets of any two poses keep {1e3 * s.distance:.3g} mm"] if s.distance else []
+    lines += [
+        f"Order of measurement: travel {s.travel[1]:.1f} joint ranges, {s.travel[0]:.1f} in the candidates' order"
+    ]
+    if s.rank.rank < s.rank.n_columns:
+        lines.append(
+            f"Warning: all candidates together determine {s.rank.rank} of {s.rank.n_columns} free parameters;"
+            " the indices are about those. `calib check` says which combinations are not determined."
+        )
+    elif s.rank_of_poses.rank < s.rank.rank:
+        lines.append(
+            f"All candidates together determine {s.rank_of_poses.rank} combinations of the {s.rank.n_columns} free"
+            " parameters, which the indices are about; priors hold the rest"
+        )
+    if s.sigma_assumed:
+        lines.append(f"Noise {1e3 * s.sigma:g} mm per axis is assumed; state it with --sigma-mm or in the description")
+    if s.already_measured:
+        lines.append(f"{s.already_measured} candidates are measured already and were left out")
+    if s.skipped:
+        lines.append(f"{len(s.skipped)} candidates were skipped:")
+        lines += [f"  {reason}" for reason in s.skipped]
+    lines.append(f"{s.seconds:.2f} s, of which choosing {s.selecting_seconds:.2f} s")
+    return lines
+
+
+def _off_grid(s: Selection) -> dict[str, float | None] | None:
+    """How much better the moved poses are, in percent of the index."""
+    if not s.off_grid:
+        return None
+
+    def better(than: float | None) -> float | None:
+        if than is None:
+            return None
+        ratio = than / s.after[s.index] if s.index == TASK else s.after[s.index] / than
+        return 100 * (ratio - 1)
+
+    return {"better_percent": better(s.on_grid[s.index]), "above_bound_percent": better(s.bound)}
+
+
+def _run(run: Run, index: str, poses: Poses) -> dict[str, object]:
+    return {
+        "start": run.start,
+        "history": [_finite(_shown(index, value)) for value in run.history],
+        "paper_exchanges": run.n_paper,
+        "exchanges": [
+            {"added": poses.names[added], "removed": poses.names[removed]} for added, removed in run.exchanges
+        ],
+    }
+
+
+def _values(values: dict[str, float]) -> dict[str, float | None]:
+    return {key: _finite(_shown(key, value)) for key, value in values.items()}
+
+
+def _shown(index: str, value: float | None) -> float:
+    """An index as it is shown: the task index in mm."""
+    if value is None:
+        return math.nan
+    return 1e3 * value if index == TASK else value
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

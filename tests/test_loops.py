@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.model import loops
+from calib.model.closure import residual
+from calib.model.open_loops import smallest_gap
 from medrue import robot_file
 from medrue.closed_form import PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1
@@ -68,7 +69,7 @@ def test_poses_over_the_whole_joint_range_never_come_back_on_a_wrong_branch(robo
 def test_closures_hold_to_a_picometre(robot):
     q = target_workspace().q
     configurations = robot.assemble(q)
-    values, _, _ = loops.residual(robot.mechanism, q, configurations.passive)
+    values, _, _ = residual(robot.mechanism, q, configurations.passive)
     assert np.max(np.abs(values)) <= 1e-12
 
 
@@ -103,7 +104,7 @@ def test_a_pose_that_cannot_close_is_named_with_its_loop_and_its_miss(robot):
         pytest.fail("the pose was meant to be out of reach")
     with pytest.raises(calib.UnreachablePoseError, match=r"pose 1: loop \S+ stays open by [\d.]+ mm at best") as error:
         robot.assemble(q)
-    miss = loops.smallest_miss(robot.mechanism, robot.mode, q[1])
+    miss, _ = smallest_gap(robot.mechanism, robot.mode, q[1])
     assert np.linalg.norm(miss) <= gap + 1e-9  # the least squares share the gap out among the loops
     assert miss[0] > 0.3 * gap
     assert "check these joint values" in str(error.value)

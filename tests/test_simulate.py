@@ -53,7 +53,7 @@ def test_a_sigma_that_cannot_be_is_an_error(tmp_path, sigma):
 
 def test_a_pose_that_cannot_be_assembled_is_an_error_with_its_label(medrue):
     q = np.array([medrue.home, medrue.home])
-    q[1, 1:3] = -1.5
+    q[1, 1:3] = 0.0, np.pi  # the cranks away from each other: the distal links do not meet
     poses = calib.Poses(q, ("file.csv, line 2", "file.csv, line 3"), ("a", "b"), "file.csv", ())
     with pytest.raises(UnreachablePoseError, match=r"^file\.csv, line 3: loop .* stays open by .* mm at best"):
         calib.simulate(medrue, poses, 0.0, np.random.default_rng(1))

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.export.links import possible_inertia, read_links
-from calib.model.loops import residual
+from calib.model.closure import residual
 from calib.model.robot import Robot
 from calib.model.urdf_text import UrdfText
 

@@ -31,6 +31,8 @@ import pinocchio as pin
 
 from calib.inverse_kinematics.goals import Goals
 from calib.model import kinematics, loops
+from calib.model.assembly_mode import AssemblyMode
+from calib.model.closure import residual
 from calib.model.mechanism import BoolArray, FloatArray, IntArray, Mechanism, RelativeFrame
 
 _CONVERGED = 2e-13  # norm of e where rounding takes over [m]
@@ -99,7 +101,7 @@ class Reach:
     """
 
     mechanism: Mechanism
-    mode: loops.AssemblyMode
+    mode: AssemblyMode
     target: RelativeFrame
     goals: Goals
     lower: FloatArray
@@ -194,7 +196,7 @@ def _motion(
     jacobian: FloatArray = kinematics.joint_derivative(swept, mapping, sign * mechanism.select_actuated)
     by_joint: FloatArray = np.zeros((len(actuated), passive.shape[1], actuated.shape[1]))
     if mechanism.loops:
-        _, slope_passive, slope_actuated = loops.residual(mechanism, actuated, passive)
+        _, slope_passive, slope_actuated = residual(mechanism, actuated, passive)
         by_joint = -np.linalg.solve(slope_passive, slope_actuated)
         by_passive = kinematics.joint_derivative(swept, mapping, sign * mechanism.select_passive)
         jacobian += by_passive @ by_joint

@@ -13,8 +13,8 @@ from calib.data.measurements import Measurements, Poses
 from calib.errors import DataError, UnreachablePoseError
 from calib.linearisation.information import scaled_rows
 from calib.linearisation.jacobian import linearise
-from calib.model import loops
 from calib.model.mechanism import BoolArray, FloatArray, IntArray
+from calib.model.open_loops import why_open
 from calib.model.robot import Configurations, Robot, describe_open
 from calib.read_only import ReadOnlyArrays
 
@@ -172,18 +172,10 @@ def _reasons(
         if ok[k]:
             found.append(f"{labels[k]}: {distance[k]:.2g} from a singularity of the loops (limit {limit:g})")
             continue
-        why = f" ({_opening(robot, q[k])})" if already + len(found) < _SHOWN else ""  # a search each: not for thousands
+        shown = already + len(found) < _SHOWN  # a search each: not for thousands
+        why = f" ({why_open(robot.mechanism, robot.mode, q[k])})" if shown else ""
         found.append(f"{labels[k]}: cannot be assembled{why}")
     return found
-
-
-def _opening(robot: Robot, q: FloatArray) -> str:
-    """Why one pose (n_actuated,) cannot be assembled."""
-    misses = loops.smallest_miss(robot.mechanism, robot.mode, q)
-    loop = int(np.argmax(misses))
-    if misses[loop] > 1e-6:  # the search for the smallest miss ends a few nanometres from closed
-        return f"loop {robot.mechanism.loops[loop].name} stays open by {1e3 * misses[loop]:.3g} mm"
-    return "its loops close only in another assembly mode than home's, or beyond a passive joint's limit"
 
 
 def _listed(reasons: Sequence[str]) -> str:

@@ -5,18 +5,16 @@ up or down); only the one that can be reached from the home configuration withou
 
 Method. Continuation along the straight line from an already solved configuration (a0, p0) to a: a predicted step along
 the tangent dp = -C_p^-1 C_a da, then Newton steps on p. A step counts only if Newton contracts at once (each correction
-at most half of the one before, the first below 0.5 rad) and every diagonal block of C_p = dr/dp keeps the sign of its
-determinant; otherwise it is halved. A solution beyond the limits of a passive joint does not count as closed. The
-blocks are the strongly connected parts of C_p's pattern: one for each five-bar, so that two flips cannot cancel in one
-determinant. Poses are solved nearest to home first, each starting from the nearest solved pose, so that one step is
-usually enough; all poses advance together in arrays. After a small change of parameters the old solution is the start
-(`seed`).
+at most half of the one before, the first below 0.5 rad) and stays in the assembly mode (`calib.model.assembly_mode`);
+otherwise it is halved. A solution beyond the limits of a passive joint does not count as closed. Poses are solved
+nearest to home first, each starting from the nearest solved pose, so that one step is usually enough; all poses advance
+together in arrays. After a small change of parameters the old solution is the start (`seed`).
 
 Why not minimise |r| from a guess: plain Newton from a crude guess ends in another assembly mode in a sixth of
 five-bar poses, and a small residual does not show it.
 
-When it fails. A pose without a solution, or one that the line reaches only through a singularity, is not closed; the
-miss reported is the smallest |r| found. Closures must be as many as passive joints and independent at home.
+When it fails. A pose without a solution, or one that the line reaches only through a singularity, is not closed;
+`calib.model.open_loops` says why. Closures must be as many as passive joints and independent at home.
 """
 
 from __future__ import annotations
@@ -24,20 +22,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components, maximum_bipartite_matching
 from scipy.spatial import cKDTree
 
-from calib.errors import DescriptionError
-from calib.model import kinematics
-from calib.model.mechanism import BoolArray, FloatArray, IntArray, Mechanism
+from calib.model.assembly_mode import AssemblyMode
+from calib.model.closure import residual
+from calib.model.mechanism import BoolArray, FloatArray, Mechanism
 from calib.threads import one_blas_thread
 
 TOLERANCE = 1e-12
 """Largest closure residual of a solved pose [m, rad]."""
 _LARGEST_STEP = 0.5  # of any passive joint in one Newton correction [rad, or characteristic lengths]
-_OPEN_HOME = 0.05  # characteristic lengths that home may be open: as much as a calibrated URDF differs from its drawing
 _SMALLEST_PART = 1 / 256  # of the way from start to goal, before continuation gives up
 _MAX_NEWTON = 12
 
@@ -49,106 +43,12 @@ class Closed:
     Attributes:
         passive: Passive joints, NaN where a pose does not close, (n, n_passive) [m or rad].
         ok: Which poses closed, (n,).
-        slope: C_p at the solution, NaN where open, (n, n_passive, n_passive); `singular_values` judges it.
+        slope: C_p at the solution, NaN where open, (n, n_passive, n_passive).
     """
 
     passive: FloatArray
     ok: BoolArray
     slope: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class AssemblyMode:
-    """A closed configuration and the signs that tell its assembly mode.
-
-    Attributes:
-        actuated, passive: The configuration, (n_actuated,), (n_passive,).
-        blocks: Row and column indices of each strongly connected block of C_p.
-        signs: Sign of each block's determinant, (n_blocks,).
-    """
-
-    actuated: FloatArray
-    passive: FloatArray
-    blocks: tuple[tuple[IntArray, IntArray], ...]
-    signs: FloatArray
-
-
-def residual(
-    mechanism: Mechanism, actuated: FloatArray, passive: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return r (n, n_rows), C_p = dr/dp (n, n_rows, n_passive) and C_a = dr/da (n, n_rows, n_actuated)."""
-    swept = kinematics.sweep(mechanism, mechanism.all_joints(actuated, passive), mechanism.loops)
-    select = np.hstack([mechanism.select_passive, mechanism.select_actuated])
-    values, slopes = [], []
-    for loop in mechanism.loops:
-        values.append(kinematics.value(swept, loop))
-        columns = mechanism.between(loop)[:, None] * select
-        slopes.append(kinematics.joint_derivative(swept, kinematics.twist_map(swept, loop), columns))
-    slope = np.concatenate(slopes, axis=1)
-    n_passive = len(mechanism.passive)
-    return np.concatenate(values, axis=1), slope[:, :, :n_passive], slope[:, :, n_passive:]
-
-
-def scaled(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:
-    """Return C_p with metres divided by the characteristic length, so that its entries are pure numbers."""
-    rows = np.where(mechanism.is_metre_row, 1 / mechanism.length, 1.0)
-    columns = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
-    result: FloatArray = slope_passive * rows[:, None] * columns
-    return result
-
-
-def singular_values(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:
-    """Return the smallest singular value of the scaled C_p, (n,): 0 at a singular pose, of order 1 far from one."""
-    if not mechanism.passive:
-        return np.full(len(slope_passive), np.inf)
-    values: FloatArray = np.linalg.svd(scaled(mechanism, slope_passive), compute_uv=False)
-    return values[:, -1]
-
-
-def assembly_mode(mechanism: Mechanism, home: dict[str, float], singularity_limit: float, where: str) -> AssemblyMode:
-    """Check that the home configuration closes, polish it, and record its assembly mode.
-
-    Args:
-        home: Joint values by name [m or rad]; names that are missing count as 0.
-        singularity_limit: Smallest acceptable singular value of the scaled C_p at home.
-        where: The description, for messages.
-
-    Raises:
-        DescriptionError: Home does not close, or is singular.
-    """
-    actuated = np.array([[home.get(name, 0.0) for name in mechanism.actuated]])
-    passive = np.array([[home.get(name, 0.0) for name in mechanism.passive]])
-    if not mechanism.loops:
-        return AssemblyMode(actuated[0], passive[0], (), np.ones(0))
-    missing = [name for name in mechanism.actuated + mechanism.passive if name not in home]
-    if missing:
-        raise DescriptionError(
-            f"{where}: home: gives no value for joint '{missing[0]}'; a robot with loops needs an"
-            " assembled configuration of every joint"
-        )
-    values, slope, _ = residual(mechanism, actuated, passive)
-    worst = _per_loop(mechanism, values)[0]
-    limit = _OPEN_HOME * mechanism.length
-    if np.max(worst) > limit:
-        loop = int(np.argmax(worst))
-        raise DescriptionError(
-            f"{where}: home: loop {mechanism.loops[loop].name} is open by {1e3 * worst[loop]:.3f} mm;"
-            f" give joint values at which the robot is assembled (to {1e3 * limit:.0f} mm or better)"
-        )
-    smallest = float(singular_values(mechanism, slope)[0])
-    if smallest < singularity_limit:
-        loose = [mechanism.loops[i].name for i in _loose_loops(mechanism, slope[0])]
-        raise DescriptionError(
-            f"{where}: home: the closures do not hold the passive joints (smallest singular value {smallest:.2g} of the"
-            f" scaled passive Jacobian, limit {singularity_limit:g}; look at {', '.join(loose)}): home is singular, or"
-            " closed_loop_axes names a direction that the mechanism does not constrain"
-        )
-    blocks = _blocks(np.abs(scaled(mechanism, slope)[0]) > 1e-9)
-    mode = AssemblyMode(actuated[0], passive[0], blocks, _signs(slope, blocks)[0])
-    polished, _, ok = newton(mechanism, mode, actuated, passive)
-    if not ok[0]:
-        raise DescriptionError(f"{where}: home: cannot be closed to {TOLERANCE:g} m from the values given")
-    return AssemblyMode(actuated[0], polished[0], blocks, mode.signs)
 
 
 @one_blas_thread
@@ -170,7 +70,7 @@ def close(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, seed: 
         passive[tried], slope[tried], ok[tried] = newton(mechanism, mode, actuated[tried], seed[tried])
     if not np.all(ok):
         todo = np.flatnonzero(~ok)
-        passive[todo], slope[todo], ok[todo] = _from_home(mechanism, mode, actuated[todo])
+        passive[todo], slope[todo], ok[todo] = follow(mechanism, mode, actuated[todo])
     passive = wrapped(mechanism, mode, passive)
     margin = 1e-9
     ok &= np.all((passive >= mechanism.lower - margin) & (passive <= mechanism.upper + margin), axis=1)
@@ -178,10 +78,18 @@ def close(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, seed: 
     return Closed(passive, ok, slope)
 
 
-def _from_home(
-    mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray
-) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Solve poses nearest to home first, each from the nearest pose solved so far."""
+def follow(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Solve poses in the assembly mode of home, nearest to home first, each from the nearest pose solved so far.
+
+    Args:
+        mechanism: The robot.
+        mode: Home and its assembly mode.
+        actuated: Actuated joints, (n, n_actuated) [m or rad].
+
+    Returns:
+        Passive joints (n, n_passive), C_p there (n, n_passive, n_passive), and which poses were solved (n,); limits of
+        the passive joints play no part.
+    """
     n, n_passive = len(actuated), len(mechanism.passive)
     passive, slope = np.full((n, n_passive), np.nan), np.full((n, n_passive, n_passive), np.nan)
     ok = np.zeros(n, dtype=bool)
@@ -266,7 +174,7 @@ def newton(
             break
     if np.any(accepted):
         good = np.flatnonzero(accepted)
-        accepted[good] = (_signs(slope[good], mode.blocks) == mode.signs).all(axis=1)
+        accepted[good] = mode.holds(slope[good])
     return passive, slope, accepted
 
 
@@ -291,49 +199,3 @@ def wrapped(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) -> Fl
 def _in_radians(mechanism: Mechanism, passive: FloatArray) -> FloatArray:
     result: FloatArray = np.where(mechanism.is_metre_column, passive / mechanism.length, passive)
     return result
-
-
-def _signs(slope: FloatArray, blocks: tuple[tuple[IntArray, IntArray], ...]) -> FloatArray:
-    """Sign of the determinant of each block of C_p, (n, n_blocks)."""
-    return np.stack([np.sign(np.linalg.det(slope[:, rows[:, None], columns])) for rows, columns in blocks], axis=1)
-
-
-def _blocks(pattern: BoolArray) -> tuple[tuple[IntArray, IntArray], ...]:
-    """Split a square, structurally regular pattern into its strongly connected diagonal blocks."""
-    column_of_row = maximum_bipartite_matching(csr_matrix(pattern), perm_type="column")
-    matched = pattern[:, column_of_row]
-    count, label = connected_components(csr_matrix(matched), directed=True, connection="strong")
-    return tuple((np.flatnonzero(label == k), np.sort(column_of_row[label == k])) for k in range(count))
-
-
-def _per_loop(mechanism: Mechanism, values: FloatArray) -> FloatArray:
-    """Norm of the residual of each loop, (n, n_loops)."""
-    ends = np.cumsum([len(loop.rows) for loop in mechanism.loops])
-    return np.stack([np.linalg.norm(part, axis=1) for part in np.split(values, ends[:-1], axis=1)], axis=1)
-
-
-def _loose_loops(mechanism: Mechanism, slope: FloatArray) -> list[int]:
-    """Loops whose rows make up the direction in which the closures hold nothing."""
-    left = np.linalg.svd(scaled(mechanism, slope[None])[0])[0][:, -1]
-    share = _per_loop(mechanism, left[None])[0]
-    return [int(i) for i in np.flatnonzero(share > 0.3)]
-
-
-def smallest_miss(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> FloatArray:
-    """Return how far each loop stays open at best in one pose, (n_loops,) [m or rad].
-
-    All are 0 where the loops do close, but only in another assembly mode or beyond a passive joint's limit.
-
-    Args:
-        actuated: Actuated joints of a pose that `close` could not close, (n_actuated,) [m or rad].
-    """
-
-    def values(passive: FloatArray) -> FloatArray:
-        return residual(mechanism, actuated[None], passive[None])[0][0]
-
-    def slope(passive: FloatArray) -> FloatArray:
-        return residual(mechanism, actuated[None], passive[None])[1][0]
-
-    scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
-    best = least_squares(values, mode.passive, jac=slope, x_scale=scale, max_nfev=200)
-    return _per_loop(mechanism, best.fun[None])[0]

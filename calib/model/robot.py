@@ -12,9 +12,13 @@ from numpy.typing import ArrayLike
 
 from calib.errors import DataError, DescriptionError, InputError, ParameterError, UnreachablePoseError, nearest
 from calib.model import kinematics, loops
+from calib.model.assembly_mode import AssemblyMode
+from calib.model.closed_home import closed_home
+from calib.model.closure import singular_values
 from calib.model.description import Description, read_description
 from calib.model.mechanism import BoolArray, FloatArray, Mechanism
 from calib.model.mechanism_builder import build_mechanism, home_values
+from calib.model.open_loops import why_open
 from calib.model.parameters import Origin, Parameter, Parametrisation, index_of
 from calib.model.parametrisation import build_parametrisation
 from calib.model.plain_urdf import describe
@@ -60,7 +64,7 @@ class Robot(ReadOnlyArrays):
     mechanism: Mechanism
     parametrisation: Parametrisation
     values: FloatArray
-    mode: loops.AssemblyMode
+    mode: AssemblyMode
 
     def __repr__(self) -> str:
         return (
@@ -164,8 +168,8 @@ class Robot(ReadOnlyArrays):
         return Configurations(values, closed.passive, closed.slope)
 
     def singular_values(self, configurations: Configurations) -> FloatArray:
-        """Return each pose's distance to a singularity of the loops, (n,): see `calib.model.loops.singular_values`."""
-        return loops.singular_values(self.mechanism, configurations.slope)
+        """Return each pose's distance to a singularity of the loops, (n,): see `calib.model.closure`."""
+        return singular_values(self.mechanism, configurations.slope)
 
     def forward(self, q: ArrayLike, frame: str | None = None) -> FloatArray:
         """Pose of a frame in the measurement frame, loops closed.
@@ -241,7 +245,7 @@ def load(path: str | Path) -> Robot:
     nominal = build_mechanism(urdf, description, where)
     _check_columns(description, nominal, where)
     home = home_values(urdf, description, where)
-    mode = loops.assembly_mode(nominal, home, description.singularity_limit, where)
+    mode = closed_home(nominal, home, description.singularity_limit, where)
     parametrisation = build_parametrisation(description, _origins(nominal, urdf, description), nominal, where)
     names = [parameter.name for parameter in parametrisation.parameters]
     for held in description.held:
@@ -275,13 +279,7 @@ def describe_open(robot: Robot, q: FloatArray, closed: loops.Closed, labels: Seq
     poses = np.flatnonzero(~closed.ok)
     names = labels or [f"pose {k}" for k in range(len(closed.ok))]
     k = int(poses[0])
-    misses = loops.smallest_miss(robot.mechanism, robot.mode, q[k])
-    loop = int(np.argmax(misses))
-    miss = misses[loop]
-    if miss > 1e-6:
-        why = f"loop {robot.mechanism.loops[loop].name} stays open by {1e3 * miss:.3f} mm at best"
-    else:
-        why = "the loops close there only in another assembly mode than home's, or beyond a passive joint's limit"
+    why = why_open(robot.mechanism, robot.mode, q[k])
     more = f" (and {len(poses) - 1} more poses)" if len(poses) > 1 else ""
     return f"{names[k]}{more}: {why}; check these joint values, or leave the pose out"
 

@@ -26,7 +26,8 @@ import numpy as np
 
 from calib.linearisation.information import scaled_rows
 from calib.linearisation.jacobian import linearise
-from calib.model import loops
+from calib.model.closure import residual
+from calib.model.loops import TOLERANCE
 from calib.model.mechanism import BoolArray, FloatArray
 from calib.model.robot import Configurations, Robot
 from calib.pose_choice.selection_problem import Problem
@@ -203,17 +204,15 @@ def _followed(robot: Robot, q: FloatArray, seed: FloatArray) -> FloatArray:
         return passive
     active = np.arange(len(q))
     for _ in range(_NEWTON_STEPS):
-        values, slope, _ = loops.residual(mechanism, q[active], passive[active])
-        active, values, slope = (
-            part[np.max(np.abs(values), axis=1) > loops.TOLERANCE] for part in (active, values, slope)
-        )
+        values, slope, _ = residual(mechanism, q[active], passive[active])
+        active, values, slope = (part[np.max(np.abs(values), axis=1) > TOLERANCE] for part in (active, values, slope))
         if len(active) == 0:
             break
         try:
             passive[active] -= np.linalg.solve(slope, values[:, :, None])[:, :, 0]
         except np.linalg.LinAlgError:  # one of them is exactly singular
             passive[active] -= (np.linalg.pinv(slope) @ values[:, :, None])[:, :, 0]
-    values = loops.residual(mechanism, q, passive)[0]
+    values = residual(mechanism, q, passive)[0]
     inside = np.all((passive >= mechanism.lower) & (passive <= mechanism.upper), axis=1)
     passive[~inside | (np.max(np.abs(values), axis=1) > _CLOSED)] = np.nan
     return passive

@@ -1,0 +1,59 @@
+"""The closure residual r(a, p) of every loop, its derivatives, and how far they are from singular."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.model import kinematics
+from calib.model.mechanism import FloatArray, Mechanism
+
+
+def residual(
+    mechanism: Mechanism, actuated: FloatArray, passive: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return r (n, n_rows), C_p = dr/dp (n, n_rows, n_passive) and C_a = dr/da (n, n_rows, n_actuated)."""
+    swept = kinematics.sweep(mechanism, mechanism.all_joints(actuated, passive), mechanism.loops)
+    select = np.hstack([mechanism.select_passive, mechanism.select_actuated])
+    values, slopes = [], []
+    for loop in mechanism.loops:
+        values.append(kinematics.value(swept, loop))
+        columns = mechanism.between(loop)[:, None] * select
+        slopes.append(kinematics.joint_derivative(swept, kinematics.twist_map(swept, loop), columns))
+    slope = np.concatenate(slopes, axis=1)
+    n_passive = len(mechanism.passive)
+    return np.concatenate(values, axis=1), slope[:, :, :n_passive], slope[:, :, n_passive:]
+
+
+def scaled(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:
+    """Return C_p with metres divided by the characteristic length, so that its entries are pure numbers."""
+    rows = np.where(mechanism.is_metre_row, 1 / mechanism.length, 1.0)
+    columns = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
+    result: FloatArray = slope_passive * rows[:, None] * columns
+    return result
+
+
+def singular_values(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:
+    """Return the smallest singular value of the scaled C_p, (n,): 0 at a singular pose, of order 1 far from one."""
+    if not mechanism.passive:
+        return np.full(len(slope_passive), np.inf)
+    values: FloatArray = np.linalg.svd(scaled(mechanism, slope_passive), compute_uv=False)
+    return values[:, -1]
+
+
+def open_by(mechanism: Mechanism, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how far each loop is open: lengths (n, n_loops) [m] and angles (n, n_loops) [rad].
+
+    Args:
+        values: r, (n, n_rows) [m, rad].
+    """
+    ends = np.cumsum([len(loop.rows) for loop in mechanism.loops])[:-1]
+    lengths = np.split(np.where(mechanism.is_metre_row, values, 0.0), ends, axis=1)
+    angles = np.split(np.where(mechanism.is_metre_row, 0.0, values), ends, axis=1)
+    norms = [np.stack([np.linalg.norm(part, axis=1) for part in parts], axis=1) for parts in (lengths, angles)]
+    return norms[0], norms[1]
+
+
+def gap_text(length: float, angle: float) -> str:
+    """Say a gap in mm, and in degrees where a loop's directions do not agree."""
+    turned = f" and {np.degrees(angle):.3g} deg" if angle > 0 else ""
+    return f"{1e3 * length:.3f} mm{turned}"

@@ -1,0 +1,57 @@
+"""Why a pose cannot be assembled: each reason against geometry done elsewhere."""
+
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from small_robots import write_pose_loop
+
+import calib
+from calib.model.closure import gap_text, open_by
+from medrue import robot_file
+from medrue.closed_form import PASSIVE_JOINTS, forward
+from medrue.paper_tables import table1
+
+
+def test_a_pose_beyond_a_passive_limit_names_the_joint_and_its_angle_in_the_closed_form():
+    robot = calib.load(robot_file())
+    q = robot.home.copy()
+    q[1:3] = -1.5
+    with pytest.raises(calib.UnreachablePoseError) as error:
+        robot.assemble(q)
+    found = re.search(
+        r"only with passive joint (\w+) at (\S+) deg, beyond its limits \(-149 to -17.19 deg\)", str(error.value)
+    )
+    expected = np.degrees(forward(q[None], table1().nominal).passive[0, PASSIVE_JOINTS.index(found[1])])
+    assert (float(found[2]) - expected) % 360 == pytest.approx(0, abs=0.05)  # printed with four digits
+
+
+def test_a_gap_is_given_apart_in_length_and_angle():
+    mechanism = SimpleNamespace(
+        loops=(SimpleNamespace(rows=(0, 1, 5)), SimpleNamespace(rows=(2,))),
+        is_metre_row=np.array([True, True, False, True]),
+    )
+    lengths, angles = open_by(mechanism, np.array([[3e-3, -4e-3, -0.2, 1e-3]]))
+    assert np.allclose(lengths, [[5e-3, 1e-3]])
+    assert np.allclose(angles, [[0.2, 0.0]])
+    assert gap_text(5e-3, 0.2) == "5.000 mm and 11.5 deg"
+    assert gap_text(1e-3, 0.0) == "1.000 mm"
+
+
+def test_a_full_pose_home_that_is_turned_apart_is_refused_in_degrees(tmp_path):
+    path = write_pose_loop(tmp_path)
+    text = path.read_text()
+    turn = float(re.search(r"tip_right_turn: (\S+)}", text)[1])
+    path.write_text(text.replace(repr(turn), repr(turn + 0.1)))
+    with pytest.raises(
+        calib.DescriptionError, match=r"open by \d\.\d+ mm and 5\.\d+ deg; .*to \d+ mm and 3 deg or better"
+    ):
+        calib.load(path)
+
+
+def test_nothing_in_an_assembly_mode_can_be_written_to():
+    mode = calib.load(robot_file()).mode
+    for array in (mode.actuated, mode.passive, mode.signs, *mode.block_rows, *mode.block_columns):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1

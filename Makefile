@@ -33,7 +33,7 @@ pictures: demo
 
 # Needs the extra `docs`: make ci-packages.
 docs: $(VENV)/.ready
-	$(BIN)/mkdocs build --quiet --strict -f docs/site/mkdocs.yml
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict -f docs/site/mkdocs.yml
 
 # The shipped measurement file, written again (a test compares it).
 data: $(VENV)/.ready

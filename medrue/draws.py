@@ -45,7 +45,7 @@ class PoseSet:
     chosen: IntArray
 
     def others(self, n_candidates: int) -> IntArray:
-        """Return the indices of the poses that validate."""
+        """Return the indices of the poses that validate, ascending, (n_candidates - n,)."""
         return np.setdiff1d(np.arange(n_candidates), self.chosen)
 
 

@@ -65,7 +65,7 @@ def rank(names: tuple[str, ...], errors: FloatArray) -> Ranking:
 
 
 def standard_error(draws: FloatArray) -> FloatArray:
-    """Standard error of the mean over the first axis; NaN for a single draw."""
+    """Standard error of the mean over the first axis, (n_draws, ...) -> (...); NaN for a single draw."""
     n = len(draws)
     if n < 2:
         return np.full(draws.shape[1:], np.nan)

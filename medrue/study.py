@@ -137,7 +137,15 @@ def run_study(robot: Robot, size: StudySize, seed: int, workers: Workers, progre
 
 
 def true_positions(joints: FloatArray, parameters: FloatArray) -> FloatArray:
-    """Positions of the tool by the closed form, (n, 3) [m]."""
+    """Positions of the tool by the closed form, (n, 3) [m].
+
+    Args:
+        joints: Motors, (n, 6) [m, rad].
+        parameters: The paper's 36, (36,) [m, rad].
+
+    Raises:
+        ValueError: A pose does not close with these parameters.
+    """
     closed = forward(joints, parameters)
     if not closed.closes.all():
         raise ValueError("a pose of the target workspace does not close with the parameters given")
@@ -172,7 +180,7 @@ def _choose(task: tuple[Robot, FloatArray, str]) -> Selection:
 
 
 def summary(distances: FloatArray) -> FloatArray:
-    """Mean, max, standard deviation and root mean square along the last axis, (..., 4)."""
+    """Mean, max, standard deviation and root mean square along the last axis, (..., n) -> (..., 4)."""
     squares = np.sqrt(np.mean(distances**2, axis=-1))
     parts = (distances.mean(axis=-1), distances.max(axis=-1), distances.std(axis=-1, ddof=1), squares)
     return np.stack(parts, axis=-1)

@@ -1,5 +1,6 @@
 """What all commands share: one line for every error, exit codes, --quiet, --debug and --json."""
 
+import errno
 import json
 import sys
 
@@ -24,6 +25,8 @@ def run(monkeypatch, capsys):
         def do(output):
             function(output)
 
+        for stream in ("stdout", "stderr"):  # click replaces them when a pipe closes
+            monkeypatch.setattr(sys, stream, getattr(sys, stream))
         monkeypatch.setattr(sys, "argv", ["/somewhere/else.py", *arguments])
         with pytest.raises(SystemExit) as ended:
             run_program(group)
@@ -52,6 +55,7 @@ def raising(error):
             "tool: unexpected ValueError: odd; this is a defect of the program; --debug shows where\n",
         ),
         (KeyboardInterrupt(), 130, "tool: interrupted\n"),
+        (BrokenPipeError(errno.EPIPE, "head has seen enough"), 1, ""),
     ],
 )
 def test_every_error_is_one_line_and_an_exit_code(run, error, code, line):

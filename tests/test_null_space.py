@@ -141,3 +141,11 @@ def test_groups_do_not_hang_on_rounding(medrue, groups):
     rows = scaled_rows(linearise(medrue, medrue.assemble(q)).jacobian, medrue.parameters, np.ones(36, dtype=bool))
     again = null_groups(rows.reshape(-1, 36), dropped=np.flatnonzero(~medrue.free))
     assert [group.members for group in again] == [group.members for group in groups]
+
+
+def test_a_parameter_that_hardly_moves_does_not_speak_for_its_group():
+    """Null vector (1e-4, 1, -1): told by the first, the others would move ten thousand times its unit."""
+    rows = np.linalg.svd(np.array([[1e-4, 1.0, -1.0]]))[2][1:]
+    (group,) = null_groups(rows, dropped=[0])
+    assert group.members == (1, 0, 2)
+    assert np.allclose(group.coefficients, [1, 1e-4, -1])

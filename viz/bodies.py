@@ -73,11 +73,11 @@ class Bodies:
 
     @property
     def moving(self) -> IntArray:
-        """Joints that move, in the order of the columns."""
+        """Joints that move, in the order of the columns, (n_moving,)."""
         return np.flatnonzero(self.columns >= 0)
 
     def poses(self, figure: Figure, pose: int) -> FloatArray:
-        """Return T of each body in the measurement frame, (n_joints + 1, 4, 4), as the page computes it."""
+        """Return T of each body in the measurement frame as the page computes it, (n_joints + 1, 4, 4) [m]."""
         T = np.tile(np.eye(4), (len(self.names), 1, 1))
         for i, parent in enumerate(self.parents):
             motion = np.eye(4)
@@ -93,12 +93,12 @@ class Bodies:
         return relative
 
     def matrices(self, figure: Figure, pose: int) -> FloatArray:
-        """Return M = T S of each body, (n_joints + 1, 4, 4)."""
+        """Return M = T S of each body, (n_joints + 1, 4, 4) [m]."""
         result: FloatArray = self.poses(figure, pose) @ figure.stretches
         return result
 
     def exaggerated(self, solid: Figure, ghost: Figure, pose: int, factor: float) -> FloatArray:
-        """Return M(factor) of the module docstring, (n_joints + 1, 4, 4)."""
+        """Return M(factor) of the module docstring, (n_joints + 1, 4, 4) [m]."""
         start = self.matrices(solid, pose)
         return start + factor * (self.matrices(ghost, pose) - start)
 

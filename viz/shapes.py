@@ -60,7 +60,16 @@ def primitive(
     T_body_shape: FloatArray,
     colour: Colour = GREY,
 ) -> Shape:
-    """Return a box, cylinder or sphere."""
+    """Return a box, cylinder or sphere.
+
+    Args:
+        name: Unique name.
+        body: Link that carries it; None for what stands still in the measurement frame.
+        kind: What `size` means.
+        size: As `Shape` has it [m].
+        T_body_shape: Pose of the shape in its link, (4, 4) [m].
+        colour: Red, green, blue, opacity, 0 to 1.
+    """
     return Shape(
         name,
         body,
@@ -81,7 +90,16 @@ def mesh(
     colour: Colour = GREY,
     T_body_shape: FloatArray | None = None,
 ) -> Shape:
-    """Return a triangle mesh."""
+    """Return a triangle mesh.
+
+    Args:
+        name: Unique name.
+        body: Link that carries it; None for what stands still in the measurement frame.
+        vertices: Corners, (n, 3) [m].
+        faces: The three corners of each triangle, (m, 3).
+        colour: Red, green, blue, opacity, 0 to 1.
+        T_body_shape: Pose of the mesh in its link, (4, 4) [m]; that of the link if None.
+    """
     return Shape(
         name,
         body,
@@ -117,7 +135,16 @@ def stand_ins(robot: Robot, link: str) -> list[Shape]:
 
 
 def thinned(vertices: FloatArray, faces: IntArray, most: int) -> tuple[FloatArray, IntArray]:
-    """Return a mesh with at most `most` faces: vertices that share a cell of a grid, as fine as fits, become one."""
+    """Return a mesh with at most `most` faces: vertices that share a cell of a grid, as fine as fits, become one.
+
+    Args:
+        vertices: Corners, (n, 3) [m].
+        faces: The three corners of each triangle, (m, 3).
+        most: Largest number of triangles.
+
+    Returns:
+        Vertices and faces, in the same form; the arguments where there are few enough.
+    """
     cells = 512
     fewer_vertices, fewer = vertices, faces
     while len(fewer) > most:

@@ -80,6 +80,9 @@ def shared_options(*, json_output: bool = False) -> Callable[[Callable[..., None
 
     Args:
         json_output: Whether the command prints a table, and so takes --json FILE.
+
+    Returns:
+        A decorator. The command that it makes raises `OneLineError` for every error, but with --debug the error itself.
     """
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
@@ -91,6 +94,8 @@ def shared_options(*, json_output: bool = False) -> Callable[[Callable[..., None
                 function(*args, output=Output(quiet, json_target), **options)
             except (click.ClickException, click.exceptions.Exit, click.Abort):
                 raise
+            except BrokenPipeError:
+                raise  # the reader, `head` for instance, has seen enough: click ends in silence
             except CalibrationError as error:
                 if debug:
                     raise
@@ -141,7 +146,7 @@ def run_program(group: click.Group) -> None:
 
 
 def sigma_in_metres(sigma_mm: float | None) -> float | None:
-    """Check and convert the --sigma-mm option."""
+    """Return the --sigma-mm option in m; one that is negative or not a number is an `InputError`."""
     if sigma_mm is None:
         return None
     if not 0 <= sigma_mm < 1e6:
@@ -150,7 +155,12 @@ def sigma_in_metres(sigma_mm: float | None) -> float | None:
 
 
 def with_values(robot: Robot, parameters: str | None, result: str | None) -> Robot:
-    """Return the robot with the values of a parameter file or of a result folder, if one is given."""
+    """Return the robot with the values of a parameter file or of a result folder, if one is given.
+
+    Raises:
+        InputError: Both are given, or a file cannot be read.
+        ComputationError: The verdict of the result is FAIL.
+    """
     from calib.data.parameter_files import read_parameters
     from calib.reporting.results import load_calibrated
 

@@ -71,7 +71,7 @@ class Measurements(Poses):
         return directions_of_motion(self.joints) if self.approach is None else self.approach
 
     def subset(self, index: IntArray) -> Measurements:
-        """Return the poses with these indices, in this order."""
+        """Return the poses with these indices (n,), in this order."""
         return replace(
             self,
             readings=tuple(self.readings[i] for i in index) if self.readings else (),

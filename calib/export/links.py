@@ -163,7 +163,11 @@ def _numbers(text: str, count: int, where: str) -> tuple[float, ...]:
 
 
 def possible_inertia(inertia: FloatArray) -> FloatArray:
-    """Return the nearest inertia that a body can have: positive moments, none above the sum of the two others."""
+    """Return the nearest inertia that a body can have: positive moments, none above the sum of the two others.
+
+    Args:
+        inertia: About the centre of mass, (3, 3) [kg m^2], symmetric.
+    """
     moments, axes = np.linalg.eigh(inertia)
     fixed = np.maximum(moments, max(1e-6 * float(moments[2]), 1e-12))
     excess = fixed[2] - fixed[0] - fixed[1]

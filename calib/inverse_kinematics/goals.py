@@ -73,7 +73,7 @@ class Goals:
         return len(self.positions)
 
     def subset(self, index: IntArray) -> Goals:
-        """Return the goals with these indices, in this order."""
+        """Return the goals with these indices (n,), in this order."""
         return Goals(
             self.positions[index],
             None if self.rotations is None else self.rotations[index],

@@ -61,7 +61,7 @@ class Configured:
     distance: FloatArray
 
     def subset(self, index: IntArray) -> Configured:
-        """Return the configurations with these indices."""
+        """Return the configurations with these indices (n,)."""
         return Configured(self.actuated[index], self.passive[index], self.distance[index])
 
 
@@ -80,11 +80,11 @@ class Linear:
     passive_slope: FloatArray
 
     def subset(self, index: IntArray) -> Linear:
-        """Return the rows of these configurations."""
+        """Return what belongs to the configurations with these indices (n,)."""
         return Linear(self.error[index], self.slope[index], self.passive_slope[index])
 
     def take(self, index: IntArray, other: Linear) -> None:
-        """Overwrite the rows of these configurations."""
+        """Overwrite what belongs to the configurations with these indices (n,) by `other`, which has n of them."""
         self.error[index], self.slope[index], self.passive_slope[index] = other.error, other.slope, other.passive_slope
 
 
@@ -119,7 +119,13 @@ class Reach:
         return np.where(self.mechanism.is_metre_column, self.mechanism.length, 1.0)
 
     def linearise(self, index: IntArray, actuated: FloatArray, passive: FloatArray) -> Linear:
-        """Return e and its derivative at closed configurations of the goals `index`."""
+        """Return e and its derivative at closed configurations.
+
+        Args:
+            index: Which goal each configuration is for, (n,).
+            actuated: Actuated joints, (n, n_actuated) [m or rad].
+            passive: Passive joints that close the loops there, (n, n_passive) [m or rad].
+        """
         position, rotation, jacobian, by_joint = _motion(self.mechanism, self.target, actuated, passive)
         jacobian = jacobian * self.scale
         error, slope = [position - self.goals.positions[index]], [jacobian[:, :3]]
@@ -155,7 +161,16 @@ class Reach:
         return position, np.linalg.norm(position - self.goals.positions, axis=1), angle
 
     def follow(self, at: Configured, linear: Linear, trial: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return passive joints at the actuated joints `trial`, followed from `at`, and where that worked."""
+        """Follow the loops from one configuration of each goal to another by the tangent and Newton.
+
+        Args:
+            at: Where the loops are closed.
+            linear: The derivatives there.
+            trial: Actuated joints to go to, (n, n_actuated) [m or rad].
+
+        Returns:
+            Passive joints there (n, n_passive) [m or rad], and where that worked, within their limits (n,).
+        """
         if not self.mechanism.loops:
             return at.passive, np.ones(len(trial), dtype=bool)
         change = np.einsum("nij,nj->ni", linear.passive_slope, (trial - at.actuated) / self.scale)

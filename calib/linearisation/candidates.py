@@ -48,6 +48,10 @@ class Candidates:
 def as_poses(robot: Robot, poses: Poses | ArrayLike) -> Poses:
     """Return joint values as `Poses`, naming them by their row where they come without names.
 
+    Args:
+        robot: Whose joints they are.
+        poses: Poses with names, or actuated joints alone, (n, n_actuated) [m or rad].
+
     Raises:
         DataError: Wrong shape, or values that are not finite.
     """

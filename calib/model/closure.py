@@ -25,7 +25,12 @@ def residual(
 
 
 def scaled(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:
-    """Return C_p with metres divided by the characteristic length, so that its entries are pure numbers."""
+    """Return C_p with metres divided by the characteristic length, so that its entries are pure numbers.
+
+    Args:
+        mechanism: The robot.
+        slope_passive: C_p, (n, n_rows, n_passive) [m or rad per m or rad].
+    """
     rows = np.where(mechanism.is_metre_row, 1 / mechanism.length, 1.0)
     columns = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
     result: FloatArray = slope_passive * rows[:, None] * columns

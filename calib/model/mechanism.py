@@ -90,7 +90,7 @@ class Mechanism(ReadOnlyArrays):
         return len(self.origin_names)
 
     def joint(self, name: str) -> int:
-        """Return the index of a link's or joint's frame; an unknown name is an error."""
+        """Return the index of a link's or joint's frame; an unknown name is a `DescriptionError`."""
         if name not in self.frames:
             raise DescriptionError(f"no link or joint '{name}'{nearest(name, self.frames)}")
         return self.frames[name]

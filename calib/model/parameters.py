@@ -154,7 +154,7 @@ class OriginComponents:
 
 
 def index_of(parameters: Sequence[Parameter], name: str, where: str = "parameters") -> int:
-    """Return the position of a parameter; an unknown name is an error that names the nearest one."""
+    """Return the position of a parameter; an unknown name is a `ParameterError` that names the nearest one."""
     for index, parameter in enumerate(parameters):
         if parameter.name == name:
             return index

@@ -22,6 +22,7 @@ from calib.numerics.identifiability import numerical_rank, reduced
 from calib.read_only import ReadOnlyArrays
 from calib.units import PER_SI
 
+_SPEAKS = 0.1  # least part of the largest movement, in sigmas, of the parameter by which a group is told
 
 @dataclass(frozen=True, eq=False)
 class Group(ReadOnlyArrays):
@@ -41,8 +42,8 @@ def null_groups(scaled_jacobian: FloatArray, dropped: Sequence[int] = ()) -> tup
 
     Args:
         scaled_jacobian: (n_rows, n_columns).
-        dropped: Columns that are held or dropped. Groups are told with one of them first where they can be, and with as
-            few others of them as possible.
+        dropped: Columns that are held or dropped. Groups are told with one of them first where one moves enough, and
+            with as few others of them as possible.
     """
     null = _null_space(scaled_jacobian)
     projector = null @ null.T
@@ -99,7 +100,10 @@ def _part(null: FloatArray, columns: IntArray, dropped: set[int]) -> list[FloatA
 
 def _group(vector: FloatArray, dropped: set[int]) -> Group:
     members = [int(k) for k in np.flatnonzero(vector)]
-    first = next((k for k in members if k in dropped), members[0])
+    size = np.abs(vector)
+    # one that hardly moves would have to move by metres or turns to show what the others do
+    moving = [k for k in members if size[k] >= _SPEAKS * size.max()]
+    first = next((k for k in moving if k in dropped), moving[0])
     members.remove(first)
     ordered = (first, *members)
     return Group(ordered, vector[list(ordered)] / vector[first])

@@ -54,9 +54,15 @@ class Spacing:
         return free
 
     def spread(self, wanted: IntArray, count: int) -> IntArray:
-        """Return `count` poses that keep the distance: those of `wanted` that do, filled up in file order.
+        """Return candidates that keep the distance: those of `wanted` that do, filled up in file order.
 
-        Returns fewer where no more were found.
+        Args:
+            wanted: Candidates in the order in which they are tried, (n,).
+            count: How many are needed.
+
+        Returns:
+            Indices of candidates, (count,), or fewer where no more were found; `wanted` itself where no distance is
+            asked for.
         """
         if self.distance == 0:
             return wanted
@@ -89,7 +95,7 @@ class Exchange:
 
 
 def uniform_start(usable: IntArray, count: int) -> IntArray:
-    """Return `count` of the usable candidates, evenly spread over their order."""
+    """Return `count` of the usable candidates (n,), evenly spread over their order, (count,)."""
     result: IntArray = usable[(2 * np.arange(count) + 1) * len(usable) // (2 * count)]
     return result
 

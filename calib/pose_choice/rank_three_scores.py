@@ -43,7 +43,7 @@ class Determinant:
 
     @classmethod
     def of(cls, problem: Problem, gathered: FloatArray) -> Determinant:
-        """Return the scores of a choice with this K."""
+        """Return the scores of a choice with this K, (r, r)."""
         inverse = np.linalg.inv(gathered)
         root = _products(problem.rows, np.linalg.cholesky(inverse))
         return cls(problem, gathered, inverse, np.einsum("icn,kcn->ikn", root, root), 0)

@@ -29,7 +29,7 @@ class Scores(Protocol):
         """Larger is better; comparable between choices of equally many poses."""
 
     def best(self, allowed: BoolArray, *, add: bool) -> int:
-        """Return the allowed candidate whose addition (or removal) leaves the best value."""
+        """Return the candidate, of those that are allowed (n_candidates,), whose addition (or removal) is best."""
 
     def moved(self, candidate: int, *, add: bool) -> Scores:
         """Return the scores after adding (or removing) a candidate."""

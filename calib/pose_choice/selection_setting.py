@@ -79,7 +79,21 @@ def prepare(
 ) -> Setting:
     """Assemble and linearise everything, and check that the question has an answer.
 
-    Arguments and errors are those of `calib.select`.
+    Args:
+        robot: The robot; its present values are where it is linearised.
+        candidates: Poses to choose from, (n, n_actuated) [m or rad], or from a file.
+        wanted: What was asked for.
+        measured: Poses that are measured already, as `candidates`.
+        task: Poses whose accuracy counts, as `candidates`; the candidates themselves if None.
+        exclude: Candidates not to choose, by their number.
+        skip_unreachable: Leave out candidates that cannot be assembled, instead of an error.
+        sigma: Noise of one reading per axis [m]; the description's if None.
+
+    Raises:
+        InputError: An argument is wrong; count above the candidates, or too small for the parameters.
+        DataError: A candidate is given twice.
+        UnreachablePoseError: Candidates cannot be assembled.
+        NotIdentifiableError: No choice determines what the index is about.
     """
     if wanted.index not in CHOICES:
         raise InputError(f"index '{wanted.index}'{nearest(wanted.index, CHOICES)}")

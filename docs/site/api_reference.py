@@ -1,4 +1,7 @@
-"""The Python reference: one page for each module, and a first page that says which names to start from."""
+"""The Python reference: one page for each module, and a first page that says which names to start from.
+
+Modules stand under their package, and within `calib` under their room (the folder), floor above floor.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,8 @@ import ast
 import importlib
 import inspect
 from pathlib import Path
+
+from architecture import ROOMS, room_of
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = {
@@ -28,6 +33,12 @@ def modules(package: str) -> list[str]:
     return names
 
 
+def rooms() -> dict[str, list[str]]:
+    """Modules of `calib` but its front door, by the name of their room, floor above floor."""
+    names = [name for name in modules("calib") if name != "calib"]
+    return {room.name: [name for name in names if room_of(name.partition(".")[2]) is room] for room in ROOMS}
+
+
 def source(module: str) -> str:
     """Text of a module."""
     path = ROOT.joinpath(*module.split("."))
@@ -42,11 +53,14 @@ def summary(module: str) -> str:
 
 
 def navigation() -> list[object]:
-    """Entries of the navigation."""
-    sections: list[object] = [f"{FOLDER}/index.md"]
-    for package in PACKAGES:
-        sections.append({package: [{name: f"{FOLDER}/{name}.md"} for name in modules(package)]})
-    return sections
+    """Entries of the navigation; below a room or a package a module goes by the last part of its name."""
+    by_room = [{room: [_entry(name) for name in names]} for room, names in rooms().items()]
+    others = [{package: [_entry(name) for name in modules(package)]} for package in PACKAGES if package != "calib"]
+    return [f"{FOLDER}/index.md", {"calib": [_entry("calib"), *by_room]}, *others]
+
+
+def _entry(module: str) -> dict[str, str]:
+    return {module.rpartition(".")[2]: f"{FOLDER}/{module}.md"}
 
 
 def pages() -> dict[str, str]:
@@ -68,10 +82,21 @@ def _index() -> str:
         ]
         parts.append("\n".join(rows) + "\n")
     for package, what in PACKAGES.items():
-        parts.append(f"## Modules of `{package}`: {what}\n\n| module | what it is about |\n|---|---|")
-        rows = [f"| [`{name}`]({name}.md) | {_cell(summary(name))} |" for name in modules(package)]
-        parts.append("\n".join(rows) + "\n")
+        parts.append(f"## Modules of `{package}`: {what}\n")
+        if package == "calib":
+            parts.append(
+                "Each folder is a room; rooms stand on floors, the lowest first, and import only from lower ones"
+                " ([picture](../../contributing.md#architecture)).\n"
+            )
+            parts += [f"### {room}\n\n{_module_table(names)}" for room, names in rooms().items()]
+        else:
+            parts.append(_module_table(modules(package)))
     return "\n".join(parts).replace("|---|---|\n\n", "|---|---|\n")
+
+
+def _module_table(names: list[str]) -> str:
+    rows = [f"| [`{name}`]({name}.md) | {_cell(summary(name))} |" for name in names]
+    return "\n".join(["| module | what it is about |\n|---|---|", *rows]) + "\n"
 
 
 def _place(module: object, name: str) -> str:

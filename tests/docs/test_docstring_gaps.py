@@ -1,6 +1,6 @@
 """The tool that lists what docstrings leave out."""
 
-from docstring_gaps import gaps
+from docstring_gaps import all_gaps, gaps
 
 MODULE = '''
 def fine(q: FloatArray) -> FloatArray:
@@ -23,8 +23,28 @@ def elsewhere(q: FloatArray) -> None:
 
 def _private(q: FloatArray) -> None:
     pass
+
+def other_shapes(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Turn a (n + 1, 4, 4) [m] and b."""
+
+def dots(a: FloatArray) -> FloatArray:
+    """Turn a (..., n) around."""
+
+def explained() -> None:
+    """Do it, or raise `InputError`."""
+    with _explained(path):
+        raise IsADirectoryError("no")
+
+@click.command("do")
+def command(q: FloatArray) -> None:
+    """Do it from the command line."""
+    raise InputError("no")
 '''
 
 
 def test_missing_shapes_and_errors_are_listed():
     assert list(gaps(MODULE)) == [(10, "no_shape", "no shape"), (13, "no_error", "raises DataError")]
+
+
+def test_nothing_public_leaves_out_a_shape_or_an_error():
+    assert all_gaps() == []

@@ -1,6 +1,8 @@
 """Kinematic calibration of any robot with a URDF, closed loops included, on Pinocchio."""
 
-from calib.data.measurements import Measurements, Poses, read_measurements, read_poses
+from calib.data.arrays import as_measurements, as_poses
+from calib.data.measurement_files import read_measurements, read_poses
+from calib.data.measurements import Measurements, Poses
 from calib.data.simulate import simulate
 from calib.errors import (
     CalibrationError,
@@ -38,6 +40,8 @@ __all__ = [
     "Selection",
     "UnreachablePoseError",
     "UrdfError",
+    "as_measurements",
+    "as_poses",
     "fit",
     "load",
     "read_measurements",

@@ -12,7 +12,7 @@ import click
 import numpy as np
 
 from calib.commands.common import Output, run_program, shared_options
-from calib.data.measurements import format_measurements
+from calib.data.measurement_files import format_measurements
 from calib.files import check_file, check_folder, write_file, write_folder
 from calib.model.robot import load
 from medrue import robot_file

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.data.measurements import Measurements
+from calib.data.measurements import Measurements, Poses, single_readings
 from calib.errors import NotConvergedError
 from calib.identification.fit import fit
 from calib.linearisation.jacobian import linearise
@@ -105,17 +105,8 @@ def measurements(joints: FloatArray, positions: FloatArray, index: IntArray) -> 
     """Return single readings (n, 3) [m] of the poses `index` as measurements."""
     names = tuple(str(k + 1) for k in index)
     labels = tuple(f"simulated pose {name}" for name in names)
-    n = len(index)
-    return Measurements(
-        joints[index],
-        labels,
-        names,
-        "simulated measurements",
-        (),
-        positions[index][:, None, :],
-        np.ones(n, dtype=np.intp),
-        np.full((n, 1, 3), np.nan),
-    )
+    poses = Poses(joints[index], labels, names, "simulated measurements", ())
+    return single_readings(poses, positions[index][:, None, :])
 
 
 def run(tasks: Sequence[Task], workers: Workers, done: Callable[[int], None]) -> list[Outcome]:

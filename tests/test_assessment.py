@@ -7,8 +7,8 @@ import pytest
 from small_robots import ARM_YAML, small_arm, write_arm
 
 import calib
+from calib.data.arrays import as_poses
 from calib.data.measurements import Measurements
-from calib.linearisation.candidates import as_poses
 from calib.linearisation.jacobian import linearise
 from calib.numerics.null_space import describe_group
 from calib.numerics.observability import raw_columns

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.data.measurements import Measurements
+from calib.data.measurements import single_readings
 from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.paper_tables import PARAMETERS, table1
@@ -21,10 +21,7 @@ def robot():
 def measured(q, positions):
     """Measurements that come from the closed form, not from the engine."""
     labels = tuple(f"pose {k}" for k in range(len(q)))
-    return Measurements(
-        q, labels, labels, "simulated", (), positions[:, None, :], np.ones(len(q), dtype=np.intp),
-        np.full((len(q), 1, 3), np.nan),
-    )  # fmt: skip
+    return single_readings(calib.Poses(q, labels, labels, "simulated", ()), positions[:, None, :])
 
 
 def test_without_noise_every_kept_parameter_of_table_1_comes_back_to_a_nanometre(robot):

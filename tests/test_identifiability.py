@@ -7,9 +7,7 @@ import pytest
 from small_robots import small_arm
 
 import calib
-from calib.data.measurements import Measurements
 from calib.identification.fit import fit
-from calib.linearisation.candidates import as_poses
 from calib.linearisation.information import information, measurement_sigma, prior_rows, scaled_rows
 from calib.linearisation.jacobian import linearise
 from calib.numerics.identifiability import RANK_TOLERANCE, numerical_rank, reduced
@@ -159,9 +157,7 @@ def test_other_valid_choices_of_eight_predict_the_same_positions(medrue):
     q, generator = target_workspace().q, np.random.default_rng(7)
     used, others = q[::6], q[3::6]
     noisy = forward(used, table1().actual).p_world_tool + 4e-5 * generator.standard_normal((len(used), 3))
-    labels = tuple(f"pose {k}" for k in range(len(used)))
-    data = Measurements(used, labels, labels, "simulated", (), noisy[:, None], np.ones(len(used), dtype=np.intp),
-                        np.full((len(used), 1, 3), np.nan))  # fmt: skip
+    data = calib.as_measurements(medrue, used, noisy)
     predicted = []
     for held in (
         ("A2y", "A2z", "d31", "d32", "d41", "d5", "xb", "zb"),
@@ -173,11 +169,3 @@ def test_other_valid_choices_of_eight_predict_the_same_positions(medrue):
     # The fits stop within a small part of a standard deviation, which is about 10 um at the tool.
     np.testing.assert_allclose(predicted[1], predicted[0], atol=2e-7)
     np.testing.assert_allclose(predicted[2], predicted[0], atol=2e-7)
-
-
-def test_poses_come_as_arrays_or_from_files(medrue):
-    poses = as_poses(medrue, target_workspace().q[:3])
-    assert poses.names == ("0", "1", "2")
-    assert as_poses(medrue, poses) is poses
-    with pytest.raises(calib.DataError, match="expected"):
-        as_poses(medrue, np.zeros((3, 5)))

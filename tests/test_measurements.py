@@ -5,7 +5,7 @@ import pytest
 from small_robots import ARM_YAML, small_arm, write_arm
 
 import calib
-from calib.data.measurements import format_measurements, read_measurements, read_poses
+from calib.data.measurement_files import format_measurements, read_measurements, read_poses
 from calib.errors import DataError
 
 HEADER = "pose,turn [deg],slide [mm],wrist,tip_x [mm],tip_y,tip_z [um]\n"

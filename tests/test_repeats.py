@@ -3,7 +3,7 @@ import pytest
 from six_axis_arm import joints, six_axis_arm
 
 import calib
-from calib.data.measurements import read_measurements
+from calib.data.measurement_files import read_measurements
 from calib.data.repeats import beyond_repeatability, repeats
 
 HEADER = ",".join(["pose", *(f"j{k} [rad]" for k in range(1, 7)), *(f"ball_{axis} [mm]" for axis in "xyz")])

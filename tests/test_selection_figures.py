@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.data.measurements import Measurements
+from calib.data.measurements import Poses, single_readings
 from calib.identification.fit import fit
 from calib.linearisation.jacobian import linearise
 from calib.pose_choice.selection import select
@@ -28,16 +28,7 @@ def load_script(name):
 
 def measured(q, positions):
     names = tuple(str(k) for k in range(len(q)))
-    return Measurements(
-        q,
-        names,
-        names,
-        "simulated",
-        (),
-        positions[:, None],
-        np.ones(len(q), dtype=np.intp),
-        np.full((len(q), 1, 3), np.nan),
-    )
+    return single_readings(Poses(q, names, names, "simulated", ()), positions[:, None])
 
 
 def test_o1_identifies_better_than_a_uniform_choice_by_far_more_than_its_standard_error(medrue):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import calib
+from calib.data.arrays import as_poses
 from calib.figures import draw
-from calib.linearisation.candidates import as_poses
 from calib.pose_choice.assessment import assess
 from calib.pose_choice.selection import select
 from medrue.workspace import target_workspace

@@ -49,10 +49,7 @@ def test_a_robot_whose_base_is_unknown_is_placed_before_it_is_judged(tmp_path):
     base = robot.mechanism.origin_names[robot.mechanism.targets[0].a - 1]
     moved = robot.with_parameters({f"{base}.x": 3.0, f"{base}.rz": 0.7})
     q = np.random.default_rng(0).uniform(-1, 1, (12, 2))
-    names = tuple(map(str, range(12)))
-    data = calib.Measurements(
-        q, names, names, "memory", (), moved.positions(q), np.ones(12, dtype=np.intp), np.full((12, 1, 3), np.nan)
-    )
+    data = calib.as_measurements(robot, q, moved.positions(q))
     scene = gather(robot, None, data).scene
     np.testing.assert_allclose(scene.poses.error("before"), 0.0, atol=1e-9)
 

@@ -4,7 +4,7 @@ import numpy as np
 
 import calib
 import medrue
-from calib.data.measurements import Measurements
+from calib.data.measurements import single_readings
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
@@ -21,16 +21,7 @@ def measurements(rows, seed=1, sigma=4e-5, path="memory"):
     q = target_workspace().q[rows]
     positions = forward(q, table1().actual).p_world_tool + np.random.default_rng(seed).normal(0, sigma, (len(q), 3))
     names = tuple(str(row) for row in rows)
-    return Measurements(
-        q,
-        names,
-        names,
-        path,
-        (),
-        positions[:, None, :],
-        np.ones(len(q), dtype=np.intp),
-        np.full((len(q), 1, 3), np.nan),
-    )
+    return single_readings(calib.Poses(q, names, names, path, ()), positions[:, None, :])
 
 
 def medrue_fit(identification=range(0, 420, 5), validation=range(3, 420, 9)):

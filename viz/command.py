@@ -30,7 +30,7 @@ def view(
     robot: str, result: str | None, data: str | None, html: str | None, port: int, no_browser: bool, output: Output
 ) -> None:
     """Show ROBOT (YAML description or URDF) in a browser on this computer, until Ctrl-C."""
-    from calib.data.measurements import read_measurements
+    from calib.data.measurement_files import read_measurements
     from calib.files import check_file
     from calib.model.robot import load
     from viz.inputs import gather

@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.commands.common import Output, shared_options, sigma_in_metres, with_values
 from calib.commands.pose_files import placed, read_pose_file
-from calib.data.measurements import read_poses
+from calib.data.measurement_files import read_poses
 from calib.errors import InputError
 from calib.figures import draw
 from calib.files import check_folder, write_folder

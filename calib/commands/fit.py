@@ -7,7 +7,8 @@ from pathlib import Path
 import click
 
 from calib.commands.common import Output, shared_options, sigma_in_metres
-from calib.data.measurements import Measurements, read_measurements
+from calib.data.measurement_files import read_measurements
+from calib.data.measurements import Measurements
 from calib.errors import ComputationError, InputError
 from calib.files import check_folder
 from calib.identification.fit import fit

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from calib.data.measurements import Measurements, Poses, read_measurements, read_poses
+from calib.data.measurement_files import read_measurements, read_poses
+from calib.data.measurements import Measurements, Poses
 from calib.data.tables import read_table
 from calib.errors import DataError
 from calib.linearisation.registration import register

@@ -6,7 +6,8 @@ import click
 import numpy as np
 
 from calib.commands.common import Output, shared_options, with_values
-from calib.data.measurements import Poses, format_measurements, read_poses
+from calib.data.measurement_files import format_measurements, read_poses
+from calib.data.measurements import Poses
 from calib.errors import UnreachablePoseError
 from calib.files import check_file, write_file
 from calib.model.robot import Robot, describe_open, load

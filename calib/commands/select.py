@@ -6,7 +6,8 @@ import click
 
 from calib.commands.common import Output, shared_options, sigma_in_metres, with_values
 from calib.commands.pose_files import placed, read_pose_file
-from calib.data.measurements import Poses, read_poses
+from calib.data.measurement_files import read_poses
+from calib.data.measurements import Poses
 from calib.data.tables import read_table
 from calib.errors import InputError, nearest
 from calib.figures import draw

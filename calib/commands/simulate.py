@@ -6,7 +6,7 @@ import click
 import numpy as np
 
 from calib.commands.common import Output, shared_options, sigma_in_metres, with_values
-from calib.data.measurements import format_measurements, read_poses
+from calib.data.measurement_files import format_measurements, read_poses
 from calib.data.simulate import simulate
 from calib.files import check_file, write_file
 from calib.model.robot import load

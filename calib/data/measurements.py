@@ -1,13 +1,11 @@
-"""Measurements: joint values of each pose and where the targets were seen, checked at the door."""
+"""Measurements: joint values of each pose and where the targets were seen."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
-from calib.data.tables import Table, format_table, read_table
 from calib.errors import DataError
 from calib.model.mechanism import FloatArray, IntArray
 from calib.model.robot import Robot
@@ -110,28 +108,14 @@ def directions_of_motion(joints: FloatArray) -> FloatArray:
     return result
 
 
-def read_poses(path: Path | str, robot: Robot) -> Poses:
-    """Read joint values; one column for each actuated joint, other columns are ignored.
+def single_readings(poses: Poses, positions: FloatArray) -> Measurements:
+    """Return one reading of each pose as measurements.
 
-    Raises:
-        DataError: The message names file, line and column.
+    Args:
+        poses: Where they were taken.
+        positions: Measured positions in the measurement frame, (n_poses, n_targets, 3) [m].
     """
-    table = read_table(path, robot.description.columns)
-    return _poses(table, robot, used=set(robot.joint_names) | {"pose"})
-
-
-def read_measurements(path: Path | str, robot: Robot) -> Measurements:
-    """Read joint values and measured positions; rows with the same `pose` are averaged.
-
-    Raises:
-        DataError: The message names file, line and column.
-    """
-    table = read_table(path, robot.description.columns)
-    measured = [f"{name}_{axis}" for name in robot.target_names for axis in "xyz"]
-    poses = _poses(table, robot, used=set(robot.joint_names) | set(measured) | {"pose"})
-    positions = np.stack([table.column(name, "length") for name in measured], axis=1)
-    positions = positions.reshape(len(poses), len(robot.target_names), 3)
-    single = Measurements(
+    return Measurements(
         poses.joints,
         poses.labels,
         poses.names,
@@ -141,57 +125,18 @@ def read_measurements(path: Path | str, robot: Robot) -> Measurements:
         np.ones(len(poses), dtype=np.intp),
         np.full(positions.shape, np.nan),
     )
-    return _averaged(single, robot) if "pose" in table.names else single
 
 
-def format_measurements(
-    robot: Robot,
-    poses: Poses,
-    positions: FloatArray,
-    comments: tuple[str, ...] = (),
-    std: FloatArray | None = None,
-) -> str:
-    """Return CSV text in mm and degrees.
+def averaged(single: Measurements, robot: Robot) -> Measurements:
+    """Average single readings that share a pose name, keeping the order in which the names first appear.
 
     Args:
-        robot: Names joints and targets.
-        poses: Joint values.
-        positions: (n_poses, n_targets, 3) [m].
-        comments: Lines to put first.
-        std: Standard deviation of each coordinate, (n_poses, n_targets, 3) [m], in columns `<target>_std_x` ...
+        single: Of `single_readings`.
+        robot: Names the joints.
+
+    Raises:
+        DataError: Readings with the same pose name have different joint values.
     """
-    columns: list[tuple[str, list[object]]] = [("pose", list(poses.names))]
-    for j, name in enumerate(robot.joint_names):
-        unit = DISPLAY_UNIT[robot.mechanism.dimensions[name]]
-        scale = PER_SI[robot.mechanism.dimensions[name]][unit]
-        columns.append((f"{name} [{unit}]", list(poses.joints[:, j] * scale)))
-    for t, target in enumerate(robot.target_names):
-        for a, axis in enumerate("xyz"):
-            columns.append((f"{target}_{axis} [mm]", list(positions[:, t, a] * 1e3)))
-    for t, target in enumerate(robot.target_names):
-        for a, axis in enumerate("xyz"):
-            if std is not None:
-                columns.append((f"{target}_std_{axis} [mm]", list(std[:, t, a] * 1e3)))
-    return format_table(columns, comments)
-
-
-def _poses(table: Table, robot: Robot, used: set[str]) -> Poses:
-    joints = np.stack([table.column(name, robot.mechanism.dimensions[name]) for name in robot.joint_names], axis=1)
-    named = "pose" in table.names
-    if named and "" in table.text("pose"):
-        line = table.lines[table.text("pose").index("")]
-        raise DataError(f"{table.path}, line {line}, column 'pose': is empty; name the pose, or leave the column out")
-    names = tuple(table.text("pose")) if named else tuple(str(k + 1) for k in range(len(table.rows)))
-    labels = tuple(
-        f"{table.path}, line {line}" + (f" (pose {name})" if named else "")
-        for line, name in zip(table.lines, names, strict=True)
-    )
-    ignored = tuple(name for name in table.names if name not in used)
-    return Poses(joints, labels, names, table.path, ignored)
-
-
-def _averaged(single: Measurements, robot: Robot) -> Measurements:
-    """Average the rows that share a pose name, keeping the order in which the names first appear."""
     groups: dict[str, list[int]] = {}
     for row, name in enumerate(single.names):
         groups.setdefault(name, []).append(row)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.data.measurements import Measurements, Poses
+from calib.data.measurements import Measurements, Poses, single_readings
 from calib.errors import DataError, UnreachablePoseError
 from calib.model.robot import Robot, describe_open
 
@@ -29,13 +29,4 @@ def simulate(robot: Robot, poses: Poses, sigma: float, rng: np.random.Generator)
         raise UnreachablePoseError(describe_open(robot, poses.joints, closed, poses.labels))
     positions = robot.positions(poses.joints)
     positions = positions + sigma * rng.standard_normal(positions.shape)
-    return Measurements(
-        poses.joints,
-        poses.labels,
-        poses.names,
-        poses.path,
-        poses.ignored,
-        positions,
-        np.ones(len(poses), dtype=np.intp),
-        np.full(positions.shape, np.nan),
-    )
+    return single_readings(poses, positions)

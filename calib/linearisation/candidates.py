@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from calib.data.measurements import Measurements, Poses
@@ -43,23 +42,6 @@ class Candidates:
     rows: FloatArray
     usable: BoolArray
     skipped: tuple[str, ...]
-
-
-def as_poses(robot: Robot, poses: Poses | ArrayLike) -> Poses:
-    """Return joint values as `Poses`, naming them by their row where they come without names.
-
-    Args:
-        robot: Whose joints they are.
-        poses: Poses with names, or actuated joints alone, (n, n_actuated) [m or rad].
-
-    Raises:
-        DataError: Wrong shape, or values that are not finite.
-    """
-    if isinstance(poses, Poses):
-        return poses
-    joints = robot.joint_vector(poses)
-    names = tuple(str(k) for k in range(len(joints)))
-    return Poses(joints, tuple(f"pose {name}" for name in names), names, "candidates", ())
 
 
 def build_candidates(robot: Robot, poses: Poses, *, skip_unreachable: bool = False) -> Candidates:

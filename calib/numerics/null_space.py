@@ -24,6 +24,7 @@ from calib.units import PER_SI
 
 _SPEAKS = 0.1  # least part of the largest movement, in sigmas, of the parameter by which a group is told
 
+
 @dataclass(frozen=True, eq=False)
 class Group(ReadOnlyArrays):
     """Parameters that move together unseen.

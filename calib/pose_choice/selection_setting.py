@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from calib.data.arrays import as_poses
 from calib.data.measurements import Poses
 from calib.errors import InputError, NotIdentifiableError, nearest
-from calib.linearisation.candidates import Candidates, as_poses, assemble_known, build_candidates, near_measured
+from calib.linearisation.candidates import Candidates, assemble_known, build_candidates, near_measured
 from calib.linearisation.information import measurement_sigma, prior_rows, require_free
 from calib.model.mechanism import BoolArray, FloatArray
 from calib.model.robot import Robot

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import io
 import math
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table as Printed
 
-from calib.data.measurements import Poses, format_measurements
+from calib.data.measurement_files import format_measurements
+from calib.data.measurements import Poses
 from calib.data.tables import Table, format_table
 from calib.model.robot import Robot
 from calib.numerics.observability import INDICES
 from calib.pose_choice.selection import Run, Selection
 from calib.pose_choice.selection_problem import TASK
+from calib.reporting.plain_text import plain_text
+from calib.words import counted
 
 
 def text_report(selection: Selection, poses: Poses, width: int = 110) -> str:
@@ -25,15 +26,7 @@ def text_report(selection: Selection, poses: Poses, width: int = 110) -> str:
         poses: The candidates.
         width: Of the table, in characters.
     """
-    console = Console(file=io.StringIO(), width=width, color_system=None)
-    for line in _summary(selection, poses):
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
-    console.print(_indices(selection))
-    for line in _remarks(selection):
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
-    stream = console.file
-    assert isinstance(stream, io.StringIO)
-    return stream.getvalue().rstrip()
+    return plain_text([*_summary(selection, poses), _indices(selection), *_remarks(selection)], width).rstrip()
 
 
 def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
@@ -170,9 +163,9 @@ def _remarks(s: Selection) -> list[str]:
     if s.sigma_assumed:
         lines.append(f"Noise {1e3 * s.sigma:g} mm per axis is assumed; state it with --sigma-mm or in the description")
     if s.already_measured:
-        lines.append(f"{s.already_measured} candidates are measured already and were left out")
+        lines.append(f"{counted(s.already_measured, 'candidate')} already measured and left out")
     if s.skipped:
-        lines.append(f"{len(s.skipped)} candidates were skipped:")
+        lines.append(f"{counted(len(s.skipped), 'candidate')} skipped:")
         lines += [f"  {reason}" for reason in s.skipped]
     lines.append(f"{s.seconds:.2f} s, of which choosing {s.selecting_seconds:.2f} s")
     return lines

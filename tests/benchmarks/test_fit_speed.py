@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import calib
-from calib.data.measurements import Measurements
 from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
@@ -16,9 +15,7 @@ def problem():
     robot, q = calib.load(robot_file()), np.array(target_workspace().q)[::5]
     positions = forward(q, table1().actual).p_world_tool[:, None]
     positions = positions + 4e-5 * np.random.default_rng(1).standard_normal(positions.shape)
-    labels = tuple(str(k) for k in range(len(q)))
-    counts = np.ones(len(q), dtype=np.intp)
-    return robot, Measurements(q, labels, labels, "simulated", (), positions, counts, np.full(positions.shape, np.nan))
+    return robot, calib.as_measurements(robot, q, positions)
 
 
 @pytest.mark.parametrize("loss", ["none", "huber", "tukey"])

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 import calib
 from calib.commands.predict import command as predict
-from calib.data.measurements import read_measurements
+from calib.data.measurement_files import read_measurements
 from calib.data.parameter_files import format_parameters
 from calib.errors import InputError
 from calib.export import export

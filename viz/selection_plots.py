@@ -1,12 +1,10 @@
 """Figures of `calib check` and `calib select` as SVG files; registered in the entry point group `calib.figures`.
 
-matplotlib is imported where a figure is drawn. Figures are objects of their own: nothing global is touched and no
-window can open. The same input gives the same bytes.
+The same input gives the same bytes.
 """
 
 from __future__ import annotations
 
-import io
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,51 +12,34 @@ import numpy as np
 from calib.pose_choice.assessment import Assessment
 from calib.pose_choice.selection import Selection
 from calib.pose_choice.selection_problem import TASK
+from viz.svg import new_figure, styled, svg_file
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 BLUE, ORANGE, GREY = "#0072B2", "#D55E00", "#7F7F7F"
 _MARKS = ("-", "--", ":", "-.")
-_STYLE: dict[Any, Any] = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "calibration",
-    "text.parse_math": False,
-    "font.family": "sans-serif",
-    "font.size": 9,
-    "axes.grid": True,
-    "grid.alpha": 0.35,
-    "axes.axisbelow": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "legend.frameon": False,
-}
 
 
+@styled
 def assessment_figures(assessment: Assessment) -> dict[str, bytes]:
     """Return singular values with the gap, correlations, and predicted accuracy against number of poses."""
-    import matplotlib
-
-    with matplotlib.rc_context(_STYLE):
-        return {
-            "singular_values.svg": _svg(singular_values(assessment)),
-            "correlations.svg": _svg(correlations(assessment)),
-            "accuracy.svg": _svg(accuracy(assessment)),
-        }
+    return {
+        "singular_values.svg": svg_file(singular_values(assessment)),
+        "correlations.svg": svg_file(correlations(assessment)),
+        "accuracy.svg": svg_file(accuracy(assessment)),
+    }
 
 
+@styled
 def selection_figures(selection: Selection) -> dict[str, bytes]:
     """Return the index over the exchanges."""
-    import matplotlib
-
-    with matplotlib.rc_context(_STYLE):
-        return {"index.svg": _svg(index_history(selection))}
+    return {"index.svg": svg_file(index_history(selection))}
 
 
 def singular_values(assessment: Assessment) -> Figure:
     """Draw the singular values of all parameters, the threshold, and the gap where the rank ends."""
-    figure, axes = _axes((6.4, 3.6))
+    figure, (axes,) = new_figure(1, 1, (6.4, 3.6))
     rank = assessment.rank_all
     values = rank.singular_values
     floor = 1e-3 * min(rank.threshold, float(np.min(values[values > 0], initial=rank.threshold)))
@@ -79,7 +60,7 @@ def correlations(assessment: Assessment) -> Figure:
     """Draw the correlation matrix of the free parameters; what is undetermined stays white."""
     names = [parameter.name for parameter in assessment.free_parameters]
     size = max(4.0, 0.17 * len(names) + 1.8)
-    figure, axes = _axes((size + 0.8, size))
+    figure, (axes,) = new_figure(1, 1, (size + 0.8, size))
     image = axes.imshow(assessment.known.correlations(), cmap="RdBu_r", vmin=-1, vmax=1)
     axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
     axes.set_yticks(range(len(names)), names, fontsize=7)
@@ -90,7 +71,7 @@ def correlations(assessment: Assessment) -> Figure:
 
 def accuracy(assessment: Assessment) -> Figure:
     """Draw the predicted position error against the number of poses."""
-    figure, axes = _axes((6.4, 3.6))
+    figure, (axes,) = new_figure(1, 1, (6.4, 3.6))
     rows = assessment.by_count
     counts = np.array([row.count for row in rows])
     inside = np.array([row.uniform is not None for row in rows])
@@ -112,7 +93,7 @@ def accuracy(assessment: Assessment) -> Figure:
 
 def index_history(selection: Selection) -> Figure:
     """Draw the index over the exchanges of each run, and the proven bound."""
-    figure, axes = _axes((6.4, 3.6))
+    figure, (axes,) = new_figure(1, 1, (6.4, 3.6))
     scale = 1e3 if selection.index == TASK else 1.0
     for k, run in enumerate(selection.runs):
         values = scale * np.array(run.history)
@@ -134,16 +115,3 @@ def _plain(*axes: Any) -> None:
     for axis in axes:
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
-
-
-def _axes(size: tuple[float, float]) -> tuple[Figure, Axes]:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=size, layout="constrained")
-    return figure, figure.subplots()
-
-
-def _svg(figure: Figure) -> bytes:
-    stream = io.BytesIO()
-    figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
-    return stream.getvalue()

@@ -11,13 +11,14 @@ import io
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ParamSpec
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _Arguments = ParamSpec("_Arguments")
+_Drawn = TypeVar("_Drawn")
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "calibration",
@@ -52,11 +53,11 @@ class Plot:
     svg: str
 
 
-def styled(draw: Callable[_Arguments, Plot]) -> Callable[_Arguments, Plot]:
-    """Draw with our style and put matplotlib's settings back afterwards."""
+def styled(draw: Callable[_Arguments, _Drawn]) -> Callable[_Arguments, _Drawn]:
+    """Draw and write with our style, and put matplotlib's settings back afterwards."""
 
     @functools.wraps(draw)
-    def drawn(*args: _Arguments.args, **options: _Arguments.kwargs) -> Plot:
+    def drawn(*args: _Arguments.args, **options: _Arguments.kwargs) -> _Drawn:
         import matplotlib
 
         with matplotlib.rc_context(_STYLE):
@@ -79,11 +80,16 @@ def finished(name: str, title: str, text: str, figure: Figure) -> Plot:
     return Plot(name, title, text, svg_text(figure, name, title))
 
 
+def svg_file(figure: Figure) -> bytes:
+    """Return a figure as an SVG file; the same figure gives the same bytes."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    return stream.getvalue()
+
+
 def svg_text(figure: Figure, name: str, title: str) -> str:
     """Return a figure as an SVG element to put into a page; its identifiers begin with `name`, so that none clash."""
-    stream = io.StringIO()
-    figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
-    svg = stream.getvalue()
+    svg = svg_file(figure).decode()
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', svg)
     svg = re.sub(r'(xlink:href="#|url\(#)', rf"\g<1>{name}-", svg)

@@ -6,7 +6,7 @@ import functools
 import json
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +17,8 @@ from rich.console import Console
 from calib.errors import CalibrationError, InputError
 from calib.files import check_file, write_file
 from calib.model.robot import Robot
+
+_REMARKS = 5
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,13 @@ class Output:
         """Print a warning or remark to standard error."""
         if not self.quiet:
             click.echo(text, err=True)
+
+    def remarks(self, remarks: Sequence[str]) -> None:
+        """Print remarks on single poses to standard error, the first few of them."""
+        for remark in remarks[:_REMARKS]:
+            self.note(f"note: {remark}")
+        if len(remarks) > _REMARKS:
+            self.note(f"note: and {len(remarks) - _REMARKS} more")
 
     def json(self, content: object) -> None:
         """Write JSON if it was asked for."""

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import click
-import numpy as np
 
 from calib.commands.common import Output, shared_options, with_values
 from calib.data.measurement_files import format_measurements, read_poses
 from calib.data.measurements import Poses
-from calib.errors import UnreachablePoseError
 from calib.files import check_file, write_file
-from calib.model.robot import Robot, describe_open, load
+from calib.model.robot import Robot, load
 from calib.reporting.results import load_uncertainty
+from calib.words import counted
 
 
 @click.command("predict")
@@ -29,19 +28,19 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     check_file(out)
     model = with_values(load(robot), parameters, result)
     poses = read_poses(joints, model)
-    closed = model.close(poses.joints)
-    if not np.all(closed.ok):
-        raise UnreachablePoseError(describe_open(model, poses.joints, closed, poses.labels))
+    remarks = model.near_singularities(model.assemble(poses.joints, labels=poses.labels), poses.labels)
     source = parameters or result or "nominal values"
     comment = (f"predicted positions of {model.name}, {source}",)
     content: dict[str, object] = {"robot": model.path, "values": source, "n_poses": len(poses), "file": out}
+    content["near_singular"] = remarks
     if result:
         text, summary = _with_uncertainty(model, poses, result, comment)
         content["position_uncertainty"] = summary
     else:
         text = format_measurements(model, poses, model.positions(poses.joints), comment)
     write_file(out, text)
-    output.say(f"{len(poses)} poses written to {out}")
+    output.remarks(remarks)
+    output.say(f"{counted(len(poses), 'pose')} written to {out}")
     if result:
         output.say(
             f"Positions are known to {summary['mean']:.4f} mm on average, {summary['max']:.4f} mm at worst"

@@ -46,6 +46,7 @@ def command(
     with output.working(f"solving {len(goals)} targets"):
         solution = solve(model, goals)
     misses = solution.misses()
+    reached = np.flatnonzero(solution.ok)
     if not skip_unreachable or not np.any(solution.ok):
         solution.require_all()
     for miss in misses:
@@ -53,8 +54,17 @@ def command(
     source = parameters or result or "nominal values"
     comments = (f"joint values of {model.name} that reach {targets} ({goals.asks_for}), {source}",)
     write_file(out, _table(model, goals, solution, comments))
-    output.json({"robot": model.path, "asked_for": goals.asks_for, "targets": _rows(model, goals, solution)})
-    reached = np.flatnonzero(solution.ok)
+    labels = [solution.labels[k] for k in reached]
+    remarks = model.near_singularities(model.assemble(solution.q[reached], labels=labels), labels)
+    output.remarks(remarks)
+    output.json(
+        {
+            "robot": model.path,
+            "asked_for": goals.asks_for,
+            "targets": _rows(model, goals, solution),
+            "near_singular": remarks,
+        }
+    )
     output.say(
         f"{len(reached)} of {len(goals)} targets reached ({goals.asks_for}), largest miss"
         f" {1e6 * np.max(solution.miss_position[reached]):.1e} um; written to {out}"

@@ -82,4 +82,4 @@ def _poses(table: Table, robot: Robot, used: set[str]) -> Poses:
         for line, name in zip(table.lines, names, strict=True)
     )
     ignored = tuple(name for name in table.names if name not in used)
-    return Poses(joints, labels, names, table.path, ignored)
+    return Poses(joints, labels, names, table.path, ignored, comments=table.comments)

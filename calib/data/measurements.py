@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,6 +27,7 @@ class Poses(ReadOnlyArrays):
         names: The pose names of the file, or their running number.
         path: Where they came from.
         ignored: Columns of the file that nothing was read from.
+        comments: What the file says about itself, line by line.
     """
 
     joints: FloatArray
@@ -34,6 +35,7 @@ class Poses(ReadOnlyArrays):
     names: tuple[str, ...]
     path: str
     ignored: tuple[str, ...]
+    comments: tuple[str, ...] = field(default=(), kw_only=True)
 
     def __len__(self) -> int:
         return len(self.joints)
@@ -50,6 +52,7 @@ class Measurements(Poses):
         readings: The readings of each pose, (counts[k], n_targets, 3) [m] each; empty where they are not known.
         approach: Direction in which each joint moved last before the pose was measured, +1 or -1, 0 where not known,
             and the mean over repeats, (n_poses, n_actuated). If not given: from the order of the poses.
+        order: Place of each pose in the order of measurement, counted from 0, (n_poses,). If not given: as they stand.
     """
 
     positions: FloatArray
@@ -57,6 +60,7 @@ class Measurements(Poses):
     scatter: FloatArray
     readings: tuple[FloatArray, ...] = ()
     approach: FloatArray | None = None
+    order: IntArray | None = None
 
     @property
     def n_rows(self) -> int:
@@ -68,10 +72,16 @@ class Measurements(Poses):
         """`approach`, from the order of the poses where it is not given, (n_poses, n_actuated)."""
         return directions_of_motion(self.joints) if self.approach is None else self.approach
 
+    @property
+    def places(self) -> IntArray:
+        """`order`, the poses as they stand where it is not given, (n_poses,)."""
+        return np.arange(len(self)) if self.order is None else self.order
+
     def subset(self, index: IntArray) -> Measurements:
         """Return the poses with these indices (n,), in this order."""
         return replace(
             self,
+            order=self.places[index],
             readings=tuple(self.readings[i] for i in index) if self.readings else (),
             approach=self.approach_directions[index],
             joints=self.joints[index],
@@ -124,6 +134,7 @@ def single_readings(poses: Poses, positions: FloatArray) -> Measurements:
         positions,
         np.ones(len(poses), dtype=np.intp),
         np.full(positions.shape, np.nan),
+        comments=poses.comments,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from calib.data.tables import check_plausible, format_table, read_number, read_table
@@ -52,11 +53,11 @@ def read_parameters(path: Path | str, robot: Robot, *, complete: bool = False) -
     return values
 
 
-def format_parameters(robot: Robot) -> str:
-    """Return CSV text of a robot's current values; reading it gives the same values to the last digits."""
+def format_parameters(robot: Robot, comments: Sequence[str] = ()) -> str:
+    """Return CSV text of a robot's current values, behind comments; reading it gives the same values to all digits."""
     names, values, units = [], [], []
     for parameter, value in zip(robot.parameters, robot.values, strict=True):
         names.append(parameter.name)
         values.append(float(value * PER_SI[parameter.dimension][parameter.unit]))
         units.append(parameter.unit)
-    return format_table([("parameter", names), ("value", values), ("unit", units)])
+    return format_table([("parameter", names), ("value", values), ("unit", units)], comments)

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from calib.data.arrays import as_poses
 from calib.data.measurements import Measurements, Poses, single_readings
-from calib.errors import DataError, UnreachablePoseError
-from calib.model.robot import Robot, describe_open
+from calib.errors import DataError
+from calib.model.robot import Robot
 
 
-def simulate(robot: Robot, poses: Poses, sigma: float, rng: np.random.Generator) -> Measurements:
+def simulate(robot: Robot, poses: Poses | ArrayLike, sigma: float, rng: np.random.Generator) -> Measurements:
     """Return simulated measurements of a robot at its current parameter values.
 
     Args:
         robot: The robot that plays the truth.
-        poses: Where to measure.
+        poses: Where to measure: poses, or joint values alone, (n, n_actuated) [m or rad].
         sigma: Standard deviation of the noise per axis [m]; 0 for none.
         rng: Source of the noise.
 
@@ -24,9 +26,8 @@ def simulate(robot: Robot, poses: Poses, sigma: float, rng: np.random.Generator)
     """
     if not (np.isfinite(sigma) and sigma >= 0):
         raise DataError(f"sigma {sigma:g} m: must be a number, zero or positive")
-    closed = robot.close(poses.joints)
-    if not np.all(closed.ok):
-        raise UnreachablePoseError(describe_open(robot, poses.joints, closed, poses.labels))
-    positions = robot.positions(poses.joints)
+    where = as_poses(robot, poses)
+    robot.assemble(where.joints, labels=where.labels)  # says which pose cannot be
+    positions = robot.positions(where.joints)
     positions = positions + sigma * rng.standard_normal(positions.shape)
-    return single_readings(poses, positions)
+    return single_readings(where, positions)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.data.measurements import Measurements
-from calib.errors import ComputationError, UnreachablePoseError
+from calib.errors import ComputationError
 from calib.linearisation.jacobian import linearise
 from calib.model import loops
 from calib.model.mechanism import BoolArray, FloatArray
@@ -61,10 +61,7 @@ class Problem:
         self.moves = np.array([parameter.placement for parameter in chosen], dtype=bool)
         self.nominal = np.array([parameter.nominal for parameter in chosen])
         self._weight = np.sqrt(data.counts)[:, None, None, None]
-        closed = robot.close(data.joints)
-        if not np.all(closed.ok):
-            raise UnreachablePoseError(describe_open(robot, data.joints, closed, data.labels))
-        self._seed = closed.passive
+        self._seed = robot.assemble(data.joints, labels=data.labels).passive
         self._recent: dict[bytes, Evaluation | None] = {}
 
     def evaluate(self, robot: Robot) -> Evaluation:

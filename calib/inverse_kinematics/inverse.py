@@ -39,7 +39,7 @@ class Solution:
 
     Attributes:
         q: Actuated joints, (n, n_actuated) [m or rad]; where `ok` is False the nearest that was found.
-        ok: Which goals are reached to `TOLERANCE`, (n,).
+        ok: Which goals are reached to `TOLERANCE`, at joint values at which `Robot.assemble` finds the robot, (n,).
         miss_position: Distance from the wanted position, (n,) [m].
         miss_angle: Angle from the wanted orientation or direction, (n,) [rad]; 0 where none is asked for.
         positions: Where the target is at `q`, (n, 3) [m].
@@ -55,11 +55,13 @@ class Solution:
 
     def misses(self) -> list[str]:
         """Return a phrase for every goal that is not reached."""
-        return [
-            f"{self.labels[k]} misses by {1e3 * self.miss_position[k]:.3f} mm"
-            + (f" and {np.degrees(self.miss_angle[k]):.3f} deg" if self.miss_angle[k] > TOLERANCE else "")
-            for k in np.flatnonzero(~self.ok)
-        ]
+        return [f"{self.labels[k]} {self._miss(k)}" for k in map(int, np.flatnonzero(~self.ok))]
+
+    def _miss(self, k: int) -> str:
+        length, angle = float(self.miss_position[k]), float(self.miss_angle[k])
+        if length <= TOLERANCE and angle <= TOLERANCE:
+            return "can be reached, but no way leads there from home in its assembly mode"
+        return f"misses by {1e3 * length:.3f} mm" + (f" and {np.degrees(angle):.3f} deg" if angle > TOLERANCE else "")
 
     def require_all(self) -> None:
         """Raise `UnreachablePoseError` that names the goals that are not reached."""
@@ -96,6 +98,7 @@ def solve(robot: Robot, goals: Goals, *, near: ArrayLike | None = None) -> Solut
     search.keep(solved, nearer(reach, solved, turned, wanted[solved]))
     positions, miss, angle = reach.misses(search.best.actuated, search.best.passive)
     ok = (miss <= TOLERANCE) & (angle <= TOLERANCE)
+    ok[ok] = robot.close(search.best.actuated[ok]).ok  # the loops were followed from elsewhere
     return Solution(search.best.actuated, ok, miss, angle, positions, goals.labels)
 
 

@@ -34,6 +34,7 @@ from calib.model import kinematics, loops
 from calib.model.assembly_mode import AssemblyMode
 from calib.model.closure import residual
 from calib.model.mechanism import BoolArray, FloatArray, IntArray, Mechanism, RelativeFrame
+from calib.model.newton import newton
 
 _CONVERGED = 2e-13  # norm of e where rounding takes over [m]
 LARGEST_STEP = 0.5  # of any joint [rad, or characteristic lengths]
@@ -43,7 +44,6 @@ _SMALLEST_GAIN = 1e-7  # part of the distance that a step must gain to go on
 _SMALLEST_DAMPING, _LARGEST_DAMPING = 1e-12, 1e6  # relative to the mean diagonal of J^T J
 _NEAR_LIMIT = 1e-3  # a passive joint this close to its limit is held back [rad, or characteristic lengths]
 _HEAVY = 1e3  # weight of the row that does so
-_LIMIT_MARGIN = 1e-9  # as `calib.model.loops` allows [m, rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,10 +174,9 @@ class Reach:
         if not self.mechanism.loops:
             return at.passive, np.ones(len(trial), dtype=bool)
         change = np.einsum("nij,nj->ni", linear.passive_slope, (trial - at.actuated) / self.scale)
-        passive, _, ok = loops.newton(self.mechanism, self.mode, trial, at.passive + self.passive_scale * change)
+        passive, _, ok = newton(self.mechanism, self.mode, trial, at.passive + self.passive_scale * change)
         passive = loops.wrapped(self.mechanism, self.mode, passive)
-        lower, upper = self.mechanism.lower - _LIMIT_MARGIN, self.mechanism.upper + _LIMIT_MARGIN
-        return passive, ok & np.all((passive >= lower) & (passive <= upper), axis=1)
+        return passive, ok & loops.within_limits(self.mechanism, passive)
 
 
 def actuated_jacobian(
@@ -272,7 +271,8 @@ def _trial(reach: Reach, at: Configured, linear: Linear, damping: FloatArray) ->
         change = np.einsum("nij,nj->ni", linear.passive_slope, step)
         below, above = (room_below < _NEAR_LIMIT) & (change < 0), (room_above < _NEAR_LIMIT) & (change > 0)
         # the heavy rows aim at half the band, so that curvature carries no joint past its limit
-        aim = np.where(below, _NEAR_LIMIT / 2 - room_below, room_above - _NEAR_LIMIT / 2)
+        aim = np.where(below, _NEAR_LIMIT / 2 - room_below, 0.0)
+        aim = np.where(above, room_above - _NEAR_LIMIT / 2, aim)
         step = _damped_step(reach, at, linear, damping, _HEAVY * (below | above), aim)
         change = np.einsum("nij,nj->ni", linear.passive_slope, step)
         room = np.maximum(np.where(change < 0, room_below, room_above) - _NEAR_LIMIT / 2, _NEAR_LIMIT / 4)

@@ -14,7 +14,7 @@ from calib.linearisation.information import scaled_rows
 from calib.linearisation.jacobian import linearise
 from calib.model.mechanism import BoolArray, FloatArray, IntArray
 from calib.model.open_loops import why_open
-from calib.model.robot import Configurations, Robot, describe_open
+from calib.model.robot import Configurations, Robot, near_singularity
 from calib.read_only import ReadOnlyArrays
 
 _PART = 8192
@@ -105,25 +105,13 @@ class KnownPoses(ReadOnlyArrays):
         return result
 
 
-def assembled(robot: Robot, poses: Poses) -> Configurations:
-    """Assemble poses, naming the one that cannot be by its label.
-
-    Raises:
-        UnreachablePoseError: A pose cannot be assembled.
-    """
-    closed = robot.close(poses.joints)
-    if not np.all(closed.ok):
-        raise UnreachablePoseError(describe_open(robot, poses.joints, closed, poses.labels))
-    return Configurations(poses.joints, closed.passive, closed.slope)
-
-
 def assemble_known(robot: Robot, poses: Poses) -> KnownPoses:
     """Assemble poses and take their Jacobians.
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
     """
-    linear = linearise(robot, assembled(robot, poses))
+    linear = linearise(robot, robot.assemble(poses.joints, labels=poses.labels))
     counts = poses.counts if isinstance(poses, Measurements) else np.ones(len(poses), dtype=np.intp)
     rows = scaled_rows(linear.jacobian, robot.parameters, robot.free)
     return KnownPoses(poses.joints, linear.positions, rows, counts)
@@ -156,7 +144,7 @@ def _reasons(
     found: list[str] = []
     for k in (int(number) for number in np.flatnonzero(distance < limit)):
         if ok[k]:
-            found.append(f"{labels[k]}: {distance[k]:.2g} from a singularity of the loops (limit {limit:g})")
+            found.append(near_singularity(labels[k], distance[k], limit))
             continue
         shown = already + len(found) < _SHOWN  # a search each: not for thousands
         why = f" ({why_open(robot.mechanism, robot.mode, q[k])})" if shown else ""

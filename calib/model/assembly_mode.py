@@ -12,7 +12,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, maximum_bipartite_matching
 
-from calib.model.mechanism import BoolArray, FloatArray, IntArray
+from calib.model.mechanism import BoolArray, FloatArray, IntArray, Mechanism
 from calib.read_only import ReadOnlyArrays
 
 
@@ -21,11 +21,13 @@ class AssemblyMode(ReadOnlyArrays):
     """A closed configuration and the signs that tell its assembly mode.
 
     Attributes:
+        mechanism: The mechanism that it is a configuration of: the nominal one.
         actuated, passive: The configuration, (n_actuated,), (n_passive,) [m or rad].
         block_rows, block_columns: Indices of each strongly connected block of C_p, n_blocks arrays each.
         signs: Sign of each block's determinant, (n_blocks,).
     """
 
+    mechanism: Mechanism
     actuated: FloatArray
     passive: FloatArray
     block_rows: tuple[IntArray, ...]

@@ -7,8 +7,8 @@ import numpy as np
 from calib.errors import DescriptionError
 from calib.model.assembly_mode import AssemblyMode, block_signs, blocks
 from calib.model.closure import gap_text, open_by, residual, scaled, singular_values
-from calib.model.loops import TOLERANCE, newton
 from calib.model.mechanism import FloatArray, Mechanism
+from calib.model.newton import TOLERANCE, newton
 
 _OPEN_HOME = 0.05  # characteristic lengths, or rad: as much as a calibrated URDF differs from its drawing
 
@@ -28,7 +28,7 @@ def closed_home(mechanism: Mechanism, home: dict[str, float], singularity_limit:
     actuated = np.array([[home.get(name, 0.0) for name in mechanism.actuated]])
     passive = np.array([[home.get(name, 0.0) for name in mechanism.passive]])
     if not mechanism.loops:
-        return AssemblyMode(actuated[0], passive[0], (), (), np.ones(0))
+        return AssemblyMode(mechanism, actuated[0], passive[0], (), (), np.ones(0))
     missing = [name for name in mechanism.actuated + mechanism.passive if name not in home]
     if missing:
         raise DescriptionError(
@@ -39,11 +39,11 @@ def closed_home(mechanism: Mechanism, home: dict[str, float], singularity_limit:
     _check_closed(mechanism, values, where)
     _check_regular(mechanism, slope, singularity_limit, where)
     rows, columns = blocks(np.abs(scaled(mechanism, slope)[0]) > 1e-9)
-    mode = AssemblyMode(actuated[0], passive[0], rows, columns, block_signs(slope, rows, columns)[0])
+    mode = AssemblyMode(mechanism, actuated[0], passive[0], rows, columns, block_signs(slope, rows, columns)[0])
     polished, _, ok = newton(mechanism, mode, actuated, passive)
     if not ok[0]:
         raise DescriptionError(f"{where}: home: cannot be closed to {TOLERANCE:g} m from the values given")
-    return AssemblyMode(actuated[0], polished[0], rows, columns, mode.signs)
+    return AssemblyMode(mechanism, actuated[0], polished[0], rows, columns, mode.signs)
 
 
 def _check_closed(mechanism: Mechanism, values: FloatArray, where: str) -> None:

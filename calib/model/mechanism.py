@@ -107,6 +107,16 @@ class Mechanism(ReadOnlyArrays):
         values = {key: getattr(self, key) for key in self.__dataclass_fields__} | {"model": model}
         return Mechanism(**values)
 
+    def between_origins(self, other: Mechanism, part: float) -> Mechanism:
+        """Return the mechanism whose origins have moved by this part (0 to 1) of the way to those of `other`."""
+        here, there = self.model.jointPlacements, other.model.jointPlacements
+        moved = {
+            name: pin.SE3.Interpolate(here[k + 1], there[k + 1], part)
+            for k, name in enumerate(self.origin_names)
+            if here[k + 1] != there[k + 1]
+        }
+        return self.with_placements(moved)
+
     def all_joints(self, actuated: FloatArray, passive: FloatArray) -> FloatArray:
         """Assemble q_all of the module docstring, (n_poses, n_joints)."""
         return actuated @ self.select_actuated.T + passive @ self.select_passive.T + self.constant

@@ -7,7 +7,8 @@ from scipy.optimize import least_squares
 
 from calib.model.assembly_mode import AssemblyMode
 from calib.model.closure import gap_text, open_by, residual
-from calib.model.loops import follow, wrapped
+from calib.model.continuation import follow
+from calib.model.loops import wrapped
 from calib.model.mechanism import FloatArray, Mechanism
 
 _CLOSED = 1e-6  # the search for the smallest gap ends a few nanometres from closed [m or rad]

@@ -26,6 +26,8 @@ from calib.model.urdf_text import Triple, UrdfText, read_urdf
 from calib.read_only import ReadOnlyArrays, read_only
 from calib.units import Dimension, per_si, split_column
 
+_LARGEST_JOINT = 1e6  # [m or rad]
+
 
 @dataclass(frozen=True, eq=False)
 class Configurations(ReadOnlyArrays):
@@ -145,18 +147,28 @@ class Robot(ReadOnlyArrays):
         if not np.all(np.isfinite(values)):
             row, column = np.argwhere(~np.isfinite(values))[0]
             raise DataError(f"pose {row}: joint '{self.joint_names[column]}' is not finite")
+        if np.any(np.abs(values) > _LARGEST_JOINT):
+            row, column = np.argwhere(np.abs(values) > _LARGEST_JOINT)[0]
+            raise DataError(
+                f"pose {row}: joint '{self.joint_names[column]}' is {values[row, column]:.3g} m or rad, which no robot"
+                " reaches; check the value and its unit"
+            )
         return values
 
     def close(self, q: ArrayLike, seed: FloatArray | None = None) -> loops.Closed:
         """Solve the loops of each pose without raising; see `calib.model.loops.close`."""
         return loops.close(self.mechanism, self.mode, self.joint_vector(q), seed)
 
-    def assemble(self, q: ArrayLike, seed: FloatArray | None = None) -> Configurations:
+    def assemble(
+        self, q: ArrayLike, seed: FloatArray | None = None, labels: Sequence[str] | None = None
+    ) -> Configurations:
         """Solve the loops of each pose in the assembly mode of home.
 
         Args:
             q: Actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
-            seed: Passive joints of the same poses under slightly different parameters, to start from.
+            seed: Passive joints of the same poses under slightly different parameters, to start from,
+                (n, n_passive) [m or rad].
+            labels: What to call each pose in messages, n of them.
 
         Raises:
             UnreachablePoseError: A loop stays open; the message names pose and loop and the miss.
@@ -164,19 +176,31 @@ class Robot(ReadOnlyArrays):
         values = self.joint_vector(q)
         closed = loops.close(self.mechanism, self.mode, values, seed)
         if not np.all(closed.ok):
-            raise UnreachablePoseError(describe_open(self, values, closed))
+            raise UnreachablePoseError(describe_open(self, values, closed, labels))
         return Configurations(values, closed.passive, closed.slope)
 
     def singular_values(self, configurations: Configurations) -> FloatArray:
         """Return each pose's distance to a singularity of the loops, (n,): see `calib.model.closure`."""
         return singular_values(self.mechanism, configurations.slope)
 
+    def near_singularities(self, configurations: Configurations, labels: Sequence[str]) -> list[str]:
+        """Return a remark on every configuration that is near a singularity of the loops.
+
+        There small errors of parameters and joints move the passive joints far.
+
+        Args:
+            configurations: Of `assemble`.
+            labels: What to call each, n of them.
+        """
+        limit, values = self.description.singularity_limit, self.singular_values(configurations)
+        return [near_singularity(labels[k], values[k], limit) for k in map(int, np.flatnonzero(values < limit))]
+
     def forward(self, q: ArrayLike, frame: str | None = None) -> FloatArray:
         """Pose of a frame in the measurement frame, loops closed.
 
         Args:
             q: Actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
-            frame: Link, joint or target; the first target if not given.
+            frame: Target, link or joint, looked up in this order; the first target if not given.
 
         Returns:
             Homogeneous transforms T_base_frame, (n, 4, 4) or (4, 4) [m].
@@ -188,7 +212,8 @@ class Robot(ReadOnlyArrays):
         """
         configurations = self.assemble(q)
         target = self.mechanism.targets[0]
-        index = target.b if frame is None else self.mechanism.joint(frame)
+        named = {pair.name: pair.b for pair in self.mechanism.targets}
+        index = target.b if frame is None else named[frame] if frame in named else self.mechanism.joint(frame)
         pair = replace(target, b=index)
         joints = self.mechanism.all_joints(configurations.actuated, configurations.passive)
         swept = kinematics.sweep(self.mechanism, joints, (pair,))
@@ -272,6 +297,11 @@ def _check_columns(description: Description, mechanism: Mechanism, where: str) -
             per_si(unit, dimensions[name], f"{where}: columns.{foreign}")
         except InputError as error:
             raise DescriptionError(str(error)) from None
+
+
+def near_singularity(label: str, value: float, limit: float) -> str:
+    """Say that a pose with this smallest singular value is nearer to a singularity of the loops than the limit."""
+    return f"{label}: {value:.2g} from a singularity of the loops (limit {limit:g})"
 
 
 def describe_open(robot: Robot, q: FloatArray, closed: loops.Closed, labels: Sequence[str] | None = None) -> str:

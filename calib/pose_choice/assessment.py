@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.data.measurements import Measurements, Poses
 from calib.errors import DataError
-from calib.linearisation.candidates import assemble_known, assembled
+from calib.linearisation.candidates import assemble_known
 from calib.linearisation.information import Information, information, measurement_sigma, prior_rows, require_free
 from calib.linearisation.jacobian import linearise
 from calib.model.mechanism import BoolArray, FloatArray
@@ -117,7 +117,7 @@ def assess(robot: Robot, poses: Poses, *, task: Poses | None = None, sigma: floa
     require_free(robot)
     parameters, free = robot.parameters, robot.free
     noise, assumed = measurement_sigma(robot, sigma)
-    configurations = assembled(robot, poses)
+    configurations = robot.assemble(poses.joints, labels=poses.labels)
     jacobian = linearise(robot, configurations).jacobian
     _require_rows(robot, poses, jacobian.shape[1])
     weight = np.sqrt(poses.counts if isinstance(poses, Measurements) else np.ones(len(poses)))

@@ -27,8 +27,8 @@ import numpy as np
 from calib.linearisation.information import scaled_rows
 from calib.linearisation.jacobian import linearise
 from calib.model.closure import residual
-from calib.model.loops import TOLERANCE
 from calib.model.mechanism import BoolArray, FloatArray
+from calib.model.newton import TOLERANCE
 from calib.model.robot import Configurations, Robot
 from calib.pose_choice.selection_problem import Problem
 from calib.pose_choice.selection_scores import Scores, scores_of

@@ -15,6 +15,7 @@ A concave function lies below its tangents. At any weights w, with g_k = d(log p
     phi(w') / phi(w)  <=  1 + sum_k g_k (w'_k - w_k)  <=  1 + (sum of the m largest g_k) - sum_k g_k w_k  =  1 + gap(w)
 
 So each w proves a bound, at the choice itself too; the least one found counts. Nothing has to converge for it to hold.
+(The squares of O3, the smallest eigenvalue, and of O5 are concave too; no bound is computed for them.)
 
 Weights. A primal-dual interior-point method on the weights that are not clear yet: fractional ones and those whose g
 is nearest to the m-th largest, while the others stay at 0 or 1; then g of all candidates decides again which are not
@@ -35,7 +36,7 @@ from calib.pose_choice.selection_problem import TASK, Problem
 from calib.read_only import ReadOnlyArrays
 
 CERTIFIED = ("O1", TASK)
-"""Indices for which a bound can be proven."""
+"""Indices for which a bound is computed."""
 _CLOSE_ENOUGH = 2e-5  # gap of the relaxation at which to stop: 0.001 % of the index
 _UNCLEAR = 110  # candidates that the interior-point method works on at once
 _ROUNDS = 12

@@ -1,0 +1,192 @@
+"""Ways to closed configurations: following the loops from home, while joints or origins move.
+
+Method. Continuation along the straight line from an already solved configuration (a0, p0) to a: a predicted step along
+the tangent dp = -C_p^-1 C_a da, then Newton steps on p. A step counts only if Newton contracts at once (each correction
+at most half of the one before, the first below 0.5 rad) and stays in the assembly mode (`calib.model.assembly_mode`);
+otherwise it is halved. Limits of the passive joints play no part here.
+
+Ways. Home is a configuration of the nominal robot. A robot with other parameters is reached by moving the origins from
+nominal to its own while the loops follow (`carry`); from its home, poses are solved nearest first, each starting from
+the nearest solved pose, so that one step is usually enough. Poses that this does not reach are solved at the nominal
+robot and carried over from there, or by way of stepping stones spread around them. All poses advance together in
+arrays. After a small change of parameters the old solution is the start (`seed`).
+
+When it fails. A pose that no way reaches without passing a singularity stays unsolved; so does one whose own loops
+cannot be closed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.stats import qmc
+
+from calib.model.assembly_mode import AssemblyMode
+from calib.model.closure import residual
+from calib.model.mechanism import BoolArray, FloatArray, IntArray, Mechanism
+from calib.model.newton import LARGEST_STEP, in_radians, newton, solved_for
+
+_SMALLEST_PART = 1 / 256  # of the way from start to goal, before continuation gives up
+_SMALLEST_CHANGE = 1 / 64  # part of the change of the origins that is not halved any more
+_NEIGHBOURS = 3  # solved poses to start from
+_STONES, _FROM_STONES = 64, 6
+
+
+def follow(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Solve poses in the assembly mode of home, by one of the ways of the module docstring.
+
+    Args:
+        mechanism: The robot.
+        mode: Home and its assembly mode.
+        actuated: Actuated joints, (n, n_actuated) [m or rad].
+
+    Returns:
+        Passive joints (n, n_passive), C_p there (n, n_passive, n_passive), and which poses were solved (n,); limits of
+        the passive joints play no part.
+    """
+    found = _Found(len(actuated), len(mechanism.passive))
+    home_p, _, home_ok = carry(mechanism, mode, mode.actuated[None], mode.passive[None])
+    known = (mode.actuated[None], home_p)
+    if home_ok[0]:
+        found.take(*_spread_out(mechanism, mode, known, actuated))
+    todo = np.flatnonzero(~found.ok)
+    if len(todo) and mechanism is not mode.mechanism:
+        passive, _, ok = _spread_out(mode.mechanism, mode, (mode.actuated[None], mode.passive[None]), actuated[todo])
+        todo = todo[ok]
+        found.take(*carry(mechanism, mode, actuated[todo], passive[ok]), todo)
+        todo = np.flatnonzero(~found.ok)
+    if len(todo) and home_ok[0]:
+        stones = _stepping_stones(mechanism, mode, actuated[todo])
+        passive, _, ok = _spread_out(mechanism, mode, known, stones)
+        found.take(*_nearest(mechanism, mode, (stones[ok], passive[ok]), actuated[todo], _FROM_STONES), todo)
+    return found.passive, found.slope, found.ok
+
+
+class _Found:
+    """Solved poses so far: passive joints, C_p, and which."""
+
+    def __init__(self, n: int, n_passive: int) -> None:
+        self.passive, self.slope = np.full((n, n_passive), np.nan), np.full((n, n_passive, n_passive), np.nan)
+        self.ok = np.zeros(n, dtype=bool)
+
+    def take(self, passive: FloatArray, slope: FloatArray, ok: BoolArray, index: IntArray | None = None) -> None:
+        """Keep what was solved of the poses `index`, or of all."""
+        where = np.flatnonzero(ok) if index is None else index[ok]
+        self.passive[where], self.slope[where], self.ok[where] = passive[ok], slope[ok], True
+
+
+def carry(
+    mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Follow closed configurations while the origins move from the nominal ones to those of `mechanism`.
+
+    Args:
+        mechanism: Where to arrive.
+        mode: Nominal mechanism and assembly mode.
+        actuated: Actuated joints, which stay as they are, (n, n_actuated) [m or rad].
+        passive: Passive joints that close the nominal mechanism there, (n, n_passive) [m or rad].
+
+    Returns:
+        Passive joints (n, n_passive), C_p there (n, n_passive, n_passive), and which poses arrived (n,).
+    """
+    found = _Found(len(actuated), passive.shape[1])
+
+    def go(index: IntArray, at: FloatArray, low: float, high: float) -> tuple[IntArray, FloatArray]:
+        """From the part `low` of the change to `high`; return who arrived, and their passive joints."""
+        there = mechanism if high == 1 else mode.mechanism.between_origins(mechanism, high)
+        solved, slope, ok = newton(there, mode, actuated[index], at)
+        ok &= np.max(np.abs(in_radians(there, solved - at)), axis=1, initial=0.0) < 4 * LARGEST_STEP
+        if high == 1:
+            found.take(solved, slope, ok, index)
+        left = np.flatnonzero(~ok)
+        if len(left) == 0 or high - low < _SMALLEST_CHANGE:
+            return index[ok], solved[ok]
+        middle = (low + high) / 2
+        halfway, at_half = go(index[left], at[left], low, middle)
+        late, at_late = go(halfway, at_half, middle, high) if len(halfway) else (halfway, at_half)
+        return np.concatenate([index[ok], late]), np.concatenate([solved[ok], at_late])
+
+    if len(actuated):
+        go(np.arange(len(actuated)), passive, 0.0, 1.0)
+    return found.passive, found.slope, found.ok
+
+
+def _joint_scale(mechanism: Mechanism) -> FloatArray:
+    kinds = [mechanism.dimensions[name] for name in mechanism.actuated]
+    return np.array([mechanism.length if kind == "length" else 1.0 for kind in kinds])
+
+
+def _spread_out(
+    mechanism: Mechanism, mode: AssemblyMode, known: tuple[FloatArray, FloatArray], actuated: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Solve poses nearest to home first, each from the nearest pose solved so far; those left, once more from all."""
+    found = _Found(len(actuated), len(mechanism.passive))
+    points = actuated / _joint_scale(mechanism)
+    order = np.argsort(np.linalg.norm(points - known[0][0] / _joint_scale(mechanism), axis=1), kind="stable")
+    start, size = 0, 8
+    while start < len(order):
+        batch = order[start : start + size]
+        found.take(*_nearest(mechanism, mode, known, actuated[batch], _NEIGHBOURS), batch)
+        solved = batch[found.ok[batch]]
+        known = np.vstack([known[0], actuated[solved]]), np.vstack([known[1], found.passive[solved]])
+        start, size = start + size, size * 2
+    left = np.flatnonzero(~found.ok)
+    if len(left) and len(known[0]) > _NEIGHBOURS:
+        found.take(*_nearest(mechanism, mode, known, actuated[left], _NEIGHBOURS), left)
+    return found.passive, found.slope, found.ok
+
+
+def _nearest(
+    mechanism: Mechanism,
+    mode: AssemblyMode,
+    known: tuple[FloatArray, FloatArray],
+    actuated: FloatArray,
+    neighbours: int,
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Solve poses from known ones, the nearest first; another way round where the straight line is blocked."""
+    found, scale = _Found(len(actuated), len(mechanism.passive)), _joint_scale(mechanism)
+    tree = cKDTree(known[0] / scale) if len(known[0]) else None
+    for neighbour in range(min(neighbours, len(known[0]))):
+        todo = np.flatnonzero(~found.ok)
+        if tree is None or len(todo) == 0:
+            break
+        nearest = tree.query(actuated[todo] / scale, k=[neighbour + 1])[1][:, 0]
+        found.take(*_continue(mechanism, mode, known[0][nearest], known[1][nearest], actuated[todo]), todo)
+    return found.passive, found.slope, found.ok
+
+
+def _stepping_stones(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> FloatArray:
+    """Joint values spread over the box of home and these poses and a bit beyond, (n, n_actuated) [m or rad]."""
+    corners = np.vstack([mode.actuated[None], actuated])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    beyond = 0.1 * _joint_scale(mechanism)
+    sample = qmc.Halton(corners.shape[1], scramble=False).random(_STONES)
+    stones: FloatArray = low - beyond + sample * (high - low + 2 * beyond)
+    return stones
+
+
+def _continue(
+    mechanism: Mechanism, mode: AssemblyMode, start_a: FloatArray, start_p: FloatArray, goal: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Follow the solution from (start_a, start_p) to the actuated joints `goal` with adaptive steps."""
+    n, n_passive = len(goal), len(mechanism.passive)
+    at_a, at_p = start_a.copy(), start_p.copy()
+    slope = np.full((n, n_passive, n_passive), np.nan)
+    done, part = np.zeros(n), np.ones(n)
+    active = np.arange(n)
+    while len(active):
+        _, slope_p, slope_a = residual(mechanism, at_a[active], at_p[active])
+        step = np.minimum(part[active], 1 - done[active])[:, None]
+        next_a = np.where(done[active, None] + step >= 1, goal[active], at_a[active] + step * (goal - start_a)[active])
+        change = np.matmul(slope_a, (next_a - at_a[active])[:, :, None])
+        predicted = at_p[active] - solved_for(slope_p, change[:, :, 0])
+        solved, new_slope, accepted = newton(mechanism, mode, next_a, predicted)
+        moved = np.max(np.abs(in_radians(mechanism, solved - at_p[active])), axis=1)
+        accepted &= moved < 4 * LARGEST_STEP
+        good, bad = active[accepted], active[~accepted]
+        at_a[good], at_p[good], slope[good] = next_a[accepted], solved[accepted], new_slope[accepted]
+        done[good] += step[accepted, 0]
+        done[good[np.all(at_a[good] == goal[good], axis=1)]] = 1.0
+        part[good], part[bad] = 2 * part[good], part[bad] / 2
+        active = active[(done[active] < 1) & (part[active] >= _SMALLEST_PART)]
+    return at_p, slope, done >= 1

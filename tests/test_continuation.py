@@ -1,0 +1,85 @@
+"""Ways to closed configurations: far parameters, single poses, limits of another turn, joints without limits."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib
+from calib.inverse_kinematics.goals import Goals
+from calib.inverse_kinematics.inverse import solve
+from medrue import robot_file
+from medrue.closed_form import forward
+from medrue.paper_tables import table1
+from medrue.workspace import target_workspace
+
+EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
+ANGLES = np.array([unit == "rad" for unit in table1().units])
+
+
+@pytest.fixture(scope="module")
+def medrue():
+    return calib.load(robot_file())
+
+
+def edited_five_bar(folder, *changes):
+    """The five-bar of the documentation with some of its URDF replaced."""
+    text = (EXAMPLES / "five_bar.urdf").read_text()
+    for old, new in changes:
+        text, count = re.subn(old, new, text)
+        assert count, old
+    (folder / "five_bar.urdf").write_text(text)
+    (folder / "five_bar.yaml").write_text((EXAMPLES / "five_bar.yaml").read_text())
+    return calib.load(folder / "five_bar.yaml")
+
+
+@pytest.mark.parametrize("times", [1, 3])
+def test_every_pose_that_closes_in_the_closed_form_is_found_with_parameters_far_from_nominal(medrue, times):
+    """+-2 mm and +-1.5 deg, and three times that, where home's loops alone would need corrections above 0.5 rad."""
+    rng, q = np.random.default_rng(times), np.array(target_workspace().q)[::30]
+    for _ in range(25):
+        far = times * np.where(ANGLES, np.radians(1.5), 2e-3) * rng.uniform(-1, 1, 36)
+        oracle = forward(q, table1().nominal + far)
+        assert oracle.closes.all()
+        positions = medrue.with_parameters(table1().nominal + far).positions(q)[:, 0]
+        assert np.max(np.abs(positions - oracle.p_world_tool)) < 1e-10
+
+
+def test_motor_zeros_that_are_20_degrees_off_leave_the_five_bar_whole(tmp_path):
+    """Zeros of the motors are an offset of their joint values: the same elbow angles, from other commands."""
+    robot = edited_five_bar(tmp_path)
+    q = calib.read_poses(EXAMPLES / "five_bar_simulated.csv", robot).joints
+    expected = robot.assemble(q).passive
+    zeros = np.radians([20.0, -20.0])
+    moved = robot.with_parameters({"left_motor.rz": zeros[0], "right_motor.rz": zeros[1]})
+    assert np.max(np.abs(moved.assemble(q - zeros).passive - expected)) < 1e-11
+
+
+def test_a_pose_alone_is_found_where_it_is_found_among_others(medrue):
+    rng = np.random.default_rng(4)
+    limits = np.array([(j.lower, j.upper) for j in medrue.urdf.joints if j.name in medrue.joint_names]).T
+    q = rng.uniform(*limits, (120, 6))
+    together = medrue.close(q)
+    assert 3 < together.ok.sum() < 115
+    alone = np.array([medrue.close(one).ok[0] for one in q[together.ok]])
+    assert alone.all()
+
+
+def test_limits_that_lie_a_turn_away_are_the_same_limits(tmp_path):
+    robot = edited_five_bar(tmp_path)
+    q = calib.read_poses(EXAMPLES / "five_bar_simulated.csv", robot).joints
+    expected = robot.assemble(q).passive
+    turn = 2 * np.pi
+    shifted = edited_five_bar(tmp_path, (r'lower="-3" upper="0"', f'lower="{turn - 3!r}" upper="{turn!r}"'))
+    assert np.max(np.abs(shifted.assemble(q).passive - expected - [turn, 0.0])) < 1e-11
+
+
+def test_goals_are_reached_through_passive_joints_without_limits(tmp_path):
+    limited = edited_five_bar(tmp_path)
+    q = calib.read_poses(EXAMPLES / "five_bar_simulated.csv", limited).joints[:12]
+    robot = edited_five_bar(tmp_path, (r'(<joint name="(?:left|right)_elbow" type=)"revolute"', r'\1"continuous"'))
+    positions = limited.positions(q)[:, 0]
+    solution = solve(robot, Goals(positions))
+    assert solution.ok.all()
+    assert np.max(np.abs(robot.positions(solution.q)[:, 0] - positions)) < 1e-9

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from small_robots import small_arm
 
-from calib.pose_choice.refinement import refine, region_of
+from calib.pose_choice.refinement import refine
+from calib.pose_choice.region import region_of
 from calib.pose_choice.selection import select
 from calib.pose_choice.selection_problem import TASK, build_problem
 from calib.pose_choice.selection_scores import values_of_rows
@@ -72,3 +73,12 @@ def test_a_region_of_one_point_leaves_the_poses_where_they_are(medrue):
     found = refine(medrue, problem, "O1", q[:1], region, np.random.default_rng(0))
     np.testing.assert_array_equal(found.joints, q[:1])
     assert values_of_rows(problem, found.rows, 1.0)["O1"] == 0  # one pose cannot determine 28 parameters
+
+
+def test_poses_off_a_surface_of_candidates_stay_near_it(medrue, moved):
+    """The half cylinder's poses lie 150 mm from the leg's axis; moved ones stay as near as candidates to each other."""
+    points = medrue.positions(Q[::3])[:, 0]
+    gaps = np.linalg.norm(points[:, None] - points, axis=2) + np.diag(np.full(len(points), np.inf))
+    nearest = np.linalg.norm(moved.positions - points, axis=2).min(axis=1)  # (12, 1, 3) - (140, 3)
+    assert nearest.max() > 1e-3
+    assert nearest.max() <= np.percentile(gaps.min(axis=0), 95) * (1 + 1e-6)

@@ -107,11 +107,10 @@ class Reach:
     lower: FloatArray
     upper: FloatArray
 
-    @cached_property
+    @property
     def scale(self) -> FloatArray:
         """What one radian of each actuated joint is compared with, (n_actuated,)."""
-        kinds = [self.mechanism.dimensions[name] for name in self.mechanism.actuated]
-        return np.array([self.mechanism.length if kind == "length" else 1.0 for kind in kinds])
+        return self.mechanism.joint_scale
 
     @cached_property
     def passive_scale(self) -> FloatArray:

@@ -111,18 +111,13 @@ def carry(
     return found.passive, found.slope, found.ok
 
 
-def _joint_scale(mechanism: Mechanism) -> FloatArray:
-    kinds = [mechanism.dimensions[name] for name in mechanism.actuated]
-    return np.array([mechanism.length if kind == "length" else 1.0 for kind in kinds])
-
-
 def _spread_out(
     mechanism: Mechanism, mode: AssemblyMode, known: tuple[FloatArray, FloatArray], actuated: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Solve poses nearest to home first, each from the nearest pose solved so far; those left, once more from all."""
     found = _Found(len(actuated), len(mechanism.passive))
-    points = actuated / _joint_scale(mechanism)
-    order = np.argsort(np.linalg.norm(points - known[0][0] / _joint_scale(mechanism), axis=1), kind="stable")
+    points = actuated / mechanism.joint_scale
+    order = np.argsort(np.linalg.norm(points - known[0][0] / mechanism.joint_scale, axis=1), kind="stable")
     start, size = 0, 8
     while start < len(order):
         batch = order[start : start + size]
@@ -144,7 +139,7 @@ def _nearest(
     neighbours: int,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Solve poses from known ones, the nearest first; another way round where the straight line is blocked."""
-    found, scale = _Found(len(actuated), len(mechanism.passive)), _joint_scale(mechanism)
+    found, scale = _Found(len(actuated), len(mechanism.passive)), mechanism.joint_scale
     tree = cKDTree(known[0] / scale) if len(known[0]) else None
     for neighbour in range(min(neighbours, len(known[0]))):
         todo = np.flatnonzero(~found.ok)
@@ -159,7 +154,7 @@ def _stepping_stones(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatAr
     """Joint values spread over the box of home and these poses and a bit beyond, (n, n_actuated) [m or rad]."""
     corners = np.vstack([mode.actuated[None], actuated])
     low, high = corners.min(axis=0), corners.max(axis=0)
-    beyond = 0.1 * _joint_scale(mechanism)
+    beyond = 0.1 * mechanism.joint_scale
     sample = qmc.Halton(corners.shape[1], scramble=False).random(_STONES)
     stones: FloatArray = low - beyond + sample * (high - low + 2 * beyond)
     return stones

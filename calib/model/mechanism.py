@@ -127,6 +127,12 @@ class Mechanism(ReadOnlyArrays):
         return difference
 
     @cached_property
+    def joint_scale(self) -> FloatArray:
+        """What one radian of each actuated joint is compared with: 1, or the characteristic length, (n_actuated,)."""
+        lengths = [self.dimensions[name] == "length" for name in self.actuated]
+        return np.where(np.array(lengths, dtype=bool), self.length, 1.0)
+
+    @cached_property
     def is_metre_row(self) -> BoolArray:
         """Which closure rows are lengths, (n_rows,)."""
         return np.array([row < 3 for loop in self.loops for row in loop.rows], dtype=bool)

@@ -7,10 +7,8 @@ other, so the index of each follows from a change of rank three, and the best on
 rises. A pose that found nothing halves its step; one that did doubles it. No derivatives, so no index needs its own
 code, and the index never falls. All trial poses of a round are assembled together.
 
-The region: every joint within its limits in the URDF and within the range that the candidates span; targets within the
-box that the candidates' positions span; loops closed in the robot's assembly mode, at least `singularity_limit` away
-from a singularity; and the least distance to the other poses. Obstacles are not known: look at the poses before
-sending them.
+Where poses may go: `calib.pose_choice.region`, with the loops closed in the robot's assembly mode, at least
+`singularity_limit` away from a singularity.
 
 When it fails. A pattern search finds a local optimum. How far it is from the best is not known, but whether it is
 above the proven bound of all choices from the candidates is.
@@ -30,6 +28,7 @@ from calib.model.closure import residual
 from calib.model.mechanism import BoolArray, FloatArray
 from calib.model.newton import TOLERANCE
 from calib.model.robot import Configurations, Robot
+from calib.pose_choice.region import Region
 from calib.pose_choice.selection_problem import Problem
 from calib.pose_choice.selection_scores import Scores, scores_of
 from calib.read_only import ReadOnlyArrays
@@ -42,27 +41,6 @@ _RISE = 1e-5  # relative rise of a score for which a pose moves; less is crawlin
 _RIDGE = 1e-9  # of K; without one pose a direction may be lost, and must be found again
 _NEWTON_STEPS = 8
 _CLOSED = 1e-9  # closure residual from which `Robot.close` finishes at once [m, rad]
-_INNER = 1e-9  # of a range: rounding at the region's border
-
-
-@dataclass(frozen=True, eq=False)
-class Region:
-    """Where poses may move.
-
-    Attributes:
-        lower, upper: Joint values, (n_actuated,) [m or rad].
-        low_point, high_point: Box of each target, (n_targets, 3) [m].
-        distance: Least distance between poses, see `calib.pose_choice.exchange.Spacing` [m].
-        occupied: Points of poses already measured, from `calib.pose_choice.selection_setting.points_of`, (n, 3
-            n_targets) [m].
-    """
-
-    lower: FloatArray
-    upper: FloatArray
-    low_point: FloatArray
-    high_point: FloatArray
-    distance: float
-    occupied: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,32 +58,6 @@ class Refined(ReadOnlyArrays):
     positions: FloatArray
     rows: FloatArray
     rounds: int
-
-
-def region_of(
-    robot: Robot, joints: FloatArray, positions: FloatArray, distance: float = 0.0, occupied: FloatArray | None = None
-) -> Region:
-    """Return the region that candidates span.
-
-    Args:
-        robot: The robot, for its joint limits.
-        joints: Candidates, (n, n_actuated) [m or rad].
-        positions: Their targets, (n, n_targets, 3) [m].
-        distance: Least distance between poses [m].
-        occupied: See `Region`.
-    """
-    limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
-    lower = np.array([limits[name][0] for name in robot.joint_names])
-    upper = np.array([limits[name][1] for name in robot.joint_names])
-    points = np.zeros((0, positions[0].size)) if occupied is None else occupied
-    return Region(
-        np.maximum(lower, np.min(joints, axis=0)),
-        np.minimum(upper, np.max(joints, axis=0)),
-        np.min(positions, axis=0),
-        np.max(positions, axis=0),
-        distance,
-        points,
-    )
 
 
 def refine(
@@ -136,7 +88,7 @@ def refine(
         gathered = problem.before + np.einsum("nki,nkj->ij", rows, rows)
         for a, k in enumerate(active):
             rest = gathered - rows[k].T @ rows[k]
-            free = inside[a] & _apart(where[a], np.delete(positions, k, axis=0), region)
+            free = inside[a] & region.apart(where[a], np.delete(positions, k, axis=0))
             found = _better(problem, index, rest, rows[k], seen[a], free)
             if found is None:
                 step[k], last[k] = step[k] / 2, 0.0
@@ -185,10 +137,8 @@ def _evaluate(
     configurations = Configurations(q[good], passive[good], closed.slope[closed.ok])
     far = robot.singular_values(configurations) >= robot.description.singularity_limit
     linear = linearise(robot, configurations)
-    margin = _INNER * np.maximum(1.0, np.abs(region.high_point))
-    inside = (linear.positions >= region.low_point - margin) & (linear.positions <= region.high_point + margin)
-    allowed[good] = far & np.all(inside, axis=(1, 2))
     points[good] = linear.positions.reshape(len(good), -1)
+    allowed[good] = far & region.holds(q[good], points[good])
     whiten = problem.known.directions / problem.known.strengths
     rows[good] = scaled_rows(linear.jacobian, robot.parameters, robot.free) @ whiten
     return allowed, points, rows, passive
@@ -216,17 +166,6 @@ def _followed(robot: Robot, q: FloatArray, seed: FloatArray) -> FloatArray:
     inside = np.all((passive >= mechanism.lower) & (passive <= mechanism.upper), axis=1)
     passive[~inside | (np.max(np.abs(values), axis=1) > _CLOSED)] = np.nan
     return passive
-
-
-def _apart(points: FloatArray, others: FloatArray, region: Region) -> BoolArray:
-    """Which points keep the least distance to other poses, (n,)."""
-    if region.distance == 0:
-        return np.ones(len(points), dtype=bool)
-    scale = np.sqrt(points.shape[1] / 3)  # of `calib.pose_choice.selection_setting.points_of`
-    others = np.vstack([others / scale, region.occupied])
-    gaps = np.linalg.norm(points[:, None] / scale - others, axis=2)
-    result: BoolArray = np.min(gaps, axis=1, initial=np.inf) >= region.distance
-    return result
 
 
 def _better(

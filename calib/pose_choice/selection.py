@@ -28,7 +28,8 @@ from calib.model.robot import Robot
 from calib.numerics.observability import observability_of
 from calib.pose_choice.exchange import Exchange, exchange, swap, uniform_start
 from calib.pose_choice.measurement_order import shortest_order, travel
-from calib.pose_choice.refinement import refine, region_of
+from calib.pose_choice.refinement import refine
+from calib.pose_choice.region import region_of
 from calib.pose_choice.selection_bound import CERTIFIED, log_phi, relax
 from calib.pose_choice.selection_problem import TASK
 from calib.pose_choice.selection_result import Run, Selection
@@ -71,7 +72,7 @@ def select(
         random_start: Start from a random choice instead of a uniform one.
         starts: How many starts; all but the first are random.
         seed: Seed of everything random.
-        off_grid: Move the chosen poses continuously afterwards; see `calib.pose_choice.refinement` for where they may
+        off_grid: Move the chosen poses continuously afterwards; see `calib.pose_choice.region` for where they may
             go.
         skip_unreachable: Leave out candidates that cannot be assembled, instead of an error.
         sigma: Noise of one reading per axis [m]; the description's if not given.

@@ -69,7 +69,8 @@ def nearest(name: str, valid: Iterable[str]) -> str:
         valid: What would have been accepted.
     """
     names = sorted({str(item) for item in valid})
-    close = get_close_matches(str(name), names, n=1, cutoff=0.6)
+    same = [item for item in names if item.casefold() == str(name).casefold()]
+    close = same or get_close_matches(str(name), names, n=1, cutoff=0.6)
     if close:
         return f"; did you mean '{close[0]}'?"
     if not names:

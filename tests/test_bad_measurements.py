@@ -8,6 +8,7 @@ from six_axis_arm import FREE, YAML, joints, measurements, write_six_axis
 from small_robots import write_arm
 
 import calib
+from calib.export import FORMATS
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
@@ -112,11 +113,19 @@ def test_one_joint_never_moved_with_priors_is_a_check(folder, fit_file):
 
 
 def test_positions_on_a_line_fix_no_measurement_frame(folder, fit_file):
-    q = np.zeros((12, 6))
     positions = np.array([2.0, 0, 0]) + np.outer(np.linspace(0, 1, 12), [1.0, 2.0, 0.5])
-    run, result = fit_file(q, positions, "unknown_base.yaml")
+    positions += SIGMA * RNG.standard_normal(positions.shape)
+    run, result = fit_file(joints(12), positions, "unknown_base.yaml")
     assert run.code == 2
-    assert "line" in one_line(run) or "same" in run.err
+    assert "data.csv: all measured positions lie on one line; where the measurement frame is" in one_line(run)
+    assert result is None
+
+
+def test_all_poses_equal_fix_no_measurement_frame(folder, fit_file):
+    q = np.tile(joints(1), (20, 1))
+    run, result = fit_file(q, arm_positions(folder, q), "unknown_base.yaml")
+    assert run.code == 2
+    assert "data.csv: all poses are the same; where the measurement frame is" in one_line(run)
     assert result is None
 
 
@@ -136,6 +145,22 @@ def test_noise_of_metres_fails_and_exports_no_robot(folder, fit_file):
     assert result["verdict"]["grade"] == "FAIL"
     assert "noise_as_large_as_robot" in result["verdict"]["codes"]
     assert not (folder / "out" / "calibrated.urdf").exists()
+
+
+def test_a_forced_export_says_so_in_every_format(folder, fit_file, run_calib):
+    run, result = fit_file(joints(60), arm_positions(folder, joints(60), sigma=2.0), "arm.yaml", "--force")
+    assert run.code == 0
+    assert result["verdict"]["forced"] is True
+    assert "verdict: FAIL, not to be used" in (folder / "out" / "parameters.csv").read_text()
+    for file_format in FORMATS:
+        target = folder / f"exported.{'yaml' if file_format == 'toolbox' else file_format}"
+        run = run_calib(
+            "export", folder / "arm.yaml", "--result", folder / "out", "--format", file_format, "--out", target
+        )
+        assert run.code == 0, run.err
+        assert "failed" in one_line(run)
+        assert "verdict: FAIL, exported by force" in target.read_text()
+        assert "nothing fits" in target.read_text()
 
 
 @pytest.mark.parametrize("cell", ["nan", "inf", "", "1,5", "x"])

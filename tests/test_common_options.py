@@ -124,11 +124,15 @@ def test_every_command_has_help_quiet_and_debug(run_calib, name):
 
 
 def test_sigma_is_given_in_millimetres():
-    assert sigma_in_metres(None) is None
     assert sigma_in_metres(0.04) == pytest.approx(4e-5, rel=1e-15)
+    assert sigma_in_metres(0.0, zero=True) == 0
     for sigma in (-1.0, float("nan"), float("inf")):
         with pytest.raises(InputError, match=r"--sigma-mm .*: must be a number, zero or positive"):
+            sigma_in_metres(sigma, zero=True)
+        with pytest.raises(InputError, match=r"--sigma-mm .*: must be a number, positive"):
             sigma_in_metres(sigma)
+    with pytest.raises(InputError, match="positive"):
+        sigma_in_metres(0.0)
 
 
 def test_without_a_file_or_a_result_the_robot_stays_nominal(medrue):

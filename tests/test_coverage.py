@@ -5,8 +5,10 @@
 
 import sys
 import tempfile
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -52,8 +54,31 @@ class Coverage:
         )
 
 
+@contextmanager
+def closed_once(robot):
+    """Every fit closes the same poses of the nominal robot, from home: half of a fit's time, here spent once."""
+    known, plain = {}, calib.Robot.close
+
+    def close(self, q, seed=None):
+        if self is not robot or seed is not None:
+            return plain(self, q, seed)
+        key = np.asarray(q).tobytes()
+        if key not in known:
+            known[key] = plain(self, q)
+        return known[key]
+
+    with mock.patch.object(calib.Robot, "close", close):
+        yield
+
+
 @one_blas_thread
-def coverage(robot, q, elsewhere, n, *, loss="none", gross=0.0, prior=False, seed=1):
+def coverage(robot, q, elsewhere, n, **how):
+    """Calibrate n times, as `_coverage` says."""
+    with closed_once(robot):
+        return _coverage(robot, q, elsewhere, n, **how)
+
+
+def _coverage(robot, q, elsewhere, n, *, loss="none", gross=0.0, prior=False, seed=1):
     """Calibrate n times.
 
     Args:
@@ -137,14 +162,14 @@ def test_with_priors_intervals_hold_truths_drawn_from_them(tmp_path):
 def test_with_five_percent_gross_errors_tukey_keeps_the_coverage_of_a_serial_arm(arm):
     found = coverage(arm, joints(40), joints(10, 5), 1000, loss="tukey", gross=0.05)
     assert_between(found, 0.92, 0.97)  # what docs/uncertainty.md states
-    assert found.sigma == pytest.approx(1.0, abs=0.03)
+    assert found.sigma == pytest.approx(1.0, abs=0.02)
     assert found.outliers > 0.99
 
 
 def test_with_five_percent_gross_errors_tukey_keeps_the_coverage_of_medrue():
     found = coverage(*medrue_case(), 1000, loss="tukey", gross=0.05)
-    assert_between(found, 0.91, 0.97)  # what docs/uncertainty.md states
-    assert found.sigma == pytest.approx(1.0, abs=0.03)
+    assert_between(found, 0.92, 0.97)  # what docs/uncertainty.md states
+    assert found.sigma == pytest.approx(1.0, abs=0.02)
 
 
 def main(n):

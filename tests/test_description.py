@@ -146,7 +146,12 @@ def test_a_missing_urdf_is_an_error_that_names_it(tmp_path):
 URDF_MISTAKES = {
     "actuated": ("[turn,", "[turm,", "name_mot: no joint 'turm'; did you mean 'turn'?"),
     "fixed actuated": ("[turn,", "[flange,", "name_mot: joint 'flange' is fixed, it does not move"),
-    "actuated twice": ("[turn,", "[turn, turn,", "name_mot: joint 'turn' is listed twice"),
+    "actuated twice": ("[turn,", "[turn, turn,", "'name_mot' names 'turn' twice"),
+    "held twice": ("urdf:", "held: [turn.x, turn.x]\nurdf:", "'held' names 'turn.x' twice"),
+    "order": ("urdf:", "elimination_order: [turn.w]\nurdf:", "elimination_order: no parameter 'turn.w'; did you mean"),
+    "columns": (
+        "urdf:", "columns: {a: turn, b: turn}\nurdf:", "columns: 'a' and 'b' both stand for 'turn'",
+    ),
     "base": ("{frame: ground}", "{frame: grund}", "base.frame: no link or joint 'grund'; did you mean 'ground'?"),
     "target": ("{frame: tool,", "{frame: tol,", "targets.tip.frame: no link or joint 'tol'; did you mean 'tool'?"),
     "home": ("urdf:", "home: {slid: 0}\nurdf:", "home: no moving joint 'slid'; did you mean 'slide'?"),

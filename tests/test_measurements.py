@@ -170,3 +170,21 @@ def test_a_subset_keeps_rows_together_in_the_order_asked_for(read):
     assert [label[-8:] for label in data.labels] == ["(pose c)", "(pose a)"]
     assert data.positions[:, 0, 0].tolist() == [0.03, 0.01]
     assert np.degrees(data.joints[:, 0]) == pytest.approx([3, 1])
+
+
+def test_what_a_file_says_about_itself_is_kept(read):
+    said = "# Simulated; no real robot was measured.\n#second line\n"
+    rows = "a,1,0,0,10,0,0\na,1,0,0,10,0,0\nb,2,0,0,20,0,0\n"
+    data = read(said + HEADER + rows)
+    assert data.comments == ("Simulated; no real robot was measured.", "second line")
+    assert data.subset(np.array([1])).comments == data.comments
+    assert read(HEADER + rows).comments == ()
+    assert read(said + HEADER + rows, reader=read_poses).comments == data.comments
+
+
+def test_a_subset_remembers_the_order_of_measurement(read):
+    data = read(HEADER + "a,1,0,0,10,0,0\na,1,0,0,10,0,0\nb,2,0,0,20,0,0\nc,3,0,0,30,0,0\n")
+    assert data.places.tolist() == [0, 1, 2]
+    chosen = data.subset(np.array([2, 0]))
+    assert chosen.places.tolist() == [2, 0]
+    assert chosen.subset(np.array([0])).places.tolist() == [2]

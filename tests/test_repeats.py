@@ -5,6 +5,7 @@ from six_axis_arm import joints, six_axis_arm
 import calib
 from calib.data.measurement_files import read_measurements
 from calib.data.repeats import beyond_repeatability, repeats
+from calib.reporting.result_content import to_dict
 
 HEADER = ",".join(["pose", *(f"j{k} [rad]" for k in range(1, 7)), *(f"ball_{axis} [mm]" for axis in "xyz")])
 
@@ -68,4 +69,13 @@ def test_residuals_larger_than_the_repeats_scatter_are_pointed_out(arm, tmp_path
     reason = next(reason for reason in fit.verdict.reasons if reason.code == "repeatability")
     assert "times what repeats of a pose scatter" in reason.text
     assert reason.grade == "CHECK"
-    assert "ISO 9283-style, 60 poses" in fit.report()
+    assert "ISO 9283-style, 60 poses used" in fit.report()
+
+
+def test_accuracy_and_repeatability_of_validation_poses_are_told_too(arm, tmp_path):
+    data = measured(arm, tmp_path, scatter=5e-5, between=0.0)
+    fit = calib.fit(arm, data.subset(np.arange(45)), validation=data.subset(np.arange(45, 60)))
+    assert "ISO 9283-style, 15 poses not used" in fit.report()
+    table = to_dict(fit)["repeats_validation"]
+    assert table["n_readings"] == 45
+    assert table["pose_accuracy"]["after"]["mean"] > to_dict(fit)["repeats"]["pose_accuracy"]["after"]["mean"]

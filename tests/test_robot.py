@@ -396,3 +396,29 @@ def test_a_urdf_elsewhere_is_found_from_its_description(tmp_path):
     (tmp_path / "urdfs" / "arm.urdf").write_text(ARM_URDF)
     (tmp_path / "sub" / "arm.yaml").write_text(ARM_YAML.replace("arm.urdf", "../urdfs/arm.urdf"))
     assert calib.load(tmp_path / "sub" / "arm.yaml").joint_names == ("turn", "slide", "wrist")
+
+
+def test_a_name_of_target_and_link_means_the_target(tmp_path):
+    """A plain URDF's target is called like its last link, and may be calibrated to lie elsewhere on it."""
+    urdf = write_arm(tmp_path).with_suffix(".urdf")
+    robot = calib.load(urdf)
+    (target,) = robot.target_names
+    moved = robot.with_parameters({f"{target}.x": 0.05})
+    q = np.array([0.1, 0.2, 0.3])
+    assert np.allclose(moved.forward(q, target)[:3, 3], moved.positions(q)[0, 0], atol=1e-15)
+    assert np.linalg.norm(moved.forward(q, target)[:3, 3] - robot.forward(q, target)[:3, 3]) == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("value", [1e300, -2e6])
+def test_a_joint_value_that_no_robot_reaches_is_refused(tmp_path, value):
+    with pytest.raises(DataError, match=r"pose 0: joint 'slide' is .* m or rad, which no robot reaches"):
+        calib.load(write_arm(tmp_path)).positions([0.1, value, 0.2])
+
+
+def test_poses_near_a_singularity_of_the_loops_are_named(tmp_path):
+    """The parallelogram is flat, and singular, at 0 and 180 degrees."""
+    robot = calib.load(write_parallelogram(tmp_path))
+    q = np.radians([[90.0], [1.0]])
+    (remark,) = robot.near_singularities(robot.assemble(q), ["far", "near"])
+    assert remark.startswith("near: ")
+    assert remark.endswith("from a singularity of the loops (limit 0.02)")

@@ -117,7 +117,7 @@ def test_measured_poses_are_complemented_and_counted_with_their_repeats(run_cali
                     "--out", tmp_path / "o.csv", "--json", tmp_path / "o.json")  # fmt: skip
     assert run.code == 0, run.err
     assert "measured alone" in run.out
-    assert "20 candidates are measured already and were left out" in run.out
+    assert "20 candidates already measured and left out" in run.out
     content = json.loads((tmp_path / "o.json").read_text())
     assert content["measured_only"]["task"] > content["after"]["task"]
 
@@ -200,7 +200,7 @@ def test_unreachable_candidates_are_skipped_on_request_and_listed(run_calib, tmp
     broken(tmp_path)
     run = run_calib("select", ROBOT, "open.csv", "--count", 20, "--skip-unreachable", "--out", "o.csv", cwd=tmp_path)
     assert run.code == 0, run.err
-    assert "1 candidates were skipped:" in run.out
+    assert "1 candidate skipped:" in run.out
     assert "open.csv, line 6: cannot be assembled" in run.out
     assert "5" not in read_table(tmp_path / "o.csv").text("pose")
 

@@ -4,12 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from six_axis_arm import joints, noisy, six_axis_arm
+from six_axis_arm import YAML, joints, noisy, six_axis_arm, write_six_axis
 
 import calib
 from calib.errors import ComputationError
 from calib.identification.starts import explore
 from calib.numerics.least_squares import minimise
+
+SIGMA = 4e-5
+ZEROS = (("j2", "ry"), ("j3", "ry"), ("j4", "rx"), ("j5", "ry"))
 
 
 @dataclass(frozen=True)
@@ -85,3 +88,33 @@ def test_no_start_is_an_error(tmp_path):
     arm = six_axis_arm(tmp_path)
     with pytest.raises(calib.InputError, match="starts 0"):
         calib.fit(arm, noisy(arm, joints(40), 4e-5, seed=1), starts=0)
+
+
+@pytest.fixture(scope="module")
+def wrong_zeros(tmp_path_factory):
+    """An arm with four unknown zeros, and measurements of one whose zeros lie in another valley than nominal."""
+    free = "".join(f"  - {{origin: {name}, components: [{axis}], sigma: 100 deg}}\n" for name, axis in ZEROS)
+    arm = calib.load(write_six_axis(tmp_path_factory.mktemp("arm"), f"priors: false\n{YAML}{free}"))
+    off = dict(zip((f"{name}.{axis}" for name, axis in ZEROS), np.radians([-113, 36, -213, 85]), strict=True))
+    return arm, noisy(arm.with_parameters(off), joints(40), SIGMA, seed=1)
+
+
+def test_from_nominal_the_fit_of_wrong_zeros_ends_in_a_worse_minimum_and_says_so(wrong_zeros):
+    fit = calib.fit(*wrong_zeros)
+    assert fit.statistics.sigma > 0.1
+    assert fit.verdict.grade == "FAIL"
+
+
+def test_starts_find_the_robot_and_a_much_worse_minimum_is_no_reason(wrong_zeros):
+    fit = calib.fit(*wrong_zeros, starts=12, seed=1)
+    assert fit.statistics.sigma == pytest.approx(SIGMA, rel=0.2)  # standard error 7 %
+    assert len(fit.starts.minima) == 2
+    assert fit.starts.minima[1].rms > 0.1
+    assert fit.verdict.grade == "PASS"
+
+
+def test_starts_do_not_turn_an_angle_of_the_same_robot_round_once_more(wrong_zeros):
+    arm, _ = wrong_zeros
+    fit = calib.fit(arm, noisy(arm, joints(40), SIGMA, seed=1), starts=12, seed=1)
+    assert fit.starts.minima[0].count > 6
+    assert np.max(np.abs(fit.robot.values - arm.values)) < np.radians(1)

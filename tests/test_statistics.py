@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from calib.errors import NotIdentifiableError
-from calib.numerics.statistics import Noise, chi_square, effective_parameters, found_noise, statistics
+from calib.numerics.statistics import Noise, chi_square, effective_parameters, found_noise, statistics, status
 
 RNG = np.random.default_rng(7)
 
@@ -64,7 +64,24 @@ def test_a_parameter_that_the_data_do_not_see_keeps_its_prior():
     noise = Noise(1e-2, 29, 1e-2)
     found = statistics(rows, noise, np.array([1.0, 2e-3]), np.array([True, True]), 1e-2)
     assert found.std[1] == pytest.approx(2e-3)
-    assert found.status() == ["identified", "prior"]
+    assert found.data_share == pytest.approx([1.0, 0.0], abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("share", "relative_std", "kind", "word"),
+    [
+        (0.95, 0.2, {"prior": True}, "identified"),
+        (0.5, 0.7, {"prior": True}, "partly"),
+        (0.05, 0.97, {"prior": True}, "prior"),
+        (0.95, 0.2, {"prior": True, "placement": True}, "identified"),
+        (1.0, 0.3, {}, "identified"),
+        (1.0, 0.4, {}, "weak"),
+        (1.0, 30.0, {}, "weak"),
+        (1.0, 0.01, {"placement": True}, "placed"),
+    ],
+)
+def test_a_status_says_what_a_value_rests_on(share, relative_std, kind, word):
+    assert status(share, relative_std, **({"prior": False, "placement": False} | kind)) == word
 
 
 def test_degrees_of_freedom_with_priors_make_the_found_noise_unbiased():

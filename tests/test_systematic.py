@@ -79,6 +79,26 @@ def test_a_gear_error_is_found_at_its_joint(arm):
     assert (found[0].kind, found[0].name) == ("joint", "j2")
 
 
+def test_a_tracker_that_moved_while_measuring_is_found(arm):
+    moved = np.zeros((80, 1, 3))
+    moved[50:, 0, 1] = 2e-4
+    found = findings(fitted(arm, joints(80), shift=moved))
+    assert found[0].kind == "drift"
+    assert "of a tracker or base that moved" in describe(found[0], arm.mechanism.dimensions)
+
+
+def test_a_joint_that_slipped_while_measuring_is_found(arm):
+    q = joints(80)
+    q[40:, 2] += 4e-4
+    found = findings(fitted(arm, q))
+    assert (found[0].kind, found[0].name) == ("zero", "j3")
+    assert "joint j3 that changes in the course of" in describe(found[0], arm.mechanism.dimensions)
+
+
+def test_good_data_show_a_pattern_in_one_set_of_a_hundred(arm):
+    assert sum(bool(findings(fitted(arm, joints(80), seed=seed))) for seed in range(100)) <= 4  # chance of more: 0.4 %
+
+
 def test_a_constant_shift_is_found_where_nothing_absorbs_it(tmp_path):
     yaml = YAML + "  - {origin: j3, components: [rx, rz], sigma: 5 mrad}\n"
     robot = calib.load(write_six_axis(tmp_path, yaml))

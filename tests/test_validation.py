@@ -3,7 +3,7 @@ import pytest
 from six_axis_arm import joints, measurements, noisy, six_axis_arm
 
 import calib
-from calib.identification.validation import deal, error_table, split
+from calib.identification.validation import deal, error_table, pose_labels, split
 
 RNG = np.random.default_rng(0)
 
@@ -42,6 +42,13 @@ def test_a_split_keeps_repeats_of_one_pose_together(seed):
     assert len(held) >= 6
     repeats = {"0", "4", "9", "15"}
     assert repeats <= set(held.names) or not repeats & set(held.names)
+
+
+def test_repeats_are_known_although_an_encoder_reads_them_with_noise():
+    q = np.repeat(joints(30), 4, axis=0)
+    label = pose_labels(q + 2e-5 * np.random.default_rng(0).standard_normal(q.shape))
+    assert len(set(label)) == 30
+    assert all(len(set(label[4 * k : 4 * k + 4])) == 1 for k in range(30))
 
 
 def test_a_split_is_in_file_order_and_repeatable():

@@ -118,6 +118,17 @@ def test_validation_poses_that_fit_worse_than_predicted_are_a_check(arm, truth):
     assert "times as far off as noise and uncertainty predict" in reason(fit, "validation").text
 
 
+def test_a_frame_that_moved_between_two_files_is_named(arm, truth):
+    other = noisy(truth, joints(30, 5), SIGMA, 2)
+    turned = other.positions @ np.array([[1, -1e-3, 0], [1e-3, 1, 0], [0, 0, 1]]) + [0, 0, 3e-3]
+    fit = calib.fit(arm, noisy(truth, joints(80), SIGMA, 1), validation=replace(other, positions=turned))
+    text = reason(fit, "frame_moved").text
+    assert "the tracker, the base or its frame had moved between the two files" in text
+    assert "mm and 0.05" in text  # 1 mrad is 0.057 deg
+    plain = calib.fit(arm, noisy(truth, joints(80), SIGMA, 1), validation=noisy(truth, joints(6, 5), SIGMA, 2))
+    assert "frame_moved" not in plain.verdict.to_dict()["codes"]
+
+
 def test_poses_that_are_all_the_same_fail(prior_arm):
     q = np.tile(joints(1), (10, 1))
     fit = calib.fit(prior_arm, noisy(prior_arm, q, SIGMA, 1))
@@ -142,6 +153,48 @@ def test_parameters_far_from_nominal_are_named(prior_arm):
     moved = prior_arm.with_parameters({"j3.x": 0.02})
     fit = calib.fit(prior_arm, noisy(moved, joints(80), SIGMA, 1), sigma=SIGMA)
     assert "j3.x" in reason(fit, "at_bounds").text
+    assert fit.verdict.grade == "CHECK"
+
+
+@pytest.mark.parametrize("robot", ["prior_arm", "arm"])
+def test_a_parameter_that_no_error_of_its_size_explains_fails(robot, request):
+    nominal = request.getfixturevalue(robot)
+    moved = nominal.with_parameters({"j4.z": 0.15})  # 0.1 m off, 50 sigma
+    fit = calib.fit(nominal, noisy(moved, joints(80), SIGMA, 1))
+    found = reason(fit, "far_from_nominal")
+    assert fit.verdict.grade == found.grade == "FAIL"
+    assert "j4.z (" in found.text
+    assert "signs, zeros and order of the joint columns" in found.text
+    assert "at_bounds" not in fit.verdict.to_dict()["codes"]
+
+
+def test_validation_poses_that_the_fit_has_used_are_pointed_out(arm, truth):
+    data = noisy(truth, joints(80), SIGMA, 1)
+    same = calib.fit(arm, data, validation=data.subset(np.arange(0, 80, 4)))
+    assert "20 of 20 validation poses are measurements that the fit has used" in reason(same, "used_for_both").text
+    again = calib.fit(arm, data, validation=noisy(truth, joints(80)[:30], SIGMA, 2))
+    assert "30 of 30 validation poses were measured at poses of the fit" in reason(again, "used_for_both").text
+    one = np.concatenate([joints(30, 5), joints(80)[:1]])  # home, say, measured in both sessions
+    assert calib.fit(arm, data, validation=noisy(truth, one, SIGMA, 2)).verdict.grade == "PASS"
+
+
+def test_rows_that_are_in_the_file_twice_are_pointed_out(arm, truth):
+    data = noisy(truth, joints(80), SIGMA, 1)
+    twice = calib.fit(arm, data.subset(np.r_[:80, :40]))
+    assert "40 of 120 readings are copies of others" in reason(twice, "copied").text
+
+
+def test_poses_along_a_line_of_joint_space_are_a_check(prior_arm):
+    q = np.linspace(joints(1)[0], -joints(1)[0], 40)
+    fit = calib.fit(prior_arm, noisy(prior_arm, q, SIGMA, 1))
+    assert "6 joints moved, but only together" in reason(fit, "joints_move_together").text
+    assert "along 1 direction of joint space" in reason(fit, "joints_move_together").text
+
+
+def test_computed_data_are_called_so_although_priors_leave_something(prior_arm):
+    moved = prior_arm.with_parameters({"j3.x": 0.002})
+    fit = calib.fit(prior_arm, noisy(moved, joints(80), 0.0, 1), sigma=SIGMA)
+    assert fit.verdict.to_dict()["codes"] == ["no_noise"]
 
 
 def test_a_placement_without_a_prior_may_be_anywhere(tmp_path):
@@ -169,7 +222,7 @@ def test_outliers_are_listed_with_row_and_what_to_do(arm, truth):
     positions[17] += 1e-3
     fit = calib.fit(arm, measurements(q, positions))
     found = reason(fit, "outliers")
-    assert found.text.startswith("1 outliers")
+    assert found.text.startswith("1 outlier (chance")
     assert "row 17, ball: 1." in found.text
     assert "--exclude-outliers" in found.text
 
@@ -187,9 +240,9 @@ def test_many_excluded_poses_are_no_outliers(arm, truth):
 def test_another_minimum_as_good_is_a_check_and_a_worse_one_is_not(good):
     def starts(cost):
         ends = [Minimum(good.robot, None, 200.0, 7e-5, 3), Minimum(good.robot, None, cost, 7.1e-5, 2)]
-        return replace(good, starts=Starts(tuple(ends), 0, 1))
+        return replace(good, starts=Starts(tuple(ends), 0, 1, SIGMA))
 
-    assert "other minima explain the data as well" in reason(starts(203.0), "other_minimum").text
+    assert "1 other minimum explains the data as well" in reason(starts(203.0), "other_minimum").text
     assert starts(900.0).verdict.grade == "PASS"
 
 
@@ -205,7 +258,7 @@ def test_a_pose_that_decides_its_own_prediction_is_named(tmp_path):
     q[11, 5] = 1.9
     fit = calib.fit(robot, noisy(robot, q, SIGMA, 1))
     assert np.argmax(fit.studentised.leverage) == 11
-    assert "1 poses decide their own prediction" in reason(fit, "leverage").text
+    assert "1 pose decides its own prediction" in reason(fit, "leverage").text
     assert "row 11" in reason(fit, "leverage").text
 
 
@@ -213,7 +266,7 @@ def test_poses_near_a_singularity_are_named(good):
     near = good.identification.singular_value.copy()
     near[4] = 0.001
     fit = replace(good, identification=replace(good.identification, singular_value=near))
-    assert "1 poses are near a singularity of the loops" in reason(fit, "near_singular").text
+    assert "1 pose is near a singularity of the loops" in reason(fit, "near_singular").text
     assert "row 4" in reason(fit, "near_singular").text
 
 

@@ -69,5 +69,5 @@ def test_the_command_works_when_installed_elsewhere(installed, tmp_path):
     robot = installed / "medrue" / "urdf" / "medrue.yaml"
     (tmp_path / "q.csv").write_text("q1 [mm],q2,q3,q4,q5,q6\n343,0.59,2.478,0.59,2.478,-0.573\n")
     out = run("-m", "calib", "predict", robot, "q.csv", "--out", "p.csv", cwd=tmp_path, PYTHONPATH=str(installed))
-    assert out == "1 poses written to p.csv\n"
+    assert out == "1 pose written to p.csv\n"
     assert "tool_x [mm]" in (tmp_path / "p.csv").read_text()

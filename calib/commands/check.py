@@ -49,9 +49,7 @@ def command(
     DATA needs joint values only, so it can be checked before anything is measured; rows with the same pose value
     count as repeats. Without DATA, poses are spread over the joint limits.
     """
-    sigma = sigma_in_metres(sigma_mm)
-    if sigma == 0:
-        raise InputError("--sigma-mm 0: must be positive")
+    sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
     if plots is not None:
         check_folder(plots)
     model = with_values(load(robot), parameters, result)

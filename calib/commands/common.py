@@ -109,6 +109,11 @@ def shared_options(*, json_output: bool = False) -> Callable[[Callable[..., None
                 if debug:
                     raise
                 raise OneLineError(str(error), error.exit_code) from None
+            except OSError as error:
+                if debug:
+                    raise
+                what = error.filename or "output"
+                raise OneLineError(f"{what}: {(error.strerror or str(error)).lower()}", InputError.exit_code) from None
             except Exception as error:
                 if debug:
                     raise
@@ -154,12 +159,15 @@ def run_program(group: click.Group) -> None:
         sys.exit(130)
 
 
-def sigma_in_metres(sigma_mm: float | None) -> float | None:
-    """Return the --sigma-mm option in m; one that is negative or not a number is an `InputError`."""
-    if sigma_mm is None:
-        return None
-    if not 0 <= sigma_mm < 1e6:
-        raise InputError(f"--sigma-mm {sigma_mm:g}: must be a number, zero or positive")
+def sigma_in_metres(sigma_mm: float, *, zero: bool = False) -> float:
+    """Return the --sigma-mm option in m; one that cannot be is an `InputError`.
+
+    Args:
+        sigma_mm: As given.
+        zero: Whether no noise at all is an answer.
+    """
+    if not (0 <= sigma_mm < 1e6 and (zero or sigma_mm > 0)):
+        raise InputError(f"--sigma-mm {sigma_mm:g}: must be a number, {'zero or ' if zero else ''}positive")
     return sigma_mm / 1e3
 
 

@@ -16,6 +16,7 @@ from calib.identification.validation import split
 from calib.model.robot import Robot, load
 from calib.numerics.losses import LOSSES
 from calib.reporting.results import save, to_dict
+from calib.words import counted
 
 
 @click.command("fit")
@@ -74,10 +75,8 @@ def command(
     validation = None
     if validate is not None:
         identification, validation = _hold_out(model, identification, validate, seed)
-    sigma = sigma_in_metres(sigma_mm)
-    if sigma == 0:
-        raise InputError("--sigma-mm 0: must be positive; leave it out to find the noise from the residuals")
-    with output.working(f"fitting {len(identification)} poses"):
+    sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
+    with output.working(f"fitting {counted(len(identification), 'pose')}"):
         result = fit(
             model,
             identification,

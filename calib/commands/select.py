@@ -91,9 +91,7 @@ def command(
     check_file(out)
     if plots is not None:
         check_folder(plots)
-    sigma = sigma_in_metres(sigma_mm)
-    if sigma == 0:
-        raise InputError("--sigma-mm 0: must be positive")
+    sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
     model = with_values(load(robot), parameters, result)
     poses = read_pose_file(candidates, model)
     done = None if measured is None else read_pose_file(measured, model)

@@ -10,6 +10,7 @@ from calib.data.measurement_files import format_measurements, read_poses
 from calib.data.simulate import simulate
 from calib.files import check_file, write_file
 from calib.model.robot import load
+from calib.words import counted
 
 
 @click.command("simulate")
@@ -29,10 +30,12 @@ def command(
     check_file(out)
     model = with_values(load(robot), parameters, None)
     poses = read_poses(joints, model)
-    measured = simulate(model, poses, sigma_in_metres(sigma_mm) or 0.0, np.random.default_rng(seed))
+    remarks = model.near_singularities(model.assemble(poses.joints, labels=poses.labels), poses.labels)
+    measured = simulate(model, poses, sigma_in_metres(sigma_mm, zero=True), np.random.default_rng(seed))
     comments = (
         f"simulated measurements of {model.name}; truth: {parameters or 'nominal parameters'}",
         f"normal noise, sigma {sigma_mm:g} mm per axis, seed {seed}",
     )
     write_file(out, format_measurements(model, poses, measured.positions, comments))
-    output.say(f"{len(poses)} simulated poses written to {out}")
+    output.remarks(remarks)
+    output.say(f"{counted(len(poses), 'simulated pose')} written to {out}")

@@ -19,6 +19,7 @@ from calib.errors import DataError, InputError, nearest
 from calib.model.mechanism import FloatArray
 from calib.units import Dimension, per_si, split_column
 
+_LARGEST = 1e6  # [m or rad]
 _SUSPICIOUS: dict[Dimension, tuple[float, str]] = {"angle": (4 * math.pi, "deg"), "length": (50.0, "mm")}
 
 
@@ -59,7 +60,14 @@ class Table:
         if self.units[index] is None:
             worst = int(np.argmax(np.abs(values)))
             check_plausible(values[worst], dimension, self._where(worst, index), "into the header")
-        return values / divisor
+        values = values / divisor
+        worst = int(np.argmax(np.abs(values)))
+        if abs(values[worst]) > _LARGEST:
+            raise DataError(
+                f"{self._where(worst, index)}: {self.rows[worst][index]} is beyond what any robot reaches; correct it,"
+                " or leave the row out"
+            )
+        return values
 
     def text(self, name: str) -> list[str]:
         """Return a column as text, without blanks around it."""

@@ -7,6 +7,7 @@ line. Drake simulates ball constraints in discrete time (the plant's time step a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -25,9 +26,10 @@ NAMESPACE = "http://drake.mit.edu"
 _ARM = 0.1  # from the first to the second and third point of a tie of whole frames [m]
 
 
-def drake_bytes(model: ClosedModel) -> bytes:
-    """Return the URDF for Drake."""
-    lines = [comment(["calib: a closed robot for Drake", *provenance_lines(model.robot), *tie_lines(model)])]
+def drake_bytes(model: ClosedModel, provenance: Sequence[str] = ()) -> bytes:
+    """Return the URDF for Drake, with these lines among those of its comment."""
+    origin = [*provenance_lines(model.robot), *provenance]
+    lines = [comment(["calib: a closed robot for Drake", *origin, *tie_lines(model)])]
     lines += [_ball(tie, point) for tie in model.ties for point in _points(tie)]
     lines += [_frame(marker) for marker in model.markers]
     lines += _transmissions(model)

@@ -35,7 +35,8 @@ def export(
             the URDF beside it under the same name.
         path: File to write.
         free_slide: Formats `mjcf` and `drake`: a free joint for each direction that a closure leaves free.
-        provenance: Format `urdf`: lines for a comment that says where the numbers come from; None for no comment.
+        provenance: Lines for the comment that says where the numbers come from; formats `urdf` and `toolbox` put no
+            comment into the URDF if this is None.
 
     Returns:
         What 3D constraints would have to absorb, for each direction that a closure leaves free.
@@ -65,10 +66,10 @@ def _contents(
     if file_format == "urdf":
         return {path: urdf_bytes(robot, provenance)}
     if file_format == "mjcf":
-        return {path: mjcf_bytes(closed_model(robot, free_slide=free_slide), path.parent)}
+        return {path: mjcf_bytes(closed_model(robot, free_slide=free_slide), path.parent, provenance or ())}
     if file_format == "drake":
-        return {path: drake_bytes(closed_model(robot, free_slide=free_slide))}
+        return {path: drake_bytes(closed_model(robot, free_slide=free_slide), provenance or ())}
     urdf = path.with_suffix(".urdf")
     if path == urdf:
         raise InputError(f"{path}: format 'toolbox' writes a YAML file and the URDF beside it; name the YAML file")
-    return {urdf: urdf_bytes(robot, provenance), path: toolbox_yaml(robot, urdf.name)}
+    return {urdf: urdf_bytes(robot, provenance), path: toolbox_yaml(robot, urdf.name, provenance or ())}

@@ -14,6 +14,7 @@ little here: never take its pose for the truth.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -41,17 +42,18 @@ _NO_MASS, _NO_INERTIA = 1e-9, 1e-12
 _TYPES = {"prismatic": "slide", "revolute": "hinge", "continuous": "hinge"}
 
 
-def mjcf_bytes(model: ClosedModel, folder: Path | str = ".") -> bytes:
+def mjcf_bytes(model: ClosedModel, folder: Path | str = ".", provenance: Sequence[str] = ()) -> bytes:
     """Return the MJCF file.
 
     Args:
         model: The closed robot.
         folder: Where the file will lie; mesh files are named relative to it.
+        provenance: Further lines for the comment that says where the numbers come from.
 
     Raises:
         InputError: A link other than the root is named `world`, which MuJoCo keeps for itself.
     """
-    return _Writer(model, Path(folder)).write()
+    return _Writer(model, Path(folder)).write(provenance)
 
 
 class _Writer:
@@ -64,7 +66,7 @@ class _Writer:
         for joint in model.urdf.joints:
             self.children[joint.parent].append(joint)
 
-    def write(self) -> bytes:
+    def write(self, provenance: Sequence[str]) -> bytes:
         root = Element("mujoco", model=self.model.urdf.name or "robot")
         SubElement(root, "compiler", angle="radian", autolimits="true")
         SubElement(root, "option", timestep="0.001", integrator="implicitfast")
@@ -79,6 +81,7 @@ class _Writer:
             [
                 "calib: a closed robot for MuJoCo, Pinocchio and Drake",
                 *provenance_lines(self.model.robot),
+                *provenance,
                 *tie_lines(self.model),
                 *dict.fromkeys(self.remarks + self.shapes.remarks),
             ]

@@ -9,6 +9,7 @@ The toolbox holds all three directions of a `3d` closure, also those that `close
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -53,15 +54,17 @@ def calibrated_description(robot: Robot, urdf_name: str) -> Description:
     return description.model_copy(update=changes)
 
 
-def toolbox_yaml(robot: Robot, urdf_name: str) -> bytes:
+def toolbox_yaml(robot: Robot, urdf_name: str, provenance: Sequence[str] = ()) -> bytes:
     """Return `robot.yaml`, with comments.
 
     Args:
         robot: The robot, with its current values.
         urdf_name: Name of the URDF that goes beside it (the toolbox expects `robot.urdf`).
+        provenance: Further lines for the comment that says where the numbers come from.
     """
     description = calibrated_description(robot, urdf_name)
     lines = ["calib: robot description, for Pinocchio's toolbox-parallel-robots as well", *provenance_lines(robot)]
+    lines += provenance
     gaps = loop_gaps(robot)
     if gaps:
         lines += ["the toolbox holds all directions of a closure; calib those of closed_loop_axes only:"]

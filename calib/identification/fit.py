@@ -35,6 +35,7 @@ from calib.identification.pose_checks import check_measurements, require_identif
 from calib.identification.problem import Problem
 from calib.identification.robust import solve_robust
 from calib.identification.starts import Starts, explore
+from calib.identification.suspects import likely_mistake
 from calib.linearisation.jacobian import linearise
 from calib.linearisation.registration import register
 from calib.model.mechanism import FloatArray
@@ -49,6 +50,7 @@ from calib.threads import one_blas_thread
 __all__ = ["ErrorSet", "Fit", "fit"]
 
 _LOOSE = 1e-2  # tolerance of the solver where another solve follows
+_PLACED = 1e-6  # the same for the state before: its errors then hold to a millionth
 _SIGMA_ROUNDS = 20
 _STEP_LEFT = 0.05  # standard deviations that a converged fit may be away from its minimum
 _ROUNDING = 1e-8  # 10 nm and 10 nrad: below, rounding decides about a step
@@ -126,7 +128,11 @@ def fit(
     if seed < 0:
         raise InputError(f"seed {seed}: must be zero or more")
     settings = _Settings(stated, checked_loss(loss), starts, seed)
-    found = _fit(robot, data, validation, settings)
+    try:
+        found = _fit(robot, data, validation, settings)
+    except UnreachablePoseError as error:
+        mistake = likely_mistake(robot, data)
+        raise UnreachablePoseError(f"{error}{'; ' if mistake else ''}{mistake}") from None
     plain = replace(settings, starts=1)
     if exclude_outliers:
         tukey = replace(plain, loss="tukey")
@@ -196,12 +202,24 @@ def _place(problem: Problem) -> Robot:
     robot = problem.robot
     if not np.any(problem.moves):
         return robot
-    placed, solution = problem.solve(register(robot, problem.data), 1e-4, problem.moves, priors=False)  # any sigma does
+    registered, any_sigma = register(robot, problem.data), 1e-4
+    if _is_best_placed(problem, registered):
+        return registered
+    placed, solution = problem.solve(registered, any_sigma, problem.moves, priors=False, tolerance=_PLACED)
     if not solution.converged:
         raise NotConvergedError(
             "placing the base and the targets did not converge; check units and axes of the measurements"
         )
     return placed
+
+
+def _is_best_placed(problem: Problem, robot: Robot) -> bool:
+    """Whether no other place of base and targets promises errors that are smaller by more than `_PLACED`."""
+    evaluation = problem.evaluate(robot)
+    rows = problem.weighted(evaluation.errors[..., None])[:, 0]
+    columns = problem.weighted(evaluation.jacobian[..., problem.moves]) * problem.scales[problem.moves]
+    explained = np.linalg.qr(columns)[0].T @ rows
+    return bool(explained @ explained <= _PLACED * (rows @ rows))
 
 
 def _solve(problem: Problem, placed: Robot, settings: _Settings) -> _Solved:
@@ -212,7 +230,9 @@ def _solve(problem: Problem, placed: Robot, settings: _Settings) -> _Solved:
         first = (solved.robot, solved.solution)
         tried = explore(problem, placed, first, solved.sigma, settings.starts, settings.seed)
         best = tried.minima[0]
-        solved = replace(solved, robot=best.robot, solution=best.solution, starts=tried)
+        if best.solution is not solved.solution:  # the noise that was found belongs to the minimum left behind
+            solved = _solve_with_noise(problem, best.robot, settings.stated, exact)
+        solved = replace(solved, starts=tried)
     if settings.loss == "none":
         return solved
     evaluation = problem.evaluate(solved.robot)
@@ -230,7 +250,7 @@ def _solve_with_noise(problem: Problem, placed: Robot, stated: float | None, exa
     sigma, tolerance = stated or float(np.sqrt(np.mean(first**2))) + 1e-9, _LOOSE
     moves = problem.moves
     # registration alone may have put a loosely determined target far from where its prior says it is
-    robot = problem.solve(placed, sigma, moves)[0] if np.any(moves & problem.has_prior) else placed
+    robot = problem.solve(placed, sigma, moves, tolerance=_LOOSE)[0] if np.any(moves & problem.has_prior) else placed
     if stated is not None or not np.any(problem.has_prior):  # without priors, sigma weighs nothing
         robot, solution = problem.solve(robot, sigma, everything, tolerance=exact)
         return _Solved(robot, sigma, solution)

@@ -19,13 +19,16 @@ from calib.model.robot import Configurations, Robot
 from calib.numerics.identifiability import Rank
 from calib.numerics.losses import Loss
 from calib.numerics.outliers import Outlier, Studentised, outliers, studentised
-from calib.numerics.statistics import ChiSquare, Statistics, chi_square, prior_shares
+from calib.numerics.statistics import EXACT, ChiSquare, Statistics, chi_square, prior_shares
 from calib.read_only import ReadOnlyArrays
 from calib.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from calib.identification.folds import Folds
     from calib.identification.reasons import Verdict
+
+COMPUTED = 1e-7
+"""Noise below this [m], and below a hundredth of what was stated, is what priors leave of data without noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +141,14 @@ class Fit(ReadOnlyArrays):
             return None
         return chi_square(self.statistics.sigma, self.statistics.freedom, self.sigma_stated)
 
+    @property
+    def computed(self) -> bool:
+        """Whether the data were computed, not measured: no noise, or none beside what was stated to weigh priors."""
+        found = self.statistics.sigma
+        return found < EXACT or (
+            found < COMPUTED and self.sigma_stated is not None and found < 0.01 * self.sigma_stated
+        )
+
     @cached_property
     def assembles(self) -> bool:
         """Whether the calibrated robot can be assembled at all its poses, starting from its home configuration."""
@@ -196,6 +207,8 @@ class Fit(ReadOnlyArrays):
     @one_blas_thread
     def patterns(self) -> tuple[Pattern, ...]:
         """Systematic patterns that were looked for in the residuals, most significant first."""
+        if self.computed:
+            return ()
         data = self.identification.data
         weight = np.sqrt(data.counts[:, None] * self.weights)
         rows = (weight[:, :, None] * self.identification.after).reshape(-1)

@@ -12,6 +12,8 @@ from calib.model.robot import Robot
 from calib.numerics.identifiability import numerical_rank
 
 _STILL = 1e-6  # range of a joint below which it never moved [m, rad]
+_ALONE = 1e-3  # part of the widest spread of poses in joint space that a direction must have to count
+_LINE = 1e-3  # width over length below which positions lie on one line
 
 
 def check_measurements(robot: Robot, data: Measurements, free: BoolArray) -> None:
@@ -35,11 +37,37 @@ def check_measurements(robot: Robot, data: Measurements, free: BoolArray) -> Non
             f" {unknown} unknowns without a prior; measure at least {needed} poses (several times that for a useful"
             " result)"
         )
+    if any(p.placement and not p.prior for p in robot.parameters) and robot.description.base.pose == "unknown":
+        _refuse_one_line(robot, data)
+
+
+def _refuse_one_line(robot: Robot, data: Measurements) -> None:
+    """Raise `DataError` where the positions of all targets lie on one line: they leave the measurement frame open."""
+    points = data.positions.reshape(-1, 3)
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    same = len(unmoved_joints(robot, data.joints)) == len(robot.joint_names)
+    if spread[1] > _LINE * spread[0] and not (same and len(robot.target_names) < 3):
+        return
+    raise DataError(
+        f"{data.path}: {'all poses are the same' if same else 'all measured positions lie on one line'}; where the"
+        " measurement frame is, which the description calls unknown, needs positions that spread in at least two"
+        " directions: measure other poses"
+    )
 
 
 def unmoved_joints(robot: Robot, joints: FloatArray) -> list[str]:
     """Return the actuated joints that stay where they are in all poses (n_poses, n_actuated)."""
     return [name for name, reach in zip(robot.joint_names, np.ptp(joints, axis=0), strict=True) if reach < _STILL]
+
+
+def directions_moved(joints: FloatArray) -> int:
+    """Return along how many directions of joint space (each joint by its range) the poses (n_poses, n_actuated) lie."""
+    reach = np.ptp(joints, axis=0)
+    moved = joints[:, reach >= _STILL]
+    if moved.shape[1] == 0:
+        return 0
+    spread = np.linalg.svd((moved - moved.mean(axis=0)) / np.ptp(moved, axis=0), compute_uv=False)
+    return int(np.sum(spread > _ALONE * spread[0]))
 
 
 def require_identifiable(problem: Problem, scaled: FloatArray) -> None:

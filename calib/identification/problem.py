@@ -24,6 +24,7 @@ from calib.model.mechanism import BoolArray, FloatArray
 from calib.model.robot import Configurations, Robot, describe_open
 from calib.numerics.least_squares import TOLERANCE, Solution, minimise
 
+_ROUNDING = 1e-14  # a parameter that moves by less stays nominal, to the last digit [m or rad]
 _REMEMBERED = 3  # evaluations: the start, where the solver is, and its trial step
 
 
@@ -119,7 +120,8 @@ class Problem:
     def _values(self, start: Robot, u: FloatArray, chosen: BoolArray) -> FloatArray:
         values = start.values.copy()
         index = np.flatnonzero(self.free)[chosen]
-        values[index] = self.nominal[chosen] + self.scales[chosen] * u
+        change = self.scales[chosen] * u
+        values[index] = self.nominal[chosen] + np.where(np.abs(change) < _ROUNDING, 0.0, change)
         return values
 
     def solve(

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 Grade = Literal["PASS", "CHECK", "FAIL"]
-_LISTED = 5
 
 
 @dataclass(frozen=True)
@@ -50,8 +49,3 @@ class Verdict:
         if self.grade == "FAIL":
             entry["forced"] = forced
         return entry
-
-
-def listed(names: list[str], separator: str = ", ") -> str:
-    """Return the first few of many."""
-    return separator.join(names[:_LISTED]) + (f"{separator}..." if len(names) > _LISTED else "")

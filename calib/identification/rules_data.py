@@ -8,9 +8,11 @@ import numpy as np
 
 from calib.data.repeats import beyond_repeatability
 from calib.identification.fitted import Fit
-from calib.identification.pose_checks import unmoved_joints
-from calib.identification.reasons import Reason, listed
+from calib.identification.pose_checks import directions_moved, unmoved_joints
+from calib.identification.reasons import Reason
+from calib.identification.validation import pose_labels
 from calib.numerics.outliers import FALSE_ALARM, HIGH_LEVERAGE
+from calib.words import counted, listed
 
 FEW = 10.0
 """Degrees of freedom below which intervals are very wide."""
@@ -20,6 +22,10 @@ BEYOND_REPEATS = 1.5
 """Found noise over the scatter of repeats from which something systematic is left."""
 UNLIKELY = 1e-3
 """Chance below which a test against noise counts."""
+COPIED = 0.1
+"""Part of the readings that may equal another one; coarse readings may do so by chance."""
+USED_FOR_BOTH = 0.1
+"""Part of the validation poses that may be poses of the fit, measured again."""
 
 
 def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
@@ -38,14 +44,23 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
             f" {'it' if len(still) == 1 else 'them'} rests on priors, and poses that move"
             f" {'it' if len(still) == 1 else 'them'} are not calibrated",
         )
+    n_moved = len(fit.nominal.joint_names) - len(still)
+    directions = directions_moved(data.joints)
+    if directions < min(n_moved, len(data) - 1):
+        yield Reason(
+            "CHECK",
+            "joints_move_together",
+            f"{n_moved} joints moved, but only together: the poses lie along {counted(directions, 'direction')} of"
+            " joint space, and what depends on the joints one by one rests on priors; move each joint by itself",
+        )
     limit = fit.nominal.description.singularity_limit
     near = [data.labels[k] for k in np.flatnonzero(fit.identification.singular_value < limit)]
     if near:
         yield Reason(
             "CHECK",
             "near_singular",
-            f"{len(near)} poses are near a singularity of the loops (smallest singular value below {limit:g}):"
-            f" {listed(near)}; leave them out",
+            f"{counted(len(near), 'pose is', 'poses are')} near a singularity of the loops (smallest singular value"
+            f" below {limit:g}): {listed(near)}; leave {'it' if len(near) == 1 else 'them'} out",
         )
 
 
@@ -69,8 +84,9 @@ def outliers(fit: Fit) -> Iterator[Reason]:
             yield Reason(
                 "CHECK",
                 "outliers",
-                f"{len(found)} outliers{where} (chance below {100 * FALSE_ALARM:g} %): {words};"
-                " look at these measurements" + ("" if where else "; --exclude-outliers fits without them"),
+                f"{counted(len(found), 'outlier')}{where} (chance below {100 * FALSE_ALARM:g} %): {words};"
+                f" look at {'this measurement' if len(found) == 1 else 'these measurements'}"
+                + ("" if where else f"; --exclude-outliers fits without {'it' if len(found) == 1 else 'them'}"),
             )
     if fit.with_all is not None:
         total = len(fit.with_all.identification.data)
@@ -82,6 +98,43 @@ def outliers(fit: Fit) -> Iterator[Reason]:
                 f"{poses} of {total} poses were excluded: so many are no outliers; the model or the measurements are"
                 " wrong",
             )
+
+
+def used_for_both(fit: Fit) -> Iterator[Reason]:
+    """Look for validation poses that the fit has used."""
+    if fit.validation is None:
+        return
+    used, other = fit.identification.data, fit.validation.data
+    label = pose_labels(np.vstack([used.joints, other.joints]))
+    same_pose = np.isin(label[len(used) :], label[: len(used)])
+    known = {position.tobytes() for position in used.positions}
+    same_reading = [position.tobytes() in known for position in other.positions[same_pose]]
+    if any(same_reading) or np.sum(same_pose) > USED_FOR_BOTH * len(other):
+        what = "are measurements that the fit has used" if any(same_reading) else "were measured at poses of the fit"
+        yield Reason(
+            "CHECK",
+            "used_for_both",
+            f"{sum(same_reading) or np.sum(same_pose)} of {counted(len(other), 'validation pose')} {what}: they prove"
+            " less than they seem to; validate with poses of their own",
+        )
+
+
+def copied(fit: Fit) -> Iterator[Reason]:
+    """Look for readings that are in the data more than once, to the last digit."""
+    data = fit.identification.data
+    if fit.computed:
+        return
+    readings = np.concatenate(data.readings) if data.readings else data.positions
+    joints = np.repeat(data.joints, data.counts if data.readings else 1, axis=0)
+    rows = np.hstack([joints, readings.reshape(len(readings), -1)])
+    copies = len(rows) - len(np.unique(rows, axis=0))
+    if copies > COPIED * len(rows):
+        yield Reason(
+            "CHECK",
+            "copied",
+            f"{copies} of {counted(len(rows), 'reading')} are copies of others to the last digit: nothing new, so that"
+            " intervals are too narrow; leave the copies out",
+        )
 
 
 def repeats(fit: Fit) -> Iterator[Reason]:
@@ -103,6 +156,6 @@ def leverage(fit: Fit) -> Iterator[Reason]:
         yield Reason(
             "CHECK",
             "leverage",
-            f"{len(high)} poses decide their own prediction, so that an error there would not show: {listed(high)};"
-            " measure more poses near them",
+            f"{counted(len(high), 'pose decides its', 'poses decide their')} own prediction, so that an error there"
+            f" would not show: {listed(high)}; measure more poses near {'it' if len(high) == 1 else 'them'}",
         )

@@ -1,4 +1,4 @@
-"""Rules of the verdict about the fit: convergence, noise, validation, parameters, what the model leaves out."""
+"""Rules of the verdict about the fit: convergence, noise, validation, what the model leaves out, other minima."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
 from calib.identification.fitted import ErrorSet, Fit
-from calib.identification.reasons import Reason, listed
+from calib.identification.reasons import Reason
 from calib.identification.rules_data import UNLIKELY
 from calib.identification.systematic import describe
 from calib.model.mechanism import FloatArray
+from calib.numerics.rigid import best_transform
 from calib.numerics.statistics import EXACT
+from calib.words import counted, listed
 
 NOISE_RATIO = 3.0
 """Found over stated noise from which the statement, or the model, is wrong."""
@@ -21,14 +23,12 @@ PROVEN = 0.5
 """Errors on poses that were not used, after over before, that prove a calibration."""
 UNUSED_RATIO = 1.5
 """Residuals of poses that were not used, over their predicted scatter."""
+FEW_POSES = 6
+"""Validation poses from which a rigid motion explains errors only if there is one."""
+EXPLAINED = 0.3
+"""Errors on validation poses that a rigid motion of the frame leaves, over all of them, if it explains them."""
 LARGE_NOISE = 0.1
 """Noise, over the spread of the measured positions, that means that nothing fits."""
-PLAUSIBLE = 4.0
-"""Prior sigmas that a parameter may be away from nominal."""
-SMALLEST_SHARE = 0.05
-"""Share of a parameter that the data must decide for its deviation to say anything."""
-LOOSE_ANGLE = 0.1
-"""Standard deviation of an angle beyond which its effect is not linear [rad]."""
 OTHER_MINIMUM = 10.0
 """Difference of the cost within which another minimum explains the data as well."""
 
@@ -61,12 +61,12 @@ def noise(fit: Fit) -> Iterator[Reason]:
             f"noise found: {1e3 * found:.4g} mm per axis, for positions that spread over {1e3 * spread:.4g} mm; nothing"
             " fits: check units, axes, joint order and signs, and that joints and positions belong together",
         )
-    elif found < EXACT:
+    elif fit.computed:
         yield Reason(
             "CHECK",
             "no_noise",
-            "noise found: below a nanometre; these data were computed, not measured, and the intervals say nothing"
-            " about a real robot",
+            f"noise found: {1e3 * found:.1g} mm, less than any sensor has; these data were computed, not measured, and"
+            " the intervals say nothing about a real robot",
         )
     elif stated is not None and chi is not None:
         yield from _against_statement(fit, found / stated, chi.p_larger, chi.p_smaller)
@@ -95,8 +95,9 @@ def _against_statement(fit: Fit, ratio: float, p_larger: float, p_smaller: float
         text = f"noise found is {ratio:.2f} times what was stated ({numbers}), more than chance explains"
         yield Reason("CHECK", "noise", f"{text}: state what robot and sensor do together, or look for what is missing")
     elif p_smaller < UNLIKELY:
-        text = f"noise found is only {ratio:.2f} times what was stated ({numbers}), less than chance explains"
-        yield Reason("CHECK", "noise", f"{text}: state it anew; the same reading may have been used more than once")
+        text = f"noise found is only {ratio:.2g} times what was stated ({numbers}), less than chance explains"
+        advice = "state it anew (in mm); the same reading may have been used more than once"
+        yield Reason("CHECK", "noise", f"{text}: {advice}")
 
 
 def not_assembled(fit: Fit) -> Iterator[Reason]:
@@ -125,7 +126,7 @@ def worse_on_validation(fit: Fit) -> Iterator[Reason]:
 
 def unused_fits_worse(fit: Fit) -> Iterator[Reason]:
     """Compare errors on unused poses with what noise and uncertainty predict."""
-    if fit.validation is None or fit.validation_uncertainty is None or fit.statistics.sigma < EXACT:
+    if fit.validation is None or fit.validation_uncertainty is None or fit.computed:
         return
     noise = fit.statistics.sigma**2 / fit.validation.data.counts[:, None, None]
     expected = noise + fit.validation_uncertainty.std**2
@@ -139,49 +140,24 @@ def unused_fits_worse(fit: Fit) -> Iterator[Reason]:
         )
 
 
-def implausible(fit: Fit) -> Iterator[Reason]:
-    """List parameters far from nominal.
-
-    Where priors share an error between parameters that the data cannot tell apart, each moves by less than the error: a
-    deviation u scatters by the root of the share that the data decide, so that is what it is compared with. Without a
-    prior, noise alone moves a parameter too: two standard deviations of that are allowed for.
-    """
-    far = []
-    known = iter(zip(fit.statistics.std, fit.statistics.data_share, strict=True))
-    for parameter, value, free in zip(fit.nominal.parameters, fit.robot.values, fit.free, strict=True):
-        if not free:
-            continue
-        std, share = next(known)
-        away = abs(float(value) - parameter.nominal) / parameter.sigma
-        if parameter.prior:
-            away /= np.sqrt(max(share, SMALLEST_SHARE))
-        else:
-            away -= 2.0 * std / parameter.sigma
-        if (parameter.prior or not parameter.placement) and away > PLAUSIBLE:
-            far.append(f"{parameter.name} ({away:.1f} sigma)")
-    if far:
+def frame_moved(fit: Fit) -> Iterator[Reason]:
+    """See whether a rigid motion explains the errors on validation poses: whether they were measured from elsewhere."""
+    if fit.validation is None or len(fit.validation.data) < FEW_POSES or fit.computed:
+        return
+    measured = fit.validation.data.positions.reshape(-1, 3)
+    predicted = measured + fit.validation.after.reshape(-1, 3)
+    rotation, translation = best_transform(measured, predicted)
+    left = _rms((predicted - measured @ rotation.T - translation)[:, None])
+    if left < EXPLAINED * _rms(fit.validation.after):
+        centre = measured.mean(axis=0)
+        shift = 1e3 * float(np.linalg.norm(rotation @ centre + translation - centre))
+        angle = float(np.degrees(np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0))))
         yield Reason(
             "CHECK",
-            "at_bounds",
-            f"parameters further from nominal than {PLAUSIBLE:g} times what their stated sigma allows: {listed(far)};"
-            " check zero positions and units, or, if that is possible, state a larger sigma in the description",
-        )
-
-
-def loose(fit: Fit) -> Iterator[Reason]:
-    """List angles that are hardly determined."""
-    free = [p for p, use in zip(fit.nominal.parameters, fit.free, strict=True) if use]
-    loose = [
-        f"{p.name} (+-{np.degrees(std):.1f} deg)"
-        for p, std in zip(free, fit.statistics.std, strict=True)
-        if p.dimension == "angle" and std > LOOSE_ANGLE
-    ]
-    if loose:
-        yield Reason(
-            "CHECK",
-            "not_linear",
-            f"hardly determined, so that intervals, which suppose a linear model, do not hold: {listed(loose)};"
-            " measure poses that differ more, or hold these parameters",
+            "frame_moved",
+            f"the validation poses look as if the tracker, the base or its frame had moved between the two files, by"
+            f" {shift:.3g} mm and {angle:.2g} deg: that explains all but {1e3 * left:.3g} mm RMS; measure both from one"
+            " place, or hold out poses of one file (--validate 0.2)",
         )
 
 
@@ -192,7 +168,7 @@ def no_gain(fit: Fit) -> Iterator[Reason]:
     after = float(np.sum(weight * fit.identification.after**2))
     placed = sum(p.placement for p, use in zip(fit.nominal.parameters, fit.free, strict=True) if use)
     k = fit.statistics.effective_parameters - placed
-    if k < 0.5 or after <= 0 or fit.statistics.sigma < EXACT:
+    if k < 0.5 or after <= 0 or fit.computed:
         return
     p_value = float(f_distribution.sf((before - after) / k / fit.statistics.sigma**2, k, fit.statistics.freedom))
     if p_value > UNLIKELY:
@@ -222,13 +198,16 @@ def other_minima(fit: Fit) -> Iterator[Reason]:
     if fit.starts is None:
         return
     best, *others = fit.starts.minima
-    near = [other for other in others if other.cost - best.cost < OTHER_MINIMUM]
+    # without a statement the starts were weighed by a noise that was not found yet
+    unit = 1.0 if fit.sigma_stated is not None else (max(fit.statistics.sigma, EXACT) / fit.starts.sigma) ** 2
+    near = [other for other in others if other.cost - best.cost < OTHER_MINIMUM * unit]
     if near:
         yield Reason(
             "CHECK",
             "other_minimum",
-            f"{len(near)} other minima explain the data as well (RMS {1e3 * near[0].rms:.4g} mm against"
-            f" {1e3 * best.rms:.4g} mm): the data do not say which is the robot; measure more different poses",
+            f"{counted(len(near), 'other minimum explains', 'other minima explain')} the data as well (RMS"
+            f" {1e3 * near[0].rms:.4g} mm against {1e3 * best.rms:.4g} mm): the data do not say which is the"
+            " robot; measure more different poses",
         )
 
 

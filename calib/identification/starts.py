@@ -3,14 +3,15 @@
 Least squares finds the minimum in whose valley it starts. Each further start moves every free parameter by a normal
 random step of its sigma from where the first one started (base and targets placed, the rest nominal); where the loops
 cannot close there, the step is halved, up to five times. Ends whose predicted positions differ by less than a tenth of
-the noise from a minimum already known are the same minimum.
+their residuals from a minimum already known are the same minimum; the first end that came there stays, because a later
+one may have the same robot with an angle turned round once more.
 
 When it fails. Not finding another minimum is no proof that there is none.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,7 +22,8 @@ from calib.model.robot import Robot
 from calib.numerics.least_squares import Solution
 
 _HALVINGS = 5
-_SAME = 0.1  # root mean square difference of predictions, over the noise, within one minimum
+_SAME = 0.1  # root mean square difference of predictions, over the smaller residuals, within one minimum
+_EXACT = 1e-7  # residuals below this are rounding [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +53,13 @@ class Starts:
         minima: Lowest cost first.
         failed: Starts that did not converge or could not be assembled.
         seed: Seed of the random steps.
+        sigma: Noise that weighed all of them [m].
     """
 
     minima: tuple[Minimum, ...]
     failed: int
     seed: int
+    sigma: float
 
     @property
     def total(self) -> int:
@@ -85,8 +89,8 @@ def explore(problem: Problem, placed: Robot, first: tuple[Robot, Solution], sigm
         if end is None:
             failed += 1
         else:
-            _add(found, problem, end, sigma)
-    return Starts(tuple(minimum for minimum, _ in sorted(found, key=lambda entry: entry[0].cost)), failed, seed)
+            _add(found, problem, end)
+    return Starts(tuple(minimum for minimum, _ in sorted(found, key=lambda entry: entry[0].cost)), failed, seed, sigma)
 
 
 def _from(
@@ -103,19 +107,18 @@ def _from(
     return None
 
 
-def _add(
-    found: list[tuple[Minimum, FloatArray]], problem: Problem, end: tuple[Robot, Solution], sigma: float = np.inf
-) -> None:
+def _add(found: list[tuple[Minimum, FloatArray]], problem: Problem, end: tuple[Robot, Solution]) -> None:
     """Count an end towards the minimum that it belongs to, or as a new one."""
     robot, solution = end
     errors = problem.evaluate(robot).errors
-    rms = float(np.sqrt(np.mean(np.sum(errors**2, axis=2))))
+    size = _size(errors)
     for k, (minimum, known) in enumerate(found):
-        if np.sqrt(np.mean((errors - known) ** 2)) <= _SAME * sigma:
-            better = solution.cost < minimum.cost
-            kept = (robot, solution, solution.cost, rms) if better else (
-                minimum.robot, minimum.solution, minimum.cost, minimum.rms
-            )  # fmt: skip
-            found[k] = Minimum(*kept, minimum.count + 1), errors if better else known
+        if _size(errors - known) <= _SAME * max(min(size, _size(known)), _EXACT):
+            found[k] = replace(minimum, count=minimum.count + 1), known
             return
-    found.append((Minimum(robot, solution, solution.cost, rms, 1), errors))
+    found.append((Minimum(robot, solution, solution.cost, float(np.sqrt(3.0)) * size, 1), errors))
+
+
+def _size(errors: FloatArray) -> float:
+    """Root mean square per axis [m]."""
+    return float(np.sqrt(np.mean(errors**2)))

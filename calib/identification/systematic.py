@@ -13,12 +13,16 @@ Effects tested, all as displacements of the targets through the robot (d(positio
     joint        each joint off by a smooth curve of its own value (Legendre polynomials of degree 1 to 3 over the range
                  measured): gear error, lead error, gravity sag
     approach     each joint off by +-b, by the direction in which it moved last: backlash 2b
+    drift        a shift that changes smoothly in the course of the measurement: a tracker or a base that moved
+    zero         each joint off by an error that changes in the course of the measurement: an encoder or a belt that
+                 slipped, warming up
 
 An effect that the fit absorbs (a constant shift, where the base is free) cannot be seen and is not tested. A finding
 needs a chance below 1 % over the number of tests, and an effect of at least a tenth of the noise: enough data make any
 trifle significant.
 
-The direction of approach comes from the order of the rows in the data file, which must be the order of measurement.
+The direction of approach and the course of the measurement come from the order of the rows in the data file, which must
+be the order of measurement. A sudden change shows too: a polynomial of degree 3 explains 86 % of a step.
 
 When it fails. Effects in other shapes stay in the noise; two effects that look alike at the poses measured are both
 named. F supposes normal noise.
@@ -50,7 +54,7 @@ SMALLEST_EFFECT = 0.1
 _ABSORBED = 1e-6  # part of an effect's square that must be left after the fit for it to be seen
 _DEGREE = 3
 
-Kind = Literal["axis", "joint", "approach"]
+Kind = Literal["axis", "joint", "approach", "drift", "zero"]
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,7 @@ class Pattern:
 
     Attributes:
         kind: Which effect.
-        name: The axis or joint.
+        name: The axis or joint; `xyz` for a drift.
         p_value: Chance of such a pattern from noise, over all tests.
         size: Root mean square displacement that it explains [m].
         amount: The shift [m], or half the backlash [m or rad]; NaN for a curve.
@@ -148,17 +152,25 @@ def _effects(
 ) -> Iterator[tuple[Kind, str, FloatArray]]:
     """Yield (kind, name, Z as (n_poses, n_targets, 3, k))."""
     by_joint = joint_jacobian(robot, configurations)
+    course = _curves(np.arange(len(by_joint), dtype=float))
     for axis, name in enumerate("xyz"):
         shift = np.zeros((*by_joint.shape[:3], 1))
         shift[:, :, axis] = 1.0
         yield "axis", name, shift
+    drift = np.eye(3)[:, :, None] * course[:, None, None, None, :]
+    yield "drift", "xyz", np.broadcast_to(drift, (*by_joint.shape[:3], 3, _DEGREE)).reshape(*by_joint.shape[:3], -1)
     for j, name in enumerate(robot.joint_names):
-        q = configurations.actuated[:, j]
-        reach = np.ptp(q)
-        if reach > 0:
-            curve = legendre.legvander(2 * (q - q.min()) / reach - 1, _DEGREE)[:, 1:]
-            yield "joint", name, by_joint[..., j : j + 1] * curve[:, None, None, :]
-        yield "approach", name, by_joint[..., j : j + 1] * approach[:, j][:, None, None, None]
+        column, q = by_joint[..., j : j + 1], configurations.actuated[:, j]
+        if np.ptp(q) > 0:
+            yield "joint", name, column * _curves(q)[:, None, None, :]
+        yield "approach", name, column * approach[:, j][:, None, None, None]
+        yield "zero", name, column * course[:, None, None, :]
+
+
+def _curves(values: FloatArray) -> FloatArray:
+    """Legendre polynomials of degree 1 to 3 over the range of some values (n,), (n, 3)."""
+    curves: FloatArray = legendre.legvander(2 * (values - values.min()) / np.ptp(values) - 1, _DEGREE)[:, 1:]
+    return curves
 
 
 def _test(residuals: Residuals, effect: FloatArray) -> tuple[float, float, float] | None:
@@ -195,6 +207,10 @@ def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:
         return f"a constant shift of {1e3 * pattern.amount:+.3g} mm along {pattern.name}"
     if pattern.kind == "joint":
         return f"an error that follows joint {pattern.name} ({size})"
+    if pattern.kind == "drift":
+        return f"a shift in the course of the measurement, as of a tracker or base that moved ({size})"
+    if pattern.kind == "zero":
+        return f"an error of joint {pattern.name} that changes in the course of the measurement ({size})"
     unit = DISPLAY_UNIT[dimensions[pattern.name]]
     amount = 2 * abs(pattern.amount) * PER_SI[dimensions[pattern.name]][unit]
     return f"joint {pattern.name} differs by {amount:.2g} {unit} with the direction of approach ({size})"

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from calib.data.measurements import Measurements
 from calib.errors import DataError
 from calib.model.mechanism import FloatArray, IntArray
 
-_SAME_JOINTS = 1e-6  # joint values that agree to this are one pose [m, rad]
+_SAME_JOINTS = 1e-4  # joint values that agree to this are one pose, read back with an encoder's noise [m, rad]
 PERCENTILES = {"median": 50, "p90": 90, "p95": 95, "p99": 99}
 """Percentiles of error tables by their key."""
 
@@ -91,7 +94,7 @@ def split(data: Measurements, fraction: float, seed: int = 0) -> tuple[Measureme
 
 
 def deal(data: Measurements, count: int, seed: int = 0) -> list[IntArray]:
-    """Deal the poses into folds of about equal size; poses with the same joint values stay together.
+    """Deal the poses into folds of about equal size; repeats of one pose stay together.
 
     Returns:
         Indices of each fold, ascending; empty where there are fewer different poses than folds.
@@ -102,10 +105,21 @@ def deal(data: Measurements, count: int, seed: int = 0) -> list[IntArray]:
     return [np.sort(np.array(fold, dtype=np.intp)) for fold in folds]
 
 
+def pose_labels(joints: FloatArray) -> IntArray:
+    """Return a number for each row of joint values (n, n_actuated); rows that repeat one pose have the same.
+
+    Repeats agree to 0.1 mm and 0.1 mrad in every joint, or are linked by others that do.
+    """
+    cells, cell = np.unique(np.round(joints / _SAME_JOINTS), axis=0, return_inverse=True)
+    linked = cKDTree(cells).query_pairs(1.5, p=np.inf, output_type="ndarray")  # the same cell or a neighbour
+    graph = coo_array((np.ones(len(linked)), (linked[:, 0], linked[:, 1])), shape=(len(cells), len(cells)))
+    label: IntArray = connected_components(graph, directed=False)[1][cell.reshape(-1)]
+    return label
+
+
 def _shuffled(data: Measurements, seed: int) -> list[IntArray]:
-    """Return groups of poses with the same joint values (to 1e-6 m or rad) in random order."""
-    _, label = np.unique(np.round(data.joints / _SAME_JOINTS), axis=0, return_inverse=True)
-    label = label.reshape(-1)
+    """Return groups of poses with the same joint values in random order."""
+    label = pose_labels(data.joints)
     by_label = np.argsort(label, kind="stable")
     groups = np.split(by_label, np.cumsum(np.bincount(label))[:-1])
     groups.sort(key=lambda group: int(group[0]))  # in file order, so that without repeats a pose is a pose

@@ -12,31 +12,48 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from calib.identification import rules_data, rules_model
+from calib.identification import rules_data, rules_model, rules_parameters
 from calib.identification.fitted import Fit
 from calib.identification.reasons import Reason, Verdict
+from calib.identification.suspects import likely_mistake
 
 _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_model.not_converged,
     rules_model.not_assembled,
     rules_model.noise,
     rules_model.worse_on_validation,
+    rules_model.frame_moved,
+    rules_parameters.far_from_nominal,
     rules_data.poses_that_say_little,
     rules_data.too_few_poses,
-    rules_model.implausible,
-    rules_model.loose,
+    rules_parameters.loose,
     rules_model.no_gain,
     rules_model.unused_fits_worse,
     rules_model.systematic,
     rules_data.outliers,
+    rules_data.used_for_both,
+    rules_data.copied,
     rules_data.repeats,
     rules_model.other_minima,
     rules_data.leverage,
 )
+_NOTHING_FITS = ("not_converged", "not_assembled", "noise_as_large_as_robot", "far_from_nominal")
 
 
 def judge(fit: Fit) -> Verdict:
     """Return the verdict on a fit: the worst of the reasons found, FAIL before CHECK."""
     found = [reason for rule in _RULES for reason in rule(fit)]
+    if any(reason.code in _NOTHING_FITS for reason in found):
+        mistake = likely_mistake(fit.nominal, fit.identification.data)
+        found = (
+            [
+                Reason(
+                    "FAIL", "likely_mistake", f"{mistake}; correct the data, or the description where that is wrong"
+                ),
+                *found,
+            ]
+            if mistake
+            else found
+        )
     found.sort(key=lambda reason: reason.grade != "FAIL")
     return Verdict(found[0].grade if found else "PASS", tuple(found))

@@ -154,6 +154,15 @@ class Description(_Section):
     columns: dict[str, str] = {}
 
     @model_validator(mode="after")
+    def _named_once(self) -> Description:
+        for key in ("name_mot", "held", "elimination_order"):
+            names = getattr(self, key)
+            again = next((name for k, name in enumerate(names) if name in names[:k]), None)
+            if again is not None:
+                raise ValueError(f"'{key}' names '{again}' twice")
+        return self
+
+    @model_validator(mode="after")
     def _loops_agree(self) -> Description:
         if len(self.type) != len(self.closed_loop):
             raise ValueError(

@@ -197,8 +197,6 @@ def _joint_groups(
             raise DescriptionError(f"{where}: name_mot: no joint '{name}'{nearest(name, moving)}")
         if name not in moving:
             raise DescriptionError(f"{where}: name_mot: joint '{name}' is {types[name]}, it does not move")
-        if actuated.count(name) > 1:
-            raise DescriptionError(f"{where}: name_mot: joint '{name}' is listed twice")
     followers = {
         name: joint.mimic for name, joint in moving.items() if joint.mimic is not None and name not in actuated
     }

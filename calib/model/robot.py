@@ -27,6 +27,7 @@ from calib.read_only import ReadOnlyArrays, read_only
 from calib.units import Dimension, per_si, split_column
 
 _LARGEST_JOINT = 1e6  # [m or rad]
+_ROUNDING = 1e-14  # a number of the URDF that moves by less has not been edited [m or rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,17 +236,16 @@ class Robot(ReadOnlyArrays):
         edits: dict[str, tuple[Triple, Triple]] = {}
         for joint in self.urdf.joints:
             before, after = self.nominal.placement(joint.name), self.mechanism.placement(joint.name)
-            xyz = _keep(joint.xyz, before.translation, after.translation)
-            rpy = joint.rpy
+            xyz, rpy = _edited(joint.xyz, after.translation), joint.rpy
             if not np.array_equal(before.rotation, after.rotation):
-                x, y, z = (float(angle) for angle in pin.rpy.matrixToRpy(after.rotation))
-                rpy = (x, y, z)
+                rpy = _edited(joint.rpy, pin.rpy.matrixToRpy(after.rotation))
             edits[joint.name] = (xyz, rpy)
         return self.urdf.with_origins(edits)
 
 
-def _keep(text: Triple, before: FloatArray, after: FloatArray) -> Triple:
-    x, y, z = (text[i] if before[i] == after[i] else float(after[i]) for i in range(3))
+def _edited(text: Triple, wanted: FloatArray) -> Triple:
+    """The wanted numbers (3,), but those of the file where only rounding lies between."""
+    x, y, z = (old if abs(new - old) <= _ROUNDING else float(new) for old, new in zip(text, wanted, strict=True))
     return (x, y, z)
 
 
@@ -275,6 +275,8 @@ def load(path: str | Path) -> Robot:
     names = [parameter.name for parameter in parametrisation.parameters]
     for held in description.held:
         index_of(parametrisation.parameters, held, f"{path}: held")
+    for name in description.elimination_order:
+        index_of(parametrisation.parameters, name, f"{path}: elimination_order")
     if len(set(names)) != len(names):
         raise DescriptionError(f"{path}: parametrisation: a parameter name is used twice")
     values = np.array([parameter.nominal for parameter in parametrisation.parameters])
@@ -285,8 +287,12 @@ def _check_columns(description: Description, mechanism: Mechanism, where: str) -
     """Raise `DescriptionError` if a foreign column stands for something that is not read."""
     dimensions: dict[str, Dimension] = {name: mechanism.dimensions[name] for name in mechanism.actuated}
     dimensions |= {f"{target.name}_{axis}": "length" for target in mechanism.targets for axis in "xyz"}
+    taken: dict[str, str] = {}
     for foreign, column in description.columns.items():
         name, unit = split_column(column)
+        if name in taken:
+            raise DescriptionError(f"{where}: columns: '{taken[name]}' and '{foreign}' both stand for '{name}'")
+        taken[name] = foreign
         if name == "pose" and unit is None:
             continue
         if name not in dimensions:

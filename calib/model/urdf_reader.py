@@ -101,7 +101,10 @@ class UrdfReader:
                 if "prefix" in message
                 else ""
             )
-            raise UrdfError(f"{self.path}, line {error.lineno}: not valid XML ({message}){hint}") from None
+            raise UrdfError(
+                f"{self.path}, line {error.lineno}: not valid XML ({message}){hint};"
+                " a robot is a URDF, or a YAML description"
+            ) from None
         except (LookupError, ValueError) as error:
             raise UrdfError(f"{self.path}: its character encoding cannot be read ({error}); save it as UTF-8") from None
 
@@ -168,8 +171,14 @@ class UrdfReader:
         elif tag == "axis":
             joint["axis"] = self._axis(attributes, where, joint["type"] in MOVING_TYPES)
         elif tag == "limit" and joint["type"] != "continuous":
-            joint["lower"] = self._number(attributes.get("lower", "0"), f"{where}, lower limit")
-            joint["upper"] = self._number(attributes.get("upper", "0"), f"{where}, upper limit")
+            lower = self._number(attributes.get("lower", "0"), f"{where}, lower limit")
+            upper = self._number(attributes.get("upper", "0"), f"{where}, upper limit")
+            if lower > upper:
+                raise UrdfError(
+                    f"{self.path}, {where}: the lower limit {lower:g} is above the upper one {upper:g};"
+                    " correct the <limit>"
+                )
+            joint["lower"], joint["upper"] = lower, upper
         elif tag == "mimic":
             joint["mimic"] = (
                 self._required(attributes, "joint", f"<mimic> of {where}"),

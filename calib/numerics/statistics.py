@@ -29,6 +29,7 @@ Reference: jcgm100 (GUM), sections 4.2 and G.3; tarantola2005, section 3.2, for 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -40,7 +41,10 @@ from calib.model.mechanism import BoolArray, FloatArray
 from calib.read_only import ReadOnlyArrays
 
 DECIDED_BY_DATA = 0.9
-"""Least share of a parameter's variance that the data must remove for status `identified`; below 1 - this, `prior`."""
+"""Share of a parameter's expected variance that the data must remove for `identified`; up to 1 - this, `prior`."""
+Status = Literal["identified", "partly", "prior", "weak", "placed", "held"]
+"""What a parameter's value rests on; see `status`."""
+_BY_PRIOR = 1.0 - DECIDED_BY_DATA
 EXACT = 1e-9
 """Noise below this [m] is rounding: the data were computed, not measured."""
 
@@ -84,13 +88,6 @@ class Statistics(ReadOnlyArrays):
     data_share: FloatArray
     effective_parameters: float
 
-    def status(self) -> list[str]:
-        """Return `identified`, `partly` or `prior` for each free parameter."""
-        return [
-            "identified" if share >= DECIDED_BY_DATA else "prior" if share <= 1 - DECIDED_BY_DATA else "partly"
-            for share in self.data_share
-        ]
-
     @property
     def coverage_factor(self) -> float:
         """How many standard deviations make half a 95 % interval."""
@@ -102,6 +99,27 @@ class Statistics(ReadOnlyArrays):
             unit = self.covariance / self.std / self.std[:, None]
         result: FloatArray = np.clip(unit, -1.0, 1.0)
         return result
+
+
+def status(data_share: float, relative_std: float, *, prior: bool, placement: bool) -> Status:
+    """Return what a free parameter's value rests on.
+
+    With a prior: `identified`, `partly` or `prior`, by the share of the prior's variance that the data removed. Without
+    one the measurements alone decide, so that only their precision can be judged: `identified` where the same share of
+    the expected error's variance is gone, `weak` where they say little more than the drawing. An unknown place of base
+    or target has neither a prior nor a drawing to compare with: `placed`.
+
+    Args:
+        data_share: Of `Statistics`.
+        relative_std: Standard deviation over the sigma of the description.
+        prior: Whether the parameter has a prior.
+        placement: Whether it is part of an unknown place of base or target.
+    """
+    if prior:
+        return "identified" if data_share >= DECIDED_BY_DATA else "prior" if data_share <= _BY_PRIOR else "partly"
+    if placement:
+        return "placed"
+    return "identified" if 1.0 - relative_std**2 >= DECIDED_BY_DATA else "weak"
 
 
 @dataclass(frozen=True)
@@ -167,7 +185,7 @@ def require_freedom(freedom: float, n_rows: int) -> None:
     """Raise `NotIdentifiableError` unless at least one degree of freedom is left of n_rows coordinates."""
     if freedom < 1 - 1e-9:
         raise NotIdentifiableError(
-            f"{n_rows} measured coordinates leave {freedom:.1f} degrees of freedom; without at"
+            f"{n_rows} measured coordinates leave {max(freedom, 0.0):.1f} degrees of freedom; without at"
             " least one, no uncertainty can be stated: measure more poses"
         )
 

@@ -112,7 +112,6 @@ def assess(robot: Robot, poses: Poses, *, task: Poses | None = None, sigma: floa
     Raises:
         DataError: Fewer measured coordinates than free parameters that no prior holds.
         UnreachablePoseError: A pose cannot be assembled.
-        ParameterError: The description's `elimination_order` names an unknown parameter.
     """
     require_free(robot)
     parameters, free = robot.parameters, robot.free
@@ -168,8 +167,7 @@ def _require_rows(robot: Robot, poses: Poses, n_targets: int) -> None:
 
 
 def _order(robot: Robot) -> list[int]:
-    where = f"{robot.path}: elimination_order"
-    return [index_of(robot.parameters, name, where) for name in robot.description.elimination_order]
+    return [index_of(robot.parameters, name) for name in robot.description.elimination_order]
 
 
 def _spoken_for(robot: Robot, elimination: Elimination) -> tuple[int, ...]:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import io
 import math
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from calib.numerics.null_space import describe_group, natural_coefficients
 from calib.numerics.observability import INDICES, TaskIndex
 from calib.pose_choice.assessment import CORRELATION_LIMIT, HARDLY, Assessment
+from calib.reporting.plain_text import plain_text
 from calib.units import PER_SI
+from calib.words import counted
 
 _SHOWN = 12
 _SINGLE = 5  # parameters without effect that get a line of their own
@@ -26,19 +26,9 @@ def text_report(assessment: Assessment, source: str, width: int = 110) -> str:
         source: Where the poses came from.
         width: Of the tables, in characters.
     """
-    console = Console(file=io.StringIO(), width=width, color_system=None)
-    for line in (*_heading(assessment, source), "", *_verdict(assessment), "", *_groups(assessment), ""):
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
-    console.print(_observability(assessment))
-    console.print(_parameters(assessment))
-    for line in (*_doubts(assessment), ""):
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
-    console.print(_counts(assessment))
-    for line in _accuracy(assessment):
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
-    stream = console.file
-    assert isinstance(stream, io.StringIO)
-    return stream.getvalue().rstrip()
+    parts: list[str | Table] = [*_heading(assessment, source), "", *_verdict(assessment), "", *_groups(assessment), ""]
+    parts += [_observability(assessment), _parameters(assessment), *_doubts(assessment), "", _counts(assessment)]
+    return plain_text([*parts, *_accuracy(assessment)], width).rstrip()
 
 
 def to_dict(assessment: Assessment) -> dict[str, object]:
@@ -80,7 +70,7 @@ def to_dict(assessment: Assessment) -> dict[str, object]:
 def _heading(a: Assessment, source: str) -> list[str]:
     noise = " (assumed; state it with --sigma-mm or in the description)" if a.sigma_assumed else ""
     return [
-        f"{a.n_poses} poses ({source}), {a.n_rows} coordinates; noise {1e3 * a.sigma:g} mm per axis{noise}",
+        f"{counted(a.n_poses, 'pose')} ({source}), {a.n_rows} coordinates; noise {1e3 * a.sigma:g} mm per axis{noise}",
         "Columns are scaled: each parameter's by the error that the description expects of it (its sigma)",
         f"All {a.rank_all.n_columns} parameters, poses alone: {a.rank_all}",
         f"The {a.rank_free.n_columns} free ones, poses alone: {a.rank_free}",
@@ -100,12 +90,14 @@ def _verdict(a: Assessment) -> list[str]:
         )
     else:
         lines.append(
-            f"NOT determined: {missing} combinations of the free parameters. Hold one of each, or add other poses:"
+            f"NOT determined: {counted(missing, 'combination')} of the free parameters."
+            " Hold one of each, or add other poses:"
         )
         lines += [f"  {describe_group(group, a.free_parameters)}" for group in a.open_groups]
     if a.near_singular:
         lines.append(
-            f"Warning: {len(a.near_singular)} poses are near a singularity of the loops: {_some(a.near_singular)}"
+            f"Warning: {counted(len(a.near_singular), 'pose')} near a singularity of the loops:"
+            f" {_some(a.near_singular)}"
         )
     return lines
 

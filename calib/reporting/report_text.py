@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-import io
-
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from calib.data.repeats import repeats
 from calib.identification.fitted import Fit
-from calib.identification.reasons import Verdict, listed
+from calib.identification.reasons import Verdict
 from calib.identification.validation import format_error
+from calib.reporting.plain_text import plain_text
 from calib.reporting.result_content import correlated, error_sets, parameter_rows
+from calib.words import counted, listed
 
 
 def text_report(fit: Fit, width: int = 120) -> str:
     """Return verdict, accuracy before and after, parameters with their 95 % intervals, and what to know about them."""
-    console = Console(file=io.StringIO(), width=width, color_system=None)
-
-    def say(line: str) -> None:
-        console.print(line, highlight=False, markup=False)
-
-    say(f"Calibration of {fit.nominal.name} ({fit.nominal.path})")
-    for line in verdict_lines(fit.verdict):
-        say(line)
-    console.print(_accuracy(fit))
-    console.print(_parameters(fit))
-    for line in notes(fit):
-        say(line)
-    stream = console.file
-    assert isinstance(stream, io.StringIO)
-    return stream.getvalue()
+    parts: list[str | Table] = [
+        f"Calibration of {fit.nominal.name} ({fit.nominal.path})",
+        *verdict_lines(fit.verdict),
+        _accuracy(fit),
+        _parameters(fit),
+        *notes(fit),
+    ]
+    return plain_text(parts, width, wrap=True)
 
 
 def verdict_lines(verdict: Verdict) -> list[str]:
@@ -54,7 +46,8 @@ def notes(fit: Fit) -> list[str]:
 def _noise(fit: Fit) -> list[str]:
     data, found = fit.identification.data, fit.statistics
     lines = [
-        f"{len(data)} poses, {data.n_rows} readings, {found.freedom:.1f} degrees of freedom, {fit.seconds:.3f} s",
+        f"{counted(len(data), 'pose')}, {counted(data.n_rows, 'reading')}, {found.freedom:.1f} degrees of freedom,"
+        f" {fit.seconds:.3f} s",
         f"Noise found: {1e3 * found.sigma:.4g} mm per axis"
         + (f" (stated: {1e3 * fit.sigma_stated:.4g} mm)" if fit.sigma_stated is not None else " (none was stated)"),
     ]
@@ -74,7 +67,7 @@ def _identifiability(fit: Fit) -> list[str]:
     ]
     pairs = [f"{row['a']} and {row['b']} ({row['correlation']:+.3f})" for row in correlated(fit)]
     if pairs:
-        lines.append(f"Estimates that move together ({len(pairs)} pairs): {listed(pairs)}")
+        lines.append(f"Estimates that move together ({counted(len(pairs), 'pair')}): {listed(pairs)}")
     if fit.nominal.description.held:
         lines.append(f"Held at nominal: {', '.join(fit.nominal.description.held)}")
     return lines
@@ -95,19 +88,21 @@ def _positions(fit: Fit) -> list[str]:
 
 
 def _repeats(fit: Fit) -> list[str]:
-    data = fit.identification.data
     lines = []
-    if np.isfinite(data.repeatability()):
-        lines.append(f"Scatter of the repeats: {1e3 * data.repeatability():.4g} mm per axis")
-    found = repeats(data, fit.identification.before, fit.identification.after)
-    if found is not None:
-        before, after, again = (
-            1e3 * values for values in (found.accuracy_before, found.accuracy_after, found.repeatability)
-        )
-        lines.append(
-            f"ISO 9283-style, {len(found.poses)} poses: accuracy AP {before.mean():.3f} mm before, {after.mean():.3f}"
-            f" after (largest {after.max():.3f}); repeatability RP {again.mean():.3f} mm (largest {again.max():.3f})"
-        )
+    scatter = fit.identification.data.repeatability()
+    if np.isfinite(scatter):
+        lines.append(f"Scatter of the repeats: {1e3 * scatter:.4g} mm per axis")
+    for name, errors in (("used", fit.identification), ("not used", fit.validation)):
+        found = None if errors is None else repeats(errors.data, errors.before, errors.after)
+        if found is not None:
+            before, after, again = (
+                1e3 * values for values in (found.accuracy_before, found.accuracy_after, found.repeatability)
+            )
+            lines.append(
+                f"ISO 9283-style, {counted(len(found.poses), 'pose')} {name}: accuracy AP {before.mean():.3f} mm"
+                f" before, {after.mean():.3f} after (largest {after.max():.3f}); repeatability RP {again.mean():.3f} mm"
+                f" (largest {again.max():.3f})"
+            )
     return lines
 
 
@@ -115,7 +110,10 @@ def _options(fit: Fit) -> list[str]:
     lines = []
     if fit.loss != "none":
         low = int(np.sum(fit.weights < 0.5))
-        lines.append(f"Robust loss {fit.loss}: {low} of {fit.weights.size} points count less than half")
+        lines.append(
+            f"Robust loss {fit.loss}: {low} of {fit.weights.size} points"
+            f" {'counts' if low == 1 else 'count'} less than half"
+        )
     if fit.with_all is not None:
         before = fit.with_all.identification.table()["after"]["rms"]
         after = fit.identification.table()["after"]["rms"]
@@ -126,7 +124,7 @@ def _options(fit: Fit) -> list[str]:
     if fit.starts is not None:
         minima = [f"RMS {1e3 * m.rms:.4f} mm from {m.count}" for m in fit.starts.minima]
         failed = f", {fit.starts.failed} failed" if fit.starts.failed else ""
-        lines.append(f"{fit.starts.total} starts (seed {fit.starts.seed}): {listed(minima, '; ')}{failed}")
+        lines.append(f"{counted(fit.starts.total, 'start')} (seed {fit.starts.seed}): {listed(minima, '; ')}{failed}")
     if fit.folds is not None:
         rms = ", ".join(f"{1e3 * value:.4f}" for value in fit.folds.rms)
         lines.append(f"Cross-validation in {fit.folds.count} folds (seed {fit.folds.seed}): RMS of each {rms} mm")

@@ -12,6 +12,7 @@ from calib.data.tables import format_table
 from calib.identification.fitted import ErrorSet, Fit
 from calib.linearisation.prediction import PositionUncertainty
 from calib.numerics.outliers import Outlier
+from calib.numerics.statistics import status
 from calib.units import DISPLAY_UNIT, PER_SI
 from calib.version import PROGRAM
 
@@ -53,7 +54,8 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "effective_parameters": fit.statistics.effective_parameters,
             "chi_square": None if fit.chi_square is None else asdict(fit.chi_square),
             "repeatability": data.repeatability(),
-            "repeats": repeat_table(fit),
+            "repeats": repeat_table(fit.identification),
+            "repeats_validation": None if fit.validation is None else repeat_table(fit.validation),
             "observability": fit.observability,
             "parameters": parameter_rows(fit),
             "correlations": correlated(fit),
@@ -83,11 +85,12 @@ def error_sets(fit: Fit) -> list[tuple[str, ErrorSet]]:
 def parameter_rows(fit: Fit) -> list[dict[str, object]]:
     """Return one row per parameter, in its display unit; uncertainties of held parameters are NaN."""
     rows: list[dict[str, object]] = []
-    status = iter(fit.statistics.status())
-    uncertainty = iter(zip(fit.statistics.std, fit.statistics.half_width, strict=True))
+    found = fit.statistics
+    uncertainty = iter(zip(found.std, found.half_width, found.data_share, strict=True))
     for parameter, value, free in zip(fit.nominal.parameters, fit.robot.values, fit.free, strict=True):
         scale = PER_SI[parameter.dimension][parameter.unit]
-        std, half = next(uncertainty) if free else (math.nan, math.nan)
+        std, half, share = next(uncertainty) if free else (math.nan, math.nan, math.nan)
+        kind = status(share, std / parameter.sigma, prior=parameter.prior, placement=parameter.placement)
         rows.append(
             {
                 "name": parameter.name,
@@ -97,7 +100,7 @@ def parameter_rows(fit: Fit) -> list[dict[str, object]]:
                 "std": float(std) * scale,
                 "low95": float(value - half) * scale,
                 "high95": float(value + half) * scale,
-                "status": next(status) if free else "held",
+                "status": kind if free else "held",
             }
         )
     return rows
@@ -113,9 +116,9 @@ def correlated(fit: Fit) -> list[dict[str, object]]:
     return sorted(rows, key=lambda row: -abs(float(str(row["correlation"]))))
 
 
-def repeat_table(fit: Fit) -> dict[str, object] | None:
+def repeat_table(errors: ErrorSet) -> dict[str, object] | None:
     """Return ISO 9283-style accuracy and repeatability [mm]; None without repeats."""
-    found = repeats(fit.identification.data, fit.identification.before, fit.identification.after)
+    found = repeats(errors.data, errors.before, errors.after)
     return None if found is None else found.table()
 
 

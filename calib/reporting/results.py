@@ -23,12 +23,13 @@ from calib.data.tables import read_table
 from calib.errors import ComputationError, DataError
 from calib.files import write_folder
 from calib.identification.fitted import Fit
+from calib.identification.reasons import Verdict
 from calib.linearisation.prediction import PositionUncertainty, position_uncertainty
 from calib.model.mechanism import BoolArray, FloatArray
 from calib.model.robot import Robot
 from calib.reporting.result_content import FORMAT_VERSION, covariance_table, parameter_rows, residual_table, to_dict
 
-__all__ = ["load_calibrated", "load_uncertainty", "parameter_rows", "read_result", "save", "to_dict"]
+__all__ = ["forced_lines", "load_calibrated", "load_uncertainty", "parameter_rows", "read_result", "save", "to_dict"]
 
 REPORTS = "calib.reports"
 """Entry point group of page writers: name -> callable(result) returning file name -> content."""
@@ -52,9 +53,10 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False) -> None:
     """
     failed = fit.verdict.grade == "FAIL"
     result = to_dict(fit, forced=failed and force)
+    remark = _said_inside(fit.verdict, "not to be used") if failed else []
     files = {
         "result.json": (json.dumps(result, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode(),
-        "parameters.csv": format_parameters(fit.robot).encode(),
+        "parameters.csv": format_parameters(fit.robot, remark).encode(),
         "covariance.csv": covariance_table(fit).encode(),
         "residuals.csv": residual_table(fit).encode(),
     }
@@ -72,8 +74,20 @@ def _forced_urdf(fit: Fit) -> bytes:
     """The calibrated URDF with a comment that says that its fit failed, and why."""
     from calib.export.urdf import urdf_bytes
 
-    reasons = [f"  {reason.text}" for reason in fit.verdict.reasons if reason.grade == "FAIL"]
-    return urdf_bytes(fit.robot, ["verdict: FAIL, exported by force:", *reasons])
+    return urdf_bytes(fit.robot, _said_inside(fit.verdict, "exported by force"))
+
+
+def _said_inside(verdict: Verdict, how: str) -> list[str]:
+    """What a file with the numbers of a failed fit says in a comment."""
+    return [f"verdict: FAIL, {how}:", *(f"  {reason.text}" for reason in verdict.reasons if reason.grade == "FAIL")]
+
+
+def forced_lines(folder: Path | str) -> list[str]:
+    """Return what an exported file must say about the result that it comes from: nothing, unless that failed."""
+    verdict = read_result(folder).get("verdict", {})
+    if verdict.get("grade") != "FAIL":
+        return []
+    return ["verdict: FAIL, exported by force:", *(f"  {reason}" for reason in verdict["reasons"])]
 
 
 def load_calibrated(folder: Path | str, robot: Robot, *, failed_too: bool = False) -> Robot:

@@ -6,6 +6,7 @@ A module imports, while it is loaded, only from its own room and from rooms of l
 from __future__ import annotations
 
 import ast
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -104,8 +105,10 @@ def picture() -> Figure:
         floors.setdefault(room.floor, []).append(room)
     y = 1.5
     for rooms in floors.values():
-        shares = [max(sum(len(name) + 2 for name in room.modules), 40) for room in rooms]
-        widths = [94.5 * share / sum(shares) for share in shares]
+        least = [3.0 + 1.1 * max(len(room.name), 10) for room in rooms]  # the title fits
+        shares = [sum(len(name) + 2 for name in room.modules) for room in rooms]
+        spare = (94.5 - sum(least)) / sum(shares)
+        widths = [low + spare * share for low, share in zip(least, shares, strict=True)]
         texts = [_wrapped(room.modules, width - 1.0) for room, width in zip(rooms, widths, strict=True)]
         height = 3.4 + 1.7 * max(text.count("\n") + 1 for text in texts)
         x = 2.5
@@ -130,9 +133,4 @@ def _box(axes: Axes, x: float, y: float, width: float, height: float, title: str
 
 
 def _wrapped(names: tuple[str, ...], width: float) -> str:
-    lines, limit = [""], int((width - 2.0) / 0.7)
-    for name in names:
-        if lines[-1] and len(lines[-1]) + len(name) + 2 > limit:
-            lines.append("")
-        lines[-1] += (", " if lines[-1] else "") + name
-    return "\n".join(lines)
+    return textwrap.fill(", ".join(names), int((width - 2.0) / 0.7))

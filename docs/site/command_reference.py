@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import click
 
-WIDTH = 100
+WIDTH = 92
 
 _HEAD = """\
 # Commands
@@ -29,7 +29,11 @@ def programs() -> tuple[click.Group, ...]:
 def commands() -> Iterator[tuple[str, click.Command, click.Context]]:
     """Every program and command: its full name, itself, and a context to ask it with."""
     for program in programs():
-        context = click.Context(program, info_name=program.name, terminal_width=WIDTH, max_content_width=WIDTH)
+        context = click.Context(
+            program,
+            info_name=program.name,
+            **({"terminal_width": WIDTH, "max_content_width": WIDTH} | program.context_settings),
+        )
         yield str(program.name), program, context
         for name, command in program.commands.items():
             yield (

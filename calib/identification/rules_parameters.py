@@ -1,0 +1,92 @@
+"""Rules of the verdict about single parameters: how far from nominal they are, and how loosely they are known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calib.identification.fitted import Fit
+from calib.identification.reasons import Reason
+from calib.model.parameters import Parameter
+from calib.units import PER_SI
+from calib.words import listed
+
+PLAUSIBLE = 4.0
+"""Expected errors (sigmas) that a parameter may be away from nominal."""
+IMPOSSIBLE = 20.0
+"""Expected errors away from nominal that no error of the stated size explains: the edge of what is plausible, of a
+sigma that was guessed five times too small. Calibrated robots stay near 2; a joint counted the wrong way gives
+hundreds, and the prior, a thousand times its sigma away, then pulls all the others out of place."""
+SMALLEST_SHARE = 0.05
+"""Share of a parameter that the data must decide for its deviation to say anything."""
+LOOSE_ANGLE = 0.1
+"""Standard deviation of an angle beyond which its effect is not linear [rad]."""
+
+
+def far_from_nominal(fit: Fit) -> Iterator[Reason]:
+    """List parameters far from nominal.
+
+    Where priors share an error between parameters that the data cannot tell apart, each moves by less than the error: a
+    deviation u scatters by the root of the share that the data decide, so that is what it is compared with. Without a
+    prior, noise alone moves a parameter too: two standard deviations of that are allowed for. The place of a target is
+    never impossible: what the description says of it may be no more than a guess.
+    """
+    far, impossible = [], []
+    for parameter, away in _deviations(fit):
+        if away > IMPOSSIBLE and not parameter.placement:
+            impossible.append((away, parameter))
+        elif away > PLAUSIBLE:
+            far.append((away, parameter))
+    if impossible:
+        impossible.sort(key=lambda entry: -entry[0])
+        words = listed([f"{parameter.name} ({away:.0f} sigma)" for away, parameter in impossible])
+        yield Reason(
+            "FAIL",
+            "far_from_nominal",
+            f"parameters further from nominal than {IMPOSSIBLE:g} times what their stated sigma allows: {words};"
+            " no error of that size explains it: check signs, zeros and order of the joint columns, and units; if it is"
+            " possible, state a larger sigma in the description",
+        )
+    elif far:
+        far.sort(key=lambda entry: -entry[0])
+        words = listed([f"{parameter.name} ({away:.1f} sigma)" for away, parameter in far])
+        yield Reason(
+            "CHECK",
+            "at_bounds",
+            f"parameters further from nominal than {PLAUSIBLE:g} times what their stated sigma allows: {words};"
+            " check zero positions and units, or, if that is possible, state a larger sigma in the description",
+        )
+
+
+def _deviations(fit: Fit) -> Iterator[tuple[Parameter, float]]:
+    """Yield each free parameter that has an expected error, and its deviation in units of what that allows."""
+    known = iter(zip(fit.statistics.std, fit.statistics.data_share, strict=True))
+    for parameter, value, free in zip(fit.nominal.parameters, fit.robot.values, fit.free, strict=True):
+        if not free:
+            continue
+        std, share = next(known)
+        if parameter.placement and not parameter.prior:
+            continue
+        away = abs(float(value) - parameter.nominal) / parameter.sigma
+        if parameter.prior:
+            yield parameter, away / float(np.sqrt(max(share, SMALLEST_SHARE)))
+        else:
+            yield parameter, away - 2.0 * float(std) / parameter.sigma
+
+
+def loose(fit: Fit) -> Iterator[Reason]:
+    """List angles that are hardly determined."""
+    free = [p for p, use in zip(fit.nominal.parameters, fit.free, strict=True) if use]
+    loose = [
+        f"{p.name} (+-{PER_SI['angle']['deg'] * std:.1f} deg)"
+        for p, std in zip(free, fit.statistics.std, strict=True)
+        if p.dimension == "angle" and std > LOOSE_ANGLE
+    ]
+    if loose:
+        yield Reason(
+            "CHECK",
+            "not_linear",
+            f"hardly determined, so that intervals, which suppose a linear model, do not hold: {listed(loose)};"
+            " measure poses that differ more, or hold these parameters",
+        )

@@ -1,0 +1,30 @@
+from rich.table import Table
+
+from calib.reporting.plain_text import plain_text
+from calib.words import counted, listed
+
+
+def test_brackets_and_colons_are_no_markup():
+    table = Table(title="Error [mm] :smile:", title_justify="left")
+    table.add_column("x [deg]")
+    table.add_row("[left]_arm :100:")
+    text = plain_text(["line [m] :smile:", table], width=80)
+    for words in ("line [m] :smile:", "Error [mm] :smile:", "x [deg]", "[left]_arm :100:"):
+        assert words in text
+
+
+def test_lines_are_broken_only_if_asked_for():
+    line = " ".join(["word"] * 20)
+    assert plain_text([line], width=40) == line + "\n"
+    assert max(map(len, plain_text([line], width=40, wrap=True).splitlines())) <= 40
+
+
+def test_numbers_have_the_right_noun():
+    assert counted(0, "pose") == "0 poses"
+    assert counted(1, "other minimum explains", "other minima explain") == "1 other minimum explains"
+    assert counted(2, "other minimum explains", "other minima explain") == "2 other minima explain"
+
+
+def test_long_lists_are_cut():
+    assert listed(["a", "b"], "; ") == "a; b"
+    assert listed(list("abcdefg")) == "a, b, c, d, e, ..."

@@ -46,6 +46,7 @@ class Gap:
         at_home: Gap in the home configuration [m or rad].
         change: Largest difference to that over the poses [m or rad].
         n_poses: How many assembled poses were looked at.
+        where: Where these lie, for messages; empty for given poses.
     """
 
     loop: int
@@ -54,6 +55,7 @@ class Gap:
     at_home: float
     change: float
     n_poses: int
+    where: str = ""
 
     @property
     def unit(self) -> str:
@@ -63,12 +65,12 @@ class Gap:
     def text(self) -> str:
         """Return one sentence, in mm or mrad."""
         unit = "m" + self.unit
-        where = f"loop {self.name}, direction {self.direction}"
+        which = f"loop {self.name}, direction {self.direction}"
         if max(abs(self.at_home), self.change) < 1e-9:
-            return f"{where}: closed as well in {self.n_poses} poses; a 3D constraint has nothing to absorb"
+            return f"{which}: closed as well in {self.n_poses} poses{self.where}; a 3D constraint has nothing to absorb"
         return (
-            f"{where}: {1e3 * self.at_home:.4f} {unit} apart at home; a 3D constraint would have to absorb up to"
-            f" {1e3 * self.change:.4f} {unit} over {self.n_poses} poses"
+            f"{which}: {1e3 * self.at_home:.4f} {unit} apart at home; a 3D constraint would have to absorb up to"
+            f" {1e3 * self.change:.4f} {unit} over {self.n_poses} poses{self.where}"
         )
 
 
@@ -109,6 +111,7 @@ def loop_gaps(robot: Robot, q: ArrayLike | None = None) -> tuple[Gap, ...]:
     if not any(free_directions(robot, loop) for loop in range(len(robot.mechanism.loops))):
         return ()
     poses = poses_near_home(robot) if q is None else robot.joint_vector(q)
+    where = f" within {100 * _REACH:.0f} % of the joint ranges from home" if q is None else ""
     found = robot.assemble(np.vstack([robot.home, poses]))
     joints = robot.mechanism.all_joints(found.actuated, found.passive)
     gaps = []
@@ -117,7 +120,7 @@ def loop_gaps(robot: Robot, q: ArrayLike | None = None) -> tuple[Gap, ...]:
         for direction in free_directions(robot, index):
             column = values[:, COMPONENTS.index(direction)]
             change = float(np.max(np.abs(column - column[0])))
-            gaps.append(Gap(index, loop.name, direction, float(column[0]), change, len(poses)))
+            gaps.append(Gap(index, loop.name, direction, float(column[0]), change, len(poses), where))
     return tuple(gaps)
 
 

@@ -115,11 +115,12 @@ def fit(
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
         DataError: Too few measurements, or measurements that are not finite.
-        InputError: Unknown loss, or numbers of starts or folds that make no sense.
+        InputError: Unknown loss, numbers of starts or folds that make no sense, or data that are no measurements.
         NotIdentifiableError: The poses do not determine the free parameters.
         NotConvergedError: Base and targets cannot be placed, or the noise cannot be found.
     """
     started = time.perf_counter()
+    _require_measurements(data, validation)
     stated = sigma if sigma is not None else robot.description.sigma
     if stated is not None and not (np.isfinite(stated) and stated > 0):
         raise DataError(f"sigma {stated:g} m: must be a positive number")
@@ -147,6 +148,16 @@ def fit(
             found, folds=cross_validate(used, folds, seed, lambda kept, held: _fit(robot, kept, held, plain))
         )
     return replace(found, seconds=time.perf_counter() - started)
+
+
+def _require_measurements(data: object, validation: object) -> None:
+    """Say what was expected of a caller whose types nobody checked."""
+    for what, given in (("data", data), ("validation", validation)):
+        if not isinstance(given, Measurements) and not (given is None and what == "validation"):
+            raise InputError(
+                f"{what}: expected Measurements, not {type(given).__name__}; make them with calib.read_measurements"
+                " or calib.as_measurements"
+            )
 
 
 def _fit(robot: Robot, data: Measurements, validation: Measurements | None, settings: _Settings) -> Fit:
@@ -187,6 +198,7 @@ def _fit(robot: Robot, data: Measurements, validation: Measurements | None, sett
         loss=settings.loss,
         weights=np.ones(final.errors.shape[:2]) if solved.weights is None else solved.weights,
         starts=solved.starts,
+        seed=settings.seed,
     )
 
 

@@ -98,6 +98,7 @@ class Fit(ReadOnlyArrays):
         folds: Cross-validation, if it was asked for.
         excluded: Outliers that were left out, as they were in `with_all`.
         with_all: The fit of all poses, where outliers were left out of this one.
+        seed: Seed of every random choice.
     """
 
     nominal: Robot
@@ -123,6 +124,7 @@ class Fit(ReadOnlyArrays):
     folds: Folds | None = None
     excluded: tuple[Outlier, ...] = ()
     with_all: Fit | None = None
+    seed: int = 0
 
     @property
     def converged(self) -> bool:

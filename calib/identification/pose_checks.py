@@ -19,6 +19,11 @@ _LINE = 1e-3  # width over length below which positions lie on one line
 def check_measurements(robot: Robot, data: Measurements, free: BoolArray) -> None:
     """Check numbers and their number before anything is computed.
 
+    Args:
+        robot: The robot.
+        data: Its measurements.
+        free: Which parameters may change, (n_parameters,).
+
     Raises:
         DataError: Values that are not finite, nothing to identify, or too few poses.
     """

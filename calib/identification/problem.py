@@ -114,7 +114,7 @@ class Problem:
         return result
 
     def with_values(self, start: Robot, u: FloatArray, chosen: BoolArray) -> Robot:
-        """Return `start` with the chosen free parameters at nominal + scale u."""
+        """Return `start` with the chosen (n_free,) free parameters at nominal + scale u, u (n_chosen,)."""
         return start.with_parameters(self._values(start, u, chosen))
 
     def _values(self, start: Robot, u: FloatArray, chosen: BoolArray) -> FloatArray:

@@ -97,7 +97,7 @@ class Residuals:
     sigma: float
 
     def after_fit(self, effect: FloatArray) -> FloatArray:
-        """Return M Z."""
+        """Return M Z, what a fit leaves of effects Z (n_rows, n_effects) on the residuals, (n_rows, n_effects)."""
         pulled = self.columns @ self.inverse
         result: FloatArray = effect - pulled @ (pulled.T @ effect)
         return result

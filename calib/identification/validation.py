@@ -97,7 +97,7 @@ def deal(data: Measurements, count: int, seed: int = 0) -> list[IntArray]:
     """Deal the poses into folds of about equal size; repeats of one pose stay together.
 
     Returns:
-        Indices of each fold, ascending; empty where there are fewer different poses than folds.
+        Indices of each fold, ascending, (n_in_fold,) each; empty where there are fewer different poses than folds.
     """
     folds: list[list[int]] = [[] for _ in range(max(count, 1))]
     for group in _shuffled(data, seed):

@@ -3,8 +3,8 @@
 Solve r(a, p) = 0 for the passive joints p of given actuated joints a from a start nearby: p <- p - C_p^-1 r, with
 C_p = dr/dp. A start is near enough if each correction is at most half of the one before, the first below 0.5 rad.
 
-Why not minimise |r| from a guess: plain Newton from a crude guess ends in another assembly mode in a sixth of
-five-bar poses, and a small residual does not show it.
+Why not minimise |r| from a guess: plain Newton from a crude guess ends in another assembly mode in about a
+fifth of a five-bar's poses (docs/theory/loops.md prints the figure), and a small residual does not show it.
 """
 
 from __future__ import annotations

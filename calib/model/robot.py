@@ -114,7 +114,7 @@ class Robot(ReadOnlyArrays):
         """Return a robot with other parameter values.
 
         Args:
-            values: New values by name [m or rad], the others staying as they are; or the whole vector.
+            values: New values by name [m or rad], the others staying as they are; or all of them, (n_parameters,).
 
         Raises:
             ParameterError: Unknown name, wrong number of values, or a value that is not finite.

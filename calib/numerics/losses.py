@@ -50,7 +50,7 @@ _MEDIAN = float(chi(COORDINATES).median())
 
 
 def checked_loss(name: str) -> Loss:
-    """Return the loss of this name; an unknown name is an error."""
+    """Return the loss of this name; an unknown one is an `InputError`."""
     for loss in LOSSES:
         if loss == name:
             return loss
@@ -62,7 +62,7 @@ def weights(loss: Loss, distance: FloatArray, constant: float | None = None) -> 
 
     Args:
         loss: Which one.
-        distance: d >= 0.
+        distance: d >= 0, (n_points,); the weights have its shape.
         constant: c; that of three coordinates if not given.
     """
     d, c = np.asarray(distance, dtype=float), CONSTANTS[loss] if constant is None else constant
@@ -76,7 +76,7 @@ def weights(loss: Loss, distance: FloatArray, constant: float | None = None) -> 
 
 
 def slopes(loss: Loss, distance: FloatArray, constant: float | None = None, k: int = COORDINATES) -> FloatArray:
-    """Return w + w' d / k: the mean over k coordinates of d(w r)/dr."""
+    """Return w + w' d / k, the mean over k coordinates of d(w r)/dr, of distances d (n_points,)."""
     d, c = np.asarray(distance, dtype=float), CONSTANTS[loss] if constant is None else constant
     w = weights(loss, d, c)
     if loss == "huber":

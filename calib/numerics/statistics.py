@@ -159,7 +159,13 @@ def prior_shares(scaled_jacobian: FloatArray, has_prior: BoolArray, sigma: float
 
 
 def effective_parameters(scaled_jacobian: FloatArray, has_prior: BoolArray, sigma: float) -> float:
-    """Return n_eff of the module docstring for an assumed noise sigma [m]."""
+    """Return n_eff of the module docstring.
+
+    Args:
+        scaled_jacobian: J, or any matrix with the same J^T J, such as its R factor, (n, n_free) [m].
+        has_prior: Which parameters have a prior, (n_free,).
+        sigma: Assumed noise [m].
+    """
     if not np.any(has_prior):
         return float(len(has_prior))
     return float(len(has_prior) - np.trace(prior_shares(scaled_jacobian, has_prior, sigma)[1]))

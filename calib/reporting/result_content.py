@@ -39,6 +39,7 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "converged": fit.converged,
             "message": fit.message,
             "seconds": fit.seconds,
+            "seed": fit.seed,
             "n_poses": len(data),
             "n_rows": data.n_rows,
             "n_parameters": int(np.sum(fit.free)),

@@ -13,6 +13,7 @@ from calib.data.tables import Table, format_table
 from calib.model.robot import Robot
 from calib.numerics.observability import INDICES
 from calib.pose_choice.selection import Run, Selection
+from calib.pose_choice.selection_bound import CERTIFIED
 from calib.pose_choice.selection_problem import TASK
 from calib.reporting.plain_text import plain_text
 from calib.words import counted
@@ -119,6 +120,8 @@ def _summary(s: Selection, poses: Poses) -> list[str]:
         lines.append(
             f"Efficiency {100 * s.efficiency:.3f} %, certified: no choice of {len(s)} candidates {word} {limit}"
         )
+    if s.index not in CERTIFIED and len(s.runs) == 1:
+        lines.append(f"No bound is known for {s.index}, and one start was tried: --starts 5 may find better")
     if s.off_grid:
         off = _off_grid(s)
         assert off is not None

@@ -4,7 +4,7 @@ import re
 import shutil
 
 import pytest
-from snippets import DOCS
+from snippets import DOCS, ROOT
 
 import calib
 
@@ -29,3 +29,10 @@ def test_the_page_has_what_a_fit_gives(motoman, row, state):
     assert float(mean) == pytest.approx(found["mean"], abs=0.0011)  # printed to 0.001 mm
     assert float(rms) == pytest.approx(found["rms"], abs=0.0011)
     assert float(largest) == pytest.approx(found["max"], abs=0.0011)
+
+
+def test_the_tests_that_the_page_names_exist():
+    named = set(re.findall(r"`((?:\w+/)*test_\w+\.py)`", (DOCS / "comparison.md").read_text().replace("`tests/", "`")))
+    assert len(named) > 5
+    for name in named:
+        assert (ROOT / "tests" / name).is_file(), name

@@ -47,4 +47,4 @@ def test_missing_shapes_and_errors_are_listed():
 
 
 def test_nothing_public_leaves_out_a_shape_or_an_error():
-    assert all_gaps() == []
+    assert list(all_gaps()) == []

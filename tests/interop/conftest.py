@@ -171,7 +171,7 @@ def tilted(tmp_path: Path) -> calib.Robot:
     """MedRUE with links out of perpendicular by some mrad: its five-bars are no longer planar."""
     (tmp_path / "tilted.urdf").write_bytes((REPOSITORY / "urdf" / "medrue.urdf").read_bytes())
     content = yaml.safe_load((REPOSITORY / "urdf" / "medrue.yaml").read_text(encoding="utf-8"))
-    del content["held"]
+    del content["held"], content["elimination_order"]
     content |= {
         "urdf": "tilted.urdf",
         "parametrisation": [

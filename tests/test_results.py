@@ -11,7 +11,7 @@ from small_robots import ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallel
 import calib
 from calib.data.tables import read_table
 from calib.errors import CalibrationError, DataError, InputError
-from calib.reporting.results import load_calibrated, read_result, save
+from calib.reporting.results import load_calibrated, load_uncertainty, read_result, save
 
 CONTRACT = ("version", "robot", "converged", "message", "seconds", "n_poses", "n_rows", "n_parameters", "rank",
             "redundant", "sigma", "observability", "parameters", "errors")  # fmt: skip
@@ -235,7 +235,7 @@ def test_the_result_of_another_robot_is_refused(folder, tmp_path):
         load_calibrated(folder, other)
 
 
-@pytest.mark.parametrize("damage", ["missing", "truncated", "another name"])
+@pytest.mark.parametrize("damage", ["missing", "truncated", "another name", "another value", "no value"])
 def test_a_damaged_result_is_an_error_and_never_another_robot(fitted, folder, tmp_path, damage):
     for name, content in tree(folder).items():
         (tmp_path / name).write_bytes(content)
@@ -245,7 +245,29 @@ def test_a_damaged_result_is_an_error_and_never_another_robot(fitted, folder, tm
     elif damage == "truncated":
         lines = path.read_text().splitlines()
         path.write_text("\n".join(lines[:-3]) + "\n")
-    else:
+    elif damage == "another name":
         path.write_text(path.read_text().replace("slide.x", "slide.q"))
+    else:
+        result = json.loads((tmp_path / "result.json").read_text())
+        result["parameters"][3]["value"] = None if damage == "no value" else result["parameters"][3]["value"] + 0.001
+        (tmp_path / "result.json").write_text(json.dumps(result))
     with pytest.raises(CalibrationError, match="parameters"):
         load_calibrated(tmp_path, fitted.nominal)
+
+
+@pytest.mark.parametrize("damage", ["missing", "not finite", "no freedom"])
+def test_a_damaged_covariance_gives_no_uncertainty(fitted, folder, tmp_path, damage):
+    for name, content in tree(folder).items():
+        (tmp_path / name).write_bytes(content)
+    path = tmp_path / "covariance.csv"
+    if damage == "missing":
+        path.unlink()
+    elif damage == "not finite":
+        lines = path.read_text().splitlines()
+        lines[-1] = ",".join([*lines[-1].split(",")[:-1], "inf"])
+        path.write_text("\n".join(lines) + "\n")
+    else:
+        result = json.loads((tmp_path / "result.json").read_text())
+        (tmp_path / "result.json").write_text(json.dumps(result | {"degrees_of_freedom": "many"}))
+    with pytest.raises(CalibrationError, match="run the fit again"):
+        load_uncertainty(tmp_path, fitted.nominal)

@@ -276,3 +276,13 @@ def test_fail_comes_before_check(arm, truth):
     assert grades == sorted(grades, reverse=True)
     assert grades[0] == "FAIL"
     assert grades[-1] == "CHECK"
+
+
+def test_poses_beyond_the_limits_of_the_urdf_are_named_with_their_joints(arm, truth):
+    q = joints(80)
+    names = list(arm.joint_names)
+    q[[3, 7], 2] = 3.2, -3.5  # limits are +-3 rad
+    fit = calib.fit(arm, noisy(truth, q, SIGMA, 1), sigma=SIGMA)
+    assert fit.verdict.grade == "CHECK"
+    text = reason(fit, "beyond_joint_limits").text
+    assert text.startswith(f"2 poses lie beyond the URDF's limits of joint {names[2]}: row 3, row 7; check")

@@ -22,6 +22,8 @@ BEYOND_REPEATS = 1.5
 """Found noise over the scatter of repeats from which something systematic is left."""
 UNLIKELY = 1e-3
 """Chance below which a test against noise counts."""
+BEYOND_LIMIT = 0.01
+"""How far beyond a joint's limit a pose must be to be named [rad, or characteristic lengths]."""
 COPIED = 0.1
 """Part of the readings that may equal another one; coarse readings may do so by chance."""
 USED_FOR_BOTH = 0.1
@@ -61,6 +63,25 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
             "near_singular",
             f"{counted(len(near), 'pose is', 'poses are')} near a singularity of the loops (smallest singular value"
             f" below {limit:g}): {listed(near)}; leave {'it' if len(near) == 1 else 'them'} out",
+        )
+
+
+def beyond_joint_limits(fit: Fit) -> Iterator[Reason]:
+    """Look for joint values that the robot's own limits exclude."""
+    data, robot = fit.identification.data, fit.nominal
+    limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
+    lower, upper = np.array([limits[name] for name in robot.joint_names]).T
+    excess = np.maximum(lower - data.joints, data.joints - upper) / robot.mechanism.joint_scale
+    beyond = np.flatnonzero(np.max(excess, axis=1) > BEYOND_LIMIT)
+    if len(beyond):
+        joints = [robot.joint_names[j] for j in np.flatnonzero(np.max(excess, axis=0) > BEYOND_LIMIT)]
+        yield Reason(
+            "CHECK",
+            "beyond_joint_limits",
+            f"{counted(len(beyond), 'pose lies', 'poses lie')} beyond the URDF's limits of"
+            f" {'joint' if len(joints) == 1 else 'joints'} {listed(joints)}:"
+            f" {listed([data.labels[k] for k in beyond])}; check the joint's sign, zero, unit and column, or the"
+            " limits",
         )
 
 

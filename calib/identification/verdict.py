@@ -25,6 +25,7 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_model.frame_moved,
     rules_parameters.far_from_nominal,
     rules_data.poses_that_say_little,
+    rules_data.beyond_joint_limits,
     rules_data.too_few_poses,
     rules_parameters.loose,
     rules_model.no_gain,

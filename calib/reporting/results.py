@@ -28,9 +28,11 @@ from calib.linearisation.prediction import PositionUncertainty, position_uncerta
 from calib.model.mechanism import BoolArray, FloatArray
 from calib.model.robot import Robot
 from calib.reporting.result_content import FORMAT_VERSION, covariance_table, parameter_rows, residual_table, to_dict
+from calib.units import PER_SI
 
 __all__ = ["forced_lines", "load_calibrated", "load_uncertainty", "parameter_rows", "read_result", "save", "to_dict"]
 
+_AGREE = 1e-9  # of the same value in two files [m or rad]
 REPORTS = "calib.reports"
 """Entry point group of page writers: name -> callable(result) returning file name -> content."""
 _URDF = "calibrated.urdf"
@@ -112,7 +114,15 @@ def load_calibrated(folder: Path | str, robot: Robot, *, failed_too: bool = Fals
             f"{folder}: the fit failed and gives no calibrated robot ({verdict['reasons'][0]}); fit again, with --force"
             " if you want these numbers all the same"
         )
-    return robot.with_parameters(read_parameters(Path(folder) / "parameters.csv", robot, complete=True))
+    calibrated = robot.with_parameters(read_parameters(Path(folder) / "parameters.csv", robot, complete=True))
+    for row, parameter, value in zip(content["parameters"], robot.parameters, calibrated.values, strict=True):
+        shown, per_si = row.get("value"), PER_SI[parameter.dimension][parameter.unit]
+        if not isinstance(shown, (int, float)) or not abs(shown / per_si - value) <= _AGREE:
+            raise DataError(
+                f"{folder}: parameters.csv and result.json give different values of '{parameter.name}';"
+                " run the fit again"
+            )
+    return calibrated
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,6 +151,8 @@ def load_uncertainty(folder: Path | str, robot: Robot) -> LoadedUncertainty:
         DataError: The file is missing or broken, or belongs to another robot.
     """
     path = Path(folder) / "covariance.csv"
+    if not path.is_file():
+        raise DataError(f"{path}: no such file; run the fit again")
     table = read_table(path)
     names = table.text("parameter") if "parameter" in table.names else []
     if table.names != ("parameter", *names) or names != [p.name for p in robot.parameters if p.name in names]:
@@ -149,8 +161,10 @@ def load_uncertainty(folder: Path | str, robot: Robot) -> LoadedUncertainty:
         covariance = np.array([[float(cell) for cell in row[1:]] for row in table.rows])
     except ValueError:
         raise DataError(f"{path}: holds text where a number is expected; run the fit again") from None
+    freedom = read_result(folder).get("degrees_of_freedom")
+    if not np.all(np.isfinite(covariance)) or not isinstance(freedom, (int, float)) or not 0 < freedom < np.inf:
+        raise DataError(f"{folder}: its covariance or degrees of freedom are not numbers; run the fit again")
     free = np.array([p.name in names for p in robot.parameters])
-    freedom = float(read_result(folder)["degrees_of_freedom"])
     return LoadedUncertainty(free, covariance, float(student_t.ppf(0.975, freedom)))
 
 

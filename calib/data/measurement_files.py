@@ -59,7 +59,8 @@ def format_measurements(
     for j, name in enumerate(robot.joint_names):
         unit = DISPLAY_UNIT[robot.mechanism.dimensions[name]]
         scale = PER_SI[robot.mechanism.dimensions[name]][unit]
-        columns.append((f"{name} [{unit}]", list(poses.joints[:, j] * scale)))
+        # 15 digits: 30 degrees come out as 30, not as what the way through radians leaves of them
+        columns.append((f"{name} [{unit}]", [float(f"{value:.15g}") for value in poses.joints[:, j] * scale]))
     for t, target in enumerate(robot.target_names):
         for a, axis in enumerate("xyz"):
             columns.append((f"{target}_{axis} [mm]", list(positions[:, t, a] * 1e3)))

@@ -14,6 +14,7 @@ from calib.model.description import ANGLE_COMPONENTS, COMPONENTS, Description
 from calib.model.mechanism import FloatArray, Mechanism, RelativeFrame
 from calib.model.urdf_text import HELD_TYPES, UrdfJoint, UrdfText
 from calib.units import Dimension, quantity
+from calib.words import counted
 
 Loops = tuple[RelativeFrame, ...]
 
@@ -212,7 +213,8 @@ def _check_count(passive: tuple[str, ...], loops: Loops, where: str) -> None:
     n_rows = sum(len(loop.rows) for loop in loops)
     if n_rows != len(passive):
         raise DescriptionError(
-            f"{where}: the closures constrain {n_rows} directions but leave {len(passive)} passive joints"
+            f"{where}: the closures constrain {counted(n_rows, 'direction')} but leave"
+            f" {counted(len(passive), 'passive joint')}"
             f" ({', '.join(passive) or 'none'}); they must be equal: check name_mot, and constrain in closed_loop_axes"
             " only what the mechanism constrains (y and z for a planar loop about x)"
         )

@@ -5,10 +5,11 @@ each start, then single swaps until none helps. For O1 and the task index the co
 possible choice, and its weights one more start. Then, if asked for, the poses move off the grid. Last, they are put in
 an order of short travel.
 
-Priors and poses already measured are information that is there before the first pose is chosen. Their rows stack with
-those of the poses (`calib.linearisation.information`), so for a robot with priors every index, O1 included, is that of
-the stacked rows, with the measurement noise as the weight between the two: a direction that the prior holds well enough
-attracts no poses. Without priors the noise plays no part and the indices are the published ones.
+Priors and poses already measured are information that is there before the first pose is chosen; the measurement noise
+is the weight between priors and poses. Every index, O1 included, is about the directions that all candidates and the
+measured poses together determine, with the others eliminated (`calib.pose_choice.selection_problem`): directions that
+no pose can determine play no part, and one that a prior holds well enough attracts no poses. Without priors the noise
+plays no part and the indices are the published ones.
 """
 
 from __future__ import annotations

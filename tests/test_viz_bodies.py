@@ -7,7 +7,7 @@ import calib
 import medrue
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
-from viz.bodies import bodies_of, figure_of
+from viz.bodies import bodies_of, posed_robot
 
 LOOPS = (("E1_B", "E1_D"), ("E2_B", "E2_D"), ("G2_E", "G2_slide"))
 
@@ -20,23 +20,23 @@ def robots():
 
 
 @pytest.fixture(scope="module")
-def figures(robots):
+def posed(robots):
     bodies = bodies_of(robots[0])
     q = target_workspace().q[::20]
-    return bodies, q, *(figure_of(robot, bodies, q) for robot in robots)
+    return bodies, q, *(posed_robot(robot, bodies, q) for robot in robots)
 
 
-def test_poses_agree_with_pinocchio_for_every_link(robots, figures):
-    bodies, q, *both = figures
-    for robot, figure in zip(robots, both, strict=True):
+def test_poses_agree_with_pinocchio_for_every_link(robots, posed):
+    bodies, q, *both = posed
+    for robot, posed_one in zip(robots, both, strict=True):
         for link in ("carriage", "distal_B1", "E1_D", "G2_slide", "F6", "tool", "base"):
             expected = robot.forward(q, link)
-            drawn = [bodies.poses(figure, pose)[bodies.names.index(link)] for pose in range(len(q))]
+            drawn = [bodies.poses(posed_one, pose)[bodies.names.index(link)] for pose in range(len(q))]
             np.testing.assert_allclose(drawn, expected, atol=1e-12)
 
 
-def test_loops_are_closed_at_every_pose_and_exaggeration(figures):
-    bodies, q, ghost, solid = figures
+def test_loops_are_closed_at_every_pose_and_exaggeration(posed):
+    bodies, q, ghost, solid = posed
     for pose in range(len(q)):
         for factor in (0.0, 1.0, 10.0, 100.0):
             matrices = bodies.exaggerated(solid, ghost, pose, factor)
@@ -47,8 +47,8 @@ def test_loops_are_closed_at_every_pose_and_exaggeration(figures):
                 assert apart < 1e-9 * (1 + factor)
 
 
-def test_links_meet_at_every_joint_at_every_exaggeration(robots, figures):
-    bodies, _, ghost, solid = figures
+def test_links_meet_at_every_joint_at_every_exaggeration(robots, posed):
+    bodies, _, ghost, solid = posed
     nominal = robots[0].nominal
     in_urdf = [not name.startswith("(") for name in bodies.names[1:]]
     for factor in (0.0, 1.0, 30.0):
@@ -62,20 +62,20 @@ def test_links_meet_at_every_joint_at_every_exaggeration(robots, figures):
             assert np.linalg.norm(on_parent[:3] - matrices[i + 1][:3, 3]) < limit * (1 + factor)
 
 
-def test_no_exaggeration_is_the_solid_robot_and_one_is_the_ghost(figures):
-    bodies, _, ghost, solid = figures
+def test_no_exaggeration_is_the_solid_robot_and_one_is_the_ghost(posed):
+    bodies, _, ghost, solid = posed
     np.testing.assert_allclose(bodies.exaggerated(solid, ghost, 2, 0.0), bodies.matrices(solid, 2), atol=1e-15)
     np.testing.assert_allclose(bodies.exaggerated(solid, ghost, 2, 1.0), bodies.matrices(ghost, 2), atol=1e-15)
 
 
-def test_nominal_shapes_are_not_stretched(figures):
-    _, _, ghost, solid = figures
+def test_nominal_shapes_are_not_stretched(posed):
+    _, _, ghost, solid = posed
     np.testing.assert_array_equal(ghost.stretches, np.tile(np.eye(4), (len(ghost.stretches), 1, 1)))
     assert np.abs(solid.stretches - np.eye(4)).max() > 1e-4
 
 
-def test_names_are_unique_although_the_measurement_frame_may_share_a_link_name(figures):
-    names = figures[0].names
+def test_names_are_unique_although_the_measurement_frame_may_share_a_link_name(posed):
+    names = posed[0].names
     assert len(set(names)) == len(names)
     assert "base" in names
     assert "(base)" in names
@@ -93,6 +93,6 @@ def test_a_follower_joint_moves_with_its_leader(tmp_path):
     robot = calib.load(path)
     bodies = bodies_of(robot)
     q = np.array([[0.3]])
-    drawn = bodies.poses(figure_of(robot, bodies, q), 0)[bodies.names.index("c")]
+    drawn = bodies.poses(posed_robot(robot, bodies, q), 0)[bodies.names.index("c")]
     np.testing.assert_allclose(drawn, robot.forward(q, "c")[0], atol=1e-14)
     np.testing.assert_allclose(drawn[:3, 3], [np.cos(0.6), np.sin(0.6), 0.3], atol=1e-14)

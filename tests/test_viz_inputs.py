@@ -1,6 +1,7 @@
 """From a robot, a fit or its folder, and measurements to a scene."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from viz_examples import measurements, medrue_fit, medrue_robot
 import calib
 from calib.errors import DataError, InputError
 from viz.inputs import gather
+from viz.judgement import of_result
 
 ARM = """<robot name="arm"><link name="root"/><link name="l1"/><link name="l2"/><link name="tip"/>
  <joint name="a" type="revolute"><parent link="root"/><child link="l1"/><origin xyz="0 0 {height}"/><axis xyz="0 0 1"/>
@@ -71,7 +73,7 @@ def test_a_failed_result_can_be_looked_at_and_says_that_it_failed(tmp_path):
     fit.save(str(tmp_path / "out"))
     for scene in (gather(medrue_robot(), fit).scene, gather(medrue_robot(), tmp_path / "out").scene):
         assert scene.verdict.grade == "FAIL"
-        assert "noise" in scene.verdict.reasons[0].text
+        assert "noise" in scene.verdict.reasons[0][1]
 
 
 def test_outliers_that_a_folder_lacks_are_announced(tmp_path):
@@ -81,4 +83,23 @@ def test_outliers_that_a_folder_lacks_are_announced(tmp_path):
     fit = calib.fit(medrue_robot(), dataclasses.replace(data, positions=positions), exclude_outliers=True)
     fit.save(str(tmp_path / "out"))
     assert gather(medrue_robot(), fit).scene.notes == ()
-    assert "not shown: 1 poses" in gather(medrue_robot(), tmp_path / "out").scene.notes[0]
+    assert "not shown: left out of the fit, 1 outlier" in gather(medrue_robot(), tmp_path / "out").scene.notes[0]
+
+
+def test_what_a_file_says_about_itself_is_shown_with_its_data(fit, tmp_path):
+    data = dataclasses.replace(measurements(range(0, 420, 60)), comments=("Simulated measurements",))
+    for scene in (gather(medrue_robot(), None, data).scene, gather(medrue_robot(), fit, data).scene):
+        assert scene.remarks.lines == ("Simulated measurements",)
+        assert scene.remarks.simulated
+    assert gather(medrue_robot(), fit).scene.remarks.lines == ()
+    fit.save(str(tmp_path / "out"))
+    path = tmp_path / "out" / "result.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"comments": ["Simulated, and saved"]}))
+    assert gather(medrue_robot(), tmp_path / "out").scene.remarks.lines == ("Simulated, and saved",)
+
+
+def test_a_reason_has_its_own_grade_or_none_where_it_is_not_known():
+    entry = {"grade": "FAIL", "reasons": ["a", "b"], "codes": ["x", "y"]}
+    assert of_result(entry).reasons == (("FAIL", "a"), ("", "b"))
+    assert of_result(entry | {"grade": "CHECK"}).reasons == (("CHECK", "a"), ("CHECK", "b"))
+    assert of_result(entry | {"grades": ["FAIL", "CHECK"]}).reasons == (("FAIL", "a"), ("CHECK", "b"))

@@ -50,6 +50,11 @@ def test_a_pose_is_shown_by_its_row(viewer, messages):
         viewer.show_pose(84)
     with pytest.raises(DataError, match="no pose -1"):
         viewer.show_pose(-1)
+    viewer.show_pose(np.int64(8))
+    assert messages() == ("pose", "8")
+    for wrong in (1.5, "3", None):
+        with pytest.raises(DataError, match="whole number"):
+            viewer.show_pose(wrong)
 
 
 def test_joint_values_are_shown_with_their_loops_closed(viewer, messages, fit):
@@ -61,8 +66,13 @@ def test_joint_values_are_shown_with_their_loops_closed(viewer, messages, fit):
     scene = viewer._shown.scene
     np.testing.assert_allclose(sent["solid"], scene.solid.values[3], atol=1e-12)
     np.testing.assert_allclose(sent["ghost"], scene.ghost.values[3], atol=1e-12)
+    np.testing.assert_allclose(sent["joints"], q)
+    np.testing.assert_allclose(sent["predicted"]["before"], fit.placed.positions(q)[0])
+    np.testing.assert_allclose(sent["predicted"]["after"], fit.robot.positions(q)[0])
     with pytest.raises(DataError):
         viewer.display([1.0, 2.0])
+    with pytest.raises(DataError, match="one pose at a time"):
+        viewer.display([q, q])
     with pytest.raises(UnreachablePoseError):
         viewer.display([0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 

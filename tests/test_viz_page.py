@@ -1,6 +1,7 @@
 """The page: self-contained, escaped, the same bytes for the same scene, and true to the numbers it was given."""
 
 import base64
+import dataclasses
 import json
 import re
 
@@ -17,7 +18,8 @@ from medrue.workspace import target_workspace
 from viz.drawing import draw
 from viz.poses import PoseTable
 from viz.scene import build_scene
-from viz.viewer_page import Page, in_script, json_in_script, ranges, scene_data, scene_page, summary
+from viz.scene_data import certainty, point_pixels, ranges, scene_data, summary
+from viz.viewer_page import Page, in_script, json_in_script, scene_page
 
 HOSTILE = "</script><img src=x onerror=alert(1)>"
 
@@ -41,6 +43,9 @@ def scene():
         np.arange(n) == 2,
         (HOSTILE, *map(str, range(1, n))),
         ("tool",) * n,
+        np.ones(n, dtype=np.intp),
+        ("file.csv",) * n,
+        np.arange(n),
     )
     return build_scene(nominal, calibrated, table)
 
@@ -159,3 +164,29 @@ def test_a_missing_mesh_warns_in_python(tmp_path):
     with pytest.warns(viz.PictureWarning, match="lost.stl"):
         page = viz.page(calib.load(path))
     assert "lost.stl" in scene_of(page)["notes"][0]
+
+
+def test_the_noise_of_a_reading_and_of_a_mean_are_told_apart(scene):
+    several = dataclasses.replace(scene.poses, readings=np.where(np.arange(len(scene.poses)) < 4, 4, 1))
+    sigma = 8e-5 / np.sqrt(several.readings)
+    found = certainty(dataclasses.replace(scene, poses=dataclasses.replace(several, sigma=sigma)))
+    assert found["noise"] == pytest.approx(0.08)
+    assert found["means"] == pytest.approx([0.04, 0.08])
+    assert found["readings"] == [1, 4]
+    assert found["predicted"] == pytest.approx([0.02 * np.sqrt(3)] * 2)
+
+
+def test_unknown_noise_is_unknown(scene):
+    unknown = np.full(len(scene.poses), np.nan)
+    table = dataclasses.replace(scene.poses, sigma=unknown, spread=np.repeat(unknown[:, None], 3, axis=1))
+    assert certainty(dataclasses.replace(scene, poses=table)) | {"readings": None} == {
+        "noise": None,
+        "means": None,
+        "readings": None,
+        "predicted": None,
+    }
+
+
+def test_many_points_are_drawn_smaller():
+    assert point_pixels(100) == 7
+    assert 4 <= point_pixels(5000) < point_pixels(1000) < 7

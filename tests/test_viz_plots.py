@@ -1,19 +1,20 @@
 """The report's figures: vector graphics with text that can be read and selected, and that hold the numbers."""
 
+import dataclasses
 import re
 import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
 
-from viz.plots import all_plots, histogram, normal_plot, residual_by_joint
+from viz.plots import all_plots, error_by_pose, histogram, normal_plot, residual_by_joint, shortened
 from viz.poses import PoseTable
 from viz.scene import Joint
 
 JOINTS = (Joint("q1", "mm", 1e3), Joint("shoulder $a_1$ <b>", "deg", 180 / np.pi))
 
 
-def table(n=60, fitted=40, scale=1.0):
+def table(n=60, fitted=40, scale=1.0, place=None):
     generator = np.random.default_rng(4)
     measured = generator.normal(size=(n, 3))
     return PoseTable(
@@ -27,6 +28,9 @@ def table(n=60, fitted=40, scale=1.0):
         np.arange(n) == 3,
         tuple(map(str, range(n))),
         ("tool",) * n,
+        np.ones(n, dtype=np.intp),
+        ("file.csv",) * n,
+        np.arange(n) if place is None else place,
     )
 
 
@@ -95,3 +99,54 @@ def test_the_normal_plot_judges_fitted_poses_only():
 
 def test_exact_data_can_be_drawn():
     assert all(plot.svg for plot in all_plots(table(scale=0.0), JOINTS))
+
+
+def test_poses_stand_in_the_order_of_measurement_under_their_names():
+    # rows 40 to 59, the validation, were measured first
+    held_out_first = np.array([*range(20, 60), *range(20)])
+    shown = dataclasses.replace(table(place=held_out_first), labels=tuple(f"P{place}" for place in held_out_first))
+    plot = error_by_pose(shown)
+    ticks = [text for text in texts(plot.svg) if re.fullmatch(r"P\d+", text)]
+    assert ticks[:4] == ["P0", "P8", "P16", "P24"]
+    assert {"identification", "validation", "outlier"} <= set(texts(plot.svg))
+    assert texts(plot.svg).count("pose, in the order of measurement") == 1
+
+
+def test_a_step_in_time_is_a_step_in_the_figure():
+    errors = np.where(np.arange(60) < 30, 1e-5, 1e-3)[:, None] * np.array([1.0, 0.0, 0.0])
+    place = np.random.default_rng(0).permutation(60)
+    shown = table(place=place)
+    shown = dataclasses.replace(shown, after=shown.measured + errors[place])
+    svg = error_by_pose(shown).svg
+    lines = [path for path in re.findall(r'<path d="([^"]+)"[^>]*stroke: #0072b2[^>]*>', svg) if path.count("L") > 50]
+    heights = [float(number) for number in re.findall(r"[ML] \S+ (\S+)", lines[0])]
+    assert np.ptp(heights[:30]) < 1e-6
+    assert np.ptp(heights[30:]) < 1e-6
+    assert heights[0] - heights[-1] > 20  # downwards in SVG: smaller errors first
+
+
+def test_files_have_panels_of_their_own():
+    series = ("a/first.csv (identification)",) * 40 + ("b/second.csv (validation)",) * 20
+    shown = dataclasses.replace(table(place=np.array([*range(40), *range(20)])), series=series)
+    found = texts(error_by_pose(shown).svg)
+    assert found.count("pose, in the order of measurement") == 2
+    assert {"first.csv (identification)", "second.csv (validation)"} <= set(found)
+
+
+def test_of_several_points_the_largest_error_is_drawn():
+    shown = dataclasses.replace(table(), targets=("a", "b") * 30, place=np.arange(60) // 2)
+    assert "Of several points" in error_by_pose(shown).text
+
+
+def test_long_joint_names_do_not_reach_into_their_neighbours_panel():
+    name = "the_joint_whose_name_nobody_wanted_to_shorten_although_it_is_so_long_that_no_page_is_wide_enough"
+    joints = (Joint(name, "deg", 1.0), Joint("the_joint_whose_name_takes_two_lines_at_least", "deg", 1.0))
+    shown = dataclasses.replace(table(), joints=np.zeros((60, 2)))
+    found = texts(residual_by_joint(shown, joints).svg)
+    assert max(len(text) for text in found) <= 36
+    assert any("…" in text for text in found)
+
+
+def test_long_names_lose_their_middle():
+    assert shortened("short") == "short"
+    assert shortened("abcdefghij", 5) == "ab…ij"

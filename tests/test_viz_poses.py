@@ -35,6 +35,9 @@ def small(**changes):
         "outlier": np.zeros(n, dtype=bool),
         "labels": ("1", "2", "3", "4"),
         "targets": ("tool",) * n,
+        "readings": np.ones(n, dtype=np.intp),
+        "series": ("file.csv",) * n,
+        "place": np.arange(n),
     }
     return PoseTable(**(values | changes))
 
@@ -158,3 +161,23 @@ def test_tables_that_do_not_fit_together_are_refused(change, message):
 
 def test_an_empty_table_has_the_robots_joints(robot):
     assert poses.empty(robot).joints.shape == (0, 6)
+
+
+def test_a_mean_of_readings_is_surer_than_one_reading():
+    table = small(readings=np.array([4, 4, 1, 1]), sigma=np.array([1e-3, 1e-3, 2e-3, 2e-3]))
+    np.testing.assert_allclose(table.sigma_of_reading(), 2e-3)
+    np.testing.assert_allclose(table.over_sigma()[:, 0], [1.0, 1.0, 0.5, 0.5])
+
+
+def test_poses_held_out_of_one_file_keep_their_places_in_it(robot):
+    data = measurements(np.arange(0, 420, 4))
+    kept, held = (np.flatnonzero(np.arange(105) % 5 != 2), np.flatnonzero(np.arange(105) % 5 == 2))
+    table = poses.from_fit(calib.fit(robot, data.subset(kept), validation=data.subset(held)))
+    assert set(table.series) == {"memory"}
+    assert table.place.tolist() == [*kept, *held]
+
+
+def test_files_of_their_own_are_series_of_their_own(fit):
+    table = poses.from_fit(fit)
+    assert table.series == ("memory (identification)",) * 84 + ("memory (validation)",) * 47
+    assert table.place.tolist() == [*range(84), *range(47)]

@@ -25,7 +25,7 @@ def fit():
 
 @pytest.fixture(scope="module")
 def html(fit):
-    return report_page(fit, command="calib fit a.yaml b.csv --out c", seed=7, created=NOON).html
+    return report_page(fit, command="calib fit a.yaml b.csv --out c", created=NOON).html
 
 
 def text(html):
@@ -110,7 +110,14 @@ def test_provenance_names_versions_files_command_and_seed(html, fit):
     assert hashlib.sha256(fit.nominal.urdf.source).hexdigest() in html
     for part in ("numpy", "Python", "calib fit a.yaml b.csv --out c", "no file to hash", "2026-01-02 12:00 UTC"):
         assert part in html
-    assert re.search(r"Seed</th><td>7</td>", html)
+    assert re.search(r"Seed</th><td>0, of every random choice", html)
+
+
+def test_a_fit_from_python_says_so_and_has_its_seed():
+    fit = calib.fit(medrue_robot(), measurements(range(0, 420, 5)), seed=12)
+    html = report_page(fit, created=NOON).html
+    assert "made by a program in Python" in html
+    assert re.search(r"Seed</th><td>12, of every random choice of the fit</td>", html)
 
 
 def test_the_report_has_no_scripts_and_asks_nobody(html):
@@ -160,6 +167,8 @@ def test_uncertainty_of_predictions_is_stated(html, fit):
         (-12.34, "−12.3"),
         (float("nan"), "–"),
         (float("inf"), "–"),
+        (-1e-9, "0.0000"),
+        (0.0, "0.0000"),
     ],
 )
 def test_lengths_show_three_digits(value, shown):
@@ -178,3 +187,44 @@ def test_lengths_show_three_digits(value, shown):
 def test_only_our_own_command_lines_are_printed(monkeypatch, arguments, shown):
     monkeypatch.setattr("sys.argv", arguments)
     assert command_line() == shown
+
+
+def test_no_zero_has_a_sign():
+    assert [number(value) for value in (-1e-6, 0.0, -0.0, -0.00006)] == ["0.0000", "0.0000", "0.0000", "−0.0001"]
+
+
+def test_the_first_box_says_where_it_is_worst_how_sure_that_is_and_where_it_was_measured(html, fit):
+    first = text(html)[:1200]
+    found = fit.validation
+    row = int(np.argmax(np.linalg.norm(found.after[:, 0], axis=1)))
+    assert f"pose {found.data.names[row]}, at x" in first
+    assert millimetres(fit.validation_uncertainty.summary()["max"]) in first
+    assert f"noise of one reading {millimetres(1e3 * fit.statistics.sigma)} mm" in first
+    points = 1e3 * np.concatenate([fit.identification.data.positions, found.data.positions])[:, 0]
+    assert f"x {points[:, 0].min():.0f} to {points[:, 0].max():.0f}".replace("-", "−") in first
+
+
+def said(fit, *comments):
+    """The fit of a file with these comments."""
+    data = dataclasses.replace(fit.identification.data, comments=comments)
+    return dataclasses.replace(fit, identification=dataclasses.replace(fit.identification, data=data))
+
+
+def test_what_the_file_says_about_itself_stands_above_the_verdict_and_simulation_first(fit):
+    lines = ("Taken on a Monday.", "Simulated measurements; <b>no real robot</b> was measured.")
+    html = report_page(said(fit, *lines), created=NOON).html
+    assert 'class="remarks simulated"' in html
+    shown = html[html.index('class="remarks') : html.index('class="verdict')]
+    assert shown.index("Simulated measurements; &lt;b&gt;no real robot") < shown.index("Taken on a Monday")
+    assert 'class="remarks"' in report_page(said(fit, "Taken on a Monday."), created=NOON).html
+
+
+def test_without_comments_nothing_is_said_about_the_file(html):
+    assert 'class="remarks' not in html
+
+
+def test_comments_without_end_do_not_bury_the_report(fit):
+    html = report_page(said(fit, *(f"{k}: " + 1000 * "word " for k in range(200))), created=NOON).html
+    shown = text(html)
+    assert "and 194 more lines" in shown
+    assert shown.index("Verdict:") < 2500

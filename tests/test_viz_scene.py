@@ -35,6 +35,9 @@ def table(robots, measured=True):
         np.zeros(n, dtype=bool),
         tuple(map(str, range(n))),
         ("tool",) * n,
+        np.ones(n, dtype=np.intp),
+        ("file.csv",) * n,
+        np.arange(n),
     )
 
 
@@ -128,7 +131,7 @@ def test_the_ghost_of_a_robot_with_unknown_base_stands_on_the_solid_base(tmp_pat
     nominal = calib.load(path)
     base = nominal.mechanism.origin_names[nominal.mechanism.targets[0].a - 1]
     scene = build_scene(nominal, nominal.with_parameters({f"{base}.x": 5.0, "b.x": 1.1}))
-    solid, ghost = (scene.bodies.poses(figure, 0) for figure in (scene.solid, scene.ghost))
+    solid, ghost = (scene.bodies.poses(robot, 0) for robot in (scene.solid, scene.ghost))
     np.testing.assert_allclose(ghost[0], solid[0], atol=1e-12)
     end = scene.bodies.names.index("tip")
     assert np.linalg.norm(ghost[end] - solid[end]) == pytest.approx(0.1)

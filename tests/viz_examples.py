@@ -29,6 +29,33 @@ def medrue_fit(identification=range(0, 420, 5), validation=range(3, 420, 9)):
     return calib.fit(medrue_robot(), measurements(identification), validation=held_out)
 
 
+LONG_NAMES = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint",
+              "the_joint_whose_name_nobody_wanted_to_shorten")  # fmt: skip
+
+
+def long_named_fit(folder, repeats=5):
+    """An arm with the names that robots have, not those of papers, measured several times at each pose."""
+    joints, links, parent = "", '<link name="root"/>', "root"
+    for k, (name, axis) in enumerate(
+        zip(LONG_NAMES, ("0 0 1", "0 1 0", "0 1 0", "0 1 0", "0 0 1", "0 1 0"), strict=True)
+    ):
+        links += f'<link name="link_{k}"/>'
+        joints += f"""<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="link_{k}"/>
+          <origin xyz="0 {0.05 * k:.2f} 0.2"/><axis xyz="{axis}"/>
+          <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>"""
+        parent = f"link_{k}"
+    flange = f'<link name="flange"/><joint name="end" type="fixed"><parent link="{parent}"/><child link="flange"/>'
+    path = folder / "arm.urdf"
+    path.write_text(f'<robot name="long names">{links}{joints}{flange}<origin xyz="0.05 0 0.1"/></joint></robot>')
+    robot, generator = calib.load(path), np.random.default_rng(3)
+    q = np.repeat(generator.uniform(-1.5, 1.5, (40, 6)), repeats, axis=0)
+    names = tuple(str(k // repeats + 1) for k in range(len(q)))
+    true = robot.with_parameters(robot.values + 3e-4 * generator.standard_normal(len(robot.values)))
+    positions = true.positions(q) + generator.normal(0, 8e-5, (len(q), 1, 3))
+    data = calib.as_measurements(robot, calib.Poses(q, names, names, "memory", ()), positions)
+    return calib.fit(robot, data.subset(np.arange(0, 30)), validation=data.subset(np.arange(30, 40)))
+
+
 def many_poses(n):
     """MedRUE's nominal and calibrated robots and a pose table of `n` poses around the target workspace."""
     nominal = medrue_robot()
@@ -48,5 +75,8 @@ def many_poses(n):
         generator.random(n) < 0.002,
         tuple(map(str, range(n))),
         ("tool",) * n,
+        np.ones(n, dtype=np.intp),
+        ("file.csv",) * n,
+        np.arange(n),
     )
     return nominal, calibrated, table

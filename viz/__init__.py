@@ -55,17 +55,16 @@ def page(robot: Robot, result: Result | None = None, *, data: Measurements | Non
     return scene_page(scene)
 
 
-def report(result: Fit, *, command: str = "", seed: int | None = None) -> Page:
+def report(result: Fit, *, command: str = "") -> Page:
     """Return the report of a fit as one self-contained page.
 
     Args:
         result: The fit.
         command: Command line that made it, to be printed with its origin.
-        seed: Seed of the random choices that were made, if any.
     """
     from viz.report_page import report_page
 
-    return report_page(result, command=command, seed=seed)
+    return report_page(result, command=command)
 
 
 def _warn(notes: tuple[str, ...]) -> None:

@@ -34,7 +34,7 @@ _FLATTEST = 0.05  # directions in which a link's joint origins spread less than 
 
 
 @dataclass(frozen=True, eq=False)
-class Figure:
+class PosedRobot:
     """One robot in all shown poses.
 
     Attributes:
@@ -60,7 +60,7 @@ class Bodies:
         parents: Parent body of each joint, (n_joints,).
         sliding: Whether each joint is prismatic.
         axes: Unit axis of each joint, zero where it is held, (n_joints, 3).
-        columns: Column of `Figure.values` that moves each joint, -1 where it is held, (n_joints,).
+        columns: Column of `PosedRobot.values` that moves each joint, -1 where it is held, (n_joints,).
         base: Body that is the measurement frame.
     """
 
@@ -76,28 +76,28 @@ class Bodies:
         """Joints that move, in the order of the columns, (n_moving,)."""
         return np.flatnonzero(self.columns >= 0)
 
-    def poses(self, figure: Figure, pose: int) -> FloatArray:
+    def poses(self, robot: PosedRobot, pose: int) -> FloatArray:
         """Return T of each body in the measurement frame as the page computes it, (n_joints + 1, 4, 4) [m]."""
         T = np.tile(np.eye(4), (len(self.names), 1, 1))
         for i, parent in enumerate(self.parents):
             motion = np.eye(4)
             if self.columns[i] >= 0:
-                value = float(figure.values[pose, self.columns[i]])
+                value = float(robot.values[pose, self.columns[i]])
                 if self.sliding[i]:
                     motion[:3, 3] = value * self.axes[i]
                 else:
                     motion[:3, :3] = _turn(self.axes[i], value)
-            T[i + 1] = T[parent] @ figure.placements[i] @ motion
-        root = np.linalg.inv(T[self.base]) if figure.root is None else figure.root
+            T[i + 1] = T[parent] @ robot.placements[i] @ motion
+        root = np.linalg.inv(T[self.base]) if robot.root is None else robot.root
         relative: FloatArray = root @ T
         return relative
 
-    def matrices(self, figure: Figure, pose: int) -> FloatArray:
+    def matrices(self, robot: PosedRobot, pose: int) -> FloatArray:
         """Return M = T S of each body, (n_joints + 1, 4, 4) [m]."""
-        result: FloatArray = self.poses(figure, pose) @ figure.stretches
+        result: FloatArray = self.poses(robot, pose) @ robot.stretches
         return result
 
-    def exaggerated(self, solid: Figure, ghost: Figure, pose: int, factor: float) -> FloatArray:
+    def exaggerated(self, solid: PosedRobot, ghost: PosedRobot, pose: int, factor: float) -> FloatArray:
         """Return M(factor) of the module docstring, (n_joints + 1, 4, 4) [m]."""
         start = self.matrices(solid, pose)
         return start + factor * (self.matrices(ghost, pose) - start)
@@ -126,7 +126,7 @@ def bodies_of(robot: Robot) -> Bodies:
     return Bodies(names, parents, tuple(sliding), axes, columns, mechanism.targets[0].a)
 
 
-def figure_of(robot: Robot, bodies: Bodies, joints: FloatArray) -> Figure:
+def posed_robot(robot: Robot, bodies: Bodies, joints: FloatArray) -> PosedRobot:
     """Return a robot in poses given by its actuated joints, (n, n_actuated) [m or rad], loops solved.
 
     Raises:
@@ -136,7 +136,7 @@ def figure_of(robot: Robot, bodies: Bodies, joints: FloatArray) -> Figure:
     mechanism = robot.mechanism
     values = mechanism.all_joints(configurations.actuated, configurations.passive)[:, bodies.moving]
     placements = _placements(mechanism)
-    return Figure(placements, _stretches(robot, bodies, placements), values)
+    return PosedRobot(placements, _stretches(robot, bodies, placements), values)
 
 
 def _placements(mechanism: Mechanism) -> FloatArray:

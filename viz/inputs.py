@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from calib import Fit, Measurements, Robot
 from calib.errors import InputError
-from calib.identification.reasons import Reason, Verdict
 from calib.linearisation.registration import register
 from calib.reporting.results import load_calibrated, load_uncertainty, read_result
+from calib.words import counted
 from viz import poses as pose_tables
+from viz.judgement import of_result, of_verdict
 from viz.poses import IDENTIFICATION, Calibrated, PoseTable
+from viz.remarks import remarks
 from viz.scene import Scene, build_scene, scene_of_fit
 
 Result = Fit | str | Path
@@ -54,7 +55,8 @@ def gather(robot: Robot, result: Result | None = None, data: Measurements | None
     if data is not None:
         sigma = float("nan") if robot.description.sigma is None else robot.description.sigma
         placed = register(robot, data) if _unknown_place(robot) else robot
-        return Shown(build_scene(placed, None, pose_tables.from_measurements(data, placed, None, sigma)), placed, None)
+        table = pose_tables.from_measurements(data, placed, None, sigma)
+        return Shown(build_scene(placed, None, table, comments=remarks(data.comments)), placed, None)
     return Shown(build_scene(robot), robot, None)
 
 
@@ -65,7 +67,8 @@ def _from_fit(robot: Robot, fit: Fit, data: Measurements | None) -> Shown:
         return Shown(scene_of_fit(fit), fit.robot, fit.placed)
     calibrated = Calibrated(fit.robot, fit.uncertainty)
     table = pose_tables.from_measurements(data, fit.placed, calibrated, fit.statistics.sigma)
-    return Shown(build_scene(fit.placed, fit.robot, table, verdict=fit.verdict), fit.robot, fit.placed)
+    scene = build_scene(fit.placed, fit.robot, table, verdict=of_verdict(fit.verdict), comments=remarks(data.comments))
+    return Shown(scene, fit.robot, fit.placed)
 
 
 def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None) -> Shown:
@@ -81,15 +84,10 @@ def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None) ->
         placed = register(robot, data) if _unknown_place(robot) else robot
         table = pose_tables.from_measurements(data, placed, calibrated, float(content["sigma"]))
     left_out = content["excluded"] if data is None else []
-    notes = (f"not shown: {len(left_out)} poses that were left out of the fit as outliers",) if left_out else ()
-    scene = build_scene(placed, model, table, verdict=_verdict(content["verdict"]), notes=notes)
+    notes = (f"not shown: left out of the fit, {counted(len(left_out), 'outlier')}",) if left_out else ()
+    said = remarks(content.get("comments", ()) if data is None else data.comments)
+    scene = build_scene(placed, model, table, verdict=of_result(content["verdict"]), notes=notes, comments=said)
     return Shown(scene, model, placed)
-
-
-def _verdict(entry: dict[str, Any]) -> Verdict:
-    """Read the verdict of `result.json`."""
-    reasons = zip(entry["codes"], entry["reasons"], strict=True)
-    return Verdict(entry["grade"], tuple(Reason(entry["grade"], code, text) for code, text in reasons))
 
 
 def _unknown_place(robot: Robot) -> bool:

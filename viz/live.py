@@ -5,13 +5,15 @@ from __future__ import annotations
 import base64
 import html
 import json
+import operator
 from types import TracebackType
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.errors import DataError
-from viz.bodies import figure_of
+from viz.bodies import posed_robot
 from viz.drawing import load_meshcat, pack
 from viz.inputs import Shown
 from viz.server import PageServer
@@ -60,26 +62,44 @@ class LiveViewer:
         """Go to a row of the pose table.
 
         Raises:
-            DataError: There is no such row.
+            DataError: There is no such row, or `index` is not a whole number.
         """
         count = len(self._shown.scene.poses)
-        if not 0 <= index < count:
-            raise DataError(f"no pose {index}; the viewer shows {count} poses, counted from 0")
-        self._server.send("pose", str(int(index)), keep="pose")
+        try:
+            row = operator.index(index)
+        except TypeError:
+            raise DataError(f"no pose {index!r}; give a whole number, counted from 0") from None
+        if not 0 <= row < count:
+            raise DataError(f"no pose {row}; the viewer shows {count} poses, counted from 0")
+        self._server.send("pose", str(row), keep="pose")
 
     def display(self, q: ArrayLike) -> None:
         """Move the robots to actuated joint values, (n_actuated,) [m or rad], loops closed.
+
+        The page shows these values and the predicted positions in place of a pose of the table.
 
         Raises:
             DataError: Joint values of the wrong shape.
             UnreachablePoseError: A loop cannot be closed.
         """
-        bodies = self._shown.scene.bodies
-        values = [
-            None if robot is None else figure_of(robot, bodies, robot.joint_vector(q)).values[0].tolist()
-            for robot in (self._shown.solid, self._shown.ghost)
-        ]
-        self._server.send("joints", json.dumps({"solid": values[0], "ghost": values[1]}), keep="pose")
+        shown = self._shown
+        robots = {"solid": shown.solid, "ghost": shown.ghost}
+        joints = shown.solid.joint_vector(q)
+        if len(joints) != 1:
+            raise DataError(f"joint values of shape {np.shape(q)}: give those of one pose at a time")
+        moved = {
+            name: None if robot is None else posed_robot(robot, shown.scene.bodies, joints).values[0].tolist()
+            for name, robot in robots.items()
+        }
+        before = shown.solid if shown.ghost is None else shown.ghost
+        after = None if shown.ghost is None else shown.solid
+        predicted = {
+            state: None if robot is None else robot.positions(joints)[0].tolist()
+            for state, robot in (("before", before), ("after", after))
+        }
+        targets = list(shown.solid.target_names)
+        content = {**moved, "joints": joints[0].tolist(), "targets": targets, "predicted": predicted}
+        self._server.send("joints", json.dumps(content), keep="pose")
 
     def wait_for_browser(self, timeout: float) -> bool:
         """Wait until a browser has connected, at most `timeout` seconds; say whether one has."""

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.stats import norm
 
-from calib.model.mechanism import FloatArray
-from viz.poses import IDENTIFICATION, PoseTable
+from calib.model.mechanism import BoolArray, FloatArray
+from viz.poses import IDENTIFICATION, VALIDATION, PoseTable
 from viz.scene import Joint
-from viz.svg import Plot, finished, new_figure, styled
+from viz.svg import AXES, STATES, Plot, finished, new_figure, plain_ticks, styled
 
-AXES = {"x": ("#D55E00", "o"), "y": ("#009E73", "^"), "z": ("#0072B2", "s")}
-STATES = {"before": ("#7F7F7F", "--"), "after": ("#0072B2", "-")}
+_GROUP_MARKS = {IDENTIFICATION: ("o", None), VALIDATION: ("D", "white")}  # as in the viewer; face, if not the colour
+_WIDEST_LABEL = 34  # letters under one of three panels
 _MOST_MARKS = 600  # poses drawn one by one; more would make the file large and the figure black
 
 
@@ -54,7 +55,7 @@ def histogram(table: PoseTable) -> Plot:
             label=f"{state} calibration",
         )
     axes.set(xscale="log", xlabel="distance between predicted and measured position [mm]", ylabel="number of poses")
-    _plain_log(axes.xaxis)
+    plain_ticks(axes.xaxis)
     axes.legend(loc="upper center")
     return finished(
         "histogram",
@@ -66,59 +67,62 @@ def histogram(table: PoseTable) -> Plot:
 
 @styled
 def error_by_pose(table: PoseTable) -> Plot:
-    """Error of each pose, in the order of the table."""
-    figure, (axes,) = new_figure(1, 1, (8.9, 3.1))
-    number = np.arange(1, len(table) + 1)
-    for state, (colour, line) in STATES.items():
-        lengths = 1e3 * np.linalg.norm(table.error(state), axis=1)
-        axes.plot(
-            number,
-            np.where(lengths > 0, lengths, np.nan),
-            line,
-            color=colour,
-            linewidth=0.9,
-            label=f"{state} calibration",
-        )
-    _mark_border(axes, table)
-    marked = np.flatnonzero(table.outlier)
-    if len(marked):
-        axes.plot(
-            number[marked],
-            1e3 * np.linalg.norm(table.error("after"), axis=1)[marked],
-            "kx",
-            markersize=7,
-            linestyle="none",
-            label="outlier",
-        )
-    axes.set(yscale="log", xlabel="pose, in the order of the files", ylabel="error [mm]")
-    _plain_log(axes.yaxis)
-    axes.margins(x=0.01)
-    axes.legend(loc="center right")
+    """Error of each pose in the order of measurement, one panel for each file; of several points the largest."""
+    series = tuple(dict.fromkeys(table.series)) or ("",)
+    figure, panels = new_figure(len(series), 1, (8.9, 0.8 + 2.3 * len(series)), sharey=True)
+    for axes, name in zip(panels, series, strict=True):
+        _draw_course(axes, table, np.array([entry == name for entry in table.series], dtype=bool))
+        if len(series) > 1:
+            axes.set_title(shortened(Path(name).name), loc="left")
+    entries = [zip(*axes.get_legend_handles_labels(), strict=True) for axes in panels]
+    marks = {label: mark for panel in entries for mark, label in panel}
+    figure.legend(marks.values(), marks, loc="outside upper center", ncols=5)
+    several = " Of several points, the largest error is drawn." if len(set(table.targets)) > 1 else ""
     return finished(
         "error-by-pose",
-        "Error of each pose",
-        "Steps or slopes would show that something changed while measuring.",
+        "Error of each pose, in the order of measurement",
+        "Steps or slopes show that something changed while measuring." + several,
         figure,
     )
 
 
-def _mark_border(axes: Any, table: PoseTable) -> None:
-    """Draw a line between the poses that were fitted and the others."""
-    fitted = np.array([group == IDENTIFICATION for group in table.group])
-    if np.any(fitted) and not np.all(fitted):
-        border = int(np.sum(fitted)) + 0.5
-        following = next(group for group in table.group if group != IDENTIFICATION)
-        axes.axvline(border, color="black", linewidth=0.8, linestyle=":")
-        for text, side, shift in ((IDENTIFICATION, "right", -4), (following, "left", 4)):
-            axes.annotate(
-                text,
-                (border, 1.02),
-                (shift, 0),
-                xycoords=axes.get_xaxis_transform(),
-                textcoords="offset points",
-                ha=side,
-                fontsize=8,
-            )
+def _draw_course(axes: Any, table: PoseTable, rows: BoolArray) -> None:
+    """Draw the errors of one series over the places of its poses: a line for each state, a mark for each group."""
+    from matplotlib.ticker import FuncFormatter, MaxNLocator
+
+    places, first = np.unique(table.place[rows], return_index=True)
+    chosen = np.flatnonzero(rows)
+    names = {int(place): table.labels[chosen[k]] for place, k in zip(places, first, strict=True)}
+    group = np.array([table.group[chosen[k]] for k in first])
+    outlier = np.isin(places, table.place[rows & table.outlier])
+    for state, (colour, line) in STATES.items():
+        lengths = np.full(len(places), -np.inf)
+        np.maximum.at(
+            lengths, np.searchsorted(places, table.place[rows]), 1e3 * np.linalg.norm(table.error(state)[rows], axis=1)
+        )
+        lengths = np.where(lengths > 0, lengths, np.nan)
+        axes.plot(places, lengths, line, color=colour, linewidth=0.7, alpha=0.6, label=f"{state} calibration")
+        for name, (mark, face) in _GROUP_MARKS.items():
+            here = np.flatnonzero(group == name)
+            here = here[_thinned(len(here))[0]]
+            if len(here):
+                axes.plot(
+                    places[here],
+                    lengths[here],
+                    mark,
+                    color=colour,
+                    markerfacecolor=face or colour,
+                    markersize=3.6,
+                    markeredgewidth=0.8,
+                    label=name if state == "after" else None,
+                )
+        if state == "after" and np.any(outlier):
+            axes.plot(places[outlier], lengths[outlier], "kx", markersize=7, label="outlier")
+    axes.set(yscale="log", xlabel="pose, in the order of measurement", ylabel="error [mm]")
+    plain_ticks(axes.yaxis)
+    axes.xaxis.set_major_locator(MaxNLocator(10, integer=True))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda place, _: shortened(names.get(round(place), ""), 10)))
+    axes.margins(x=0.01)
 
 
 @styled
@@ -175,7 +179,7 @@ def residual_by_joint(table: PoseTable, joints: tuple[Joint, ...]) -> Plot:
                 zorder=2 + axis,
             )
         axes.axhline(0.0, color="black", linewidth=0.8)
-        axes.set_xlabel(f"{joint.name} [{joint.unit}]")
+        axes.set_xlabel(_in_lines(f"{joint.name} [{joint.unit}]"))
         if number % columns == 0:
             axes.set_ylabel("residual [mm]")
     for axes in panels[len(joints) :]:
@@ -227,12 +231,20 @@ def normal_plot(table: PoseTable) -> Plot:
     )
 
 
-def _plain_log(axis: Any) -> None:
-    """Ticks such as 0.01 instead of powers, which need mathematics to print."""
-    from matplotlib.ticker import FuncFormatter, NullFormatter
+def shortened(name: str, longest: int = 60) -> str:
+    """Return a name with its middle left out where it is too long for its place."""
+    if len(name) <= longest:
+        return name
+    return f"{name[: longest // 2]}…{name[len(name) - (longest - longest // 2 - 1) :]}"
 
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
+
+def _in_lines(label: str) -> str:
+    """Return a label as one or two lines that fit under a panel."""
+    if len(label) <= _WIDEST_LABEL:
+        return label
+    text = shortened(label, 2 * _WIDEST_LABEL - 8)
+    cut = max(text.rfind(mark, 8, _WIDEST_LABEL) for mark in " _") + 1 or _WIDEST_LABEL
+    return f"{text[:cut].rstrip()}\n{text[cut:]}"
 
 
 def _lengths(table: PoseTable, state: str) -> FloatArray:

@@ -13,7 +13,7 @@ from calib.data.tables import Table, read_table
 from calib.errors import DataError
 from calib.identification.fitted import ErrorSet
 from calib.linearisation.prediction import PositionUncertainty
-from calib.model.mechanism import BoolArray, FloatArray
+from calib.model.mechanism import BoolArray, FloatArray, IntArray
 from calib.numerics.outliers import Outlier
 from calib.read_only import ReadOnlyArrays
 from calib.reporting.results import read_result
@@ -43,12 +43,15 @@ class PoseTable(ReadOnlyArrays):
         joints: Actuated joints, (n, n_actuated) [m or rad].
         measured: Measured positions, (n, 3) [m].
         before, after: Predicted positions of the robot before and after calibration, (n, 3) [m].
-        sigma: Standard deviation of each measured coordinate, (n,) [m].
+        sigma: Standard deviation of each measured coordinate, which is a mean over the readings of its pose, (n,) [m].
         spread: Standard deviation of the predicted position after calibration, (n, 3) [m].
         group: `identification`, `validation`, `measured` (not part of a fit) or `left out` (of it, as an outlier).
         outlier: Which rows are outliers, (n,).
         labels: What to call each pose.
         targets: Name of the measured point of each row.
+        readings: How many readings each measured position is a mean of, (n,).
+        series: What was measured in one go with each row: a file, or a set of poses.
+        place: Place of each row's pose in the order of measurement of its series, (n,).
     """
 
     joints: FloatArray
@@ -61,6 +64,9 @@ class PoseTable(ReadOnlyArrays):
     outlier: BoolArray
     labels: tuple[str, ...]
     targets: tuple[str, ...]
+    readings: IntArray
+    series: tuple[str, ...]
+    place: IntArray
 
     def __post_init__(self) -> None:
         n = len(self.labels)
@@ -71,12 +77,14 @@ class PoseTable(ReadOnlyArrays):
             "sigma": (n,),
             "spread": (n, 3),
             "outlier": (n,),
+            "readings": (n,),
+            "place": (n,),
         }
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 raise DataError(f"pose table: '{name}' has shape {getattr(self, name).shape}, expected {shape}")
-        if self.joints.ndim != 2 or len(self.joints) != n or len(self.group) != n or len(self.targets) != n:
-            raise DataError(f"pose table: joints, groups and targets must have {n} rows, one for each label")
+        if self.joints.ndim != 2 or {len(self.joints), len(self.group), len(self.targets), len(self.series)} != {n}:
+            raise DataError(f"pose table: joints, groups, targets and series must have {n} rows, one for each label")
         unknown = sorted(set(self.group) - set(GROUPS))
         if unknown:
             raise DataError(f"pose table: unknown group '{unknown[0]}'; valid: {', '.join(GROUPS)}")
@@ -90,8 +98,16 @@ class PoseTable(ReadOnlyArrays):
         predicted: FloatArray = {"before": self.before, "after": self.after}[state]
         return predicted - self.measured
 
+    def sigma_of_reading(self) -> FloatArray:
+        """Return the standard deviation of one reading of each row, per axis, (n,) [m]; NaN where not known."""
+        sigma: FloatArray = self.sigma * np.sqrt(self.readings)
+        return sigma
+
     def over_sigma(self) -> FloatArray:
-        """Return the residuals after calibration divided by their sigma, (n, 3); NaN where sigma is zero or unknown."""
+        """Return the residuals after calibration, which are of means, divided by the sigma of these means, (n, 3).
+
+        NaN where sigma is zero or unknown.
+        """
         sigma = np.where(self.sigma > 0, self.sigma, np.nan)
         ratio: FloatArray = self.error("after") / sigma[:, None]
         return ratio
@@ -110,7 +126,18 @@ def from_fit(fit: Fit) -> PoseTable:
         before = fit.placed.positions(data.joints)
         left_out = _table(fit.robot, data, EXCLUDED, before, found.positions, sigma, found.std)
         parts.append(replace(left_out, outlier=np.ones(len(left_out), dtype=bool)))
+    if fit.validation is not None and not _measured_together(fit.identification.data, fit.validation.data):
+        sets = (IDENTIFICATION, VALIDATION, IDENTIFICATION)  # left out: of those to identify with
+        parts = [
+            replace(part, series=(f"{part.series[0]} ({name})",) * len(part))
+            for part, name in zip(parts, sets, strict=False)
+        ]
     return concatenate(parts)
+
+
+def _measured_together(first: Measurements, second: Measurements) -> bool:
+    """Whether two sets are parts of one file, so that their places are of one order."""
+    return first.path == second.path and not np.intersect1d(first.places, second.places).size
 
 
 def _judged(
@@ -170,6 +197,9 @@ def _table(
         outlier=np.zeros(n, dtype=bool),
         labels=tuple(name for name in data.names for _ in range(n_targets)),
         targets=robot.target_names * len(data),
+        readings=np.repeat(data.counts, n_targets),
+        series=(data.path,) * n,
+        place=np.repeat(data.places, n_targets),
     )
 
 
@@ -190,17 +220,21 @@ def from_result(folder: Path | str, calibrated: Calibrated) -> PoseTable:
     places = list(zip(table.text("set"), table.text("pose"), table.text("target"), strict=True))
     outliers = {(row["set"], row["pose"], row["target"]) for row in content["outliers"]}
     target = np.array([robot.target_names.index(name) for _, _, name in places])
+    readings = np.array([int(cell) for cell in table.text("readings")], dtype=np.intp)
     return PoseTable(
         joints=joints,
         measured=measured,
         before=measured + before,
         after=measured + after,
-        sigma=float(content["sigma"]) / np.sqrt([int(cell) for cell in table.text("readings")]),
+        sigma=float(content["sigma"]) / np.sqrt(readings),
         spread=calibrated.predict(joints).std[np.arange(len(places)), target],
         group=tuple(group for group, _, _ in places),
         outlier=np.array([place in outliers for place in places], dtype=bool),
         labels=tuple(label for _, label, _ in places),
         targets=tuple(name for _, _, name in places),
+        readings=readings,
+        series=tuple(group for group, _, _ in places),
+        place=np.arange(len(places)) // len(robot.target_names),
     )
 
 
@@ -221,4 +255,7 @@ def empty(robot: Robot) -> PoseTable:
     """Return a table without rows."""
     points = np.empty((0, 3))
     joints = np.empty((0, len(robot.joint_names)))
-    return PoseTable(joints, points, points, points, np.empty(0), points, (), np.empty(0, dtype=bool), (), ())
+    whole = np.empty(0, dtype=np.intp)
+    return PoseTable(
+        joints, points, points, points, np.empty(0), points, (), np.empty(0, dtype=bool), (), (), whole, (), whole
+    )

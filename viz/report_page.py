@@ -14,11 +14,13 @@ from typing import Any
 import numpy as np
 
 from calib import Fit
+from calib.identification.fitted import ErrorSet
 from calib.reporting.report_text import notes
 from calib.reporting.result_content import error_sets, outlier_rows, parameter_rows, position_uncertainty_table
 from calib.version import PROGRAM
 from viz.plots import all_plots
 from viz.poses import from_fit
+from viz.remarks import fit_remarks
 from viz.scene import joints_of
 from viz.viewer_page import Page
 
@@ -46,53 +48,79 @@ class Source:
     digest: str
 
 
-def report_page(fit: Fit, *, command: str = "", seed: int | None = None, created: datetime | None = None) -> Page:
+def report_page(fit: Fit, *, command: str = "", created: datetime | None = None) -> Page:
     """Return the report of a fit.
 
     Args:
         fit: The fit.
         command: Command line that made it.
-        seed: Seed of the random choices, if any were made.
         created: Time to print; now if not given.
     """
     from jinja2 import Environment, PackageLoader
 
-    table = from_fit(fit)
     environment = Environment(
         loader=PackageLoader("viz", "templates"), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["mm"] = millimetres
     environment.filters["number"] = number
     when = created if created is not None else datetime.now(UTC)
+    lines = accuracy(fit)
     return Page(
         environment.get_template("report.html").render(
             fit=fit,
             robot=fit.nominal,
             verdict=fit.verdict,
-            headline=headline(fit),
-            accuracy=accuracy(fit),
-            plots=all_plots(table, joints_of(fit.nominal)),
+            headline=headline(lines),
+            accuracy=lines,
+            worst=worst(fit),
+            extent=extent(fit),
+            remarks=fit_remarks(fit),
+            plots=all_plots(from_fit(fit), joints_of(fit.nominal)),
             parameters=parameter_rows(fit),
             notes=notes(fit),
             unsure=unsure(fit),
             outliers=left_out(fit) + outlier_rows(fit),
             reach=position_uncertainty_table(fit),
+            reach_of="identification" if fit.validation is None else "validation",
             sources=sources(fit),
             versions=versions(),
             program=PROGRAM,
             command=command,
-            seed=seed,
             created=when.strftime("%Y-%m-%d %H:%M UTC"),
-            table=table,
         )
     )
 
 
-def headline(fit: Fit) -> tuple[Accuracy, Accuracy]:
+def headline(lines: list[Accuracy]) -> tuple[Accuracy, Accuracy]:
     """Return the lines before and after that count: poses that were not used, where there are any."""
-    lines = {(line.group, line.state): line for line in accuracy(fit)}
-    group = next(name for name in _JUDGED_BY if (name, "after") in lines)
-    return lines[group, "before"], lines[group, "after"]
+    by_name = {(line.group, line.state): line for line in lines}
+    group = next(name for name in _JUDGED_BY if (name, "after") in by_name)
+    return by_name[group, "before"], by_name[group, "after"]
+
+
+def judged_by(fit: Fit) -> ErrorSet:
+    """Return the errors that count, as in `headline`."""
+    sets = {_NAMES.get(name, name): found for name, found in error_sets(fit)}
+    return next(sets[name] for name in _JUDGED_BY if name in sets)
+
+
+def worst(fit: Fit) -> str:
+    """Return where the robot is still worst: the pose with the largest error after calibration, and its place."""
+    found = judged_by(fit)
+    pose, target = np.unravel_index(np.argmax(np.linalg.norm(found.after, axis=2)), found.after.shape[:2])
+    place = ", ".join(
+        f"{axis} {1e3 * value:.0f}" for axis, value in zip("xyz", found.data.positions[pose, target], strict=True)
+    )
+    point = f", point {fit.nominal.target_names[target]}" if len(fit.nominal.target_names) > 1 else ""
+    return f"pose {found.data.names[pose]}{point}, at {place} mm".replace("-", "−")
+
+
+def extent(fit: Fit) -> str:
+    """Return the box [mm] in which the targets were measured."""
+    sets = [fit.identification, *([] if fit.validation is None else [fit.validation])]
+    points = 1e3 * np.concatenate([found.data.positions.reshape(-1, 3) for found in sets])
+    ranges = zip("xyz", points.min(axis=0), points.max(axis=0), strict=True)
+    return ", ".join(f"{axis} {low:.0f} to {high:.0f}" for axis, low, high in ranges).replace("-", "−") + " mm"
 
 
 def accuracy(fit: Fit) -> list[Accuracy]:
@@ -112,7 +140,7 @@ def unsure(fit: Fit) -> dict[str, list[str]]:
     """Return the names of parameters that the measurements do not decide, by status."""
     found: dict[str, list[str]] = {}
     for row in parameter_rows(fit):
-        if row["status"] != "identified":
+        if row["status"] not in ("identified", "placed"):
             found.setdefault(str(row["status"]), []).append(str(row["name"]))
     return found
 
@@ -182,13 +210,13 @@ def command_line() -> str:
 
 def millimetres(value: float) -> str:
     """Format a length in mm with three significant digits; a dash for unknown."""
-    if not np.isfinite(value):
-        return "–"
     size = abs(value)
-    decimals = 4 if size < 0.1 else 3 if size < 1 else 2 if size < 10 else 1
-    return f"{value:.{decimals}f}".replace("-", "−")
+    return number(value, 4 if size < 0.1 else 3 if size < 1 else 2 if size < 10 else 1)
 
 
 def number(value: float, decimals: int = 4) -> str:
-    """Format a number; a dash for unknown."""
-    return f"{value:.{decimals}f}".replace("-", "−") if np.isfinite(value) else "–"
+    """Format a number; a dash for unknown, and no sign before a zero."""
+    if not np.isfinite(value):
+        return "–"
+    text = f"{value:.{decimals}f}"
+    return text.replace("-", "−" if float(text) else "")

@@ -8,19 +8,22 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from calib import Fit, Robot
-from calib.identification.reasons import Verdict
 from calib.model.mechanism import FloatArray
 from calib.units import DISPLAY_UNIT, PER_SI
 from viz import poses as pose_tables
-from viz.bodies import Bodies, Figure, bodies_of, figure_of
+from viz.bodies import Bodies, PosedRobot, bodies_of, posed_robot
 from viz.decorations import decorations_of
 from viz.geometry import read_shapes
+from viz.judgement import Judgement, of_verdict
 from viz.poses import PoseTable
+from viz.remarks import NO_REMARKS, Remarks, fit_remarks
 from viz.shapes import Shape
 
 _NICE = (1.0, 2.0, 5.0)
 _VECTOR_SIZE, _GHOST_SIZE = 0.025, 0.04  # of the scene: how large typical exaggerated errors should look at first
 _LARGEST_FACTOR = 1000.0
+_LOOKED_AT = 16  # poses of the robot that the first camera makes room for
+_LONGEST_TIP = 0.2  # of the scene: how far the first camera follows an enlarged error vector
 _TURN, _RISE = 0.65, 0.33  # first camera: from beside the points and from above [rad]
 
 
@@ -68,6 +71,7 @@ class Scene:
         ghost_factor: Exaggeration of the ghost to start with.
         view: First camera.
         notes: What the user should know about the picture.
+        remarks: What the measurement files say about themselves.
         verdict: Verdict on the fit, if there is one.
     """
 
@@ -76,14 +80,15 @@ class Scene:
     shapes: tuple[Shape, ...]
     decorations: tuple[Shape, ...]
     bodies: Bodies
-    solid: Figure
-    ghost: Figure | None
+    solid: PosedRobot
+    ghost: PosedRobot | None
     poses: PoseTable
     vector_factors: dict[str, float]
     ghost_factor: float
     view: View
     notes: tuple[str, ...]
-    verdict: Verdict | None = None
+    remarks: Remarks
+    verdict: Judgement | None = None
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -93,7 +98,9 @@ class Scene:
 
 def scene_of_fit(fit: Fit) -> Scene:
     """Return the scene of a fit."""
-    return build_scene(fit.placed, fit.robot, pose_tables.from_fit(fit), verdict=fit.verdict)
+    return build_scene(
+        fit.placed, fit.robot, pose_tables.from_fit(fit), verdict=of_verdict(fit.verdict), comments=fit_remarks(fit)
+    )
 
 
 def build_scene(
@@ -101,8 +108,9 @@ def build_scene(
     calibrated: Robot | None = None,
     poses: PoseTable | None = None,
     *,
-    verdict: Verdict | None = None,
+    verdict: Judgement | None = None,
     notes: tuple[str, ...] = (),
+    comments: Remarks = NO_REMARKS,
 ) -> Scene:
     """Return the scene of a robot and its poses.
 
@@ -112,6 +120,7 @@ def build_scene(
         poses: Points to show; none: the robot at home.
         verdict: Verdict on the fit.
         notes: What to tell beside what the URDF's shapes give reason to.
+        comments: What the measurement files say about themselves.
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
@@ -120,8 +129,8 @@ def build_scene(
     shown = table.joints if len(table) else nominal.home[None, :]
     solid_robot = nominal if calibrated is None else calibrated
     bodies = bodies_of(solid_robot)
-    solid = figure_of(solid_robot, bodies, shown)
-    ghost = None if calibrated is None else figure_of(nominal, bodies, shown)
+    solid = posed_robot(solid_robot, bodies, shown)
+    ghost = None if calibrated is None else posed_robot(nominal, bodies, shown)
     if ghost is not None and nominal.description.base.pose == "unknown":
         ghost = replace(ghost, root=bodies.poses(solid, 0)[0])
     shapes, shape_notes = read_shapes(nominal)
@@ -129,6 +138,7 @@ def build_scene(
     view = _view(bodies, solid, shapes, decorations, table)
     size = float(np.linalg.norm(view.high - view.low))
     factors = {state: nice_factor(_typical(table.error(state)), _VECTOR_SIZE * size) for state in ("before", "after")}
+    tips = _tips(table, factors, _LONGEST_TIP * size)
     moved = float("nan") if ghost is None else _moved(bodies, solid, ghost)
     return Scene(
         nominal.name,
@@ -141,8 +151,9 @@ def build_scene(
         table,
         factors,
         nice_factor(moved, _GHOST_SIZE * size),
-        view,
+        replace(view, outline=np.concatenate([view.outline, tips @ view.upright.T])),
         (*notes, *shape_notes),
+        comments,
         verdict,
     )
 
@@ -165,8 +176,8 @@ def nice_factor(typical: float, wanted: float) -> float:
     return float(max(step * decade for step in _NICE if step * decade <= ratio * (1 + 1e-9)))
 
 
-def _moved(bodies: Bodies, solid: Figure, ghost: Figure) -> float:
-    """Return how far apart the links of two figures typically are: median over poses of the farthest link [m]."""
+def _moved(bodies: Bodies, solid: PosedRobot, ghost: PosedRobot) -> float:
+    """Return how far apart the links of two robots typically are: median over poses of the farthest link [m]."""
     n_poses = len(solid.values)
     apart = []
     for pose in range(0, n_poses, max(1, n_poses // 20)):
@@ -182,15 +193,27 @@ def _typical(vectors: FloatArray) -> float:
     return float(np.median(known)) if len(known) else float("nan")
 
 
+def _tips(table: PoseTable, factors: dict[str, float], longest: float) -> FloatArray:
+    """Return the tips of the enlarged error vectors of both states, not further than `longest` [m] out, (m, 3) [m]."""
+    tips = [np.zeros((0, 3))]
+    for state, factor in factors.items():
+        errors = factor * table.error(state)
+        length = np.linalg.norm(errors, axis=1, keepdims=True)
+        known = np.isfinite(length[:, 0]) & (length[:, 0] > 0)
+        shortened = errors[known] * np.minimum(1.0, longest / length[known])
+        tips.append(table.measured[known] + shortened)
+    return np.concatenate(tips)
+
+
 def _view(
-    bodies: Bodies, solid: Figure, shapes: tuple[Shape, ...], decorations: tuple[Shape, ...], table: PoseTable
+    bodies: Bodies, solid: PosedRobot, shapes: tuple[Shape, ...], decorations: tuple[Shape, ...], table: PoseTable
 ) -> View:
     """Look from the side where the points are, from slightly above, so that they stand before the robot."""
     R = bodies.poses(solid, 0)[0, :3, :3].T
     number = {name: body for body, name in enumerate(bodies.names)}
     robot = [np.zeros((0, 3))]
     n_poses = len(solid.values)
-    for pose in sorted({0, n_poses // 2, n_poses - 1}):
+    for pose in np.unique(np.linspace(0, n_poses - 1, _LOOKED_AT).astype(int)):
         matrices = bodies.matrices(solid, pose)
         for shape in shapes:
             M = matrices[number[str(shape.body)]]

@@ -5,19 +5,18 @@ The same input gives the same bytes.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from calib.pose_choice.assessment import Assessment
 from calib.pose_choice.selection import Selection
 from calib.pose_choice.selection_problem import TASK
-from viz.svg import new_figure, styled, svg_file
+from viz.svg import BLUE, GREY, ORANGE, new_figure, plain_ticks, styled, svg_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-BLUE, ORANGE, GREY = "#0072B2", "#D55E00", "#7F7F7F"
 _MARKS = ("-", "--", ":", "-.")
 
 
@@ -51,7 +50,7 @@ def singular_values(assessment: Assessment) -> Figure:
         axes.axvspan(rank.rank + 0.25, rank.rank + 0.75, color=GREY, alpha=0.3, linewidth=0, label="gap")
     axes.axhline(rank.threshold, color=GREY, linestyle="--", linewidth=1, label="threshold")
     axes.set(yscale="log", xlabel="number", ylabel="singular value of the scaled Jacobian [m]")
-    _plain(axes.yaxis)
+    plain_ticks(axes.yaxis)
     axes.legend()
     return figure
 
@@ -86,7 +85,7 @@ def accuracy(assessment: Assessment) -> Figure:
     last = np.append(np.flatnonzero(inside)[-1:], np.flatnonzero(~inside))
     axes.plot(counts[last], chosen[last], "-", color=GREY, label="all measured several times, rms")
     axes.set(xscale="log", yscale="log", xlabel="number of poses", ylabel="predicted position error [mm]")
-    _plain(axes.xaxis, axes.yaxis)
+    plain_ticks(axes.xaxis, axes.yaxis)
     axes.legend()
     return figure
 
@@ -106,12 +105,3 @@ def index_history(selection: Selection) -> Figure:
     axes.set(xlabel="exchange (dot: end of add-and-remove, then single swaps)", ylabel=name)
     axes.legend()
     return figure
-
-
-def _plain(*axes: Any) -> None:
-    """Write the ticks of logarithmic axes as plain numbers, which need no mathematical text."""
-    from matplotlib.ticker import FuncFormatter, NullFormatter
-
-    for axis in axes:
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())

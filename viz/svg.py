@@ -17,6 +17,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#7F7F7F"
+"""Colours that are told apart with any colour vision (Okabe and Ito), and a grey for what is only beside them."""
+AXES = {"x": (ORANGE, "o"), "y": (GREEN, "^"), "z": (BLUE, "s")}
+"""Colour and mark of what belongs to an axis."""
+STATES = {"before": (GREY, "--"), "after": (BLUE, "-")}
+"""Colour and line of what was before calibration, and after."""
+
 _Arguments = ParamSpec("_Arguments")
 _Drawn = TypeVar("_Drawn")
 _STYLE: dict[Any, Any] = {
@@ -94,3 +101,12 @@ def svg_text(figure: Figure, name: str, title: str) -> str:
     svg = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', svg)
     svg = re.sub(r'(xlink:href="#|url\(#)', rf"\g<1>{name}-", svg)
     return svg.replace("<svg ", f'<svg role="img" aria-label="{title}" ', 1)
+
+
+def plain_ticks(*axes: Any) -> None:
+    """Write the ticks of logarithmic axes as plain numbers such as 0.01: powers would need mathematics to print."""
+    from matplotlib.ticker import FuncFormatter, NullFormatter
+
+    for axis in axes:
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())

@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
-import base64
 import html
 import json
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from calib.files import write_file
-from calib.model.mechanism import FloatArray
 from calib.version import VERSION
-from viz.bodies import Bodies, Figure
-from viz.drawing import body_path, draw, load_meshcat
-from viz.poses import GROUPS
+from viz.drawing import load_meshcat
 from viz.scene import Scene
+from viz.scene_data import scene_data
 
-_SCRIPTS = ("kinematics.js", "marks.js", "stage.js", "panel.js", "controls.js", "start.js")
-_COLOURS = "viridis"  # even in lightness, and told apart with any colour vision
-_EXACT = 1e-12  # [m]: smallest range of colours, where nothing is wrong anywhere
-_POINT_RADIUS = (0.0025, 0.008)  # of the scene's size: of points that crowd, and of points with room
+_SCRIPTS = (
+    "kinematics.js",
+    "numbers.js",
+    "table.js",
+    "marks.js",
+    "labels.js",
+    "camera.js",
+    "stage.js",
+    "panel.js",
+    "controls.js",
+    "start.js",
+)
 
 
 @dataclass(frozen=True)
@@ -105,153 +106,3 @@ def json_in_script(data: object) -> str:
     ):
         text = text.replace(letter, code)
     return text
-
-
-def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
-    """Return the scene as the page's script reads it; arrays as base64, unknown numbers as NaN inside these."""
-    bodies, table = scene.bodies, scene.poses
-    names = [body for body, name in enumerate(bodies.names) if not name.startswith("(")]
-    noise = float(np.median(table.sigma[np.isfinite(table.sigma)])) if np.any(np.isfinite(table.sigma)) else None
-    return {
-        "title": scene.title,
-        "live": live,
-        "notes": list(scene.notes),
-        "verdict": None
-        if scene.verdict is None
-        else {"grade": scene.verdict.grade, "reasons": [reason.text for reason in scene.verdict.reasons]},
-        "groups": list(GROUPS),
-        "states": list(scene.states),
-        "joints": [{"name": joint.name, "unit": joint.unit, "per_si": joint.per_si} for joint in scene.joints],
-        "bodies": _bodies(scene.bodies),
-        "body_paths": [body_path(scene, body) for body in range(len(bodies.names))],
-        "frames": [{"body": body, "name": bodies.names[body]} for body in names],
-        "solid": _figure(scene.solid),
-        "ghost": None if scene.ghost is None else _figure(scene.ghost),
-        "commands": [base64.b64encode(command).decode() for command in draw(scene)],
-        "n_decorations": len(scene.decorations),
-        "vector_factors": scene.vector_factors,
-        "ghost_factor": scene.ghost_factor,
-        "view": {
-            "low": scene.view.low.tolist(),
-            "high": scene.view.high.tolist(),
-            "outline": scene.view.outline.tolist(),
-            "direction": scene.view.direction.tolist(),
-        },
-        "table": _table(scene),
-        "summary": summary(scene),
-        "noise": noise,
-        "range": ranges(scene),
-        "colours": _encode(colours()),
-        "point_radius": point_radius(scene),
-    }
-
-
-def _bodies(bodies: Bodies) -> dict[str, Any]:
-    return {
-        "parents": bodies.parents.tolist(),
-        "axes": bodies.axes.tolist(),
-        "sliding": list(bodies.sliding),
-        "columns": bodies.columns.tolist(),
-        "base": bodies.base,
-    }
-
-
-def summary(scene: Scene) -> list[dict[str, Any]]:
-    """Return count, mean and largest error [mm] of each group, before and after calibration where known."""
-    rows = []
-    group = np.array(scene.poses.group)
-    for name in GROUPS:
-        chosen = group == name
-        row: dict[str, Any] = {"group": name, "count": int(np.sum(chosen))}
-        for state in scene.states:
-            lengths = np.linalg.norm(scene.poses.error(state)[chosen], axis=1)
-            lengths = 1e3 * lengths[np.isfinite(lengths)]
-            row[state] = {"mean": float(lengths.mean()), "max": float(lengths.max())} if len(lengths) else None
-        if row["count"] and scene.states:
-            rows.append(row)
-    return rows
-
-
-def ranges(scene: Scene) -> dict[str, list[float]]:
-    """Return the error [m] at both ends of the colours: of each state (from zero), and of all (logarithmic).
-
-    Outliers do not stretch the colours, where there is anything else: they have the last colour.
-    """
-    result, known = {}, []
-    for state in scene.states:
-        lengths = np.linalg.norm(scene.poses.error(state), axis=1)
-        usual = lengths[np.isfinite(lengths) & ~scene.poses.outlier]
-        known.append(usual if len(usual) else lengths[np.isfinite(lengths)])
-        result[state] = [0.0, max(float(known[-1].max()), _EXACT)]
-    if known:
-        everything = np.concatenate(known)
-        high = max(float(everything.max()), _EXACT)
-        positive = everything[everything > high * 1e-4]
-        low = float(positive.min()) if len(positive) else high
-        result["both"] = [low if low < high else high / 10, high]
-    return result
-
-
-def colours() -> NDArray[np.uint8]:
-    """Return 256 colours from small to large errors, (256, 4)."""
-    from matplotlib import colormaps
-
-    table: NDArray[np.uint8] = np.round(255 * colormaps[_COLOURS](np.linspace(0, 1, 256))).astype(np.uint8)
-    return table
-
-
-def point_radius(scene: Scene) -> float:
-    """Return a radius [m] at which points are easy to see and rarely hide each other."""
-    from scipy.spatial import cKDTree
-
-    size = float(np.linalg.norm(scene.view.high - scene.view.low))
-    points = np.unique(np.round(_places(scene), 6), axis=0)
-    if len(points) < 2:
-        return _POINT_RADIUS[1] * size
-    gaps = cKDTree(points).query(points, k=2)[0][:, 1]
-    return float(np.clip(0.42 * np.median(gaps), _POINT_RADIUS[0] * size, _POINT_RADIUS[1] * size))
-
-
-def _places(scene: Scene) -> FloatArray:
-    """Where each point stands: measured, or else as well predicted as known."""
-    table = scene.poses
-    predicted = np.where(np.isfinite(table.after), table.after, table.before)
-    places: FloatArray = np.where(np.isfinite(table.measured), table.measured, predicted)
-    return places
-
-
-def _table(scene: Scene) -> dict[str, Any]:
-    table = scene.poses
-    group = np.array([GROUPS.index(name) for name in table.group], dtype=np.uint8) + len(GROUPS) * table.outlier.astype(
-        np.uint8
-    )
-    arrays = {
-        "joints": table.joints,
-        "measured": table.measured,
-        "place": _places(scene),
-        "before": table.error("before"),
-        "after": table.error("after"),
-        "sigma": table.sigma,
-        "spread": table.spread,
-    }
-    return {
-        "n": len(table),
-        "labels": list(table.labels),
-        "targets": list(table.targets),
-        "group": _encode(group.astype(np.uint8)),
-        **{name: _encode(values.astype("<f8")) for name, values in arrays.items()},
-    }
-
-
-def _figure(figure: Figure) -> dict[str, Any]:
-    return {
-        "placements": figure.placements[:, :3].reshape(-1, 12).tolist(),
-        "stretches": figure.stretches[:, :3].reshape(-1, 12).tolist(),
-        "width": figure.values.shape[1],
-        "values": _encode(figure.values.astype("<f4")),
-        "root": None if figure.root is None else figure.root[:3].ravel().tolist(),
-    }
-
-
-def _encode(values: NDArray[Any]) -> str:
-    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()

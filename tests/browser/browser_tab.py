@@ -41,3 +41,10 @@ class Tab:
         before = self.picture()
         action(*arguments)
         return float(np.mean(np.abs(self.picture() - before).max(axis=2) > 24))
+
+
+def slide(tab, name, value):
+    """Set a slider to a step, as a hand does."""
+    tab.page.locator(f"#{name}").evaluate(
+        "(slider, value) => { slider.value = value; slider.dispatchEvent(new Event('input')); }", value
+    )

@@ -82,3 +82,58 @@ def test_a_browser_that_comes_later_sees_the_present_pose(live, chromium):
     later.open(viewer.url)
     wait(later, "v.row === 33")
     later.context.close()
+
+
+def test_a_live_configuration_shows_its_own_numbers_and_no_errors_of_a_pose(live):
+    viewer, tab, fit = live
+    q = fit.identification.data.joints[30] + 1e-3
+    viewer.display(q)
+    wait(tab, "v.live !== null")
+    panel = tab.page.locator("#pose-block").inner_text()
+    assert "Live configuration" in panel
+    assert "not measured" in panel
+    assert "error" not in panel
+    assert "σ" not in panel
+    assert "Pose 0" not in panel
+    shown = [text.replace("−", "-") for text in tab.page.locator("#joints td").all_inner_texts()]
+    joints = viewer._shown.scene.joints
+    assert shown == [f"{joint.per_si * value:.2f} {joint.unit}" for joint, value in zip(joints, q, strict=True)]
+    rows = tab.page.locator("#position tbody tr").all_inner_texts()
+    assert [row.split("\t")[0] for row in rows] == ["pred. before", "pred. after"]
+    after = [float(cell.replace("−", "-")) for cell in rows[1].split("\t")[1:4]]
+    np.testing.assert_allclose(after, 1e3 * fit.robot.positions(q)[0, 0], atol=6e-4)
+    assert not tab.state("v.stage.marks.ring.visible")
+
+
+def test_a_live_configuration_stays_until_a_pose_is_asked_for(live):
+    viewer, tab, fit = live
+    viewer.show_pose(5)
+    wait(tab, "v.row === 5")
+    viewer.display(fit.identification.data.joints[30])
+    wait(tab, "v.live !== null")
+    tab.page.keyboard.press("b")
+    tab.page.locator("#show-identification").click()
+    tab.page.locator("#show-identification").click()
+    assert "Live configuration" in tab.page.locator("#pose-head").inner_text()
+    tab.page.locator("#next").click()
+    assert tab.state("v.row") == 5
+    assert "Live configuration" not in tab.page.locator("#pose-head").inner_text()
+    assert "error before" in tab.page.locator("#position").inner_text()
+
+
+def test_a_robot_without_poses_shows_the_joint_values_that_a_program_displays(chromium):
+    robot = medrue_robot()
+    with viz.show(robot) as viewer:
+        tab = Tab(chromium)
+        tab.context.set_offline(False)
+        tab.open(viewer.url)
+        assert viewer.wait_for_browser(10)
+        assert not tab.page.locator("#pose-block").is_visible()
+        viewer.display(robot.home)
+        wait(tab, "v.live !== null")
+        assert "Live configuration" in tab.page.locator("#pose-block").inner_text()
+        assert len(tab.page.locator("#joints td").all()) == 6
+        assert [row.split("\t")[0] for row in tab.page.locator("#position tbody tr").all_inner_texts()] == ["predicted"]
+        assert not tab.page.locator("#stepper").is_visible()
+        assert tab.problems == []
+        tab.context.close()

@@ -44,3 +44,37 @@ def test_it_prints(chromium, report_file):
         3 <= document.count(b"/Type /Page\n") + document.count(b"/Type/Page ") + document.count(b"/Type /Page ") <= 12
     )
     tab.context.close()
+
+
+@pytest.mark.parametrize("size", [(1000, 900), (390, 844), (320, 640)])
+def test_text_in_figures_stays_large_enough_to_read_and_wide_things_scroll_in_their_boxes(chromium, report_file, size):
+    tab = Tab(chromium, size=size)
+    tab.open(report_file.as_uri(), "main")
+    assert tab.page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    scales = """[...document.querySelectorAll('.drawing svg')].map((drawing) =>
+      drawing.getBoundingClientRect().width / drawing.viewBox.baseVal.width)"""
+    assert min(tab.page.evaluate(scales)) * 8 > 9  # px of the smallest letters, drawn with 8
+    captions = "[...document.querySelectorAll('.caption, figcaption')].map((e) => e.getBoundingClientRect().right)"
+    assert max(tab.page.evaluate(captions)) <= size[0]
+    tab.context.close()
+
+
+def test_rows_after_calibration_are_bold_and_headers_stand_above_their_numbers(chromium, report_file):
+    tab = Tab(chromium)
+    tab.open(report_file.as_uri(), "main")
+    weights = "[...document.querySelectorAll('.numbers .after > *')].map((e) => getComputedStyle(e).fontWeight)"
+    assert set(tab.page.evaluate(weights)) == {"600"}
+    aligned = (
+        "[...document.querySelectorAll('.numbers thead tr:nth-child(2) th')].map((e) => getComputedStyle(e).textAlign)"
+    )
+    assert set(tab.page.evaluate(aligned)) == {"right"}
+    tab.context.close()
+
+
+def test_words_in_the_first_column_are_not_broken_on_a_phone(chromium, report_file):
+    tab = Tab(chromium, size=(320, 640))
+    tab.open(report_file.as_uri(), "main")
+    heights = """[...document.querySelectorAll('.facts th')].filter((e) => !e.textContent.includes(' '))
+      .map((e) => e.getBoundingClientRect().height / parseFloat(getComputedStyle(e).lineHeight))"""
+    assert max(tab.page.evaluate(heights)) < 1.5
+    tab.context.close()

@@ -5,11 +5,12 @@ import itertools
 
 import numpy as np
 import pytest
-from browser_tab import Tab
+from browser_tab import Tab, slide
 from viz_examples import many_poses
 
 from viz.scene import build_scene
-from viz.viewer_page import scene_page, summary
+from viz.scene_data import summary
+from viz.viewer_page import scene_page
 
 
 def visible_numbers(tab, selector):
@@ -19,12 +20,6 @@ def visible_numbers(tab, selector):
 def matrices(tab, which):
     rows = np.array(tab.state(f"v.stage.{which}")).reshape(-1, 3, 4)
     return np.concatenate([rows, np.tile([[[0.0, 0.0, 0.0, 1.0]]], (len(rows), 1, 1))], axis=1)
-
-
-def slide(tab, name, value):
-    tab.page.locator(f"#{name}").evaluate(
-        "(slider, value) => { slider.value = value; slider.dispatchEvent(new Event('input')); }", value
-    )
 
 
 def test_it_loads_five_times_without_errors_and_without_asking_anybody(chromium, viewer_file):

@@ -2,36 +2,34 @@
 "use strict";
 
 const FACTORS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
+const SIZES = [0.25, 0.35, 0.5, 0.7, 1, 1.4, 2, 3]; // of a point, beside the usual one
 
 class Controls {
   constructor(scene) {
     this.scene = scene;
-    this.table = this.readTable(scene.table);
+    this.table = new PoseTable(scene);
     scene.colourBytes = decode(scene.colours, Uint8ClampedArray);
     this.panel = new Panel(scene, this.table);
     this.state = scene.states.includes("after") ? "after" : "before";
     this.row = 0;
-    this.shown = { groups: KINDS.map(() => true), outliers: true };
+    this.live = null; // what a live program shows instead of a pose
+    this.shown = { groups: scene.groups.map(() => true), outliers: true };
     this.stage = this.makeStage();
     this.wire();
     this.filter();
     this.applyState();
+    this.applyVisibility();
     this.go(0);
-  }
-
-  readTable(table) {
-    const floats = (name) => decode(table[name], Float64Array);
-    return { ...table, measured: floats("measured"), place: floats("place"), before: floats("before"), after: floats("after"),
-      sigma: floats("sigma"), spread: floats("spread"), joints: floats("joints"), group: decode(table.group, Uint8Array) };
+    this.resetCamera(); // now that the legend has its size
   }
 
   /** The 3D stage; null where the browser has no WebGL: the numbers work without it. */
   makeStage() {
     const { scene, table } = this;
     try {
-      const stage = new Stage(document.getElementById("pane"), document.getElementById("labels"), scene);
+      const stage = new Stage(document.getElementById("pane"), scene);
       if (table.n) {
-        stage.addMarks(new Marks(stage.THREE, table, Uint8Array.from(scene.colourBytes), scene.point_radius));
+        stage.addMarks(new Marks(stage.THREE, table, Uint8Array.from(scene.colourBytes), scene.point_radius, scene.point_pixels));
       }
       return stage;
     } catch (problem) {
@@ -52,24 +50,33 @@ class Controls {
     }
     on("same-scale", "change", () => this.applyState());
     document.getElementById("scale-label").hidden = this.scene.states.length < 2;
-    document.getElementById("state-block").hidden = this.scene.states.length === 0;
-    document.getElementById("legend").hidden = this.scene.states.length === 0;
+    document.getElementById("state-switch").hidden = this.scene.states.length === 0;
+    document.getElementById("state-block").hidden = this.scene.states.length === 0 && !this.scene.ghost;
+    document.getElementById("legend").hidden = this.scene.states.length === 0 && !this.scene.ghost;
+    document.getElementById("legend-errors").hidden = this.scene.states.length === 0;
     document.getElementById("pose-block").hidden = this.table.n === 0;
     document.getElementById("ghost-row").hidden = !this.scene.ghost;
     document.getElementById("decorations-row").hidden = this.scene.n_decorations === 0;
     document.getElementById("robot-name").textContent = this.scene.ghost ? "Calibrated robot" : "Robot";
     this.wireGroups();
     this.vectorFactors = { ...this.scene.vector_factors };
-    this.wireFactor("vector-factor", this.vectorFactors[this.state], (factor) => {
-      this.vectorFactors[this.sameScale() ? "before" : this.state] = factor;
-      this.panel.vectorNote(factor, document.getElementById("show-vectors").checked);
+    this.ghostFactor = this.scene.ghost_factor;
+    this.wireFactor("vector-factor", FACTORS, this.vectorFactors[this.state], (factor) => {
+      this.vectorFactors[this.vectorState()] = factor;
       if (this.stage && this.stage.marks) this.stage.marks.uniforms.factor.value = factor;
+      this.noteFactors();
     });
-    this.wireFactor("ghost-factor", this.scene.ghost_factor, (factor) => {
+    this.wireFactor("ghost-factor", FACTORS, this.ghostFactor, (factor) => {
+      this.ghostFactor = factor;
       if (this.stage) {
         this.stage.ghostFactor = factor;
         this.stage.showPose(this.stage.pose);
       }
+      this.noteFactors();
+    });
+    document.getElementById("point-size-row").hidden = this.table.n === 0;
+    this.wireFactor("point-size", SIZES, 1, (size) => {
+      if (this.stage && this.stage.marks) this.stage.marks.uniforms.size.value = size;
     });
     for (const id of ["show-vectors", "show-ghost", "show-robot", "show-decorations", "show-frames"]) {
       on(id, "change", () => this.applyVisibility());
@@ -87,35 +94,39 @@ class Controls {
   }
 
   wireGroups() {
+    const { groups, nGroups, group } = this.table;
     const place = document.getElementById("groups");
-    const entries = KINDS.map((name, kind) => [name, kind, this.table.group.filter((code) => code % 4 === kind).length])
-      .filter(([, kind, count]) => count > 0 || kind < 2);
-    entries.push(["outliers", OUTLIERS, this.table.group.filter((code) => code >= OUTLIERS).length]);
-    for (const [name, kind, count] of entries) {
+    const count = (matches) => group.filter(matches).length;
+    const add = (name, mark, n, choose) => {
       const box = element("input", { type: "checkbox", id: `show-${name.replace(" ", "-")}` });
       box.checked = true;
-      box.disabled = count === 0;
-      box.addEventListener("change", () => {
-        if (kind === OUTLIERS) this.shown.outliers = box.checked;
-        else this.shown.groups[kind] = box.checked;
-        this.filter();
-      });
+      box.disabled = n === 0;
+      box.addEventListener("change", () => { choose(box.checked); this.filter(); });
       const text = name[0].toUpperCase() + name.slice(1);
-      place.append(element("label", { class: "check" }, box, mark(kind), element("span", {}, `${text} (${count})`)));
-    }
+      place.append(element("label", { class: "check" }, box, markPicture(mark), element("span", {}, `${text} (${n})`)));
+    };
+    groups.forEach(({ name, mark }, kind) => {
+      const n = count((code) => code % nGroups === kind);
+      if (n || name === "identification" || name === "validation") {
+        add(name, mark, n, (checked) => { this.shown.groups[kind] = checked; });
+      }
+    });
+    this.nOutliers = count((code) => code >= nGroups);
+    add("outliers", "cross", this.nOutliers, (checked) => { this.shown.outliers = checked; });
     place.hidden = this.table.n === 0;
-    this.kindsPresent = entries.filter(([, , count]) => count > 0).map(([, kind]) => kind);
+    // of what was left out the legend has the cross alone: all of it are outliers
+    this.groupsInLegend = groups.filter((_, kind) => count((code) => code === kind) > 0);
   }
 
-  wireFactor(id, start, apply) {
+  wireFactor(id, steps, start, apply) {
     const slider = document.getElementById(id);
-    slider.max = FACTORS.length - 1;
+    slider.max = steps.length - 1;
     slider.show = (factor) => {
-      slider.value = Math.max(0, FACTORS.findIndex((listed) => listed >= factor));
+      slider.value = Math.max(0, steps.findIndex((listed) => listed >= factor));
       changed();
     };
     const changed = () => {
-      const factor = FACTORS[Number(slider.value)];
+      const factor = steps[Number(slider.value)];
       document.getElementById(`${id}-text`).textContent = `\u00d7${factor}`;
       slider.setAttribute("aria-valuetext", `${factor} times`);
       apply(factor);
@@ -165,8 +176,9 @@ class Controls {
 
   /** Which rows are visible; the slider and the arrow keys run over these only. */
   filter() {
-    const { group, n } = this.table;
-    const visible = [0, 1, 2, 3, 4, 5, 6, 7].map((code) => this.shown.groups[code % 4] && (code < OUTLIERS || this.shown.outliers));
+    const { group, n, nGroups } = this.table;
+    const visible = Array.from({ length: 2 * nGroups }, (_, code) =>
+      this.shown.groups[code % nGroups] && (code < nGroups || this.shown.outliers));
     this.rows = [];
     for (let row = 0; row < n; row += 1) {
       if (visible[group[row]]) this.rows.push(row);
@@ -181,6 +193,7 @@ class Controls {
       document.getElementById(id).disabled = this.rows.length === 0;
     }
     this.panel.worst(this.rows, this.state, (row) => this.go(row));
+    if (this.live) return; // what a program shows stays
     if (this.rows.length) {
       this.go(this.rows.find((row) => row >= this.row) ?? this.rows[this.rows.length - 1]);
     } else if (this.stage && this.stage.marks) {
@@ -188,14 +201,18 @@ class Controls {
     }
   }
 
+  /** The next visible row; from what a program shows, back to the pose before it. */
   step(by) {
     if (!this.rows.length) return;
-    const place = this.rows.indexOf(this.row) + by;
+    const after = this.rows.findIndex((row) => row >= this.row);
+    const here = after < 0 ? this.rows.length : after;
+    const place = this.live ? here : here + by;
     this.go(this.rows[Math.min(Math.max(place, 0), this.rows.length - 1)]);
   }
 
   go(row) {
     this.row = row;
+    this.live = null;
     if (this.stage) {
       this.stage.live = null;
       this.stage.showPose(row);
@@ -204,8 +221,14 @@ class Controls {
     if (this.stage) this.stage.marks.choose(row);
     const slider = document.getElementById("pose");
     slider.value = Math.max(0, this.rows.indexOf(row));
-    slider.setAttribute("aria-valuetext", `${poseName(this.table, row)}, ${Number(slider.value) + 1} of ${this.rows.length}`);
-    this.panel.pose(row, this.state);
+    slider.setAttribute("aria-valuetext", `Pose ${this.table.name(row)}, ${Number(slider.value) + 1} of ${this.rows.length}`);
+    this.showNumbers();
+  }
+
+  /** Numbers of what is shown. */
+  showNumbers() {
+    if (this.live) this.panel.live(this.live);
+    else if (this.table.n) this.panel.pose(this.row, this.state);
   }
 
   /** Whether both states share colours (then logarithmic, to hold both) and enlargement. */
@@ -213,11 +236,16 @@ class Controls {
     return document.getElementById("same-scale").checked && this.scene.states.length > 1;
   }
 
+  /** Whose enlargement is used: with the same scale, that of the larger errors. */
+  vectorState() {
+    return this.sameScale() ? "before" : this.state;
+  }
+
   applyState() {
     if (!this.scene.states.length) return;
     document.getElementById(`state-${this.state}`).checked = true;
     const same = this.sameScale();
-    document.getElementById("vector-factor").show(this.vectorFactors[same ? "before" : this.state]);
+    document.getElementById("vector-factor").show(this.vectorFactors[this.vectorState()]);
     const [low, high] = same ? this.scene.range.both : this.scene.range[this.state];
     const uniforms = this.stage && this.stage.marks && this.stage.marks.uniforms;
     if (uniforms) {
@@ -227,9 +255,9 @@ class Controls {
       Object.assign(uniforms.logarithmic, { value: Number(same) });
       this.stage.redraw();
     }
-    this.panel.legend(this.state, low, high, same, this.kindsPresent);
+    this.panel.legend(this.state, low, high, same, this.groupsInLegend, this.nOutliers > 0);
     this.panel.worst(this.rows, this.state, (row) => this.go(row));
-    if (this.table.n) this.panel.pose(this.row, this.state);
+    this.showNumbers();
   }
 
   applyVisibility() {
@@ -241,7 +269,13 @@ class Controls {
     if (marks) marks.vectors.visible = on("show-vectors");
     if (ghostRoot) ghostRoot.visible = on("show-ghost");
     this.stage.showFrames(on("show-frames"));
-    this.panel.vectorNote(marks ? marks.uniforms.factor.value : 1, on("show-vectors"));
+    this.noteFactors();
+  }
+
+  noteFactors() {
+    const on = (id) => document.getElementById(id).checked;
+    const vectors = this.scene.states.length && on("show-vectors") ? this.vectorFactors[this.vectorState()] : null;
+    this.panel.enlarged(vectors, this.scene.ghost && on("show-ghost") ? this.ghostFactor : null);
   }
 
   resetCamera() {
@@ -257,11 +291,16 @@ class Controls {
     this.stage.look(direction[name]);
   }
 
-  /** Joint values of a live program, in the order of the tree's columns. */
-  showLive(solid, ghost) {
-    if (!this.stage) return;
-    this.stage.live = { solid, ghost };
-    this.stage.showPose(this.stage.pose);
-    if (this.stage.marks) this.stage.marks.choose(-1);
+  /** Show joint values of a live program: `solid` and `ghost` in the order of the tree's columns. */
+  showLive(live) {
+    this.live = live;
+    if (this.stage) {
+      this.stage.live = live;
+      this.stage.showPose(this.stage.pose);
+      if (this.stage.marks) this.stage.marks.choose(-1);
+    }
+    document.getElementById("stepper").hidden = this.table.n === 0;
+    document.getElementById("pose").setAttribute("aria-valuetext", "live configuration");
+    this.showNumbers();
   }
 }

@@ -43,22 +43,22 @@ class Tree {
   }
 
   /** Pose T of every body, for one row of joint values. */
-  poses(figure, values) {
+  poses(robot, values) {
     const poses = [[1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0]];
     this.parents.forEach((parent, i) => {
-      let pose = multiply(poses[parent], figure.placements[i]);
+      let pose = multiply(poses[parent], robot.placements[i]);
       if (this.columns[i] >= 0) {
         pose = multiply(pose, jointMotion(this.axes[i], values[this.columns[i]], this.sliding[i]));
       }
       poses.push(pose);
     });
-    const back = figure.root || invertRigid(poses[this.base]);
+    const back = robot.root || invertRigid(poses[this.base]);
     return poses.map((pose) => multiply(back, pose));
   }
 
   /** M = T S of every body. */
-  matrices(figure, values) {
-    return this.poses(figure, values).map((pose, body) => multiply(pose, figure.stretches[body]));
+  matrices(robot, values) {
+    return this.poses(robot, values).map((pose, body) => multiply(pose, robot.stretches[body]));
   }
 
   /** M_solid + factor (M_ghost - M_solid). */

@@ -5,41 +5,42 @@
 const UNKNOWN = 1e9; // stands for an error that is not known: shaders cannot be trusted with NaN
 
 const SHARED_SHADER = `
-  attribute vec3 place; attribute vec3 before; attribute vec3 after; attribute float group;
+  attribute vec3 place; attribute vec3 before; attribute vec3 after;
+  attribute float group; attribute float shape; attribute float outlier;
   uniform float state; uniform float low; uniform float high; uniform float logarithmic;
-  uniform float visible[8]; uniform sampler2D colours;
-  varying vec3 vColour; varying float vGroup;
+  uniform float visible[CODES]; uniform sampler2D colours;
+  varying vec3 vColour; varying float vShape; varying float vOutlier;
   vec3 chosenError() { return state < 0.5 ? before : after; }
-  bool isVisible() { int code = int(group + 0.5); for (int i = 0; i < 8; i++) if (i == code) return visible[i] > 0.5; return false; }
+  bool isVisible() { int code = int(group + 0.5); for (int i = 0; i < CODES; i++) if (i == code) return visible[i] > 0.5; return false; }
   void colour() {
     float size = length(chosenError());
     float part = logarithmic > 0.5 ? log(max(size, 1e-12) / low) / log(high / low) : (size - low) / (high - low);
     bool known = size < 1e6;
     vColour = known ? texture2D(colours, vec2(clamp(part, 0.002, 0.998), 0.5)).rgb : vec3(0.55);
-    vGroup = group;
+    vShape = shape;
+    vOutlier = outlier;
   }`;
 
 const POINT_VERTEX = `
-  uniform float radius; uniform float pixels; uniform float smallest;
+  uniform float radius; uniform float pixels; uniform float smallest; uniform float size;
   void main() {
     colour();
     vec4 seen = modelViewMatrix * vec4(place, 1.0);
     gl_Position = isVisible() ? projectionMatrix * seen : vec4(2.0, 2.0, 2.0, 1.0);
-    gl_PointSize = max(smallest, pixels * projectionMatrix[1][1] * radius / -seen.z);
+    gl_PointSize = size * max(smallest, pixels * projectionMatrix[1][1] * radius / -seen.z);
   }`;
 
-// Shapes tell the groups apart without colour: disc = identification, square on its corner = validation, square = only
-// measured; a cross through it marks an outlier, used or left out.
+// Shapes tell the groups apart without colour; a cross through one marks an outlier, used or left out.
+const SHAPES = ["disc", "diamond", "square"];
+
 const POINT_FRAGMENT = `
-  varying vec3 vColour; varying float vGroup;
+  varying vec3 vColour; varying float vShape; varying float vOutlier;
   void main() {
     vec2 p = 2.0 * gl_PointCoord - 1.0;
-    float code = floor(vGroup + 0.5);
-    bool outlier = code > 3.5;
-    float kind = outlier ? code - 4.0 : code;
-    float reach = kind < 0.5 || kind > 2.5 ? length(p) : kind < 1.5 ? abs(p.x) + abs(p.y) : max(abs(p.x), abs(p.y)) * 1.15;
+    int shape = int(vShape + 0.5);
+    float reach = shape == DISC ? length(p) : shape == DIAMOND ? abs(p.x) + abs(p.y) : max(abs(p.x), abs(p.y)) * 1.15;
     float cross = min(abs(p.x - p.y), abs(p.x + p.y));
-    if (outlier && cross < 0.28 && max(abs(p.x), abs(p.y)) < 0.98) {
+    if (vOutlier > 0.5 && cross < 0.28 && max(abs(p.x), abs(p.y)) < 0.98) {
       gl_FragColor = vec4(cross < 0.13 ? vec3(0.0) : vec3(1.0), 1.0);
       return;
     }
@@ -49,17 +50,17 @@ const POINT_FRAGMENT = `
 
 // A slender cone from the measured point to the exaggerated predicted point; the tip shows the direction.
 const VECTOR_VERTEX = `
-  uniform float factor; uniform float thickness; varying float vShade;
+  uniform float factor; uniform float thickness; uniform float size; varying float vShade;
   void main() {
     colour();
     vec3 along = factor * chosenError();
-    float size = length(along);
-    if (!isVisible() || size < 1e-9 || size > 1e6) { gl_Position = vec4(2.0, 2.0, 2.0, 1.0); return; }
-    vec3 axis = along / size;
+    float reach = length(along);
+    if (!isVisible() || reach < 1e-9 || reach > 1e6) { gl_Position = vec4(2.0, 2.0, 2.0, 1.0); return; }
+    vec3 axis = along / reach;
     vec3 helper = abs(axis.z) < 0.8 ? vec3(0.0, 0.0, 1.0) : vec3(1.0, 0.0, 0.0);
     vec3 side = normalize(cross(axis, helper));
     vec3 other = cross(axis, side);
-    float wide = min(thickness, 0.12 * size + 0.25 * thickness);
+    float wide = min(size * thickness, 0.12 * reach + 0.25 * size * thickness);
     vec3 around = position.x * side + position.z * other;
     vec4 seen = modelViewMatrix * vec4(place + position.y * along + wide * around, 1.0);
     vShade = 0.72 + 0.28 * max(0.0, normalize(normalMatrix * (around + 0.0001)).z);
@@ -71,11 +72,11 @@ const VECTOR_FRAGMENT = `
   void main() { gl_FragColor = vec4(vColour * vShade, 1.0); }`;
 
 const RING_VERTEX = `
-  uniform float pixels; uniform float radius; uniform float smallest;
+  uniform float pixels; uniform float radius; uniform float smallest; uniform float size;
   void main() {
     vec4 place = modelViewMatrix * vec4(position, 1.0);
     gl_Position = projectionMatrix * place;
-    gl_PointSize = 2.1 * max(smallest, pixels * projectionMatrix[1][1] * radius / -place.z) + 10.0;
+    gl_PointSize = 2.1 * size * max(smallest, pixels * projectionMatrix[1][1] * radius / -place.z) + 10.0;
   }`;
 
 const RING_FRAGMENT = `
@@ -88,11 +89,12 @@ const RING_FRAGMENT = `
 class Marks {
   /**
    * @param THREE the library
-   * @param table n, place (of the point), before and after (error vectors), group (codes): typed arrays
+   * @param table a PoseTable
    * @param colours 256 x 4 bytes
    * @param radius of a point [m]
+   * @param smallest width of a point [px]
    */
-  constructor(THREE, table, colours, radius) {
+  constructor(THREE, table, colours, radius, smallest) {
     this.THREE = THREE;
     this.table = table;
     this.radius = radius;
@@ -101,11 +103,10 @@ class Marks {
     texture.needsUpdate = true;
     this.uniforms = {
       state: { value: 0 }, low: { value: 1e-5 }, high: { value: 1e-2 }, logarithmic: { value: 1 },
-      visible: { value: [1, 1, 1, 1, 1, 1, 1, 1] }, colours: { value: texture }, radius: { value: radius },
-      pixels: { value: 800 }, smallest: { value: 7 }, factor: { value: 1 }, thickness: { value: 0.42 * radius },
+      visible: { value: new Array(2 * table.nGroups).fill(1) }, colours: { value: texture }, radius: { value: radius },
+      pixels: { value: 800 }, smallest: { value: smallest }, size: { value: 1 }, factor: { value: 1 }, thickness: { value: 0.42 * radius },
     };
-    this.points = new THREE.Points(this.geometry(new THREE.BufferGeometry(), THREE.BufferAttribute),
-                                   this.material(SHARED_SHADER + POINT_VERTEX, POINT_FRAGMENT));
+    this.points = new THREE.Points(this.pointGeometry(), this.material(SHARED_SHADER + POINT_VERTEX, POINT_FRAGMENT));
     this.vectors = new THREE.Mesh(this.cones(), this.material(SHARED_SHADER + VECTOR_VERTEX, VECTOR_FRAGMENT));
     this.ring = this.ringMark();
     for (const object of [this.points, this.vectors, this.ring]) {
@@ -116,35 +117,59 @@ class Marks {
   }
 
   material(vertexShader, fragmentShader) {
-    return new this.THREE.ShaderMaterial({ uniforms: this.uniforms, vertexShader, fragmentShader });
+    const defines = { CODES: 2 * this.table.nGroups };
+    SHAPES.forEach((shape, number) => { defines[shape.toUpperCase()] = number; });
+    return new this.THREE.ShaderMaterial({ uniforms: this.uniforms, defines, vertexShader, fragmentShader });
   }
 
-  geometry(geometry, Attribute) {
-    const known = (values) => Float32Array.from(values, (value) => (Number.isNaN(value) ? UNKNOWN : value));
-    const { place, before, after, group } = this.table;
-    geometry.setAttribute("place", new Attribute(new Float32Array(place), 3));
-    geometry.setAttribute("before", new Attribute(known(before), 3));
-    geometry.setAttribute("after", new Attribute(known(after), 3));
-    geometry.setAttribute("group", new Attribute(new Float32Array(group), 1));
-    if (!geometry.attributes.position) {
-      geometry.setAttribute("position", geometry.attributes.place);
-    }
+  /** A geometry with what the shaders need of every row, `corners` times each. */
+  geometry(corners = 1) {
+    const geometry = new this.THREE.BufferGeometry();
+    const known = (value) => (Number.isNaN(value) ? UNKNOWN : value);
+    const shapes = this.table.groups.map(({ mark }) => SHAPES.indexOf(mark));
+    const { n, place, before, after, group } = this.table;
+    const add = (name, width, value) => {
+      const array = new Float32Array(n * corners * width);
+      for (let k = 0; k < array.length; k += 1) {
+        array[k] = value(Math.floor(k / (width * corners)), k % width);
+      }
+      geometry.setAttribute(name, new this.THREE.BufferAttribute(array, width));
+    };
+    add("place", 3, (row, axis) => place[3 * row + axis]);
+    add("before", 3, (row, axis) => known(before[3 * row + axis]));
+    add("after", 3, (row, axis) => known(after[3 * row + axis]));
+    add("group", 1, (row) => group[row]);
+    add("shape", 1, (row) => shapes[this.table.kind(row)]);
+    add("outlier", 1, (row) => Number(this.table.isOutlier(row)));
     return geometry;
   }
 
+  pointGeometry() {
+    const geometry = this.geometry();
+    geometry.setAttribute("position", geometry.attributes.place);
+    return geometry;
+  }
+
+  /** All cones as one mesh: without a graphics card, thousands of instances would be drawn one by one. */
   cones() {
-    const sides = 5; // few corners: there may be thousands of cones
-    const corners = [0, 1, 0];
-    const triangles = [];
-    for (let i = 0; i < sides; i += 1) {
-      corners.push(Math.cos(2 * Math.PI * i / sides), 0, Math.sin(2 * Math.PI * i / sides));
-      triangles.push(0, 1 + (i + 1) % sides, 1 + i);
+    const { n } = this.table;
+    const sides = n > 1000 ? 3 : 5; // few corners: all are drawn in every frame
+    const corners = sides + 1;
+    const geometry = this.geometry(corners);
+    const shape = [[0, 1, 0], ...Array.from({ length: sides }, (_, i) => 2 * Math.PI * i / sides)
+      .map((angle) => [Math.cos(angle), 0, Math.sin(angle)])];
+    const position = new Float32Array(3 * n * corners);
+    const triangles = new Uint32Array(3 * n * sides);
+    for (let row = 0; row < n; row += 1) {
+      position.set(shape.flat(), 3 * row * corners);
+      for (let i = 0; i < sides; i += 1) {
+        const first = row * corners;
+        triangles.set([first, first + 1 + (i + 1) % sides, first + 1 + i], 3 * (row * sides + i));
+      }
     }
-    const instanced = new this.THREE.InstancedBufferGeometry();
-    instanced.setIndex(triangles);
-    instanced.setAttribute("position", new this.THREE.Float32BufferAttribute(corners, 3));
-    instanced.instanceCount = this.table.n;
-    return this.geometry(instanced, this.THREE.InstancedBufferAttribute);
+    geometry.setAttribute("position", new this.THREE.BufferAttribute(position, 3));
+    geometry.setIndex(new this.THREE.BufferAttribute(triangles, 1));
+    return geometry;
   }
 
   ringMark() {

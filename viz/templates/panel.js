@@ -1,66 +1,15 @@
 // The panel: numbers of the chosen pose, legend and summary. It only reads the scene and writes text.
 "use strict";
 
-const KINDS = ["identification", "validation", "measured", "left out"]; // and 4 more: the same, outliers
-const OUTLIERS = 4; // the mark and the switch of outliers
-const MARK_PATHS = ["M7 1a6 6 0 1 0 .01 0z", "M7 .5L13.5 7 7 13.5.5 7z", "M2 2h10v10H2z", "M7 1a6 6 0 1 0 .01 0z", "M2 4L4 2l3 3 3-3 2 2-3 3 3 3-2 2-3-3-3 3-2-2 3-3z"];
-
-/** A number with a fixed count of decimals, or a dash where it is not known. */
-function figure(value, decimals) {
-  return Number.isFinite(value) ? value.toFixed(decimals).replace("-", "\u2212") : "\u2013";
-}
-
-/** Decimals that show three digits of a length in mm, but no more than a hundredth of a micrometre. */
-function millimetres(value) {
-  if (!Number.isFinite(value)) return "\u2013";
-  const size = Math.abs(value);
-  return figure(value, size >= 100 ? 0 : size >= 10 ? 1 : size >= 1 ? 2 : size >= 0.1 ? 3 : size >= 0.001 ? 4 : 5);
-}
-
-function element(name, attributes = {}, ...children) {
-  const node = document.createElement(name);
-  for (const [key, value] of Object.entries(attributes)) {
-    node.setAttribute(key, value);
-  }
-  node.append(...children);
-  return node;
-}
-
-/** The mark of a group as an inline picture. */
-function mark(kind) {
-  const drawing = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-  drawing.setAttribute("viewBox", "0 0 14 14");
-  drawing.setAttribute("class", "mark");
-  drawing.setAttribute("aria-hidden", "true");
-  const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
-  path.setAttribute("d", MARK_PATHS[kind]);
-  path.setAttribute("fill", kind === OUTLIERS ? "#000" : "#9fb0c2");
-  path.setAttribute("stroke", "#1a1f29");
-  path.setAttribute("stroke-width", kind === OUTLIERS ? "0.5" : "1.6");
-  drawing.append(path);
-  return drawing;
-}
-
-/** Name of a row as short as it can be: with its point where there are several, with its group where names repeat. */
-function rowName(table, row) {
-  if (table.several === undefined) {
-    table.several = new Set(table.targets).size > 1;
-    table.repeated = new Set(table.labels.map((label, k) => `${label}\n${table.targets[k]}`)).size < table.n;
-  }
-  return table.labels[row] + (table.several ? ` ${table.targets[row]}` : "")
-    + (table.repeated ? ` (${["fit", "val", "meas", "out"][table.group[row] % 4]})` : "");
-}
-
-function poseName(table, row) {
-  return `Pose ${rowName(table, row)}`;
-}
+const THREE_NUMBERS = [0, 1, 2];
 
 class Panel {
+  /** @param table a PoseTable */
   constructor(scene, table) {
     this.scene = scene;
     this.table = table;
-    this.lengths = {};
     document.getElementById("title").textContent = scene.title;
+    this.remarks();
     this.summary();
     this.notes();
   }
@@ -71,21 +20,27 @@ class Panel {
     document.getElementById("notes").append(...notes.map((note) => element("li", {}, note)));
   }
 
+  /** What the measurement files say about themselves: the first line at once, the others on request. */
+  remarks() {
+    const { lines, more, simulated } = this.scene.remarks;
+    const place = document.getElementById("remarks");
+    place.hidden = lines.length === 0;
+    if (!lines.length) return;
+    if (simulated) place.classList.add("simulated");
+    const rest = [...lines.slice(1), ...(more ? [`and ${more} more lines`] : [])];
+    const first = [element("strong", {}, "From the file: "), lines[0]];
+    place.append(rest.length ? element("details", {}, element("summary", {}, ...first),
+      ...rest.map((line) => element("p", {}, line))) : element("p", {}, ...first));
+  }
+
   summary() {
     const place = document.getElementById("summary");
-    const { summary, noise, verdict } = this.scene;
-    if (verdict) {
-      place.append(element("p", { class: `verdict ${verdict.grade}` }, element("strong", {}, verdict.grade),
-        verdict.reasons.length ? ` ${verdict.reasons[0]}` : " nothing was found against this fit"));
-      if (verdict.reasons.length > 1) {
-        place.append(element("details", {}, element("summary", {}, `${verdict.reasons.length - 1} more to know`),
-          element("ul", {}, ...verdict.reasons.slice(1).map((reason) => element("li", {}, reason)))));
-      }
-    }
+    const { summary, verdict } = this.scene;
+    if (verdict) place.append(...this.verdict(verdict));
     const both = summary.filter((row) => row.before && row.after);
     if (both.length) {
       const judged = both.find((row) => row.group === "validation") || both[0];
-      place.append(element("p", { class: "figures" }, element("strong", { id: "mean-before" }, millimetres(judged.before.mean)),
+      place.append(element("p", { class: "numbers" }, element("strong", { id: "mean-before" }, millimetres(judged.before.mean)),
         "\u2192", element("strong", { id: "mean-after" }, millimetres(judged.after.mean)), element("strong", {}, "mm")),
         element("p", {}, `mean position error before and after calibration, ${judged.count} ${judged.group} poses`));
     }
@@ -96,92 +51,131 @@ class Panel {
         ...[row.before, row.after].flatMap((part) => [part ? part.mean : NaN, part ? part.max : NaN]).map((value) => element("td", {}, millimetres(value)))));
       place.append(element("table", {}, element("thead", {}, ...head), element("tbody", {}, ...body)));
     }
-    if (Number.isFinite(noise)) {
-      place.append(element("p", {}, `Measurement noise: ${millimetres(1e3 * noise)} mm per axis (1\u03c3)`));
-    }
+    place.append(...this.certainty());
     if (!summary.length) {
       place.append(element("p", {}, this.table.n ? "Predicted positions; nothing was measured here."
         : "No poses: the robot in its home configuration."));
     }
   }
 
-  /** Length of a row's error [m]; all are worked out once. */
-  error(state, row) {
-    if (!this.lengths[state]) {
-      const values = this.table[state];
-      this.lengths[state] = Float64Array.from({ length: this.table.n },
-        (_, k) => Math.hypot(values[3 * k], values[3 * k + 1], values[3 * k + 2]));
-    }
-    return this.lengths[state][row];
-  }
-
-  /** The rows with the largest errors, largest first. */
-  largest(rows, state, count) {
-    const found = [];
-    for (const row of rows) {
-      const error = this.error(state, row);
-      if (!Number.isFinite(error) || (found.length === count && error <= this.error(state, found[count - 1]))) continue;
-      const place = found.findIndex((other) => error > this.error(state, other));
-      found.splice(place < 0 ? found.length : place, 0, row);
-      found.length = Math.min(found.length, count);
+  verdict({ grade, reasons }) {
+    const reasonText = (reason) => (reason.grade ? `${reason.grade}: ${reason.text}` : reason.text);
+    const found = [element("p", { class: `verdict ${grade}` }, element("strong", {}, grade),
+      reasons.length ? ` ${reasons[0].text}` : " nothing was found against this fit")];
+    if (reasons.length > 1) {
+      found.push(element("details", {}, element("summary", {}, `${reasons.length - 1} more to know`),
+        element("ul", {}, ...reasons.slice(1).map((reason) => element("li", {}, reasonText(reason))))));
     }
     return found;
   }
 
+  /** How sure the numbers are: of one reading, of a pose's mean of several, and of what the robot predicts. */
+  certainty() {
+    const { noise, means, readings, predicted } = this.scene.certainty;
+    const lines = [];
+    if (noise !== null) {
+      const [least, most] = readings;
+      const range = (low, high, text) => (text(low) === text(high) ? text(low) : `${text(low)} to ${text(high)}`);
+      lines.push(element("p", { id: "noise" }, `Noise of one reading: ${millimetres(noise)} mm per axis (1\u03c3)`
+        + (most > 1 ? `; of a pose, the mean of ${range(least, most, String)} readings: ${range(...means, millimetres)} mm` : "")));
+    }
+    if (predicted) {
+      lines.push(element("p", { id: "predicted" }, `Predictions are known to ${millimetres(predicted[0])} mm on average, ${millimetres(predicted[1])} mm`
+        + " at worst (1\u03c3, from noise alone)"));
+    }
+    return lines;
+  }
+
+  /** Numbers of a row of the table. */
   pose(row, state) {
     const { table, scene } = this;
     const head = document.getElementById("pose-head");
+    const readings = table.readings[row];
     head.replaceChildren(element("span", { class: "name" }, `Pose ${table.labels[row]}${table.several ? `, ${table.targets[row]}` : ""}`),
-      element("span", { class: "tag" }, KINDS[table.group[row] % 4]));
-    if (table.group[row] >= OUTLIERS) {
-      head.append(element("span", { class: "tag outlier" }, "outlier"));
-    }
-    const at = (values, scale = 1e3) => [0, 1, 2].map((i) => scale * values[3 * row + i]);
+      element("span", { class: "tag" }, table.groups[table.kind(row)].name),
+      ...(readings > 1 ? [element("span", { class: "tag" }, `mean of ${readings} readings`)] : []),
+      ...(table.isOutlier(row) ? [element("span", { class: "tag outlier" }, "outlier")] : []));
+    const at = (values, scale = 1e3) => THREE_NUMBERS.map((i) => scale * values[3 * row + i]);
     const sum = (a, b) => a.map((value, i) => value + b[i]);
     const measured = at(table.measured);
     const base = measured.every(Number.isFinite) ? measured : [NaN, NaN, NaN];
-    const lines = [["measured", measured, 3, false]];
-    for (const name of scene.states.length ? scene.states : []) {
-      lines.push([`pred. ${name}`, sum(base, at(table[name])), 3, false]);
-    }
+    const lines = [["measured", measured, 3, false], ...scene.states.map((name) => [`pred. ${name}`, sum(base, at(table[name])), 3, false])];
     if (!scene.states.length) lines.push(["predicted", at(table.place), 3, false]);
     for (const name of scene.states) {
       const error = at(table[name]);
       lines.push([`error ${name}`, [...error, Math.hypot(...error)], 4, name === state]);
     }
     if (scene.states.includes("after")) {
-      const ratio = at(table.after, 1 / table.sigma[row]);
+      const sigma = table.sigma[row];
+      const ratio = at(table.after, sigma > 0 ? 1 / sigma : NaN);
       lines.push(["residual / \u03c3", [...ratio, Math.hypot(...ratio)], 2, false]);
       lines.push(["pred. \u00b1 1\u03c3", at(table.spread), 4, false]);
     }
-    document.querySelector("#position tbody").replaceChildren(...lines.map(([name, values, decimals, now]) =>
-      element("tr", now ? { class: "now" } : {}, element("th", { scope: "row" }, name),
-        ...[0, 1, 2, 3].map((i) => element("td", {}, i < values.length ? figure(values[i], decimals) : "")))));
-    const joints = scene.joints.map(({ name, unit, per_si }, i) => element("tr", {}, element("th", { scope: "row" }, name),
-      element("td", {}, `${figure(per_si * table.joints[row * scene.joints.length + i], 2)} ${unit}`)));
-    document.querySelector("#joints tbody").replaceChildren(...joints);
+    this.positions(lines);
+    const note = scene.states.includes("after") && table.sigma[row] > 0
+      ? `\u03c3 = ${millimetres(1e3 * table.sigma[row])} mm, of ${readings > 1 ? `a mean of ${readings} readings` : "one reading"}` : "";
+    document.getElementById("sigma-note").textContent = note;
+    this.joints(scene.joints.map((_, i) => table.joints[row * scene.joints.length + i]));
   }
 
-  /** Buttons for the poses with the largest errors among the visible rows. */
+  /** Numbers of joint values that a live program shows; nothing was measured there, so there are no errors. */
+  live({ joints, targets, predicted }) {
+    document.getElementById("pose-block").hidden = false;
+    document.getElementById("pose-head").replaceChildren(element("span", { class: "name" }, "Live configuration"),
+      element("span", { class: "tag" }, "shown by the program, not measured"));
+    const lines = Object.entries(predicted).filter(([, positions]) => positions).flatMap(([state, positions]) =>
+      positions.map((position, k) => [`${predicted.after ? `pred. ${state}` : "predicted"}${targets.length > 1 ? `, ${targets[k]}` : ""}`,
+        position.map((value) => 1e3 * value), 3, false]));
+    this.positions(lines);
+    document.getElementById("sigma-note").textContent = "";
+    this.joints(joints);
+  }
+
+  /** @param lines name, numbers, decimals, and whether it is the state that is shown */
+  positions(lines) {
+    document.querySelector("#position tbody").replaceChildren(...lines.map(([name, values, decimals, now]) =>
+      element("tr", now ? { class: "now" } : {}, element("th", { scope: "row" }, name),
+        ...[0, 1, 2, 3].map((i) => element("td", {}, i < values.length ? fixed(values[i], decimals) : "")))));
+  }
+
+  /** Joint values [m or rad] in as many columns as the longest name leaves room for. */
+  joints(values) {
+    const rows = this.scene.joints.map(({ name, unit, per_si }, i) => [name, `${fixed(per_si * values[i], 2)} ${unit}`]);
+    const letters = Math.max(0, ...rows.map(([name]) => Math.min(name.length, 24) + 13)); // 13: -1234.56 deg
+    const body = document.querySelector("#joints tbody");
+    body.style.setProperty("--letters", letters);
+    body.replaceChildren(...rows.map(([name, value]) =>
+      element("tr", {}, element("th", { scope: "row" }, name), element("td", {}, value))));
+  }
+
+  /** Buttons for the poses with the largest errors among the visible rows; the focus stays at its place in the list. */
   worst(rows, state, go) {
     const place = document.getElementById("worst");
-    const sorted = this.largest(rows, state, 5);
+    const sorted = this.table.largest(rows, state, 5);
     place.hidden = sorted.length === 0;
     document.getElementById("worst-title").textContent = `Largest errors ${state} calibration [mm]`;
-    place.querySelector("ol").replaceChildren(...sorted.map((row) => {
-      const button = element("button", { type: "button", "aria-label": `Go to ${poseName(this.table, row)}, error ${millimetres(1e3 * this.error(state, row))} mm` },
-        `${rowName(this.table, row)}: ${millimetres(1e3 * this.error(state, row))}`);
+    const list = place.querySelector("ol");
+    const focused = [...list.querySelectorAll("button")].indexOf(document.activeElement);
+    list.replaceChildren(...sorted.map((row) => {
+      const [name, error] = [this.table.name(row), millimetres(1e3 * this.table.error(state, row))];
+      const button = element("button", { type: "button", "aria-label": `Go to pose ${name}, error ${error} mm` }, `${name}: ${error}`);
       button.addEventListener("click", () => go(row));
       return element("li", {}, button);
     }));
+    const buttons = list.querySelectorAll("button");
+    if (focused >= 0 && buttons.length) buttons[Math.min(focused, buttons.length - 1)].focus();
   }
 
-  /** Say in the legend how many times the vectors are enlarged; nothing when they are hidden. */
-  vectorNote(factor, visible) {
-    document.getElementById("legend-vectors").textContent = visible ? `Error vectors enlarged \u00d7${factor}` : "";
+  /** Say in the legend how many times what is shown is enlarged; nothing about what is hidden. */
+  enlarged(vectors, ghost) {
+    document.getElementById("legend-vectors").textContent = vectors ? `Error vectors enlarged \u00d7${vectors}` : "";
+    const text = ghost === 1 ? "Ghost: nominal robot, true to scale (\u00d71)"
+      : `Ghost: nominal robot, displacement \u00d7${ghost}`;
+    document.getElementById("legend-ghost").hidden = !ghost;
+    document.getElementById("legend-ghost-text").textContent = ghost ? text : "";
   }
 
-  legend(state, low, high, logarithmic, groups) {
+  legend(state, low, high, logarithmic, groups, outliers) {
     document.getElementById("legend-title").textContent = `Error ${state} calibration [mm]`;
     const canvas = document.getElementById("legend-bar");
     const context = canvas.getContext("2d");
@@ -194,34 +188,9 @@ class Panel {
       return tick;
     });
     document.getElementById("legend-ticks").replaceChildren(...ticks);
-    const beyond = Array.from({ length: this.table.n }, (_, row) => this.error(state, row)).some((error) => error > high);
+    const beyond = Array.from({ length: this.table.n }, (_, row) => this.table.error(state, row)).some((error) => error > high);
     document.getElementById("legend-beyond").textContent = beyond ? "Larger errors have the last colour" : "";
-    document.getElementById("legend-marks").replaceChildren(...groups.filter((kind) => kind !== 3).map((kind) => element("span", {}, mark(kind),
-      kind === OUTLIERS ? "outlier" : KINDS[kind])));
+    const marks = [...groups.map(({ name, mark }) => [mark, name]), ...(outliers ? [["cross", "outlier"]] : [])];
+    document.getElementById("legend-marks").replaceChildren(...marks.map(([mark, name]) => element("span", {}, markPicture(mark), name)));
   }
-}
-
-/** Round values between two limits and where they stand on the bar, 0 to 1. */
-function ticksBetween(low, high, logarithmic) {
-  const ticks = [];
-  if (!(high > low)) return [[high, 0.5]];
-  if (logarithmic) {
-    const whole = Math.log10(high / low);
-    const steps = whole > 2.4 ? [1] : whole > 1.2 ? [1, 3] : [1, 2, 5];
-    for (let decade = Math.floor(Math.log10(low)); decade <= Math.ceil(Math.log10(high)); decade += 1) {
-      for (const step of steps) {
-        const value = step * 10 ** decade;
-        const part = Math.log10(value / low) / whole;
-        if (part >= 0 && part <= 1) ticks.push([value, part]);
-      }
-    }
-    return ticks;
-  }
-  const rough = (high - low) / 5;
-  const decade = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 5, 10].map((factor) => factor * decade).find((candidate) => candidate >= rough);
-  for (let k = Math.ceil(low / step); k * step <= high; k += 1) {
-    ticks.push([k * step, (k * step - low) / (high - low)]);
-  }
-  return ticks;
 }

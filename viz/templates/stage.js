@@ -4,18 +4,11 @@
 const GHOST_COLOUR = 0x3a6ea5;
 const AXIS_COLOURS = ["#D55E00", "#009E73", "#0072B2"]; // x, y, z: told apart also by colour-blind readers
 
-/** Typed array from base64. */
-function decode(text, Type) {
-  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
-  return new Type(bytes.buffer);
-}
-
 class Stage {
-  constructor(pane, labels, scene) {
+  constructor(pane, scene) {
     const { THREE } = MeshCat;
     this.THREE = THREE;
     this.scene = scene;
-    this.labels = labels;
     this.pane = pane;
     this.viewer = new MeshCat.Viewer(pane);
     this.viewer.gui.domElement.remove(); // meshcat's own controls: ours replace them, and would be tabbed through
@@ -31,8 +24,8 @@ class Stage {
     }
     this.root = this.viewer.scene_tree.find(["meshcat"]).object;
     this.tree = new Tree(scene.bodies);
-    this.solid = this.figure(scene.solid);
-    this.ghost = scene.ghost ? this.figure(scene.ghost) : null;
+    this.solid = this.posed(scene.solid);
+    this.ghost = scene.ghost ? this.posed(scene.ghost) : null;
     this.groups = scene.body_paths.map((name) => this.viewer.scene_tree.find(["meshcat", "robot", name]).object);
     this.groups.forEach((group) => { group.matrixAutoUpdate = false; });
     this.size = Math.hypot(...[0, 1, 2].map((i) => scene.view.high[i] - scene.view.low[i]));
@@ -42,18 +35,20 @@ class Stage {
     this.ghostFactor = 1;
     this.live = null; // joint values that a live program shows instead of a pose
     this.pose = 0;
+    this.direction = null; // where `look` looked from, until the camera is moved by hand
     this.followRender();
     this.resize();
     this.look(scene.view.direction);
+    this.viewer.controls.addEventListener("start", () => { this.direction = null; }); // turned by hand: leave it so
     new ResizeObserver(() => this.resize()).observe(pane);
   }
 
-  figure(data) {
-    return { ...data, values: decode(data.values, Float32Array), width: data.width };
+  posed(data) {
+    return { ...data, values: decode(data.values, Float32Array) };
   }
 
-  row(figure, pose) {
-    return figure.values.subarray(pose * figure.width, (pose + 1) * figure.width);
+  row(robot, pose) {
+    return robot.values.subarray(pose * robot.width, (pose + 1) * robot.width);
   }
 
   light() {
@@ -93,7 +88,7 @@ class Stage {
   makeFrames() {
     const { THREE } = this;
     const length = 0.045 * this.size;
-    this.frames = this.scene.frames.map(({ body, name }) => {
+    this.frames = this.scene.frames.map(({ body }) => {
       const triad = new THREE.Group();
       triad.matrixAutoUpdate = false;
       AXIS_COLOURS.forEach((colour, axis) => {
@@ -107,12 +102,17 @@ class Stage {
       });
       triad.visible = false;
       this.root.add(triad);
-      const label = document.createElement("span");
-      label.textContent = name;
-      label.hidden = true;
-      this.labels.append(label);
-      return { body, triad, label };
+      return { body, triad };
     });
+    this.labels = new FrameLabels(document.getElementById("labels"), this.scene.frames.map(({ name }) => name),
+                                  document.getElementById("legend-frames"));
+    for (const [name, there] of [["pointermove", true], ["pointerdown", true], ["pointerleave", false]]) {
+      this.pane.addEventListener(name, (event) => {
+        const box = this.pane.getBoundingClientRect();
+        this.labels.pointer = there ? [event.clientX - box.left, event.clientY - box.top] : null;
+        this.placeLabels();
+      });
+    }
   }
 
   makeFloor() {
@@ -140,6 +140,7 @@ class Stage {
     this.viewer.camera.updateProjectionMatrix();
     this.viewer.renderer.setSize(width, height);
     if (this.marks) this.marks.uniforms.pixels.value = height * this.viewer.renderer.getPixelRatio();
+    if (this.direction) this.look(this.direction);
     this.redraw();
   }
 
@@ -174,60 +175,70 @@ class Stage {
   }
 
   showFrames(visible) {
-    for (const { triad, label } of this.frames) {
+    for (const { triad } of this.frames) {
       triad.visible = visible;
-      label.hidden = !visible;
     }
+    this.labels.show(visible);
     this.redraw();
   }
 
   /** Keep the labels beside their frames whenever the picture is drawn. */
   followRender() {
     const render = this.viewer.render.bind(this.viewer);
-    const place = new this.THREE.Vector3();
     this.viewer.render = () => {
       render();
-      for (const { triad, label } of this.frames) {
-        if (label.hidden) continue;
-        place.setFromMatrixPosition(triad.matrixWorld).project(this.viewer.camera);
-        const x = (place.x + 1) / 2 * this.pane.clientWidth + 6;
-        const y = (1 - place.y) / 2 * this.pane.clientHeight - 6;
-        label.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
-      }
+      this.placeLabels();
     };
   }
 
-  /** Look from a direction (upright frame, z up), as near as the whole scene allows. */
+  placeLabels() {
+    if (!this.labels.visible) return;
+    const [width, height] = [this.pane.clientWidth, this.pane.clientHeight];
+    const place = new this.THREE.Vector3();
+    const places = this.frames.map(({ triad }) => {
+      const [x, y, inFront] = this.onScreen(place.setFromMatrixPosition(triad.matrixWorld));
+      return inFront && x >= 0 && y >= 0 && x <= width && y <= height ? [x, y] : null;
+    });
+    const legend = this.legendBox();
+    this.labels.place(places, width, height, legend ? [legend] : []);
+  }
+
+  /** Where a point of the scene (changed by this) is on the pane: x and y [px], and whether it is before the camera. */
+  onScreen(point) {
+    point.project(this.viewer.camera);
+    return [(point.x + 1) / 2 * this.pane.clientWidth, (1 - point.y) / 2 * this.pane.clientHeight, Math.abs(point.z) < 1];
+  }
+
+  /** Look from a direction (upright frame, z up), as near as the whole scene allows, also when the pane changes. */
   look(direction) {
-    const { THREE } = this;
-    const { camera, controls } = this.viewer;
-    const turned = ([x, y, z]) => new THREE.Vector3(x, z, -y); // meshcat's camera lives where y is up
-    const towards = turned(direction).normalize();
-    const right = new THREE.Vector3().crossVectors(new THREE.Vector3(0, 1, 0), towards).normalize();
-    const up = new THREE.Vector3().crossVectors(towards, right);
-    const points = this.scene.view.outline.map(turned);
-    camera.fov = 36;
-    const vertical = Math.tan(camera.fov * Math.PI / 360) * 0.95;
-    const horizontal = vertical * camera.aspect;
-    const middle = (axis, scale) => { // halfway between the outermost lines of sight
-      const sides = points.map((point) => [point.dot(axis) + scale * point.dot(towards), -point.dot(axis) + scale * point.dot(towards)]);
-      return [Math.max(...sides.map(([side]) => side)), Math.max(...sides.map(([, side]) => side))];
-    };
-    const [rightmost, leftmost] = middle(right, horizontal);
-    const [highest, lowest] = middle(up, vertical);
-    // the camera at x right + y up + z towards sees a point if |offset| <= slope * (z - depth)
-    const z = Math.max((rightmost + leftmost) / (2 * horizontal), (highest + lowest) / (2 * vertical));
-    const position = new THREE.Vector3().addScaledVector(right, (rightmost - leftmost) / 2)
-      .addScaledVector(up, (highest - lowest) / 2).addScaledVector(towards, z);
-    const depth = points.map((point) => point.dot(towards));
-    const target = position.clone().addScaledVector(towards, (Math.min(...depth) + Math.max(...depth)) / 2 - z);
-    camera.near = this.size / 500;
-    camera.far = this.size * 60;
-    camera.position.copy(position);
-    controls.target.copy(target);
-    controls.minDistance = this.size / 50;
-    controls.maxDistance = this.size * 20;
-    controls.update();
-    this.redraw();
+    this.direction = direction;
+    look(this, direction);
+  }
+
+  /** Whether a visible point or the tip of its error vector lies in a part of the pane: left, top, right, bottom [px]. */
+  marksUnder([left, top, right, bottom]) {
+    if (!this.marks) return false;
+    const { table, uniforms, points, vectors } = this.marks;
+    const error = uniforms.state.value < 0.5 ? table.before : table.after;
+    const place = new this.THREE.Vector3();
+    const reach = 12;
+    this.root.updateMatrixWorld(true);
+    for (let row = 0; row < table.n; row += 1) {
+      if (!uniforms.visible.value[table.group[row]]) continue;
+      for (const factor of vectors.visible ? [0, uniforms.factor.value] : [0]) {
+        place.set(...[0, 1, 2].map((i) => table.place[3 * row + i] + factor * (error[3 * row + i] || 0)));
+        const [x, y] = this.onScreen(points.localToWorld(place));
+        if (x > left - reach && x < right + reach && y > top - reach && y < bottom + reach) return true;
+      }
+    }
+    return false;
+  }
+
+  /** The part of the pane that the legend covers: [left, top, right, bottom] [px], or null. */
+  legendBox() {
+    const legend = document.getElementById("legend").getBoundingClientRect();
+    const pane = this.pane.getBoundingClientRect();
+    const covers = legend.width > 0 && legend.top < pane.bottom - 1 && legend.bottom > pane.top + 1;
+    return covers ? [legend.left - pane.left, legend.top - pane.top, legend.right - pane.left, legend.bottom - pane.top] : null;
   }
 }

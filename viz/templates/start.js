@@ -15,8 +15,7 @@ function follow(controls) {
     if (row < controls.table.n) controls.go(row);
   });
   source.addEventListener("joints", (event) => {
-    const { solid, ghost } = JSON.parse(event.data);
-    controls.showLive(solid, ghost);
+    controls.showLive(JSON.parse(event.data));
   });
   source.addEventListener("command", (event) => {
     if (controls.stage) controls.stage.viewer.handle_command_bytearray(decode(event.data, Uint8Array));

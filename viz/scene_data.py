@@ -1,0 +1,199 @@
+"""A scene as the viewer's script reads it: names and numbers in JSON, long arrays as base64."""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.model.mechanism import FloatArray
+from viz.bodies import Bodies, PosedRobot
+from viz.drawing import body_path, draw
+from viz.poses import EXCLUDED, GROUPS, IDENTIFICATION, MEASURED, VALIDATION
+from viz.scene import Scene
+
+_COLOURS = "viridis"  # even in lightness, and told apart with any colour vision
+_POINT_RADIUS = (0.0012, 0.008)  # of the scene's size: of points that crowd, and of points with room
+_POINT_PIXELS = (4.0, 7.0)  # smallest width of points that crowd, and of points with room
+_FEW_POINTS = 500  # so many have room
+_MARKS = {IDENTIFICATION: "disc", VALIDATION: "diamond", MEASURED: "square", EXCLUDED: "disc"}
+_SHORT = {IDENTIFICATION: "fit", VALIDATION: "val", MEASURED: "meas", EXCLUDED: "out"}  # where names repeat
+_EXACT = 1e-12  # [m]: smallest range of colours, where nothing is wrong anywhere
+
+
+def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
+    """Return the scene as the page's script reads it; arrays as base64, unknown numbers as NaN inside these."""
+    bodies, table = scene.bodies, scene.poses
+    names = [body for body, name in enumerate(bodies.names) if not name.startswith("(")]
+    return {
+        "title": scene.title,
+        "live": live,
+        "notes": list(scene.notes),
+        "remarks": scene.remarks.to_dict(),
+        "verdict": None if scene.verdict is None else scene.verdict.to_dict(),
+        "groups": [{"name": name, "short": _SHORT[name], "mark": _MARKS[name]} for name in GROUPS],
+        "states": list(scene.states),
+        "joints": [{"name": joint.name, "unit": joint.unit, "per_si": joint.per_si} for joint in scene.joints],
+        "bodies": _bodies(scene.bodies),
+        "body_paths": [body_path(scene, body) for body in range(len(bodies.names))],
+        "frames": [{"body": body, "name": bodies.names[body]} for body in names],
+        "solid": _posed(scene.solid),
+        "ghost": None if scene.ghost is None else _posed(scene.ghost),
+        "commands": [base64.b64encode(command).decode() for command in draw(scene)],
+        "n_decorations": len(scene.decorations),
+        "vector_factors": scene.vector_factors,
+        "ghost_factor": scene.ghost_factor,
+        "view": {
+            "low": scene.view.low.tolist(),
+            "high": scene.view.high.tolist(),
+            "outline": scene.view.outline.tolist(),
+            "direction": scene.view.direction.tolist(),
+        },
+        "table": _table(scene),
+        "summary": summary(scene),
+        "certainty": certainty(scene),
+        "range": ranges(scene),
+        "colours": _encode(colours()),
+        "point_radius": point_radius(scene),
+        "point_pixels": point_pixels(len(table)),
+    }
+
+
+def _bodies(bodies: Bodies) -> dict[str, Any]:
+    return {
+        "parents": bodies.parents.tolist(),
+        "axes": bodies.axes.tolist(),
+        "sliding": list(bodies.sliding),
+        "columns": bodies.columns.tolist(),
+        "base": bodies.base,
+    }
+
+
+def summary(scene: Scene) -> list[dict[str, Any]]:
+    """Return count, mean and largest error [mm] of each group, before and after calibration where known."""
+    rows = []
+    group = np.array(scene.poses.group)
+    for name in GROUPS:
+        chosen = group == name
+        row: dict[str, Any] = {"group": name, "count": int(np.sum(chosen))}
+        for state in scene.states:
+            lengths = np.linalg.norm(scene.poses.error(state)[chosen], axis=1)
+            lengths = 1e3 * lengths[np.isfinite(lengths)]
+            row[state] = {"mean": float(lengths.mean()), "max": float(lengths.max())} if len(lengths) else None
+        if row["count"] and scene.states:
+            rows.append(row)
+    return rows
+
+
+def certainty(scene: Scene) -> dict[str, Any]:
+    """Return how sure the numbers are [mm]; None where not known.
+
+    Returns:
+        `noise`: standard deviation of one reading per axis. `means`: the smallest and the largest standard deviation
+        per axis of measured positions, which are means of `readings`: the smallest and the largest number of these.
+        `predicted`: standard deviation of predicted positions, all axes together, on average and at worst.
+    """
+    table = scene.poses
+    noise = table.sigma_of_reading()
+    known = np.isfinite(noise)
+    spread = np.linalg.norm(table.spread, axis=1)
+    spread = spread[np.isfinite(spread)]
+    return {
+        "noise": 1e3 * float(np.median(noise[known])) if np.any(known) else None,
+        "means": [1e3 * float(pick(table.sigma[known])) for pick in (np.min, np.max)] if np.any(known) else None,
+        "readings": [int(pick(table.readings)) for pick in (np.min, np.max)] if len(table) else None,
+        "predicted": [1e3 * float(spread.mean()), 1e3 * float(spread.max())] if len(spread) else None,
+    }
+
+
+def ranges(scene: Scene) -> dict[str, list[float]]:
+    """Return the error [m] at both ends of the colours: of each state (from zero), and of all (logarithmic).
+
+    Outliers do not stretch the colours, where there is anything else: they have the last colour.
+    """
+    result, known = {}, []
+    for state in scene.states:
+        lengths = np.linalg.norm(scene.poses.error(state), axis=1)
+        usual = lengths[np.isfinite(lengths) & ~scene.poses.outlier]
+        known.append(usual if len(usual) else lengths[np.isfinite(lengths)])
+        result[state] = [0.0, max(float(known[-1].max()), _EXACT)]
+    if known:
+        everything = np.concatenate(known)
+        high = max(float(everything.max()), _EXACT)
+        positive = everything[everything > high * 1e-4]
+        low = float(positive.min()) if len(positive) else high
+        result["both"] = [low if low < high else high / 10, high]
+    return result
+
+
+def colours() -> NDArray[np.uint8]:
+    """Return 256 colours from small to large errors, (256, 4)."""
+    from matplotlib import colormaps
+
+    table: NDArray[np.uint8] = np.round(255 * colormaps[_COLOURS](np.linspace(0, 1, 256))).astype(np.uint8)
+    return table
+
+
+def point_radius(scene: Scene) -> float:
+    """Return a radius [m] at which points are easy to see and rarely hide each other."""
+    from scipy.spatial import cKDTree
+
+    size = float(np.linalg.norm(scene.view.high - scene.view.low))
+    points = np.unique(np.round(_places(scene), 6), axis=0)
+    if len(points) < 2:
+        return _POINT_RADIUS[1] * size
+    gaps = cKDTree(points).query(points, k=2)[0][:, 1]
+    return float(np.clip(0.42 * np.median(gaps), _POINT_RADIUS[0] * size, _POINT_RADIUS[1] * size))
+
+
+def point_pixels(count: int) -> float:
+    """Return the smallest width [px] at which `count` points are drawn: smaller where many would hide the robot."""
+    return float(np.clip(_POINT_PIXELS[1] * np.sqrt(_FEW_POINTS / max(count, 1)), *_POINT_PIXELS))
+
+
+def _places(scene: Scene) -> FloatArray:
+    """Where each point stands: measured, or else as well predicted as known."""
+    table = scene.poses
+    predicted = np.where(np.isfinite(table.after), table.after, table.before)
+    places: FloatArray = np.where(np.isfinite(table.measured), table.measured, predicted)
+    return places
+
+
+def _table(scene: Scene) -> dict[str, Any]:
+    table = scene.poses
+    group = np.array([GROUPS.index(name) for name in table.group], dtype=np.uint8) + len(GROUPS) * table.outlier.astype(
+        np.uint8
+    )
+    arrays = {
+        "joints": table.joints,
+        "measured": table.measured,
+        "place": _places(scene),
+        "before": table.error("before"),
+        "after": table.error("after"),
+        "sigma": table.sigma,
+        "spread": table.spread,
+    }
+    return {
+        "n": len(table),
+        "labels": list(table.labels),
+        "targets": list(table.targets),
+        "readings": table.readings.tolist(),
+        "group": _encode(group.astype(np.uint8)),
+        **{name: _encode(values.astype("<f8")) for name, values in arrays.items()},
+    }
+
+
+def _posed(robot: PosedRobot) -> dict[str, Any]:
+    return {
+        "placements": robot.placements[:, :3].reshape(-1, 12).tolist(),
+        "stretches": robot.stretches[:, :3].reshape(-1, 12).tolist(),
+        "width": robot.values.shape[1],
+        "values": _encode(robot.values.astype("<f4")),
+        "root": None if robot.root is None else robot.root[:3].ravel().tolist(),
+    }
+
+
+def _encode(values: NDArray[Any]) -> str:
+    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()

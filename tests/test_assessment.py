@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_robots import ARM_YAML, small_arm, write_arm
+from small_robots import small_arm, write_arm
 
 import calib
 from calib.data.arrays import as_poses

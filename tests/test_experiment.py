@@ -43,7 +43,7 @@ def experiment(robot: Robot) -> Experiment:
     usual = Imperfections()
     draws = tuple(experiment_draw(ExperimentTask(robot, joints, sets, usual, seed)) for seed in seeds)
     causes = {
-        name: (experiment_draw(ExperimentTask(robot, joints, sets[:1], alone, seeds[0])),)
+        name: tuple(experiment_draw(ExperimentTask(robot, joints, sets[:1], alone, seed)) for seed in seeds)
         for name, alone in usual.causes.items()
     }
     return Experiment(robot, joints, sets, usual, draws, causes, 3)
@@ -136,9 +136,18 @@ def test_without_imperfections_only_noise_remains(experiment: Experiment) -> Non
     assert rms["links out of perpendicular"][3] > rms["tracker noise alone"][3]
 
 
+def test_all_causes_together_leave_more_than_the_largest_of_them(experiment: Experiment) -> None:
+    """On the same draws; squares of independent causes add up, if only on average."""
+    rms = cause_rms(experiment)
+    together = rms.pop("all together")
+    assert len(rms) == 4
+    assert all(len(draws) == len(experiment.draws) for draws in experiment.causes.values())
+    assert together[3] > max(values[3] for values in rms.values())
+
+
 def test_tables_stand_beside_the_papers_and_are_called_simulated(experiment: Experiment) -> None:
     tables = {table.name: table for table in experiment_tables(experiment)}
-    assert set(tables) == {"table3", "table4", "table5", "causes"}
+    assert set(tables) == {"table3", "table4", "ranking", "table5", "causes"}
     fifth = {column.header: column.values for column in tables["table5"].columns}
     assert fifth["after x"][fifth["error [mm]"].index("mean, paper")] == 0.340
     third = {column.header: column.values for column in tables["table3"].columns}
@@ -146,10 +155,30 @@ def test_tables_stand_beside_the_papers_and_are_called_simulated(experiment: Exp
     for table in tables.values():
         assert "simulated" in table.csv()
         assert "nan" not in table.csv()
+        assert len(set(table.columns[0].values)) == len(table.columns[0].values)  # rows are selected by name
         json.dumps(table.to_dict(), allow_nan=False)
+    assert "chosen so that as much remains" in tables["causes"].csv()
     text = " ".join(experiment_findings(experiment))
     assert "mostly along x" in text
+    assert "no pose of ours has as little as the paper's mean" in text
     assert "nan" not in text
+
+
+def test_sentences_follow_the_numbers(experiment: Experiment) -> None:
+    """Without imperfections nothing is mostly along x, and no size was chosen for anything."""
+    noise = experiment.causes["tracker noise alone"][:1]
+    one = tuple(replace(draw, after=np.tile(draw.after, (2, 1, 1))) for draw in noise)
+    nothing = replace(experiment, imperfections=NONE, draws=one, causes={"tracker noise alone": one})
+    text = " ".join(experiment_findings(nothing))
+    assert "mostly" not in text
+    assert "What the paper's model leaves: x 3" in text
+    assert "over 1 draw," in text
+    assert "1 draws" not in text
+    table = {table.name: table for table in experiment_tables(nothing)}["causes"].csv()
+    assert "chosen" not in table
+    assert "1 draw in every row" in table
+    assert str(NONE) == "nothing more"
+    assert str(Imperfections(1e-3, 0.0, 0.0)) == "backlash of the rail of 1 mm"
 
 
 def test_the_same_seed_gives_the_same_experiment(experiment: Experiment) -> None:

@@ -11,7 +11,6 @@ from click.testing import CliRunner, Result
 
 from medrue.cli import group
 from medrue.closed_form import forward
-from medrue.experiment import ExperimentSize
 from medrue.paper_tables import table1
 from medrue.study import StudySize
 from medrue.workspace import target_workspace
@@ -26,7 +25,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two indices and two draws, which is enough to see every file."""
     monkeypatch.setattr("medrue.study.INDICES", ("O1", "O5"))
     monkeypatch.setattr("medrue.study.QUICK", StudySize(2, 2, 1))
-    monkeypatch.setattr("medrue.experiment.QUICK", ExperimentSize(2, 1))
+    monkeypatch.setattr("medrue.experiment.QUICK_DRAWS", 2)
 
 
 def test_poses_are_those_of_the_closed_form(tmp_path: Path) -> None:
@@ -45,6 +44,9 @@ def test_poses_are_those_of_the_closed_form(tmp_path: Path) -> None:
     assert facts["poses"] == 420
     assert facts["largest_difference_from_closed_form_m_rad"] < 1e-10
     assert facts["smallest_singular_value_of_the_loops"] > 0.02  # the limit of the robot description
+    assert facts["different_x_and_angles"] == [28, 15]
+    assert facts["positions_along_x_mm"] == pytest.approx([-100.5, 574.5])
+    assert facts["positions_from_y_towards_z_deg"] == pytest.approx([56.0, 224.0])
 
 
 class Checker(HTMLParser):
@@ -66,7 +68,7 @@ def check_folder(folder: Path, tables: set[str], figures: set[str]) -> None:
     assert {path.name for path in folder.iterdir()} == expected
     for name in figures:
         assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
-        assert "<svg" in (folder / f"{name}.svg").read_text()
+        assert "<text" in (folder / f"{name}.svg").read_text()  # not outlines
     for name in tables:
         content = json.loads((folder / f"{name}.json").read_text())
         assert content["simulated"] is True
@@ -87,9 +89,10 @@ def test_study_writes_every_table_and_figure_and_one_page(tmp_path: Path) -> Non
     run = medrue("study", "--quick", "--jobs", "1", "--out", str(out), "--json", "-")
     assert run.exit_code == 0, run.output
     content = json.loads(run.stdout)
-    assert set(content["tables"]) == {"table1", "table2", "floor", "observability"}
+    tables = {"table1", "table2", "ranking", "floor", "observability"}
+    assert set(content["tables"]) == tables
     assert content["seed"] == 1
-    check_folder(out, {"table1", "table2", "floor", "observability"}, {"figure4", "figure5", "errors_over_draws"})
+    check_folder(out, tables, {"figure4", "figure5", "errors_over_draws"})
 
 
 @pytest.mark.usefixtures("few")
@@ -99,7 +102,10 @@ def test_experiment_writes_every_table_and_figure_and_one_page(tmp_path: Path) -
     assert run.exit_code == 0, run.output
     assert "Table IV" in run.output
     assert "mostly along x" in run.output
-    check_folder(out, {"table3", "table4", "table5", "causes"}, {"figure3", "figure7", "figure8", "causes"})
+    check_folder(out, {"table3", "table4", "ranking", "table5", "causes"}, {"figure3", "figure7", "figure8", "causes"})
+    page = (out / "index.html").read_text()
+    assert "backlash of the rail of 0.8 mm" in page
+    assert "@media print" in page
 
 
 @pytest.mark.parametrize(
@@ -112,7 +118,12 @@ def test_experiment_writes_every_table_and_figure_and_one_page(tmp_path: Path) -
         (("study", "--out", "{}/x", "--seed", "-1"), "--seed"),
         (("study", "--out", "{}/x", "--draws", "1"), "--draws"),
         (("experiment", "--out", "{}/x", "--backlash-mm", "-1"), "--backlash-mm"),
+        (("experiment", "--out", "{}/x", "--backlash-mm", "nan"), "--backlash-mm"),
+        (("experiment", "--out", "{}/x", "--backlash-mm", "inf"), "--backlash-mm"),
+        (("experiment", "--out", "{}/x", "--lead-um", "inf"), "--lead-um"),
+        (("experiment", "--out", "{}/x", "--lead-um", "nan"), "--lead-um"),
         (("experiment", "--out", "{}/x", "--tilt-deg", "5"), "--tilt-deg"),
+        (("experiment", "--out", "{}/x", "--tilt-deg", "nan"), "--tilt-deg"),
         (("experimnt", "--out", "{}/x"), "No such command"),
     ],
 )

@@ -59,6 +59,13 @@ def test_impossible_sigma_is_an_error(sigma: float) -> None:
         measurement_file(seed=1, sigma=sigma)
 
 
+def test_command_refuses_a_place_that_cannot_be_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main([str(tmp_path / "missing" / "out.csv")])
+    assert stopped.value.code == 2
+    assert "cannot be written" in capsys.readouterr().err
+
+
 def test_command_refuses_a_negative_sigma(tmp_path: Path) -> None:
     with pytest.raises(SystemExit) as stopped:
         main([str(tmp_path / "out.csv"), "--sigma-mm", "-1"])

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.stats import ttest_rel
 
 from calib import load
 from calib.identification.fit import fit
@@ -14,7 +15,7 @@ from medrue import robot_file
 from medrue.draws import Calibrator, Outcome, PoseSet, Task, measurements, run
 from medrue.paper_tables import PARAMETERS, error_table, table1
 from medrue.parallel import Workers
-from medrue.ranking import agreement, rank, standard_error
+from medrue.ranking import agreement, rank, ranking_table, standard_error
 from medrue.result_tables import Column, ResultTable
 from medrue.study import SIGMA, Study, StudySize, choose_sets, error_floors, summary, true_positions
 from medrue.study_tables import study_findings, study_tables
@@ -85,8 +86,8 @@ def test_poses_of_o1_beat_uniform_ones(task: Task, outcome: Outcome) -> None:
     largest = np.stack([outcome.distances[:, s, p.others(420)].max(axis=1) for s, p in enumerate(task.sets)], axis=1)
     ranking = rank(("O1", "uniform"), largest)
     assert ranking.names == ("O1", "uniform")
-    assert ranking.steps[0] > 3
-    assert str(ranking) == "O1 < uniform"
+    assert ranking.steps[0, 1] > 3
+    assert ranking.sure() == "surely better: O1 than uniform; every other difference may be luck"
 
 
 def test_the_same_seed_gives_the_same_numbers_whatever_the_number_of_processes(
@@ -122,7 +123,7 @@ def small_study(task: Task, outcome: Outcome) -> Study:
 
 def test_tables_stand_beside_the_papers_and_are_called_simulated(small_study: Study) -> None:
     tables = {table.name: table for table in study_tables(small_study)}
-    assert set(tables) == {"table1", "table2", "floor", "observability"}
+    assert set(tables) == {"table1", "table2", "ranking", "floor", "observability"}
     first = {column.header: column.values for column in tables["table1"].columns}
     assert first["parameter"] == PARAMETERS
     assert first["paper: with noise"][0] == pytest.approx(-231.815)
@@ -133,14 +134,18 @@ def test_tables_stand_beside_the_papers_and_are_called_simulated(small_study: St
     assert second["O1"][row] == error_table(2)["O1"]["mean"]
     for table in tables.values():
         assert "nan" not in table.csv()
+        assert "simulated" in table.csv()
+        assert len(set(table.columns[0].values)) == len(table.columns[0].values)  # rows are selected by name
         json.dumps(table.to_dict(), allow_nan=False)
-    assert "simulated" in tables["table2"].csv()
+    assert "before: the nominal robot at the validation poses of O1" in tables["table2"].csv()
 
 
 def test_findings_say_what_the_numbers_say(small_study: Study) -> None:
     text = " ".join(study_findings(small_study))
-    assert "Without noise, all 28 parameters come back" in text
-    assert "O1 < uniform" in text
+    assert "Without noise, 28 parameters come back" in text
+    assert "surely better: O1 than uniform" in text
+    assert "over 40 draws of the noise" in text
+    assert "over 2 actual robots" in text
     assert "nan" not in text
 
 
@@ -158,13 +163,54 @@ def test_rankings_tell_luck_from_difference() -> None:
     errors = np.stack([common + 0.3, common, common + 1e-6 * generator.normal(size=50)], axis=1)
     ranking = rank(("worse", "good", "alike"), errors)
     assert ranking.names[2] == "worse"
-    assert str(ranking) in ("good ~ alike < worse", "alike ~ good < worse")
+    assert ranking.sure() in (
+        "surely better: good and alike than worse; every other difference may be luck",
+        "surely better: alike and good than worse; every other difference may be luck",
+    )
     two = rank(("b", "a"), np.array([[2.0, 1.0], [2.01, 1.0]]))
-    assert two.steps[0] > 100
-    assert str(two) == "a ~ b"  # two draws prove nothing
+    assert two.steps[0, 1] > 100
+    assert str(two) == "a, b; no set is surely better than another"  # two draws prove nothing
     single = rank(("b", "a"), np.array([[2.0, 1.0]]))
-    assert str(single) == "a ~ b"
-    assert np.isnan(single.standard_errors).all()
+    assert str(single) == "a, b; no set is surely better than another"
+    assert np.isnan(single.steps).all()
+
+
+def test_sets_that_are_like_their_neighbours_may_still_differ() -> None:
+    """Each is within luck of the next, the first surely better than the last: being alike is not transitive."""
+    draws = np.random.default_rng(5).normal(size=(60, 3))
+    draws = (draws - draws.mean(axis=0)) / draws.std(axis=0, ddof=1)  # exactly these means and deviations
+    errors = draws + np.array([0.0, 0.55, 1.1])
+    ranking = rank(("first", "middle", "last"), errors)
+    assert ranking.compared(0, 1) == ranking.compared(1, 2) == "open"
+    assert (ranking.compared(0, 2), ranking.compared(2, 0)) == ("better", "worse")
+    assert ranking.sure() == "surely better: first than last; every other difference may be luck"
+
+
+def test_every_pair_is_tested_with_holms_correction() -> None:
+    """Against scipy's paired test and the correction written out."""
+    errors = np.random.default_rng(11).normal(size=(30, 5)) * 0.5 + np.array([0.0, 0.2, 0.35, 0.5, 0.6])
+    names = tuple("abcde")
+    ranking = rank(names, errors)
+    column = {name: errors[:, k] for k, name in enumerate(names)}
+    pairs = [(p, q) for k, p in enumerate(ranking.names) for q in ranking.names[k + 1 :]]
+    luck = {pair: float(ttest_rel(column[pair[0]], column[pair[1]]).pvalue) for pair in pairs}
+    expected = set()
+    for k, pair in enumerate(sorted(pairs, key=luck.__getitem__)):
+        if luck[pair] > 1e-3 / (10 - k):
+            break
+        expected.add(pair)
+    found = {(p, q) for i, p in enumerate(ranking.names) for j, q in enumerate(ranking.names) if ranking.better[i, j]}
+    assert found == expected
+    assert 0 < len(found) < len(pairs)
+
+
+def test_a_long_list_of_worse_sets_is_named_by_its_first() -> None:
+    noise = np.random.default_rng(2).normal(size=(40, 5)) * 1e-3
+    ranking = rank(tuple("abcde"), noise + np.array([0.0, 0.0, 1.0, 2.0, 3.0]))
+    assert "than c and all after it" in ranking.sure()
+    table = ranking_table({"mean error": ranking}, "mm")
+    rows = {str(row[0]): row for row in zip(*(column.values for column in table.columns), strict=True)}
+    assert rows["mean error: c"][2:] == ("worse", "worse", "", "better", "better")
 
 
 def test_agreement_is_one_for_the_same_order_and_minus_one_for_the_reverse() -> None:

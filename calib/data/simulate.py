@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -30,4 +32,5 @@ def simulate(robot: Robot, poses: Poses | ArrayLike, sigma: float, rng: np.rando
     robot.assemble(where.joints, labels=where.labels)  # says which pose cannot be
     positions = robot.positions(where.joints)
     positions = positions + sigma * rng.standard_normal(positions.shape)
-    return single_readings(where, positions)
+    said = (f"simulated measurements of {robot.name}", f"normal noise, sigma {1e3 * sigma:g} mm per axis")
+    return single_readings(replace(where, comments=said), positions)

@@ -45,6 +45,7 @@ class Verdict:
             "grade": self.grade,
             "reasons": [reason.text for reason in self.reasons],
             "codes": [reason.code for reason in self.reasons],
+            "grades": [reason.grade for reason in self.reasons],
         }
         if self.grade == "FAIL":
             entry["forced"] = forced

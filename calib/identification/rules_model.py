@@ -119,7 +119,7 @@ def worse_on_validation(fit: Fit) -> Iterator[Reason]:
             yield Reason(
                 "FAIL",
                 "worse_on_validation",
-                f"worse than before on {name}: RMS {1e3 * after:.3g} mm after, {1e3 * before:.3g} mm before; the fit"
+                f"worse than before on {name}: RMS {1e3 * after:.4f} mm after, {1e3 * before:.4f} mm before; the fit"
                 " follows its own measurements, not the robot: measure more poses, spread over the same space",
             )
 

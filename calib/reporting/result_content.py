@@ -35,6 +35,7 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "program": PROGRAM,
             "robot": fit.nominal.path,
             "data": data.path,
+            "comments": comments(fit),
             "verdict": fit.verdict.to_dict(forced=forced),
             "converged": fit.converged,
             "message": fit.message,
@@ -71,6 +72,12 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "cross_validation": _folds(fit),
         }
     )
+
+
+def comments(fit: Fit) -> list[str]:
+    """Return what the measurement files say about themselves, each line once."""
+    files = [fit.identification.data] + ([] if fit.validation is None else [fit.validation.data])
+    return list(dict.fromkeys(line for data in files for line in data.comments))
 
 
 def error_sets(fit: Fit) -> list[tuple[str, ErrorSet]]:

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import architecture
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -24,20 +23,11 @@ from calib.linearisation.jacobian import linearise
 from calib.model.kinematics import sweep
 from calib.model.mechanism import FloatArray, RelativeFrame
 from calib.numerics.identifiability import numerical_rank
+from viz.svg import BLUE, GREY, ORANGE, styled, svg_file
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "docs" / "examples"
 FIGURES = ROOT / "docs" / "figures"
-BLUE, ORANGE, GREY = "#0072b2", "#d55e00", "#767676"  # told apart without colour vision
-
-mpl.rcParams |= {
-    "svg.hashsalt": "docs",
-    "svg.fonttype": "none",
-    "font.family": "sans-serif",
-    "font.size": 10.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-}
 
 
 def five_bar_cut() -> Figure:
@@ -134,12 +124,18 @@ FIGURE_MAKERS: dict[str, Callable[[], Figure]] = {
 }
 
 
+@styled
+def drawing(name: str) -> bytes:
+    """Return a figure as an SVG file."""
+    return svg_file(FIGURE_MAKERS[name]())
+
+
 def main() -> None:
     """Run the command line."""
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else FIGURES
     folder.mkdir(parents=True, exist_ok=True)
-    for name, draw in FIGURE_MAKERS.items():
-        draw().savefig(folder / f"{name}.svg", metadata={"Date": None})
+    for name in FIGURE_MAKERS:
+        (folder / f"{name}.svg").write_bytes(drawing(name))
         print(f"{folder / name}.svg written")
 
 

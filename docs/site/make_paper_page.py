@@ -1,21 +1,26 @@
-"""Put the results of `medrue study` and `medrue experiment` into the page docs/paper.md.
+"""Put the results of `medrue poses`, `medrue study` and `medrue experiment` into the page docs/paper.md.
 
+    medrue poses --out out/poses.csv --json out/poses.json
     medrue study --out out/study
     medrue experiment --out out/experiment
-    python docs/site/make_paper_page.py out/study out/experiment
+    python docs/site/make_paper_page.py out/poses.json out/study out/experiment
 
 The page has places `<!-- begin study/table2.csv -->` ... `<!-- end -->`; what is between them is replaced. A CSV
-becomes a table, `findings` the list of what a study shows. Figures of the page are copied to docs/figures/paper.
+becomes a table, `findings` the list of what a study shows, `poses.json` a table of where the poses are. Figures of the
+page are copied to docs/figures/paper.
 """
 
 from __future__ import annotations
 
 import csv
 import html
+import json
 import re
 import shutil
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 DOCS = Path(__file__).resolve().parents[1]
 PAGE = DOCS / "paper.md"
@@ -41,12 +46,42 @@ def findings(path: Path) -> str:
     )
 
 
-def filled(page: str, folders: dict[str, Path]) -> str:
+def workspace(facts: Mapping[str, Any]) -> str:
+    """Return what `medrue poses --json` says as a Markdown table."""
+    start, end = (", ".join(f"{c:g}" for c in facts[f"axis_of_the_leg_{end}_mm"]) for end in ("from", "to"))
+    x, angles, q1, tilt = (
+        facts[name]
+        for name in (
+            "positions_along_x_mm",
+            "positions_from_y_towards_z_deg",
+            "q1_mm",
+            "probe_tilt_mean_and_largest_deg",
+        )
+    )
+    stations, directions = facts["different_x_and_angles"]
+    rows = {
+        "axis of the leg": f"from ({start}) to ({end}) mm in the world",
+        "radius": f"{facts['radius_mm']:g} mm",
+        "positions": f"{facts['poses']}: {stations} from x = {x[0]:.1f} to {x[1]:.1f} mm, times {directions} around the"
+        f" axis from {angles[0]:.0f}° to {angles[1]:.0f}° (from +y towards +z)",
+        "tilt of the probe from the shortest line to the axis": f"mean {tilt[0]:.1f}°, largest {tilt[1]:.1f}°",
+        "stroke used": f"q1 from {q1[0]:.1f} to {q1[1]:.1f} mm, of 700 mm",
+        "nearest to a singular pose (0)": "smallest singular value of the loops"
+        f" {facts['smallest_singular_value_of_the_loops']:.3f}, smallest sine between two links"
+        f" {facts['smallest_sine_between_links']:.3f}",
+    }
+    return "| | |\n|---|---|\n" + "".join(f"| {name} | {value} |\n" for name, value in rows.items())
+
+
+def filled(page: str, sources: dict[str, Path]) -> str:
     """Return the page with every place filled."""
 
     def content(match: re.Match[str]) -> str:
         study, _, name = match["source"].partition("/")
-        found = findings(folders[study] / "index.html") if name == "findings" else table(folders[study] / name)
+        if study == "poses.json":
+            found = workspace(json.loads(sources["poses"].read_text(encoding="utf-8")))
+        else:
+            found = findings(sources[study] / "index.html") if name == "findings" else table(sources[study] / name)
         return f"{match[1]}\n{found}\n{match[3]}"
 
     return _PLACE.sub(content, page)
@@ -65,12 +100,12 @@ def _cell(text: str) -> str:
 
 def main() -> None:
     """Run the command line."""
-    folders = {"study": Path(sys.argv[1]), "experiment": Path(sys.argv[2])}
-    page = filled(PAGE.read_text(encoding="utf-8"), folders)
+    sources = dict(zip(("poses", "study", "experiment"), map(Path, sys.argv[1:]), strict=True))
+    page = filled(PAGE.read_text(encoding="utf-8"), sources)
     PAGE.write_text(page, encoding="utf-8")
     FIGURES.mkdir(parents=True, exist_ok=True)
     for study, name in re.findall(r"\]\(figures/paper/(\w+?)-([\w.]+)\)", page):
-        shutil.copyfile(folders[study] / name, FIGURES / f"{study}-{name}")
+        shutil.copyfile(sources[study] / name, FIGURES / f"{study}-{name}")
     print(f"{PAGE} written")
 
 

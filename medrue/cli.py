@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
@@ -23,6 +24,17 @@ if TYPE_CHECKING:
     from medrue.pages import Report
 
 
+class NumberRange(click.FloatRange):
+    """A range of numbers; `nan`, which no comparison finds, is outside."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """See click."""
+        number = super().convert(value, param, ctx)
+        if math.isnan(number):
+            self.fail(f"{value} is not a number.", param, ctx)
+        return number
+
+
 @click.group(name="medrue", context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="medrue", prog_name="medrue")
 def group() -> None:
@@ -34,7 +46,7 @@ def group() -> None:
 @shared_options(json_output=True)
 def poses_command(out: str, output: Output) -> None:
     """Write the 420 poses of the target workspace: joint values, and the nominal position of the tool."""
-    from medrue.poses import target_poses
+    from medrue.poses import pose_facts, target_poses
 
     check_file(out)
     robot = load(robot_file())
@@ -45,15 +57,7 @@ def poses_command(out: str, output: Output) -> None:
         "joint values by inverse kinematics through the closed loops, nominal parameters; tool: nominal position",
     )
     write_file(out, format_measurements(robot, found.poses, found.positions, comments))
-    facts = {
-        "poses": len(found.poses),
-        "largest_difference_from_closed_form_m_rad": found.difference,
-        "q1_mm": [1e3 * q for q in found.stroke],
-        "smallest_singular_value_of_the_loops": found.singular_value,
-        "smallest_sine_between_links": found.sine,
-        "probe_tilt_mean_and_largest_deg": [float(np.degrees(angle)) for angle in found.tilt],
-    }
-    output.json(facts)
+    output.json(pose_facts(found))
     output.say(
         f"{len(found.poses)} poses written to {out}\n"
         f"largest difference from the closed-form inverse: {found.difference:.1e} (m, rad)\n"
@@ -89,22 +93,22 @@ def _simulation_options(function: Callable[..., None]) -> Callable[..., None]:
 @shared_options(json_output=True)
 def study_command(out: str, quick: bool, draws: int | None, jobs: int, seed: int, output: Output) -> None:
     """Reproduce the paper's simulation study: Tables I and II, Figures 4 and 5. Everything is simulated."""
-    from medrue.reports import study_report
-    from medrue.study import QUICK, StudySize, run_study
-
-    size = QUICK if quick else StudySize()
     check_folder(out)
-    size = replace(size, noise_draws=draws or size.noise_draws)
-    with Workers(jobs) as workers:
+    with Workers(jobs) as workers:  # they start while the rest is loaded
+        from medrue.reports import study_report
+        from medrue.study import QUICK, StudySize, run_study
+
+        size = QUICK if quick else StudySize()
+        size = replace(size, noise_draws=draws or size.noise_draws)
         found = run_study(load(robot_file()), size, seed, workers, Silent() if output.quiet else TerminalBars())
     _finish(study_report(found), out, output, shown=("table2",))
 
 
 @group.command("experiment")
 @_simulation_options
-@click.option("--backlash-mm", type=click.FloatRange(min=0), help="Backlash of the rail [mm].")
-@click.option("--lead-um", type=float, help="Lead error [um per 300 mm].")
-@click.option("--tilt-deg", type=click.FloatRange(0, 1), help="Tilt of the links' axes, one standard deviation [deg].")
+@click.option("--backlash-mm", type=NumberRange(0, 20), help="Backlash of the rail [mm].")
+@click.option("--lead-um", type=NumberRange(-3000, 3000), help="Lead error [um per 300 mm].")
+@click.option("--tilt-deg", type=NumberRange(0, 1), help="Tilt of the links' axes, one standard deviation [deg].")
 @shared_options(json_output=True)
 def experiment_command(
     out: str,
@@ -118,22 +122,21 @@ def experiment_command(
     output: Output,
 ) -> None:
     """Reproduce the paper's experiment on a simulated robot: Tables III to V, Figures 3, 7 and 8."""
-    from medrue.experiment import QUICK, ExperimentSize, run_experiment
-    from medrue.imperfections import Imperfections
-    from medrue.reports import experiment_report
-
-    size = QUICK if quick else ExperimentSize()
-    usual = Imperfections()
-    imperfections = Imperfections(
-        usual.backlash if backlash_mm is None else backlash_mm / 1e3,
-        usual.lead if lead_um is None else lead_um * 1e-6 / 0.3,
-        usual.tilt if tilt_deg is None else float(np.radians(tilt_deg)),
-    )
     check_folder(out)
-    size = replace(size, draws=draws or size.draws)
-    progress = Silent() if output.quiet else TerminalBars()
-    with Workers(jobs) as workers:
-        found = run_experiment(load(robot_file()), size, seed, workers, progress, imperfections)
+    with Workers(jobs) as workers:  # they start while the rest is loaded
+        from medrue.experiment import DRAWS, QUICK_DRAWS, run_experiment
+        from medrue.imperfections import Imperfections
+        from medrue.reports import experiment_report
+
+        usual = Imperfections()
+        imperfections = Imperfections(
+            usual.backlash if backlash_mm is None else backlash_mm / 1e3,
+            usual.lead if lead_um is None else lead_um * 1e-6 / 0.3,
+            usual.tilt if tilt_deg is None else float(np.radians(tilt_deg)),
+        )
+        count = draws or (QUICK_DRAWS if quick else DRAWS)
+        progress = Silent() if output.quiet else TerminalBars()
+        found = run_experiment(load(robot_file()), count, seed, workers, progress, imperfections)
     _finish(experiment_report(found), out, output, shown=("table4", "table5"))
 
 

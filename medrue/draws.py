@@ -26,10 +26,12 @@ from calib.model.robot import Configurations, Robot
 from calib.threads import one_blas_thread
 from medrue.parallel import Workers
 
-CHUNK = 20
+CHUNK = 10
 """Draws that are done together."""
 _MAX_STEPS = 12
-_SMALL_STEP = 1e-4  # part of the residual that the last step explains; the next one is its square
+_SMALL_STEP = (
+    0.03  # part of the residual that the last step explains; the next one, its square at most, is not worth it
+)
 
 
 @dataclass(frozen=True, eq=False)

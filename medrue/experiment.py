@@ -36,20 +36,9 @@ REPEATS = 5
 """Readings of each pose, averaged."""
 
 
-@dataclass(frozen=True)
-class ExperimentSize:
-    """How much to simulate.
-
-    Attributes:
-        draws: Robots with other imperfections and other noise.
-        cause_draws: Draws for each cause alone.
-    """
-
-    draws: int = 20
-    cause_draws: int = 5
-
-
-QUICK = ExperimentSize(draws=3, cause_draws=1)
+DRAWS = 20
+"""Simulated experiments: robots with other imperfections and other noise."""
+QUICK_DRAWS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +93,7 @@ class Experiment:
         sets: Pose sets, in the order of every axis of the draws.
         imperfections: Sizes of what the parameters leave out.
         draws: Simulated experiments; the first is the one that the tables show.
-        causes: Experiments with one cause alone, from the set of O1, by name.
+        causes: The same draws with one cause alone, from the set of O1, by name.
         seed: Seed of everything random.
     """
 
@@ -129,13 +118,13 @@ class Experiment:
 
 
 def run_experiment(
-    robot: Robot, size: ExperimentSize, seed: int, workers: Workers, progress: Progress, imperfections: Imperfections
+    robot: Robot, draws: int, seed: int, workers: Workers, progress: Progress, imperfections: Imperfections
 ) -> Experiment:
     """Run the simulated experiment.
 
     Args:
         robot: MedRUE with nominal parameters.
-        size: How much to simulate.
+        draws: How many experiments to simulate, with all causes and with each alone.
         seed: Seed; the same one gives the same numbers, whoever works.
         workers: Who does the draws.
         progress: Told how far the work is.
@@ -144,20 +133,17 @@ def run_experiment(
     joints = target_poses(robot).poses.joints
     with progress.stage("choosing poses", 6) as advance:
         _, sets = choose_sets(robot, joints, workers, advance)
-    seeds = np.random.SeedSequence(seed).spawn(max(size.draws, size.cause_draws))
-    tasks = [ExperimentTask(robot, joints, sets, imperfections, one) for one in seeds[: size.draws]]
+    seeds = np.random.SeedSequence(seed).spawn(draws)
+    tasks = [ExperimentTask(robot, joints, sets, imperfections, one) for one in seeds]
     for alone in imperfections.causes.values():
-        tasks += [ExperimentTask(robot, joints, sets[:1], alone, one) for one in seeds[: size.cause_draws]]
+        tasks += [ExperimentTask(robot, joints, sets[:1], alone, one) for one in seeds]
     found = []
     with progress.stage("simulated experiments", len(tasks)) as advance:
         for draw in workers.in_order(experiment_draw, tasks):
             found.append(draw)
             advance(1)
-    causes = {}
-    for k, name in enumerate(imperfections.causes):
-        start = size.draws + k * size.cause_draws
-        causes[name] = tuple(found[start : start + size.cause_draws])
-    return Experiment(robot, joints, sets, imperfections, tuple(found[: size.draws]), causes, seed)
+    causes = {name: tuple(found[k * draws : (k + 1) * draws]) for k, name in enumerate(imperfections.causes, start=1)}
+    return Experiment(robot, joints, sets, imperfections, tuple(found[:draws]), causes, seed)
 
 
 @one_blas_thread

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from calib.model.mechanism import FloatArray
+from calib.model.mechanism import BoolArray, FloatArray
 from calib.numerics.rigid import OUTLIER_PROBABILITY
 from calib.units import PER_SI
+from calib.words import counted
+from medrue.error_before import base_placed
 from medrue.experiment import REPEATS, SIGMA, Experiment, ExperimentDraw
+from medrue.imperfections import Imperfections
 from medrue.paper_tables import error_table, table1, table3
-from medrue.ranking import LEGEND, rank, standard_error
+from medrue.ranking import Ranking, rank, ranking_table, standard_error
 from medrue.result_tables import Cell, Column, ResultTable
+from medrue.study import summary
 
 STATISTICS = ("mean", "max", "std")
 
@@ -20,6 +26,7 @@ def experiment_tables(experiment: Experiment) -> tuple[ResultTable, ...]:
     return (
         parameter_table(experiment),
         index_table(experiment),
+        ranking_table({"mean error": experiment_ranking(experiment)}, "mm"),
         axis_table(experiment),
         cause_table(experiment),
     )
@@ -49,26 +56,31 @@ def parameter_table(experiment: Experiment) -> ResultTable:
         ),
         (
             f"simulated; seed {experiment.seed}; the simulated robot has the parameters that the paper identified",
-            "identified differs from actual by more than std says where parameters take up part of what the model"
-            " leaves out",
+            _beyond_std(draw, free),
         ),
+    )
+
+
+def _beyond_std(draw: ExperimentDraw, free: BoolArray) -> str:
+    """How often the true value is outside what the fit states."""
+    off = np.abs(draw.values[0] - table3().identified)[free] > 2 * draw.std[0][free]
+    return (
+        f"{int(off.sum())} of {len(off)} identified parameters more than two std from actual; by chance one in twenty"
     )
 
 
 def index_table(experiment: Experiment) -> ResultTable:
     """Table IV: position errors by the index that chose the poses."""
-    after = np.array(
-        [[_summary(experiment.validation(draw, name)[1]) for name in experiment.names] for draw in experiment.draws]
-    )
-    before = _summary(experiment.validation(experiment.draws[0], experiment.names[0])[0])
-    printed = error_table(4)
+    after = np.array([[_summary(experiment, draw, name)[1] for name in experiment.names] for draw in experiment.draws])
+    before = _summary(experiment, experiment.draws[0], "O1")[0]
+    printed, draws = error_table(4), counted(len(after), "draw")
     rows: list[tuple[str, Cell, FloatArray]] = []
     for k, statistic in enumerate(STATISTICS):
         paper = [printed[name][statistic] if name in printed else np.nan for name in experiment.names]
         rows += [
             (f"{statistic}, single draw", float(before[k]), after[0, :, k]),
-            (f"{statistic}, mean over {len(after)} draws", None, after[:, :, k].mean(axis=0)),
-            ("  standard error", None, standard_error(after[:, :, k])),
+            (f"{statistic}, mean over {draws}", None, after[:, :, k].mean(axis=0)),
+            (f"{statistic}, standard error over {draws}", None, standard_error(after[:, :, k])),
             (f"{statistic}, paper", printed["before"][statistic], np.array(paper)),
         ]
     columns = [Column("error [mm]", tuple(row[0] for row in rows)), Column("before", tuple(row[1] for row in rows))]
@@ -80,9 +92,16 @@ def index_table(experiment: Experiment) -> ResultTable:
         tuple(columns),
         (
             f"simulated; distance from the measured position at the 336 other poses; seed {experiment.seed}",
+            "before: the nominal robot at the validation poses of O1; the first draw is the single one",
             "a draw has other tilts of the axes, another order of the poses and other noise",
         ),
     )
+
+
+def experiment_ranking(experiment: Experiment) -> Ranking:
+    """Ranking of the choices of poses by their mean error."""
+    errors = [[_summary(experiment, draw, name)[1][0] for name in experiment.names] for draw in experiment.draws]
+    return rank(experiment.names, np.array(errors))
 
 
 def axis_table(experiment: Experiment) -> ResultTable:
@@ -108,75 +127,98 @@ def axis_table(experiment: Experiment) -> ResultTable:
 
 def cause_table(experiment: Experiment) -> ResultTable:
     """What each cause alone leaves after calibration."""
-    imperfections = experiment.imperfections
-    sizes = {
-        "tracker noise alone": f"{1e6 * SIGMA:.0f} um, {REPEATS} readings averaged",
-        "lead error": f"{imperfections.lead * 0.3 * 1e6:.0f} um per 300 mm",
-        "links out of perpendicular": f"{np.degrees(imperfections.tilt):.2f} deg (std of each axis)",
-        "backlash of the rail": f"{1e3 * imperfections.backlash:.2f} mm",
-    }
     rows = cause_rms(experiment)
+    sizes = {
+        "tracker noise alone": f"{1e6 * SIGMA:.0f} um, {counted(REPEATS, 'reading')} averaged",
+        **experiment.imperfections.sizes,
+    }
     columns = [Column("cause", tuple(rows)), Column("size", tuple(sizes.get(name, "") for name in rows))]
     for k, axis in enumerate(("x", "y", "z", "distance")):
-        columns.append(Column(f"rms {axis} [mm]", tuple(float(values[k]) for values in rows.values())))
-    return ResultTable(
-        "causes",
-        "What remains after calibration, by cause",
-        tuple(columns),
-        (
-            "simulated; each cause with the tracker's noise, calibrated from the poses of O1, at the 336 others;"
-            f" mean of {len(next(iter(experiment.causes.values())))} draws",
-            "the paper gives the lead error; the other sizes are chosen so that as much remains as in the paper",
-        ),
-    )
+        columns.append(Column(f"rms {axis} [mm]", tuple(float(values[k]) for values in rows.values()), 4))
+    notes = [
+        "simulated; each cause with the tracker's noise, calibrated from the poses of O1, at the 336 others; root mean"
+        f" square over the same {counted(len(experiment.draws), 'draw')} in every row"
+    ]
+    if experiment.imperfections == Imperfections():
+        notes.append(
+            "the paper gives the lead error; the other sizes are chosen so that as much remains as in the paper"
+        )
+    return ResultTable("causes", "What remains after calibration, by cause", tuple(columns), tuple(notes))
 
 
 def cause_rms(experiment: Experiment) -> dict[str, FloatArray]:
-    """Root mean square of x, y, z and distance after calibration, by cause, mean over draws, (4,) [mm]."""
-    draws = {**experiment.causes, "all together": experiment.draws}
-    return {name: np.mean([_axis_rms(experiment, one) for one in some], axis=0) for name, some in draws.items()}
+    """Root mean square of x, y, z and distance after calibration from O1's poses, by cause, (4,) [mm]."""
+    others = experiment.sets[0].others(len(experiment.joints))
+
+    def rms(draws: Sequence[ExperimentDraw]) -> FloatArray:
+        squares = np.mean([(1e3 * draw.after[0, others]) ** 2 for draw in draws], axis=(0, 1))
+        return np.sqrt(np.append(squares, squares.sum()))
+
+    return {name: rms(draws) for name, draws in {**experiment.causes, "all together": experiment.draws}.items()}
 
 
 def experiment_findings(experiment: Experiment) -> tuple[str, ...]:
     """Say in words what the tables show."""
-    draw = experiment.draws[0]
-    before, after = (_summary(errors) for errors in experiment.validation(draw, "O1"))
-    squares = np.mean([_axis_rms(experiment, one)[:3] ** 2 for one in experiment.draws], axis=0)
-    paper = error_table(5)
-    paper_squares = np.array(
-        [paper[f"after_{axis}"]["mean"] ** 2 + paper[f"after_{axis}"]["std"] ** 2 for axis in "xyz"]
-    )
-    errors = np.array(
-        [[_summary(experiment.validation(one, name)[1])[0] for name in experiment.names] for one in experiment.draws]
-    )
-    printed = [values["mean"] for name, values in error_table(4).items() if name != "before"]
-    outliers = sum(len(one.nest_outliers) for one in experiment.draws)
-    means = errors.mean(axis=0)
+    ranking, printed = experiment_ranking(experiment), error_table(4)
+    paper = [values["mean"] for name, values in printed.items() if name != "before"]
+    before, after = _summary(experiment, experiment.draws[0], "O1")
     return (
         f"Calibration from O1's poses takes the mean error from {before[0]:.3f} to {after[0]:.3f} mm; in the paper from"
-        f" {error_table(4)['before']['mean']:.3f} to {error_table(4)['O1']['mean']:.3f} mm. The error before is that"
-        " of Table III's parameters at our poses; the paper's poses are not public.",
-        f"What the paper's model leaves is mostly along x: {100 * squares[0] / squares.sum():.0f} % of the mean square"
-        f" error, in the paper {100 * paper_squares[0] / paper_squares.sum():.0f} %.",
-        f"Mean error over {len(errors)} draws, best first: {rank(experiment.names, errors)} ({LEGEND}). The worst"
-        f" choice is {100 * (means.max() / means.min() - 1):.0f} % above the best; in the paper"
-        f" {100 * (max(printed) / min(printed) - 1):.0f} %, from one experiment.",
-        f"Repeats at one pose scatter by {1e6 * draw.repeatability:.1f} um on each axis (repeatability). The world"
-        f" frame from three nests is uncertain by up to {1e6 * draw.frame_sigma:.0f} um at the tool (one standard"
-        f" deviation). Nests that seem not to fit: {outliers} in {len(experiment.draws)} draws; chance alone"
-        f" does that in up to one of {1 / OUTLIER_PROBABILITY:.0f}.",
+        f" {printed['before']['mean']:.3f} to {printed['O1']['mean']:.3f} mm.",
+        _before_finding(experiment),
+        _axis_finding(experiment),
+        f"Mean error over {counted(ranking.n_draws, 'draw')}, least first: {ranking}. The largest is"
+        f" {100 * (ranking.means[-1] / ranking.means[0] - 1):.0f} % above the least; in the paper"
+        f" {100 * (max(paper) / min(paper) - 1):.0f} %, from one experiment.",
+        _measuring_finding(experiment),
     )
 
 
-def _summary(errors: FloatArray) -> FloatArray:
-    """Mean, max and standard deviation of the distances, (3,) [mm]."""
-    distance = 1e3 * np.linalg.norm(errors, axis=1)
-    return np.array([distance.mean(), distance.max(), distance.std(ddof=1)])
+def _before_finding(experiment: Experiment) -> str:
+    """Whether the choice of poses can explain the error before."""
+    draw, printed = experiment.draws[0], error_table(4)["before"]["mean"]
+    distances = 1e3 * np.linalg.norm(draw.before, axis=1)
+    nominal = experiment.robot.positions(experiment.joints)[:, 0]
+    placed = 1e3 * np.linalg.norm(base_placed(nominal, nominal - draw.before), axis=1).mean()
+    below = int(np.sum(distances <= printed))
+    verdict = (
+        "no pose of ours has as little as the paper's mean, so that which of them are chosen does not explain it"
+        if below == 0
+        else f"{counted(below, 'pose')} of ours {'has' if below == 1 else 'have'} no more than the paper's mean"
+    )
+    return (
+        f"Before calibration the error lies between {distances.min():.2f} and {distances.max():.2f} mm over all"
+        f" {len(distances)} poses, {distances.mean():.2f} mm on average, {placed:.2f} mm with the base placed by a best"
+        f" fit: {verdict}."
+    )
 
 
-def _axis_rms(experiment: Experiment, draw: ExperimentDraw) -> FloatArray:
-    """Root mean square of x, y, z and distance after calibration from O1's poses, (4,) [mm]."""
-    others = experiment.sets[0].others(len(experiment.joints))
-    squares = (1e3 * draw.after[0, others]) ** 2
-    per_axis = squares.mean(axis=0)
-    return np.sqrt(np.append(per_axis, per_axis.sum()))
+def _axis_finding(experiment: Experiment) -> str:
+    """Which axis the remaining error is along."""
+    squares = cause_rms(experiment)["all together"][:3] ** 2
+    printed = error_table(5)
+    paper = np.array([printed[f"after_{axis}"]["mean"] ** 2 + printed[f"after_{axis}"]["std"] ** 2 for axis in "xyz"])
+    largest = int(np.argmax(squares))
+    mostly = f" is mostly along {'xyz'[largest]}:" if squares[largest] > squares.sum() / 2 else ":"
+    shares = [
+        ", ".join(f"{a} {100 * v / s.sum():.0f} %" for a, v in zip("xyz", s, strict=True)) for s in (squares, paper)
+    ]
+    return f"What the paper's model leaves{mostly} {shares[0]} of the mean square error; in the paper {shares[1]}."
+
+
+def _measuring_finding(experiment: Experiment) -> str:
+    """How good the simulated measurement was."""
+    draw, draws = experiment.draws[0], experiment.draws
+    outliers = sum(len(one.nest_outliers) for one in draws)
+    return (
+        f"Repeats at one pose scatter by {1e6 * draw.repeatability:.1f} um on each axis (repeatability). The world"
+        f" frame from three nests is uncertain by up to {1e6 * draw.frame_sigma:.0f} um at the tool (one standard"
+        f" deviation). Nests that seem not to fit: {outliers} in {counted(len(draws), 'draw')}; chance alone does that"
+        f" in up to one of {1 / OUTLIER_PROBABILITY:.0f}."
+    )
+
+
+def _summary(experiment: Experiment, draw: ExperimentDraw, name: str) -> tuple[FloatArray, FloatArray]:
+    """Mean, max, std and rms of the distances before and after, at the poses that a set leaves, each (4,) [mm]."""
+    before, after = experiment.validation(draw, name)
+    return 1e3 * summary(np.linalg.norm(before, axis=1)), 1e3 * summary(np.linalg.norm(after, axis=1))

@@ -51,6 +51,24 @@ class Imperfections:
             "backlash of the rail": replace(none, backlash=self.backlash),
         }
 
+    @property
+    def sizes(self) -> dict[str, str]:
+        """How large each of them is, by the names of `causes`."""
+        return {
+            "lead error": f"{self.lead * 0.3 * 1e6:g} um per 300 mm",
+            "links out of perpendicular": f"{np.degrees(self.tilt):.2g} deg (std of each axis)",
+            "backlash of the rail": f"{1e3 * self.backlash:g} mm",
+        }
+
+    def __str__(self) -> str:
+        """What there is, in words."""
+        present = {
+            "lead error": self.lead,
+            "links out of perpendicular": self.tilt,
+            "backlash of the rail": self.backlash,
+        }
+        return ", ".join(f"{name} of {self.sizes[name]}" for name, size in present.items() if size) or "nothing more"
+
 
 @dataclass(frozen=True, eq=False)
 class ImperfectRobot:

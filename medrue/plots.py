@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -13,6 +12,7 @@ from matplotlib.figure import Figure
 from calib.model.mechanism import FloatArray
 from calib.pose_choice.selection import Selection
 from medrue.workspace import Workspace
+from viz.svg import styled, svg_file
 
 BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#666666"
 """Colours that people with any colour vision tell apart (Okabe and Ito)."""
@@ -20,19 +20,28 @@ AXIS_COLOURS = (ORANGE, BLUE, GREEN)
 _MARKERS = ("o", "s", "^")
 
 
+@styled
 def figure_files(figure: Figure, name: str) -> dict[str, bytes]:
     """Return a figure as `name.png` and `name.svg`; the same figure gives the same bytes."""
-    png, svg = io.BytesIO(), io.BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": name}):
-        figure.savefig(png, format="png", dpi=150, metadata={"Software": None})
-        figure.savefig(svg, format="svg", metadata={"Date": None})
-    return {f"{name}.png": png.getvalue(), f"{name}.svg": svg.getvalue()}
+    png, layout = io.BytesIO(), figure.get_layout_engine()
+    if layout is not None:  # once for both files, and not again at every drawing
+        layout.execute(figure)
+        figure.set_layout_engine("none")
+    figure.savefig(png, format="png", dpi=150, metadata={"Software": None, "Description": _labels(figure)})
+    return {f"{name}.png": png.getvalue(), f"{name}.svg": svg_file(figure)}
 
 
+def _labels(figure: Figure) -> str:
+    """What the legends say, for those who cannot see the figure."""
+    return "; ".join(str(label) for axes in figure.axes for label in axes.get_legend_handles_labels()[1])
+
+
+@styled
 def workspace_figure(workspace: Workspace) -> Figure:
     """The 420 positions on their half cylinder, the leg's axis, and the direction of the probe at each (Figure 3)."""
-    figure = Figure(figsize=(9, 5), layout="constrained")
-    axes = figure.add_subplot(projection="3d")
+    figure = Figure(figsize=(7.5, 4.7))
+    # a square larger than the figure: such axes draw nothing outside their square, and leave much of it empty
+    axes = figure.add_subplot(projection="3d", position=(-0.07, -0.39, 1.1, 1.1 * 7.5 / 4.7))
     p = 1e3 * workspace.T_world_tool[:, :3, 3]
     z = 30 * workspace.T_world_tool[:, :3, 2]
     ends = 1e3 * np.stack([workspace.p_axis, workspace.p_axis + workspace.length * workspace.axis])
@@ -41,13 +50,16 @@ def workspace_figure(workspace: Workspace) -> Figure:
     axes.plot(*ends.T, color=ORANGE, linewidth=2, label="axis of the leg")
     axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]", yticks=(200, 300, 400), zticks=(-100, 0, 100))
     axes.xaxis.labelpad = 18
-    axes.set_title("Target workspace: half cylinder, diameter 300 mm, length 700 mm")
     axes.set_aspect("equal")
-    axes.view_init(elev=25, azim=-60)
-    axes.legend(loc="upper right", fontsize="small")
+    axes.set_box_aspect(np.ptp([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()], axis=1), zoom=0.77)
+    axes.view_init(elev=28, azim=-58)
+    diameter, length = 2e3 * workspace.radius, 1e3 * workspace.length
+    figure.suptitle(f"Target workspace: half cylinder, diameter {diameter:.0f} mm, length {length:.0f} mm")
+    figure.legend(loc="upper right", bbox_to_anchor=(0.99, 0.92))
     return figure
 
 
+@styled
 def exchange_figure(selection: Selection) -> Figure:
     """O1 while poses are exchanged (Figure 4)."""
     figure = Figure(figsize=(7, 4), layout="constrained")
@@ -63,13 +75,13 @@ def exchange_figure(selection: Selection) -> Figure:
         axes.plot(rest, values[rest], "s-", color=ORANGE, markersize=3, label="then single swaps, until none helps")
     if selection.bound is not None:
         axes.axhline(1e3 * selection.bound, color=GREY, linestyle="--", label="no choice of 84 poses can be above this")
-    axes.set(xlabel="exchange", ylabel="O1 [10$^{-3}$, columns in units of 2 mm and 1.5 deg]")
+    axes.set(xlabel="exchange", ylabel="O1 [10⁻³, columns in units of 2 mm and 1.5 deg]")
     axes.set_title("Observability index O1 while 84 of 420 poses are chosen")
-    axes.grid(alpha=0.3)
-    axes.legend(loc="lower right", fontsize="small")
+    axes.legend(loc="lower right")
     return figure
 
 
+@styled
 def before_after_figure(before: FloatArray, after: FloatArray, title: str) -> Figure:
     """Position errors at the validation poses before and after calibration, on the same axes (Figures 5 and 7).
 
@@ -91,6 +103,7 @@ def before_after_figure(before: FloatArray, after: FloatArray, title: str) -> Fi
     return figure
 
 
+@styled
 def axis_figure(before: FloatArray, after: FloatArray, title: str) -> Figure:
     """Components of the position errors before and after calibration, on the same axes (Figure 8).
 
@@ -110,48 +123,67 @@ def axis_figure(before: FloatArray, after: FloatArray, title: str) -> Figure:
                 color=AXIS_COLOURS[k],
                 markersize=2.5,
                 alpha=0.7,
-                label=f"{axis}, mean {values.mean():.3f} mm",
+                label=f"{axis}: mean {values.mean():.3f}",
             )
         axes.set_title(f"{name} calibration")
-        _error_axes(axes)
+        _error_axes(axes, f"{name} calibration, component along [mm]")
     left.set_ylabel("magnitude of the component [mm]")
     figure.suptitle(title)
     return figure
 
 
-def _error_axes(axes: Axes) -> None:
+def _error_axes(axes: Axes, legend: str | None = None) -> None:
     axes.set_yscale("log")
     axes.set_xlabel("validation pose")
-    axes.grid(alpha=0.3, which="both")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3, fontsize="small", frameon=False)
+    axes.grid(alpha=0.2, which="minor")
+    axes.yaxis.set_major_formatter("{x:g}")
+    spacing = {"columnspacing": 1.2, "handlelength": 1.2, "handletextpad": 0.4}
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=3, title=legend, **spacing)
 
 
+@styled
 def spread_figure(names: tuple[str, ...], errors: FloatArray, floors: FloatArray, title: str) -> Figure:
     """How the error of every choice of poses scatters over the draws.
+
+    Theory bounds the mean square over the draws, not the root of each draw's, whose mean is smaller. So the root of
+    that mean square is drawn too, beside the bound.
 
     Args:
         names: The choices.
         errors: Root-mean-square error of each draw, (n_draws, n_sets) [m].
-        floors: What theory allows on average, (n_sets,) [m].
+        floors: Least root of the mean square over draws that theory allows, (n_sets,) [m].
         title: What was simulated.
     """
     figure = Figure(figsize=(7, 4), layout="constrained")
     axes = figure.add_subplot()
     places = np.arange(len(names))
-    boxes = axes.boxplot(1e3 * errors, positions=places, widths=0.6, patch_artist=True, showfliers=True)
+    boxes = axes.boxplot(1e3 * errors, positions=places, widths=0.5, patch_artist=True, flierprops={"markersize": 3})
     for box in boxes["boxes"]:
         box.set(facecolor=BLUE, alpha=0.35)
     for median in boxes["medians"]:
         median.set(color=ORANGE)
-    axes.plot(places, 1e3 * floors, "D", color=GREEN, markersize=5, label="what theory allows (Cramér-Rao, rms)")
+    together = np.sqrt(np.mean(errors**2, axis=0))
+    axes.plot(
+        places + 0.36, 1e3 * together, "o", color=BLUE, markersize=5, label="root of the mean square of all draws"
+    )
+    axes.plot(
+        places + 0.36,
+        1e3 * floors,
+        "D",
+        color=GREEN,
+        markersize=5,
+        fillstyle="none",
+        label="least that theory allows for it",
+    )
     axes.set_xticks(places, names)
     axes.set(xlabel="index that chose the 84 poses", ylabel="rms error at the validation poses [mm]")
     axes.set_title(title)
-    axes.grid(alpha=0.3, axis="y")
-    axes.legend(fontsize="small")
+    axes.grid(visible=False, axis="x")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
     return figure
 
 
+@styled
 def cause_figure(causes: Mapping[str, FloatArray]) -> Figure:
     """What remains along each axis after calibration, by cause.
 
@@ -167,6 +199,6 @@ def cause_figure(causes: Mapping[str, FloatArray]) -> Figure:
     axes.set_xticks(places, [name.replace(" out of ", "\nout of ").replace(" of the ", "\nof the ") for name in causes])
     axes.set_ylabel("rms component after calibration [mm]")
     axes.set_title("What the paper's model leaves (simulated)")
-    axes.grid(alpha=0.3, axis="y")
-    axes.legend(title="axis", fontsize="small")
+    axes.grid(visible=False, axis="x")
+    axes.legend(title="axis")
     return figure

@@ -1,8 +1,11 @@
 """Which choice of poses is better, and whether that is more than luck.
 
-Every draw gives one error for each set of poses, on the same noise. Sets are ranked by their mean error; neighbours in
-the ranking are told apart where the mean of their paired differences, over its standard error, exceeds what luck gives
-once in a thousand (Student's t, so that few draws prove little).
+Every draw gives one error for each set of poses, on the same noise. Sets are put in the order of their mean error. That
+order alone says little, so every pair of sets is compared: the mean of their paired differences over its standard
+error is Student's t with n - 1 degrees of freedom if the two are equally good. n sets are n (n - 1) / 2 questions;
+Holm's correction (1979) keeps the chance that luck answers any of them wrongly below `LUCK`. Comparing neighbours in
+the order would not do: a set may be like the next, that one like the one after it, and the first still better than the
+third.
 """
 
 from __future__ import annotations
@@ -13,38 +16,66 @@ import numpy as np
 from scipy.stats import kendalltau
 from scipy.stats import t as student_t
 
-from calib.model.mechanism import FloatArray
+from calib.model.mechanism import BoolArray, FloatArray
+from calib.words import counted
+from medrue.result_tables import Cell, Column, ResultTable
 
 LUCK = 1e-3
-"""How often luck alone may make a difference look sure."""
-LEGEND = "a < b: surely better, luck does that once in a thousand; a ~ b: may be luck"
+"""How often luck alone may make any difference of a ranking look sure."""
+LEGEND = "Surely: luck alone would say so of any pair in one ranking of a thousand"
 
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """Sets of poses, the best first.
+    """Sets of poses, the least mean error first; all axes are in that order.
 
     Attributes:
-        names: Names in the order of rank.
-        means: Mean error of each, in that order, (n_sets,).
+        names: Names.
+        means: Mean error of each, (n_sets,).
         n_draws: Of how many draws.
-        standard_errors: Of these means, (n_sets,); NaN for a single draw.
-        steps: Mean paired difference of each to the next, over its standard error, (n_sets - 1,).
+        steps: Mean of column's minus row's error over its standard error, (n_sets, n_sets); NaN where not known.
+        better: Whether the row's set is surely better than the column's, (n_sets, n_sets).
     """
 
     names: tuple[str, ...]
     means: FloatArray
     n_draws: int
-    standard_errors: FloatArray
     steps: FloatArray
+    better: BoolArray
 
     def __str__(self) -> str:
-        """The order in one line: `a < b` where b is surely worse, `a ~ b` where that may be luck."""
-        text = self.names[0]
-        sure = float(student_t.isf(LUCK, self.n_draws - 1)) if self.n_draws > 1 else np.inf
-        for name, step in zip(self.names[1:], self.steps, strict=True):
-            text += f" {'<' if step > sure else '~'} {name}"
-        return text
+        """The order, and every sure comparison."""
+        return f"{', '.join(self.names)}; {self.sure()}"
+
+    def sure(self) -> str:
+        """Say which sets are surely better than which, every pair of them."""
+        winners: dict[str, list[str]] = {}
+        for row, name in enumerate(self.names):
+            if np.any(self.better[row]):
+                winners.setdefault(self._losers(row), []).append(name)
+        if not winners:
+            return "no set is surely better than another"
+        clauses = [f"{_enumerated(names)} than {losers}" for losers, names in winners.items()]
+        return f"surely better: {'; '.join(clauses)}; every other difference may be luck"
+
+    def compared(self, row: int, column: int) -> str:
+        """Return `better`, `worse` or `open` for a set (by rank) against another, nothing for itself."""
+        if row == column:
+            return ""
+        return "better" if self.better[row, column] else "worse" if self.better[column, row] else "open"
+
+    def _losers(self, row: int) -> str:
+        """The sets that this one is surely better than; those that end the order by their first one."""
+        losers = np.flatnonzero(self.better[row])
+        first = len(self.names)
+        while first - 1 in losers:
+            first -= 1
+        alone = [self.names[k] for k in losers if k < first]
+        behind = len(self.names) - first
+        if behind > 2:
+            alone.append(f"{self.names[first]} and all after it")
+            return ", ".join(alone)
+        return _enumerated([*alone, *self.names[first:]])
 
 
 def rank(names: tuple[str, ...], errors: FloatArray) -> Ranking:
@@ -57,11 +88,57 @@ def rank(names: tuple[str, ...], errors: FloatArray) -> Ranking:
     means = errors.mean(axis=0)
     order = np.argsort(means, kind="stable")
     n = len(errors)
-    differences = np.diff(errors[:, order], axis=1)
+    differences = errors[:, None, order] - errors[:, order, None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        spread = differences.std(axis=0, ddof=1) / np.sqrt(n) if n > 1 else np.full(len(names) - 1, np.nan)
-        steps = differences.mean(axis=0) / spread
-    return Ranking(tuple(names[k] for k in order), means[order], n, standard_error(errors)[order], steps)
+        steps = differences.mean(axis=0) / standard_error(differences)
+        luck = 2 * student_t.sf(np.abs(steps), n - 1) if n > 1 else np.full(steps.shape, np.nan)
+    return Ranking(tuple(names[k] for k in order), means[order], n, steps, _sure(luck) & (steps > 0))
+
+
+def _sure(luck: FloatArray) -> BoolArray:
+    """Which pairs differ surely, after Holm, (n, n): least probable first, until one may be luck.
+
+    Args:
+        luck: Probability of each pair's difference by luck alone, symmetric, NaN where not known, (n, n).
+    """
+    upper = np.triu_indices(len(luck), 1)
+    probabilities = np.where(np.isnan(luck[upper]), 1.0, luck[upper])
+    sure = np.zeros(luck.shape, dtype=bool)
+    for done, k in enumerate(np.argsort(probabilities, kind="stable")):
+        if probabilities[k] > LUCK / (len(probabilities) - done):
+            break
+        i, j = upper[0][k], upper[1][k]
+        sure[i, j] = sure[j, i] = True
+    return sure
+
+
+def ranking_table(rankings: dict[str, Ranking], unit: str) -> ResultTable:
+    """Every pair of sets.
+
+    Args:
+        rankings: Rankings of the same sets over the same draws, by what was ranked.
+        unit: Of the errors.
+    """
+    first = next(iter(rankings.values()))
+    names = sorted(first.names)
+    rows: list[list[Cell]] = []
+    for what, ranking in rankings.items():
+        place = {name: k for k, name in enumerate(ranking.names)}
+        for k, name in enumerate(ranking.names):
+            compared: list[Cell] = [ranking.compared(k, place[other]) for other in names]
+            rows.append([f"{what}: {name}", float(ranking.means[k]), *compared])
+    headers = ["poses chosen by", f"mean over draws [{unit}]", *(f"against {name}" for name in names)]
+    cells = zip(headers, zip(*rows, strict=True), strict=True)
+    return ResultTable(
+        "ranking",
+        "Which choice of poses is better than which",
+        tuple(Column(header, column, 4) for header, column in cells),
+        (
+            f"simulated; better or worse: surely, from paired differences over {counted(first.n_draws, 'draw')},"
+            " Student's t with Holm's correction over the pairs of a ranking, so that luck alone makes any pair of it"
+            f" look sure once in {1 / LUCK:.0f}; open: may be luck",
+        ),
+    )
 
 
 def standard_error(draws: FloatArray) -> FloatArray:
@@ -76,3 +153,8 @@ def agreement(first: dict[str, float], second: dict[str, float]) -> float:
     """Kendall's tau of two lists of errors by name: 1 for the same order, 0 for none, -1 for the reverse."""
     names = sorted(set(first) & set(second))
     return float(kendalltau([first[name] for name in names], [second[name] for name in names]).statistic)
+
+
+def _enumerated(names: list[str]) -> str:
+    """`a`, `a and b`, `a, b and c`."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.words import counted
 from medrue.experiment import Experiment
 from medrue.experiment_tables import cause_rms, experiment_findings, experiment_tables
 from medrue.pages import NamedFigure, Report
@@ -22,36 +23,6 @@ from medrue.workspace import target_workspace
 
 def study_report(study: Study) -> Report:
     """Return the report of the simulation study."""
-    others = study.sets[0].others(len(study.joints))
-    before = np.linalg.norm(study.robot.positions(study.joints)[others, 0] - study.truth[others], axis=1)
-    after = study.outcome.distances[0, 0, others]
-    draws = len(study.outcome.distances)
-    figures = (
-        NamedFigure(
-            "figure4",
-            "Figure 4: O1 over the iterations",
-            "Every point is the index after one exchange; the dashed line is a proven bound.",
-            exchange_figure(study.selections["O1"]),
-        ),
-        NamedFigure(
-            "figure5",
-            "Figure 5: position errors before and after calibration in simulation",
-            f"Distance from the true position at the {len(others)} validation poses, {COUNT} poses of O1, first draw"
-            " of the noise; both panels have the same axes.",
-            before_after_figure(before, after, "Simulation: position errors at the validation poses"),
-        ),
-        NamedFigure(
-            "errors_over_draws",
-            "Errors over the draws of the noise",
-            "Boxes: quartiles; whiskers: up to 1.5 times the box; every set of poses sees the same noise.",
-            spread_figure(
-                study.names,
-                study.validation_errors(study.outcome)[:, :, 3],
-                study.floors,
-                f"Simulation: {draws} draws of the noise",
-            ),
-        ),
-    )
     return Report(
         "The paper's simulation study: Tables I and II, Figures 4 and 5",
         "Measurements are computed from Table I's actual parameters by the closed form, plus normal noise of 40 µm on"
@@ -59,26 +30,82 @@ def study_report(study: Study) -> Report:
         " not in numbers.",
         study_findings(study),
         study_tables(study),
-        figures,
+        (_exchange(study), _study_errors(study), _spread(study)),
         study.seed,
+    )
+
+
+def _exchange(study: Study) -> NamedFigure:
+    selection = study.selections["O1"]
+    bound = "" if selection.bound is None else " The dashed line is a proven bound."
+    return NamedFigure(
+        "figure4",
+        "Figure 4: O1 over the iterations",
+        f"Every point is the index after one exchange.{bound}",
+        exchange_figure(selection),
+    )
+
+
+def _study_errors(study: Study) -> NamedFigure:
+    others = study.sets[0].others(len(study.joints))
+    before = np.linalg.norm(study.robot.positions(study.joints)[others, 0] - study.truth[others], axis=1)
+    return NamedFigure(
+        "figure5",
+        "Figure 5: position errors before and after calibration in simulation",
+        f"Distance from the true position at the {len(others)} validation poses, {COUNT} poses of O1, first draw"
+        " of the noise; both panels have the same axes.",
+        before_after_figure(
+            before, study.outcome.distances[0, 0, others], "Simulation: position errors at the validation poses"
+        ),
+    )
+
+
+def _spread(study: Study) -> NamedFigure:
+    errors = study.validation_errors(study.outcome)[:, :, 3]
+    draws = counted(len(errors), "draw")
+    return NamedFigure(
+        "errors_over_draws",
+        "Errors over the draws of the noise",
+        "Boxes: quartiles of the root-mean-square error of each draw; whiskers: up to 1.5 times the box; every set of"
+        " poses sees the same noise. The Cramér-Rao bound is on the mean square over the draws: compare the open"
+        " diamonds with the dots beside them, not with the boxes. By luck a dot may lie a little below.",
+        spread_figure(study.names, errors, study.floors, f"Simulation: {draws} of the noise"),
     )
 
 
 def experiment_report(experiment: Experiment) -> Report:
     """Return the report of the simulated experiment."""
+    return Report(
+        "The paper's experiment on a simulated robot: Tables III to V, Figures 3, 7 and 8",
+        "No measurements of the paper are public. The robot is simulated: the parameters that the paper identified"
+        " (Table III), and of what it blames for the error that remains, backlash of the rail that depends on the"
+        " direction of approach, an error of the screw's lead, and links slightly out of perpendicular:"
+        f" {experiment.imperfections}. A simulated tracker (40 µm, five readings averaged) stands in a frame of its own"
+        " and finds the world from three nests.",
+        experiment_findings(experiment),
+        experiment_tables(experiment),
+        (_workspace(), *_experiment_errors(experiment), _causes(experiment)),
+        experiment.seed,
+    )
+
+
+def _workspace() -> NamedFigure:
+    return NamedFigure(
+        "figure3",
+        "Figure 3: the target workspace",
+        "The paper's figure places the half cylinder, its text does not; this placement is the project's.",
+        workspace_figure(target_workspace()),
+    )
+
+
+def _experiment_errors(experiment: Experiment) -> tuple[NamedFigure, ...]:
     before, after = experiment.validation(experiment.draws[0], "O1")
-    figures = (
-        NamedFigure(
-            "figure3",
-            "Figure 3: the target workspace",
-            "The paper's figure places the half cylinder, its text does not; this placement is the project's.",
-            workspace_figure(target_workspace()),
-        ),
+    return (
         NamedFigure(
             "figure7",
             "Figure 7: position errors before and after calibration in the simulated experiment",
-            f"Distance from the measured position at the {len(before)} validation poses, poses of O1; both panels have"
-            " the same axes.",
+            f"Distance from the measured position at the {len(before)} validation poses, poses of O1, first draw; both"
+            " panels have the same axes.",
             before_after_figure(
                 np.linalg.norm(before, axis=1),
                 np.linalg.norm(after, axis=1),
@@ -91,21 +118,14 @@ def experiment_report(experiment: Experiment) -> Report:
             "Magnitudes of the components at the same poses; both panels have the same axes.",
             axis_figure(before, after, "Simulated experiment: errors along each axis"),
         ),
-        NamedFigure(
-            "causes",
-            "What remains, by cause",
-            "Root mean square along each axis after calibration, with one cause at a time and with all.",
-            cause_figure(cause_rms(experiment)),
-        ),
     )
-    return Report(
-        "The paper's experiment on a simulated robot: Tables III to V, Figures 3, 7 and 8",
-        "No measurements of the paper are public. The robot is simulated: the parameters that the paper identified"
-        " (Table III), plus what it blames for the error that remains: backlash of the rail that depends on the"
-        " direction of approach, an error of the screw's lead, and links slightly out of perpendicular. A simulated"
-        " tracker (40 µm, five readings averaged) stands in a frame of its own and finds the world from three nests.",
-        experiment_findings(experiment),
-        experiment_tables(experiment),
-        figures,
-        experiment.seed,
+
+
+def _causes(experiment: Experiment) -> NamedFigure:
+    return NamedFigure(
+        "causes",
+        "What remains, by cause",
+        "Root mean square along each axis after calibration, with one cause at a time and with all, over the same"
+        f" {counted(len(experiment.draws), 'draw')}.",
+        cause_figure(cause_rms(experiment)),
     )

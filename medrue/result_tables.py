@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from calib.data.tables import format_table
@@ -68,10 +67,9 @@ class ResultTable:
         records = [dict(zip(headers, (_plain(cell) for cell in row), strict=True)) for row in cells]
         return {"title": self.title, "notes": list(self.notes), "rows": records}
 
-    def text(self, headers: Sequence[str] | None = None) -> str:
+    def text(self) -> str:
         """Return the table as text for a terminal."""
-        chosen = [column for column in self.columns if headers is None or column.header in headers]
-        cells = [[column.header, *column.shown()] for column in chosen]
+        cells = [[column.header, *column.shown()] for column in self.columns]
         widths = [max(len(cell) for cell in column) for column in cells]
         lines = []
         for row in zip(*cells, strict=True):

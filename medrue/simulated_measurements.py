@@ -15,6 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.errors import InputError
+from calib.files import write_file
 from medrue.closed_form import ACTUATED_JOINTS, Array, forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
@@ -79,7 +81,7 @@ def measurement_file(seed: int, sigma: float) -> str:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Command line: write the file beside its place, then rename it."""
+    """Command line."""
     parser = argparse.ArgumentParser(
         prog="python -m medrue.simulated_measurements",
         description="Write simulated measurements of MedRUE at the 420 poses of its target workspace.",
@@ -92,9 +94,10 @@ def main(arguments: list[str] | None = None) -> None:
         parser.error(f"--sigma-mm is {options.sigma_mm}, expected zero or more")
     if options.seed < 0:
         parser.error(f"--seed is {options.seed}, expected zero or more")
-    part = options.out.with_name(options.out.name + ".part")
-    part.write_text(measurement_file(options.seed, options.sigma_mm), encoding="utf-8")
-    part.replace(options.out)
+    try:
+        write_file(options.out, measurement_file(options.seed, options.sigma_mm))
+    except InputError as error:
+        parser.error(str(error))
 
 
 if __name__ == "__main__":

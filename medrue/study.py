@@ -54,7 +54,7 @@ class StudySize:
     noise_per_actual: int = 10
 
 
-QUICK = StudySize(noise_draws=10, actual_draws=2, noise_per_actual=5)
+QUICK = StudySize(noise_draws=10, actual_draws=2, noise_per_actual=2)
 
 
 @dataclass(frozen=True, eq=False)

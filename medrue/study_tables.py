@@ -6,8 +6,9 @@ import numpy as np
 
 from calib.model.mechanism import FloatArray
 from calib.units import PER_SI
+from calib.words import counted
 from medrue.paper_tables import error_table, table1
-from medrue.ranking import LEGEND, agreement, rank, standard_error
+from medrue.ranking import LEGEND, Ranking, agreement, rank, ranking_table, standard_error
 from medrue.result_tables import Column, ResultTable
 from medrue.study import COUNT, SIGMA, Study
 
@@ -16,7 +17,13 @@ STATISTICS = ("mean", "max", "std")
 
 def study_tables(study: Study) -> tuple[ResultTable, ...]:
     """Return all tables of the study."""
-    return (parameter_table(study), error_tables(study), floor_table(study), observability_table(study))
+    return (
+        parameter_table(study),
+        error_tables(study),
+        ranking_table(_rankings(study.names, study.validation_errors(study.outcome) * 1e3), "mm"),
+        floor_table(study),
+        observability_table(study),
+    )
 
 
 def parameter_table(study: Study) -> ResultTable:
@@ -51,7 +58,7 @@ def parameter_table(study: Study) -> ResultTable:
         ),
         (
             f"simulated; noise sigma {1e6 * SIGMA:.0f} um on each axis, seed {study.seed}; scatter over"
-            f" {len(study.outcome.values)} draws of the noise",
+            f" {counted(len(study.outcome.values), 'draw')} of the noise",
             "redundant parameters stay nominal; the nominal joint offsets are zero (the paper's Table I prints others)",
         ),
     )
@@ -71,14 +78,14 @@ def error_tables(study: Study) -> ResultTable:
     before = study.before() * 1e3
     printed = error_table(2)
     blocks: list[tuple[str, float | None, FloatArray | None]] = []
-    n, m = len(draws), len(by_actual)
+    noise, robots = f"{counted(len(draws), 'draw')} of noise", counted(len(by_actual), "actual robot")
     for k, statistic in enumerate(STATISTICS):
         blocks += [
             (f"{statistic}, single draw", float(before[k]), draws[0, :, k]),
-            (f"{statistic}, mean over {n} draws of noise", None, draws[:, :, k].mean(axis=0)),
-            ("  standard error", None, standard_error(draws[:, :, k])),
-            (f"{statistic}, mean over {m} actual robots", None, by_actual[:, :, k].mean(axis=0)),
-            ("  standard error", None, standard_error(by_actual[:, :, k])),
+            (f"{statistic}, mean over {noise}", None, draws[:, :, k].mean(axis=0)),
+            (f"{statistic}, standard error over {noise}", None, standard_error(draws[:, :, k])),
+            (f"{statistic}, mean over {robots}", None, by_actual[:, :, k].mean(axis=0)),
+            (f"{statistic}, standard error over {robots}", None, standard_error(by_actual[:, :, k])),
             (f"{statistic}, paper", printed["before"][statistic], _printed(statistic, study.names)),
         ]
     columns = [Column("error [mm]", tuple(name for name, _, _ in blocks))]
@@ -93,7 +100,9 @@ def error_tables(study: Study) -> ResultTable:
         (
             f"simulated; distance from the true position at the {len(study.joints) - COUNT} other poses;"
             f" seed {study.seed}",
-            f"actual robots: drawn within +-2 mm and +-1.5 deg, {study.size.noise_per_actual} draws of noise each",
+            "before: the nominal robot at the validation poses of O1; the first draw is the single one",
+            f"actual robots: drawn within +-2 mm and +-1.5 deg, {counted(study.size.noise_per_actual, 'draw')} of noise"
+            " each",
             "task: smallest predicted error over all 420 poses; the paper does not have it",
         ),
     )
@@ -120,7 +129,10 @@ def floor_table(study: Study) -> ResultTable:
             Column("ratio of squares", tuple(float(value) for value in found / floors**2), 3),
             Column("its standard error", tuple(float(value) for value in spread / floors**2), 3),
         ),
-        (f"simulated; {len(squares)} draws of the noise; a ratio of 1 means that no unbiased estimate can be better",),
+        (
+            f"simulated; {counted(len(squares), 'draw')} of the noise; draws: root of the mean square over all of them",
+            "a ratio of 1 means that no unbiased estimate can be better",
+        ),
     )
 
 
@@ -141,7 +153,10 @@ def observability_table(study: Study) -> ResultTable:
         "observability",
         "Observability of the chosen poses, at nominal parameters",
         tuple(columns),
-        ("columns of the Jacobian in units of 2 mm and 1.5 deg; task: predicted rms error over all 420 poses",),
+        (
+            "columns of the Jacobian in units of 2 mm and 1.5 deg; no measurement, real or simulated, enters",
+            f"task: predicted rms error over all {len(study.joints)} poses, for noise of {1e6 * SIGMA:.0f} um",
+        ),
     )
 
 
@@ -154,31 +169,51 @@ def _exact_finding(study: Study) -> str:
     units = np.array([PER_SI[parameter.dimension][parameter.unit] for parameter in study.robot.parameters])
     exact = float(np.max(np.abs((study.exact.robot.values - table1().actual) * units)))
     return (
-        f"Without noise, all {int(study.robot.free.sum())} parameters come back to within {exact:.1e} (mm or deg); in"
-        " the paper to all printed digits."
+        f"Without noise, {int(study.robot.free.sum())} parameters come back to within {exact:.1e} (mm or deg); in the"
+        " paper to its three printed decimals."
     )
+
+
+def _rankings(names: tuple[str, ...], errors: FloatArray) -> dict[str, Ranking]:
+    """Rankings by the mean and by the largest error, from errors (n_draws, n_sets, 4)."""
+    return {what: rank(names, errors[:, :, k]) for k, what in enumerate(("mean error", "largest error"))}
 
 
 def _ranking_findings(study: Study) -> tuple[str, ...]:
     """How far the paper's order of the indices holds."""
     draws = study.validation_errors(study.outcome) * 1e3
     by_actual = np.array([study.validation_errors(outcome).mean(axis=0) for outcome in study.by_actual]) * 1e3
-    by_mean = rank(study.names, draws[:, :, 0])
+    orders = [
+        f"{what.capitalize()} over {whose}, least first: {ranking}."
+        for errors, whose in (
+            (draws, f"{counted(len(draws), 'draw')} of the noise"),
+            (by_actual, counted(len(by_actual), "actual robot")),
+        )
+        for what, ranking in _rankings(study.names, errors).items()
+    ]
+    ours = _rankings(study.names, draws)["mean error"]
+    return (f"{orders[0]} ({LEGEND}.)", *orders[1:], *_against_the_paper(ours, study))
+
+
+def _against_the_paper(ours: Ranking, study: Study) -> tuple[str, ...]:
+    """The paper's order of the mean error beside ours."""
     printed = {name: values["mean"] for name, values in error_table(2).items() if name != "before"}
-    means = dict(zip(study.names, draws[:, :, 0].mean(axis=0).tolist(), strict=True))
-    shared = [name for name in by_mean.names if name in printed]
+    means = dict(zip(ours.names, ours.means.tolist(), strict=True))
+    shared = [name for name in ours.names if name in printed]
+    paper = sorted((name for name in shared), key=printed.__getitem__)
+    here, there = means["uniform"] / means["O1"], printed["uniform"] / printed["O1"]
+    o1 = study.selections["O1"]
+    best_two = "also" if set(shared[:2]) == set(paper[:2]) else "not"
+    nominal = 1e3 * np.linalg.norm(study.robot.positions(study.joints)[:, 0] - study.truth, axis=1)
     return (
-        f"Mean error over {len(draws)} draws of the noise, best first: {by_mean} ({LEGEND}).",
-        f"Largest error over the same draws: {rank(study.names, draws[:, :, 1])}.",
-        f"Mean error over {len(by_actual)} actual robots: {rank(study.names, by_actual[:, :, 0])}. Largest error over"
-        f" these: {rank(study.names, by_actual[:, :, 1])}.",
-        f"The paper's order of the mean error, from one draw: {' < '.join(sorted(printed, key=printed.__getitem__))}."
-        f" Its two best are {'also' if set(shared[:2]) == {'O1', 'O5'} else 'not'} ours among these six; its worst,"
-        f" uniform, is {'also' if shared[-1] == 'uniform' else 'not'} ours. Kendall's tau of the two orders:"
-        f" {agreement(printed, means):.2f} (1: the same order, 0: none).",
-        f"The differences are smaller than the paper's: uniform over O1 is {means['uniform'] / means['O1']:.2f} here,"
-        f" {printed['uniform'] / printed['O1']:.1f} there. Our candidates also vary the probe's direction evenly, so"
-        " that a uniform choice is a good one already.",
+        f"Before calibration the mean error is {1e3 * study.before()[0]:.2f} mm here,"
+        f" {error_table(2)['before']['mean']:.2f} mm in the paper; at single poses of ours it lies between"
+        f" {nominal.min():.2f} and {nominal.max():.2f} mm.",
+        f"The paper's order of the mean error, from one draw: {', '.join(paper)}. Its two least are {best_two} ours"
+        f" among these; its largest, {paper[-1]}, is {'also' if shared[-1] == paper[-1] else 'not'} ours. Kendall's tau"
+        f" of the two orders: {agreement(printed, means):.2f} (1: the same order, 0: none).",
+        f"Mean error of uniform over that of O1: {here:.2f} here, {there:.1f} in the paper. Among our candidates the"
+        f" uniform choice has {100 * o1.before['O1'] / o1.on_grid['O1']:.0f} % of the O1 of the best.",
     )
 
 
@@ -187,11 +222,12 @@ def _floor_findings(study: Study) -> tuple[str, ...]:
     draws = study.validation_errors(study.outcome)[:, 0] * 1e3
     squares, floor = draws[:, 3] ** 2, float(study.floors[0] * 1e3)
     printed = error_table(2)["O1"]
+    rms = float(np.hypot(printed["mean"], printed["std"]))
     reached = 100 * float(np.mean(draws[:, 0] <= printed["mean"]))
     return (
         f"Mean square error of O1's poses over what theory allows: {np.mean(squares) / floor**2:.3f} +-"
         f" {float(standard_error(squares)) / floor**2:.3f}.",
-        f"Theory allows {floor:.4f} mm (rms) at O1's validation poses. The paper's mean of {printed['mean']:.3f} mm"
-        f" (rms about {np.hypot(printed['mean'], printed['std']):.4f}) is below that; {reached:.1f} % of our draws"
-        " reach it. Noise of +-120 um in distance, not on each axis, would explain it as well.",
+        f"Theory allows {floor:.4f} mm (rms) at O1's validation poses; the paper's {printed['mean']:.3f} mm (rms about"
+        f" {rms:.4f}) is {'below' if rms < floor else 'above'} that, and {reached:.1f} % of our draws reach it. If its"
+        f" +-120 um were the noise in distance, not on each axis, theory would allow {floor / np.sqrt(3):.4f} mm.",
     )

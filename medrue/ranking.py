@@ -3,9 +3,11 @@
 Every draw gives one error for each set of poses, on the same noise. Sets are put in the order of their mean error. That
 order alone says little, so every pair of sets is compared: the mean of their paired differences over its standard
 error is Student's t with n - 1 degrees of freedom if the two are equally good. n sets are n (n - 1) / 2 questions;
-Holm's correction (1979) keeps the chance that luck answers any of them wrongly below `LUCK`. Comparing neighbours in
+Holm's correction keeps the chance that luck answers any of them wrongly below `LUCK`. Comparing neighbours in
 the order would not do: a set may be like the next, that one like the one after it, and the first still better than the
 third.
+
+Reference: holm1979.
 """
 
 from __future__ import annotations

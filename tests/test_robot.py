@@ -398,15 +398,16 @@ def test_a_urdf_elsewhere_is_found_from_its_description(tmp_path):
     assert calib.load(tmp_path / "sub" / "arm.yaml").joint_names == ("turn", "slide", "wrist")
 
 
-def test_a_name_of_target_and_link_means_the_target(tmp_path):
+def test_a_name_of_target_and_link_means_the_link_and_no_name_the_target(tmp_path):
     """A plain URDF's target is called like its last link, and may be calibrated to lie elsewhere on it."""
     urdf = write_arm(tmp_path).with_suffix(".urdf")
     robot = calib.load(urdf)
     (target,) = robot.target_names
     moved = robot.with_parameters({f"{target}.x": 0.05})
     q = np.array([0.1, 0.2, 0.3])
-    assert np.allclose(moved.forward(q, target)[:3, 3], moved.positions(q)[0, 0], atol=1e-15)
-    assert np.linalg.norm(moved.forward(q, target)[:3, 3] - robot.forward(q, target)[:3, 3]) == pytest.approx(0.05)
+    assert np.allclose(moved.forward(q)[:3, 3], moved.positions(q)[0, 0], atol=1e-15)
+    assert np.array_equal(moved.forward(q, target), robot.forward(q, target))
+    assert np.linalg.norm(moved.forward(q)[:3, 3] - moved.forward(q, target)[:3, 3]) == pytest.approx(0.05)
 
 
 @pytest.mark.parametrize("value", [1e300, -2e6])

@@ -34,7 +34,7 @@ def test_a_quantity_is_read_exactly_in_si(text, dimension, expected):
         ("1 mm", "angle", "here: unit 'mm' is for a length; an angle is expected (rad, deg, mrad)"),
         ("1 inch", "length", "here: unknown unit 'inch'; valid: m, mm, um"),
         ("1 degs", "angle", "here: unknown unit 'degs'; did you mean 'deg'?"),
-        ("1 MM", "length", "here: unknown unit 'MM'; valid: m, mm, um"),
+        ("1 MM", "length", "here: unknown unit 'MM'; did you mean 'mm'?"),
     ],
 )
 def test_a_wrong_unit_is_an_error_with_the_valid_ones(value, dimension, message):

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.stats import qmc
 
 from calib.model.assembly_mode import AssemblyMode
 from calib.model.closure import residual
@@ -152,6 +151,8 @@ def _nearest(
 
 def _stepping_stones(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> FloatArray:
     """Joint values spread over the box of home and these poses and a bit beyond, (n, n_actuated) [m or rad]."""
+    from scipy.stats import qmc  # costs 0.4 s to import, and is rarely needed
+
     corners = np.vstack([mode.actuated[None], actuated])
     low, high = corners.min(axis=0), corners.max(axis=0)
     beyond = 0.1 * mechanism.joint_scale

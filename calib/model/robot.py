@@ -201,7 +201,8 @@ class Robot(ReadOnlyArrays):
 
         Args:
             q: Actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
-            frame: Target, link or joint, looked up in this order; the first target if not given.
+            frame: Link, joint or target; a name that a link and a target share means the link's frame, as in every
+                other tool. The first target if not given.
 
         Returns:
             Homogeneous transforms T_base_frame, (n, 4, 4) or (4, 4) [m].
@@ -213,8 +214,7 @@ class Robot(ReadOnlyArrays):
         """
         configurations = self.assemble(q)
         target = self.mechanism.targets[0]
-        named = {pair.name: pair.b for pair in self.mechanism.targets}
-        index = target.b if frame is None else named[frame] if frame in named else self.mechanism.joint(frame)
+        index = target.b if frame is None else self.mechanism.joint(frame)
         pair = replace(target, b=index)
         joints = self.mechanism.all_joints(configurations.actuated, configurations.passive)
         swept = kinematics.sweep(self.mechanism, joints, (pair,))

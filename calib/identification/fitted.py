@@ -218,6 +218,8 @@ class Fit(ReadOnlyArrays):
         model = Residuals(rows, columns, self._inverse, self.statistics.freedom, self.statistics.sigma)
         return patterns(model, self.robot, self.configurations, data.approach_directions, weight)
 
+    # Three shortcuts for users; what they call knows `Fit`, and is imported when it is called.
+
     @cached_property
     def verdict(self) -> Verdict:
         """PASS, CHECK or FAIL, with reasons."""

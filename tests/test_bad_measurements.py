@@ -161,6 +161,12 @@ def test_a_forced_export_says_so_in_every_format(folder, fit_file, run_calib):
         assert "failed" in one_line(run)
         assert "verdict: FAIL, exported by force" in target.read_text()
         assert "nothing fits" in target.read_text()
+    for command, given in (("predict", "data.csv"), ("solve", "predict.csv")):
+        target = folder / f"{command}.csv"
+        run = run_calib(command, folder / "arm.yaml", folder / given, "--result", folder / "out", "--out", target)
+        assert run.code == 0, run.err
+        assert "failed" in one_line(run)
+        assert "# verdict: FAIL, exported by force" in target.read_text()
 
 
 @pytest.mark.parametrize("cell", ["nan", "inf", "", "1,5", "x"])

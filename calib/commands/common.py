@@ -171,6 +171,20 @@ def sigma_in_metres(sigma_mm: float, *, zero: bool = False) -> float:
     return sigma_mm / 1e3
 
 
+def said_of_failure(output: Output, result: str | None, out: str) -> list[str]:
+    """Return what a file made from the result folder must say if that fit failed and was forced, and print a note.
+
+    Raises:
+        DataError: The folder holds no result.
+    """
+    from calib.reporting.results import forced_lines
+
+    lines = forced_lines(result) if result else []
+    if lines:
+        output.note(f"note: the fit in {result} failed; {out} says so inside")
+    return lines
+
+
 def with_values(robot: Robot, parameters: str | None, result: str | None) -> Robot:
     """Return the robot with the values of a parameter file or of a result folder, if one is given.
 

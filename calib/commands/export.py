@@ -7,11 +7,11 @@ from typing import cast
 
 import click
 
-from calib.commands.common import Output, shared_options, with_values
+from calib.commands.common import Output, said_of_failure, shared_options, with_values
 from calib.export import FORMATS, export
 from calib.model.robot import load
 from calib.model.urdf_text import UrdfText
-from calib.reporting.results import forced_lines, read_result
+from calib.reporting.results import read_result
 
 _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
 
@@ -50,9 +50,8 @@ def command(
     """Write ROBOT (YAML description or URDF), nominal or calibrated, for other programs."""
     model = with_values(load(robot), parameters, result)
     lines = _origin_of_values(parameters, result) if provenance else None
-    if result and (failed := forced_lines(result)):
+    if failed := said_of_failure(output, result, out):
         lines = [*(lines or []), *failed]
-        output.note(f"note: the fit in {result} failed; {out} says so inside")
     gaps = export(model, file_format, out, free_slide=free_slide, provenance=lines)
     output.say(f"{model.name}, {parameters or result or 'nominal values'}: written to {out}")
     if file_format != "urdf":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from calib.commands.common import Output, shared_options, with_values
+from calib.commands.common import Output, said_of_failure, shared_options, with_values
 from calib.data.measurement_files import format_measurements, read_poses
 from calib.data.measurements import Poses
 from calib.files import check_file, write_file
@@ -30,7 +30,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     poses = read_poses(joints, model)
     remarks = model.near_singularities(model.assemble(poses.joints, labels=poses.labels), poses.labels)
     source = parameters or result or "nominal values"
-    comment = (f"predicted positions of {model.name}, {source}",)
+    comment = (f"predicted positions of {model.name}, {source}", *said_of_failure(output, result, out))
     content: dict[str, object] = {"robot": model.path, "values": source, "n_poses": len(poses), "file": out}
     content["near_singular"] = remarks
     if result:

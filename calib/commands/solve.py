@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 import numpy as np
 
-from calib.commands.common import Output, shared_options, with_values
+from calib.commands.common import Output, said_of_failure, shared_options, with_values
 from calib.data.tables import format_table
 from calib.files import check_file, write_file
 from calib.inverse_kinematics.goals import Goals, read_goals
@@ -52,7 +52,8 @@ def command(
     for miss in misses:
         output.note(f"{miss}; skipped")
     source = parameters or result or "nominal values"
-    comments = (f"joint values of {model.name} that reach {targets} ({goals.asks_for}), {source}",)
+    said = f"joint values of {model.name} that reach {targets} ({goals.asks_for}), {source}"
+    comments = (said, *said_of_failure(output, result, out))
     write_file(out, _table(model, goals, solution, comments))
     labels = [solution.labels[k] for k in reached]
     remarks = model.near_singularities(model.assemble(solution.q[reached], labels=labels), labels)

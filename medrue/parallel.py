@@ -41,7 +41,9 @@ class Workers:
     def __enter__(self) -> Workers:
         if self._jobs > 1:
             if threading.current_thread() is threading.main_thread():
-                self._handlers = {number: signal.signal(number, _leave) for number in _ENDING}
+                # what is ignored, as SIGHUP under nohup, stays ignored
+                heard = [number for number in _ENDING if signal.getsignal(number) != signal.SIG_IGN]
+                self._handlers = {number: signal.signal(number, _leave) for number in heard}
             others = set(multiprocessing.active_children())
             # fresh processes: a forked one would inherit threads of the linear algebra
             context = multiprocessing.get_context("spawn")

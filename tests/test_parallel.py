@@ -2,10 +2,12 @@
 
 import math
 import os
+import select
 import signal
 import subprocess
 import sys
-import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -13,14 +15,45 @@ import pytest
 from medrue.parallel import Workers
 
 PROGRAM = """
-import sys, time
+import signal, sys, time
 from medrue.parallel import Workers
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # tests may run where these are ignored
+    signal.signal(signal.SIGHUP, signal.SIG_IGN if "nohup" in sys.argv else signal.SIG_DFL)
     with Workers(2) as workers:
         print(*workers.in_order(abs, [-1, -2]), flush=True)
         list(workers.in_order(time.sleep, [120.0, 120.0, 120.0]))
 """
+
+
+BUSY = 60.0
+"""More seconds than a busy machine needs for anything here; the work takes twice as long."""
+
+
+@contextmanager
+def started(folder: Path, *arguments: str) -> Iterator[tuple[subprocess.Popen[bytes], int]]:
+    """The program at work, and the reading end of the pipe that it and its processes write to."""
+    script = folder / "program.py"
+    script.write_text(PROGRAM)
+    reading, writing = os.pipe()
+    program = subprocess.Popen([sys.executable, str(script), *arguments], stdout=writing, stderr=subprocess.DEVNULL)
+    os.close(writing)
+    try:
+        said = b""
+        while b"\n" not in said and select.select([reading], [], [], BUSY)[0]:
+            said += os.read(reading, 1)
+        assert said == b"1 2\n"
+        yield program, reading
+    finally:
+        program.kill()
+        program.wait(BUSY)
+        os.close(reading)
+
+
+def ended(pipe: int) -> bool:
+    """Whether nobody holds the writing end of the pipe any more."""
+    return bool(select.select([pipe], [], [], BUSY)[0]) and os.read(pipe, 1) == b""
 
 
 def test_results_come_in_the_order_of_the_items() -> None:
@@ -46,16 +79,17 @@ def test_processes_end_with_their_program_and_hold_no_pipe_open(
     number: signal.Signals, code: int, tmp_path: Path
 ) -> None:
     """The pipe reaches its end only when the program and all of its processes are gone."""
-    script = tmp_path / "program.py"
-    script.write_text(PROGRAM)
-    reading, writing = os.pipe()
-    program = subprocess.Popen([sys.executable, str(script)], stdout=writing, stderr=subprocess.DEVNULL)
-    os.close(writing)
-    with os.fdopen(reading, "rb") as output:
-        assert output.readline() == b"1 2\n"
-        started = time.monotonic()
+    with started(tmp_path) as (program, output):
         program.send_signal(number)
-        assert output.read() == b""
-        # 120 s of work were under way; half of that is far more than even a busy machine needs to stop
-        assert time.monotonic() - started < 60
-    assert program.wait(60) == code
+        assert program.wait(BUSY) == code
+        assert ended(output)
+
+
+def test_a_hang_up_that_is_ignored_stays_ignored(tmp_path: Path) -> None:
+    with started(tmp_path, "nohup") as (program, output):
+        program.send_signal(signal.SIGHUP)
+        with pytest.raises(subprocess.TimeoutExpired):
+            program.wait(1)
+        program.terminate()
+        assert program.wait(BUSY) == 143
+        assert ended(output)

@@ -40,9 +40,10 @@ def started(folder: Path, *arguments: str) -> Iterator[tuple[subprocess.Popen[by
     program = subprocess.Popen([sys.executable, str(script), *arguments], stdout=writing, stderr=subprocess.DEVNULL)
     os.close(writing)
     try:
-        said = b""
-        while b"\n" not in said and select.select([reading], [], [], BUSY)[0]:
-            said += os.read(reading, 1)
+        said, byte = b"", b" "
+        while byte not in (b"\n", b"") and select.select([reading], [], [], BUSY)[0]:
+            byte = os.read(reading, 1)
+            said += byte
         assert said == b"1 2\n"
         yield program, reading
     finally:

@@ -2,6 +2,9 @@
 
 The processes end with the program that started them, however it ends: after Ctrl-C, SIGTERM or SIGHUP they are stopped
 before the program is left, and where it dies without a chance to do so (SIGKILL), each of them notices by itself.
+
+SIGTERM and SIGHUP end the program from within the handler. An exception raised there would land anywhere, also between
+taking and releasing a lock of the pool, and one program in some hundred would then wait for ever.
 """
 
 from __future__ import annotations
@@ -9,13 +12,14 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing.process import BaseProcess
 from types import FrameType, TracebackType
-from typing import NoReturn, TypeVar
+from typing import TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -43,7 +47,7 @@ class Workers:
             if threading.current_thread() is threading.main_thread():
                 # what is ignored, as SIGHUP under nohup, stays ignored
                 heard = [number for number in _ENDING if signal.getsignal(number) != signal.SIG_IGN]
-                self._handlers = {number: signal.signal(number, _leave) for number in heard}
+                self._handlers = {number: signal.signal(number, self._end) for number in heard}
             others = set(multiprocessing.active_children())
             # fresh processes: a forked one would inherit threads of the linear algebra
             context = multiprocessing.get_context("spawn")
@@ -66,6 +70,15 @@ class Workers:
         for number, handler in self._handlers.items():
             signal.signal(number, handler)  # type: ignore[arg-type]  # what signal.signal gave
 
+    def _end(self, number: int, frame: FrameType | None) -> None:
+        """Stop the processes, and end the program as the signal does by itself."""
+        for process in self._processes:
+            process.kill()
+        if sys.stderr.isatty():
+            os.write(sys.stderr.fileno(), b"\x1b[?25h")  # show the cursor, which a progress display hides
+        signal.signal(number, signal.SIG_DFL)
+        os.kill(os.getpid(), number)
+
     def in_order(self, function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
         """Yield the function's results, first item first.
 
@@ -74,11 +87,6 @@ class Workers:
             items: What to call it with.
         """
         return map(function, items) if self._pool is None else self._pool.map(function, items)
-
-
-def _leave(number: int, frame: FrameType | None) -> NoReturn:
-    """Leave the program in order, with the exit code that shells give to a signal."""
-    raise SystemExit(128 + number)
 
 
 @contextmanager

@@ -1,0 +1,113 @@
+"""Rules for a plain URDF: what is actuated, what is free, and what follows, is held or is refused."""
+
+import numpy as np
+import pytest
+from small_robots import ARM_YAML, write_arm
+from urdf_trees import plain, urdf_of
+
+import calib
+from calib.errors import DescriptionError, UrdfError
+
+CHAIN = (("a", "revolute", "w", "1"), ("b", "prismatic", "1", "2"), ("c", "fixed", "2", "3"))
+
+
+def test_every_moving_joint_on_the_way_to_the_last_link_is_actuated(tmp_path):
+    robot = plain(tmp_path, *CHAIN, ("d", "continuous", "3", "4"), ("e", "fixed", "4", "5"))
+    assert robot.joint_names == ("a", "b", "d")
+    assert robot.target_names == ("5",)
+    assert robot.mechanism.dimensions == {"a": "angle", "b": "length", "d": "angle"}
+    assert robot.description.base.pose == "unknown"
+    assert robot.description.targets["5"].position == "unknown"
+
+
+def test_every_joint_origin_on_the_way_is_free_with_default_priors(tmp_path):
+    robot = plain(tmp_path, *CHAIN, ("camera", "fixed", "1", "lens"))
+    names = [p.name for p in robot.parameters]
+    components = ("x", "y", "z", "rx", "ry", "rz")
+    assert sorted(n for n in names if "base" not in n and not n.startswith("3.")) == sorted(
+        f"{joint}.{component}" for joint in "abc" for component in components
+    )
+    origins = [p for p in robot.parameters if not p.placement]
+    assert all(p.prior for p in origins)
+    assert {p.sigma for p in origins if p.dimension == "length"} == {0.002}
+    assert {p.sigma for p in origins if p.dimension == "angle"} == {0.005}
+    assert not any(p.prior for p in robot.parameters if p.placement)
+
+
+def test_fixed_side_branches_do_not_count_as_branches(tmp_path):
+    robot = plain(tmp_path, ("camera", "fixed", "1", "lens"), *CHAIN, ("light", "fixed", "w", "lamp"))
+    assert robot.target_names == ("3",)
+    assert robot.joint_names == ("a", "b")
+
+
+def test_of_several_ends_behind_the_same_joints_the_last_in_the_file_is_the_last_link(tmp_path):
+    robot = plain(tmp_path, *CHAIN, ("flange", "fixed", "2", "tool0"))
+    assert robot.target_names == ("tool0",)
+
+
+def test_moving_branches_are_an_error_that_shows_the_way_out(tmp_path):
+    with pytest.raises(DescriptionError) as caught:
+        plain(tmp_path, *CHAIN, ("left", "revolute", "3", "finger_1"), ("right", "revolute", "3", "finger_2"))
+    path = tmp_path / "plain.urdf"
+    assert str(caught.value) == (
+        f"{path}: the robot branches, so it has no last link; choose a link such as finger_1, finger_2 with"
+        f" `calib init {path} --target LINK --out FILE`"
+    )
+
+
+def test_a_robot_that_does_not_move_is_an_error(tmp_path):
+    with pytest.raises(DescriptionError, match="no joint moves link '2'; there is nothing to calibrate"):
+        plain(tmp_path, ("a", "fixed", "w", "1"), ("b", "fixed", "1", "2"))
+    with pytest.raises(DescriptionError, match="no joint moves link 'alone'"):
+        plain(tmp_path, links=("alone",))
+
+
+def test_floating_and_planar_joints_are_held(tmp_path):
+    end = ("t", "fixed", "2", "3", '<origin xyz="1 0 0"/>')
+    robot = plain(tmp_path, ("f", "floating", "w", "0"), ("p", "planar", "0", "1", '<origin xyz="0 0 2"/>'),
+                  ("a", "continuous", "1", "2", '<axis xyz="0 0 1"/>'), end)  # fmt: skip
+    assert robot.joint_names == ("a",)
+    assert np.abs(robot.forward([np.pi / 2])[:3, 3] - [0, 1, 2]).max() < 1e-15
+
+
+def test_a_mimic_joint_follows_and_is_not_actuated(tmp_path):
+    axis, one = '<axis xyz="0 0 1"/>', '<origin xyz="1 0 0"/>'
+    follows = '<mimic joint="a" multiplier="-2" offset="0.5"/>'
+    robot = plain(tmp_path, ("a", "continuous", "w", "1", axis),
+                  ("b", "continuous", "1", "2", axis, one, follows), ("t", "fixed", "2", "3", one))  # fmt: skip
+    assert robot.joint_names == ("a",)
+    a = 0.3
+    b = -2 * a + 0.5
+    expected = [np.cos(a) + np.cos(a + b), np.sin(a) + np.sin(a + b), 0]
+    assert np.abs(robot.forward([a])[:3, 3] - expected).max() < 1e-15
+
+
+def test_a_mimic_of_a_mimic_multiplies_through_and_a_ring_is_an_error(tmp_path):
+    slide = '<axis xyz="1 0 0"/>'
+    chain = [("a", "prismatic", "w", "1", slide),
+             ("b", "prismatic", "1", "2", slide, '<mimic joint="a" multiplier="2" offset="1"/>'),
+             ("c", "prismatic", "2", "3", slide, '<mimic joint="b" multiplier="-3" offset="10"/>')]  # fmt: skip
+    x = plain(tmp_path, *chain).forward([0.5])[0, 3]
+    assert x == pytest.approx(0.5 + (2 * 0.5 + 1) + (-3 * 2 + 10), abs=1e-15)
+    chain[1] = ("b", "prismatic", "1", "2", slide, '<mimic joint="c" multiplier="2"/>')
+    with pytest.raises(UrdfError, match="joint 'b': mimics itself through b, c"):
+        plain(tmp_path, *chain)
+
+
+def test_a_mimic_joint_that_is_named_as_motor_is_its_own(tmp_path):
+    (tmp_path / "plain.urdf").write_text(urdf_of(
+        ("a", "prismatic", "w", "1"), ("b", "prismatic", "1", "2", '<mimic joint="a" multiplier="2"/>')))  # fmt: skip
+    (tmp_path / "r.yaml").write_text(
+        "urdf: plain.urdf\nname_mot: [b, a]\nbase: {frame: w}\ntargets: {t: {frame: '2'}}\n"
+        "parametrisation: [{origin: all, components: [x], sigma: 1 mm}]\n"
+    )
+    robot = calib.load(tmp_path / "r.yaml")
+    assert robot.joint_names == ("b", "a")  # in the description's order, not the tree's
+    assert robot.forward([0.25, 1.0])[0, 3] == 1.25
+
+
+def test_joints_that_nobody_moves_stay_at_home(tmp_path):
+    yaml = ARM_YAML.replace("[turn, slide, wrist]", "[turn]") + "home: {slide: 250 mm, turn: 1}\n"
+    robot = calib.load(write_arm(tmp_path, yaml))
+    assert robot.home.tolist() == [1.0]
+    assert np.abs(robot.forward([0.0], "slider")[:3, 3] - [0.5, 0, 0.5]).max() < 1e-15

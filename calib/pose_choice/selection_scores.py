@@ -15,7 +15,7 @@ from calib.errors import InputError, nearest
 from calib.model.mechanism import BoolArray, FloatArray
 from calib.numerics.observability import observability
 from calib.pose_choice.rank_three_scores import Determinant, Task
-from calib.pose_choice.selection_problem import TASK, Problem
+from calib.pose_choice.selection_problem import DETERMINED, TASK, Problem
 from calib.pose_choice.spectral_scores import Spectrum
 
 CHOICES = ("O1", "O2", "O3", "O4", "O5", TASK)
@@ -86,13 +86,18 @@ def index_values(problem: Problem, chosen: BoolArray, sigma: float) -> dict[str,
 
 def values_of_rows(problem: Problem, rows: FloatArray, sigma: float) -> dict[str, float]:
     """Return the indices of whitened rows, (n_poses, 3 n_targets, r), with what is known before."""
-    gathered = np.einsum("nki,nkj->ij", rows, rows) + problem.before
-    eigenvalues = np.linalg.eigvalsh(problem.strengths[:, None] * gathered * problem.strengths)[::-1]
-    # eigenvalues of the product matrix carry half the digits: below this they are rounding
-    singular = np.sqrt(np.where(eigenvalues > 1e-15 * eigenvalues[0], eigenvalues, 0.0))
+    flat = rows.reshape(-1, rows.shape[2])
+    gathered = flat.T @ flat + problem.before
+    eigenvalues, vectors = np.linalg.eigh(gathered)
+    determined = bool(eigenvalues[0] > DETERMINED)
+    # of a factor, not of S K S: products carry half the digits, and strengths may differ by more than that
+    factor = np.sqrt(np.maximum(eigenvalues, 0.0))[:, None] * vectors.T
+    singular = np.linalg.svd(factor * problem.strengths, compute_uv=False)
+    if not determined:
+        singular[-1] = 0.0
     values = observability(singular, len(rows) + problem.n_before)
     if problem.task.shape[1]:
-        trace = problem.task_trace(gathered) if singular[-1] > 0 else float("inf")
+        trace = problem.task_trace(gathered) if determined else float("inf")
         values[TASK] = sigma * float(np.sqrt(trace + problem.task_floor))
     return values
 

@@ -49,6 +49,12 @@ def test_a_held_column_speaks_for_its_group():
     np.testing.assert_allclose(group.coefficients, [1.0, -0.5], rtol=1e-9)
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_a_held_column_that_moves_a_tenth_speaks_whatever_the_rounding(seed):
+    (group,) = null_groups(matrix_with_null_vectors([[10, 1, 0, 0]], seed=seed), dropped=[1])
+    assert group.members == (1, 0)
+
+
 def brute_force_length(basis):
     """Total length of the shortest basis, by trying every support."""
     n, k = basis.shape

@@ -91,6 +91,14 @@ def test_outliers_are_found_without_their_neighbours(sigma: float | None) -> Non
     assert rigid_fit(points, seen, sigma).outliers == (7, 4)
 
 
+@pytest.mark.parametrize("seed", range(10))
+def test_rounding_of_points_far_from_zero_is_no_outlier(seed: int) -> None:
+    """Six kilometres away, doubles are 1e-12 m apart."""
+    points = some_points(np.random.default_rng(seed), 4)
+    away = points + np.array([6000.0, -3000.0, 100.0])
+    assert rigid_fit(away, points).outliers == ()
+
+
 def test_clean_points_are_seldom_called_outliers() -> None:
     generator = np.random.default_rng(8)
     points = some_points(generator, 5)

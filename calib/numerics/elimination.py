@@ -77,7 +77,7 @@ def _conditions(factor: FloatArray, columns: list[int], rank: int, threshold: fl
 
 def _choose(found: dict[int, float], order: Sequence[int]) -> int:
     smallest = min(found.values())
-    ties = {column for column, condition in found.items() if condition <= TIE * smallest}
+    ties = {column for column, condition in found.items() if condition <= TIE * (1 + _DIGITS) * smallest}
     for column in order:
         if column in ties:
             return column

@@ -103,7 +103,7 @@ def _group(vector: FloatArray, dropped: set[int]) -> Group:
     members = [int(k) for k in np.flatnonzero(vector)]
     size = np.abs(vector)
     # one that hardly moves would have to move by metres or turns to show what the others do
-    moving = [k for k in members if size[k] >= _SPEAKS * size.max()]
+    moving = [k for k in members if size[k] >= (1 - ZERO) * _SPEAKS * size.max()]
     first = next((k for k in moving if k in dropped), moving[0])
     members.remove(first)
     ordered = (first, *members)

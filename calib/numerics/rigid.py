@@ -37,6 +37,7 @@ OUTLIER_PROBABILITY = 0.01
 """How often a set of points without any outlier may be said to have one."""
 _COLLINEAR = 1e-6  # second extent of the points against the first
 _EXACT = 1e-13  # residuals below are rounding [m]
+_ROUNDING = 4 * float(np.finfo(float).eps)  # of a coordinate that was turned and moved, as part of the largest
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,10 +120,12 @@ def best_transform(p: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray
 def _outliers(p: FloatArray, q: FloatArray, sigma: float | None) -> tuple[int, ...]:
     """Remove the most surprising point while one is too surprising; see the module docstring."""
     kept, found = np.arange(len(p)), []
+    exact = max(_EXACT, _ROUNDING * float(max(np.max(np.abs(p)), np.max(np.abs(q)))))
     while len(kept) >= 3 and _extents(p[kept])[1] > _COLLINEAR * _extents(p[kept])[0]:
         rotation, translation = best_transform(p[kept], q[kept])
         residuals = q[kept] - (p[kept] @ rotation.T + translation)
-        surprise = _surprise(residuals, _slope(rotation, p[kept]), sigma, OUTLIER_PROBABILITY / len(p))
+        slope = _slope(rotation, p[kept] - p[kept].mean(axis=0))  # leverage is the same, and far from 0 it keeps digits
+        surprise = _surprise(residuals, slope, sigma, OUTLIER_PROBABILITY / len(p), exact)
         worst = int(np.argmax(surprise))
         if surprise[worst] <= 1:
             break
@@ -131,12 +134,14 @@ def _outliers(p: FloatArray, q: FloatArray, sigma: float | None) -> tuple[int, .
     return tuple(found)
 
 
-def _surprise(residuals: FloatArray, slope: FloatArray, sigma: float | None, probability: float) -> FloatArray:
+def _surprise(
+    residuals: FloatArray, slope: FloatArray, sigma: float | None, probability: float, exact: float
+) -> FloatArray:
     """The drop d_i over its largest value that chance explains, (n,); 0 where nothing is left to compare with."""
     information = np.linalg.inv(np.einsum("nij,nik->jk", slope, slope))
     total, freedom = float(np.sum(residuals**2)), residuals.size - 6
     surprise = np.zeros(len(residuals))
-    if total <= _EXACT**2 * residuals.size:
+    if total <= exact**2 * residuals.size:
         return surprise
     for k, (r, J) in enumerate(zip(residuals, slope, strict=True)):
         values, vectors = np.linalg.eigh(np.eye(3) - J @ information @ J.T)
@@ -144,9 +149,9 @@ def _surprise(residuals: FloatArray, slope: FloatArray, sigma: float | None, pro
         drop, count = float(np.sum((vectors.T @ r)[seen] ** 2 / values[seen])), int(seen.sum())
         left = freedom - count
         if count and sigma is not None:
-            surprise[k] = drop / max(sigma, _EXACT) ** 2 / chi2.isf(probability, count)
+            surprise[k] = drop / max(sigma, exact) ** 2 / chi2.isf(probability, count)
         elif count and left > 0:
-            rest = max(total - drop, _EXACT**2) / left
+            rest = max(total - drop, exact**2) / left
             surprise[k] = drop / count / rest / f_distribution.isf(probability, count, left)
     return surprise
 

@@ -8,7 +8,7 @@ from calib.errors import DescriptionError
 from calib.model.assembly_mode import AssemblyMode, block_signs, blocks
 from calib.model.closure import gap_text, open_by, residual, scaled, singular_values
 from calib.model.mechanism import FloatArray, Mechanism
-from calib.model.newton import TOLERANCE, newton
+from calib.model.newton import closing_tolerance, newton
 
 _OPEN_HOME = 0.05  # characteristic lengths, or rad: as much as a calibrated URDF differs from its drawing
 
@@ -42,7 +42,9 @@ def closed_home(mechanism: Mechanism, home: dict[str, float], singularity_limit:
     mode = AssemblyMode(mechanism, actuated[0], passive[0], rows, columns, block_signs(slope, rows, columns)[0])
     polished, _, ok = newton(mechanism, mode, actuated, passive)
     if not ok[0]:
-        raise DescriptionError(f"{where}: home: cannot be closed to {TOLERANCE:g} m from the values given")
+        raise DescriptionError(
+            f"{where}: home: cannot be closed to {closing_tolerance(mechanism):.2g} m from the values given"
+        )
     return AssemblyMode(mechanism, actuated[0], polished[0], rows, columns, mode.signs)
 
 

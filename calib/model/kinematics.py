@@ -52,8 +52,12 @@ class Sweep:
 def sweep(
     mechanism: Mechanism, joints: FloatArray, pairs: tuple[RelativeFrame, ...], *, regressors: bool = False
 ) -> Sweep:
-    """Run Pinocchio over the configurations `joints`, (n, n_joints) [m or rad]."""
-    model = mechanism.model
+    """Run Pinocchio over the configurations `joints`, (n, n_joints) [m or rad].
+
+    "World" is where the robot stands after the joints that move all frames of `pairs` alike (`Mechanism.around`).
+    """
+    model, moving = mechanism.around(pairs)
+    joints = joints * moving
     data = model.createData()
     wanted = sorted({frame for pair in pairs for frame in (pair.a, pair.b)})
     leaves = regressor_leaves(mechanism, pairs) if regressors else ()

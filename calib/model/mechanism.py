@@ -107,6 +107,30 @@ class Mechanism(ReadOnlyArrays):
         values = {key: getattr(self, key) for key in self.__dataclass_fields__} | {"model": model}
         return Mechanism(**values)
 
+    def around(self, pairs: tuple[RelativeFrame, ...]) -> tuple[pin.Model, FloatArray]:
+        """Return the model with all joints that move both frames of every pair alike left out, and which joints remain.
+
+        Such joints cancel in every pair, but for rounding: coordinates of size L are wrong by eps L, so that a robot
+        that stands kilometres from the root link's origin would otherwise lose the digits that closed loops need.
+
+        Args:
+            pairs: What is looked at.
+
+        Returns:
+            The model, and by what to multiply joint values, (n_joints,).
+        """
+        if pairs not in self._around:
+            moving = np.any([self.between(pair) != 0 for pair in pairs], axis=0)
+            model = self.model.copy()
+            for joint in np.flatnonzero(~moving):
+                model.jointPlacements[int(joint) + 1] = pin.SE3.Identity()
+            self._around[pairs] = model, moving.astype(float)
+        return self._around[pairs]
+
+    @cached_property
+    def _around(self) -> dict[tuple[RelativeFrame, ...], tuple[pin.Model, FloatArray]]:
+        return {}
+
     def between_origins(self, other: Mechanism, part: float) -> Mechanism:
         """Return the mechanism whose origins have moved by this part (0 to 1) of the way to those of `other`."""
         here, there = self.model.jointPlacements, other.model.jointPlacements

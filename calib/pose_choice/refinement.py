@@ -26,7 +26,7 @@ from calib.linearisation.information import scaled_rows
 from calib.linearisation.jacobian import linearise
 from calib.model.closure import residual
 from calib.model.mechanism import BoolArray, FloatArray
-from calib.model.newton import TOLERANCE
+from calib.model.newton import closing_tolerance
 from calib.model.robot import Configurations, Robot
 from calib.pose_choice.region import Region
 from calib.pose_choice.selection_problem import Problem
@@ -152,10 +152,10 @@ def _followed(robot: Robot, q: FloatArray, seed: FloatArray) -> FloatArray:
     mechanism, passive = robot.mechanism, seed.copy()
     if not mechanism.loops:
         return passive
-    active = np.arange(len(q))
+    active, tolerance = np.arange(len(q)), closing_tolerance(mechanism)
     for _ in range(_NEWTON_STEPS):
         values, slope, _ = residual(mechanism, q[active], passive[active])
-        active, values, slope = (part[np.max(np.abs(values), axis=1) > TOLERANCE] for part in (active, values, slope))
+        active, values, slope = (part[np.max(np.abs(values), axis=1) > tolerance] for part in (active, values, slope))
         if len(active) == 0:
             break
         try:

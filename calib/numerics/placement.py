@@ -224,21 +224,29 @@ class _PlacementProblem:
 
 def _refine(problem: _PlacementProblem, guess: FloatArray) -> tuple[pin.SE3, FloatArray]:
     """Least squares over the measurement frame and the point together."""
-    x = _least_squares(problem, np.zeros(9))
+    x = _least_squares(problem, np.zeros(9), np.eye(9))
     # lengths become angles over the extent of the points, so that one threshold judges both
     scale = np.ones(9)
     scale[3:6] = 1 / float(np.ptp(problem.m, axis=0).max())
     _, values, right = np.linalg.svd(np.linalg.qr(problem.slope(x) * scale, mode="r"))
     rank = int(np.sum(values > _RANK * values[0]))
     if rank < 9:  # of all equally good solutions, the one whose point is nearest to the guess
-        free = right[rank:].T * scale[:, None]
-        x = _least_squares(problem, x + free @ np.linalg.lstsq(free[6:], guess - problem.start - x[6:], rcond=None)[0])
+        free, held = (part.T * scale[:, None] for part in (right[rank:], right[:rank]))
+        nearest_point = x + free @ np.linalg.lstsq(free[6:], guess - problem.start - x[6:], rcond=None)[0]
+        x = _least_squares(problem, nearest_point, held)  # along `free` only rounding would decide
     rotation, translation, point = problem.unpack(x)
     return pin.SE3(rotation, translation), point
 
 
-def _least_squares(problem: _PlacementProblem, x: FloatArray) -> FloatArray:
+def _least_squares(problem: _PlacementProblem, x: FloatArray, moves: FloatArray) -> FloatArray:
+    """Solve from x for steps along the columns of `moves`, (9, n)."""
     solution: FloatArray = least_squares(
-        problem.rows, x, jac=problem.slope, x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-14
+        lambda steps: problem.rows(x + moves @ steps),
+        np.zeros(moves.shape[1]),
+        jac=lambda steps: problem.slope(x + moves @ steps) @ moves,
+        x_scale="jac",
+        xtol=1e-12,
+        ftol=1e-12,
+        gtol=1e-14,
     ).x
-    return solution
+    return x + moves @ solution

@@ -56,14 +56,14 @@ def robots_folder() -> Path:
     try:
         distribution = importlib.metadata.distribution("example-robot-data")
     except importlib.metadata.PackageNotFoundError:
-        pytest.skip("example-robot-data is not installed (pip install medrue[interop])")
+        pytest.skip("example-robot-data is not installed (in a checkout: pip install -e '.[interop]')")
     prefix = next(file for file in distribution.files or () if file.name == "package.xml" and "share" in file.parts)
     return Path(str(distribution.locate_file(prefix))).parent / "robots"
 
 
 def iiwa() -> Path:
     if importlib.util.find_spec("pybullet_data") is None:
-        pytest.skip("PyBullet is not installed (pip install medrue[interop])")
+        pytest.skip("PyBullet is not installed (in a checkout: pip install -e '.[interop]')")
     import pybullet_data
 
     return Path(pybullet_data.getDataPath()) / "kuka_iiwa" / "model.urdf"

@@ -14,7 +14,7 @@ from calib.data.parameter_files import format_parameters
 from calib.errors import InputError
 from calib.export import export
 
-mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed (pip install medrue[interop])")
+mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed (in a checkout: pip install -e '.[interop]')")
 
 SOFTNESS = 1e-5
 """Opening of a loop under gravity that docs/other_tools.md states [m]."""

@@ -52,8 +52,11 @@ def command(
     lines = _origin_of_values(parameters, result) if provenance else None
     if failed := said_of_failure(output, result, out):
         lines = [*(lines or []), *failed]
-    gaps = export(model, file_format, out, free_slide=free_slide, provenance=lines)
+    notes: list[str] = []
+    gaps = export(model, file_format, out, free_slide=free_slide, provenance=lines, note=notes.append)
     output.say(f"{model.name}, {parameters or result or 'nominal values'}: written to {out}")
+    for text in notes:
+        output.note(f"note: {text}")
     if file_format != "urdf":
         for gap in gaps:
             output.say(gap.text())

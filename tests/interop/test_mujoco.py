@@ -72,6 +72,20 @@ def hold(file: Path, robot: calib.Robot, q: np.ndarray, values: dict[str, float]
 
 
 @pytest.mark.parametrize("file", ["robot.xml", "free.xml"])
+def test_the_keyframe_home_is_assembled_and_held_and_nothing_touches_the_floor(case, file: str) -> None:
+    model = mujoco.MjModel.from_xml_path(str(case.folder / file))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    home = dict(zip(case.robot.joint_names, case.robot.home, strict=True))
+    for name, value in home.items():
+        assert data.joint(name).qpos[0] == pytest.approx(value, abs=1e-12)
+        assert data.actuator(name).ctrl[0] == pytest.approx(value, abs=1e-12)
+    mujoco.mj_forward(model, data)
+    assert np.abs(data.efc_pos[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]).max() < 1e-12
+    assert (model.nlight, model.geom("floor").contype[0], model.geom("floor").conaffinity[0]) == (1, 0, 0)
+
+
+@pytest.mark.parametrize("file", ["robot.xml", "free.xml"])
 def test_under_gravity_the_loops_stay_closed_and_the_tool_is_where_calib_predicts(case, file: str, tmp_path) -> None:
     rows = list(range(0, 50, 7))
     stood, tools, opening = [], [], 0.0
@@ -173,4 +187,4 @@ def test_meshes_load(tmp_path) -> None:
     )
     export(calib.load(tmp_path / "arm.urdf"), "mjcf", tmp_path / "out.xml")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "out.xml"))
-    assert (model.nmesh, model.ngeom) == (1, 2)
+    assert (model.nmesh, model.ngeom) == (1, 3)  # the floor is one

@@ -81,8 +81,8 @@ BAD_DATA = {
     "short row": (data(line7="0,0,0,1,2"), "data.csv, line 7: 5 cells for 6 columns"),
     "decimal commas": (data(line2="0,1,0,2,0,3,1,5,2,5,3,5"), "line 2: 12 cells for 6 columns; write decimals with"),
     "quoted decimal commas": (data(line2='"0,1",0,0,1,2,3'), "'0,1' is not a number; write decimals with a point"),
-    "semicolons": (DATA.replace(",", ";"), "data.csv: columns are separated by semicolons; use commas"),
-    "tabs": (DATA.replace(",", "\t"), "data.csv: columns are separated by tabs; use commas"),
+    "thousands": (DATA.replace(",", ";") + "1.234,5;0;0;1;2;3\n", "'1.234,5' is not a number; write thousands"),
+    "long row of semicolons": (DATA.replace(",", ";") + "1;2;3;4;5;6;7\n", ": 7 cells for 6 columns"),
     "degrees without a unit": (DATA.replace(" [deg]", ""), "line 9, column 'wrist': -35 rad is not plausible; write"),
     "millimetres without a unit": (DATA.replace("tip_x [mm]", "tip_x"), "column 'tip_x': 382 m is not plausible;"),
     "empty file": ("", "data.csv: is empty; expected a header line and rows of numbers"),
@@ -109,7 +109,7 @@ def test_bad_measurements_are_refused_by_fit(folder, refused, content, message):
 @pytest.mark.parametrize(
     "case",
     ["missing joint column", "wrong joint name", "duplicate column", "unknown unit", "length for an angle", "text",
-     "nan", "short row", "semicolons", "degrees without a unit", "empty file", "header only", "binary"],
+     "nan", "short row", "thousands", "degrees without a unit", "empty file", "header only", "binary"],
 )  # fmt: skip
 def test_bad_joint_values_are_refused_by_predict_and_simulate(folder, refused, command, case):
     content, message = BAD_DATA[case]

@@ -41,7 +41,7 @@ def read_parameters(path: Path | str, robot: Robot, *, complete: bool = False) -
             raise ParameterError(f"{where}: parameter '{name}' is given twice")
         place = f"{where}, parameter '{name}'"
         try:
-            number = read_number(text, place)
+            number = read_number(text, place, table.separator)
             if not unit:
                 check_plausible(number, parameter.dimension, place, "into the column 'unit'")
             values[name] = number / per_si(unit, parameter.dimension, place)

@@ -299,13 +299,6 @@ def test_control_codes_of_a_broken_file_do_not_reach_the_terminal(folder, refuse
     assert "'?[31mred?' is not a number" in line
 
 
-def test_a_plain_urdf_that_branches_is_refused_with_the_way_out(folder, refused):
-    branch = '<link name="left"/><joint name="l" type="continuous"><parent link="upper"/><child link="left"/></joint>'
-    (folder / "arm.urdf").write_text(ARM_URDF.replace("</robot>", branch + "</robot>"))
-    line = refused("fit arm.urdf data.csv --out out")
-    assert "the robot branches, so it has no last link; choose a link such as tool, left with `calib init" in line
-
-
 def test_debug_shows_the_traceback_and_keeps_the_exit_code(folder, run_calib):
     before = tree(folder)
     done = run_calib(*FIT.replace("data.csv", "no.csv").split(), "--debug", cwd=folder)

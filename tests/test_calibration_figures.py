@@ -69,7 +69,8 @@ def motoman(shared_data, tmp_path_factory):
     from pathlib import Path
 
     folder = tmp_path_factory.mktemp("motoman")
-    for file in (shared_data / "motoman_right").iterdir():
+    for name in ("robot.urdf", "train.csv", "test.csv"):
+        file = shared_data / "motoman_right" / name
         (folder / file.name).write_bytes(file.read_bytes())
     description = Path(__file__).parents[1] / "docs" / "examples" / "motoman_right.yaml"
     (folder / description.name).write_bytes(description.read_bytes())

@@ -16,7 +16,8 @@ from rich.console import Console
 
 from calib.errors import CalibrationError, InputError
 from calib.files import check_file, write_file
-from calib.model.robot import Robot
+from calib.model.arm_chain import arm_chain
+from calib.model.robot import Robot, load
 
 _REMARKS = 5
 
@@ -183,6 +184,15 @@ def said_of_failure(output: Output, result: str | None, out: str) -> list[str]:
     if lines:
         output.note(f"note: the fit in {result} failed; {out} says so inside")
     return lines
+
+
+def loaded(path: str, output: Output) -> Robot:
+    """Load ROBOT; print a note on what the arm of a plain URDF leaves out."""
+    robot = load(path)
+    remark = arm_chain(robot.urdf).remark if robot.path == robot.urdf.path else ""
+    if remark:
+        output.note(f"note: {remark}")
+    return robot
 
 
 def with_values(robot: Robot, parameters: str | None, result: str | None) -> Robot:

@@ -7,9 +7,8 @@ from typing import cast
 
 import click
 
-from calib.commands.common import Output, said_of_failure, shared_options, with_values
+from calib.commands.common import Output, loaded, said_of_failure, shared_options, with_values
 from calib.export import FORMATS, export
-from calib.model.robot import load
 from calib.model.urdf_text import UrdfText
 from calib.reporting.results import read_result
 
@@ -48,7 +47,7 @@ def command(
     output: Output,
 ) -> None:
     """Write ROBOT (YAML description or URDF), nominal or calibrated, for other programs."""
-    model = with_values(load(robot), parameters, result)
+    model = with_values(loaded(robot, output), parameters, result)
     lines = _origin_of_values(parameters, result) if provenance else None
     if failed := said_of_failure(output, result, out):
         lines = [*(lines or []), *failed]

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import click
 
-from calib.commands.common import Output, shared_options, sigma_in_metres
+from calib.commands.common import Output, loaded, shared_options, sigma_in_metres
 from calib.data.measurement_files import read_measurements
 from calib.data.measurements import Measurements
 from calib.errors import ComputationError, InputError
 from calib.files import check_folder
 from calib.identification.fit import fit
 from calib.identification.validation import split
-from calib.model.robot import Robot, load
+from calib.model.robot import Robot
 from calib.numerics.losses import LOSSES
 from calib.reporting.results import save, to_dict
 from calib.words import counted
@@ -70,7 +70,7 @@ def command(
 ) -> None:
     """Calibrate ROBOT (YAML description or URDF) from the measurements DATA (CSV)."""
     check_folder(out)
-    model = load(robot)
+    model = loaded(robot, output)
     identification = read_measurements(data, model)
     validation = None
     if validate is not None:

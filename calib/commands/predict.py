@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import click
 
-from calib.commands.common import Output, said_of_failure, shared_options, with_values
+from calib.commands.common import Output, loaded, said_of_failure, shared_options, with_values
 from calib.data.measurement_files import format_measurements, read_poses
 from calib.data.measurements import Poses
 from calib.files import check_file, write_file
-from calib.model.robot import Robot, load
+from calib.model.robot import Robot
 from calib.reporting.results import load_uncertainty
 from calib.words import counted
 
@@ -26,7 +26,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     With --result, also how well they are known: the standard deviation of each coordinate, from the measurement noise.
     """
     check_file(out)
-    model = with_values(load(robot), parameters, result)
+    model = with_values(loaded(robot, output), parameters, result)
     poses = read_poses(joints, model)
     remarks = model.near_singularities(model.assemble(poses.joints, labels=poses.labels), poses.labels)
     source = parameters or result or "nominal values"

@@ -5,13 +5,13 @@ from __future__ import annotations
 import click
 import numpy as np
 
-from calib.commands.common import Output, said_of_failure, shared_options, with_values
+from calib.commands.common import Output, loaded, said_of_failure, shared_options, with_values
 from calib.data.tables import format_table
 from calib.files import check_file, write_file
 from calib.inverse_kinematics.goals import Goals, read_goals
 from calib.inverse_kinematics.inverse import Solution, solve
 from calib.model.mechanism import FloatArray
-from calib.model.robot import Robot, load
+from calib.model.robot import Robot
 from calib.units import DISPLAY_UNIT, PER_SI
 
 
@@ -41,7 +41,7 @@ def command(
     stays near home.
     """
     check_file(out)
-    model = with_values(load(robot), parameters, result)
+    model = with_values(loaded(robot, output), parameters, result)
     goals = read_goals(targets, model)
     with output.working(f"solving {len(goals)} targets"):
         solution = solve(model, goals)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from calib.errors import DataError, DescriptionError, InputError, ParameterError, UnreachablePoseError, nearest
 from calib.model import kinematics, loops
+from calib.model.arm_chain import arm_chain
 from calib.model.assembly_mode import AssemblyMode
 from calib.model.closed_home import closed_home
 from calib.model.closure import singular_values
@@ -252,8 +253,9 @@ def _edited(text: Triple, wanted: FloatArray) -> Triple:
 def load(path: str | Path) -> Robot:
     """Load a robot from a robot description (YAML) or from a plain URDF.
 
-    A plain URDF means: every moving joint on the way to the last link is actuated, every joint origin on that way may
-    be wrong (with default priors), and neither the measurement frame nor the measured point is known beforehand.
+    A plain URDF means its arm (see `calib.model.arm_chain`): every moving joint on the way to the arm's last link is
+    actuated, every joint origin from the first of them on may be wrong (with default priors), and neither the
+    measurement frame nor the measured point is known beforehand.
 
     Raises:
         UrdfError: The URDF is not valid.
@@ -265,7 +267,7 @@ def load(path: str | Path) -> Robot:
         urdf = read_urdf(path.parent / description.urdf)
     else:
         urdf = read_urdf(path)
-        description = describe(urdf, path.name)
+        description = describe(arm_chain(urdf), path.name)
     where = str(path)
     nominal = build_mechanism(urdf, description, where)
     _check_columns(description, nominal, where)

@@ -17,6 +17,8 @@ import calib
 from calib.commands.init import command as init
 from calib.data.measurements import Poses
 from calib.export import export
+from calib.model.arm_chain import arm_chain
+from calib.model.urdf_text import read_urdf
 
 SHARE = Path("share") / "example-robot-data" / "robots"
 ARMS = {  # file below robots/: link that carries the measured point
@@ -190,6 +192,28 @@ def same_in_mujoco(robot: calib.Robot, mjcf: Path, q: np.ndarray) -> None:
         frame, point = data.body("measurement_frame"), data.body(f"target_{robot.target_names[0]}")
         found = frame.xmat.reshape(3, 3).T @ (point.xpos - frame.xpos)
         assert np.abs(found - robot.positions(row)[0, 0]).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("name", "target", "joints", "fingers"),
+    [
+        ("panda_description/urdf/panda.urdf", "panda_hand_tcp", 7, 2),
+        ("baxter_description/urdf/baxter.urdf", "right_gripper", 7, 2),
+        ("talos_data/robots/talos_full_v2.urdf", "gripper_left_base_link", 9, 7),
+        ("talos_data/robots/talos_left_arm.urdf", "gripper_left_base_link", 6, 1),
+        ("tiago_description/robots/tiago.urdf", "hand_grasping_frame", 8, 36),
+        ("tiago_pro_description/robots/tiago_pro.urdf", "gripper_left_base_link", 8, 6),
+        ("pr2_description/urdf/pr2.urdf", "r_gripper_tool_frame", 8, 6),
+        ("romeo_description/urdf/romeo.urdf", "l_gripper", 8, 12),
+        ("g1_description/urdf/g1_29dof_with_hand_rev_1_0.urdf", "left_hand_palm_link", 10, 7),
+        ("ur_description/urdf/ur5_robot.urdf", "tool0", 6, 0),
+        ("z1_description/urdf/z1.urdf", "gripperStator", 6, 1),
+        ("so_arm_description/urdf/so101.urdf", "gripper_frame_link", 5, 1),
+    ],
+)
+def test_the_arm_is_found_without_its_fingers(name: str, target: str, joints: int, fingers: int) -> None:
+    chain = arm_chain(read_urdf(robots_folder() / name))
+    assert (chain.target, len(chain.joints), len(chain.fingers)) == (target, joints, fingers)
 
 
 @pytest.mark.parametrize("arm", ARMS, ids=lambda arm: Path(arm).stem)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calib.data.dead_readings import equal_columns, zero_poses
 from calib.data.repeats import beyond_repeatability
 from calib.identification.fitted import Fit
 from calib.identification.pose_checks import directions_moved, unmoved_joints
@@ -26,6 +27,8 @@ BEYOND_LIMIT = 0.01
 """How far beyond a joint's limit a pose must be to be named [rad, or characteristic lengths]."""
 COPIED = 0.1
 """Part of the readings that may equal another one; coarse readings may do so by chance."""
+FAR = 3.0
+"""Residual over the median residual from which a reading of 0, 0, 0 is not the origin of the measurement frame."""
 USED_FOR_BOTH = 0.1
 """Part of the validation poses that may be poses of the fit, measured again."""
 
@@ -155,6 +158,26 @@ def copied(fit: Fit) -> Iterator[Reason]:
             "copied",
             f"{copies} of {counted(len(rows), 'reading')} are copies of others to the last digit: nothing new, so that"
             " intervals are too narrow; leave the copies out",
+        )
+
+
+def dead_readings(fit: Fit) -> Iterator[Reason]:
+    """Look for readings that no instrument took: exactly 0, 0, 0 and not fitting, and columns that are copies."""
+    data = fit.identification.data
+    zeros = zero_poses(data)
+    left = np.linalg.norm(fit.identification.after, axis=2).max(axis=1)
+    if len(zeros) > 1 or np.any(left[zeros] > FAR * np.median(left)):  # one may be the origin of the frame
+        yield Reason(
+            "FAIL",
+            "zero_readings",
+            f"{counted(len(zeros), 'pose was', 'poses were')} read at exactly 0, 0, 0, which is often written where nothing"
+            f" was seen: {listed([data.labels[k] for k in zeros])}; leave {'it' if len(zeros) == 1 else 'them'} out",
+        )
+    for first, second in equal_columns(data, fit.nominal.target_names):
+        yield Reason(
+            "FAIL",
+            "equal_columns",
+            f"columns {first} and {second} are equal in every row: one is a copy of the other; export the file again",
         )
 
 

@@ -18,6 +18,7 @@ from calib.identification.reasons import Reason, Verdict
 from calib.identification.suspects import likely_mistake
 
 _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
+    rules_data.dead_readings,
     rules_model.not_converged,
     rules_model.not_assembled,
     rules_model.noise,
@@ -38,6 +39,8 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_model.other_minima,
     rules_data.leverage,
 )
+_IN_MISTAKE = ("zero_readings", "equal_columns")
+"""Reasons that the likely mistake says already."""
 _NOTHING_FITS = ("not_converged", "not_assembled", "noise_as_large_as_robot", "far_from_nominal")
 
 
@@ -46,15 +49,9 @@ def judge(fit: Fit) -> Verdict:
     found = [reason for rule in _RULES for reason in rule(fit)]
     if any(reason.code in _NOTHING_FITS for reason in found):
         mistake = likely_mistake(fit.nominal, fit.identification.data)
-        found = (
-            [
-                Reason(
-                    "FAIL", "likely_mistake", f"{mistake}; correct the data, or the description where that is wrong"
-                ),
-                *found,
-            ]
-            if mistake
-            else found
-        )
+        if mistake:
+            text = f"{mistake}; correct the data, or the description where that is wrong"
+            found = [reason for reason in found if reason.code not in _IN_MISTAKE]
+            found.insert(0, Reason("FAIL", "likely_mistake", text))
     found.sort(key=lambda reason: reason.grade != "FAIL")
     return Verdict(found[0].grade if found else "PASS", tuple(found))

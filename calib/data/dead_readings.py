@@ -13,7 +13,7 @@ _FEW = 3  # rows that may agree by chance
 
 
 def zero_poses(data: Measurements) -> IntArray:
-    """Return which poses had a target at exactly 0, 0, 0, as many programs write where they saw nothing, (n,)."""
+    """Return the poses with a target at exactly 0, 0, 0, as many programs write where they saw nothing, (n,)."""
     readings = data.readings or tuple(data.positions[:, None])
     return np.flatnonzero([bool(np.any(np.all(reading == 0.0, axis=-1))) for reading in readings])
 

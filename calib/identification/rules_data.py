@@ -170,8 +170,9 @@ def dead_readings(fit: Fit) -> Iterator[Reason]:
         yield Reason(
             "FAIL",
             "zero_readings",
-            f"{counted(len(zeros), 'pose was', 'poses were')} read at exactly 0, 0, 0, as is often written where nothing was"
-            f" seen: {listed([data.labels[k] for k in zeros])}; leave {'it' if len(zeros) == 1 else 'them'} out",
+            f"{counted(len(zeros), 'pose was', 'poses were')} read at exactly 0, 0, 0, as some programs write where"
+            f" they saw nothing: {listed([data.labels[k] for k in zeros])};"
+            f" leave {'it' if len(zeros) == 1 else 'them'} out",
         )
     for first, second in equal_columns(data, fit.nominal.target_names):
         yield Reason(

@@ -73,7 +73,8 @@ def description_text(urdf: UrdfText, description: Description, remark: str = "")
         text = str(yaml.safe_dump([value], default_flow_style=True, allow_unicode=True, width=10**6))
         return text.strip()[1:-1]
 
-    lines = textwrap.wrap(" ".join(remark.split()), 116, break_long_words=False, break_on_hyphens=False)
+    remark = " ".join(remark.split())
+    lines = textwrap.wrap(remark[:1].upper() + remark[1:], 116, break_long_words=False, break_on_hyphens=False)
     return _TEXT.format(
         remark="".join(f"# {line}\n" for line in lines),
         robot=" ".join(urdf.name.split()) or "a robot",

@@ -204,6 +204,24 @@ def test_the_first_box_says_where_it_is_worst_how_sure_that_is_and_where_it_was_
     assert f"x {points[:, 0].min():.0f} to {points[:, 0].max():.0f}".replace("-", "−") in first
 
 
+@pytest.mark.parametrize(
+    ("base", "name"),
+    [
+        ({}, "world"),
+        ({"pose": "unknown"}, "the measurement frame"),
+        ({"xyz": (0.1, 0.0, 0.0)}, "the measurement frame"),
+        ({"rpy": (0.0, 0.0, 0.1)}, "the measurement frame"),
+    ],
+)
+def test_coordinates_are_said_to_be_in_a_link_only_where_they_are(fit, base, name):
+    description = fit.nominal.description
+    description = description.model_copy(update={"base": description.base.model_copy(update=base)})
+    nominal = dataclasses.replace(fit.nominal, description=description)
+    page = text(report_page(dataclasses.replace(fit, nominal=nominal), created=NOON).html)
+    assert f"mm in {name} " in page
+    assert f"Measured points tool, in {name} " in page
+
+
 def said(fit, *comments):
     """The fit of a file with these comments."""
     data = dataclasses.replace(fit.identification.data, comments=comments)

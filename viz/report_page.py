@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from calib import Fit
+from calib import Fit, Robot
 from calib.identification.fitted import ErrorSet
 from calib.reporting.report_text import notes
 from calib.reporting.result_content import error_sets, outlier_rows, parameter_rows, position_uncertainty_table
@@ -74,6 +74,7 @@ def report_page(fit: Fit, *, command: str = "", created: datetime | None = None)
             accuracy=lines,
             worst=worst(fit),
             extent=extent(fit),
+            measured_in=measured_in(fit.nominal),
             remarks=fit_remarks(fit),
             plots=all_plots(from_fit(fit), joints_of(fit.nominal)),
             parameters=parameter_rows(fit),
@@ -121,6 +122,13 @@ def extent(fit: Fit) -> str:
     points = 1e3 * np.concatenate([found.data.positions.reshape(-1, 3) for found in sets])
     ranges = zip("xyz", points.min(axis=0), points.max(axis=0), strict=True)
     return ", ".join(f"{axis} {low:.0f} to {high:.0f}" for axis, low, high in ranges).replace("-", "−") + " mm"
+
+
+def measured_in(robot: Robot) -> str:
+    """Return what the frame of measured coordinates is called: by a link's name only where it is that link's frame."""
+    base = robot.description.base
+    is_link = base.pose == "known" and not np.any([base.xyz, base.rpy])
+    return base.frame if is_link else "the measurement frame"
 
 
 def accuracy(fit: Fit) -> list[Accuracy]:

@@ -7,10 +7,10 @@ Minimise, over u = (p - p_nominal) / s,
 with n_k the readings averaged at pose k (`calib.identification.problem`), by `calib.numerics.least_squares`.
 
 Order of work: (1) close every pose at nominal, or name those that cannot be; (2) where the measurement frame or the
-target's place is not known, a closed-form rigid fit places them, refined alone: this is the honest state `before`;
-(3) all free parameters together, from several starts if asked for; (4) with a robust loss, again with weights
-(`calib.identification.robust`); (5) rank, statistics and error tables at the solution; (6) if asked for, outliers are
-left out and all is done again, and poses are left out in turns for cross-validation.
+target's place is not known, they are placed alone, near where they are expected if a sigma says so: this is the honest
+state `before`; (3) all free parameters together, from several starts if asked for; (4) with a robust loss, again with
+weights (`calib.identification.robust`); (5) rank, statistics and error tables at the solution; (6) if asked for,
+outliers are left out and all is done again, and poses are left out in turns for cross-validation.
 
 The noise sigma weighs measurements against priors. Where nobody states it, it is found by repeating step 3 with the
 residuals' own sigma until that changes by less than one percent.
@@ -38,7 +38,7 @@ from calib.identification.starts import Starts, explore
 from calib.identification.suspects import likely_mistake
 from calib.linearisation.jacobian import linearise
 from calib.linearisation.registration import register
-from calib.model.mechanism import FloatArray
+from calib.model.mechanism import BoolArray, FloatArray
 from calib.model.robot import Configurations, Robot, describe_open
 from calib.numerics.identifiability import numerical_rank
 from calib.numerics.least_squares import TOLERANCE, Solution
@@ -210,19 +210,23 @@ def _factor(rows: FloatArray) -> FloatArray:
 
 
 def _place(problem: Problem) -> Robot:
-    """Return the nominal robot with an unknown base and unknown targets placed by registration alone."""
+    """Return the nominal robot with an unknown base and unknown targets placed by registration alone.
+
+    A target that is expected somewhere stays near, as far as the noise of these residuals lets it: the nominal robot's
+    own errors are part of that noise, so that it is found, whatever is stated for the sensor.
+    """
     robot = problem.robot
     if not np.any(problem.moves):
         return robot
-    registered, any_sigma = register(robot, problem.data), 1e-4
-    if _is_best_placed(problem, registered):
+    registered = register(robot, problem.data)
+    if not np.any(problem.moves & problem.has_prior) and _is_best_placed(problem, registered):
         return registered
-    placed, solution = problem.solve(registered, any_sigma, problem.moves, priors=False, tolerance=_PLACED)
-    if not solution.converged:
+    placed = _solve_with_noise(problem, registered, None, _PLACED, problem.moves)
+    if not placed.solution.converged:
         raise NotConvergedError(
             "placing the base and the targets did not converge; check units and axes of the measurements"
         )
-    return placed
+    return placed.robot
 
 
 def _is_best_placed(problem: Problem, robot: Robot) -> bool:
@@ -237,13 +241,14 @@ def _is_best_placed(problem: Problem, robot: Robot) -> bool:
 def _solve(problem: Problem, placed: Robot, settings: _Settings) -> _Solved:
     """Solve with the stated noise or find it; from several starts and with a robust loss, if asked for."""
     exact = TOLERANCE if settings.loss == "none" else _LOOSE  # a robust loss goes on from there
-    solved = _solve_with_noise(problem, placed, settings.stated, exact)
+    everything = np.ones(len(problem.scales), dtype=bool)
+    solved = _solve_with_noise(problem, placed, settings.stated, exact, everything)
     if settings.starts > 1:
         first = (solved.robot, solved.solution)
         tried = explore(problem, placed, first, solved.sigma, settings.starts, settings.seed)
         best = tried.minima[0]
         if best.solution is not solved.solution:  # the noise that was found belongs to the minimum left behind
-            solved = _solve_with_noise(problem, best.robot, settings.stated, exact)
+            solved = _solve_with_noise(problem, best.robot, settings.stated, exact, everything)
         solved = replace(solved, starts=tried)
     if settings.loss == "none":
         return solved
@@ -255,23 +260,20 @@ def _solve(problem: Problem, placed: Robot, settings: _Settings) -> _Solved:
     )
 
 
-def _solve_with_noise(problem: Problem, placed: Robot, stated: float | None, exact: float) -> _Solved:
-    """Solve with the stated noise; where none is stated, find it."""
-    everything = np.ones(len(problem.scales), dtype=bool)
-    first = problem.weighted(problem.evaluate(placed).errors[..., None])
-    sigma, tolerance = stated or float(np.sqrt(np.mean(first**2))) + 1e-9, _LOOSE
-    moves = problem.moves
-    # registration alone may have put a loosely determined target far from where its prior says it is
-    robot = problem.solve(placed, sigma, moves, tolerance=_LOOSE)[0] if np.any(moves & problem.has_prior) else placed
-    if stated is not None or not np.any(problem.has_prior):  # without priors, sigma weighs nothing
-        robot, solution = problem.solve(robot, sigma, everything, tolerance=exact)
+def _solve_with_noise(problem: Problem, start: Robot, stated: float | None, exact: float, chosen: BoolArray) -> _Solved:
+    """Solve for the chosen (n_free,) free parameters with the stated noise; where none is stated, find it."""
+    first = problem.weighted(problem.evaluate(start).errors[..., None])
+    sigma, tolerance, robot = stated or float(np.sqrt(np.mean(first**2))) + 1e-9, _LOOSE, start
+    has_prior = problem.has_prior[chosen]
+    if stated is not None or not np.any(has_prior):  # without priors, sigma weighs nothing
+        robot, solution = problem.solve(robot, sigma, chosen, tolerance=exact)
         return _Solved(robot, sigma, solution)
     for _ in range(_SIGMA_ROUNDS):
-        robot, solution = problem.solve(robot, sigma, everything, tolerance=tolerance)
+        robot, solution = problem.solve(robot, sigma, chosen, tolerance=tolerance)
         evaluation = problem.evaluate(robot)
-        factor = _factor(problem.weighted(evaluation.jacobian) * problem.scales)
+        factor = _factor(problem.weighted(evaluation.jacobian[..., chosen]) * problem.scales[chosen])
         rows = problem.weighted(evaluation.errors[..., None])[:, 0]
-        freedom = len(rows) - effective_parameters(factor, problem.has_prior, sigma)
+        freedom = len(rows) - effective_parameters(factor, has_prior, sigma)
         found = float(np.sqrt(rows @ rows / max(freedom, 1.0)))
         settled = abs(found - sigma) <= 0.01 * sigma or found < EXACT
         if settled and tolerance == exact:

@@ -42,7 +42,10 @@ def check_measurements(robot: Robot, data: Measurements, free: BoolArray) -> Non
             f" {unknown} unknowns without a prior; measure at least {needed} poses (several times that for a useful"
             " result)"
         )
-    if any(p.placement and not p.prior for p in robot.parameters) and robot.description.base.pose == "unknown":
+    held = any(
+        p.placement and p.dimension == "angle" and not use for p, use in zip(robot.parameters, free, strict=True)
+    )
+    if robot.description.base.pose == "unknown" and not held:
         _refuse_one_line(robot, data)
 
 
@@ -56,7 +59,8 @@ def _refuse_one_line(robot: Robot, data: Measurements) -> None:
     raise DataError(
         f"{data.path}: {'all poses are the same' if same else 'all measured positions lie on one line'}; where the"
         " measurement frame is, which the description calls unknown, needs positions that spread in at least two"
-        " directions: measure other poses"
+        " directions: measure other poses, or hold what they leave open (`held`, such as base.rx for the turn about a"
+        " line along x)"
     )
 
 

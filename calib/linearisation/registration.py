@@ -1,10 +1,9 @@
 """Placing an unknown measurement frame and unknown targets before anything else is fitted.
 
-Where the tracker stands and where the reflector sits on the flange are often not known beforehand. Both follow in
-closed form from the measurements and the nominal robot, well enough for the iteration to start from. The measurement
-frame comes from one target, the places of the others from that frame. Each target is tried for the frame, since one
-that few joints move leaves it open (a point on the first link: which way up?); the one that explains all measurements
-best is taken.
+Where the tracker stands and where the reflector sits on the flange are often not known beforehand. Both follow from the
+measurements and the robot as its other parameters have it, by one fit over all targets (`calib.numerics.placement`).
+The stated sigma of a target counts, with the noise of the residuals. What the measurements leave open stays where it
+is.
 """
 
 from __future__ import annotations
@@ -13,76 +12,90 @@ import numpy as np
 import pinocchio as pin
 
 from calib.data.measurements import Measurements
-from calib.errors import DataError
+from calib.model import kinematics
 from calib.model.mechanism import FloatArray, RelativeFrame
+from calib.model.parameters import index_of
 from calib.model.robot import Robot
-from calib.numerics.placement import place_base_and_target, place_target
+from calib.numerics.placement import MovingPoint, Placement, place
 
 
 def register(robot: Robot, data: Measurements) -> Robot:
-    """Return the robot with the unknown ones of base and targets placed by closed-form fits.
+    """Return the robot with the unknown ones of base and targets placed where its measurements show them.
+
+    All its other parameters, and held ones of base and targets, keep their values.
 
     Raises:
-        DataError: The measured points are too few or lie on a line, so that they fix no frame.
+        UnreachablePoseError: A pose cannot be assembled.
+        DataError: Measurements that are not finite.
     """
-    if robot.description.base.pose == "known":
-        return robot.with_parameters(_target_values(robot, data, robot.nominal.placement(_base(robot))))
-    placed: list[Robot] = []
-    problems: list[DataError] = []
-    for t in range(len(robot.target_names)):
-        try:
-            placed.append(robot.with_parameters(_from_one_target(robot, data, t)))
-        except DataError as error:
-            problems.append(error)
-    if not placed:
-        raise problems[0]
-    return min(placed, key=lambda found: float(np.sum((found.positions(data.joints) - data.positions) ** 2)))
+    frame_known = robot.description.base.pose == "known"
+    found = registration(robot, data, frame_known=frame_known)
+    values: dict[str, float] = {}
+    for target, point in zip(robot.mechanism.targets, found.points, strict=True):
+        if not _is_known(robot, target):
+            values |= _named(_origin(robot, target.b), ("x", "y", "z"), point)
+    if not frame_known:
+        base = _origin(robot, robot.mechanism.targets[0].a)
+        T_measurement_link = found.T_base_measurement.inverse()
+        turned = pin.log3(robot.nominal.placement(base).rotation @ T_measurement_link.rotation)
+        values |= _named(base, ("x", "y", "z"), T_measurement_link.translation)
+        values |= _named(base, ("rx", "ry", "rz"), turned)
+    return robot.with_parameters({name: value for name, value in values.items() if name not in robot.description.held})
 
 
-def _base(robot: Robot) -> str:
-    return robot.nominal.origin_names[robot.nominal.targets[0].a - 1]
+def registration(robot: Robot, data: Measurements, *, frame_known: bool) -> Placement:
+    """Return where the measurements show the measurement frame and the unknown targets.
+
+    Args:
+        robot: The robot; its current values are what an open place stays near.
+        data: Measurements.
+        frame_known: Whether the measurement frame is where the robot has it, whatever the description says.
+
+    Raises:
+        UnreachablePoseError: A pose cannot be assembled.
+        DataError: Measurements that are not finite.
+    """
+    points = [
+        MovingPoint(poses, data.positions[:, t], *_expected(robot, robot.mechanism.targets[t]))
+        for t, poses in enumerate(_carriers(robot, data))
+    ]
+    T_base_measurement = robot.mechanism.placement(_origin(robot, robot.mechanism.targets[0].a))
+    return place(points, data.counts, T_base_measurement, frame_known=frame_known)
+
+
+def _expected(robot: Robot, target: RelativeFrame) -> tuple[FloatArray, FloatArray]:
+    """Where a target is expected in its link, and how sure that is, (3,) each [m]; see `MovingPoint`."""
+    origin = _origin(robot, target.b)
+    point, sigma = robot.mechanism.placement(origin).translation.copy(), np.zeros(3)
+    if _is_known(robot, target):
+        return point, sigma
+    for k, axis in enumerate("xyz"):
+        parameter = robot.parameters[index_of(robot.parameters, f"{origin}.{axis}")]
+        if parameter.name not in robot.description.held:
+            sigma[k] = parameter.sigma if parameter.prior else np.inf
+            point[k] = parameter.nominal if parameter.prior else point[k]
+    return point, sigma
+
+
+def _carriers(robot: Robot, data: Measurements) -> list[FloatArray]:
+    """Poses of the link that carries each target, in the link of the measurement frame, (n, 4, 4) [m] each."""
+    mechanism = robot.mechanism
+    parents = mechanism.model.parents
+    pairs = tuple(
+        RelativeFrame(target.name, parents[target.a], parents[target.b], True, ()) for target in mechanism.targets
+    )
+    configurations = robot.assemble(data.joints, labels=data.labels)
+    joints = mechanism.all_joints(configurations.actuated, configurations.passive)
+    swept = kinematics.sweep(mechanism, joints, pairs)
+    return [kinematics.relative_pose(swept, pair) for pair in pairs]
 
 
 def _is_known(robot: Robot, target: RelativeFrame) -> bool:
     return robot.description.targets[target.name].position == "known"
 
 
-def _from_one_target(robot: Robot, data: Measurements, t: int) -> dict[str, float]:
-    """Base from target t, and the other targets from that."""
-    target = robot.nominal.targets[t]
-    guess = robot.nominal.placement(robot.nominal.origin_names[target.b - 1]).translation
-    frame, _ = place_base_and_target(
-        _carrier_in_base_link(robot, data, target),
-        data.positions[:, t],
-        guess,
-        point_known=_is_known(robot, target),
-    )
-    T_measurement_link = frame.inverse()
-    turned = pin.log3(robot.nominal.placement(_base(robot)).rotation @ T_measurement_link.rotation)
-    values = _named(_base(robot), ("x", "y", "z"), T_measurement_link.translation)
-    values |= _named(_base(robot), ("rx", "ry", "rz"), turned)
-    return values | _target_values(robot, data, frame)
-
-
-def _target_values(robot: Robot, data: Measurements, T_link_measurement: pin.SE3) -> dict[str, float]:
-    """Places of the unknown targets where the measurement frame is known."""
-    values: dict[str, float] = {}
-    for t, target in enumerate(robot.nominal.targets):
-        if not _is_known(robot, target):
-            poses = _carrier_in_base_link(robot, data, target)
-            point = place_target(poses, data.positions[:, t], T_link_measurement)
-            values |= _named(robot.nominal.origin_names[target.b - 1], ("x", "y", "z"), point)
-    return values
-
-
-def _carrier_in_base_link(robot: Robot, data: Measurements, target: RelativeFrame) -> FloatArray:
-    """Nominal poses of the link that carries the target, in the link of the measurement frame, (n, 4, 4)."""
-    nominal = robot.nominal
-    carrier = nominal.model.parents[target.b]
-    link = next(name for name, frame in nominal.frames.items() if frame == carrier)
-    T_link_measurement = nominal.placement(nominal.origin_names[target.a - 1]).homogeneous
-    poses: FloatArray = T_link_measurement @ robot.forward(data.joints, link)
-    return poses
+def _origin(robot: Robot, joint: int) -> str:
+    return robot.mechanism.origin_names[joint - 1]
 
 
 def _named(origin: str, components: tuple[str, ...], numbers: FloatArray) -> dict[str, float]:

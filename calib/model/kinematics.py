@@ -100,6 +100,16 @@ def value(swept: Sweep, pair: RelativeFrame) -> FloatArray:
     return np.array(logs).reshape(-1, 6)[:, pair.rows]
 
 
+def relative_pose(swept: Sweep, pair: RelativeFrame) -> FloatArray:
+    """Return the pose of frame b in frame a, (n, 4, 4) [m]."""
+    a, b = swept.index[pair.a], swept.index[pair.b]
+    inverse_a = swept.rotation[:, a].transpose(0, 2, 1)
+    poses = np.tile(np.eye(4), (len(inverse_a), 1, 1))
+    poses[:, :3, :3] = inverse_a @ swept.rotation[:, b]
+    poses[:, :3, 3] = np.einsum("nij,nj->ni", inverse_a, swept.translation[:, b] - swept.translation[:, a])
+    return poses
+
+
 def twist_map(swept: Sweep, pair: RelativeFrame) -> FloatArray:
     """Return the (n, n_rows, 6) map from V_b - V_a (world twists) to the derivative of `value`."""
     a, b = swept.index[pair.a], swept.index[pair.b]

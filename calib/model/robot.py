@@ -218,10 +218,7 @@ class Robot(ReadOnlyArrays):
         pair = replace(target, b=index)
         joints = self.mechanism.all_joints(configurations.actuated, configurations.passive)
         swept = kinematics.sweep(self.mechanism, joints, (pair,))
-        base, b = swept.index[pair.a], swept.index[pair.b]
-        transforms = np.tile(np.eye(4), (len(joints), 1, 1))
-        transforms[:, :3, :3] = swept.rotation[:, base].transpose(0, 2, 1) @ swept.rotation[:, b]
-        transforms[:, :3, 3] = kinematics.value(swept, pair)
+        transforms = kinematics.relative_pose(swept, pair)
         return transforms[0] if np.ndim(q) == 1 else transforms
 
     def positions(self, q: ArrayLike) -> FloatArray:

@@ -94,7 +94,7 @@ def rigid_fit(
 
     Reference: kabsch1976.
     """
-    p, q = checked_points(p_from, p_to, sigma, names)
+    p, q = _checked_points(p_from, p_to, sigma, names)
     rotation, translation = best_transform(p, q)
     residuals = q - (p @ rotation.T + translation)
     squares = float(np.sum(residuals**2))
@@ -151,7 +151,7 @@ def _surprise(residuals: FloatArray, slope: FloatArray, sigma: float | None, pro
     return surprise
 
 
-def checked_points(
+def _checked_points(
     p_from: ArrayLike, p_to: ArrayLike, sigma: float | None, names: Sequence[str] | None
 ) -> tuple[FloatArray, FloatArray]:
     """Return both sets of points as (n, 3) arrays, or raise; see `rigid_fit`."""

@@ -1,5 +1,6 @@
 """Each reason of a verdict, from measurements that deserve it."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -127,6 +128,26 @@ def test_a_frame_that_moved_between_two_files_is_named(arm, truth):
     assert "mm and 0.05" in text  # 1 mrad is 0.057 deg
     plain = calib.fit(arm, noisy(truth, joints(80), SIGMA, 1), validation=noisy(truth, joints(6, 5), SIGMA, 2))
     assert "frame_moved" not in plain.verdict.to_dict()["codes"]
+
+
+@pytest.mark.parametrize(("degrees", "metres", "grade"), [(40, 0.8, "FAIL"), (1, 0.02, "CHECK")])
+def test_a_known_base_that_stands_elsewhere_is_named_with_its_place(prior_arm, degrees, metres, grade):
+    """The frame of these measurements is turned about x and shifted; all come from one file."""
+    truth = prior_arm.with_parameters({"j3.x": 0.001, "j4.rz": 0.002})
+    data = noisy(truth, joints(80), SIGMA, 1)
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    positions = data.positions @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]]).T + [metres, -metres, metres / 2]
+    data = replace(data, positions=positions)
+    fit = calib.fit(prior_arm, data.subset(np.arange(60)), validation=data.subset(np.arange(60, 80)))
+    verdict = fit.verdict
+    found = reason(fit, "base_elsewhere")
+    assert found.grade == grade
+    assert "base: pose: known does not fit these measurements" in found.text
+    assert "set base: pose: unknown, or correct it to about xyz" in found.text
+    numbers = [float(number) for number in re.findall(r"(-?[\d.]+) (?:mm|deg)[,\]]", found.text)]
+    assert numbers[:3] == pytest.approx([1e3 * metres, -1e3 * metres, 5e2 * metres], abs=1)  # the arm's own error
+    assert numbers[3:] == pytest.approx([degrees, 0, 0], abs=0.1)
+    assert "frame_moved" not in verdict.to_dict()["codes"]  # there is one file
 
 
 def test_poses_that_are_all_the_same_fail(prior_arm):

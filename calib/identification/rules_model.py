@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+import pinocchio as pin
 from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
@@ -12,9 +13,11 @@ from calib.identification.fitted import ErrorSet, Fit
 from calib.identification.reasons import Reason
 from calib.identification.rules_data import UNLIKELY
 from calib.identification.systematic import describe
+from calib.linearisation.registration import registration
 from calib.model.mechanism import FloatArray
 from calib.numerics.rigid import best_transform
 from calib.numerics.statistics import EXACT
+from calib.units import PER_SI
 from calib.words import counted, listed
 
 NOISE_RATIO = 3.0
@@ -27,6 +30,8 @@ FEW_POSES = 6
 """Validation poses from which a rigid motion explains errors only if there is one."""
 EXPLAINED = 0.3
 """Errors on validation poses that a rigid motion of the frame leaves, over all of them, if it explains them."""
+ELSEWHERE = 0.2
+"""Errors of the nominal robot with its base placed by the data, over those where it is stated, if it is elsewhere."""
 LARGE_NOISE = 0.1
 """Noise, over the spread of the measured positions, that means that nothing fits."""
 OTHER_MINIMUM = 10.0
@@ -140,9 +145,28 @@ def unused_fits_worse(fit: Fit) -> Iterator[Reason]:
         )
 
 
+def base_elsewhere(fit: Fit) -> str:
+    """Return what to do if the nominal robot fits with its base anywhere but where it is stated; else nothing."""
+    robot, data = fit.nominal, fit.identification.data
+    if robot.description.base.pose == "unknown":
+        return ""
+    stated, placed = (registration(robot, data, frame_known=known) for known in (True, False))
+    if placed.rms > ELSEWHERE * stated.rms:
+        return ""
+    pose = placed.T_base_measurement.inverse()
+    xyz = ", ".join(f"{1e3 * value:.2f} mm" for value in pose.translation)
+    rpy = ", ".join(f"{PER_SI['angle']['deg'] * value:.3f} deg" for value in pin.rpy.matrixToRpy(pose.rotation))
+    has_own_base = isinstance(robot.description.parametrisation, str)  # then it cannot be called unknown
+    unknown = "" if has_own_base else "set base: pose: unknown, or "
+    return (
+        f"base: pose: known does not fit these measurements (rms {1e3 * stated.rms:.4g} mm; placed by the data:"
+        f" {1e3 * placed.rms:.4g} mm): {unknown}correct it to about xyz: [{xyz}], rpy: [{rpy}]"
+    )
+
+
 def frame_moved(fit: Fit) -> Iterator[Reason]:
     """See whether a rigid motion explains the errors on validation poses: whether they were measured from elsewhere."""
-    if fit.validation is None or len(fit.validation.data) < FEW_POSES or fit.computed:
+    if fit.validation is None or len(fit.validation.data) < FEW_POSES or fit.computed or _from_one_file(fit):
         return
     measured = fit.validation.data.positions.reshape(-1, 3)
     predicted = measured + fit.validation.after.reshape(-1, 3)
@@ -209,6 +233,12 @@ def other_minima(fit: Fit) -> Iterator[Reason]:
             f" {1e3 * near[0].rms:.4g} mm against {1e3 * best.rms:.4g} mm): the data do not say which is the"
             " robot; measure more different poses",
         )
+
+
+def _from_one_file(fit: Fit) -> bool:
+    """Whether the validation poses were held out of the file that was fitted."""
+    used, unused = fit.identification.data, fit.validation.data if fit.validation is not None else None
+    return unused is not None and used.path == unused.path and used.order is not None and unused.order is not None
 
 
 def _unused(fit: Fit) -> Iterator[tuple[str, ErrorSet]]:

@@ -6,7 +6,7 @@ mirrored; two of its axes swapped. Base and targets are placed by a rigid fit wh
 nominal robot much closer to the data than they stand, and to within a part of what was measured, is named.
 
 When it fails. Two mistakes at once are not found. A robot whose base pose is given wrong, and not called unknown, is
-far off whatever is tried.
+far off whatever is tried; the verdict looks for that first.
 """
 
 from __future__ import annotations

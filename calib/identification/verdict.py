@@ -39,12 +39,17 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_data.leverage,
 )
 _NOTHING_FITS = ("not_converged", "not_assembled", "noise_as_large_as_robot", "far_from_nominal")
+_MOVED = ("at_bounds",)  # what a base that stands a little elsewhere does
 
 
 def judge(fit: Fit) -> Verdict:
     """Return the verdict on a fit: the worst of the reasons found, FAIL before CHECK."""
     found = [reason for rule in _RULES for reason in rule(fit)]
-    if any(reason.code in _NOTHING_FITS for reason in found):
+    codes = {reason.code for reason in found}
+    elsewhere = rules_model.base_elsewhere(fit) if codes & {*_NOTHING_FITS, *_MOVED} else ""
+    if elsewhere:
+        found.insert(0, Reason("FAIL" if codes & set(_NOTHING_FITS) else "CHECK", "base_elsewhere", elsewhere))
+    elif codes & set(_NOTHING_FITS):
         mistake = likely_mistake(fit.nominal, fit.identification.data)
         found = (
             [

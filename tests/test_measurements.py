@@ -51,7 +51,9 @@ def test_repeats_of_a_pose_are_averaged_in_the_order_of_their_first_row(read):
     assert data.n_rows == 4
     assert data.positions[:, 0, 0] == pytest.approx([0.003, 0.005], abs=1e-18)
     assert data.joints[0, 0] == pytest.approx(np.radians(10 + 0.01 / 3), abs=1e-15)
-    assert data.scatter[0, 0, 0] == pytest.approx(0.002, abs=1e-15)  # standard deviation of 1, 3, 5 mm
+    assert np.isnan(data.scatter).all()  # the joint values differ: part of it may be motion
+    still = data.at_mean_joints(np.zeros((2, 1, 3, data.joints.shape[1])))
+    assert still.scatter[0, 0, 0] == pytest.approx(0.002, abs=1e-15)  # standard deviation of 1, 3, 5 mm
     assert np.isnan(data.scatter[1]).all()
     assert data.labels[0] == f"{data.path}, line 2 (pose far)"
 

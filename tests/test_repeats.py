@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from six_axis_arm import joints, six_axis_arm
+from six_axis_arm import YAML, joints, six_axis_arm, write_six_axis
 
 import calib
 from calib.data.measurement_files import read_measurements
@@ -79,3 +79,26 @@ def test_accuracy_and_repeatability_of_validation_poses_are_told_too(arm, tmp_pa
     table = to_dict(fit)["repeats_validation"]
     assert table["n_readings"] == 45
     assert table["pose_accuracy"]["after"]["mean"] > to_dict(fit)["repeats"]["pose_accuracy"]["after"]["mean"]
+
+
+def test_repeats_whose_encoders_differ_scatter_about_what_the_model_predicts(tmp_path):
+    scatter = 4e-5
+    (tmp_path / "unknown").mkdir()
+    yaml = f"priors: false\n{YAML}" + "  - {origin: j2, components: [x], sigma: 2 mm}\n"
+    yaml = yaml.replace("frame: l0", "frame: l0, pose: unknown")  # the displacement is told in the tracker's frame
+    robot = calib.load(write_six_axis(tmp_path / "unknown", yaml))
+    truth = robot.with_parameters({"base.x": 2.0, "base.rz": 2.2, "j2.x": 0.052})
+    rng = np.random.default_rng(3)
+    q = np.repeat(joints(50), 6, axis=0)
+    q += rng.uniform(-8e-4, 8e-4, q.shape)
+    positions = truth.positions(q)[:, 0] + scatter * rng.standard_normal((len(q), 3))
+    rows = [[f"p{k // 6}", *q[k], *(1e3 * positions[k])] for k in range(len(q))]
+    data = read_measurements(file_of(tmp_path, rows), robot)
+    assert np.isnan(data.repeatability())  # positions alone do not tell motion from scatter
+    fit = calib.fit(robot, data.subset(np.arange(40)), validation=data.subset(np.arange(40, 50)))
+    # 250 degrees of freedom for each axis: 2.6 % standard error over the three
+    assert fit.identification.data.repeatability() == pytest.approx(scatter, rel=0.1)
+    assert fit.validation.data.repeatability() == pytest.approx(scatter, rel=0.2)
+    # mean(l) + 3 std(l) of six readings: between 2 and 4.5 sigma for normal scatter
+    assert to_dict(fit)["repeats"]["pose_repeatability"]["mean"] < 4.5e3 * scatter
+    assert "repeatability" not in [reason.code for reason in fit.verdict.reasons]

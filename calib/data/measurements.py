@@ -48,11 +48,14 @@ class Measurements(Poses):
     Attributes:
         positions: Mean measured positions in the measurement frame, (n_poses, n_targets, 3) [m].
         counts: How many readings each mean is of, (n_poses,).
-        scatter: Standard deviation of the repeats about their mean, (n_poses, n_targets, 3) [m]; NaN without repeats.
+        scatter: Standard deviation of the repeats about their mean, (n_poses, n_targets, 3) [m]; NaN without repeats,
+            and where their joint values differ until `at_mean_joints` has told their motion from their scatter.
         readings: The readings of each pose, (counts[k], n_targets, 3) [m] each; empty where they are not known.
         approach: Direction in which each joint moved last before the pose was measured, +1 or -1, 0 where not known,
             and the mean over repeats, (n_poses, n_actuated). If not given: from the order of the poses.
         order: Place of each pose in the order of measurement, counted from 0, (n_poses,). If not given: as they stand.
+        reading_joints: Joint values of each reading, (counts[k], n_actuated) [m or rad] each, where they differ among
+            the repeats of a pose; else empty.
     """
 
     positions: FloatArray
@@ -61,6 +64,7 @@ class Measurements(Poses):
     readings: tuple[FloatArray, ...] = ()
     approach: FloatArray | None = None
     order: IntArray | None = None
+    reading_joints: tuple[FloatArray, ...] = ()
 
     @property
     def n_rows(self) -> int:
@@ -83,6 +87,7 @@ class Measurements(Poses):
             self,
             order=self.places[index],
             readings=tuple(self.readings[i] for i in index) if self.readings else (),
+            reading_joints=tuple(self.reading_joints[i] for i in index) if self.reading_joints else (),
             approach=self.approach_directions[index],
             joints=self.joints[index],
             positions=self.positions[index],
@@ -92,8 +97,28 @@ class Measurements(Poses):
             names=tuple(self.names[i] for i in index),
         )
 
+    def at_mean_joints(self, slope: FloatArray) -> Measurements:
+        """Return the same with each reading moved to its pose's mean joint values, x - slope (q - mean q).
+
+        What is left is scatter: repeats whose encoders differ are off by what the robot moved, too.
+
+        Args:
+            slope: d(position)/d(actuated joint) at the mean joints, (n_poses, n_targets, 3, n_actuated).
+        """
+        if not self.reading_joints:
+            return self
+        readings = tuple(
+            seen - np.einsum("taj,rj->rta", by_joint, joints - joints.mean(axis=0))
+            for seen, joints, by_joint in zip(self.readings, self.reading_joints, slope, strict=True)
+        )
+        return replace(self, readings=readings, reading_joints=(), scatter=np.array([_scatter(r) for r in readings]))
+
     def repeatability(self) -> float:
-        """Return the pooled standard deviation of one reading about its pose's mean, per axis [m], or NaN."""
+        """Return the pooled standard deviation of one reading about its pose's mean, per axis [m].
+
+        NaN without repeats, and where their joint values differ: then ask the measurements that a fit holds
+        (`fit.identification.data`), which knows how far the robot moved between them.
+        """
         repeated = self.counts > 1
         if not np.any(repeated):
             return float("nan")
@@ -115,6 +140,12 @@ def directions_of_motion(joints: FloatArray) -> FloatArray:
     rows = np.where(direction != 0, np.arange(len(joints))[:, None], 0)
     last_moved = np.maximum.accumulate(rows, axis=0)
     result: FloatArray = np.take_along_axis(direction, last_moved, axis=0)
+    return result
+
+
+def _scatter(readings: FloatArray) -> FloatArray:
+    """Standard deviation of readings (n, n_targets, 3) about their mean, (n_targets, 3); NaN of one."""
+    result: FloatArray = readings.std(axis=0, ddof=1) if len(readings) > 1 else np.full(readings.shape[1:], np.nan)
     return result
 
 
@@ -153,36 +184,40 @@ def averaged(single: Measurements, robot: Robot) -> Measurements:
         groups.setdefault(name, []).append(row)
     if len(groups) == len(single):
         return single
-    joints, positions, scatter = [], [], []
+    rows_of = [np.array(rows, dtype=np.intp) for rows in groups.values()]
+    for name, rows in zip(groups, rows_of, strict=True):
+        _require_one_pose(single, robot, name, rows)
     directions = directions_of_motion(single.joints)
-    for name, rows in groups.items():
-        values = single.joints[rows]
-        spread = np.ptp(values, axis=0)
-        limits = np.array([_JOINTS_AGREE[robot.mechanism.dimensions[joint]] for joint in robot.joint_names])
-        if np.any(spread > limits):
-            joint = int(np.argmax(spread / limits))
-            dimension = robot.mechanism.dimensions[robot.joint_names[joint]]
-            unit = DISPLAY_UNIT[dimension]
-            raise DataError(
-                f"{single.labels[rows[0]]}: joint '{robot.joint_names[joint]}' differs by"
-                f" {spread[joint] * PER_SI[dimension][unit]:.3g} {unit} among the rows of pose '{name}';"
-                " rows with the same pose value must repeat one pose"
-            )
-        joints.append(values.mean(axis=0))
-        positions.append(single.positions[rows].mean(axis=0))
-        several = len(rows) > 1
-        scatter.append(
-            single.positions[rows].std(axis=0, ddof=1) if several else np.full(single.positions.shape[1:], np.nan)
-        )
-    first = [rows[0] for rows in groups.values()]
+    readings = tuple(single.positions[rows] for rows in rows_of)
+    own_joints = tuple(single.joints[rows] for rows in rows_of)
+    moved = np.array([bool(np.any(np.ptp(joints, axis=0) > 0)) for joints in own_joints])
+    scatter = np.array([_scatter(seen) for seen in readings])
+    scatter[moved] = np.nan
+    first = [int(rows[0]) for rows in rows_of]
     return replace(
         single,
-        joints=np.array(joints),
-        positions=np.array(positions),
-        scatter=np.array(scatter),
-        counts=np.array([len(rows) for rows in groups.values()], dtype=np.intp),
+        joints=np.array([joints.mean(axis=0) for joints in own_joints]),
+        positions=np.array([seen.mean(axis=0) for seen in readings]),
+        scatter=scatter,
+        counts=np.array([len(rows) for rows in rows_of], dtype=np.intp),
         labels=tuple(single.labels[i] for i in first),
         names=tuple(groups),
-        readings=tuple(single.positions[rows] for rows in groups.values()),
-        approach=np.array([directions[rows].mean(axis=0) for rows in groups.values()]),
+        readings=readings,
+        reading_joints=own_joints if np.any(moved) else (),
+        approach=np.array([directions[rows].mean(axis=0) for rows in rows_of]),
     )
+
+
+def _require_one_pose(single: Measurements, robot: Robot, name: str, rows: IntArray) -> None:
+    """Raise `DataError` where the joint values of rows that share a pose name differ by more than encoders do."""
+    spread = np.ptp(single.joints[rows], axis=0)
+    limits = np.array([_JOINTS_AGREE[robot.mechanism.dimensions[joint]] for joint in robot.joint_names])
+    if np.any(spread > limits):
+        joint = int(np.argmax(spread / limits))
+        dimension = robot.mechanism.dimensions[robot.joint_names[joint]]
+        unit = DISPLAY_UNIT[dimension]
+        raise DataError(
+            f"{single.labels[rows[0]]}: joint '{robot.joint_names[joint]}' differs by"
+            f" {spread[joint] * PER_SI[dimension][unit]:.3g} {unit} among the rows of pose '{name}';"
+            " rows with the same pose value must repeat one pose"
+        )

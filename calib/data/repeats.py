@@ -6,7 +6,8 @@ For a pose with n readings p_j, mean p, and l_j = |p_j - p|:
     pose repeatability     RP = mean(l) + 3 std(l)           (std with n - 1)
 
 ISO 9283 asks for 30 readings of five poses, approached anew each time, and takes the commanded position where this
-takes the position that the model predicts. With fewer readings the numbers are the same, only less sure; readings taken
+takes the position that the model predicts. Readings are those of `Measurements.at_mean_joints`: where the encoders of
+repeats differ, what the robot moved between them is no scatter. With fewer readings the numbers are the same, only less sure; readings taken
 without moving the robot show the tracker alone.
 
 Reference: iso9283, sections 7.2.1 and 7.2.2.
@@ -59,7 +60,7 @@ def repeats(data: Measurements, before: FloatArray, after: FloatArray) -> Repeat
     """Return accuracy and repeatability; None where no pose was read more than once.
 
     Args:
-        data: The measurements.
+        data: The measurements, as a fit holds them.
         before, after: Predicted minus measured mean positions, (n_poses, n_targets, 3) [m].
     """
     several = np.flatnonzero(data.counts > 1) if data.readings else np.zeros(0, dtype=np.intp)

@@ -36,6 +36,7 @@ from calib.identification.problem import Problem
 from calib.identification.robust import solve_robust
 from calib.identification.starts import Starts, explore
 from calib.identification.suspects import likely_mistake
+from calib.identification.systematic import joint_jacobian
 from calib.linearisation.jacobian import linearise
 from calib.linearisation.registration import register
 from calib.model.mechanism import FloatArray
@@ -181,7 +182,12 @@ def _fit(robot: Robot, data: Measurements, validation: Measurements | None, sett
         nominal=robot,
         placed=placed,
         robot=solved.robot,
-        identification=ErrorSet(data, before, final.errors, solved.robot.singular_values(final.configurations)),
+        identification=ErrorSet(
+            _told_from_motion(solved.robot, data, final.configurations),
+            before,
+            final.errors,
+            solved.robot.singular_values(final.configurations),
+        ),
         validation=None if validation is None else _errors_on(placed, solved.robot, validation),
         configurations=final.configurations,
         free=free,
@@ -302,17 +308,23 @@ def _convergence(
 
 
 def _errors_on(placed: Robot, calibrated: Robot, data: Measurements) -> ErrorSet:
-    before, _ = _errors_of(placed, data)
+    before, _, _ = _errors_of(placed, data)
     try:
-        after, singular = _errors_of(calibrated, data)
+        after, singular, configurations = _errors_of(calibrated, data)
     except UnreachablePoseError as error:
         raise ComputationError(f"with the parameters found, the robot cannot be assembled: {error}") from None
-    return ErrorSet(data, before, after, singular)
+    return ErrorSet(_told_from_motion(calibrated, data, configurations), before, after, singular)
 
 
-def _errors_of(robot: Robot, data: Measurements) -> tuple[FloatArray, FloatArray]:
+def _told_from_motion(robot: Robot, data: Measurements, configurations: Configurations) -> Measurements:
+    """Return the measurements, the scatter of repeats told from what the robot moved between them."""
+    return data.at_mean_joints(joint_jacobian(robot, configurations)) if data.reading_joints else data
+
+
+def _errors_of(robot: Robot, data: Measurements) -> tuple[FloatArray, FloatArray, Configurations]:
     closed = robot.close(data.joints)
     if not np.all(closed.ok):
         raise UnreachablePoseError(describe_open(robot, data.joints, closed, data.labels))
     configurations = Configurations(data.joints, closed.passive, closed.slope)
-    return linearise(robot, configurations).positions - data.positions, robot.singular_values(configurations)
+    errors = linearise(robot, configurations).positions - data.positions
+    return errors, robot.singular_values(configurations), configurations

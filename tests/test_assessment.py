@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from six_axis_arm import YAML, joints, write_six_axis
 from small_robots import small_arm, write_arm
 
 import calib
@@ -15,6 +16,7 @@ from calib.numerics.observability import raw_columns
 from calib.pose_choice.assessment import assess
 from calib.pose_choice.pose_count import accuracy_by_count
 from calib.pose_choice.pose_sampling import sample_poses
+from calib.reporting.assessment_text import text_report
 from medrue.workspace import target_workspace
 
 Q = target_workspace().q
@@ -167,3 +169,21 @@ def test_a_sliding_joint_without_limits_cannot_be_sampled(tmp_path):
     (tmp_path / "arm.urdf").write_text(urdf.replace('<limit lower="0" upper="1" effort="1" velocity="1"/>', ""))
     with pytest.raises(calib.CalibrationError):
         sample_poses(calib.load(yaml), 5, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("sigmas", [("1000 m", "0.001 mm"), ("0.001 mm", "1000 m")])
+def test_no_expected_error_hides_what_moves_the_target(tmp_path, sigmas):
+    """Ranks and groups are facts of mechanism and poses, however far apart the expected errors are."""
+
+    def assessed(first, second):
+        yaml = f"priors: false\n{YAML}  - {{origin: j1, components: [x], sigma: {first}}}\n"
+        yaml += f"  - {{origin: j4, components: [x, z], sigma: {second}}}\n"
+        robot = calib.load(write_six_axis(tmp_path, yaml))
+        return assess(robot, as_poses(robot, joints(20)), sigma=1e-4)
+
+    apart, equal = assessed(*sigmas), assessed("1 mm", "1 mm")
+    assert equal.rank_free.rank == apart.rank_free.rank == 3
+    assert apart.groups == apart.open_groups == ()
+    np.testing.assert_allclose(apart.std, equal.std, rtol=1e-9)
+    assert "no effect" not in text_report(apart, "poses")
+    assert "These poses determine all 3 free parameters." in text_report(apart, "poses")

@@ -68,13 +68,25 @@ def test_too_few_rows_are_a_wrong_input(folder, fit_file, n):
     assert result is None
 
 
-def test_rank_loss_names_the_parameters_that_cannot_be_separated(folder, fit_file):
+def test_rank_loss_names_the_parameters_that_cannot_be_separated(folder, fit_file, run_calib):
     (folder / "all.yaml").write_text("priors: false\n" + YAML + FREE)  # 36 components, 26 combinations
     run, result = fit_file(joints(60), arm_positions(folder, joints(60)), "all.yaml")
     assert run.code == 3
-    assert "the poses determine 26 of 36 free parameters; not separable: " in one_line(run)
+    words = "hese poses determine 26 combinations of the 36 free parameters; 10 are NOT determined"
+    assert f"{words}; not separable: " in one_line(run)
     assert "hold 10 of them" in run.err
     assert result is None
+    assert f"{words}." in run_calib("check", folder / "all.yaml", folder / "data.csv").out
+
+
+def test_check_and_fit_count_priors_in_the_same_words(folder, fit_file, run_calib):
+    """The ball adds its distance from axis 6 to what poses determine; along and about that axis priors hold it."""
+    yaml = "priors: false\n" + YAML.replace("mm]}", "mm], position: unknown, sigma: 5 mm}") + FREE
+    (folder / "all.yaml").write_text(yaml)
+    run, _ = fit_file(joints(60), arm_positions(folder, joints(60)), "all.yaml")
+    words = "hese poses determine 27 combinations of the 39 free parameters, priors 2 more; 10 are NOT determined"
+    assert words in one_line(run)
+    assert words in run_calib("check", folder / "all.yaml", folder / "data.csv").out
 
 
 def test_all_poses_equal_without_priors(folder, fit_file):

@@ -138,3 +138,15 @@ def test_a_joint_that_always_moves_the_same_way_has_no_direction_to_compare(arm)
 def test_exact_data_are_not_tested(arm):
     fit = calib.fit(arm, measurements(joints(40), arm.positions(joints(40))))
     assert fit.patterns == ()
+
+
+def test_nothing_is_put_down_to_a_joint_that_never_moved(tmp_path):
+    """The tracker drifts; joint 1, which stood still, moves the ball in much the same way."""
+    robot = calib.load(write_six_axis(tmp_path, YAML + FREE))
+    q = joints(80)
+    q[:, 0] = 0.2
+    drift = np.linspace(-5, 5, 80)[:, None, None] * SIGMA * np.array([0.0, 1.0, 0.0])
+    noise = SIGMA * np.random.default_rng(3).standard_normal((80, 1, 3))
+    fit = calib.fit(robot, measurements(q, robot.positions(q) + drift + noise))
+    assert "drift" in [pattern.kind for pattern in findings(fit)]
+    assert "j1" not in [pattern.name for pattern in fit.patterns]

@@ -7,8 +7,8 @@ For a pose with n readings p_j, mean p, and l_j = |p_j - p|:
 
 ISO 9283 asks for 30 readings of five poses, approached anew each time, and takes the commanded position where this
 takes the position that the model predicts. Readings are those of `Measurements.at_mean_joints`: where the encoders of
-repeats differ, what the robot moved between them is no scatter. With fewer readings the numbers are the same, only less sure; readings taken
-without moving the robot show the tracker alone.
+repeats differ, what the robot moved between them is no scatter. With fewer readings the numbers are the same, only less
+sure; readings taken without moving the robot show the tracker alone.
 
 Reference: iso9283, sections 7.2.1 and 7.2.2.
 """

@@ -41,7 +41,6 @@ from calib.linearisation.jacobian import linearise
 from calib.linearisation.registration import register
 from calib.model.mechanism import FloatArray
 from calib.model.robot import Configurations, Robot, describe_open
-from calib.numerics.identifiability import numerical_rank
 from calib.numerics.least_squares import TOLERANCE, Solution
 from calib.numerics.losses import Loss, checked_loss
 from calib.numerics.observability import observability
@@ -167,24 +166,24 @@ def _fit(robot: Robot, data: Measurements, validation: Measurements | None, sett
     check_measurements(robot, data, free)
     problem = Problem(robot, data, free)
     placed = _place(problem)
-    before = problem.evaluate(placed).errors
+    start = problem.evaluate(placed)
+    determined = require_identifiable(problem, start)  # before the solver, where `calib check` looks too
     solved = _solve(problem, placed, settings)
     final = problem.evaluate(solved.robot)
     rows = problem.weighted(final.errors[..., None])[:, 0]
     # everything below needs J^T J alone, which the small triangular factor of J has too
     factor = _factor(problem.weighted(final.jacobian) * problem.scales)
-    rank = numerical_rank(factor)
-    require_identifiable(problem, factor)
+    require_identifiable(problem, final)
+    singular_values = np.linalg.svd(factor, compute_uv=False)[: determined.free.rank]
     noise = solved.noise or found_noise(rows, effective_parameters(factor, problem.has_prior, solved.sigma))
     found = statistics(factor, noise, problem.scales, problem.has_prior, solved.sigma)
-    all_scales = np.array([p.sigma for p in robot.parameters])
     return Fit(
         nominal=robot,
         placed=placed,
         robot=solved.robot,
         identification=ErrorSet(
             _told_from_motion(solved.robot, data, final.configurations),
-            before,
+            start.errors,
             final.errors,
             solved.robot.singular_values(final.configurations),
         ),
@@ -192,9 +191,8 @@ def _fit(robot: Robot, data: Measurements, validation: Measurements | None, sett
         configurations=final.configurations,
         free=free,
         statistics=found,
-        rank=rank,
-        rank_all=numerical_rank(_factor(problem.weighted(final.all_columns) * all_scales)),
-        observability=observability(rank.singular_values[: rank.rank], len(data)),
+        determination=determined,
+        observability=observability(singular_values, len(data)),
         jacobian=final.jacobian,
         sigma_stated=settings.stated,
         message=solved.solution.message,
@@ -253,8 +251,6 @@ def _solve(problem: Problem, placed: Robot, settings: _Settings) -> _Solved:
         solved = replace(solved, starts=tried)
     if settings.loss == "none":
         return solved
-    evaluation = problem.evaluate(solved.robot)
-    require_identifiable(problem, _factor(problem.weighted(evaluation.jacobian) * problem.scales))
     robust = solve_robust(problem, solved.robot, settings.loss, settings.stated)
     return _Solved(
         robust.robot, robust.sigma, robust.solution, robust.weights, robust.noise, robust.settled, solved.starts

@@ -13,6 +13,7 @@ from calib.data.measurements import Measurements
 from calib.identification.starts import Starts
 from calib.identification.systematic import Pattern, Residuals, patterns
 from calib.identification.validation import error_table
+from calib.linearisation.determination import Determination
 from calib.linearisation.prediction import PositionUncertainty, carried, position_uncertainty
 from calib.model.mechanism import BoolArray, FloatArray
 from calib.model.robot import Configurations, Robot
@@ -83,8 +84,7 @@ class Fit(ReadOnlyArrays):
         configurations: The assembled poses of `identification`, at the solution.
         free: Which parameters were free, (n_parameters,).
         statistics: Uncertainty of the free ones.
-        rank: Rank of the scaled Jacobian of the free parameters.
-        rank_all: Rank of that of all parameters, held ones included.
+        determination: What poses and priors determine, at `placed`: as `calib check` tells.
         observability: O1 to O5 on scaled columns.
         jacobian: d(positions)/d(free parameters) at the solution, (n_poses, n_targets, 3, n_free).
         sigma_stated: Noise as stated [m], or None.
@@ -109,8 +109,7 @@ class Fit(ReadOnlyArrays):
     configurations: Configurations
     free: BoolArray
     statistics: Statistics
-    rank: Rank
-    rank_all: Rank
+    determination: Determination
     observability: dict[str, float]
     jacobian: FloatArray
     sigma_stated: float | None
@@ -130,6 +129,16 @@ class Fit(ReadOnlyArrays):
     def converged(self) -> bool:
         """Whether the iteration reached a minimum."""
         return self.convergence.converged
+
+    @property
+    def rank(self) -> Rank:
+        """Rank of the free parameters, from the poses alone."""
+        return self.determination.free
+
+    @property
+    def rank_all(self) -> Rank:
+        """Rank of all parameters, held ones included, from the poses alone."""
+        return self.determination.everything
 
     @property
     def free_names(self) -> list[str]:

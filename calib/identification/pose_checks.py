@@ -6,10 +6,10 @@ import numpy as np
 
 from calib.data.measurements import Measurements
 from calib.errors import DataError, NotIdentifiableError
-from calib.identification.problem import Problem
+from calib.identification.problem import Evaluation, Problem
+from calib.linearisation.determination import Determination, determination
 from calib.model.mechanism import BoolArray, FloatArray
 from calib.model.robot import Robot
-from calib.numerics.identifiability import numerical_rank
 
 _STILL = 1e-6  # range of a joint below which it never moved [m, rad]
 _ALONE = 1e-3  # part of the widest spread of poses in joint space that a direction must have to count
@@ -75,27 +75,26 @@ def directions_moved(joints: FloatArray) -> int:
     return int(np.sum(spread > _ALONE * spread[0]))
 
 
-def require_identifiable(problem: Problem, scaled: FloatArray) -> None:
-    """Raise unless data and priors together determine every free parameter.
+def require_identifiable(problem: Problem, evaluation: Evaluation) -> Determination:
+    """Return what the data determine; raise unless data and priors together determine every free parameter.
 
     Args:
         problem: The problem.
-        scaled: Scaled Jacobian of the free parameters, or its triangular factor, (n, n_free).
+        evaluation: Where it is looked at.
 
     Raises:
         NotIdentifiableError: The message names the parameters, and joints that never moved.
     """
-    stacked = np.vstack([scaled, np.eye(len(problem.has_prior))[problem.has_prior]])
-    rank = numerical_rank(stacked)
-    if rank.rank == rank.n_columns:
-        return
+    found = determination(problem.weighted(evaluation.all_columns), problem.robot.parameters, problem.free)
+    if found.missing == 0:
+        return found
     names = [parameter.name for parameter, use in zip(problem.robot.parameters, problem.free, strict=True) if use]
-    null = np.linalg.svd(stacked)[2][rank.rank :]
+    null = np.linalg.svd(found.open_columns)[2][found.together.rank :]
     involved = [name for name, size in zip(names, np.max(np.abs(null), axis=0), strict=True) if size > 1e-3]
     raise NotIdentifiableError(
-        f"the poses determine {rank.rank} of {rank.n_columns} free parameters; not separable:"
+        f"{problem.data.path}: {found.words()}; not separable:"
         f" {', '.join(involved[:12])}{', ...' if len(involved) > 12 else ''}{_why(problem)};"
-        f" hold {rank.n_columns - rank.rank} of them (`held`), or measure other poses"
+        f" hold {found.missing} of them (`held`; `calib check` tells which), or measure other poses"
     )
 
 

@@ -17,9 +17,9 @@ Effects tested, all as displacements of the targets through the robot (d(positio
     zero         each joint off by an error that changes in the course of the measurement: an encoder or a belt that
                  slipped, warming up
 
-An effect that the fit absorbs (a constant shift, where the base is free) cannot be seen and is not tested. A finding
-needs a chance below 1 % over the number of tests, and an effect of at least a tenth of the noise: enough data make any
-trifle significant.
+An effect that the fit absorbs (a constant shift, where the base is free) cannot be seen and is not tested, and nothing
+is put down to a joint that never moved. A finding needs a chance below 1 % over the number of tests, and an effect of
+at least a tenth of the noise: enough data make any trifle significant.
 
 The direction of approach and the course of the measurement come from the order of the rows in the data file, which must
 be the order of measurement. A sudden change shows too: a polynomial of degree 3 explains 86 % of a step.
@@ -41,6 +41,7 @@ import pinocchio as pin
 from numpy.polynomial import legendre
 from scipy.stats import f as f_distribution
 
+from calib.identification.pose_checks import unmoved_joints
 from calib.linearisation.jacobian import origin_jacobian
 from calib.model.mechanism import FloatArray
 from calib.model.robot import Configurations, Robot
@@ -159,10 +160,12 @@ def _effects(
         yield "axis", name, shift
     drift = np.eye(3)[:, :, None] * course[:, None, None, None, :]
     yield "drift", "xyz", np.broadcast_to(drift, (*by_joint.shape[:3], 3, _DEGREE)).reshape(*by_joint.shape[:3], -1)
+    still = unmoved_joints(robot, configurations.actuated)
     for j, name in enumerate(robot.joint_names):
         column, q = by_joint[..., j : j + 1], configurations.actuated[:, j]
-        if np.ptp(q) > 0:
-            yield "joint", name, column * _curves(q)[:, None, None, :]
+        if name in still:
+            continue
+        yield "joint", name, column * _curves(q)[:, None, None, :]
         yield "approach", name, column * approach[:, j][:, None, None, None]
         yield "zero", name, column * course[:, None, None, :]
 

@@ -47,7 +47,7 @@ def eliminate(scaled_jacobian: FloatArray, order: Sequence[int] = ()) -> Elimina
     """Drop columns until the rest is independent.
 
     Args:
-        scaled_jacobian: (n_rows, n_columns).
+        scaled_jacobian: Columns that can be compared, such as unit columns, (n_rows, n_columns).
         order: Columns to prefer for dropping where condition numbers tie, first one first.
     """
     factor = reduced(scaled_jacobian)

@@ -38,13 +38,16 @@ class Group(ReadOnlyArrays):
     coefficients: FloatArray
 
 
-def null_groups(scaled_jacobian: FloatArray, dropped: Sequence[int] = ()) -> tuple[Group, ...]:
+def null_groups(
+    scaled_jacobian: FloatArray, dropped: Sequence[int] = (), lengths: FloatArray | None = None
+) -> tuple[Group, ...]:
     """Return a basis of the null space of smallest groups, shortest first.
 
     Args:
         scaled_jacobian: (n_rows, n_columns).
         dropped: Columns that are held or dropped. Groups are told with one of them first where one moves enough, and
             with as few others of them as possible.
+        lengths: What each column was divided by after it was scaled by its sigma, (n_columns,); 1 if not given.
     """
     null = _null_space(scaled_jacobian)
     projector = null @ null.T
@@ -54,6 +57,8 @@ def null_groups(scaled_jacobian: FloatArray, dropped: Sequence[int] = ()) -> tup
         columns = np.flatnonzero(label == k)
         if np.max(np.abs(projector[np.ix_(columns, columns)])) > ZERO:
             vectors += _part(null, columns, set(dropped))
+    if lengths is not None:
+        vectors = [vector / lengths for vector in vectors]
     groups = [_group(vector, set(dropped)) for vector in vectors]
     return tuple(sorted(groups, key=lambda group: (len(group.members), group.members)))
 

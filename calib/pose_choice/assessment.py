@@ -14,13 +14,14 @@ import numpy as np
 from calib.data.measurements import Measurements, Poses
 from calib.errors import DataError
 from calib.linearisation.candidates import assemble_known
+from calib.linearisation.determination import Determination, determination
 from calib.linearisation.information import Information, information, measurement_sigma, prior_rows, require_free
 from calib.linearisation.jacobian import linearise
 from calib.model.mechanism import BoolArray, FloatArray
 from calib.model.parameters import Parameter, index_of
 from calib.model.robot import Robot
 from calib.numerics.elimination import Elimination, eliminate
-from calib.numerics.identifiability import Rank, numerical_rank
+from calib.numerics.identifiability import Rank
 from calib.numerics.null_space import Group, null_groups
 from calib.numerics.observability import TaskIndex, observability_of, task_index
 from calib.pose_choice.pose_count import CountRow, accuracy_by_count
@@ -43,9 +44,8 @@ class Assessment(ReadOnlyArrays):
         n_poses, n_rows: Poses, and measured coordinates.
         sigma: Noise of one reading per axis that was used [m].
         sigma_assumed: Whether nobody stated it.
-        rank_all: Rank of all parameters, from the poses alone.
-        rank_free: Rank of the free ones, from the poses alone.
-        known: What poses and priors determine of the free ones.
+        determination: Ranks of all and of the free parameters, from the poses alone and with priors.
+        known: How well poses and priors determine the free ones; in units of `determination.lengths`.
         groups: Parameters that move together unseen, of all parameters, from the poses alone.
         open_groups: The same of the free ones, priors included: what stays undetermined.
         elimination: Parameters to hold so that the poses determine the rest.
@@ -63,8 +63,7 @@ class Assessment(ReadOnlyArrays):
     n_rows: int
     sigma: float
     sigma_assumed: bool
-    rank_all: Rank
-    rank_free: Rank
+    determination: Determination
     known: Information
     groups: tuple[Group, ...]
     open_groups: tuple[Group, ...]
@@ -76,6 +75,16 @@ class Assessment(ReadOnlyArrays):
     position_errors: FloatArray
     by_count: tuple[CountRow, ...]
     near_singular: tuple[str, ...]
+
+    @property
+    def rank_all(self) -> Rank:
+        """Rank of all parameters, from the poses alone."""
+        return self.determination.everything
+
+    @property
+    def rank_free(self) -> Rank:
+        """Rank of the free parameters, from the poses alone."""
+        return self.determination.free
 
     @property
     def free_parameters(self) -> tuple[Parameter, ...]:
@@ -121,36 +130,37 @@ def assess(robot: Robot, poses: Poses, *, task: Poses | None = None, sigma: floa
     _require_rows(robot, poses, jacobian.shape[1])
     weight = np.sqrt(poses.counts if isinstance(poses, Measurements) else np.ones(len(poses)))
     weighted = jacobian * weight[:, None, None, None]
-    everything = (weighted * np.array([p.sigma for p in parameters])).reshape(-1, len(parameters))
-    rows = everything[:, free].reshape(len(poses), -1, int(np.sum(free)))
-    priors = prior_rows(parameters, free, noise)
-    known = information(rows, priors)
-    rank_free = numerical_rank(everything[:, free])
-    elimination = eliminate(everything, _order(robot))
-    task_rows = rows / weight[:, None, None] if task is None else assemble_known(robot, task).rows
-    errors = known.position_errors(task_rows, noise)
+    found = determination(weighted.reshape(-1, len(parameters)), parameters, free)
     kept = [p for p, use in zip(parameters, free, strict=True) if use]
+    scales = np.array([p.sigma for p in parameters])
+    lengths = found.lengths * scales  # of the columns scaled by sigma, in which rows, priors and groups are told
+    rows = (weighted * scales)[..., free].reshape(len(poses), -1, len(kept))
+    priors = prior_rows(parameters, free, noise) / lengths[free]
+    unit = rows / lengths[free]
+    known = information(unit, priors)
+    elimination = eliminate(found.columns, _order(robot))
+    task_rows = unit / weight[:, None, None] if task is None else assemble_known(robot, task).rows / lengths[free]
+    errors = known.position_errors(task_rows, noise)
     scaled, raw = observability_of(rows, kept)
     near = np.flatnonzero(robot.singular_values(configurations) < robot.description.singularity_limit)
     return Assessment(
         parameters=parameters,
         free=free,
         n_poses=len(poses),
-        n_rows=everything.shape[0],
+        n_rows=jacobian[..., 0].size,
         sigma=noise,
         sigma_assumed=assumed,
-        rank_all=numerical_rank(everything),
-        rank_free=rank_free,
+        determination=found,
         known=known,
-        groups=null_groups(everything, _spoken_for(robot, elimination)),
-        open_groups=null_groups(np.vstack([everything[:, free], priors])),
+        groups=null_groups(found.columns, _spoken_for(robot, elimination), lengths),
+        open_groups=null_groups(found.open_columns, lengths=lengths[free]),
         elimination=elimination,
         scaled=scaled,
         raw=raw,
-        std=known.standard_deviations(noise) * np.array([p.sigma for p in kept]),
+        std=known.standard_deviations(noise) / found.lengths[free],
         accuracy=task_index(errors),
         position_errors=errors,
-        by_count=accuracy_by_count(rows, priors, task_rows, noise),
+        by_count=accuracy_by_count(unit, priors, task_rows, noise),
         near_singular=tuple(poses.labels[k] for k in near),
     )
 

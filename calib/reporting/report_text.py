@@ -11,7 +11,7 @@ from calib.identification.reasons import Verdict
 from calib.identification.validation import format_error
 from calib.reporting.plain_text import plain_text
 from calib.reporting.result_content import correlated, error_sets, parameter_rows
-from calib.words import counted, listed
+from calib.words import counted, listed, sentence
 
 
 def text_report(fit: Fit, width: int = 120) -> str:
@@ -60,8 +60,8 @@ def _noise(fit: Fit) -> list[str]:
 
 def _identifiability(fit: Fit) -> list[str]:
     lines = [
-        f"All {fit.rank_all.n_columns} parameters: {fit.rank_all}",
-        f"The {fit.rank.n_columns} free ones: {fit.rank}",
+        *fit.determination.lines(),
+        sentence(fit.determination.words()),
         "Observability (scaled columns): "
         + ", ".join(f"{name} {value:.3g}" for name, value in fit.observability.items()),
     ]

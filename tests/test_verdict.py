@@ -212,8 +212,41 @@ def test_angles_beyond_the_linear_range_are_named(arm, truth):
 
 def test_a_robot_that_is_as_good_as_its_model_is_told(arm):
     fit = calib.fit(arm, noisy(arm, joints(80), SIGMA, 1), sigma=SIGMA)
-    assert "no more than chance would" in reason(fit, "no_gain").text
-    assert fit.verdict.grade == "CHECK"
+    assert reason(fit, "nothing_to_correct").text.startswith(
+        "nothing to correct: on the poses used, no more than chance"
+    )
+    assert fit.verdict.grade == "PASS"
+    assert "PASS: nothing to correct" in fit.report()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_healthy_robot_passes_although_the_fit_adds_its_own_noise(arm, seed):
+    data, other = noisy(arm, joints(60, seed), SIGMA, seed), noisy(arm, joints(30, seed + 50), SIGMA, seed + 50)
+    fit = calib.fit(arm, data, validation=other, folds=4)
+    assert fit.verdict.grade == "PASS"
+    text = reason(fit, "nothing_to_correct").text
+    assert "on the validation poses RMS" in text
+    assert "on poses left out in turns RMS" in text
+
+
+def test_a_gain_that_is_far_from_halving_the_error_proves_a_fit_with_more_noise_than_stated(arm, truth):
+    """The joints sag with their angle, which the model leaves out: unused poses get better by a quarter or so."""
+
+    def measured(q, seed):
+        sagged = q + 3e-3 * np.sin(3 * q)
+        return measurements(q, noisy(truth, sagged, SIGMA, seed).positions)
+
+    fit = calib.fit(arm, measured(joints(80), 1), sigma=SIGMA, validation=measured(joints(30, 5), 2))
+    rms = [np.sqrt(np.mean(np.sum(errors**2, axis=2))) for errors in (fit.validation.after, fit.validation.before)]
+    assert 0.5 < rms[0] / rms[1] < 0.9
+    found = reason(fit, "noise")
+    assert found.grade == fit.verdict.grade == "CHECK"
+    assert "poses that were not used do get better beyond chance" in found.text
+
+
+def test_unused_poses_that_do_not_get_better_prove_nothing(arm):
+    data, other = noisy(arm, joints(80), 4 * SIGMA, 1), noisy(arm, joints(30, 5), 4 * SIGMA, 2)
+    assert reason(calib.fit(arm, data, sigma=SIGMA, validation=other), "noise").grade == "FAIL"
 
 
 def test_outliers_are_listed_with_row_and_what_to_do(arm, truth):
@@ -286,3 +319,14 @@ def test_poses_beyond_the_limits_of_the_urdf_are_named_with_their_joints(arm, tr
     assert fit.verdict.grade == "CHECK"
     text = reason(fit, "beyond_joint_limits").text
     assert text.startswith(f"2 poses lie beyond the URDF's limits of joint {names[2]}: row 3, row 7; check")
+
+
+def test_poses_in_one_corner_are_a_check(prior_arm):
+    q = joints(80)
+    near = q[:1] + 0.05 * (q - q[:1])  # 0.15 of 6 rad
+    fit = calib.fit(prior_arm, noisy(prior_arm, near, SIGMA, 1), sigma=SIGMA)
+    assert fit.verdict.grade == "CHECK"
+    assert "no joint moved through more than 2.5 % of its limits" in reason(fit, "one_corner").text
+    near[:, 2] = q[:, 2]  # one joint that moves is no corner
+    again = calib.fit(prior_arm, noisy(prior_arm, near, SIGMA, 1), sigma=SIGMA)
+    assert "one_corner" not in again.verdict.to_dict()["codes"]

@@ -11,6 +11,8 @@ from calib.identification.fitted import Fit
 from calib.identification.pose_checks import directions_moved, unmoved_joints
 from calib.identification.reasons import Reason
 from calib.identification.validation import pose_labels
+from calib.model.mechanism import FloatArray
+from calib.model.robot import Robot
 from calib.numerics.outliers import FALSE_ALARM, HIGH_LEVERAGE
 from calib.words import counted, listed
 
@@ -24,6 +26,8 @@ UNLIKELY = 1e-3
 """Chance below which a test against noise counts."""
 BEYOND_LIMIT = 0.01
 """How far beyond a joint's limit a pose must be to be named [rad, or characteristic lengths]."""
+CORNER = 0.1
+"""Part of the range between its limits that at least one joint must move through."""
 COPIED = 0.1
 """Part of the readings that may equal another one; coarse readings may do so by chance."""
 USED_FOR_BOTH = 0.1
@@ -66,11 +70,27 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
         )
 
 
+def one_corner(fit: Fit) -> Iterator[Reason]:
+    """See how much of what its limits allow (or a turn, without limits) each joint has moved."""
+    robot, reach = fit.nominal, np.ptp(fit.identification.data.joints, axis=0)
+    lower, upper = _limits(robot)
+    turns = np.array([robot.mechanism.dimensions[name] == "angle" for name in robot.joint_names])
+    allowed = np.minimum(upper - lower, np.where(turns, 2 * np.pi, np.inf))
+    known = np.isfinite(allowed) & (allowed > 0)
+    part = np.max(reach[known] / allowed[known], initial=0.0)
+    if np.all(known) and 0 < part < CORNER:
+        yield Reason(
+            "CHECK",
+            "one_corner",
+            f"all poses lie in one corner: no joint moved through more than {100 * part:.2g} % of its limits, and"
+            " elsewhere the robot is not calibrated: measure poses all over the space where it will work",
+        )
+
+
 def beyond_joint_limits(fit: Fit) -> Iterator[Reason]:
     """Look for joint values that the robot's own limits exclude."""
     data, robot = fit.identification.data, fit.nominal
-    limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
-    lower, upper = np.array([limits[name] for name in robot.joint_names]).T
+    lower, upper = _limits(robot)
     excess = np.maximum(lower - data.joints, data.joints - upper) / robot.mechanism.joint_scale
     beyond = np.flatnonzero(np.max(excess, axis=1) > BEYOND_LIMIT)
     if len(beyond):
@@ -83,6 +103,13 @@ def beyond_joint_limits(fit: Fit) -> Iterator[Reason]:
             f" {listed([data.labels[k] for k in beyond])}; check the joint's sign, zero, unit and column, or the"
             " limits",
         )
+
+
+def _limits(robot: Robot) -> tuple[FloatArray, FloatArray]:
+    """Lower and upper limits of the actuated joints, (n_actuated,) each [m or rad]; infinite where there are none."""
+    limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
+    lower, upper = np.array([limits[name] for name in robot.joint_names]).T
+    return lower, upper
 
 
 def too_few_poses(fit: Fit) -> Iterator[Reason]:

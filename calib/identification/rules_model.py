@@ -8,7 +8,8 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
-from calib.identification.fitted import ErrorSet, Fit
+from calib.identification.comparison import CHANCE, comparisons
+from calib.identification.fitted import Fit
 from calib.identification.reasons import Reason
 from calib.identification.rules_data import UNLIKELY
 from calib.identification.systematic import describe
@@ -19,8 +20,6 @@ from calib.words import counted, listed
 
 NOISE_RATIO = 3.0
 """Found over stated noise from which the statement, or the model, is wrong."""
-PROVEN = 0.5
-"""Errors on poses that were not used, after over before, that prove a calibration."""
 UNUSED_RATIO = 1.5
 """Residuals of poses that were not used, over their predicted scatter."""
 FEW_POSES = 6
@@ -77,15 +76,15 @@ def _against_statement(fit: Fit, ratio: float, p_larger: float, p_smaller: float
         f"{1e3 * fit.statistics.sigma:.3g} mm per axis where {1e3 * fit.statistics.sigma / ratio:.3g} mm was stated"
     )
     if ratio > NOISE_RATIO and p_larger < UNLIKELY:
-        proven = any(_rms(found.after) < PROVEN * _rms(found.before) for _, found in _unused(fit))
+        proven = any(found.better for found in comparisons(fit))
         yield Reason(
             "CHECK" if proven else "FAIL",
             "noise",
             f"noise found is {ratio:.1f} times what was stated ({numbers}): the model does not explain the"
             " measurements;"
             + (
-                " poses that were not used do get better, so what is left is what the model leaves out: state the noise"
-                " of robot and sensor together (--sigma-mm)"
+                " poses that were not used do get better beyond chance, so what is left is what the model leaves out,"
+                " and intervals do not count it: state the noise of robot and sensor together (--sigma-mm)"
                 if proven
                 else " look at outliers and units, state the noise of robot and sensor together (--sigma-mm), or prove"
                 " the result on other poses (--validate, --folds)"
@@ -113,14 +112,14 @@ def not_assembled(fit: Fit) -> Iterator[Reason]:
 
 def worse_on_validation(fit: Fit) -> Iterator[Reason]:
     """Compare errors on unused poses before and after."""
-    for name, found in _unused(fit):
-        before, after = _rms(found.before), _rms(found.after)
-        if after > before:
+    for found in comparisons(fit):
+        if found.worse:
             yield Reason(
                 "FAIL",
                 "worse_on_validation",
-                f"worse than before on {name}: RMS {1e3 * after:.4f} mm after, {1e3 * before:.4f} mm before; the fit"
-                " follows its own measurements, not the robot: measure more poses, spread over the same space",
+                f"worse than before on {found.name}: {found.words}, more than the uncertainty of the fit explains"
+                f" (chance {100 * CHANCE:g} %); the fit follows its own measurements, not the robot: measure more"
+                " poses, spread over the same space",
             )
 
 
@@ -161,23 +160,36 @@ def frame_moved(fit: Fit) -> Iterator[Reason]:
         )
 
 
-def no_gain(fit: Fit) -> Iterator[Reason]:
-    """F test of all parameters against placing base and targets alone."""
+def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
+    """See whether the calibration gains anything: on unused poses, else by an F test of all that was not placed."""
+    if fit.computed:
+        return
+    found = list(comparisons(fit))
+    chance = _chance_of_gain(fit)
+    no_gain = chance > UNLIKELY or (bool(found) and all(entry.after >= entry.before for entry in found))
+    if not no_gain or any(entry.better or entry.worse for entry in found):
+        return
+    said = "; ".join(f"on {entry.name} {entry.words}, no gain beyond the uncertainty" for entry in found)
+    if chance > UNLIKELY:
+        said += f"{'; ' if said else ''}on the poses used, no more than chance gives (p = {chance:.2g})"
+    yield Reason(
+        "PASS",
+        "nothing_to_correct",
+        f"nothing to correct: {said}; the nominal values are as good as any, as far as measurements with"
+        f" {1e3 * fit.statistics.sigma:.3g} mm of noise can tell",
+    )
+
+
+def _chance_of_gain(fit: Fit) -> float:
+    """Chance that the parameters explain as much of a robot at nominal, with base and targets placed alone."""
     weight = (fit.identification.data.counts[:, None] * fit.weights)[:, :, None]
     before = float(np.sum(weight * fit.identification.before**2))
     after = float(np.sum(weight * fit.identification.after**2))
     placed = sum(p.placement for p, use in zip(fit.nominal.parameters, fit.free, strict=True) if use)
     k = fit.statistics.effective_parameters - placed
-    if k < 0.5 or after <= 0 or fit.computed:
-        return
-    p_value = float(f_distribution.sf((before - after) / k / fit.statistics.sigma**2, k, fit.statistics.freedom))
-    if p_value > UNLIKELY:
-        yield Reason(
-            "CHECK",
-            "no_gain",
-            f"the calibration explains no more than chance would (p = {p_value:.2g}): the robot may be as good as its"
-            " nominal model, or the measurements too noisy or too few",
-        )
+    if k < 0.5 or after <= 0:
+        return 0.0
+    return float(f_distribution.sf((before - after) / k / fit.statistics.sigma**2, k, fit.statistics.freedom))
 
 
 def systematic(fit: Fit) -> Iterator[Reason]:
@@ -209,13 +221,6 @@ def other_minima(fit: Fit) -> Iterator[Reason]:
             f" {1e3 * near[0].rms:.4g} mm against {1e3 * best.rms:.4g} mm): the data do not say which is the"
             " robot; measure more different poses",
         )
-
-
-def _unused(fit: Fit) -> Iterator[tuple[str, ErrorSet]]:
-    if fit.validation is not None:
-        yield "the validation poses", fit.validation
-    if fit.folds is not None:
-        yield "poses left out in turns", fit.folds.errors
 
 
 def _rms(errors: FloatArray) -> float:

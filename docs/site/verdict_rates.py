@@ -115,7 +115,7 @@ def rows(outcomes: Iterable[Outcome]) -> list[list[str]]:
 
 def _row(kind: str, name: str, found: list[Outcome]) -> list[str]:
     grades = Counter(outcome.grade for outcome in found)
-    codes = Counter(code for outcome in found if outcome.grade != "PASS" for code in set(outcome.codes))
+    codes = Counter(code for outcome in found if outcome.grade != "PASS" for code in dict.fromkeys(outcome.codes))
     said = ", ".join(f"{code} {count}" for code, count in codes.most_common(3))
     return [kind, name, str(len(found)), *(str(grades[grade]) for grade in OUTCOMES), said]
 

@@ -1,30 +1,37 @@
 # make demo   calibrate MedRUE from the measurement file that ships with the project, into out/demo/
 # make test   the tests
+# make test-processors   the numerical tests again, with the sums of other processors
 # make lint   style and types
 # make bench  speed, as ratios within one run
 # make docs   the documentation site, into out/site/ (after make ci-packages)
-# Everything is installed into .venv, from pinned versions, and again only when the pins change.
+# Everything is installed into .venv, from pinned versions, and again only when the pins change: requirements.txt is what
+# running needs, requirements-dev.txt has tests and linters as well, requirements-ci.txt every optional tool.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# not quiet: the first time takes minutes, and pip's lines show what is being done
+PIP := $(BIN)/python -m pip install --disable-pip-version-check
 COMPILE := $(BIN)/pip-compile --quiet --upgrade --strip-extras --no-header --no-emit-index-url --no-emit-find-links --no-emit-trusted-host
 JOBS ?= 2
 
-.PHONY: demo test lint bench docs pictures pins ci-packages data clean
+.PHONY: demo test test-processors lint bench docs pictures pins ci-packages data clean
 
 demo: $(VENV)/.ready
 	$(BIN)/calib fit urdf/medrue.yaml docs/examples/medrue_simulated.csv --validate 0.8 --out out/demo
 
-test: $(VENV)/.ready
+test: $(VENV)/.ready-dev
+	@echo "The tests, in $(JOBS) processes. The first dots come after half a minute, the last after some minutes."
 	$(BIN)/python -m pytest -n $(JOBS)
 
-lint: $(VENV)/.ready
+test-processors: $(VENV)/.ready-dev
+	$(BIN)/python tests/processors.py -n $(JOBS)
+
+lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-bench: $(VENV)/.ready
+bench: $(VENV)/.ready-dev
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-enable --benchmark-only -n 0 -s
 
 # The pictures of README and docs, from a fresh demo.
@@ -39,19 +46,27 @@ docs: $(VENV)/.ready
 data: $(VENV)/.ready
 	$(BIN)/python -m medrue.simulated_measurements docs/examples/medrue_simulated.csv
 
-# New pins from pyproject.toml: for every set-up, and with the optional tools that continuous integration uses too.
-pins: $(VENV)/.ready
-	$(COMPILE) --extra dev --output-file requirements.txt pyproject.toml
-	$(COMPILE) --all-extras --constraint requirements.txt --output-file requirements-ci.txt pyproject.toml
+# New pins from pyproject.toml.
+pins: $(VENV)/.ready-dev
+	$(COMPILE) --output-file requirements.txt pyproject.toml
+	$(COMPILE) --extra dev --constraint requirements.txt --output-file requirements-dev.txt pyproject.toml
+	$(COMPILE) --all-extras --constraint requirements-dev.txt --output-file requirements-ci.txt pyproject.toml
 
-ci-packages: $(VENV)/.ready
+ci-packages: $(VENV)/.ready-dev
+	@echo "Installing every optional tool into $(VENV)."
 	$(PIP) -r requirements-ci.txt
 
 $(VENV)/.ready: pyproject.toml requirements.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=..." >&2; exit 1; }
+	@echo "Installing what running needs into $(VENV): once, some minutes."
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(PIP) -r requirements.txt
 	$(PIP) --no-deps --editable .
+	@touch $@
+
+$(VENV)/.ready-dev: $(VENV)/.ready requirements-dev.txt
+	@echo "Installing tests and linters into $(VENV)."
+	$(PIP) -r requirements-dev.txt
 	@touch $@
 
 clean:

@@ -1,9 +1,9 @@
 """Kinematic calibration of any robot with a URDF, closed loops included, on Pinocchio."""
 
+from calib.calibration import Calibration, fit
 from calib.data.arrays import as_measurements, as_poses
 from calib.data.measurement_files import read_measurements, read_poses
 from calib.data.measurements import Measurements, Poses
-from calib.data.simulate import simulate
 from calib.errors import (
     CalibrationError,
     ComputationError,
@@ -16,12 +16,15 @@ from calib.errors import (
     UnreachablePoseError,
     UrdfError,
 )
-from calib.identification.fit import Fit, fit
-from calib.model.parameters import Origin, Parameter, Parametrisation, twist_of_edit
+from calib.identification.fitted import Fit
+from calib.linearisation.simulate import simulate
+from calib.model.parameters import Origin, Parametrisation, twist_of_edit
 from calib.model.robot import Robot, load
+from calib.parameter import Parameter
 from calib.pose_choice.selection import Selection, select
 
 __all__ = [
+    "Calibration",
     "CalibrationError",
     "ComputationError",
     "DataError",

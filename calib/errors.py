@@ -8,8 +8,13 @@ Two families, one for each exit code of the command line:
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
-from difflib import get_close_matches
+from difflib import SequenceMatcher
+from itertools import takewhile
+
+_ALIKE = 0.6
+"""Part of two names that must agree for one to be a misspelling of the other."""
 
 
 class CalibrationError(Exception):
@@ -70,10 +75,31 @@ def nearest(name: str, valid: Iterable[str]) -> str:
     """
     names = sorted({str(item) for item in valid})
     same = [item for item in names if item.casefold() == str(name).casefold()]
-    close = same or get_close_matches(str(name), names, n=1, cutoff=0.6)
+    close = same[0] if same else _closest(str(name), names)
     if close:
-        return f"; did you mean '{close[0]}'?"
+        return f"; did you mean '{close}'?"
     if not names:
         return "; nothing is valid here"
     shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
     return f"; valid: {shown}"
+
+
+def _closest(name: str, names: list[str]) -> str:
+    """The name that begins with the most of the same words, and of these the most alike; empty if none is close.
+
+    Beginnings count more than endings: of joints called `..._joint`, the ending says nothing.
+    """
+    words = _words(name)
+    best, closest = (0, 0.0), ""
+    for item in names:
+        other = _words(item)
+        shared = len(list(takewhile(lambda pair: pair[0] == pair[1], zip(words, other, strict=False))))
+        continued = 0 < shared == min(len(words), len(other))
+        alike = SequenceMatcher(None, item, name).ratio()
+        if (alike >= _ALIKE or continued) and (shared, alike) >= best:
+            best, closest = (shared, alike), item
+    return closest
+
+
+def _words(name: str) -> list[str]:
+    return re.findall(r"[^\W_]+", name.casefold())

@@ -8,17 +8,35 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Literal
+from typing import Literal, TypeVar
 
+from calib.arrays import FloatArray
 from calib.errors import InputError, nearest
 
-Dimension = Literal["length", "angle"]
+Lengths = TypeVar("Lengths", float, FloatArray)
+Dimension = Literal["length", "angle", "pixel", "time", "temperature", "mass", "number"]
 
 PER_SI: dict[Dimension, dict[str, float]] = {
     "length": {"m": 1.0, "mm": 1e3, "um": 1e6},
-    "angle": {"rad": 1.0, "deg": 180.0 / math.pi, "mrad": 1e3},
+    "angle": {"rad": 1.0, "deg": 180.0 / math.pi, "mrad": 1e3, "urad": 1e6},
+    "pixel": {"px": 1.0},
+    "time": {"s": 1.0, "min": 1.0 / 60.0, "h": 1.0 / 3600.0},
+    "temperature": {"degC": 1.0},
+    "mass": {"kg": 1.0},
+    "number": {"1": 1.0},
 }
-DISPLAY_UNIT: dict[Dimension, str] = {"length": "mm", "angle": "deg"}
+DISPLAY_UNIT: dict[Dimension, str] = {
+    "length": "mm",
+    "angle": "deg",
+    "pixel": "px",
+    "time": "s",
+    "temperature": "degC",
+    "mass": "kg",
+    "number": "1",
+}
+"""Units of values in files and tables."""
+ERROR_UNIT: dict[Dimension, str] = DISPLAY_UNIT | {"angle": "mrad"}
+"""Units of errors."""
 _QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-zµ]*)\s*$")
 _COLUMN = re.compile(r"^\s*(?P<name>.*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*$", re.DOTALL)
 
@@ -28,7 +46,7 @@ def per_si(unit: str | None, dimension: Dimension, where: str) -> float:
 
     Args:
         unit: Unit name; None or "" means SI.
-        dimension: Whether a length or an angle is expected.
+        dimension: What is expected.
         where: What the unit belongs to, for the error message.
 
     Raises:
@@ -39,14 +57,16 @@ def per_si(unit: str | None, dimension: Dimension, where: str) -> float:
         return 1.0
     if unit in units:
         return units[unit]
-    other: Dimension = "angle" if dimension == "length" else "length"
-    if unit in PER_SI[other]:
+    other = next((name for name, of_other in PER_SI.items() if unit in of_other), None)
+    if other is not None:
         raise InputError(
-            f"{where}: unit '{unit}' is for an {other}; a {dimension} is expected ({', '.join(units)})".replace(
-                "an length", "a length"
-            ).replace("a angle", "an angle")
+            f"{where}: unit '{unit}' is for {_article(other)}; {_article(dimension)} is expected ({', '.join(units)})"
         )
     raise InputError(f"{where}: unknown unit '{unit}'{nearest(unit, units)}")
+
+
+def _article(noun: str) -> str:
+    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
 
 
 def quantity(value: object, dimension: Dimension, where: str) -> float:
@@ -91,3 +111,13 @@ def to_unit(value: float, unit: str, dimension: Dimension) -> float:
     178.0
     """
     return value * PER_SI[dimension][unit]
+
+
+def error_scale(dimension: Dimension) -> float:
+    """Return by what an SI error is multiplied for tables: 1000 for lengths and angles, in mm and mrad."""
+    return PER_SI[dimension][ERROR_UNIT[dimension]]
+
+
+def millimetres(length: Lengths) -> Lengths:
+    """Return a length, or an array of lengths, [m] in mm."""
+    return length * PER_SI["length"]["mm"]

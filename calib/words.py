@@ -25,3 +25,8 @@ def counted(number: int, singular: str, plural: str | None = None) -> str:
 def listed(names: Sequence[str], separator: str = ", ", shown: int = _LISTED) -> str:
     """Return the first few of many."""
     return separator.join(names[:shown]) + (f"{separator}..." if len(names) > shown else "")
+
+
+def sentence(clause: str) -> str:
+    """Return a clause with a capital and a full stop."""
+    return f"{clause[0].upper()}{clause[1:]}."

@@ -13,7 +13,7 @@ import click
 import numpy as np
 
 from calib.commands.common import Output, run_program, shared_options
-from calib.data.measurement_files import format_measurements
+from calib.data.measurement_files import format_positions
 from calib.files import check_file, check_folder, write_file, write_folder
 from calib.model.robot import load
 from medrue import robot_file
@@ -56,7 +56,7 @@ def poses_command(out: str, output: Output) -> None:
         "420 poses on a half cylinder, 300 mm by 700 mm, around a patient's leg",
         "joint values by inverse kinematics through the closed loops, nominal parameters; tool: nominal position",
     )
-    write_file(out, format_measurements(robot, found.poses, found.positions, comments))
+    write_file(out, format_positions(robot, found.poses, found.positions, comments))
     output.json(pose_facts(found))
     output.say(
         f"{len(found.poses)} poses written to {out}\n"

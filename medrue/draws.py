@@ -16,12 +16,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.data.measurements import Measurements, Poses, single_readings
+from calib.arrays import FloatArray, IntArray
+from calib.data.arrays import as_measurements
+from calib.data.measurements import Measurements
 from calib.errors import NotConvergedError
 from calib.identification.fit import fit
 from calib.linearisation.jacobian import linearise
 from calib.model import kinematics
-from calib.model.mechanism import FloatArray, IntArray
 from calib.model.robot import Configurations, Robot
 from calib.threads import one_blas_thread
 from medrue.parallel import Workers
@@ -103,12 +104,9 @@ class Outcome:
         )
 
 
-def measurements(joints: FloatArray, positions: FloatArray, index: IntArray) -> Measurements:
-    """Return single readings (n, 3) [m] of the poses `index` as measurements."""
-    names = tuple(str(k + 1) for k in index)
-    labels = tuple(f"simulated pose {name}" for name in names)
-    poses = Poses(joints[index], labels, names, "simulated measurements", ())
-    return single_readings(poses, positions[index][:, None, :])
+def measurements(robot: Robot, joints: FloatArray, positions: FloatArray, index: IntArray) -> Measurements:
+    """Return positions of the tool (n, 3) [m], one at each of the poses `index`, as measurements."""
+    return as_measurements(robot, joints[index], positions[index], [str(k + 1) for k in index])
 
 
 def run(tasks: Sequence[Task], workers: Workers, done: Callable[[int], None]) -> list[Outcome]:
@@ -138,7 +136,7 @@ def run(tasks: Sequence[Task], workers: Workers, done: Callable[[int], None]) ->
 @one_blas_thread
 def run_chunk(task: Task) -> Outcome:
     """Run the draws of one task, one after another."""
-    exact = measurements(task.joints, task.truth, task.sets[0].chosen)
+    exact = measurements(task.robot, task.joints, task.truth, task.sets[0].chosen)
     start = fit(task.robot, exact, sigma=task.sigma or 1e-6).robot
     nearby = start.assemble(task.joints).passive
     calibrators = [Calibrator(task, pose_set, start, nearby) for pose_set in task.sets]

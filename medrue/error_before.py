@@ -23,7 +23,7 @@ from itertools import product
 
 import numpy as np
 
-from calib.model.mechanism import FloatArray
+from calib.arrays import FloatArray
 from calib.numerics.rigid import best_transform
 from medrue.closed_form import base_in_world, forward, name_parameters
 from medrue.closed_form_inverse import WorkingMode, inverse

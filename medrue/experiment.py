@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import FloatArray
 from calib.identification.fit import fit
-from calib.model.mechanism import FloatArray
 from calib.model.robot import Robot
 from calib.threads import one_blas_thread
 from medrue.draws import PoseSet, measurements
@@ -155,7 +155,7 @@ def experiment_draw(task: ExperimentTask) -> ExperimentDraw:
     readings = measure(truth.positions(task.joints), SIGMA, REPEATS, generator)
     after, values, std = [], [], []
     for pose_set in task.sets:
-        data = measurements(task.joints, readings.positions, pose_set.chosen)
+        data = measurements(task.robot, task.joints, readings.positions, pose_set.chosen)
         result = fit(task.robot, data, sigma=SIGMA / np.sqrt(REPEATS))
         after.append(result.robot.positions(task.joints)[:, 0] - readings.positions)
         values.append(result.robot.values)

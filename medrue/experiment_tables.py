@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.model.mechanism import BoolArray, FloatArray
+from calib.arrays import BoolArray, FloatArray
 from calib.numerics.rigid import OUTLIER_PROBABILITY
 from calib.units import PER_SI
 from calib.words import counted

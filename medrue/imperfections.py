@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from calib.model.mechanism import FloatArray, IntArray
+from calib.arrays import FloatArray, IntArray
 from calib.model.robot import Robot
 
 TILTED_JOINTS = ("q2", "q3", "q4", "q5", "B1", "D1", "B2", "D2")

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calib.model.mechanism import FloatArray
+from calib.arrays import FloatArray
 from calib.pose_choice.selection import Selection
 from medrue.workspace import Workspace
 from viz.svg import styled, svg_file

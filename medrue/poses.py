@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import FloatArray
 from calib.data.measurements import Poses
 from calib.errors import ComputationError
 from calib.inverse_kinematics.goals import Goals
 from calib.inverse_kinematics.inverse import solve
-from calib.model.mechanism import FloatArray
 from calib.model.robot import Robot
 from medrue.closed_form import singularity_sines
 from medrue.closed_form_inverse import inverse

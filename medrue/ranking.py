@@ -18,7 +18,7 @@ import numpy as np
 from scipy.stats import kendalltau
 from scipy.stats import t as student_t
 
-from calib.model.mechanism import BoolArray, FloatArray
+from calib.arrays import BoolArray, FloatArray
 from calib.words import counted
 from medrue.result_tables import Cell, Column, ResultTable
 

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import FloatArray
 from calib.identification.fit import Fit, fit
 from calib.linearisation.jacobian import linearise
-from calib.model.mechanism import FloatArray
 from calib.model.robot import Robot
 from calib.pose_choice.selection import Selection, select
 from medrue.closed_form import forward
@@ -127,9 +127,9 @@ def run_study(robot: Robot, size: StudySize, seed: int, workers: Workers, progre
     with progress.stage("simulated calibrations", sum(len(task.seeds) for task in tasks) * len(sets)) as advance:
         outcomes = run(tasks, workers, advance)
     chosen = sets[0].chosen
-    others = measurements(joints, truth, sets[0].others(len(joints)))
-    exact = fit(robot, measurements(joints, truth, chosen), validation=others, sigma=SIGMA)
-    single = fit(robot, measurements(joints, main.noisy(main.seeds[0]), chosen), validation=others, sigma=SIGMA)
+    others = measurements(robot, joints, truth, sets[0].others(len(joints)))
+    exact = fit(robot, measurements(robot, joints, truth, chosen), validation=others, sigma=SIGMA)
+    single = fit(robot, measurements(robot, joints, main.noisy(main.seeds[0]), chosen), validation=others, sigma=SIGMA)
     floors = error_floors(exact.robot, joints, sets, SIGMA)
     return Study(
         robot, joints, truth, selections, sets, exact, single, outcomes[0], tuple(outcomes[1:]), floors, seed, size

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.model.mechanism import FloatArray
+from calib.arrays import FloatArray
 from calib.units import PER_SI
 from calib.words import counted
 from medrue.paper_tables import error_table, table1
@@ -66,9 +66,7 @@ def parameter_table(study: Study) -> ResultTable:
 
 def _predicted_std(study: Study) -> FloatArray:
     """Standard deviations of the free parameters that the stated noise predicts, (n_free,) [m, rad]."""
-    scales = np.array([parameter.sigma for parameter in study.robot.parameters])[study.robot.free]
-    jacobian = study.exact.jacobian.reshape(-1, len(scales)) * scales
-    return np.asarray(SIGMA * scales * np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian))))
+    return study.exact.unknowns.scales * study.exact.rows.alone.standard_deviations()
 
 
 def error_tables(study: Study) -> ResultTable:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from calib.model.mechanism import FloatArray
-from calib.numerics.placement import WorldFrame, world_from_nests
+from calib.arrays import FloatArray
+from calib.numerics.nests import WorldFrame, world_from_nests
 
 NESTS = np.array([[0.0, 0.0, 0.0], [0.9, 0.0, 0.0], [0.0, 0.0, 0.5]])
 """Nests on the robot's frame, in the world [m]."""

@@ -60,15 +60,13 @@ def joints(n: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-1.5, 1.5, (n, 6))
 
 
-def measurements(q: np.ndarray, positions: np.ndarray, *, counts: np.ndarray | None = None) -> Measurements:
+def measurements(robot: calib.Robot, q: np.ndarray, positions: np.ndarray) -> Measurements:
     """Measurements from arrays; positions are (n, n_targets, 3)."""
-    labels = tuple(f"row {k}" for k in range(len(q)))
     names = tuple(str(k) for k in range(len(q)))
-    readings = np.ones(len(q), dtype=np.intp) if counts is None else counts
-    return Measurements(q, labels, names, "test", (), positions, readings, np.full(positions.shape, np.nan))
+    return calib.as_measurements(robot, calib.Poses(q, tuple(f"row {k}" for k in names), names, "test", ()), positions)
 
 
 def noisy(robot: calib.Robot, q: np.ndarray, sigma: float, seed: int) -> Measurements:
     """What `robot` would measure, with normal noise."""
     positions = robot.positions(q)
-    return measurements(q, positions + sigma * np.random.default_rng(seed).standard_normal(positions.shape))
+    return measurements(robot, q, positions + sigma * np.random.default_rng(seed).standard_normal(positions.shape))

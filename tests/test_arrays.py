@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from small_robots import small_arm
+from small_robots import ARM_YAML, small_arm, write_arm
 
 import calib
 
@@ -32,18 +32,34 @@ def test_measurements_from_arrays_are_those_of_a_file(arm, tmp_path):
     read = calib.read_measurements(tmp_path / "data.csv", arm)
     made = calib.as_measurements(arm, Q, positions, names)
     assert made.names == read.names
-    for field in ("joints", "positions", "counts", "scatter"):
-        np.testing.assert_array_equal(getattr(made, field), getattr(read, field))
+    np.testing.assert_array_equal(made.joints, read.joints)
+    for field in ("visits", "pairs", "values"):
+        np.testing.assert_array_equal(getattr(made.readings["tip"], field), getattr(read.readings["tip"], field))
 
 
-def test_readings_with_the_same_name_are_averaged(arm):
+def test_rows_with_the_same_name_repeat_a_pose(arm):
     positions = arm.positions(Q[[0, 0, 1]])
-    positions[1, 0, 0] += 2e-4
     data = calib.as_measurements(arm, Q[[0, 0, 1]], positions, ["first", "first", "second"])
-    assert data.names == ("first", "second")
-    assert data.counts.tolist() == [2, 1]
-    assert data.positions[0, 0, 0] == pytest.approx(positions[0, 0, 0] + 1e-4)
-    assert data.scatter[0, 0, 0] == pytest.approx(1e-4 * np.sqrt(2))
+    assert data.names == ("first", "first", "second")
+    assert data.pose_numbers.tolist() == [0, 0, 1]
+    np.testing.assert_array_equal(data.points(arm), positions)
+
+
+def test_a_row_of_nan_is_a_reading_that_was_not_taken(tmp_path):
+    yaml = ARM_YAML.replace("targets:\n", "targets:\n  elbow: {frame: slider}\n")
+    arm = calib.load(write_arm(tmp_path, yaml))
+    positions = arm.positions(Q)
+    positions[1, 0] = np.nan
+    data = calib.as_measurements(arm, Q, positions)
+    assert data.readings["elbow"].visits.tolist() == [0, 2]
+    assert data.readings["tip"].visits.tolist() == [0, 1, 2]
+    np.testing.assert_array_equal(data.points(arm), positions)
+    by_name = calib.as_measurements(arm, Q, {"tip": positions[:, 1]})
+    assert list(by_name.readings) == ["tip"]
+    with pytest.raises(calib.DataError, match="no instrument 'tipp'; did you mean 'tip'"):
+        calib.as_measurements(arm, Q, {"tipp": positions[:, 1]})
+    with pytest.raises(calib.DataError, match=r"tip: readings of shape \(2, 3\); expected \(3, 3\)"):
+        calib.as_measurements(arm, Q, {"tip": positions[:2, 1]})
 
 
 @pytest.mark.parametrize(
@@ -53,8 +69,8 @@ def test_readings_with_the_same_name_are_averaged(arm):
         (lambda q, p: (q, p[:2], None), r"positions of shape \(2, 1, 3\); expected \(3, 1, 3\)"),
         (lambda q, p: (q, p[..., :2], None), r"positions of shape \(3, 1, 2\); expected \(3, 1, 3\)"),
         (
-            lambda q, p: (q, np.where(np.arange(3)[:, None, None] == 1, np.nan, p), None),
-            "pose 1: positions are not finite",
+            lambda q, p: (q, np.where(np.arange(9).reshape(3, 1, 3) == 4, np.nan, p), None),
+            "pose 1: readings of 'tip' are not finite",
         ),
         (lambda q, p: (q, p, ["a"]), "names: 1 for 3 poses; give one for each"),
         (lambda q, p: (q, p, ["a", "a", "b"]), "pose a: joint 'slide' differs by 100 mm among the rows of pose 'a'"),

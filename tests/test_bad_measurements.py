@@ -1,6 +1,7 @@
 """Measurements that cannot give a calibration end in the right words and exit code, never in a wrong number."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -68,13 +69,25 @@ def test_too_few_rows_are_a_wrong_input(folder, fit_file, n):
     assert result is None
 
 
-def test_rank_loss_names_the_parameters_that_cannot_be_separated(folder, fit_file):
+def test_rank_loss_names_the_parameters_that_cannot_be_separated(folder, fit_file, run_calib):
     (folder / "all.yaml").write_text("priors: false\n" + YAML + FREE)  # 36 components, 26 combinations
     run, result = fit_file(joints(60), arm_positions(folder, joints(60)), "all.yaml")
     assert run.code == 3
-    assert "the poses determine 26 of 36 free parameters; not separable: " in one_line(run)
+    words = "hese poses determine 26 combinations of the 36 free parameters; 10 are NOT determined"
+    assert f"{words}; not separable: " in one_line(run)
     assert "hold 10 of them" in run.err
     assert result is None
+    assert f"{words}." in run_calib("check", folder / "all.yaml", folder / "data.csv").out
+
+
+def test_check_and_fit_count_priors_in_the_same_words(folder, fit_file, run_calib):
+    """The ball adds its distance from axis 6 to what poses determine; along and about that axis priors hold it."""
+    yaml = "priors: false\n" + YAML.replace("mm]}", "mm], position: unknown, sigma: 5 mm}") + FREE
+    (folder / "all.yaml").write_text(yaml)
+    run, _ = fit_file(joints(60), arm_positions(folder, joints(60)), "all.yaml")
+    words = "hese poses determine 27 combinations of the 39 free parameters, priors 2 more; 10 are NOT determined"
+    assert words in one_line(run)
+    assert words in run_calib("check", folder / "all.yaml", folder / "data.csv").out
 
 
 def test_all_poses_equal_without_priors(folder, fit_file):
@@ -186,19 +199,19 @@ def test_nan_from_python_is_named(folder):
     robot = calib.load(folder / "arm.yaml")
     positions = robot.positions(joints(40))
     positions[5, 0, 1] = np.nan
-    with pytest.raises(calib.DataError, match="row 5: positions are not finite"):
-        calib.fit(robot, measurements(joints(40), positions))
+    with pytest.raises(calib.DataError, match="row 5: readings of 'ball' are not finite"):
+        calib.fit(robot, measurements(robot, joints(40), positions))
     q = joints(40)
     q[6, 2] = np.inf
     with pytest.raises(calib.DataError, match="row 6: joint values are not finite"):
-        calib.fit(robot, measurements(q, robot.positions(joints(40))))
+        calib.fit(robot, replace(measurements(robot, joints(40), robot.positions(joints(40))), joints=q))
 
 
 @pytest.mark.parametrize("sigma", [0.0, -1e-4, np.nan, np.inf])
 def test_a_senseless_noise_is_refused(folder, sigma):
     robot = calib.load(folder / "arm.yaml")
     with pytest.raises(calib.DataError, match="must be a positive number"):
-        calib.fit(robot, measurements(joints(40), robot.positions(joints(40))), sigma=sigma)
+        calib.fit(robot, measurements(robot, joints(40), robot.positions(joints(40))), sigma=sigma)
 
 
 def test_joints_and_positions_that_do_not_belong_together_fail(folder, fit_file):
@@ -247,9 +260,9 @@ parametrisation:
     q = np.random.default_rng(0).uniform([-2, 0, -2], [2, 1, 2], (n, 3))
     truth = robot.with_parameters({"turn.x": 1e-3, "slide.rz": 2e-3})
     positions = truth.positions(q) + SIGMA * np.random.default_rng(1).standard_normal((n, 1, 3))
-    fit = calib.fit(robot, measurements(q, positions), sigma=SIGMA)
+    fit = calib.fit(robot, measurements(robot, q, positions), sigma=SIGMA)
     assert fit.verdict.grade == "PASS"
-    assert fit.statistics.sigma == pytest.approx(SIGMA, rel=0.005)  # standard error 0.13 %
+    assert fit.sigma == pytest.approx(SIGMA, rel=0.005)  # standard error 0.13 %
     assert fit.statistics.freedom == pytest.approx(3 * n - 5)
     assert np.all(np.abs(fit.robot.values - truth.values) < 5 * fit.statistics.std)
     assert np.max(fit.statistics.std) < 3e-6  # 1e5 readings of 0.04 mm, arm of 0.5 m

@@ -86,7 +86,7 @@ def test_a_plain_urdf_is_enough(run_calib, tmp_path):
     write_arm(tmp_path)
     run = run_calib("check", tmp_path / "arm.urdf", "--poses", 30)
     assert run.code == 0, run.err
-    assert "priors hold the rest" in run.out
+    assert "priors hold the other " in run.out
     assert "is assumed" in run.out or "assumed; state it with --sigma-mm" in run.out
 
 
@@ -94,7 +94,7 @@ def test_what_is_not_determined_is_said(run_calib, tmp_path):
     write_arm(tmp_path, ARM_YAML + "priors: false\n")
     run = run_calib("check", tmp_path / "arm.yaml", "--json", tmp_path / "out.json")
     assert run.code == 0, run.err
-    assert "NOT determined:" in run.out
+    assert "NOT determined." in run.out
     assert "unbounded" in run.out
     content = json.loads((tmp_path / "out.json").read_text())
     assert content["undetermined"]

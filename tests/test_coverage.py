@@ -59,9 +59,9 @@ def closed_once(robot):
     """Every fit closes the same poses of the nominal robot, from home: half of a fit's time, here spent once."""
     known, plain = {}, calib.Robot.close
 
-    def close(self, q, seed=None):
-        if self is not robot or seed is not None:
-            return plain(self, q, seed)
+    def close(self, q, seed=None, columns=None):
+        if self is not robot or seed is not None or columns is not None:
+            return plain(self, q, seed, columns)
         key = np.asarray(q).tobytes()
         if key not in known:
             known[key] = plain(self, q)
@@ -103,13 +103,13 @@ def _coverage(robot, q, elsewhere, n, *, loss="none", gross=0.0, prior=False, se
         noise = SIGMA * rng.standard_normal(exact.shape)
         wrong = rng.choice(len(q), round(gross * len(q)), replace=False)
         noise[wrong] += GROSS * rng.standard_normal(noise[wrong].shape)
-        fit = calib.fit(robot, measurements(q, exact + noise), loss=loss, sigma=SIGMA if prior else None)
+        fit = calib.fit(robot, measurements(robot, q, exact + noise), loss=loss, sigma=SIGMA if prior else None)
         error = np.abs(fit.robot.values - truth.values)[robot.free]
         held.append(error <= fit.statistics.half_width)
         at = linearise(fit.robot, fit.robot.assemble(elsewhere, passive))  # as fit.uncertainty, without starting afresh
         std = np.sqrt(np.diagonal(carried(at.jacobian[..., robot.free], fit.statistics.covariance), axis1=2, axis2=3))
         predicted.append(np.abs(at.positions - there) <= fit.statistics.coverage_factor * std)
-        sigma.append(fit.statistics.sigma / SIGMA)
+        sigma.append(fit.sigma / SIGMA)
         outliers += bool(fit.outliers)
     squared = float(np.mean(np.square(sigma)))
     parts = np.mean(held, axis=0), np.mean(predicted, axis=0)

@@ -80,3 +80,10 @@ def test_independent_columns_all_stay():
 
 def test_a_matrix_of_zeros_loses_every_column():
     assert len(eliminate(np.zeros((6, 3))).dropped) == 3
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_condition_numbers_of_exactly_the_factor_of_a_tie_tie(seed):
+    """Without the first column the condition number is 2, without the second 1, however the rows are turned."""
+    turned = np.linalg.qr(np.random.default_rng(seed).standard_normal((5, 5)))[0][:, :2]
+    assert eliminate(turned @ np.array([[1.0, 2.0, 0.0], [0.0, 0.0, 1.0]]), [0]).dropped == (0,)

@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 import calib
 from calib.commands.export import command
 from calib.errors import InputError
-from calib.export import FORMATS, closed_model, export, mjcf_bytes, urdf_bytes
+from calib.export import FORMATS, closed_model, export, mjcf, urdf_bytes
 from calib.export.closed_model import home_values, link_poses
 from calib.model.urdf_text import parse_urdf
 from medrue.closed_form import ACTUATED_JOINTS, PASSIVE_JOINTS, forward
@@ -151,7 +151,7 @@ def test_mjcf_bodies_stand_at_the_assembled_home(calibrated: calib.Robot) -> Non
     model = pin.buildModelFromXML(urdf_bytes(calibrated).decode())
     data = model.createData()
     pin.framesForwardKinematics(model, data, np.array([values[name] for name in model.names[1:]]))
-    root = ElementTree.fromstring(mjcf_bytes(closed_model(calibrated)))
+    root = ElementTree.fromstring(mjcf(closed_model(calibrated)).content)
     found = {}
 
     def walk(element: ElementTree.Element, pose: pin.SE3) -> None:
@@ -172,7 +172,7 @@ def test_mjcf_bodies_stand_at_the_assembled_home(calibrated: calib.Robot) -> Non
 
 
 def test_mjcf_has_a_servo_for_each_motor_and_a_connect_for_each_loop(nominal: calib.Robot) -> None:
-    root = ElementTree.fromstring(mjcf_bytes(closed_model(nominal)))
+    root = ElementTree.fromstring(mjcf(closed_model(nominal)).content)
     assert [servo.get("joint") for servo in root.find("actuator")] == list(nominal.joint_names)
     assert [(tie.get("body1"), tie.get("body2")) for tie in root.find("equality")] == [
         ("distal_B1", "distal_D1"),

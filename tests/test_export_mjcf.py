@@ -9,10 +9,11 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 
 import calib
 from calib.errors import InputError, UrdfError
-from calib.export import closed_model, drake_bytes, export, mjcf_bytes
+from calib.export import closed_model, drake_bytes, export, mjcf
 from calib.export.links import find_mesh, possible_inertia, read_links
 from calib.model.urdf_text import parse_urdf
 
@@ -49,7 +50,7 @@ def arm(folder: Path, text: str = ARM.format(encoding="", name="bras")) -> calib
 
 
 def written(robot: calib.Robot) -> Element:
-    return ElementTree.fromstring(mjcf_bytes(closed_model(robot)))
+    return ElementTree.fromstring(mjcf(closed_model(robot)).content)
 
 
 def body(root: Element, name: str) -> Element:
@@ -90,13 +91,13 @@ def test_inertia_is_written_in_the_axes_of_the_link(tmp_path: Path) -> None:
 
 
 def test_a_moving_link_without_mass_gets_a_little_and_the_file_says_so(tmp_path: Path) -> None:
-    text = mjcf_bytes(closed_model(arm(tmp_path))).decode()
+    text = mjcf(closed_model(arm(tmp_path))).content.decode()
     assert "link bras moves and has no mass" in text
     assert floats(body(ElementTree.fromstring(text), "bras").find("inertial"), "mass") == [1e-6]
 
 
 def test_moments_that_no_body_has_are_replaced_and_the_file_says_so(tmp_path: Path) -> None:
-    text = mjcf_bytes(closed_model(arm(tmp_path))).decode()
+    text = mjcf(closed_model(arm(tmp_path))).content.decode()
     assert "link doigt: no body has its moments of inertia" in text
     xx, yy, zz = floats(body(ElementTree.fromstring(text), "doigt").find("inertial"), "fullinertia")[:3]
     assert (xx, yy, zz) == pytest.approx((2.5, 2.5, 5.0), rel=1e-6)
@@ -153,10 +154,75 @@ def test_meshes_that_mujoco_reads_are_named_relative_to_the_file_and_others_are_
     assert (tmp_path / "out" / mesh.get("file")).resolve() == (tmp_path / "pkg" / "meshes" / "a b.STL").resolve()
     assert floats(mesh, "scale") == [0.001, 1, 1]
     assert len([geom for geom in root.iter("geom") if geom.get("mesh") == mesh.get("name")]) == 2
-    assert set(re.findall(r"mesh (\S+) left out \((not found|neither)", text)) == {
-        ("package://pkg/meshes/text.stl", "neither"), ("package://pkg/meshes/c.dae", "neither"),
+    assert set(re.findall(r"mesh (\S+) left out \((not found|cannot be read)", text)) == {
+        ("package://pkg/meshes/text.stl", "cannot be read"), ("package://pkg/meshes/c.dae", "cannot be read"),
         ("package://gone/d.stl", "not found"), ("http://far/away.stl", "not found"),
     }  # fmt: skip
+
+
+def two_colours(path: Path) -> None:
+    """A Collada file with a red box of edges 1, 2, 4 about zero, and a blue one of edge 1 about (3, 0, 0)."""
+    parts = []
+    for extents, x, colour in (((1.0, 2.0, 4.0), 0.0, (255, 0, 0, 255)), ((1.0, 1.0, 1.0), 3.0, (0, 0, 255, 255))):
+        part = trimesh.creation.box(extents).apply_translation((x, 0.0, 0.0))
+        material = trimesh.visual.material.PBRMaterial(baseColorFactor=colour)
+        part.visual = trimesh.visual.TextureVisuals(material=material)
+        parts.append(part)
+    path.write_bytes(trimesh.exchange.dae.export_collada(parts))
+
+
+def test_a_collada_mesh_becomes_one_obj_file_for_each_colour_and_is_said(tmp_path: Path, run_calib) -> None:
+    two_colours(tmp_path / "c.dae")
+    arm(tmp_path, with_meshes("c.dae", "c.dae"))
+    (tmp_path / "out").mkdir()
+    run = run_calib("export", tmp_path / "arm.yaml", "--format", "mjcf", "--out", tmp_path / "out" / "arm.xml")
+    assert run.code == 0
+    assert "arm_meshes" in run.err
+    root = ElementTree.fromstring((tmp_path / "out" / "arm.xml").read_bytes())
+    files = {mesh.get("name"): tmp_path / "out" / mesh.attrib["file"] for mesh in root.find("asset")}
+    found = {}
+    for geom in body(root, "main").findall("geom"):
+        mesh = trimesh.load(files[geom.get("mesh")], force="mesh")
+        found[tuple(floats(geom, "rgba"))] = mesh.bounds.tolist()
+        assert (len(mesh.faces), mesh.is_watertight) == (12, True)
+    assert found == {
+        (1, 0, 0, 1): [[-0.5, -1, -2], [0.5, 1, 2]],
+        (0, 0, 1, 1): [[2.5, -0.5, -0.5], [3.5, 0.5, 0.5]],
+    }
+    assert len(files) == 2
+
+
+def test_a_link_whose_meshes_cannot_be_read_is_drawn_as_rods_and_named(tmp_path: Path, run_calib) -> None:
+    text = ARM.format(encoding="", name="r").replace('<box size="0.2 0.4 0.6"/>', '<mesh filename="gone.dae"/>')
+    arm(tmp_path, text)
+    run = run_calib("export", tmp_path / "arm.yaml", "--format", "mjcf", "--out", tmp_path / "arm.xml")
+    assert "mesh gone.dae left out (not found" in run.err
+    (rod,) = body(ElementTree.fromstring((tmp_path / "arm.xml").read_bytes()), "socle").findall("geom")
+    assert (rod.get("type"), floats(rod, "fromto"), rod.get("contype")) == ("capsule", [0, 0, 0, 0, 0, 0.3], "0")
+
+
+def test_there_are_a_lamp_and_a_floor_that_touches_nothing(tmp_path: Path) -> None:
+    world = written(arm(tmp_path)).find("worldbody")
+    (floor,) = world.findall("geom")
+    assert (floor.get("type"), floor.get("contype"), floor.get("conaffinity")) == ("plane", "0", "0")
+    assert floats(floor, "pos") == [0, 0, 0]  # the arm stands upwards from its socle
+    assert floats(world.find("light"), "pos")[2] > 0.3  # above the turning joint
+    hanging = arm(tmp_path, ARM.format(encoding="", name="r").replace('xyz="0 0 0.3"', 'xyz="0 0 -0.3"'))
+    (floor,) = written(hanging).find("worldbody").findall("geom")
+    assert floats(floor, "pos")[2] <= -0.3
+
+
+def test_the_keyframe_is_home_in_the_order_of_mujocos_joints(tmp_path: Path) -> None:
+    robot = arm(tmp_path, ARM.format(encoding="", name="r").replace('lower="-0.1"', 'lower="0.1"'))
+    root = written(robot)
+    (key,) = root.find("keyframe")
+    home = dict(zip(robot.joint_names, robot.home, strict=True))
+    joints = [joint.get("name") for joint in root.find("worldbody").iter("joint")]
+    assert joints == ["drehung-ä", "slide", "finger"]
+    leading = home["slide"]
+    assert floats(key, "qpos") == pytest.approx([home["drehung-ä"], leading, 0.5 - 2 * leading])  # a mimic joint
+    assert floats(key, "ctrl") == [home[name] for name in robot.joint_names]
+    assert key.get("name") == "home"
 
 
 def test_meshes_are_found_through_the_paths_of_ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -172,7 +238,7 @@ def test_meshes_are_found_through_the_paths_of_ros(tmp_path: Path, monkeypatch: 
 def test_a_link_named_world_that_is_not_the_root_is_refused(tmp_path: Path) -> None:
     robot = arm(tmp_path, ARM.format(encoding="", name="r").replace('"doigt"', '"world"'))
     with pytest.raises(InputError, match="link 'world' is not the root link; MuJoCo keeps this name"):
-        mjcf_bytes(closed_model(robot))
+        mjcf(closed_model(robot))
 
 
 @pytest.mark.parametrize(
@@ -204,7 +270,7 @@ def test_any_spelling_of_the_file_gives_the_same_model(tmp_path: Path, variant: 
     robot = calib.load(tmp_path / "arm.yaml")
     comments = re.compile(rb"<!--.*?-->", re.DOTALL)
     found = closed_model(robot)
-    assert comments.sub(b"", mjcf_bytes(found)) == comments.sub(b"", mjcf_bytes(expected))
+    assert comments.sub(b"", mjcf(found).content) == comments.sub(b"", mjcf(expected).content)
     for_drake = parse_urdf(drake_bytes(found))
     assert for_drake.links == parse_urdf(drake_bytes(expected)).links
     assert for_drake.source.startswith(content[:25])

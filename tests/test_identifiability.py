@@ -8,9 +8,10 @@ from small_robots import small_arm
 
 import calib
 from calib.identification.fit import fit
-from calib.linearisation.information import information, measurement_sigma, prior_rows, scaled_rows
+from calib.linearisation.candidates import assumed_sigma
 from calib.linearisation.jacobian import linearise
 from calib.numerics.identifiability import RANK_TOLERANCE, numerical_rank, reduced
+from calib.numerics.information import information, prior_rows
 from medrue.closed_form import forward
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import target_workspace
@@ -54,7 +55,7 @@ def test_reduced_keeps_singular_values():
 def test_standard_deviations_are_those_of_least_squares():
     rows = random_matrix(30, 5, 5)
     expected = 0.3 * np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
-    np.testing.assert_allclose(information(rows).standard_deviations(0.3), expected, rtol=1e-10)
+    np.testing.assert_allclose(information(rows / 0.3).standard_deviations(), expected, rtol=1e-10)
 
 
 def test_correlations_are_those_of_least_squares():
@@ -70,7 +71,7 @@ def test_position_errors_are_the_spread_of_many_simulated_fits():
     estimates = np.linalg.lstsq(rows, 0.2 * rng.standard_normal((12, 20_000)), rcond=None)[0]
     errors = np.einsum("nki,id->nkd", elsewhere, estimates).reshape(3, 2, 3, -1)
     expected = np.sqrt(np.mean(np.sum(errors**2, axis=2), axis=2))
-    found = information(rows).position_errors(elsewhere, 0.2)
+    found = information(rows / 0.2).position_errors(elsewhere)
     np.testing.assert_allclose(found, expected, rtol=0.03)  # 20 000 draws give the spread to 0.5 %; six sigma
 
 
@@ -80,35 +81,36 @@ def test_a_direction_that_nothing_determines_is_infinite_and_never_a_number():
     rows[:, 1] = rows[:, 2] = np.arange(9)
     known = information(rows)
     np.testing.assert_array_equal(known.undetermined, [False, True, True])
-    assert np.isinf(known.standard_deviations(1.0)[1:]).all()
+    assert np.isinf(known.standard_deviations()[1:]).all()
     assert np.isnan(known.correlations()[1]).all()
     along, across = np.zeros((1, 3, 3)), np.zeros((1, 3, 3))
     along[0, 0] = [1.0, 1.0, 1.0]  # sees only the sum of the two: determined
     across[0, 0] = [1.0, 1.0, 0.0]
-    assert np.isfinite(known.position_errors(along, 1.0)).all()
-    assert np.isinf(known.position_errors(across, 1.0)).all()
+    assert np.isfinite(known.position_errors(along)).all()
+    assert np.isinf(known.position_errors(across)).all()
 
 
-def test_a_prior_gives_what_the_poses_do_not(tmp_path):
-    arm = small_arm(tmp_path)
-    priors = prior_rows(arm.parameters, arm.free, 1e-4)
-    assert priors.shape == (len(arm.parameters), len(arm.parameters))
-    nothing_measured = information(np.zeros((1, 3, len(arm.parameters))), priors)
+def test_a_prior_gives_what_the_rows_do_not():
+    has_prior = np.array([True, False, True])
+    nothing_measured = information(np.zeros((1, 3, 3)), prior_rows(has_prior))
     # scaled parameters have a prior of one sigma
-    np.testing.assert_allclose(nothing_measured.standard_deviations(1e-4), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(nothing_measured.standard_deviations(), [1.0, np.inf, 1.0], rtol=1e-12)
+    rows = random_matrix(6, 3, 3)
+    expected = np.linalg.inv(rows.T @ rows + np.diag(has_prior.astype(float)))
+    root = information(rows, prior_rows(has_prior)).root
+    np.testing.assert_allclose(root @ root.T, expected, rtol=1e-10)
 
 
 def test_noise_is_stated_or_described_or_assumed(tmp_path, medrue):
-    assert measurement_sigma(medrue) == (4e-5, False)
-    assert measurement_sigma(medrue, 1e-5) == (1e-5, False)
-    assert measurement_sigma(small_arm(tmp_path)) == (1e-4, True)
+    assert assumed_sigma(medrue, None) == (4e-5, False)
+    assert assumed_sigma(medrue, 1e-5) == (1e-5, False)
+    assert assumed_sigma(small_arm(tmp_path), None) == (1e-4, True)
     with pytest.raises(calib.DataError, match="must be a positive number"):
-        measurement_sigma(medrue, 0.0)
+        assumed_sigma(medrue, 0.0)
 
 
 def medrue_rows(robot, q):
-    everything = np.ones(36, dtype=bool)
-    return scaled_rows(linearise(robot, robot.assemble(q)).jacobian, robot.parameters, everything).reshape(-1, 36)
+    return (linearise(robot, robot.assemble(q)).jacobian * [p.sigma for p in robot.parameters]).reshape(-1, 36)
 
 
 def test_medrue_has_rank_28_with_a_gap_of_ten_decades(medrue):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from small_robots import ARM_URDF
+from urdf_trees import urdf_of
 
 import calib
 from calib.model.description import Description
@@ -30,6 +31,17 @@ ODD_NAMES = [
     "k #l",
     "a" * 200,
 ]
+
+
+GRIPPER = urdf_of(
+    ("bolt", "fixed", "floor", "base"),
+    ("a", "revolute", "base", "one"),
+    ("pan", "revolute", "one", "camera", '<origin xyz="0 0.3 0"/>'),
+    ("b", "revolute", "one", "two", '<origin xyz="0 0 0.5"/>'),
+    ("left_drive", "prismatic", "two", "left_tip", '<origin xyz="0 0.02 0.1"/>'),
+    ("flange", "fixed", "two", "tcp", '<origin xyz="0 0 0.12"/>'),
+    ("right_drive", "prismatic", "two", "right_tip", '<origin xyz="0 -0.02 0.1"/>', '<mimic joint="left_drive"/>'),
+)
 
 
 def chain_urdf(joints, links, name="robot"):
@@ -70,8 +82,8 @@ def test_it_can_be_used_at_once_to_simulate_fit_and_predict(tmp_path, run_calib)
         run = run_calib(*command.split(), cwd=tmp_path)
         assert run.code == 0, (command, run.err)
     robot = calib.load(tmp_path / "arm.yaml")
-    measured = calib.read_measurements(tmp_path / "measured.csv", robot).positions
-    predicted = calib.read_measurements(tmp_path / "predicted.csv", robot).positions
+    measured = calib.read_measurements(tmp_path / "measured.csv", robot).points(robot)
+    predicted = calib.read_measurements(tmp_path / "predicted.csv", robot).points(robot)
     assert np.sqrt(np.mean((predicted - measured) ** 2)) < 25e-6  # the noise, 20 um, and what a short fit adds
 
 
@@ -134,6 +146,30 @@ def test_the_commented_examples_are_valid_once_uncommented(tmp_path, run_calib):
     assert description.columns == {"x1": "tool_x [m]", "j1": "turn [deg]"}
 
 
+def test_what_the_arm_leaves_out_is_said_on_the_terminal_and_in_the_file(tmp_path, run_calib):
+    (tmp_path / "r.urdf").write_text(GRIPPER)
+    run = run_calib("init", "r.urdf", "--out", "r.yaml", cwd=tmp_path)
+    remark = (
+        "the arm is taken to end at tcp; left out: left_drive, right_drive (taken for a gripper); pan (not on the way"
+        " to it); another end, such as camera, left_tip, right_tip: calib init --target NAME"
+    )
+    first = "r.yaml written; it works as it is, and its comments say what to change"
+    assert (run.code, run.out.splitlines(), run.err) == (0, [first, remark], "")
+    text = (tmp_path / "r.yaml").read_text()
+    assert remark[1:] in text.replace("\n# ", " ")
+    assert calib.load(tmp_path / "r.yaml").description == calib.load(tmp_path / "r.urdf").description
+    assert run_calib("init", "r.urdf", "--target", "left_tip", "--out", "l.yaml", cwd=tmp_path).out.count("\n") == 1
+    assert calib.load(tmp_path / "l.yaml").joint_names == ("a", "b", "left_drive")
+
+
+def test_a_plain_urdf_as_the_robot_says_what_it_leaves_out(tmp_path, run_calib):
+    (tmp_path / "r.urdf").write_text(GRIPPER)
+    run = run_calib("check", "r.urdf", cwd=tmp_path)
+    assert run.code == 0
+    assert run.err.startswith("note: the arm is taken to end at tcp; left out: left_drive, right_drive (taken for a")
+    assert run_calib("check", "r.urdf", "--quiet", cwd=tmp_path).err == ""
+
+
 def test_a_target_inside_the_chain_can_be_chosen(tmp_path, run_calib):
     (tmp_path / "arm.urdf").write_text(ARM_URDF)
     assert run_calib("init", "arm.urdf", "--target", "slider", "--out", "arm.yaml", cwd=tmp_path).code == 0
@@ -171,7 +207,9 @@ def test_quiet_says_nothing(tmp_path, run_calib):
     assert (run.code, run.out, run.err) == (0, "", "")
 
 
-@pytest.mark.parametrize("name", ["motoman_right/robot.urdf", "ur10/robot.urdf", "mukca/urdf/iiwa14.urdf"])
+@pytest.mark.parametrize(
+    "name", ["motoman_right/robot.urdf", "ur10/robot.urdf", "mukca/urdf/iiwa14.urdf", "mukca/urdf/panda.urdf"]
+)
 def test_descriptions_of_real_robots_load(shared_data, tmp_path, run_calib, name):
     run = run_calib("init", shared_data / name, "--out", "robot.yaml", cwd=tmp_path)
     assert run.code == 0, run.err

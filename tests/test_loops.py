@@ -1,5 +1,8 @@
 """Closing loops: against MedRUE's closed form, against geometry done by hand, and the errors."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -212,3 +215,41 @@ def test_constraining_a_direction_that_a_planar_loop_does_not_have_is_refused(tm
     text = DESCRIPTION.replace("[[x, y]]", "[[x, y, z]]").format(left=0.3, right=0.3)
     with pytest.raises(calib.DescriptionError, match="constrain 3 directions but leave 2 passive joints"):
         calib.load(five_bar_urdf(tmp_path, text))
+
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "docs" / "examples"
+
+
+def example_five_bar(folder, change):
+    """The five-bar of the tutorial with a changed URDF."""
+    (folder / "five_bar.urdf").write_text(change((EXAMPLES / "five_bar.urdf").read_text()))
+    (folder / "five_bar.yaml").write_text((EXAMPLES / "five_bar.yaml").read_text())
+    return calib.load(folder / "five_bar.yaml")
+
+
+@pytest.mark.parametrize("distance", [6e3, 6.4e6])
+def test_a_robot_far_from_the_root_links_origin_closes_and_measures_as_well(tmp_path, distance):
+    """Doubles are 1e-12 m apart at 6 km and 1e-9 m at the radius of the Earth."""
+    site = (
+        '<link name="world"/><joint name="site" type="fixed"><parent link="world"/><child link="table"/>'
+        f'<origin xyz="{distance} -500 3" rpy="0.3 0.2 0.7"/></joint><link name="table">'
+    )
+    near = example_five_bar(tmp_path, lambda text: text)
+    far = example_five_bar(tmp_path, lambda text: text.replace('<link name="table">', site, 1))
+    q = calib.read_measurements(EXAMPLES / "five_bar_simulated.csv", near).joints
+    np.testing.assert_allclose(far.assemble(q).passive, near.assemble(q).passive, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(far.positions(q), near.positions(q), rtol=0, atol=1e-12)
+
+
+def test_loops_of_very_long_links_close_to_their_rounding(tmp_path):
+    """Three kilometres of link leave 4e-13 m of rounding in every sum; the angles are those of the small robot."""
+
+    def enlarged(text):
+        return re.sub(
+            r'<origin xyz="(-?[\d.]+) 0 0"/>', lambda found: f'<origin xyz="{1e4 * float(found[1])} 0 0"/>', text
+        )
+
+    small, large = example_five_bar(tmp_path, lambda text: text), example_five_bar(tmp_path, enlarged)
+    assert large.mechanism.length == pytest.approx(3000)
+    q = calib.read_measurements(EXAMPLES / "five_bar_simulated.csv", small).joints
+    np.testing.assert_allclose(large.assemble(q).passive, small.assemble(q).passive, rtol=0, atol=1e-11)

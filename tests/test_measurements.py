@@ -1,11 +1,12 @@
-"""Measurements: columns by name, units, repeats averaged, and mistakes refused at the door."""
+"""Measurements: columns by name, units, rows that stay rows, gaps, several files, and mistakes refused at the door."""
 
 import numpy as np
 import pytest
 from small_robots import ARM_YAML, small_arm, write_arm
 
 import calib
-from calib.data.measurement_files import format_measurements, read_measurements, read_poses
+from calib.data.measurement_files import format_measurements, format_positions, read_measurements, read_poses
+from calib.data.measurements import with_points
 from calib.errors import DataError
 
 HEADER = "pose,turn [deg],slide [mm],wrist,tip_x [mm],tip_y,tip_z [um]\n"
@@ -34,46 +35,30 @@ def complaint(function, *arguments, **options):
     return str(caught.value)
 
 
-def test_columns_are_found_by_name_in_any_order_and_converted(read):
+def test_columns_are_found_by_name_in_any_order_and_converted(arm, read):
     data = read("tip_z [um],note,wrist,tip_y,turn [deg],tip_x [mm],slide [mm]\n3e5,a,0.1,0.2,180,100,250\n")
     assert data.joints.tolist() == [[np.pi, 0.25, 0.1]]
-    assert data.positions.tolist() == [[[0.1, 0.2, 0.3]]]
+    assert data.readings["tip"].values.tolist() == [[0.1, 0.2, 0.3]]
+    assert data.points(arm).tolist() == [[[0.1, 0.2, 0.3]]]
     assert data.ignored == ("note",)
     assert data.names == ("1",)
     assert data.labels == (f"{data.path}, line 2",)
 
 
-def test_repeats_of_a_pose_are_averaged_in_the_order_of_their_first_row(read):
+def test_repeats_of_a_pose_stay_rows_of_their_own(read):
     rows = ["far,10,100,0,1,0,0", "near,20,200,0,5,0,0", "far,10,100,0,3,0,0", "far,10.01,100,0,5,0,0"]
     data = read(HEADER + "\n".join(rows) + "\n")
-    assert data.names == ("far", "near")
-    assert data.counts.tolist() == [3, 1]
-    assert data.n_rows == 4
-    assert data.positions[:, 0, 0] == pytest.approx([0.003, 0.005], abs=1e-18)
-    assert data.joints[0, 0] == pytest.approx(np.radians(10 + 0.01 / 3), abs=1e-15)
-    assert data.scatter[0, 0, 0] == pytest.approx(0.002, abs=1e-15)  # standard deviation of 1, 3, 5 mm
-    assert np.isnan(data.scatter[1]).all()
-    assert data.labels[0] == f"{data.path}, line 2 (pose far)"
-
-
-def test_repeatability_pools_the_repeats_by_their_degrees_of_freedom(read):
-    generator = np.random.default_rng(3)
-    lines, squares, freedom = [], 0.0, 0
-    for name, count in (("a", 2), ("b", 5), ("c", 1), ("d", 3)):
-        readings = generator.normal(0, 1, (count, 3))
-        squares += ((readings - readings.mean(axis=0)) ** 2).sum()
-        freedom += 3 * (count - 1)
-        lines += [f"{name},0,0,0,{x!r},{y / 1e3!r},{1e3 * z!r}" for x, y, z in readings.tolist()]
-    data = read(HEADER + "\n".join(lines) + "\n")
-    assert data.repeatability() == pytest.approx(1e-3 * np.sqrt(squares / freedom), rel=1e-12)
-
-
-def test_without_repeats_there_is_no_repeatability(read):
-    assert np.isnan(read(HEADER + "a,0,0,0,0,0,0\nb,0,0,0,0,0,0\n").repeatability())
+    assert data.names == ("far", "near", "far", "far")
+    assert data.pose_numbers.tolist() == [0, 1, 0, 0]
+    assert (len(data), data.n_poses, data.n_readings) == (4, 2, 4)
+    assert data.readings["tip"].visits.tolist() == [0, 1, 2, 3]
+    assert data.readings["tip"].values[:, 0] == pytest.approx([0.001, 0.005, 0.003, 0.005], abs=1e-18)
+    assert np.degrees(data.joints[:, 0]) == pytest.approx([10, 20, 10, 10.01], abs=1e-13)
+    assert data.labels[2] == f"{data.path}, line 4 (pose far)"
 
 
 def test_blanks_around_a_pose_name_do_not_make_another_pose(read):
-    assert read(HEADER + "a,0,0,0,0,0,0\n a ,0,0,0,0,0,0\n").counts.tolist() == [2]
+    assert read(HEADER + "a,0,0,0,0,0,0\n a ,0,0,0,0,0,0\n").n_poses == 1
 
 
 @pytest.mark.parametrize(
@@ -118,7 +103,7 @@ def test_foreign_columns_are_mapped_by_the_description(tmp_path, read):
     robot = calib.load(write_arm(tmp_path, ARM_YAML + columns))
     data = read("name,j1,slide,wrist,X,Y,Z\na,180,0,0,1,1,1\n", robot)
     assert data.joints[0, 0] == np.pi
-    assert data.positions.tolist() == [[[1e-3, 1.0, 1e-6]]]
+    assert data.readings["tip"].values.tolist() == [[1e-3, 1.0, 1e-6]]
     assert data.names == ("a",)
 
 
@@ -127,7 +112,7 @@ def test_several_targets_are_kept_in_the_order_of_the_description(tmp_path, read
     robot = calib.load(write_arm(tmp_path, yaml))
     data = read("turn,slide,wrist,tip_x,tip_y,tip_z,elbow_x,elbow_y,elbow_z\n0,0,0,1,2,3,4,5,6\n", robot)
     assert robot.target_names == ("elbow", "tip")
-    assert data.positions.tolist() == [[[4.0, 5.0, 6.0], [1.0, 2.0, 3.0]]]
+    assert data.points(robot).tolist() == [[[4.0, 5.0, 6.0], [1.0, 2.0, 3.0]]]
 
 
 def test_what_is_written_reads_back(arm, read):
@@ -137,11 +122,11 @@ def test_what_is_written_reads_back(arm, read):
         reader=read_poses,
     )
     positions = arm.positions(poses.joints)
-    data = read(format_measurements(arm, poses, positions, ("a comment",)))
+    data = read(format_positions(arm, poses, positions, ("a comment",)))
     assert data.names == poses.names
     # one rounding each way, of numbers up to 60 deg and 1400 mm
     assert np.abs(data.joints - poses.joints).max() < 1e-15
-    assert np.abs(data.positions - positions).max() < 1e-15
+    assert np.abs(data.points(arm) - positions).max() < 1e-15
 
 
 def test_a_joint_or_target_with_brackets_or_commas_in_its_name_survives_a_file(tmp_path, read):
@@ -149,13 +134,14 @@ def test_a_joint_or_target_with_brackets_or_commas_in_its_name_survives_a_file(t
     urdf = (tmp_path / "arm.urdf").read_text().replace('"turn"', '"turn[1], #"')
     robot = calib.load(write_arm(tmp_path, yaml, urdf))
     poses = read('"turn[1], # [rad]",slide,wrist\n0.5,0.25,0\n', robot, read_poses)
-    data = read(format_measurements(robot, poses, robot.positions(poses.joints)), robot)
-    assert np.abs(data.positions - robot.positions(poses.joints)).max() < 1e-15
+    data = read(format_positions(robot, poses, robot.positions(poses.joints)), robot)
+    assert np.abs(data.points(robot) - robot.positions(poses.joints)).max() < 1e-15
 
 
 def test_the_arrays_are_copies_that_nobody_can_write_to(read):
     data = read(HEADER + "a,0,0,0,0,0,0\nb,0,0,0,0,0,0\n")
-    for array in (data.joints, data.positions, data.counts, data.scatter, data.subset(np.array([0])).joints):
+    found = data.readings["tip"]
+    for array in (data.joints, found.visits, found.values, data.subset(np.array([0])).joints):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1
     joints = np.zeros((1, 3))
@@ -168,8 +154,12 @@ def test_a_subset_keeps_rows_together_in_the_order_asked_for(read):
     data = read(HEADER + "a,1,0,0,10,0,0\nb,2,0,0,20,0,0\nc,3,0,0,30,0,0\n").subset(np.array([2, 0]))
     assert data.names == ("c", "a")
     assert [label[-8:] for label in data.labels] == ["(pose c)", "(pose a)"]
-    assert data.positions[:, 0, 0].tolist() == [0.03, 0.01]
+    assert data.readings["tip"].values[:, 0].tolist() == [0.03, 0.01]
+    assert data.readings["tip"].visits.tolist() == [0, 1]
     assert np.degrees(data.joints[:, 0]) == pytest.approx([3, 1])
+    twice = data.subset(np.array([1, 0, 1]))
+    assert twice.names == ("a", "c", "a")
+    assert twice.readings["tip"].values[:, 0].tolist() == [0.01, 0.03, 0.01]
 
 
 def test_what_a_file_says_about_itself_is_kept(read):
@@ -184,7 +174,155 @@ def test_what_a_file_says_about_itself_is_kept(read):
 
 def test_a_subset_remembers_the_order_of_measurement(read):
     data = read(HEADER + "a,1,0,0,10,0,0\na,1,0,0,10,0,0\nb,2,0,0,20,0,0\nc,3,0,0,30,0,0\n")
-    assert data.places.tolist() == [0, 1, 2]
-    chosen = data.subset(np.array([2, 0]))
-    assert chosen.places.tolist() == [2, 0]
-    assert chosen.subset(np.array([0])).places.tolist() == [2]
+    assert data.places.tolist() == [0, 1, 2, 3]
+    chosen = data.subset(np.array([3, 0]))
+    assert chosen.places.tolist() == [3, 0]
+    assert chosen.subset(np.array([0])).places.tolist() == [3]
+
+
+TWO_BALLS = ARM_YAML.replace("targets:\n", "targets:\n  elbow: {frame: slider}\n")
+TWO_INSTRUMENTS = (
+    TWO_BALLS + "instruments:\n  tracker: {kind: position, target: tip}\n  arm: {kind: position, target: elbow}\n"
+)
+BOTH = "turn,slide,wrist,tracker_x,tracker_y,tracker_z,arm_x,arm_y,arm_z\n"
+
+
+def test_empty_cells_are_readings_that_were_not_taken(tmp_path, read):
+    robot = calib.load(write_arm(tmp_path, TWO_BALLS))
+    header = "turn,slide,wrist,tip_x,tip_y,tip_z,elbow_x,elbow_y,elbow_z\n"
+    data = read(header + "0,0,0,1,2,3,,,\n0,0,1,,,,4,5,6\n0,0,2,7,8,9,1,1,1\n", robot)
+    assert data.readings["tip"].visits.tolist() == [0, 2]
+    assert data.readings["tip"].values.tolist() == [[1, 2, 3], [7, 8, 9]]
+    assert data.readings["elbow"].visits.tolist() == [1, 2]
+    gaps = np.isnan(data.points(robot)[:, :, 0])
+    assert gaps.tolist() == [[True, False], [False, True], [False, False]]
+    assert data.n_readings == 4
+
+
+def test_rows_in_which_nothing_was_read_are_no_visits(read):
+    data = read(HEADER + "a,0,0,0,1,0,0\nb,1,0,0,,,\nc,2,0,0,3,0,0\n")
+    assert data.names == ("a", "c")
+    assert data.places.tolist() == [0, 2]  # of the order of measurement
+    assert data.readings["tip"].visits.tolist() == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (HEADER + "a,0,0,0,1,,3\n", "line 2, column 'tip_y': is empty; fill it in, or leave all cells of 'tip' empty"),
+        (HEADER + "a,0,0,0,,,\n", "all cells of the measured columns are empty"),
+        (HEADER + "a,0,,0,1,2,3\n", "line 2, column 'slide': is empty"),
+    ],
+)
+def test_a_gap_that_cannot_be_is_named_with_its_place(read, text, message):
+    assert message in complaint(read, text)
+
+
+def test_several_files_are_joined_by_the_pose(tmp_path):
+    robot = calib.load(write_arm(tmp_path, TWO_INSTRUMENTS))
+    (tmp_path / "joints.csv").write_text("pose,turn,slide,wrist\nA,0,0,0\nB,0.5,0,0\nC,1,0,0\n")
+    (tmp_path / "tracker.csv").write_text("pose,tracker_x,tracker_y,tracker_z\nC,7,8,9\nA,1,2,3\nC,7,8,8\n")
+    (tmp_path / "arm.csv").write_text("pose,arm_x [mm],arm_y,arm_z\nB,4000,5,6\n")
+    data = read_measurements([tmp_path / f"{name}.csv" for name in ("joints", "tracker", "arm")], robot)
+    assert data.names == ("A", "B", "C")
+    assert data.readings["tracker"].visits.tolist() == [2, 0, 2]
+    assert data.readings["tracker"].values.tolist() == [[7, 8, 9], [1, 2, 3], [7, 8, 8]]
+    assert data.readings["arm"].visits.tolist() == [1]
+    assert data.points(robot)[2, 1].tolist() == [7, 8, 8.5]  # of two readings at one visit, the mean
+    (tmp_path / "arm.csv").write_text("pose,arm_x,arm_y,arm_z\nD,4,5,6\n")
+    text = complaint(read_measurements, [tmp_path / "joints.csv", tmp_path / "arm.csv"], robot)
+    assert "arm.csv, line 2, column 'pose': no file with joint values has a pose 'D'" in text
+    (tmp_path / "arm.csv").write_text("arm_x,arm_y,arm_z\n4,5,6\n")
+    text = complaint(read_measurements, [tmp_path / "joints.csv", tmp_path / "arm.csv"], robot)
+    assert "arm.csv: has neither a column for every joint nor a column 'pose'" in text
+    text = complaint(read_measurements, [tmp_path / "tracker.csv"] * 2, robot)
+    assert "none of the files has a column for every joint (turn, slide, wrist)" in text
+
+
+def test_files_of_two_sessions_follow_one_another(tmp_path):
+    robot = calib.load(write_arm(tmp_path, TWO_INSTRUMENTS))
+    (tmp_path / "one.csv").write_text(
+        "# first\n" + BOTH.replace("wrist,", "wrist,temperature,") + "0,0,0,20,1,2,3,4,5,6\n"
+    )
+    (tmp_path / "two.csv").write_text("# second\nturn,slide,wrist,arm_x,arm_y,arm_z\n0.5,0,0,7,8,9\n")
+    data = read_measurements([tmp_path / "one.csv", tmp_path / "two.csv"], robot)
+    assert data.joints[:, 0].tolist() == [0, 0.5]
+    assert data.names == ("1", "2")  # not the same pose twice
+    assert data.readings["arm"].visits.tolist() == [0, 1]
+    assert data.readings["tracker"].visits.tolist() == [0]
+    assert data.comments == ("first", "second")
+    np.testing.assert_array_equal(data.context["temperature"], [20, np.nan])
+
+
+def test_context_and_approach_are_read(read):
+    header = "turn,slide,wrist,tip_x,tip_y,tip_z,time [min],temperature,load [kg],approach_turn\n"
+    data = read(header + "0,0,0,1,2,3,2,21.5,0.5,-1\n0.5,0,0,1,2,3,,22,,1\n")
+    np.testing.assert_array_equal(data.context["time"], [120, np.nan])
+    np.testing.assert_array_equal(data.context["temperature"], [21.5, 22])
+    np.testing.assert_array_equal(data.context["load"], [0.5, np.nan])
+    assert data.ignored == ()
+    assert data.approach_directions.tolist() == [[-1, 0, 0], [1, 0, 0]]
+    assert data.subset(np.array([1])).context["temperature"].tolist() == [22]
+
+
+def test_standard_deviations_and_correlations_are_the_covariance_of_a_row(read):
+    header = "turn,slide,wrist,tip_x,tip_y,tip_z,tip_std_x [mm],tip_std_y [mm],tip_std_z [mm],tip_corr_x_z\n"
+    data = read(header + "0,0,0,1,2,3,1,2,3,0.5\n0.5,0,0,1,2,3,4,5,6,0\n")
+    expected = 1e-6 * np.array([[1, 0, 1.5], [0, 4, 0], [1.5, 0, 9]])
+    np.testing.assert_allclose(data.readings["tip"].covariance[0], expected, rtol=1e-12, atol=1e-20)
+    np.testing.assert_allclose(data.readings["tip"].covariance[1], 1e-6 * np.diag([16, 25, 36]), rtol=1e-12, atol=1e-20)
+
+
+@pytest.mark.parametrize(
+    ("columns", "cells", "message"),
+    [
+        ("tip_std_x,tip_std_y", "1e-3,1e-3", "no column 'tip_std_z', but 'tip_std_x'; give all standard deviations"),
+        (
+            "tip_std_x,tip_std_y,tip_std_z",
+            "1e-3,0,1e-3",
+            "line 2, column 'tip_std_y': a standard deviation must be positive",
+        ),
+        (
+            "tip_std_x,tip_std_y,tip_std_z,tip_corr_x_y",
+            "1e-3,1e-3,1e-3,1.2",
+            "line 2: the correlations of 'tip' cannot be",
+        ),
+    ],
+)
+def test_noise_of_a_row_that_cannot_be_is_named(read, columns, cells, message):
+    assert message in complaint(read, f"turn,slide,wrist,tip_x,tip_y,tip_z,{columns}\n0,0,0,1,2,3,{cells}\n")
+
+
+SETUPS = ARM_YAML.replace("frame: ground", "frame: ground, pose: unknown") + "setups: {first: [], moved: [base]}\n"
+
+
+def test_the_setup_of_a_row_says_from_which_place_it_was_read(tmp_path, read):
+    robot = calib.load(write_arm(tmp_path, SETUPS))
+    header = "turn,slide,wrist,tip_x,tip_y,tip_z,setup\n"
+    data = read(header + "0,0,0,1,2,3,moved\n0.5,0,0,1,2,3,first\n", robot)
+    pairs = robot.pairs(robot.instrument("tip"))
+    assert len(pairs) == 2
+    assert data.readings["tip"].pairs.tolist() == [1, 0]
+    text = complaint(read, header + "0,0,0,1,2,3,move\n", robot)
+    assert "line 2, column 'setup': no setup 'move'; did you mean 'moved'?" in text
+    text = complaint(read, "turn,slide,wrist,tip_x,tip_y,tip_z\n0,0,0,1,2,3\n", robot)
+    assert "no column 'setup'; the description names the setups first, moved" in text
+
+
+def test_measurements_with_gaps_and_repeats_read_back(tmp_path, read):
+    robot = calib.load(write_arm(tmp_path, TWO_INSTRUMENTS))
+    rows = "a,0,0,0,0.1,0.2,0.3,,,\nb,0.5,0,0,,,,0.4,0.5,0.6\na,0,0,0,0.7,0.8,0.9,1,2,3\n"
+    data = read("pose," + BOTH + rows, robot)
+    again = read(format_measurements(robot, data, ("said",)), robot)
+    assert again.comments == ("said",)
+    assert again.names == data.names
+    for name, found in data.readings.items():
+        assert again.readings[name].visits.tolist() == found.visits.tolist()
+        np.testing.assert_allclose(again.readings[name].values, found.values, rtol=1e-15)
+
+
+def test_points_may_be_replaced(arm, read):
+    data = read(HEADER + "a,0,0,0,1,0,0\nb,1,0,0,2,0,0\n")
+    moved = with_points(arm, data, data.points(arm) + np.array([0.5, 0, 0]))
+    assert moved.points(arm)[:, 0, 0] == pytest.approx([0.501, 0.502], abs=1e-15)
+    assert data.points(arm)[0, 0, 0] == 1e-3

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.numerics.information import information
 from calib.numerics.least_squares import minimise
-from calib.numerics.statistics import found_noise, statistics
+from calib.numerics.statistics import found_factors, statistics
 
 
 def mgh09(b, x):
@@ -98,8 +99,9 @@ def test_certified_values_and_standard_deviations_come_out_to_six_digits(strd, n
         )
     assert found.converged
     n = len(table)
-    noise = found_noise(found.residuals, n)
-    uncertainty = statistics(found.jacobian, noise, np.ones(n), np.zeros(n, dtype=bool), noise.sigma)
+    known, one_group = information(found.jacobian), np.zeros(len(y), dtype=np.intp)
+    factors = found_factors(found.residuals, found.jacobian, one_group, 1, known)
+    uncertainty = statistics(found.jacobian, one_group, known, factors, np.ones(n), np.zeros(n, dtype=bool))
     np.testing.assert_allclose(found.x, table[:, 2], rtol=1e-6)
     np.testing.assert_allclose(uncertainty.std, table[:, 3], rtol=1e-6)
 

@@ -13,7 +13,8 @@ import calib
 import calib.model.parametrisation
 from calib.errors import DescriptionError, ParameterError
 from calib.linearisation.jacobian import linearise
-from calib.model.parameters import Origin, Parameter, index_of, twist_of_edit
+from calib.model.parameters import Origin, twist_of_edit
+from calib.parameter import Parameter, index_of
 
 EVERYTHING = ARM_YAML.replace(
     "{frame: ground}", "{frame: ground, xyz: [1, -2, 0.5], rpy: [0.3, -0.7, 2], pose: unknown}"

@@ -4,10 +4,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from calib.errors import DataError
-from calib.numerics.placement import place_base_and_target, place_target, rigid_fit, world_from_nests
+from calib.numerics.nests import world_from_nests
+from calib.numerics.placement import MovingPoint, place
+from calib.numerics.rigid import rigid_fit
 
 Array = NDArray[np.float64]
 NESTS = np.array([[0.0, 0.0, 0.0], [0.9, 0.1, 0.0], [0.1, 0.7, 0.2]])
@@ -118,20 +121,35 @@ def test_single_readings_have_no_repeatability() -> None:
     assert np.isnan(world_from_nests(NESTS, NESTS).repeatability)
 
 
+UNKNOWN, EXACT = np.full(3, np.inf), np.zeros(3)
+ONES = np.ones(15)
+
+
+def seen_from(truth: pin.SE3, poses: list[pin.SE3], point: Array) -> Array:
+    return np.array([(truth.inverse() * pose).act(point) for pose in poses])
+
+
+def matrices(poses: list[pin.SE3]) -> Array:
+    return np.array([pose.homogeneous for pose in poses])
+
+
 def test_base_and_target_are_found_from_a_guess_that_is_wrong_by_half_a_metre() -> None:
     generator = np.random.default_rng(10)
     for _ in range(20):
         truth, point = some_pose(generator), generator.uniform(-0.3, 0.3, 3)
-        turns = Rotation.from_rotvec(generator.uniform(-0.5, 0.5, (20, 3))).as_matrix()
+        turns = Rotation.from_rotvec(generator.uniform(-0.5, 0.5, (15, 3))).as_matrix()
         poses = [pin.SE3(turn, generator.uniform(-1, 1, 3)) for turn in turns]
-        seen = np.array([(truth.inverse() * pose).act(point) for pose in poses])
-        T_base_link = np.array([pose.homogeneous for pose in poses])
-        frame, found = place_base_and_target(T_base_link, seen, point + generator.uniform(-0.5, 0.5, 3))
-        assert np.abs(frame.homogeneous - truth.homogeneous).max() < 1e-10  # conditioned by turns of half a radian
-        assert np.abs(found - point).max() < 1e-10
-        frame, _ = place_base_and_target(T_base_link, seen, point, point_known=True)
-        assert np.abs(frame.homogeneous - truth.homogeneous).max() < 1e-12
-        assert np.abs(place_target(T_base_link, seen, truth) - point).max() < 1e-12
+        seen, T = seen_from(truth, poses, point), matrices(poses)
+        start, guess = some_pose(generator), point + generator.uniform(-0.5, 0.5, 3)
+        found = place([MovingPoint(T, seen, guess, UNKNOWN)], ONES, start)
+        # conditioned by turns of half a radian
+        assert np.abs(found.T_base_measurement.homogeneous - truth.homogeneous).max() < 1e-10
+        assert np.abs(found.points[0] - point).max() < 1e-10
+        assert found.rms < 1e-10
+        found = place([MovingPoint(T, seen, point, EXACT)], ONES, start)
+        assert np.abs(found.T_base_measurement.homogeneous - truth.homogeneous).max() < 1e-12
+        found = place([MovingPoint(T, seen, guess, UNKNOWN)], ONES, truth, frame_known=True)
+        assert np.abs(found.points[0] - point).max() < 1e-12
 
 
 def test_what_the_poses_cannot_tell_stays_at_the_guess() -> None:
@@ -142,11 +160,53 @@ def test_what_the_poses_cannot_tell_stays_at_the_guess() -> None:
         pin.SE3(Rotation.from_euler("z", a).as_matrix(), generator.uniform(-1, 1, 3))
         for a in generator.uniform(-1, 1, 15)
     ]
-    seen = np.array([(truth.inverse() * pose).act(point) for pose in poses])
-    frame, found = place_base_and_target([pose.homogeneous for pose in poses], seen, (0.0, 0.0, 0.25))
-    assert np.abs(found - (0.1, -0.2, 0.25)).max() < 1e-9
-    predicted = np.array([(frame.inverse() * pose).act(found) for pose in poses])
-    assert np.abs(predicted - seen).max() < 1e-9
+    seen = seen_from(truth, poses, point)
+    found = place([MovingPoint(matrices(poses), seen, np.array([0.0, 0.0, 0.25]), UNKNOWN)], ONES, pin.SE3.Identity())
+    assert np.abs(found.points[0] - (0.1, -0.2, 0.25)).max() < 1e-9
+    assert np.abs(seen_from(found.T_base_measurement, poses, found.points[0]) - seen).max() < 1e-9
+
+
+def test_the_turn_about_a_line_of_points_stays_at_the_guess() -> None:
+    poses = [pin.SE3(np.eye(3), np.array([s, 0.0, 0.0])) for s in np.linspace(0, 1, 15)]
+    about, across = Rotation.from_euler("x", 0.7), Rotation.from_euler("z", 0.4)
+    seen = seen_from(pin.SE3(across.as_matrix(), np.array([5.0, 6.0, 7.0])), poses, np.zeros(3))
+    guess = pin.SE3((about * across).as_matrix(), np.zeros(3))  # right but for what the line does not tell
+    found = place([MovingPoint(matrices(poses), seen, np.zeros(3), UNKNOWN)], ONES, guess)
+    assert np.abs(found.T_base_measurement.rotation - guess.rotation).max() < 1e-9
+    assert found.rms < 1e-12
+    assert np.array_equal(found.points[0], np.zeros(3))
+
+
+def test_points_that_never_moved_leave_the_rotation_at_the_guess() -> None:
+    generator = np.random.default_rng(13)
+    guess, place_of_it = some_pose(generator), np.array([1.0, 2.0, 3.0])
+    T = np.tile(np.eye(4), (15, 1, 1))
+    found = place([MovingPoint(T, np.tile(place_of_it, (15, 1)), np.zeros(3), EXACT)], ONES, guess)
+    assert np.abs(found.T_base_measurement.rotation - guess.rotation).max() < 1e-9
+    assert np.abs(found.T_base_measurement.act(place_of_it)).max() < 1e-12
+
+
+def test_a_stated_sigma_counts_with_the_noise_of_the_residuals() -> None:
+    """Against a general solver of the same sum of squares, whose noise is iterated in the same way."""
+    generator = np.random.default_rng(14)
+    truth, point, sigma = some_pose(generator), np.array([0.05, -0.02, 0.1]), np.array([0.002, 0.01, np.inf])
+    turns = Rotation.from_rotvec(generator.normal(0, 0.02, (15, 3))).as_matrix()  # tells the point to 3 cm
+    poses = [pin.SE3(turn, generator.uniform(-1, 1, 3)) for turn in turns]
+    counts = generator.integers(1, 5, 15)
+    seen = seen_from(truth, poses, point) + generator.normal(0, 1e-3, (15, 3)) / np.sqrt(counts)[:, None]
+    found = place([MovingPoint(matrices(poses), seen, np.zeros(3), sigma)], counts, pin.SE3.Identity())
+
+    def rows(x: Array) -> Array:
+        frame = truth * pin.SE3(pin.exp3(x[:3]), x[3:6])
+        errors = np.array([frame.act(m) - pose.act(x[6:]) for m, pose in zip(seen, poses, strict=True)])
+        return (np.sqrt(counts)[:, None] * errors).ravel()
+
+    noise, x = 1e-3, np.zeros(9)
+    for _ in range(10):
+        x = least_squares(lambda x, n=noise: np.concatenate([rows(x), n * x[6:8] / sigma[:2]]), x, x_scale="jac").x
+        noise = np.sqrt(np.sum(rows(x) ** 2) / (45 - 9))
+    assert abs(x[6]) < 0.9 * abs(point[0])  # the statement counts
+    assert np.abs(found.points[0] - x[6:]).max() < 2e-4  # the noise is found to 1 %
 
 
 @pytest.mark.parametrize(
@@ -189,12 +249,10 @@ def test_wrong_nests_are_refused_by_name() -> None:
 
 
 def test_wrong_link_poses_are_refused() -> None:
-    identity = np.tile(np.eye(4), (3, 1, 1))
+    identity, frame = np.tile(np.eye(4), (3, 1, 1)), pin.SE3.Identity()
     with pytest.raises(DataError, match="do not belong together"):
-        place_base_and_target(identity, np.zeros((4, 3)), np.zeros(3))
+        place([MovingPoint(identity, np.zeros((4, 3)), np.zeros(3), UNKNOWN)], np.ones(4), frame)
     with pytest.raises(DataError, match="row 1"):
-        place_target(identity, np.where(NESTS == 0.9, np.nan, NESTS), pin.SE3.Identity())
+        place([MovingPoint(identity, np.where(NESTS == 0.9, np.nan, NESTS), np.zeros(3), UNKNOWN)], np.ones(3), frame)
     with pytest.raises(DataError, match="guessed point"):
-        place_base_and_target(identity, NESTS, np.zeros(2))
-    with pytest.raises(DataError, match="one point"):
-        place_base_and_target(identity, NESTS, np.zeros(3))
+        place([MovingPoint(identity, NESTS, np.zeros(2), UNKNOWN)], np.ones(3), frame)

@@ -45,14 +45,29 @@ def test_of_several_ends_behind_the_same_joints_the_last_in_the_file_is_the_last
     assert robot.target_names == ("tool0",)
 
 
-def test_moving_branches_are_an_error_that_shows_the_way_out(tmp_path):
-    with pytest.raises(DescriptionError) as caught:
-        plain(tmp_path, *CHAIN, ("left", "revolute", "3", "finger_1"), ("right", "revolute", "3", "finger_2"))
-    path = tmp_path / "plain.urdf"
-    assert str(caught.value) == (
-        f"{path}: the robot branches, so it has no last link; choose a link such as finger_1, finger_2 with"
-        f" `calib init {path} --target LINK --out FILE`"
+def test_of_branches_the_longest_chain_is_taken_and_of_equal_ones_the_first(tmp_path):
+    arms = (("left", "revolute", "3", "hand_1"), ("right", "revolute", "3", "hand_2"))
+    assert plain(tmp_path, *CHAIN, *arms).joint_names == ("a", "b", "left")
+    longer = plain(tmp_path, *CHAIN, *arms, ("wrist", "revolute", "hand_2", "end"))
+    assert (longer.joint_names, longer.target_names) == (("a", "b", "right", "wrist"), ("end",))
+
+
+def test_the_base_is_the_link_that_the_first_moving_joint_stands_on(tmp_path):
+    robot = plain(tmp_path, ("world_joint", "fixed", "world", "plate"), ("bolt", "fixed", "plate", "w"), *CHAIN)
+    assert robot.description.base.frame == "w"
+    assert not any(p.name.startswith(("world_joint", "bolt")) for p in robot.parameters)
+
+
+def test_a_fixed_root_joint_that_a_description_frees_is_free_and_checked_as_redundant(tmp_path, run_calib):
+    (tmp_path / "plain.urdf").write_text(urdf_of(("world_joint", "fixed", "world", "w"), *CHAIN))
+    (tmp_path / "r.yaml").write_text(
+        "urdf: plain.urdf\nname_mot: [a, b]\nbase: {frame: world, pose: unknown}\ntargets: {t: {frame: '3'}}\n"
+        "parametrisation: [{origin: world_joint, components: [x, y, z], sigma: 1 mm}]\n"
     )
+    assert calib.load(tmp_path / "r.yaml").parameters[0].name == "world_joint.x"
+    run = run_calib("check", "r.yaml", cwd=tmp_path)
+    assert run.code == 0
+    assert "base.x with world_joint.x: base.x +1 mm, world_joint.x -1 mm" in run.out
 
 
 def test_a_robot_that_does_not_move_is_an_error(tmp_path):
@@ -67,7 +82,10 @@ def test_floating_and_planar_joints_are_held(tmp_path):
     robot = plain(tmp_path, ("f", "floating", "w", "0"), ("p", "planar", "0", "1", '<origin xyz="0 0 2"/>'),
                   ("a", "continuous", "1", "2", '<axis xyz="0 0 1"/>'), end)  # fmt: skip
     assert robot.joint_names == ("a",)
-    assert np.abs(robot.forward([np.pi / 2])[:3, 3] - [0, 1, 2]).max() < 1e-15
+    assert robot.description.base.frame == "1"
+    T_1_3, T_1_w = robot.forward([np.pi / 2], "3"), robot.forward([np.pi / 2], "w")
+    assert np.abs(T_1_3[:3, 3] - [0, 1, 0]).max() < 1e-15
+    assert np.abs(T_1_w[:3, 3] - [0, 0, -2]).max() < 1e-15
 
 
 def test_a_mimic_joint_follows_and_is_not_actuated(tmp_path):

@@ -1,10 +1,13 @@
+"""Repeats of a pose: accuracy and repeatability by hand, about what the model predicts for each reading's joints."""
+
 import numpy as np
 import pytest
-from six_axis_arm import joints, six_axis_arm
+from six_axis_arm import YAML, joints, six_axis_arm, write_six_axis
 
 import calib
 from calib.data.measurement_files import read_measurements
-from calib.data.repeats import beyond_repeatability, repeats
+from calib.identification.errors_found import ErrorSet
+from calib.identification.repeats import beyond_repeatability, repeatability, repeats
 from calib.reporting.result_content import to_dict
 
 HEADER = ",".join(["pose", *(f"j{k} [rad]" for k in range(1, 7)), *(f"ball_{axis} [mm]" for axis in "xyz")])
@@ -21,29 +24,68 @@ def file_of(folder, rows):
     return path
 
 
-def test_accuracy_and_repeatability_by_hand(arm, tmp_path):
-    q = [0.1] * 6
-    rows = [["a", *q, 0, 0, 0], ["a", *q, 2, 0, 0], ["a", *q, 1, 0, 3], ["b", *[0.5] * 6, 7, 7, 7]]
-    data = read_measurements(file_of(tmp_path, rows), arm)
-    before, after = np.zeros((2, 1, 3)), np.zeros((2, 1, 3))
-    before[0, 0], after[0, 0] = [3e-3, 4e-3, 0], [0, 0, 1e-3]
-    found = repeats(data, before, after)
+def errors_of(arm, names, before, after):
+    """Errors [mm] of readings that repeat the poses of these names."""
+    q = np.full((len(names), 6), 0.1)
+    data = calib.as_measurements(arm, q, np.zeros((len(names), 3)), names)
+    found = ({"ball": 1e-3 * np.array(errors, dtype=float)} for errors in (before, after))
+    return ErrorSet(data, arm.instruments, *found, np.full(len(names), np.inf))
+
+
+def test_accuracy_and_repeatability_by_hand(arm):
+    after = np.array([[0, 0, 0], [2, 0, 0], [1, 0, 3], [7, 7, 7]])
+    found = repeats(errors_of(arm, ["a", "a", "a", "b"], after + np.array([2, 4, -1]), after))
     lengths = np.array([np.sqrt(2), np.sqrt(2), 2.0])  # from the mean (1, 0, 1) mm
     assert found.poses.tolist() == [0]
     assert found.readings.tolist() == [3]
-    assert 1e3 * found.repeatability[0, 0] == pytest.approx(lengths.mean() + 3 * lengths.std(ddof=1))
-    assert 1e3 * found.accuracy_before[0, 0] == pytest.approx(5.0)
+    assert 1e3 * found.repeatability[0] == pytest.approx(lengths.mean() + 3 * lengths.std(ddof=1))
+    assert 1e3 * found.accuracy_before[0] == pytest.approx(5.0)  # of (3, 4, 0) mm
+    assert 1e3 * found.accuracy_after[0] == pytest.approx(np.sqrt(2))
     table = found.table()
-    assert table["pose_accuracy"]["after"]["max"] == pytest.approx(1.0)
-    assert table["n_readings"] == 3
+    assert table["pose_accuracy"]["after"]["max"] == pytest.approx(np.sqrt(2))
+    assert (table["n_poses"], table["n_readings"]) == (1, 3)
 
 
-def test_without_repeats_there_is_no_table(arm, tmp_path):
-    data = read_measurements(file_of(tmp_path, [["a", *[0.1] * 6, 1, 2, 3], ["b", *[0.2] * 6, 1, 2, 3]]), arm)
-    assert repeats(data, np.zeros((2, 1, 3)), np.zeros((2, 1, 3))) is None
-    ratio, chance = beyond_repeatability(data, 1e-4, 10)
+def test_repeatability_pools_the_repeats_by_their_degrees_of_freedom(arm):
+    generator = np.random.default_rng(3)
+    names, errors, squares, freedom = [], [], 0.0, 0
+    for name, count in (("a", 2), ("b", 5), ("c", 1), ("d", 3)):
+        readings = generator.normal(0, 1, (count, 3))
+        squares += ((readings - readings.mean(axis=0)) ** 2).sum()
+        freedom += 3 * (count - 1)
+        names += [name] * count
+        errors += readings.tolist()
+    std, found = repeatability(errors_of(arm, names, errors, errors))
+    assert std == pytest.approx(1e-3 * np.sqrt(squares / freedom), rel=1e-12)
+    assert found == freedom
+
+
+def test_without_repeats_there_is_no_table_and_no_repeatability(arm):
+    found = errors_of(arm, ["a", "b"], np.ones((2, 3)), np.ones((2, 3)))
+    assert repeats(found) is None
+    assert np.isnan(repeatability(found)[0])
+    assert repeatability(found)[1] == 0
+    ratio, chance = beyond_repeatability(found, 10)
     assert np.isnan(ratio)
     assert chance == 1.0
+
+
+def test_the_means_of_poses_are_held_against_the_scatter_of_their_repeats(arm):
+    """Analysis of variance: the ratio is an F of 3 n - n_eff and 3 n (m - 1) degrees of freedom."""
+    generator = np.random.default_rng(5)
+    names = np.repeat([f"p{k}" for k in range(40)], 4)
+    ratios, chances = [], []
+    for _ in range(200):
+        noise = generator.normal(0, 0.05, (160, 3))
+        ratio, chance = beyond_repeatability(errors_of(arm, names, noise, noise), 0.0)
+        ratios.append(ratio**2)
+        chances.append(chance)
+    assert np.mean(ratios) == pytest.approx(1.0, rel=0.05)
+    assert np.mean(np.array(chances) < 0.1) == pytest.approx(0.1, abs=0.07)
+    shifted = noise + np.repeat(generator.normal(0, 0.05, (40, 3)), 4, axis=0)
+    ratio, chance = beyond_repeatability(errors_of(arm, names, shifted, shifted), 0.0)
+    assert ratio == pytest.approx(np.sqrt(1 + 4), rel=0.2)  # of a mean of four: 1/4 + 1 in place of 1/4
+    assert chance < 1e-6
 
 
 def measured(arm, tmp_path, *, scatter, between, seed=1):
@@ -58,9 +100,11 @@ def measured(arm, tmp_path, *, scatter, between, seed=1):
 
 def test_repeats_weigh_and_the_noise_found_is_that_of_one_reading(arm, tmp_path):
     fit = calib.fit(arm, measured(arm, tmp_path, scatter=5e-5, between=0.0))
-    assert fit.statistics.sigma == pytest.approx(5e-5, rel=0.15)  # standard error 6 %
-    assert fit.identification.data.repeatability() == pytest.approx(5e-5, rel=0.1)
-    assert fit.identification.data.n_rows == 180
+    assert fit.sigma == pytest.approx(5e-5, rel=0.15)  # standard error 3 %
+    assert repeatability(fit.identification)[0] == pytest.approx(5e-5, rel=0.1)
+    assert fit.statistics.freedom == pytest.approx(3 * 180 - 26)
+    assert fit.shared_sigma == {}
+    assert (to_dict(fit)["n_poses"], to_dict(fit)["n_rows"], to_dict(fit)["n_readings"]) == (60, 180, 180)
     assert "repeatability" not in [reason.code for reason in fit.verdict.reasons]
 
 
@@ -72,10 +116,41 @@ def test_residuals_larger_than_the_repeats_scatter_are_pointed_out(arm, tmp_path
     assert "ISO 9283-style, 60 poses used" in fit.report()
 
 
+def test_many_repeats_do_not_make_sure_of_what_the_model_leaves_out(arm, tmp_path):
+    """Each pose is off by 0.05 mm that all its readings share: three of them tell hardly more than one."""
+    fit = calib.fit(arm, measured(arm, tmp_path, scatter=1e-5, between=5e-5))
+    once = calib.fit(arm, fit.identification.data.subset(np.arange(0, 180, 3)))
+    assert np.median(fit.statistics.std / once.statistics.std) > 0.9  # and not 1 / sqrt(3)
+    error = np.abs(fit.robot.values - arm.values)[arm.free]
+    assert np.mean(error <= fit.statistics.half_width) > 0.8
+
+
 def test_accuracy_and_repeatability_of_validation_poses_are_told_too(arm, tmp_path):
     data = measured(arm, tmp_path, scatter=5e-5, between=0.0)
-    fit = calib.fit(arm, data.subset(np.arange(45)), validation=data.subset(np.arange(45, 60)))
+    fit = calib.fit(arm, data.subset(np.arange(135)), validation=data.subset(np.arange(135, 180)))
     assert "ISO 9283-style, 15 poses not used" in fit.report()
     table = to_dict(fit)["repeats_validation"]
     assert table["n_readings"] == 45
     assert table["pose_accuracy"]["after"]["mean"] > to_dict(fit)["repeats"]["pose_accuracy"]["after"]["mean"]
+
+
+def test_repeats_whose_encoders_differ_scatter_about_what_the_model_predicts(tmp_path):
+    scatter = 4e-5
+    (tmp_path / "unknown").mkdir()
+    yaml = f"priors: false\n{YAML}" + "  - {origin: j2, components: [x], sigma: 2 mm}\n"
+    yaml = yaml.replace("frame: l0", "frame: l0, pose: unknown")  # the displacement is told in the tracker's frame
+    robot = calib.load(write_six_axis(tmp_path / "unknown", yaml))
+    truth = robot.with_parameters({"base.x": 2.0, "base.rz": 2.2, "j2.x": 0.052})
+    rng = np.random.default_rng(3)
+    q = np.repeat(joints(50), 6, axis=0)
+    q += rng.uniform(-8e-4, 8e-4, q.shape)
+    positions = truth.positions(q)[:, 0] + scatter * rng.standard_normal((len(q), 3))
+    rows = [[f"p{k // 6}", *q[k], *(1e3 * positions[k])] for k in range(len(q))]
+    data = read_measurements(file_of(tmp_path, rows), robot)
+    fit = calib.fit(robot, data.subset(np.arange(240)), validation=data.subset(np.arange(240, 300)))
+    # 200 degrees of freedom for each axis: 3 % standard error over the three
+    assert repeatability(fit.identification)[0] == pytest.approx(scatter, rel=0.1)
+    assert repeatability(fit.validation)[0] == pytest.approx(scatter, rel=0.2)
+    # mean(l) + 3 std(l) of six readings: between 2 and 4.5 sigma for normal scatter
+    assert to_dict(fit)["repeats"]["pose_repeatability"]["mean"] < 4.5e3 * scatter
+    assert "repeatability" not in [reason.code for reason in fit.verdict.reasons]

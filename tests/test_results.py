@@ -109,7 +109,7 @@ def test_parameters_are_listed_in_mm_and_deg_and_a_held_one_has_no_uncertainty(f
 def test_the_error_tables_are_those_of_the_robots(folder, fitted, name, state):
     data = getattr(fitted, name).data
     robot = {"before": fitted.nominal, "after": fitted.robot}[state]
-    error = 1e3 * (robot.positions(data.joints) - data.positions)[:, 0]
+    error = 1e3 * (robot.positions(data.joints) - data.points(robot))[:, 0]
     distance = np.linalg.norm(error, axis=1)
     table = read_result(folder)["errors"][name][state]
     expected = {

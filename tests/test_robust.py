@@ -20,7 +20,7 @@ def data(arm):
     q = joints(60)
     positions = arm.positions(q) + SIGMA * rng.standard_normal((60, 1, 3))
     positions[[7, 20, 41]] += 5e-3
-    return measurements(q, positions)
+    return measurements(arm, q, positions)
 
 
 def largest(fit):
@@ -33,11 +33,11 @@ def largest(fit):
 def test_weights_are_those_of_the_residuals_that_they_lead_to(arm, data, loss):
     fit = calib.fit(arm, data, loss=loss)
     assert fit.converged
-    distances = np.linalg.norm(fit.identification.after[:, 0], axis=1)
-    scale = scale_of(distances, fit.statistics.effective_parameters)
+    distances = np.linalg.norm(fit.identification.errors("after"), axis=1)
+    scale = scale_of(distances, np.full(60, 3), fit.statistics.effective_parameters)
     if loss == "huber":  # the others keep Huber's scale
-        np.testing.assert_allclose(fit.weights[:, 0], weights(loss, distances / scale), atol=1e-3)
-    assert set(np.argsort(fit.weights[:, 0])[:3]) == set(np.argsort(-distances)[:3]) == {7, 20, 41}
+        np.testing.assert_allclose(fit.weights, weights(loss, distances / scale, 1.6279879), atol=1e-3)
+    assert set(np.argsort(fit.weights)[:3]) == set(np.argsort(-distances)[:3]) == {7, 20, 41}
 
 
 @pytest.mark.parametrize("loss", ["huber", "cauchy", "tukey"])
@@ -51,14 +51,14 @@ def test_gross_errors_hardly_move_the_parameters(arm, data, loss):
 
 def test_tukey_gives_gross_errors_no_weight_and_finds_the_noise_of_the_others(arm, data):
     fit = calib.fit(arm, data, loss="tukey")
-    assert np.flatnonzero(fit.weights[:, 0] == 0).tolist() == [7, 20, 41]
-    assert fit.statistics.sigma == pytest.approx(SIGMA, rel=0.15)  # standard error 6 %
-    assert calib.fit(arm, data).statistics.sigma > 10 * SIGMA
+    assert np.flatnonzero(fit.weights == 0).tolist() == [7, 20, 41]
+    assert fit.sigma == pytest.approx(SIGMA, rel=0.15)  # standard error 6 %
+    assert calib.fit(arm, data).sigma > 10 * SIGMA
 
 
 def test_without_outliers_a_robust_fit_is_nearly_the_plain_one(arm):
     q = joints(60)
-    clean = measurements(q, arm.positions(q) + SIGMA * np.random.default_rng(4).standard_normal((60, 1, 3)))
+    clean = measurements(arm, q, arm.positions(q) + SIGMA * np.random.default_rng(4).standard_normal((60, 1, 3)))
     plain, robust = calib.fit(arm, clean), calib.fit(arm, clean, loss="tukey")
     apart = np.abs(plain.robot.values - robust.robot.values)[arm.free] / plain.statistics.std
     assert np.max(apart) < 1.0
@@ -67,10 +67,11 @@ def test_without_outliers_a_robust_fit_is_nearly_the_plain_one(arm):
 
 def test_huber_minimises_its_cost(arm, data):
     fit = calib.fit(arm, data, loss="huber")
-    scale = scale_of(np.linalg.norm(fit.identification.after[:, 0], axis=1), fit.statistics.effective_parameters)
+    distances = np.linalg.norm(fit.identification.errors("after"), axis=1)
+    scale = scale_of(distances, np.full(60, 3), fit.statistics.effective_parameters)
 
     def cost(robot):
-        d = np.linalg.norm((robot.positions(data.joints) - data.positions)[:, 0], axis=1) / scale
+        d = np.linalg.norm((robot.positions(data.joints) - data.points(arm))[:, 0], axis=1) / scale
         c = 1.6279879
         return np.sum(np.where(d < c, d**2 / 2, c * d - c**2 / 2))
 
@@ -86,5 +87,5 @@ def test_exact_data_with_gross_errors_come_back_exactly(arm):
     q = joints(40)
     positions = arm.positions(q)
     positions[[3, 30]] += 2e-3
-    fit = calib.fit(arm, measurements(q, positions), loss="tukey")
+    fit = calib.fit(arm, measurements(arm, q, positions), loss="tukey")
     np.testing.assert_allclose(fit.robot.values, arm.values, atol=1e-9)

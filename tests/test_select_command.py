@@ -83,7 +83,7 @@ def test_fit_predict_and_simulate_read_the_poses(run_calib, selected, tmp_path):
     robot = calib.load(ROBOT)
     result = calib.fit(robot, calib.read_measurements(simulated, robot))
     assert result.observability["O1"] == pytest.approx(selected[1]["after"]["O1"], rel=1e-3)
-    assert calib.read_measurements(poses, robot).n_rows == 42
+    assert calib.read_measurements(poses, robot).n_readings == 42
 
 
 def test_the_figure_is_a_file(selected):
@@ -128,7 +128,7 @@ def test_poses_that_leave_the_grid_are_written_with_predicted_positions(run_cali
     assert run.code == 0, run.err
     assert "better than any choice from them can be" in run.out
     data = calib.read_measurements(tmp_path / "o.csv", medrue)
-    np.testing.assert_allclose(data.positions, medrue.positions(data.joints), atol=1e-12)
+    np.testing.assert_allclose(data.points(medrue), medrue.positions(data.joints), atol=1e-12)
     content = json.loads((tmp_path / "o.json").read_text())
     assert content["off_grid"]["above_bound_percent"] > 0
     assert content["off_grid"]["better_percent"] > content["off_grid"]["above_bound_percent"]
@@ -148,7 +148,7 @@ def test_off_the_grid_without_position_columns_only_joints_are_written(run_calib
     assert len(calib.read_poses(tmp_path / "o.csv", arm)) == 8
 
 
-def test_repeated_measured_candidates_are_averaged_and_all_their_rows_are_kept(run_calib, tmp_path):
+def test_measured_candidates_that_repeat_a_pose_are_one_and_all_their_rows_are_kept(run_calib, tmp_path):
     names = [f"p{k // 2}" for k in range(80)]
     positions = [(f"tool_{axis} [mm]", list(np.arange(80.0))) for axis in "xyz"]
     path = write_poses(tmp_path / "c.csv", np.repeat(Q[::10][:40], 2, axis=0), names, positions)

@@ -5,8 +5,8 @@ import pytest
 from small_robots import small_arm, write_arm
 
 import calib
-from calib.data.measurements import Measurements, Poses
-from calib.linearisation.candidates import assemble_known, build_candidates
+from calib.data.measurements import Poses
+from calib.linearisation.candidates import build_candidates
 from calib.linearisation.jacobian import linearise
 from calib.numerics.observability import observability, raw_columns
 from calib.pose_choice.selection import select
@@ -21,8 +21,10 @@ def by_o1(medrue):
 
 
 def singular_values(robot, q):
-    rows = assemble_known(robot, as_poses(q)).rows
-    return np.linalg.svd(rows.reshape(-1, rows.shape[2]), compute_uv=False)
+    """Of the Jacobian by parameters in units of their sigma [m]."""
+    jacobian = linearise(robot, robot.assemble(q)).jacobian * [p.sigma for p in robot.parameters]
+    rows = jacobian[..., robot.free]
+    return np.linalg.svd(rows.reshape(-1, rows.shape[-1]), compute_uv=False)
 
 
 def as_poses(q):
@@ -125,11 +127,9 @@ def test_poses_to_add_complement_those_measured(medrue):
 
 
 def test_repeats_of_a_measured_pose_count(medrue):
-    q, names = Q[:30], tuple(str(k) for k in range(30))
-    shape = (30, 1, 3)
     once, often = (
-        Measurements(
-            q, names, names, "data", (), np.zeros(shape), np.full(30, n, dtype=np.intp), np.full(shape, np.nan)
+        calib.as_measurements(
+            medrue, np.repeat(Q[:30], n, axis=0), np.zeros((30 * n, 3)), np.repeat([f"p{k}" for k in range(30)], n)
         )
         for n in (1, 4)
     )
@@ -149,7 +149,7 @@ def test_a_robot_with_priors_is_chosen_for_on_the_stacked_rows(tmp_path):
     arm = small_arm(tmp_path)
     q = np.random.default_rng(0).uniform([-2, 0.1, -2], [2, 0.9, 2], (60, 3))
     found = select(arm, q, 10, "O1", sigma=1e-4)
-    rows = build_candidates(arm, as_poses(found.joints)).rows
+    rows = 1e-4 * build_candidates(arm, as_poses(found.joints), 1e-4).found.rows  # whitened by 0.1 mm
     # every parameter has a prior, so what the poses do not see is what it was, and the rest is seen and held
     values = np.linalg.svd(rows.reshape(-1, rows.shape[2]), compute_uv=False)[: found.rank_of_poses.rank]
     stacked = observability(np.sqrt(values**2 + 1e-4**2), 10)

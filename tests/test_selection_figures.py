@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import calib
-from calib.data.measurements import Poses, single_readings
 from calib.identification.fit import fit
 from calib.linearisation.jacobian import linearise
 from calib.pose_choice.selection import select
@@ -24,11 +23,6 @@ def load_script(name):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-def measured(q, positions):
-    names = tuple(str(k) for k in range(len(q)))
-    return single_readings(Poses(q, names, names, "simulated", ()), positions[:, None])
 
 
 def test_o1_identifies_better_than_a_uniform_choice_by_far_more_than_its_standard_error(medrue):
@@ -51,7 +45,10 @@ def test_the_predicted_error_is_the_one_that_fits_have(medrue):
     rng, squares = np.random.default_rng(3), []
     for _ in range(12):
         noisy = truth[found.chosen] + SIGMA * rng.standard_normal((84, 3))
-        errors = fit(medrue, measured(Q[found.chosen], noisy), sigma=SIGMA).robot.positions(Q)[:, 0] - truth
+        errors = (
+            fit(medrue, calib.as_measurements(medrue, Q[found.chosen], noisy), sigma=SIGMA).robot.positions(Q)[:, 0]
+            - truth
+        )
         squares.append(np.mean(np.sum(errors**2, axis=1)))
     # 12 draws of 28 parameters give the root mean square to about 5 %
     assert np.sqrt(np.mean(squares)) == pytest.approx(found.after["task"], rel=0.2)
@@ -77,8 +74,8 @@ def test_on_the_real_arm_the_model_and_not_the_noise_is_what_is_left(motoman):
     """So the choice cannot show there: O1 takes extreme poses, where what the model leaves out is largest."""
     script, everything, train, test, chosen, _ = motoman
     inside = np.isin(np.arange(len(train)), chosen["O1"])
-    residual = everything.identification.after
+    residual = everything.identification.errors("after")
     assert script.rms(residual[inside]) > 1.1 * script.rms(residual[~inside])
     by_o1 = calib.fit(everything.nominal, train.subset(np.sort(chosen["O1"])), validation=test)
     # within 15 % of what all 159 poses give; the noise part of either is a third of it
-    assert script.rms(by_o1.validation.after) < 1.15 * script.rms(everything.validation.after)
+    assert script.rms(by_o1.validation.errors("after")) < 1.15 * script.rms(everything.validation.errors("after"))

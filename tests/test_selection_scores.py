@@ -32,7 +32,7 @@ def plain_value(rows, task, chosen, index, sigma=1.0, known=None):
 @pytest.mark.parametrize("index", CHOICES)
 def test_values_are_those_of_the_rows(index):
     rows, task = made_up()
-    problem = build_problem(rows, task_rows=task)
+    problem = build_problem(rows / 0.3, task_rows=task)  # whitened by a noise of 0.3
     chosen = np.zeros(N, dtype=bool)
     chosen[[1, 4, 5, 9]] = True
     expected = plain_value(rows, task, chosen, index, 0.3)
@@ -103,6 +103,39 @@ def test_a_pose_that_alone_sees_a_direction_cannot_be_spared(index):
     assert all(state.spares(j) for j in range(1, N))
 
 
+@pytest.mark.parametrize("index", CHOICES)
+def test_a_pose_can_be_spared_where_every_direction_keeps_a_hundredth(index):
+    """Six directions that keep a hundredth each: their product, 1e-12, says nothing about any of them."""
+    alone = 10.0 * np.eye(6)
+    problem = build_problem(np.array([alone, np.eye(6), alone]), task_rows=np.eye(6).reshape(2, 3, 6))
+    state = scores(problem, index, np.array([True, True, False]))
+    assert state.spares(0)  # 100 of 101 go
+
+
+@pytest.mark.parametrize("index", CHOICES)
+@pytest.mark.parametrize("weak", [1e-4, 1e-8])
+def test_a_weak_direction_is_lost_or_kept_by_what_is_seen_of_it(index, weak):
+    """Squares of 1e-8 are below the rounding of those of 1; whether a direction is lost does not depend on that."""
+    rows, task = made_up()
+    turn = np.linalg.qr(np.random.default_rng(5).standard_normal((D, D)))[0]
+    for seen_by in (1, 2):
+        some = rows.copy()
+        some[seen_by:, :, 0] = 0.0
+        some[:, :, 0] *= weak
+        problem = build_problem(some @ turn, task_rows=task)
+        state = scores(problem, index, np.ones(N, dtype=bool))
+        assert [state.spares(j) for j in range(N)] == [seen_by > 1] * seen_by + [True] * (N - seen_by)
+
+
+@pytest.mark.parametrize("index", ["O2", "O3", "O4", "O5"])
+def test_values_of_weak_directions_are_those_of_the_rows(index):
+    rows, _ = made_up()
+    rows[:, :, 0] *= 1e-8
+    chosen = np.arange(N) < 7
+    expected = plain_value(rows, None, chosen, index)
+    assert index_values(build_problem(rows), chosen, 1.0)[index] == pytest.approx(expected, rel=1e-6, abs=0)
+
+
 def test_directions_that_no_candidate_sees_take_no_part():
     rows, _ = made_up()
     blind = np.concatenate([rows, rows[:, :, :1]], axis=2)  # two equal columns
@@ -124,7 +157,7 @@ def test_directions_that_only_priors_hold_are_eliminated_exactly(prior_columns):
     mixed = rows @ np.random.default_rng(9).standard_normal((D, 8))
     priors = 0.3 * np.eye(8)[list(prior_columns)]
     task = np.random.default_rng(8).standard_normal((4, 3, 8))
-    problem = build_problem(mixed, None, priors, 0, task)
+    problem = build_problem(mixed / 0.2, None, priors / 0.2, 0, task)
     assert problem.known.rank.rank == D
     assert problem.rank.rank == 8
     logs = []

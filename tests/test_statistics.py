@@ -5,27 +5,41 @@ import pytest
 from scipy import stats
 
 from calib.errors import NotIdentifiableError
-from calib.numerics.statistics import Noise, chi_square, effective_parameters, found_noise, statistics, status
+from calib.numerics.information import information, prior_rows
+from calib.numerics.statistics import Factors, chi_square, effective_parameters, found_factors, statistics, status
 
 RNG = np.random.default_rng(7)
 
 
+def judged(rows, sigma, has_prior=None, *, freedom=9.0, scales=None, assumed=None):
+    """Statistics of rows [SI] with found noise `sigma`, weighed by the noise `assumed` (the same if not given)."""
+    assumed = assumed or sigma
+    n = rows.shape[1]
+    has_prior = np.zeros(n, dtype=bool) if has_prior is None else np.array(has_prior)
+    found = np.array([sigma / assumed])
+    factors = Factors(found, np.array([freedom]), found)
+    known = information(rows / assumed, prior_rows(has_prior))
+    groups = np.zeros(len(rows), dtype=np.intp)
+    return statistics(rows / assumed, groups, known, factors, np.ones(n) if scales is None else scales, has_prior)
+
+
 def of_line(x, y):
-    """Statistics of a straight line through points, through the module under test."""
+    """Statistics of a straight line through points, through the module under test, and the noise that it finds."""
     rows = np.column_stack([np.ones_like(x), x])
     residuals = y - rows @ np.linalg.lstsq(rows, y, rcond=None)[0]
-    noise = found_noise(residuals, 2)
-    return statistics(rows, noise, np.ones(2), np.zeros(2, dtype=bool), noise.sigma), noise
+    known, groups = information(rows), np.zeros(len(x), dtype=np.intp)
+    factors = found_factors(residuals, rows, groups, 1, known)
+    return statistics(rows, groups, known, factors, np.ones(2), np.zeros(2, dtype=bool)), factors.found[0]
 
 
 def test_a_straight_line_has_the_uncertainty_of_the_textbook():
     x = np.array([0.0, 1.0, 2.0, 3.0, 5.0, 8.0])
-    found, noise = of_line(x, 3 + 0.5 * x + RNG.normal(size=6))
+    found, sigma = of_line(x, 3 + 0.5 * x + RNG.normal(size=6))
     known = stats.linregress(x, 3 + 0.5 * x)  # for its formula only; the residuals are ours
     assert known.slope == pytest.approx(0.5)
     spread = np.sum((x - x.mean()) ** 2)
-    assert found.std[1] == pytest.approx(noise.sigma / np.sqrt(spread))
-    assert found.std[0] == pytest.approx(noise.sigma * np.sqrt(1 / 6 + x.mean() ** 2 / spread))
+    assert found.std[1] == pytest.approx(sigma / np.sqrt(spread))
+    assert found.std[0] == pytest.approx(sigma * np.sqrt(1 / 6 + x.mean() ** 2 / spread))
     assert found.correlations()[0, 1] == pytest.approx(-x.mean() / np.sqrt(np.mean(x**2)))
     assert found.freedom == 4
     assert found.half_width[1] == pytest.approx(2.7764451 * found.std[1])  # Student's t, 4 degrees of freedom, 97.5 %
@@ -43,17 +57,13 @@ def test_standard_deviations_agree_with_linregress():
 def test_scales_only_change_the_unit():
     rows = RNG.normal(size=(12, 3))
     scales = np.array([1e-3, 2.0, 5e-2])
-    noise = Noise(0.1, 9, 0.1)
-    none = np.zeros(3, dtype=bool)
-    plain = statistics(rows, noise, np.ones(3), none, 0.1)
-    scaled = statistics(rows * scales, noise, scales, none, 0.1)
+    plain, scaled = judged(rows, 0.1), judged(rows * scales, 0.1, scales=scales)
     np.testing.assert_allclose(scaled.covariance, plain.covariance, rtol=1e-10)
 
 
 def test_one_reading_and_one_prior_combine_as_the_mean_of_two_normal_numbers():
     sigma, s = 0.3, 0.5  # reading and prior standard deviation of one length
-    noise = Noise(sigma, 10, sigma)
-    found = statistics(np.array([[s]]), noise, np.array([s]), np.array([True]), sigma)
+    found = judged(np.array([[s]]), sigma, [True], scales=np.array([s]))
     assert found.std[0] == pytest.approx(1 / np.sqrt(1 / sigma**2 + 1 / s**2))
     assert found.data_share[0] == pytest.approx(s**2 / (s**2 + sigma**2))
     assert found.effective_parameters == pytest.approx(found.data_share[0])
@@ -61,8 +71,7 @@ def test_one_reading_and_one_prior_combine_as_the_mean_of_two_normal_numbers():
 
 def test_a_parameter_that_the_data_do_not_see_keeps_its_prior():
     rows = np.column_stack([RNG.normal(size=30), np.zeros(30)])
-    noise = Noise(1e-2, 29, 1e-2)
-    found = statistics(rows, noise, np.array([1.0, 2e-3]), np.array([True, True]), 1e-2)
+    found = judged(rows, 1e-2, [True, True], scales=np.array([1.0, 2e-3]))
     assert found.std[1] == pytest.approx(2e-3)
     assert found.data_share == pytest.approx([1.0, 0.0], abs=1e-4)
 
@@ -92,9 +101,11 @@ def test_degrees_of_freedom_with_priors_make_the_found_noise_unbiased():
     data = u @ rows.T + sigma * y
     solve = np.linalg.solve(rows.T @ rows + sigma**2 * np.eye(8), rows.T)
     residuals = data - (data @ solve.T) @ rows.T
-    n_effective = effective_parameters(rows, has_prior, sigma)
-    assert 2 < n_effective < 6
-    variances = [found_noise(r, n_effective).sigma ** 2 for r in residuals]
+    known, groups = information(rows / sigma, prior_rows(has_prior)), np.zeros(12, dtype=np.intp)
+    assert 2 < effective_parameters(known, has_prior) < 6
+    found = [found_factors(r / sigma, rows / sigma, groups, 1, known) for r in residuals]
+    assert found[0].freedom[0] == pytest.approx(12 - effective_parameters(known, has_prior))
+    variances = [(sigma * one.found[0]) ** 2 for one in found]
     assert np.mean(variances) == pytest.approx(sigma**2, rel=0.02)  # standard error 0.4 %
 
 
@@ -104,7 +115,7 @@ def test_covariance_with_priors_is_the_scatter_about_the_truth_also_where_the_st
     u = RNG.normal(size=(40000, 4))
     data = u @ rows.T + sigma * RNG.normal(size=(40000, 15))
     estimate = data @ np.linalg.solve(rows.T @ rows + assumed**2 * np.eye(4), rows.T).T
-    found = statistics(rows, Noise(sigma, 11, sigma), np.ones(4), np.ones(4, dtype=bool), assumed)
+    found = judged(rows, sigma, np.ones(4, dtype=bool), assumed=assumed)
     np.testing.assert_allclose(found.std, np.std(estimate - u, axis=0), rtol=0.02)
 
 
@@ -112,39 +123,67 @@ def test_only_some_parameters_have_priors():
     rows = RNG.normal(size=(9, 3))
     has_prior = np.array([False, True, False])
     expected = np.linalg.inv(rows.T @ rows / 0.25 + np.diag([0.0, 1.0, 0.0]))
-    found = statistics(rows, Noise(0.5, 6, 0.5), np.ones(3), has_prior, 0.5)
+    found = judged(rows, 0.5, has_prior)
     np.testing.assert_allclose(found.covariance, expected, rtol=1e-10)
     assert found.data_share[0] == 1.0
-
-
-def test_the_triangular_factor_serves_as_well_as_all_rows():
-    rows, noise, none = RNG.normal(size=(50, 5)), Noise(1.0, 45, 1.0), np.zeros(5, dtype=bool)
-    whole = statistics(rows, noise, np.ones(5), none, 1.0)
-    small = statistics(np.linalg.qr(rows, mode="r"), noise, np.ones(5), none, 1.0)
-    np.testing.assert_allclose(small.covariance, whole.covariance, rtol=1e-10)
 
 
 def test_small_singular_values_keep_their_digits():
     # condition 1e8: a normal matrix would have none left
     q = np.linalg.qr(RNG.normal(size=(20, 2)))[0]
-    found = statistics(q * [1.0, 1e-8], Noise(1.0, 18, 1.0), np.ones(2), np.zeros(2, dtype=bool), 1.0)
-    np.testing.assert_allclose(found.std, [1.0, 1e8], rtol=1e-6)
+    np.testing.assert_allclose(judged(q * [1.0, 1e-8], 1.0).std, [1.0, 1e8], rtol=1e-6)
 
 
 def test_zero_noise_gives_zero_uncertainty_and_no_error():
-    found = statistics(RNG.normal(size=(6, 2)), Noise(0.0, 4, 0.0), np.ones(2), np.zeros(2, dtype=bool), 1e-3)
+    found = judged(RNG.normal(size=(6, 2)), 0.0, assumed=1e-3)
     np.testing.assert_array_equal(found.std, 0.0)
     assert np.all(np.isnan(found.correlations()))
 
 
+def test_groups_of_rows_have_noise_of_their_own():
+    # 40 rows at sigma 1 beside 10 at 5, assumed 1: each group's factor is unbiased, and the scatter is that of C
+    rows = RNG.normal(size=(50, 4))
+    groups = np.repeat([0, 1], [40, 10])
+    sigma = np.where(groups == 0, 1.0, 5.0)
+    y = sigma * RNG.normal(size=(20000, 50))
+    estimate = y @ np.linalg.pinv(rows).T
+    known = information(rows)
+    found = [found_factors(r, rows, groups, 2, known) for r in y - estimate @ rows.T]
+    # a group's residuals are also off by what the other group's noise did to the parameters, so that the weights
+    # 1 : 1 leave a bias where noise differs by so much; with the right weights there is none
+    weighted = information(rows / sigma[:, None])
+    right = (y / sigma) @ np.linalg.pinv(rows / sigma[:, None]).T
+    factors = [found_factors(r / sigma, rows / sigma[:, None], groups, 2, weighted) for r in y - right @ rows.T]
+    assert np.mean([one.found**2 for one in factors], axis=0) == pytest.approx([1.0, 1.0], rel=0.02)
+    assert np.mean([one.found[1] for one in found]) > 3
+    stated = Factors(np.array([1.0, 5.0]), np.array([36.0, 10.0]), np.array([1.0, 5.0]))
+    judged_ = statistics(rows, groups, known, stated, np.ones(4), np.zeros(4, dtype=bool))
+    np.testing.assert_allclose(judged_.std, np.std(estimate, axis=0), rtol=0.02)
+
+
+def test_rows_that_were_not_read_count_for_nothing():
+    rows, residuals = RNG.normal(size=(20, 3)), RNG.normal(size=20)
+    gaps = np.array([4, 11])
+    rows[gaps], residuals[gaps] = 0.0, 0.0
+    groups = np.zeros(20, dtype=np.intp)
+    groups[gaps] = -1
+    kept = groups >= 0
+    found = found_factors(residuals, rows, groups, 1, information(rows))
+    without = found_factors(residuals[kept], rows[kept], groups[kept], 1, information(rows[kept]))
+    assert found.found[0] == pytest.approx(without.found[0], rel=1e-12)
+    assert found.freedom[0] == pytest.approx(15, rel=1e-12)
+
+
 @pytest.mark.parametrize("n_rows", [2, 3])
 def test_without_a_degree_of_freedom_there_are_no_statistics(n_rows):
+    rows, groups = np.eye(3)[:n_rows], np.zeros(n_rows, dtype=np.intp)
+    known = information(rows)
     with pytest.raises(NotIdentifiableError, match="degrees of freedom"):
-        found_noise(np.zeros(n_rows), 3.0)
+        found_factors(np.zeros(n_rows), rows, groups, 1, known)
 
 
 def test_chi_square_is_that_of_the_tables():
-    found = chi_square(sigma=2.0, freedom=10, sigma_stated=1.0)
+    found = chi_square(factor=2.0, freedom=10)
     assert found.value == pytest.approx(40.0)
     assert found.p_larger == pytest.approx(1.694e-5, rel=1e-3)  # chi-square of 40 with 10 degrees of freedom
     assert found.p_larger + found.p_smaller == pytest.approx(1.0)

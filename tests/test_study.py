@@ -46,7 +46,7 @@ def outcome(task: Task) -> Outcome:
 
 def test_without_noise_the_actual_parameters_come_back(task: Task) -> None:
     for pose_set in task.sets:
-        found = fit(task.robot, measurements(task.joints, task.truth, pose_set.chosen), sigma=SIGMA)
+        found = fit(task.robot, measurements(task.robot, task.joints, task.truth, pose_set.chosen), sigma=SIGMA)
         # 1e-9 mm or deg; rounding of the closures (1e-13 m) times the condition of the Jacobian (about 1500)
         assert np.abs(found.robot.values - table1().actual).max() < 1e-11
 
@@ -55,7 +55,7 @@ def test_a_draw_ends_in_the_minimum_that_fit_finds(task: Task) -> None:
     noisy = task.noisy(task.seeds[0])
     start = task.robot.with_parameters(table1().actual)
     calibrator = Calibrator(task, task.sets[0], start, start.assemble(task.joints).passive)
-    found = fit(task.robot, measurements(task.joints, noisy, task.sets[0].chosen), sigma=SIGMA)
+    found = fit(task.robot, measurements(task.robot, task.joints, noisy, task.sets[0].chosen), sigma=SIGMA)
     difference = (calibrator.calibrate(noisy).values - found.robot.values)[task.robot.free]
     assert np.abs(difference / found.statistics.std).max() < 1e-3  # of a standard deviation
 
@@ -108,9 +108,9 @@ def test_the_same_seed_gives_the_same_numbers_whatever_the_number_of_processes(
 @pytest.fixture(scope="module")
 def small_study(task: Task, outcome: Outcome) -> Study:
     """A study of two pose sets, put together from the draws above."""
-    chosen, others = task.sets[0].chosen, measurements(task.joints, task.truth, task.sets[0].others(420))
-    exact = fit(task.robot, measurements(task.joints, task.truth, chosen), validation=others, sigma=SIGMA)
-    noisy = measurements(task.joints, task.noisy(task.seeds[0]), chosen)
+    chosen, others = task.sets[0].chosen, measurements(task.robot, task.joints, task.truth, task.sets[0].others(420))
+    exact = fit(task.robot, measurements(task.robot, task.joints, task.truth, chosen), validation=others, sigma=SIGMA)
+    noisy = measurements(task.robot, task.joints, task.noisy(task.seeds[0]), chosen)
     single = fit(task.robot, noisy, validation=others, sigma=SIGMA)
     selections = {"O1": select(task.robot, task.joints, 84, "O1", sigma=SIGMA)}
     floors = error_floors(exact.robot, task.joints, task.sets, SIGMA)

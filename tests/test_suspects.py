@@ -1,13 +1,14 @@
 """Usual mistakes are named, each made in good measurements of a robot with the expected errors."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from six_axis_arm import FREE, YAML, joints, noisy, write_six_axis
-from six_axis_arm import measurements as of
 
 import calib
+from calib.data.measurements import with_points
 from calib.identification.suspects import likely_mistake
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
@@ -54,6 +55,122 @@ def test_swapped_columns_are_named(arm, data):
     assert "columns of joints j2 and j3 were swapped" in likely_mistake(arm, wrong)
 
 
+@pytest.mark.parametrize("turned", [(1, 4), (0, 1, 4), (0, 1, 3, 5)])
+def test_several_signs_are_named_together(arm, data, turned):
+    wrong = joint_changed(data, lambda q: q.__setitem__((slice(None), turned), -q[:, turned]))
+    names = ", ".join(f"j{j + 1}" for j in turned)
+    assert likely_mistake(arm, wrong).startswith(f"it looks as if joints {names} counted the other way: with")
+
+
+@pytest.mark.parametrize(
+    ("offsets", "words"),
+    [
+        ({2: -90}, "joint j3 counted from another zero (j3 +90 deg would be right):"),
+        ({4: 90}, "joint j5 counted from another zero (j5 -90 deg would be right):"),
+        (
+            {2: 180, 4: 180},
+            "joint j3 counted from another zero (j3 +180 deg would be right) and joint j5 counted from another zero"
+            " (j5 +180 deg would be right):",
+        ),
+    ],
+)
+def test_zeros_that_are_quarter_turns_off_are_named(arm, data, offsets, words):
+    shift = np.radians([offsets.get(j, 0) for j in range(6)])
+    assert likely_mistake(arm, replace(data, joints=data.joints + shift)).startswith(f"it looks as if {words}")
+
+
+def test_a_turned_joint_with_another_zero_is_named_by_what_would_be_right(arm, data):
+    wrong = joint_changed(data, lambda q: q.__setitem__((slice(None), 2), np.pi / 2 - q[:, 2]))
+    assert "joint j3 counted from another zero (90 deg - j3 would be right):" in likely_mistake(arm, wrong)
+
+
+def test_joint_values_beside_the_wrong_row_are_named(arm, data):
+    above = replace(data.subset(np.arange(1, len(data))), joints=data.joints[:-1])  # beside the next measurement
+    assert "all joint values stood one row below their measurements" in likely_mistake(arm, above)
+    below = replace(data.subset(np.arange(len(data) - 1)), joints=data.joints[1:])
+    assert "all joint values stood one row above their measurements" in likely_mistake(arm, below)
+
+
+def with_zeros(arm, data, rows):
+    positions = data.points(arm)
+    positions[list(rows)] = 0.0
+    return with_points(arm, data, positions)
+
+
+def test_readings_of_zero_are_named_alone_and_beside_another_mistake(arm, data):
+    wrong = with_zeros(arm, data, [7, 30])
+    zeros = "it looks as if 2 readings of exactly 0, 0, 0 (row 7, row 30) were none"
+    assert likely_mistake(arm, wrong).startswith(f"{zeros}: with that undone")
+    wrong = joint_changed(wrong, lambda q: q.__setitem__((slice(None), 2), -q[:, 2]))
+    assert likely_mistake(arm, wrong).startswith(f"{zeros}, and joint j3 counted the other way: with that undone")
+
+
+def test_columns_that_are_copies_are_named(arm, data):
+    wrong = calib.as_measurements(arm, data, data.points(arm)[..., [0, 0, 2]])
+    copied = "column ball_y were a copy of ball_x: they are equal in every row"
+    assert likely_mistake(arm, wrong) == f"it looks as if {copied}"
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_healthy_arms_show_no_mistake(arm, seed):
+    sigmas = np.array([p.sigma * (p.prior and not p.placement) for p in arm.parameters])
+    real = arm.with_parameters(arm.values + sigmas * np.random.default_rng(seed).standard_normal(len(sigmas)))
+    assert likely_mistake(arm, noisy(real, joints(60, seed), SIGMA, seed)) == ""
+
+
+def test_a_healthy_five_bar_shows_no_mistake(five_bar):
+    robot, data = five_bar
+    generator = np.random.default_rng(1)
+    some = data.subset(np.sort(generator.permutation(len(data))[:25]))
+    assert likely_mistake(robot, some) == ""
+
+
+def test_a_five_bar_with_a_motor_half_a_turn_off_is_told(five_bar):
+    robot, data = five_bar
+    wrong = replace(data, joints=data.joints + np.array([0.0, np.pi]))
+    assert "(right_motor -180 deg would be right)" in likely_mistake(robot, wrong)
+
+
+def test_a_five_bar_with_a_shifted_table_is_told(five_bar):
+    robot, data = five_bar
+    shifted = replace(data.subset(np.arange(1, len(data))), joints=data.joints[:-1])
+    assert "all joint values stood one row below their measurements" in likely_mistake(robot, shifted)
+
+
+@pytest.fixture(scope="module")
+def five_bar():
+    folder = Path(__file__).parents[1] / "docs" / "examples"
+    robot = calib.load(folder / "five_bar.yaml")
+    return robot, calib.read_measurements(folder / "five_bar_simulated.csv", robot)
+
+
+@pytest.fixture(scope="module")
+def motoman(shared_data, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("motoman")
+    description = Path(__file__).parents[1] / "docs" / "examples" / "motoman_right.yaml"
+    for file in (description, *(shared_data / "motoman_right" / name for name in ("robot.urdf", "train.csv"))):
+        (folder / file.name).write_bytes(file.read_bytes())
+    robot = calib.load(folder / description.name)
+    return robot, calib.read_measurements(folder / "train.csv", robot)
+
+
+def test_a_healthy_real_arm_shows_no_mistake(motoman):
+    robot, data = motoman
+    generator = np.random.default_rng(1)
+    for _ in range(5):
+        assert likely_mistake(robot, data.subset(np.sort(generator.permutation(len(data))[:100]))) == ""
+
+
+def test_mistakes_in_the_data_of_a_real_arm_are_named(motoman):
+    robot, data = motoman
+    signs = np.array([1, -1, -1, -1, 1, 1, 1])
+    assert "joints S, L, U counted the other way" in likely_mistake(robot, replace(data, joints=signs * data.joints))
+    zero = np.radians([0, 0, -90, 0, 0, 0, 0])
+    assert "(L +90 deg would be right)" in likely_mistake(robot, replace(data, joints=data.joints + zero))
+    shifted = replace(data.subset(np.arange(1, len(data))), joints=data.joints[:-1])
+    assert "all joint values stood one row below their measurements" in likely_mistake(robot, shifted)
+
+
 @pytest.mark.parametrize(
     ("factor", "words"),
     [(np.degrees(1), "degrees were read as radians"), (np.radians(1), "radians were read as degrees")],
@@ -64,7 +181,7 @@ def test_angles_in_the_wrong_unit_are_named(arm, data, factor, words):
 
 @pytest.mark.parametrize(("factor", "words"), [(1e3, "mm were read as m"), (1e-3, "m were read as mm")])
 def test_positions_in_the_wrong_unit_are_named(arm, data, factor, words):
-    assert words in likely_mistake(arm, replace(data, positions=factor * data.positions))
+    assert words in likely_mistake(arm, with_points(arm, data, factor * data.points(arm)))
 
 
 @pytest.mark.parametrize(
@@ -75,13 +192,13 @@ def test_positions_in_the_wrong_unit_are_named(arm, data, factor, words):
     ],
 )
 def test_a_left_handed_measurement_frame_is_named(arm, data, change, words):
-    found = likely_mistake(arm, replace(data, positions=change(data.positions)))
+    found = likely_mistake(arm, with_points(arm, data, change(data.points(arm))))
     assert words in found or ("left-handed" in found and arm.description.base.pose == "unknown")
 
 
 def test_a_closed_loop_robot_whose_loops_stay_open_is_told_the_mistake(medrue):
     q = np.array(target_workspace().q)[::20]
-    swapped = of(q[:, [0, 1, 3, 2, 4, 5]], forward(q, table1().actual).p_world_tool[:, None])
+    swapped = calib.as_measurements(medrue, q[:, [0, 1, 3, 2, 4, 5]], forward(q, table1().actual).p_world_tool[:, None])
     with pytest.raises(calib.UnreachablePoseError, match="columns of joints q3 and q4 were swapped"):
         calib.fit(medrue, swapped)
 
@@ -91,3 +208,24 @@ def test_a_failed_fit_begins_with_the_mistake(arm, data):
     verdict = calib.fit(arm, wrong).verdict
     assert verdict.grade == "FAIL"
     assert verdict.to_dict()["codes"][0] == "likely_mistake"
+    assert "joint j3 counted the other way" in verdict.reasons[0].text
+
+
+def test_readings_of_zero_spoil_a_fit_and_are_named_in_its_verdict(arm, data):
+    verdict = calib.fit(arm, with_zeros(arm, data, [7])).verdict
+    assert verdict.grade == "FAIL"
+    assert "exactly 0, 0, 0" in verdict.reasons[0].text
+    assert "row 7" in verdict.reasons[0].text
+    assert sum("0, 0, 0" in reason.text for reason in verdict.reasons) == 1
+
+
+def test_columns_that_are_copies_are_named_in_the_verdict_once(arm, data):
+    verdict = calib.fit(arm, calib.as_measurements(arm, data, data.points(arm)[..., [0, 0, 2]])).verdict
+    assert verdict.grade == "FAIL"
+    assert sum("ball_x" in reason.text and "ball_y" in reason.text for reason in verdict.reasons) == 1
+
+
+@pytest.mark.parametrize("arm", ["unknown"], indirect=True)
+def test_a_first_point_that_is_the_origin_of_the_frame_is_no_lost_sight(arm, data):
+    first = with_points(arm, data, data.points(arm) - data.points(arm)[:1])
+    assert not {"zero_readings", "likely_mistake"} & set(calib.fit(arm, first).verdict.to_dict()["codes"])

@@ -6,7 +6,8 @@ from six_axis_arm import FREE, YAML, joints, measurements, six_axis_arm, write_s
 
 import calib
 from calib.data.measurements import directions_of_motion
-from calib.identification.systematic import describe, joint_jacobian
+from calib.identification.systematic import describe
+from calib.linearisation.jacobian import joint_jacobian
 
 SIGMA = 4e-5
 
@@ -20,7 +21,7 @@ def fitted(arm, q_true, shift=0.0, n=80, seed=3):
     """A fit of the joint values `joints(n)`, while the robot really stood at q_true."""
     positions = arm.positions(q_true) + shift
     positions = positions + SIGMA * np.random.default_rng(seed).standard_normal(positions.shape)
-    return calib.fit(arm, measurements(joints(n), positions))
+    return calib.fit(arm, measurements(arm, joints(n), positions))
 
 
 def findings(fit):
@@ -53,7 +54,7 @@ def test_the_direction_of_motion_is_kept_while_a_joint_stands_still():
 
 
 def test_a_hold_out_set_keeps_the_directions_of_the_whole_file(arm):
-    data = measurements(joints(10), arm.positions(joints(10)))
+    data = measurements(arm, joints(10), arm.positions(joints(10)))
     part = data.subset(np.array([4, 7]))
     np.testing.assert_array_equal(part.approach_directions, directions_of_motion(data.joints)[[4, 7]])
 
@@ -127,7 +128,7 @@ def test_a_joint_that_always_moves_the_same_way_has_no_direction_to_compare(arm)
     q = joints(60)
     q = q[np.argsort(q[:, 0])]
     positions = arm.positions(q) + SIGMA * np.random.default_rng(1).standard_normal((60, 1, 3))
-    fit = calib.fit(arm, measurements(q, positions))
+    fit = calib.fit(arm, measurements(arm, q, positions))
     tested = {pattern.name for pattern in fit.patterns if pattern.kind == "approach"}
     first_pose_only = dataclasses.replace(fit.identification.data, approach=np.ones((60, 6)))
     again = calib.fit(arm, first_pose_only)
@@ -136,5 +137,17 @@ def test_a_joint_that_always_moves_the_same_way_has_no_direction_to_compare(arm)
 
 
 def test_exact_data_are_not_tested(arm):
-    fit = calib.fit(arm, measurements(joints(40), arm.positions(joints(40))))
+    fit = calib.fit(arm, measurements(arm, joints(40), arm.positions(joints(40))))
     assert fit.patterns == ()
+
+
+def test_nothing_is_put_down_to_a_joint_that_never_moved(tmp_path):
+    """The tracker drifts; joint 1, which stood still, moves the ball in much the same way."""
+    robot = calib.load(write_six_axis(tmp_path, YAML + FREE))
+    q = joints(80)
+    q[:, 0] = 0.2
+    drift = np.linspace(-5, 5, 80)[:, None, None] * SIGMA * np.array([0.0, 1.0, 0.0])
+    noise = SIGMA * np.random.default_rng(3).standard_normal((80, 1, 3))
+    fit = calib.fit(robot, measurements(robot, q, robot.positions(q) + drift + noise))
+    assert "drift" in [pattern.kind for pattern in findings(fit)]
+    assert "j1" not in [pattern.name for pattern in fit.patterns]

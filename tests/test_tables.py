@@ -65,13 +65,17 @@ def test_quoted_cells_are_read_also_behind_a_blank(table_of):
         ("", "is empty; expected a header line and rows of numbers"),
         ("# only a comment\n\n,,\n", "is empty; expected a header line and rows of numbers"),
         ("a,b\n", "has a header but no rows"),
-        ("a;b\n1;2\n", "columns are separated by semicolons; use commas"),
-        ("a\tb\n1\t2\n", "columns are separated by tabs; use commas"),
+        ("a;b\n1;2\n3;4;5\n", "line 3: 3 cells for 2 columns"),
+        ("a;b;a [mm]\n1;2;3\n", "column 'a' appears twice; names must be unique"),
+        ('# exported\na;b\n;;\n1;"2\n', "line 4: is not CSV (unexpected end of data)"),
         ("a,b,a [mm]\n1,2,3\n", "column 'a' appears twice; names must be unique"),
         ("a,,b\n1,2,3\n", "column 2 has no name in the header; name it, or remove it"),
         ("a,[mm]\n1,2\n", "column 2 has no name in the header; name it, or remove it"),
         ("a,b\n1,2\n3\n", "line 3: 1 cells for 2 columns"),
-        ("a,b\n1,5,2,5\n", "line 2: 4 cells for 2 columns; write decimals with a point"),
+        (
+            "a,b\n1,5,2,5\n",
+            "line 2: 4 cells for 2 columns; write decimals with a point, or separate columns by semicolons",
+        ),
         ('a,b\n1,"2\n3",4\n', "line 2: is not CSV (unexpected end of data)"),
         (b"\xff\xfea\x00,\x00", "is not UTF-8 text; save it as CSV in UTF-8"),
         ("a,b\n1,2\n".encode("utf-16"), "is not UTF-8 text; save it as CSV in UTF-8"),
@@ -80,6 +84,35 @@ def test_quoted_cells_are_read_also_behind_a_blank(table_of):
 )
 def test_a_file_that_is_no_table_is_an_error_that_says_where(table_of, tmp_path, content, message):
     assert complaint(table_of, content).removeprefix(f"{tmp_path / 'table.csv'}").lstrip(":, ") == message
+
+
+@pytest.mark.parametrize("mark", [";", "\t"])
+def test_semicolons_and_tabs_part_columns_and_leave_the_comma_for_decimals(table_of, mark):
+    text = "# Export, from there\npose;q1 [mm];q2\nA, left;1,5;-,25\nB;-1;2,5e-1\n;;\nC;2,;3\n"
+    table = table_of(text.replace(";", mark))
+    assert table.text("pose") == ["A, left", "B", "C"]  # text keeps its commas
+    assert table.lines == (3, 4, 6)
+    assert table.column("q1", "length").tolist() == [0.0015, -0.001, 0.002]
+    assert table.column("q2", "angle").tolist() == [-0.25, 0.25, 3.0]
+
+
+def test_points_stay_decimal_points_where_semicolons_part_columns(table_of):
+    assert table_of("a;b\n1.5;2\n3;4.25e0\n").column("b", "length").tolist() == [2.0, 4.25]
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        (("1,5", "1.234,5"), "line 3, column 'b': '1.234,5' is not a number; write thousands without a mark"),
+        (("1.5", "1,234.5"), "line 3, column 'b': '1,234.5' is not a number; write thousands without a mark"),
+        (("1,5", "1,234,567"), "line 3, column 'b': '1,234,567' is not a number; write thousands without a mark"),
+        (("2.5", "1,234"), "line 3, column 'b': '1,234', but '2.5' in line 2; write all decimals of a column one way"),
+        (("1,5", "fast, too"), "line 3, column 'b': 'fast, too' is not a number"),
+    ],
+)
+def test_commas_that_may_mean_something_else_are_errors_with_line_and_column(table_of, tmp_path, rows, message):
+    table = table_of("a;b\n" + "".join(f"0;{cell}\n" for cell in rows))
+    assert complaint(table.column, "b", "length") == f"{tmp_path / 'table.csv'}, {message}"
 
 
 def test_a_missing_file_or_a_folder_is_an_error(tmp_path):
@@ -109,6 +142,11 @@ def test_a_cell_that_is_no_number_is_an_error_with_line_and_column(table_of, tmp
 
 def test_a_long_cell_is_shortened_in_the_message():
     assert len(complaint(read_number, "x" * 10_000, "here")) < 200
+
+
+def test_an_unknown_column_names_the_one_that_begins_alike(table_of):
+    table = table_of("shoulder_pan [deg],shoulder_lift_joint [deg]\n1,2\n")
+    assert complaint(table.column, "shoulder_pan_joint", "angle").endswith("; did you mean 'shoulder_pan'?")
 
 
 def test_an_unknown_column_names_the_nearest(table_of):

@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from viz_examples import measurements, medrue_fit, medrue_robot
+from viz_examples import measurements, medrue_fit, medrue_robot, spoiled
 
 import calib
 from calib.errors import DataError, InputError
@@ -77,10 +77,7 @@ def test_a_failed_result_can_be_looked_at_and_says_that_it_failed(tmp_path):
 
 
 def test_outliers_that_a_folder_lacks_are_announced(tmp_path):
-    data = measurements(range(0, 420, 5))
-    positions = data.positions.copy()
-    positions[10, 0, 2] += 1e-3
-    fit = calib.fit(medrue_robot(), dataclasses.replace(data, positions=positions), exclude_outliers=True)
+    fit = calib.fit(medrue_robot(), spoiled(measurements(range(0, 420, 5))), exclude_outliers=True)
     fit.save(str(tmp_path / "out"))
     assert gather(medrue_robot(), fit).scene.notes == ()
     assert "not shown: left out of the fit, 1 outlier" in gather(medrue_robot(), tmp_path / "out").scene.notes[0]

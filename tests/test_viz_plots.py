@@ -7,9 +7,11 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 
-from viz.plots import all_plots, error_by_pose, histogram, normal_plot, residual_by_joint, shortened
+from viz.part_plots import of_positions, residual_by_joint
+from viz.plots import all_plots, error_by_pose, histogram, normal_plot
 from viz.poses import PoseTable
 from viz.scene import Joint
+from viz.svg import shortened
 
 JOINTS = (Joint("q1", "mm", 1e3), Joint("shoulder $a_1$ <b>", "deg", 180 / np.pi))
 
@@ -85,7 +87,7 @@ def test_the_same_data_give_the_same_plot():
 
 
 def test_every_joint_has_its_panel_and_many_marks_are_thinned():
-    few, many = (residual_by_joint(table(n), JOINTS) for n in (60, 3000))
+    few, many = (residual_by_joint(of_positions(table(n)), JOINTS) for n in (60, 3000))
     assert "is drawn" not in few.text
     assert "one in 5 is drawn" in many.text
     assert many.svg.count("<use ") < 2.5 * few.svg.count("<use ") * 600 / 60
@@ -142,7 +144,7 @@ def test_long_joint_names_do_not_reach_into_their_neighbours_panel():
     name = "the_joint_whose_name_nobody_wanted_to_shorten_although_it_is_so_long_that_no_page_is_wide_enough"
     joints = (Joint(name, "deg", 1.0), Joint("the_joint_whose_name_takes_two_lines_at_least", "deg", 1.0))
     shown = dataclasses.replace(table(), joints=np.zeros((60, 2)))
-    found = texts(residual_by_joint(shown, joints).svg)
+    found = texts(residual_by_joint(of_positions(shown), joints).svg)
     assert max(len(text) for text in found) <= 36
     assert any("…" in text for text in found)
 

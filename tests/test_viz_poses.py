@@ -1,15 +1,14 @@
 """The pose table: from fits, folders and measurements; errors, uncertainty and outliers."""
 
-import dataclasses
-
 import numpy as np
 import pytest
-from viz_examples import measurements, medrue_fit, medrue_robot
+from viz_examples import measurements, medrue_fit, medrue_robot, spoiled
 
 import calib
 from calib.errors import DataError
-from viz import poses
-from viz.poses import PoseTable
+from viz.pose_sources import from_fit, from_measurements, from_saved
+from viz.poses import Calibrated, PoseTable, empty
+from viz.saved_readings import read_saved
 
 
 @pytest.fixture(scope="module")
@@ -43,21 +42,21 @@ def small(**changes):
 
 
 def test_the_table_of_a_fit_holds_its_errors(fit):
-    table = poses.from_fit(fit)
+    table = from_fit(fit)
     assert len(table) == 84 + 47
     assert table.group.count("identification") == 84
-    np.testing.assert_allclose(table.error("before")[:84], fit.identification.before[:, 0], atol=1e-15)
-    np.testing.assert_allclose(table.error("after")[84:], fit.validation.after[:, 0], atol=1e-15)
+    np.testing.assert_allclose(table.error("before")[:84], fit.identification.before["tool"], atol=1e-15)
+    np.testing.assert_allclose(table.error("after")[84:], fit.validation.after["tool"], atol=1e-15)
 
 
 def test_predictions_of_a_fit_agree_with_the_robots(fit):
-    table = poses.from_fit(fit)
+    table = from_fit(fit)
     np.testing.assert_allclose(table.after, fit.robot.positions(table.joints)[:, 0], atol=1e-10)
     np.testing.assert_allclose(table.before, fit.nominal.positions(table.joints)[:, 0], atol=1e-10)
 
 
 def test_the_spread_of_predictions_agrees_with_random_parameters(fit):
-    table = poses.from_fit(fit)
+    table = from_fit(fit)
     generator = np.random.default_rng(0)
     draws = generator.multivariate_normal(np.zeros(int(fit.free.sum())), fit.statistics.covariance, size=300)
     values = fit.robot.values + np.zeros((300, len(fit.free)))
@@ -69,23 +68,16 @@ def test_the_spread_of_predictions_agrees_with_random_parameters(fit):
 
 
 def test_a_wrong_reading_is_marked_where_it_is():
-    rows = np.arange(0, 420, 5)
-    data = measurements(rows)
-    positions = data.positions.copy()
-    positions[10, 0, 2] += 1e-3
-    spoiled = dataclasses.replace(data, positions=positions)
-    table = poses.from_fit(calib.fit(medrue_robot(), spoiled))
+    wrong = spoiled(measurements(np.arange(0, 420, 5)))
+    table = from_fit(calib.fit(medrue_robot(), wrong))
     assert np.flatnonzero(table.outlier).tolist() == [10]
     assert set(table.group) == {"identification"}
 
 
 def test_outliers_that_were_left_out_stay_in_the_table():
-    data = measurements(np.arange(0, 420, 5))
-    positions = data.positions.copy()
-    positions[10, 0, 2] += 1e-3
-    spoiled = dataclasses.replace(data, positions=positions)
-    fit = calib.fit(medrue_robot(), spoiled, exclude_outliers=True)
-    table = poses.from_fit(fit)
+    wrong = spoiled(measurements(np.arange(0, 420, 5)))
+    fit = calib.fit(medrue_robot(), wrong, exclude_outliers=True)
+    table = from_fit(fit)
     assert table.group.count("identification") == 83
     row = table.group.index("left out")
     assert table.outlier[row]
@@ -100,18 +92,15 @@ def test_residuals_over_an_unknown_sigma_are_unknown():
     np.testing.assert_allclose(small().over_sigma(), 1.0)
 
 
-def calibrated(fit):
-    return poses.Calibrated(fit.robot, fit.uncertainty)
+def from_folder(folder, fit):
+    return from_saved(read_saved(folder, fit.robot), fit.placed, Calibrated(fit.robot, fit.uncertainty))
 
 
 def test_a_result_folder_gives_the_same_table(tmp_path):
-    data = measurements(np.arange(0, 420, 5))
-    positions = data.positions.copy()
-    positions[10, 0, 2] += 1e-3
-    spoiled = dataclasses.replace(data, positions=positions)
-    fit = calib.fit(medrue_robot(), spoiled, validation=measurements(np.arange(3, 420, 9), seed=2))
+    wrong = spoiled(measurements(np.arange(0, 420, 5)))
+    fit = calib.fit(medrue_robot(), wrong, validation=measurements(np.arange(3, 420, 9), seed=2))
     fit.save(str(tmp_path / "out"))
-    saved, table = poses.from_result(tmp_path / "out", calibrated(fit)), poses.from_fit(fit)
+    saved, table = from_folder(tmp_path / "out", fit), from_fit(fit)
     assert saved.group == table.group
     assert saved.labels == table.labels
     assert saved.outlier.tolist() == table.outlier.tolist()
@@ -122,16 +111,16 @@ def test_a_result_folder_gives_the_same_table(tmp_path):
 
 def test_a_folder_without_residuals_is_an_error(tmp_path, fit):
     with pytest.raises(DataError, match=r"residuals\.csv"):
-        poses.from_result(tmp_path, calibrated(fit))
+        from_folder(tmp_path, fit)
     fit.save(str(tmp_path / "out"))
     (tmp_path / "out" / "residuals.csv").write_text("set,pose\nidentification,1\n")
     with pytest.raises(DataError, match="no column 'target'"):
-        poses.from_result(tmp_path / "out", calibrated(fit))
+        from_folder(tmp_path / "out", fit)
 
 
 def test_measurements_without_a_calibrated_robot_have_no_error_after(robot):
     data = measurements(np.arange(4))
-    table = poses.from_measurements(data, robot, None, float("nan"))
+    table = from_measurements(data, robot, None, {})
     assert np.isnan(table.after).all()
     np.testing.assert_allclose(table.before, robot.positions(data.joints)[:, 0])
     assert set(table.group) == {"measured"}
@@ -160,7 +149,7 @@ def test_tables_that_do_not_fit_together_are_refused(change, message):
 
 
 def test_an_empty_table_has_the_robots_joints(robot):
-    assert poses.empty(robot).joints.shape == (0, 6)
+    assert empty(robot).joints.shape == (0, 6)
 
 
 def test_a_mean_of_readings_is_surer_than_one_reading():
@@ -172,12 +161,12 @@ def test_a_mean_of_readings_is_surer_than_one_reading():
 def test_poses_held_out_of_one_file_keep_their_places_in_it(robot):
     data = measurements(np.arange(0, 420, 4))
     kept, held = (np.flatnonzero(np.arange(105) % 5 != 2), np.flatnonzero(np.arange(105) % 5 == 2))
-    table = poses.from_fit(calib.fit(robot, data.subset(kept), validation=data.subset(held)))
+    table = from_fit(calib.fit(robot, data.subset(kept), validation=data.subset(held)))
     assert set(table.series) == {"memory"}
     assert table.place.tolist() == [*kept, *held]
 
 
 def test_files_of_their_own_are_series_of_their_own(fit):
-    table = poses.from_fit(fit)
+    table = from_fit(fit)
     assert table.series == ("memory (identification)",) * 84 + ("memory (validation)",) * 47
     assert table.place.tolist() == [*range(84), *range(47)]

@@ -8,11 +8,11 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 from markupsafe import escape
-from viz_examples import measurements, medrue_fit, medrue_robot
+from viz_examples import measurements, medrue_fit, medrue_robot, spoiled
 
 import calib
 import viz
-from viz.poses import from_fit
+from viz.pose_sources import from_fit
 from viz.report_page import command_line, millimetres, number, report_page
 
 NOON = datetime(2026, 1, 2, 12, 0, tzinfo=UTC)
@@ -75,15 +75,8 @@ def test_what_is_held_is_named(html, fit):
     assert ", ".join(fit.nominal.description.held) in html
 
 
-def spoiled_measurements():
-    data = measurements(range(0, 420, 5))
-    positions = data.positions.copy()
-    positions[10, 0, 2] += 1e-3
-    return dataclasses.replace(data, positions=positions)
-
-
 def test_outliers_are_listed_and_the_verdict_says_why():
-    fit = calib.fit(medrue_robot(), spoiled_measurements())
+    fit = calib.fit(medrue_robot(), spoiled(measurements(range(0, 420, 5))))
     html = report_page(fit, created=NOON).html
     section = html[html.index('id="outliers"') :]
     assert re.search(r'<th scope="row">50</th><td class="left">identification</td>', section)
@@ -94,7 +87,7 @@ def test_outliers_are_listed_and_the_verdict_says_why():
 
 
 def test_outliers_that_were_left_out_are_listed_and_both_results_shown():
-    fit = calib.fit(medrue_robot(), spoiled_measurements(), exclude_outliers=True)
+    fit = calib.fit(medrue_robot(), spoiled(measurements(range(0, 420, 5))), exclude_outliers=True)
     html = report_page(fit, created=NOON).html
     assert re.search(r'<th scope="row">50</th><td class="left">left out</td>', html)
     assert "with outliers (84)" in html
@@ -129,10 +122,8 @@ def test_the_report_has_no_scripts_and_asks_nobody(html):
 def test_everything_from_files_is_escaped(fit):
     hostile = '<script>alert("x")</script>'
     data = dataclasses.replace(fit.identification.data, path=hostile)
-    spoiled = dataclasses.replace(
-        fit, identification=dataclasses.replace(fit.identification, data=data), message=hostile
-    )
-    html = report_page(spoiled, command=hostile, created=NOON).html
+    named = dataclasses.replace(fit, identification=dataclasses.replace(fit.identification, data=data), message=hostile)
+    html = report_page(named, command=hostile, created=NOON).html
     assert "<script" not in html
     assert "&lt;script&gt;" in html
 
@@ -196,12 +187,30 @@ def test_no_zero_has_a_sign():
 def test_the_first_box_says_where_it_is_worst_how_sure_that_is_and_where_it_was_measured(html, fit):
     first = text(html)[:1200]
     found = fit.validation
-    row = int(np.argmax(np.linalg.norm(found.after[:, 0], axis=1)))
+    row = int(np.argmax(np.linalg.norm(found.after["tool"], axis=1)))
     assert f"pose {found.data.names[row]}, at x" in first
     assert millimetres(fit.validation_uncertainty.summary()["max"]) in first
-    assert f"noise of one reading {millimetres(1e3 * fit.statistics.sigma)} mm" in first
-    points = 1e3 * np.concatenate([fit.identification.data.positions, found.data.positions])[:, 0]
+    assert f"noise of one reading {millimetres(1e3 * fit.sigma)} mm" in first
+    points = 1e3 * np.concatenate([errors.data.readings["tool"].values for errors in (fit.identification, found)])
     assert f"x {points[:, 0].min():.0f} to {points[:, 0].max():.0f}".replace("-", "−") in first
+
+
+@pytest.mark.parametrize(
+    ("base", "name"),
+    [
+        ({}, "world"),
+        ({"pose": "unknown"}, "the measurement frame"),
+        ({"xyz": (0.1, 0.0, 0.0)}, "the measurement frame"),
+        ({"rpy": (0.0, 0.0, 0.1)}, "the measurement frame"),
+    ],
+)
+def test_coordinates_are_said_to_be_in_a_link_only_where_they_are(fit, base, name):
+    description = fit.nominal.description
+    description = description.model_copy(update={"base": description.base.model_copy(update=base)})
+    nominal = dataclasses.replace(fit.nominal, description=description)
+    page = text(report_page(dataclasses.replace(fit, nominal=nominal), created=NOON).html)
+    assert f"mm in {name} " in page
+    assert f"Measured points tool, in {name} " in page
 
 
 def said(fit, *comments):

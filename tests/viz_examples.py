@@ -1,10 +1,13 @@
 """Examples that the tests of the viewer and the report share: MedRUE measured with Table I's actual parameters."""
 
+import dataclasses
+
 import numpy as np
 
 import calib
 import medrue
-from calib.data.measurements import single_readings
+from calib.data.arrays import measurements as put_together
+from calib.data.arrays import plain_readings
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
@@ -21,7 +24,7 @@ def measurements(rows, seed=1, sigma=4e-5, path="memory"):
     q = target_workspace().q[rows]
     positions = forward(q, table1().actual).p_world_tool + np.random.default_rng(seed).normal(0, sigma, (len(q), 3))
     names = tuple(str(row) for row in rows)
-    return single_readings(calib.Poses(q, names, names, path, ()), positions[:, None, :])
+    return put_together(calib.Poses(q, names, names, path, ()), {"tool": plain_readings(positions)})
 
 
 def medrue_fit(identification=range(0, 420, 5), validation=range(3, 420, 9)):
@@ -53,7 +56,8 @@ def long_named_fit(folder, repeats=5):
     true = robot.with_parameters(robot.values + 3e-4 * generator.standard_normal(len(robot.values)))
     positions = true.positions(q) + generator.normal(0, 8e-5, (len(q), 1, 3))
     data = calib.as_measurements(robot, calib.Poses(q, names, names, "memory", ()), positions)
-    return calib.fit(robot, data.subset(np.arange(0, 30)), validation=data.subset(np.arange(30, 40)))
+    kept, held = np.arange(0, 30 * repeats), np.arange(30 * repeats, 40 * repeats)
+    return calib.fit(robot, data.subset(kept), validation=data.subset(held))
 
 
 def many_poses(n):
@@ -80,3 +84,11 @@ def many_poses(n):
         np.arange(n),
     )
     return nominal, calibrated, table
+
+
+def spoiled(data, visit=10, by=1e-3):
+    """The same measurements of MedRUE, one of them wrong in z."""
+    values = data.readings["tool"].values.copy()
+    values[visit, 2] += by
+    readings = dataclasses.replace(data.readings["tool"], values=values)
+    return dataclasses.replace(data, readings={"tool": readings})

@@ -10,7 +10,7 @@ from types import FrameType
 
 import click
 
-from calib.commands.common import Output, shared_options
+from calib.commands.common import Output, loaded, shared_options
 from calib.errors import InputError
 
 
@@ -32,7 +32,6 @@ def view(
     """Show ROBOT (YAML description or URDF) in a browser on this computer, until Ctrl-C."""
     from calib.data.measurement_files import read_measurements
     from calib.files import check_file
-    from calib.model.robot import load
     from viz.inputs import gather
     from viz.live import LiveViewer
     from viz.viewer_page import scene_page
@@ -41,7 +40,7 @@ def view(
         if port or no_browser:
             raise InputError("--html writes a file and starts no server: leave out --port and --no-browser")
         check_file(html)
-    model = load(robot)
+    model = loaded(robot, output)
     measurements = None if data is None else read_measurements(data, model)
     with output.working("preparing the scene"):
         shown = gather(model, result, measurements)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from calib import Robot
-from calib.model.mechanism import FloatArray
+from calib.arrays import FloatArray
 from viz.shapes import GREY, Colour, Shape, mesh, primitive, stand_ins, thinned
 
 _MOST_FACES = 40_000  # of one mesh; more do not show on a screen and make the page slow

@@ -5,17 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from calib import Fit, Measurements, Robot
 from calib.errors import InputError
 from calib.linearisation.registration import register
+from calib.linearisation.rows import Whitening
 from calib.reporting.results import load_calibrated, load_uncertainty, read_result
 from calib.words import counted
-from viz import poses as pose_tables
 from viz.judgement import of_result, of_verdict
-from viz.poses import IDENTIFICATION, Calibrated, PoseTable
+from viz.pose_sources import Sigmas, from_measurements, from_saved, noise
+from viz.poses import IDENTIFICATION, Calibrated
 from viz.remarks import remarks
+from viz.saved_readings import read_saved
 from viz.scene import Scene, build_scene, scene_of_fit
 
 Result = Fit | str | Path
@@ -53,9 +53,8 @@ def gather(robot: Robot, result: Result | None = None, data: Measurements | None
     if result is not None:
         return _from_folder(robot, result, data)
     if data is not None:
-        sigma = float("nan") if robot.description.sigma is None else robot.description.sigma
-        placed = register(robot, data) if _unknown_place(robot) else robot
-        table = pose_tables.from_measurements(data, placed, None, sigma)
+        placed = _placed(robot, data)
+        table = from_measurements(data, placed, None, _stated(robot, data))
         return Shown(build_scene(placed, None, table, comments=remarks(data.comments)), placed, None)
     return Shown(build_scene(robot), robot, None)
 
@@ -66,7 +65,7 @@ def _from_fit(robot: Robot, fit: Fit, data: Measurements | None) -> Shown:
     if data is None:
         return Shown(scene_of_fit(fit), fit.robot, fit.placed)
     calibrated = Calibrated(fit.robot, fit.uncertainty)
-    table = pose_tables.from_measurements(data, fit.placed, calibrated, fit.statistics.sigma)
+    table = from_measurements(data, fit.placed, calibrated, noise(fit))
     scene = build_scene(fit.placed, fit.robot, table, verdict=of_verdict(fit.verdict), comments=remarks(data.comments))
     return Shown(scene, fit.robot, fit.placed)
 
@@ -76,13 +75,13 @@ def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None) ->
     model = load_calibrated(folder, robot, failed_too=True)
     uncertainty = load_uncertainty(folder, robot)
     calibrated = Calibrated(model, lambda q: uncertainty.at(model, q))
-    content = read_result(folder)
+    content, saved = read_result(folder), read_saved(folder, robot)
     if data is None:
-        table = pose_tables.from_result(folder, calibrated)
-        placed = _placed(robot, table)
+        placed = _placed(robot, saved.sets[IDENTIFICATION].data)
+        table = from_saved(saved, placed, calibrated)
     else:
-        placed = register(robot, data) if _unknown_place(robot) else robot
-        table = pose_tables.from_measurements(data, placed, calibrated, float(content["sigma"]))
+        placed = _placed(robot, data)
+        table = from_measurements(data, placed, calibrated, saved.sigmas)
     left_out = content["excluded"] if data is None else []
     notes = (f"not shown: left out of the fit, {counted(len(left_out), 'outlier')}",) if left_out else ()
     said = remarks(content.get("comments", ()) if data is None else data.comments)
@@ -90,31 +89,20 @@ def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None) ->
     return Shown(scene, model, placed)
 
 
-def _unknown_place(robot: Robot) -> bool:
+def _placed(robot: Robot, data: Measurements) -> Robot:
+    """Return the robot before calibration: an unknown base and unknown targets as measurements show them."""
     description = robot.description
-    return description.base.pose == "unknown" or any(t.position == "unknown" for t in description.targets.values())
-
-
-def _placed(robot: Robot, table: PoseTable) -> Robot:
-    """Return the robot before calibration: an unknown base and unknown targets from the poses that were fitted."""
-    if not _unknown_place(robot):
-        return robot
-    rows = np.flatnonzero(np.array(table.group) == IDENTIFICATION)
-    n_targets = len(robot.target_names)
-    first = rows[::n_targets]
-    n = len(first)
-    positions = table.measured[rows].reshape(n, n_targets, 3)
-    names = tuple(table.labels[row] for row in first)
-    return register(
-        robot,
-        Measurements(
-            table.joints[first],
-            names,
-            names,
-            "",
-            (),
-            positions,
-            np.ones(n, dtype=np.intp),
-            np.full(positions.shape, np.nan),
-        ),
+    unknown = description.base.pose == "unknown" or any(
+        "unknown" in (target.position, target.orientation) for target in description.targets.values()
     )
+    return register(robot, data) if unknown else robot
+
+
+def _stated(robot: Robot, data: Measurements) -> Sigmas:
+    """Return the noise of measured points that the description or the measurements state."""
+    stated = {
+        group.name: group.typical
+        for group in Whitening(robot, data).groups
+        if group.stated and group.part == "position"
+    }
+    return {one.name: stated[one.group] for one in robot.instruments if one.group in stated}

@@ -8,28 +8,33 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from calib.model.mechanism import BoolArray, FloatArray
+from calib.arrays import BoolArray, FloatArray
+from calib.units import PER_SI
+from viz.part_plots import error_by_axis, of_positions, residual_by_joint
 from viz.poses import IDENTIFICATION, VALIDATION, PoseTable
 from viz.scene import Joint
-from viz.svg import AXES, STATES, Plot, finished, new_figure, plain_ticks, styled
+from viz.svg import AXES, STATES, Plot, finished, new_figure, plain_ticks, shortened, styled, thinned
 
+_MM = PER_SI["length"]["mm"]
 _GROUP_MARKS = {IDENTIFICATION: ("o", None), VALIDATION: ("D", "white")}  # as in the viewer; face, if not the colour
-_WIDEST_LABEL = 34  # letters under one of three panels
-_MOST_MARKS = 600  # poses drawn one by one; more would make the file large and the figure black
 
 
 def all_plots(table: PoseTable, joints: tuple[Joint, ...]) -> tuple[Plot, ...]:
-    """Return the figures of a calibration.
+    """Return the figures of measured points; none where no errors of points are known.
 
     Args:
         table: Poses with errors before and after.
         joints: Actuated joints, in the order of the table's columns.
     """
+    known = [np.isfinite(table.error(state)).all(axis=1) for state in STATES]
+    table = table.subset(np.any(known, axis=0))
+    if not len(table):
+        return ()
     return (
         histogram(table),
         error_by_pose(table),
-        error_by_axis(table),
-        residual_by_joint(table, joints),
+        error_by_axis(of_positions(table)),
+        residual_by_joint(of_positions(table), joints),
         normal_plot(table),
     )
 
@@ -97,14 +102,13 @@ def _draw_course(axes: Any, table: PoseTable, rows: BoolArray) -> None:
     outlier = np.isin(places, table.place[rows & table.outlier])
     for state, (colour, line) in STATES.items():
         lengths = np.full(len(places), -np.inf)
-        np.maximum.at(
-            lengths, np.searchsorted(places, table.place[rows]), 1e3 * np.linalg.norm(table.error(state)[rows], axis=1)
-        )
+        sizes = _MM * np.linalg.norm(table.error(state)[rows], axis=1)
+        np.fmax.at(lengths, np.searchsorted(places, table.place[rows]), sizes)
         lengths = np.where(lengths > 0, lengths, np.nan)
         axes.plot(places, lengths, line, color=colour, linewidth=0.7, alpha=0.6, label=f"{state} calibration")
         for name, (mark, face) in _GROUP_MARKS.items():
             here = np.flatnonzero(group == name)
-            here = here[_thinned(len(here))[0]]
+            here = here[thinned(len(here))[0]]
             if len(here):
                 axes.plot(
                     places[here],
@@ -126,75 +130,6 @@ def _draw_course(axes: Any, table: PoseTable, rows: BoolArray) -> None:
 
 
 @styled
-def error_by_axis(table: PoseTable) -> Plot:
-    """Signed error components, before and after."""
-    figure, panels = new_figure(1, 2, (8.9, 2.7))
-    for axes, state in zip(panels, STATES, strict=True):
-        errors = 1e3 * table.error(state)
-        errors = errors[np.all(np.isfinite(errors), axis=1)]
-        if len(errors):
-            boxes = axes.boxplot(
-                list(errors.T),
-                orientation="horizontal",
-                widths=0.55,
-                patch_artist=True,
-                flierprops={"marker": ".", "markersize": 2.5},
-                medianprops={"color": "black"},
-            )
-            for patch, (colour, _) in zip(boxes["boxes"], AXES.values(), strict=True):
-                patch.set(facecolor=colour, alpha=0.45)
-        axes.set_yticks([1, 2, 3], list(AXES))
-        axes.axvline(0.0, color="black", linewidth=0.8)
-        axes.invert_yaxis()
-        axes.set(title=f"{state} calibration", xlabel="predicted minus measured [mm]")
-    return finished(
-        "error-by-axis",
-        "Error along each axis",
-        "Boxes hold the middle half of the poses; a box away from zero is a systematic error. Mind the two scales.",
-        figure,
-    )
-
-
-@styled
-def residual_by_joint(table: PoseTable, joints: tuple[Joint, ...]) -> Plot:
-    """Residuals after calibration against every actuated joint."""
-    columns = min(3, max(1, len(joints)))
-    rows = -(-len(joints) // columns)
-    figure, panels = new_figure(rows, columns, (8.9, 2.3 * rows + 0.4), sharey=True)
-    shown, note = _thinned(len(table))
-    errors = 1e3 * table.error("after")[shown]
-    for number, (axes, joint) in enumerate(zip(panels, joints, strict=False)):
-        values = joint.per_si * table.joints[shown, number]
-        for axis, ((name, (colour, marker)), component) in enumerate(zip(AXES.items(), errors.T, strict=True)):
-            axes.plot(
-                values,
-                component,
-                marker,
-                color=colour,
-                markersize=2.6,
-                alpha=0.6,
-                linestyle="none",
-                markeredgewidth=0,
-                label=name,
-                zorder=2 + axis,
-            )
-        axes.axhline(0.0, color="black", linewidth=0.8)
-        axes.set_xlabel(_in_lines(f"{joint.name} [{joint.unit}]"))
-        if number % columns == 0:
-            axes.set_ylabel("residual [mm]")
-    for axes in panels[len(joints) :]:
-        axes.set_visible(False)
-    if joints:
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, markerscale=2.5)
-    return finished(
-        "residual-by-joint",
-        "Residuals against each joint",
-        "A curve instead of a cloud points at an error of that joint that no parameter describes." + note,
-        figure,
-    )
-
-
-@styled
 def normal_plot(table: PoseTable) -> Plot:
     """Sorted residuals over sigma against normal quantiles, fitted poses only."""
     figure, (axes,) = new_figure(1, 1, (5.2, 4.0))
@@ -207,7 +142,7 @@ def normal_plot(table: PoseTable) -> Plot:
         if not len(known):
             continue
         quantiles = norm.ppf((np.arange(len(known)) + 0.5) / len(known))
-        shown, note = _thinned(len(known))
+        shown, note = thinned(len(known))
         axes.plot(
             quantiles[shown],
             known[shown],
@@ -231,29 +166,7 @@ def normal_plot(table: PoseTable) -> Plot:
     )
 
 
-def shortened(name: str, longest: int = 60) -> str:
-    """Return a name with its middle left out where it is too long for its place."""
-    if len(name) <= longest:
-        return name
-    return f"{name[: longest // 2]}…{name[len(name) - (longest - longest // 2 - 1) :]}"
-
-
-def _in_lines(label: str) -> str:
-    """Return a label as one or two lines that fit under a panel."""
-    if len(label) <= _WIDEST_LABEL:
-        return label
-    text = shortened(label, 2 * _WIDEST_LABEL - 8)
-    cut = max(text.rfind(mark, 8, _WIDEST_LABEL) for mark in " _") + 1 or _WIDEST_LABEL
-    return f"{text[:cut].rstrip()}\n{text[cut:]}"
-
-
 def _lengths(table: PoseTable, state: str) -> FloatArray:
-    lengths = 1e3 * np.linalg.norm(table.error(state), axis=1)
+    lengths = _MM * np.linalg.norm(table.error(state), axis=1)
     known: FloatArray = lengths[np.isfinite(lengths)]
     return known
-
-
-def _thinned(count: int) -> tuple[slice, str]:
-    """Which of `count` marks to draw, and what the caption says about the others."""
-    step = max(1, -(-count // _MOST_MARKS))
-    return slice(None, None, step), "" if step == 1 else f" Of {count} marks, one in {step} is drawn."

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 
 import numpy as np
 
-from calib import Fit, Measurements, Robot
-from calib.data.tables import Table, read_table
+from calib import Robot
+from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.errors import DataError
-from calib.identification.fitted import ErrorSet
 from calib.linearisation.prediction import PositionUncertainty
-from calib.model.mechanism import BoolArray, FloatArray, IntArray
-from calib.numerics.outliers import Outlier
-from calib.read_only import ReadOnlyArrays
-from calib.reporting.results import read_result
 
 IDENTIFICATION, VALIDATION, MEASURED, EXCLUDED = "identification", "validation", "measured", "left out"
 GROUPS = (IDENTIFICATION, VALIDATION, MEASURED, EXCLUDED)
@@ -37,7 +31,8 @@ class Calibrated:
 
 @dataclass(frozen=True, eq=False)
 class PoseTable(ReadOnlyArrays):
-    """One row per pose and target. Positions are in the measurement frame; NaN where not known. Arrays are read-only.
+    """One row per pose and measured point. Positions are in the measurement frame; NaN where not known, such as where
+    no instrument measured points. Arrays are read-only.
 
     Attributes:
         joints: Actuated joints, (n, n_actuated) [m or rad].
@@ -48,7 +43,7 @@ class PoseTable(ReadOnlyArrays):
         group: `identification`, `validation`, `measured` (not part of a fit) or `left out` (of it, as an outlier).
         outlier: Which rows are outliers, (n,).
         labels: What to call each pose.
-        targets: Name of the measured point of each row.
+        targets: Name of the measured point of each row: of the instrument that measured it.
         readings: How many readings each measured position is a mean of, (n,).
         series: What was measured in one go with each row: a file, or a set of poses.
         place: Place of each row's pose in the order of measurement of its series, (n,).
@@ -93,6 +88,15 @@ class PoseTable(ReadOnlyArrays):
     def __len__(self) -> int:
         return len(self.labels)
 
+    def subset(self, rows: IntArray | BoolArray) -> PoseTable:
+        """Return the rows with these numbers (n,), in this order, or those of a mask."""
+        chosen = np.arange(len(self))[rows]
+        parts: dict[str, object] = {}
+        for field in fields(PoseTable):
+            values = getattr(self, field.name)
+            parts[field.name] = values[chosen] if isinstance(values, np.ndarray) else tuple(values[k] for k in chosen)
+        return PoseTable(**parts)  # type: ignore[arg-type]
+
     def error(self, state: str) -> FloatArray:
         """Return predicted minus measured positions `before` or `after` calibration, (n, 3) [m]."""
         predicted: FloatArray = {"before": self.before, "after": self.after}[state]
@@ -113,133 +117,53 @@ class PoseTable(ReadOnlyArrays):
         return ratio
 
 
-def from_fit(fit: Fit) -> PoseTable:
-    """Return the poses of a fit, identification first, outliers that were left out last."""
-    parts = [_judged(fit, IDENTIFICATION, fit.identification, fit.identification_uncertainty, fit.outliers)]
-    if fit.validation is not None and fit.validation_uncertainty is not None:
-        parts.append(_judged(fit, VALIDATION, fit.validation, fit.validation_uncertainty, fit.validation_outliers))
-    if fit.with_all is not None and fit.excluded:
-        rows = np.array(sorted({outlier.pose for outlier in fit.excluded}), dtype=np.intp)
-        data = fit.with_all.identification.data.subset(rows)
-        found = fit.uncertainty(data.joints)
-        sigma = fit.statistics.sigma / np.sqrt(data.counts)
-        before = fit.placed.positions(data.joints)
-        left_out = _table(fit.robot, data, EXCLUDED, before, found.positions, sigma, found.std)
-        parts.append(replace(left_out, outlier=np.ones(len(left_out), dtype=bool)))
-    if fit.validation is not None and not _measured_together(fit.identification.data, fit.validation.data):
-        sets = (IDENTIFICATION, VALIDATION, IDENTIFICATION)  # left out: of those to identify with
-        parts = [
-            replace(part, series=(f"{part.series[0]} ({name})",) * len(part))
-            for part, name in zip(parts, sets, strict=False)
-        ]
-    return concatenate(parts)
+def averaged(table: PoseTable) -> PoseTable:
+    """Return one row for each point of a pose: the mean of its readings, which the rows of `table` are.
 
-
-def _measured_together(first: Measurements, second: Measurements) -> bool:
-    """Whether two sets are parts of one file, so that their places are of one order."""
-    return first.path == second.path and not np.intersect1d(first.places, second.places).size
-
-
-def _judged(
-    fit: Fit, group: str, found: ErrorSet, uncertainty: PositionUncertainty, outliers: tuple[Outlier, ...]
-) -> PoseTable:
-    sigma = fit.statistics.sigma / np.sqrt(found.data.counts)
-    measured = found.data.positions
-    table = _table(
-        fit.robot, found.data, group, measured + found.before, measured + found.after, sigma, uncertainty.std
-    )
-    marked = np.zeros(found.after.shape[:2], dtype=bool)
-    for outlier in outliers:
-        marked[outlier.pose, fit.robot.target_names.index(outlier.target)] = True
-    return replace(table, outlier=marked.ravel())
-
-
-def from_measurements(data: Measurements, nominal: Robot, calibrated: Calibrated | None, sigma: float) -> PoseTable:
-    """Return measurements with what a robot predicts for them.
-
-    Args:
-        data: The measurements.
-        nominal: The robot before calibration.
-        calibrated: The robot after it and how sure it is, or None.
-        sigma: Standard deviation of one reading per axis [m]; NaN if not known.
-
-    Raises:
-        UnreachablePoseError: A pose cannot be assembled.
+    Places are counted anew, so that repeats leave no gaps between the poses.
     """
-    before = nominal.positions(data.joints)
-    after, spread = np.full_like(before, np.nan), np.full_like(before, np.nan)
-    if calibrated is not None:
-        found = calibrated.predict(data.joints)
-        after, spread = found.positions, found.std
-    return _table(nominal, data, MEASURED, before, after, sigma / np.sqrt(data.counts), spread)
+    numbers = _numbered(zip(table.series, table.group, table.labels, table.targets, strict=True))
+    _, first, count = np.unique(numbers, return_index=True, return_counts=True)
 
+    def mean(values: FloatArray) -> FloatArray:
+        total = np.zeros((len(first), *values.shape[1:]))
+        np.add.at(total, numbers, values)
+        result: FloatArray = (total.T / count).T
+        return result
 
-def _table(
-    robot: Robot,
-    data: Measurements,
-    group: str,
-    before: FloatArray,
-    after: FloatArray,
-    sigma: FloatArray,
-    spread: FloatArray,
-) -> PoseTable:
-    """Turn arrays (n_poses, n_targets, 3) into rows."""
-    n_targets = len(robot.target_names)
-    n = len(data) * n_targets
-    return PoseTable(
-        joints=np.repeat(data.joints, n_targets, axis=0),
-        measured=data.positions.reshape(n, 3),
-        before=before.reshape(n, 3),
-        after=after.reshape(n, 3),
-        sigma=np.repeat(sigma, n_targets),
-        spread=spread.reshape(n, 3),
-        group=(group,) * n,
-        outlier=np.zeros(n, dtype=bool),
-        labels=tuple(name for name in data.names for _ in range(n_targets)),
-        targets=robot.target_names * len(data),
-        readings=np.repeat(data.counts, n_targets),
-        series=(data.path,) * n,
-        place=np.repeat(data.places, n_targets),
+    outlier = np.zeros(len(first), dtype=bool)
+    np.logical_or.at(outlier, numbers, table.outlier)
+    return replace(
+        table.subset(first),
+        joints=mean(table.joints),
+        measured=mean(table.measured),
+        before=mean(table.before),
+        after=mean(table.after),
+        sigma=mean(table.sigma) / np.sqrt(count),
+        spread=mean(table.spread),
+        outlier=outlier,
+        readings=count.astype(np.intp),
+        place=_places(table)[first],
     )
 
 
-def from_result(folder: Path | str, calibrated: Calibrated) -> PoseTable:
-    """Return the poses that a result folder holds: its `residuals.csv`, with the outliers of its `result.json`.
-
-    Raises:
-        DataError: A file is missing, broken, or belongs to another robot.
-    """
-    robot = calibrated.robot
-    path = Path(folder) / "residuals.csv"
-    table, content = read_table(path), read_result(folder)
-    for name in ("set", "pose", "target", "readings"):
-        if name not in table.names:
-            raise DataError(f"{path}: no column '{name}'; run the fit again")
-    joints = np.stack([table.column(name, robot.mechanism.dimensions[name]) for name in robot.joint_names], axis=1)
-    measured, before, after = (_vectors(table, prefix) for prefix in ("measured", "error_before", "error_after"))
-    places = list(zip(table.text("set"), table.text("pose"), table.text("target"), strict=True))
-    outliers = {(row["set"], row["pose"], row["target"]) for row in content["outliers"]}
-    target = np.array([robot.target_names.index(name) for _, _, name in places])
-    readings = np.array([int(cell) for cell in table.text("readings")], dtype=np.intp)
-    return PoseTable(
-        joints=joints,
-        measured=measured,
-        before=measured + before,
-        after=measured + after,
-        sigma=float(content["sigma"]) / np.sqrt(readings),
-        spread=calibrated.predict(joints).std[np.arange(len(places)), target],
-        group=tuple(group for group, _, _ in places),
-        outlier=np.array([place in outliers for place in places], dtype=bool),
-        labels=tuple(label for _, label, _ in places),
-        targets=tuple(name for _, _, name in places),
-        readings=readings,
-        series=tuple(group for group, _, _ in places),
-        place=np.arange(len(places)) // len(robot.target_names),
-    )
+def _numbered(keys: Iterable[Hashable]) -> IntArray:
+    """A number for each key, the same for equal ones, counted as they first appear."""
+    numbers: dict[Hashable, int] = {}
+    return np.array([numbers.setdefault(key, len(numbers)) for key in keys], dtype=np.intp)
 
 
-def _vectors(table: Table, prefix: str) -> FloatArray:
-    return np.stack([table.column(f"{prefix}_{axis}", "length") for axis in "xyz"], axis=1)
+def _places(table: PoseTable) -> IntArray:
+    """The place of the pose of each row among the poses of its series: where it was first measured counts."""
+    pose = _numbered(zip(table.series, table.labels, strict=True))
+    first = np.full(int(pose.max(initial=-1)) + 1, np.iinfo(np.intp).max)
+    np.minimum.at(first, pose, table.place)
+    series = np.array(_numbered(table.series))
+    result = np.zeros(len(table), dtype=np.intp)
+    for number in np.unique(series):
+        rows = series == number
+        result[rows] = np.unique(first[pose[rows]], return_inverse=True)[1].reshape(-1)
+    return result
 
 
 def concatenate(parts: list[PoseTable]) -> PoseTable:

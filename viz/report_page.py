@@ -9,34 +9,22 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from calib import Fit
-from calib.identification.fitted import ErrorSet
+from calib import Fit, Robot
 from calib.reporting.report_text import notes
-from calib.reporting.result_content import error_sets, outlier_rows, parameter_rows, position_uncertainty_table
+from calib.reporting.result_content import outlier_rows, parameter_rows, position_uncertainty_table
 from calib.version import PROGRAM
+from viz.part_plots import part_plots
 from viz.plots import all_plots
-from viz.poses import from_fit
+from viz.pose_sources import from_fit
 from viz.remarks import fit_remarks
+from viz.report_tables import accuracy, extent, headline, judged_by, left_out, noise_lines, unsure, worst
 from viz.scene import joints_of
 from viz.viewer_page import Page
 
-_NAMES = {"cross_validation": "left out in turns"}
-_JUDGED_BY = ("validation", "left out in turns", "identification")
 _PACKAGES = ("pin", "numpy", "scipy", "yourdfpy", "meshcat", "matplotlib")
-
-
-@dataclass(frozen=True)
-class Accuracy:
-    """One line of the accuracy table; numbers in mm as `calib.identification.validation.error_table` gives them."""
-
-    group: str
-    state: str
-    poses: int
-    errors: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -64,22 +52,25 @@ def report_page(fit: Fit, *, command: str = "", created: datetime | None = None)
     environment.filters["mm"] = millimetres
     environment.filters["number"] = number
     when = created if created is not None else datetime.now(UTC)
-    lines = accuracy(fit)
+    tables, table = accuracy(fit), from_fit(fit)
     return Page(
         environment.get_template("report.html").render(
             fit=fit,
             robot=fit.nominal,
             verdict=fit.verdict,
-            headline=headline(lines),
-            accuracy=lines,
+            headline=headline(tables, judged_by(fit).main_part),
+            accuracy=tables,
+            noise=noise_lines(fit),
             worst=worst(fit),
-            extent=extent(fit),
+            extent=extent(table),
+            measured_in=measured_in(fit.nominal),
             remarks=fit_remarks(fit),
-            plots=all_plots(from_fit(fit), joints_of(fit.nominal)),
+            plots=all_plots(table, joints_of(fit.nominal)) + part_plots(fit, joints_of(fit.nominal)),
             parameters=parameter_rows(fit),
             notes=notes(fit),
             unsure=unsure(fit),
             outliers=left_out(fit) + outlier_rows(fit),
+            only_positions=all(part.name == "position" for one in fit.nominal.instruments for part in one.parts),
             reach=position_uncertainty_table(fit),
             reach_of="identification" if fit.validation is None else "validation",
             sources=sources(fit),
@@ -91,76 +82,11 @@ def report_page(fit: Fit, *, command: str = "", created: datetime | None = None)
     )
 
 
-def headline(lines: list[Accuracy]) -> tuple[Accuracy, Accuracy]:
-    """Return the lines before and after that count: poses that were not used, where there are any."""
-    by_name = {(line.group, line.state): line for line in lines}
-    group = next(name for name in _JUDGED_BY if (name, "after") in by_name)
-    return by_name[group, "before"], by_name[group, "after"]
-
-
-def judged_by(fit: Fit) -> ErrorSet:
-    """Return the errors that count, as in `headline`."""
-    sets = {_NAMES.get(name, name): found for name, found in error_sets(fit)}
-    return next(sets[name] for name in _JUDGED_BY if name in sets)
-
-
-def worst(fit: Fit) -> str:
-    """Return where the robot is still worst: the pose with the largest error after calibration, and its place."""
-    found = judged_by(fit)
-    pose, target = np.unravel_index(np.argmax(np.linalg.norm(found.after, axis=2)), found.after.shape[:2])
-    place = ", ".join(
-        f"{axis} {1e3 * value:.0f}" for axis, value in zip("xyz", found.data.positions[pose, target], strict=True)
-    )
-    point = f", point {fit.nominal.target_names[target]}" if len(fit.nominal.target_names) > 1 else ""
-    return f"pose {found.data.names[pose]}{point}, at {place} mm".replace("-", "−")
-
-
-def extent(fit: Fit) -> str:
-    """Return the box [mm] in which the targets were measured."""
-    sets = [fit.identification, *([] if fit.validation is None else [fit.validation])]
-    points = 1e3 * np.concatenate([found.data.positions.reshape(-1, 3) for found in sets])
-    ranges = zip("xyz", points.min(axis=0), points.max(axis=0), strict=True)
-    return ", ".join(f"{axis} {low:.0f} to {high:.0f}" for axis, low, high in ranges).replace("-", "−") + " mm"
-
-
-def accuracy(fit: Fit) -> list[Accuracy]:
-    """Return the accuracy table: each set before and after calibration."""
-    lines = [
-        Accuracy(_NAMES.get(group, group), state, len(found.data), dict(errors))
-        for group, found in error_sets(fit)
-        for state, errors in found.table().items()
-    ]
-    if fit.with_all is not None:
-        found = fit.with_all.identification
-        lines.append(Accuracy("with outliers", "after", len(found.data), dict(found.table()["after"])))
-    return lines
-
-
-def unsure(fit: Fit) -> dict[str, list[str]]:
-    """Return the names of parameters that the measurements do not decide, by status."""
-    found: dict[str, list[str]] = {}
-    for row in parameter_rows(fit):
-        if row["status"] not in ("identified", "placed"):
-            found.setdefault(str(row["status"]), []).append(str(row["name"]))
-    return found
-
-
-def left_out(fit: Fit) -> list[dict[str, Any]]:
-    """Return the outliers that were left out of the fit, in the form of `outlier_rows`."""
-    if fit.with_all is None:
-        return []
-    names = fit.with_all.identification.data.names
-    return [
-        {
-            "set": "left out",
-            "pose": names[found.pose],
-            "target": found.target,
-            "distance": 1e3 * found.distance,
-            "over_noise": found.studentised,
-            "leverage": found.leverage,
-        }
-        for found in fit.excluded
-    ]
+def measured_in(robot: Robot) -> str:
+    """Return what the frame of measured coordinates is called: by a link's name only where it is that link's frame."""
+    base = robot.description.base
+    is_link = base.pose == "known" and not np.any([base.xyz, base.rpy])
+    return base.frame if is_link else "the measurement frame"
 
 
 def sources(fit: Fit) -> list[Source]:

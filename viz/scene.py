@@ -8,14 +8,14 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from calib import Fit, Robot
-from calib.model.mechanism import FloatArray
+from calib.arrays import FloatArray
 from calib.units import DISPLAY_UNIT, PER_SI
-from viz import poses as pose_tables
 from viz.bodies import Bodies, PosedRobot, bodies_of, posed_robot
 from viz.decorations import decorations_of
 from viz.geometry import read_shapes
 from viz.judgement import Judgement, of_verdict
-from viz.poses import PoseTable
+from viz.pose_sources import from_fit
+from viz.poses import PoseTable, empty
 from viz.remarks import NO_REMARKS, Remarks, fit_remarks
 from viz.shapes import Shape
 
@@ -98,9 +98,7 @@ class Scene:
 
 def scene_of_fit(fit: Fit) -> Scene:
     """Return the scene of a fit."""
-    return build_scene(
-        fit.placed, fit.robot, pose_tables.from_fit(fit), verdict=of_verdict(fit.verdict), comments=fit_remarks(fit)
-    )
+    return build_scene(fit.placed, fit.robot, from_fit(fit), verdict=of_verdict(fit.verdict), comments=fit_remarks(fit))
 
 
 def build_scene(
@@ -125,7 +123,7 @@ def build_scene(
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
     """
-    table = pose_tables.empty(nominal) if poses is None else poses
+    table = empty(nominal) if poses is None else poses
     shown = table.joints if len(table) else nominal.home[None, :]
     solid_robot = nominal if calibrated is None else calibrated
     bodies = bodies_of(solid_robot)

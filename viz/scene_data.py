@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.model.mechanism import FloatArray
+from calib.arrays import FloatArray
+from calib.units import PER_SI
 from viz.bodies import Bodies, PosedRobot
 from viz.drawing import body_path, draw
 from viz.poses import EXCLUDED, GROUPS, IDENTIFICATION, MEASURED, VALIDATION
@@ -20,6 +21,7 @@ _POINT_PIXELS = (4.0, 7.0)  # smallest width of points that crowd, and of points
 _FEW_POINTS = 500  # so many have room
 _MARKS = {IDENTIFICATION: "disc", VALIDATION: "diamond", MEASURED: "square", EXCLUDED: "disc"}
 _SHORT = {IDENTIFICATION: "fit", VALIDATION: "val", MEASURED: "meas", EXCLUDED: "out"}  # where names repeat
+_MM = PER_SI["length"]["mm"]
 _EXACT = 1e-12  # [m]: smallest range of colours, where nothing is wrong anywhere
 
 
@@ -80,7 +82,7 @@ def summary(scene: Scene) -> list[dict[str, Any]]:
         row: dict[str, Any] = {"group": name, "count": int(np.sum(chosen))}
         for state in scene.states:
             lengths = np.linalg.norm(scene.poses.error(state)[chosen], axis=1)
-            lengths = 1e3 * lengths[np.isfinite(lengths)]
+            lengths = _MM * lengths[np.isfinite(lengths)]
             row[state] = {"mean": float(lengths.mean()), "max": float(lengths.max())} if len(lengths) else None
         if row["count"] and scene.states:
             rows.append(row)
@@ -101,10 +103,10 @@ def certainty(scene: Scene) -> dict[str, Any]:
     spread = np.linalg.norm(table.spread, axis=1)
     spread = spread[np.isfinite(spread)]
     return {
-        "noise": 1e3 * float(np.median(noise[known])) if np.any(known) else None,
-        "means": [1e3 * float(pick(table.sigma[known])) for pick in (np.min, np.max)] if np.any(known) else None,
-        "readings": [int(pick(table.readings)) for pick in (np.min, np.max)] if len(table) else None,
-        "predicted": [1e3 * float(spread.mean()), 1e3 * float(spread.max())] if len(spread) else None,
+        "noise": _MM * float(np.median(noise[known])) if np.any(known) else None,
+        "means": [_MM * float(pick(table.sigma[known])) for pick in (np.min, np.max)] if np.any(known) else None,
+        "readings": [int(pick(table.readings[known])) for pick in (np.min, np.max)] if np.any(known) else None,
+        "predicted": [_MM * float(spread.mean()), _MM * float(spread.max())] if len(spread) else None,
     }
 
 

@@ -1,6 +1,7 @@
 """Pictures of a result folder's pages in a real browser, for the documentation.
 
-`python -m viz.screenshots DIR --out FOLDER` needs Chromium and the extra `browser` (`pip install medrue[browser]`).
+`python -m viz.screenshots DIR --out FOLDER` needs Chromium and the extra `browser` (in a checkout:
+`pip install -e '.[browser]'`).
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ def take(folder: Path, out: Path) -> list[Path]:
     try:
         from playwright.sync_api import sync_playwright
     except ImportError:
-        raise InputError("playwright is not installed; pip install 'medrue[browser]'") from None
+        raise InputError("playwright is not installed; in a checkout: pip install -e '.[browser]'") from None
     for _, page, _, _ in PICTURES:
         if not (folder / page).is_file():
             raise InputError(f"{folder}: has no {page}; give the folder that `calib fit --out` wrote")

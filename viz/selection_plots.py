@@ -12,11 +12,13 @@ import numpy as np
 from calib.pose_choice.assessment import Assessment
 from calib.pose_choice.selection import Selection
 from calib.pose_choice.selection_problem import TASK
+from calib.units import PER_SI
 from viz.svg import BLUE, GREY, ORANGE, new_figure, plain_ticks, styled, svg_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_MM = PER_SI["length"]["mm"]
 _MARKS = ("-", "--", ":", "-.")
 
 
@@ -49,7 +51,7 @@ def singular_values(assessment: Assessment) -> Figure:
         axes.plot(number[~kept], np.maximum(values[~kept], floor), "x", color=ORANGE, label="not determined")
         axes.axvspan(rank.rank + 0.25, rank.rank + 0.75, color=GREY, alpha=0.3, linewidth=0, label="gap")
     axes.axhline(rank.threshold, color=GREY, linestyle="--", linewidth=1, label="threshold")
-    axes.set(yscale="log", xlabel="number", ylabel="singular value of the scaled Jacobian [m]")
+    axes.set(yscale="log", xlabel="number", ylabel="singular value, columns of length 1")
     plain_ticks(axes.yaxis)
     axes.legend()
     return figure
@@ -75,10 +77,10 @@ def accuracy(assessment: Assessment) -> Figure:
     counts = np.array([row.count for row in rows])
     inside = np.array([row.uniform is not None for row in rows])
     uniform, chosen = (
-        np.array([np.nan if task is None else 1e3 * task.rms for task in tasks])
+        np.array([np.nan if task is None else _MM * task.rms for task in tasks])
         for tasks in ([row.uniform for row in rows], [row.chosen for row in rows])
     )
-    largest = np.array([np.nan if row.chosen is None else 1e3 * row.chosen.maximum for row in rows])
+    largest = np.array([np.nan if row.chosen is None else _MM * row.chosen.maximum for row in rows])
     axes.plot(counts[inside], uniform[inside], "s--", color=ORANGE, label="spread uniformly, rms")
     axes.plot(counts[inside], chosen[inside], "o-", color=BLUE, label="best of these, rms")
     axes.plot(counts[inside], largest[inside], "o:", color=BLUE, label="best of these, largest")
@@ -93,7 +95,7 @@ def accuracy(assessment: Assessment) -> Figure:
 def index_history(selection: Selection) -> Figure:
     """Draw the index over the exchanges of each run, and the proven bound."""
     figure, (axes,) = new_figure(1, 1, (6.4, 3.6))
-    scale = 1e3 if selection.index == TASK else 1.0
+    scale = _MM if selection.index == TASK else 1.0
     for k, run in enumerate(selection.runs):
         values = scale * np.array(run.history)
         label = f"start {k + 1}: {run.start}"

@@ -6,7 +6,8 @@ the server and frees its port. It listens on 127.0.0.1, under an address that ca
 requests that name this address as their host, so that no web page elsewhere can read it.
 
 Messages go to browsers as server-sent events. Each browser has a queue of its own: sending never waits, and a browser
-that is closed or does not read is dropped.
+that is closed or does not read is dropped. So that its queue shows whether it reads, the system may keep little for it:
+left alone, it takes megabytes of messages that nobody reads.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from __future__ import annotations
 import contextlib
 import queue
 import secrets
+import socket
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
@@ -21,6 +23,7 @@ from calib.errors import InputError
 
 ADDRESS = "127.0.0.1"
 _WAITING = 4096  # messages that a slow browser may have before it is dropped
+_SYSTEM_BUFFER = 1 << 17  # bytes that the system may keep for a browser, about; it takes up to twice as many
 _HEARTBEAT = 5.0  # seconds between signs of life, which notice a closed browser
 _PATIENCE = 10.0  # seconds that one write or read may take
 
@@ -134,6 +137,7 @@ class PageServer:
         handler.wfile.write(self._page)
 
     def _send_events(self, handler: BaseHTTPRequestHandler) -> None:
+        handler.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SYSTEM_BUFFER)
         browser: queue.Queue[bytes | None] = queue.Queue(_WAITING)
         with self._lock:
             if self.closed:

@@ -24,6 +24,8 @@ AXES = {"x": (ORANGE, "o"), "y": (GREEN, "^"), "z": (BLUE, "s")}
 STATES = {"before": (GREY, "--"), "after": (BLUE, "-")}
 """Colour and line of what was before calibration, and after."""
 
+_WIDEST_LABEL = 34  # letters under one of three panels
+_MOST_MARKS = 600  # drawn one by one; more would make the file large and the figure black
 _Arguments = ParamSpec("_Arguments")
 _Drawn = TypeVar("_Drawn")
 _STYLE: dict[Any, Any] = {
@@ -110,3 +112,25 @@ def plain_ticks(*axes: Any) -> None:
     for axis in axes:
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
+
+
+def shortened(name: str, longest: int = 60) -> str:
+    """Return a name with its middle left out where it is too long for its place."""
+    if len(name) <= longest:
+        return name
+    return f"{name[: longest // 2]}…{name[len(name) - (longest - longest // 2 - 1) :]}"
+
+
+def in_lines(label: str) -> str:
+    """Return a label as one or two lines that fit under one of three panels."""
+    if len(label) <= _WIDEST_LABEL:
+        return label
+    text = shortened(label, 2 * _WIDEST_LABEL - 8)
+    cut = max(text.rfind(mark, 8, _WIDEST_LABEL) for mark in " _") + 1 or _WIDEST_LABEL
+    return f"{text[:cut].rstrip()}\n{text[cut:]}"
+
+
+def thinned(count: int) -> tuple[slice, str]:
+    """Return which of `count` marks to draw, and what the caption says about the others."""
+    step = max(1, -(-count // _MOST_MARKS))
+    return slice(None, None, step), "" if step == 1 else f" Of {count} marks, one in {step} is drawn."

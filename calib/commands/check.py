@@ -5,13 +5,12 @@ from __future__ import annotations
 import click
 import numpy as np
 
-from calib.commands.common import Output, shared_options, sigma_in_metres, with_values
+from calib.commands.common import Output, loaded, shared_options, sigma_in_metres, with_values
 from calib.commands.pose_files import placed, read_pose_file
 from calib.data.measurement_files import read_poses
 from calib.errors import InputError
 from calib.figures import draw
 from calib.files import check_folder, write_folder
-from calib.model.robot import load
 from calib.pose_choice.assessment import assess
 from calib.pose_choice.pose_sampling import sample_poses
 from calib.reporting.assessment_text import text_report, to_dict
@@ -52,7 +51,7 @@ def command(
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
     if plots is not None:
         check_folder(plots)
-    model = with_values(load(robot), parameters, result)
+    model = with_values(loaded(robot, output), parameters, result)
     if data is None:
         if poses < 1:
             raise InputError(f"--poses {poses}: at least one is needed")

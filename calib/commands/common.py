@@ -14,9 +14,12 @@ from typing import Any
 import click
 from rich.console import Console
 
+from calib.data.parameter_files import read_parameters
 from calib.errors import CalibrationError, InputError
 from calib.files import check_file, write_file
-from calib.model.robot import Robot
+from calib.model.arm_chain import arm_chain
+from calib.model.robot import Robot, load
+from calib.reporting.results import forced_lines, load_calibrated
 
 _REMARKS = 5
 
@@ -177,12 +180,19 @@ def said_of_failure(output: Output, result: str | None, out: str) -> list[str]:
     Raises:
         DataError: The folder holds no result.
     """
-    from calib.reporting.results import forced_lines
-
     lines = forced_lines(result) if result else []
     if lines:
         output.note(f"note: the fit in {result} failed; {out} says so inside")
     return lines
+
+
+def loaded(path: str, output: Output) -> Robot:
+    """Load ROBOT; print a note on what the arm of a plain URDF leaves out."""
+    robot = load(path)
+    remark = arm_chain(robot.urdf).remark if robot.path == robot.urdf.path else ""
+    if remark:
+        output.note(f"note: {remark}")
+    return robot
 
 
 def with_values(robot: Robot, parameters: str | None, result: str | None) -> Robot:
@@ -192,9 +202,6 @@ def with_values(robot: Robot, parameters: str | None, result: str | None) -> Rob
         InputError: Both are given, or a file cannot be read.
         ComputationError: The verdict of the result is FAIL.
     """
-    from calib.data.parameter_files import read_parameters
-    from calib.reporting.results import load_calibrated
-
     if parameters and result:
         raise InputError("--parameters and --result exclude each other")
     if parameters:

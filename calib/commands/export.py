@@ -7,11 +7,12 @@ from typing import cast
 
 import click
 
-from calib.commands.common import Output, said_of_failure, shared_options, with_values
+from calib.commands.common import Output, loaded, said_of_failure, shared_options, with_values
 from calib.export import FORMATS, export
-from calib.model.robot import load
+from calib.export.links import read_links
 from calib.model.urdf_text import UrdfText
 from calib.reporting.results import read_result
+from calib.units import millimetres
 
 _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
 
@@ -48,12 +49,15 @@ def command(
     output: Output,
 ) -> None:
     """Write ROBOT (YAML description or URDF), nominal or calibrated, for other programs."""
-    model = with_values(load(robot), parameters, result)
+    model = with_values(loaded(robot, output), parameters, result)
     lines = _origin_of_values(parameters, result) if provenance else None
     if failed := said_of_failure(output, result, out):
         lines = [*(lines or []), *failed]
-    gaps = export(model, file_format, out, free_slide=free_slide, provenance=lines)
+    notes: list[str] = []
+    gaps = export(model, file_format, out, free_slide=free_slide, provenance=lines, note=notes.append)
     output.say(f"{model.name}, {parameters or result or 'nominal values'}: written to {out}")
+    for text in notes:
+        output.note(f"note: {text}")
     if file_format != "urdf":
         for gap in gaps:
             output.say(gap.text())
@@ -82,7 +86,7 @@ def _origin_of_values(parameters: str | None, result: str | None) -> list[str]:
         return []
     content = read_result(result)
     sigma = content.get("sigma")
-    found = "unknown" if sigma is None else f"{1e3 * cast(float, sigma):.4g} mm"
+    found = "unknown" if sigma is None else f"{millimetres(cast(float, sigma)):.4g} mm"
     return [
         f"values: {result}, made by {content.get('program', 'an unknown version')}",
         f"fitted to {content['n_poses']} poses, {content['n_rows']} coordinates; noise found {found}",
@@ -91,7 +95,6 @@ def _origin_of_values(parameters: str | None, result: str | None) -> list[str]:
 
 def _relative_meshes(urdf: UrdfText) -> str:
     """The first mesh file that is named relative to the URDF, or ""."""
-    from calib.export.links import read_links
 
     shapes = (shape for link in read_links(urdf).values() for shape in (*link.visuals, *link.collisions))
     return next(

@@ -6,22 +6,23 @@ from pathlib import Path
 
 import click
 
-from calib.commands.common import Output, shared_options, sigma_in_metres
+from calib.commands.common import Output, loaded, shared_options, sigma_in_metres
 from calib.data.measurement_files import read_measurements
 from calib.data.measurements import Measurements
 from calib.errors import ComputationError, InputError
 from calib.files import check_folder
 from calib.identification.fit import fit
 from calib.identification.validation import split
-from calib.model.robot import Robot, load
+from calib.model.robot import Robot
 from calib.numerics.losses import LOSSES
+from calib.reporting.report_text import text_report
 from calib.reporting.results import save, to_dict
 from calib.words import counted
 
 
 @click.command("fit")
 @click.argument("robot")
-@click.argument("data")
+@click.argument("data", nargs=-1, required=True)
 @click.option(
     "--validate",
     metavar="FILE|FRACTION",
@@ -56,7 +57,7 @@ from calib.words import counted
 @shared_options(json_output=True)
 def command(
     robot: str,
-    data: str,
+    data: tuple[str, ...],
     validate: str | None,
     folds: int,
     sigma_mm: float | None,
@@ -68,9 +69,13 @@ def command(
     out: str,
     output: Output,
 ) -> None:
-    """Calibrate ROBOT (YAML description or URDF) from the measurements DATA (CSV)."""
+    """Calibrate ROBOT (YAML description or URDF) from the measurements DATA (CSV).
+
+    Several files of DATA belong together: those with joint columns give the visits, the others say by their column
+    `pose` to which visit each of their rows belongs.
+    """
     check_folder(out)
-    model = load(robot)
+    model = loaded(robot, output)
     identification = read_measurements(data, model)
     validation = None
     if validate is not None:
@@ -90,7 +95,7 @@ def command(
         )
     failed = result.verdict.grade == "FAIL"
     save(result, out, force=force)
-    output.say(result.report())
+    output.say(text_report(result))
     output.say(f"Written to {Path(out)}")
     output.json(to_dict(result, forced=failed and force))
     if failed and not force:

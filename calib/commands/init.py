@@ -10,6 +10,7 @@ import click
 from calib.commands.common import Output, shared_options
 from calib.errors import InputError
 from calib.files import check_file, write_file
+from calib.model.arm_chain import arm_chain
 from calib.model.plain_urdf import describe
 from calib.model.templates import description_text
 from calib.model.urdf_text import read_urdf
@@ -17,11 +18,15 @@ from calib.model.urdf_text import read_urdf
 
 @click.command("init")
 @click.argument("urdf")
-@click.option("--target", metavar="LINK", help="Link that carries the measured point; the last link if not given.")
+@click.option("--target", metavar="NAME", help="Link that carries the measured point; the arm's end if not given.")
 @click.option("--out", required=True, metavar="FILE", help="YAML file to write.")
 @shared_options()
 def command(urdf: str, target: str | None, out: str, output: Output) -> None:
-    """Write a commented robot description for URDF to start from."""
+    """Write a commented robot description for URDF to start from.
+
+    Without --target it describes the longest chain of joints with motors, without the fingers of a gripper, and says
+    what it leaves out.
+    """
     if Path(out).exists():
         raise InputError(f"{out}: exists already; choose another name, so that no edited description is lost")
     if Path(out).suffix.lower() not in (".yaml", ".yml"):
@@ -29,5 +34,8 @@ def command(urdf: str, target: str | None, out: str, output: Output) -> None:
     check_file(out)
     text = read_urdf(urdf)
     relative = os.path.relpath(Path(urdf).resolve(), Path(out).resolve().parent)
-    write_file(out, description_text(text, describe(text, relative, target)))
+    chain = arm_chain(text, target)
+    write_file(out, description_text(text, describe(chain, relative), chain.remark))
     output.say(f"{out} written; it works as it is, and its comments say what to change")
+    if chain.remark:
+        output.say(chain.remark)

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from calib.data.measurement_files import read_measurements, read_poses
 from calib.data.measurements import Measurements, Poses
-from calib.data.tables import read_table
+from calib.data.tables import Table, read_table
 from calib.errors import DataError
 from calib.linearisation.registration import register
 from calib.model.robot import Robot
 
 
 def read_pose_file(path: str, robot: Robot) -> Poses:
-    """Read poses; where every row has measured positions, as `Measurements`, so that repeats of a pose are averaged.
+    """Read poses; as `Measurements` where some instrument read in every row: these may repeat a pose.
 
     Raises:
         DataError: The file is not valid, or poses that are not measured have the same name.
     """
     table = read_table(path, robot.description.columns)
-    positions = [f"{target}_{axis}" for target in robot.target_names for axis in "xyz"]
-    if all(name in table.names and all(table.text(name)) for name in positions):
+    if _measured(table, robot):
         return read_measurements(path, robot)
     poses = read_poses(path, robot)
     seen: set[str] = set()
@@ -27,6 +28,23 @@ def read_pose_file(path: str, robot: Robot) -> Poses:
             raise DataError(f"{label}: pose '{name}' is given twice; names of poses must be unique")
         seen.add(name)
     return poses
+
+
+def _measured(table: Table, robot: Robot) -> bool:
+    """Whether every row has all cells of some instrument."""
+    measured = np.zeros(len(table.rows), dtype=bool)
+    for one in robot.instruments:
+        names = [*(column.name for column in one.columns()), *one.text_columns()]
+        if names and set(names) <= set(table.names):
+            measured |= np.all([[bool(cell) for cell in table.text(name)] for name in names], axis=0)
+    return bool(np.all(measured))
+
+
+def different_poses(poses: Poses) -> Poses:
+    """Return each pose once, as it was visited first."""
+    first = np.unique(poses.pose_numbers, return_index=True)[1]
+    labels, names = (tuple(words[k] for k in first) for words in (poses.labels, poses.names))
+    return Poses(poses.joints[first], labels, names, poses.path, poses.ignored, comments=poses.comments)
 
 
 def placed(robot: Robot, *files: Poses | None) -> Robot:

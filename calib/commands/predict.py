@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import click
 
-from calib.commands.common import Output, said_of_failure, shared_options, with_values
-from calib.data.measurement_files import format_measurements, read_poses
+from calib.commands.common import Output, loaded, said_of_failure, shared_options, with_values
+from calib.data.measurement_files import format_positions, read_poses
 from calib.data.measurements import Poses
 from calib.files import check_file, write_file
-from calib.model.robot import Robot, load
+from calib.model.robot import Robot
 from calib.reporting.results import load_uncertainty
 from calib.words import counted
 
@@ -26,7 +26,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     With --result, also how well they are known: the standard deviation of each coordinate, from the measurement noise.
     """
     check_file(out)
-    model = with_values(load(robot), parameters, result)
+    model = with_values(loaded(robot, output), parameters, result)
     poses = read_poses(joints, model)
     remarks = model.near_singularities(model.assemble(poses.joints, labels=poses.labels), poses.labels)
     source = parameters or result or "nominal values"
@@ -37,7 +37,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
         text, summary = _with_uncertainty(model, poses, result, comment)
         content["position_uncertainty"] = summary
     else:
-        text = format_measurements(model, poses, model.positions(poses.joints), comment)
+        text = format_positions(model, poses, model.positions(poses.joints), comment)
     write_file(out, text)
     output.remarks(remarks)
     output.say(f"{counted(len(poses), 'pose')} written to {out}")
@@ -54,5 +54,5 @@ def _with_uncertainty(
 ) -> tuple[str, dict[str, object]]:
     """Return the CSV text with standard deviations, and their summary [mm]."""
     found = load_uncertainty(result, model).at(model, poses.joints)
-    text = format_measurements(model, poses, found.positions, comment, found.std)
+    text = format_positions(model, poses, found.positions, comment, found.std)
     return text, {**found.summary(), "worst_pose": poses.names[found.worst]}

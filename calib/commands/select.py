@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import click
 
-from calib.commands.common import Output, shared_options, sigma_in_metres, with_values
-from calib.commands.pose_files import placed, read_pose_file
+from calib.commands.common import Output, loaded, shared_options, sigma_in_metres, with_values
+from calib.commands.pose_files import different_poses, placed, read_pose_file
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
 from calib.data.tables import read_table
 from calib.errors import InputError, nearest
 from calib.figures import draw
 from calib.files import check_file, check_folder, write_file, write_folder
-from calib.model.robot import load
 from calib.pose_choice.selection import select
 from calib.pose_choice.selection_scores import CHOICES
 from calib.reporting.selection_text import format_poses, text_report, to_dict
@@ -92,11 +91,12 @@ def command(
     if plots is not None:
         check_folder(plots)
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
-    model = with_values(load(robot), parameters, result)
+    model = with_values(loaded(robot, output), parameters, result)
     poses = read_pose_file(candidates, model)
     done = None if measured is None else read_pose_file(measured, model)
     if parameters is None and result is None:
         model = placed(model, done, poses)
+    poses = different_poses(poses)
     with output.working(f"choosing {count} of {len(poses)} poses"):
         selection = select(
             model,

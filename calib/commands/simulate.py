@@ -5,11 +5,10 @@ from __future__ import annotations
 import click
 import numpy as np
 
-from calib.commands.common import Output, shared_options, sigma_in_metres, with_values
+from calib.commands.common import Output, loaded, shared_options, sigma_in_metres, with_values
 from calib.data.measurement_files import format_measurements, read_poses
-from calib.data.simulate import simulate
 from calib.files import check_file, write_file
-from calib.model.robot import load
+from calib.linearisation.simulate import simulate
 from calib.words import counted
 
 
@@ -28,7 +27,7 @@ def command(
 ) -> None:
     """Simulate measurements of ROBOT at the poses in JOINTS (CSV)."""
     check_file(out)
-    model = with_values(load(robot), parameters, None)
+    model = with_values(loaded(robot, output), parameters, None)
     poses = read_poses(joints, model)
     remarks = model.near_singularities(model.assemble(poses.joints, labels=poses.labels), poses.labels)
     measured = simulate(model, poses, sigma_in_metres(sigma_mm, zero=True), np.random.default_rng(seed))
@@ -36,6 +35,6 @@ def command(
         f"simulated measurements of {model.name}; truth: {parameters or 'nominal parameters'}",
         f"normal noise, sigma {sigma_mm:g} mm per axis, seed {seed}",
     )
-    write_file(out, format_measurements(model, poses, measured.positions, comments))
+    write_file(out, format_measurements(model, measured, comments))
     output.remarks(remarks)
     output.say(f"{counted(len(poses), 'simulated pose')} written to {out}")

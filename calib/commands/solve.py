@@ -5,14 +5,14 @@ from __future__ import annotations
 import click
 import numpy as np
 
-from calib.commands.common import Output, said_of_failure, shared_options, with_values
+from calib.arrays import FloatArray
+from calib.commands.common import Output, loaded, said_of_failure, shared_options, with_values
 from calib.data.tables import format_table
 from calib.files import check_file, write_file
 from calib.inverse_kinematics.goals import Goals, read_goals
 from calib.inverse_kinematics.inverse import Solution, solve
-from calib.model.mechanism import FloatArray
-from calib.model.robot import Robot, load
-from calib.units import DISPLAY_UNIT, PER_SI
+from calib.model.robot import Robot
+from calib.units import DISPLAY_UNIT, PER_SI, millimetres
 
 
 @click.command("solve")
@@ -41,7 +41,7 @@ def command(
     stays near home.
     """
     check_file(out)
-    model = with_values(load(robot), parameters, result)
+    model = with_values(loaded(robot, output), parameters, result)
     goals = read_goals(targets, model)
     with output.working(f"solving {len(goals)} targets"):
         solution = solve(model, goals)
@@ -78,7 +78,7 @@ def _table(robot: Robot, goals: Goals, solution: Solution, comments: tuple[str, 
     columns: list[tuple[str, list[object]]] = [("pose", [goals.names[k] for k in reached])]
     for name, values in _in_display_units(robot, solution.q[reached]).items():
         columns.append((name, list(values)))
-    for axis, values in zip("xyz", solution.positions[reached].T * 1e3, strict=True):
+    for axis, values in zip("xyz", millimetres(solution.positions[reached].T), strict=True):
         columns.append((f"{goals.target}_{axis} [mm]", list(values)))
     return format_table(columns, comments)
 
@@ -90,7 +90,7 @@ def _rows(robot: Robot, goals: Goals, solution: Solution) -> list[dict[str, obje
         {
             "pose": name,
             "reached": bool(solution.ok[k]),
-            "miss_mm": float(1e3 * solution.miss_position[k]),
+            "miss_mm": millimetres(float(solution.miss_position[k])),
             "miss_deg": float(np.degrees(solution.miss_angle[k])),
             "joints": {joint: float(values[k]) for joint, values in joints.items()} if solution.ok[k] else None,
         }

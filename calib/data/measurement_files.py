@@ -1,17 +1,30 @@
-"""Poses and measurements as CSV files, checked at the door: every mistake is named by file, line and column."""
+"""Poses and measurements as CSV files, checked at the door: every mistake is named by file, line and column.
+
+A file of measurements has one row for each visit: joint columns, and the columns of the instruments that read there.
+Cells of an instrument that are all empty mean that it read nothing. Measurements may also be spread over several files:
+those with joint columns give the visits, the others say by their `pose` column to which visit each of their rows
+belongs, many rows to one visit if need be (pixels, for instance).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
-from calib.data.measurements import Measurements, Poses, averaged, single_readings
+from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.data.arrays import measurements
+from calib.data.measurements import CONTEXT, Measurements, Poses, check_repeats
 from calib.data.tables import Table, format_table, read_table
-from calib.errors import DataError
-from calib.model.mechanism import FloatArray
+from calib.errors import DataError, nearest
 from calib.model.robot import Robot
-from calib.units import DISPLAY_UNIT, PER_SI
+from calib.observation.kind import Instrument, Readings
+from calib.units import DISPLAY_UNIT, PER_SI, Dimension
+
+_APPROACH = "approach_"
 
 
 def read_poses(path: Path | str, robot: Robot) -> Poses:
@@ -21,32 +34,84 @@ def read_poses(path: Path | str, robot: Robot) -> Poses:
         DataError: The message names file, line and column.
     """
     table = read_table(path, robot.description.columns)
-    return _poses(table, robot, used=set(robot.joint_names) | {"pose"})
+    return _poses(table, robot, used=set())
 
 
-def read_measurements(path: Path | str, robot: Robot) -> Measurements:
-    """Read joint values and measured positions; rows with the same `pose` are averaged.
+def read_measurements(path: Path | str | Sequence[Path | str], robot: Robot) -> Measurements:
+    """Read joint values and what the instruments read; rows with the same `pose` repeat one pose.
+
+    Args:
+        path: The file, or several that belong together; see the module docstring.
+        robot: Whose joints and instruments they are.
 
     Raises:
         DataError: The message names file, line and column.
     """
-    table = read_table(path, robot.description.columns)
-    measured = [f"{name}_{axis}" for name in robot.target_names for axis in "xyz"]
-    poses = _poses(table, robot, used=set(robot.joint_names) | set(measured) | {"pose"})
-    positions = np.stack([table.column(name, "length") for name in measured], axis=1)
-    positions = positions.reshape(len(poses), len(robot.target_names), 3)
-    single = single_readings(poses, positions)
-    return averaged(single, robot) if "pose" in table.names else single
+    paths = [path] if isinstance(path, (str, Path)) else list(path)
+    tables = [read_table(one, robot.description.columns) for one in paths]
+    with_joints = [table for table in tables if len(tables) == 1 or set(robot.joint_names) <= set(table.names)]
+    if not with_joints:
+        raise DataError(f"{paths[0]}: none of the files has a column for every joint ({', '.join(robot.joint_names)})")
+    used = {column for table in tables for one in _seen_in(robot, table) for column in _columns_of(one, table)}
+    firsts = np.cumsum([0, *(len(table.rows) for table in with_joints)])
+    poses = _joined([_poses(table, robot, used, int(k)) for table, k in zip(with_joints, firsts[:-1], strict=True)])
+    approach = _joined_approach(robot, with_joints)
+    parts: dict[str, list[Readings]] = {}
+    start = 0
+    for table in tables:
+        if any(table is one for one in with_joints):
+            rows = start + np.arange(len(table.rows))
+            start += len(table.rows)
+        else:
+            rows = _visits_by_pose(table, poses)
+        for one in _seen_in(robot, table):
+            parts.setdefault(one.name, []).append(_readings(robot, one, table, rows))
+    data = measurements(poses, {name: _concatenated(found) for name, found in parts.items()})
+    if data.n_readings == 0 and not parts:
+        raise DataError(f"{paths[0]}: has no column of any instrument; expected: {_expected(robot)}")
+    if data.n_readings == 0:
+        where = f"{paths[0]}{f' and {len(paths) - 1} more' if len(paths) > 1 else ''}"
+        raise DataError(f"{where}: all cells of the measured columns are empty; there is nothing to read")
+    check_repeats(data, robot)
+    seen = np.unique(np.concatenate([found.visits for found in data.readings.values()]))
+    return replace(data, approach=approach).subset(seen) if len(seen) < len(data) else replace(data, approach=approach)
 
 
-def format_measurements(
+def format_measurements(robot: Robot, data: Measurements, comments: tuple[str, ...] = ()) -> str:
+    """Return measurements as CSV text in mm and degrees; of several readings of an instrument at a visit, the first.
+
+    Raises:
+        DataError: Simulated readings of an instrument that reads no numbers.
+    """
+    columns = _pose_columns(robot, data)
+    for one in robot.instruments:
+        found = data.readings.get(one.name)
+        if found is None:
+            continue
+        dimensions = {column.name: column.dimension for column in one.columns()}
+        first = dict(zip(found.visits[::-1].tolist(), range(len(found) - 1, -1, -1), strict=True))
+        for name, numbers in one.cells(found.values).items():
+            shown = _shown(numbers, dimensions[name])
+            cells: list[object] = [shown[first[k]] if k in first else "" for k in range(len(data))]
+            columns.append((_header(name, dimensions[name]), cells))
+        for name, words in one.texts(found.pairs, found.details).items():
+            columns.append((name, [words[first[k]] if k in first else "" for k in range(len(data))]))
+        if not dimensions and np.any(found.values):
+            raise DataError(
+                f"instrument '{one.name}' reads no numbers, so that no file can say by how much it missed: what it"
+                " touches must be touched; give joint values at which it is"
+            )
+    return format_table(columns, comments)
+
+
+def format_positions(
     robot: Robot,
     poses: Poses,
     positions: FloatArray,
     comments: tuple[str, ...] = (),
     std: FloatArray | None = None,
 ) -> str:
-    """Return CSV text in mm and degrees.
+    """Return positions of targets as CSV text in mm and degrees.
 
     Args:
         robot: Names joints and targets.
@@ -55,32 +120,241 @@ def format_measurements(
         comments: Lines to put first.
         std: Standard deviation of each coordinate, (n_poses, n_targets, 3) [m], in columns `<target>_std_x` ...
     """
-    columns: list[tuple[str, list[object]]] = [("pose", list(poses.names))]
-    for j, name in enumerate(robot.joint_names):
-        unit = DISPLAY_UNIT[robot.mechanism.dimensions[name]]
-        scale = PER_SI[robot.mechanism.dimensions[name]][unit]
-        # 15 digits: 30 degrees come out as 30, not as what the way through radians leaves of them
-        columns.append((f"{name} [{unit}]", [float(f"{value:.15g}") for value in poses.joints[:, j] * scale]))
-    for t, target in enumerate(robot.target_names):
-        for a, axis in enumerate("xyz"):
-            columns.append((f"{target}_{axis} [mm]", list(positions[:, t, a] * 1e3)))
-    for t, target in enumerate(robot.target_names):
-        for a, axis in enumerate("xyz"):
-            if std is not None:
-                columns.append((f"{target}_std_{axis} [mm]", list(std[:, t, a] * 1e3)))
+    columns = _pose_columns(robot, poses)
+    for suffix, numbers in (("", positions), ("std_", std)):
+        for t, target in enumerate(robot.target_names):
+            for a, axis in enumerate("xyz"):
+                if numbers is not None:
+                    shown = _shown(numbers[:, t, a], "length")
+                    columns.append((_header(f"{target}_{suffix}{axis}", "length"), list(shown)))
     return format_table(columns, comments)
 
 
-def _poses(table: Table, robot: Robot, used: set[str]) -> Poses:
+def _header(name: str, dimension: Dimension | None) -> str:
+    return name if dimension is None else f"{name} [{DISPLAY_UNIT[dimension]}]"
+
+
+def _shown(numbers: FloatArray, dimension: Dimension | None) -> FloatArray:
+    return numbers if dimension is None else numbers * PER_SI[dimension][DISPLAY_UNIT[dimension]]
+
+
+def _pose_columns(robot: Robot, poses: Poses) -> list[tuple[str, list[object]]]:
+    columns: list[tuple[str, list[object]]] = [("pose", list(poses.names))]
+    for j, name in enumerate(robot.joint_names):
+        dimension = robot.mechanism.dimensions[name]
+        # 15 digits: 30 degrees come out as 30, not as what the way through radians leaves of them
+        cells: list[object] = [float(f"{value:.15g}") for value in _shown(poses.joints[:, j], dimension)]
+        columns.append((_header(name, dimension), cells))
+    return columns
+
+
+def _poses(table: Table, robot: Robot, used: set[str], first: int = 0) -> Poses:
+    """The visits of a file; where it does not name its poses, they are counted on from `first`."""
     joints = np.stack([table.column(name, robot.mechanism.dimensions[name]) for name in robot.joint_names], axis=1)
     named = "pose" in table.names
     if named and "" in table.text("pose"):
         line = table.lines[table.text("pose").index("")]
         raise DataError(f"{table.path}, line {line}, column 'pose': is empty; name the pose, or leave the column out")
-    names = tuple(table.text("pose")) if named else tuple(str(k + 1) for k in range(len(table.rows)))
+    names = tuple(table.text("pose")) if named else tuple(str(first + k + 1) for k in range(len(table.rows)))
     labels = tuple(
         f"{table.path}, line {line}" + (f" (pose {name})" if named else "")
         for line, name in zip(table.lines, names, strict=True)
     )
+    context = {key: table.column(key, CONTEXT[key], gaps=True) for key in CONTEXT if key in table.names}
+    approach = {f"{_APPROACH}{name}" for name in robot.joint_names}
+    used = used | set(robot.joint_names) | {"pose", "setup"} | set(context) | approach
     ignored = tuple(name for name in table.names if name not in used)
-    return Poses(joints, labels, names, table.path, ignored, comments=table.comments)
+    return Poses(joints, labels, names, table.path, ignored, comments=table.comments, context=context)
+
+
+def _joined(parts: Sequence[Poses]) -> Poses:
+    """Put the visits of several files one after another."""
+    if len(parts) == 1:
+        return parts[0]
+    keys = dict.fromkeys(key for part in parts for key in part.context)
+    return Poses(
+        np.concatenate([part.joints for part in parts]),
+        tuple(chain.from_iterable(part.labels for part in parts)),
+        tuple(chain.from_iterable(part.names for part in parts)),
+        ", ".join(part.path for part in parts),
+        tuple(dict.fromkeys(chain.from_iterable(part.ignored for part in parts))),
+        comments=tuple(dict.fromkeys(chain.from_iterable(part.comments for part in parts))),
+        context={
+            key: np.concatenate([part.context.get(key, np.full(len(part), np.nan)) for part in parts]) for key in keys
+        },
+    )
+
+
+def _joined_approach(robot: Robot, tables: Sequence[Table]) -> FloatArray | None:
+    """Directions of approach, where every file has a column for every joint's; None: from the order of the rows."""
+    columns = [f"{_APPROACH}{name}" for name in robot.joint_names]
+    present = [[name for name in columns if name in table.names] for table in tables]
+    if not all(present):
+        return None
+    parts = []
+    for table, names in zip(tables, present, strict=True):
+        directions = np.zeros((len(table.rows), len(columns)))
+        for name in names:
+            directions[:, columns.index(name)] = np.sign(np.nan_to_num(table.column(name, None, gaps=True)))
+        parts.append(directions)
+    return np.concatenate(parts)
+
+
+def _visits_by_pose(table: Table, poses: Poses) -> IntArray:
+    """The visit of each row of a file without joint columns."""
+    if "pose" not in table.names:
+        raise DataError(f"{table.path}: has neither a column for every joint nor a column 'pose'; add one of them")
+    first = dict(zip(poses.names[::-1], range(len(poses) - 1, -1, -1), strict=True))
+    rows = []
+    for line, name in zip(table.lines, table.text("pose"), strict=True):
+        if name not in first:
+            raise DataError(
+                f"{table.path}, line {line}, column 'pose': no file with joint values has a pose '{name}'"
+                f"{nearest(name, first)}"
+            )
+        rows.append(first[name])
+    return np.array(rows, dtype=np.intp)
+
+
+def _seen_in(robot: Robot, table: Table) -> list[Instrument]:
+    """Instruments that a table has columns for; all, where nothing says that they may be missing."""
+    if not robot.description.instruments:
+        return list(robot.instruments)
+    found = [one for one in robot.instruments if any(name in table.names for name in _named_columns(one))]
+    if not found and set(robot.joint_names) <= set(table.names):
+        return []
+    if not found:
+        raise DataError(f"{table.path}: has no column of any instrument; expected: {_expected(robot)}")
+    return found
+
+
+def _expected(robot: Robot) -> str:
+    return "; ".join(dict.fromkeys(", ".join(_named_columns(one)) for one in robot.instruments))
+
+
+def _named_columns(one: Instrument) -> list[str]:
+    """Columns that only this instrument has: its numbers, or its words where it has no numbers."""
+    return [column.name for column in one.columns()] or list(one.text_columns())
+
+
+def _std_columns(one: Instrument) -> list[tuple[str, Dimension]]:
+    return [(f"{one.name}_std_{axis}", part.dimension) for part in one.parts for axis in part.axes]
+
+
+def _columns_of(one: Instrument, table: Table) -> list[str]:
+    names = [column.name for column in one.columns()] + list(one.text_columns())
+    names += [] if one.label_column is None else [one.label_column]
+    names += [name for name, _ in _std_columns(one)] + list(_correlation_columns(one))
+    return [name for name in names if name in table.names]
+
+
+def _correlation_columns(one: Instrument) -> dict[str, tuple[int, int]]:
+    axes = [axis for part in one.parts for axis in part.axes]
+    return {f"{one.name}_corr_{axes[i]}_{axes[j]}": (i, j) for i in range(len(axes)) for j in range(i + 1, len(axes))}
+
+
+def _readings(robot: Robot, one: Instrument, table: Table, rows: IntArray) -> Readings:
+    """What an instrument read in the rows of a table, whose visits are given, (n_table_rows,)."""
+    columns = {column.name: table.column(column.name, column.dimension, gaps=True) for column in one.columns()}
+    numbers = np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(rows), 0))
+    empty = np.isnan(numbers)
+    wheres = [f"{table.path}, line {line}" for line in table.lines]
+    some = np.flatnonzero(_labelled(robot, one, table) & ~(np.all(empty, axis=1) & (numbers.shape[1] > 0)))
+    texts: dict[str, list[str]] = {}
+    for name in one.text_columns():
+        if name not in table.names:
+            raise DataError(f"{table.path}: no column '{name}'{nearest(name, table.names)}")
+        every = table.text(name)
+        texts[name] = [every[k] for k in some]
+    own, pairs, details = one.looked_at(texts, [wheres[k] for k in some])
+    mine = np.array(own, dtype=bool)
+    kept = some[mine]
+    partly = np.argwhere(empty[kept])
+    if len(partly):
+        k, c = partly[0]
+        raise DataError(
+            f"{wheres[kept[k]]}, column '{list(columns)[c]}': is empty; fill it in, or leave all cells of '{one.name}'"
+            " empty"
+        )
+    values = one.values({name: column[kept] for name, column in columns.items()})
+    if not columns:  # it reads no numbers: one row stands for all
+        values = np.repeat(values, len(kept), axis=0)
+    numbers_of_pairs = pairs[mine] + _setups(robot, one, table)[kept]
+    return Readings(rows[kept], numbers_of_pairs, values, _covariance(one, table, kept), details[mine])
+
+
+def _labelled(robot: Robot, one: Instrument, table: Table) -> BoolArray:
+    """Which rows the label column, if there is one, leaves to an instrument, (n_table_rows,)."""
+    column = one.label_column
+    if column is None:
+        return np.ones(len(table.rows), dtype=bool)
+    group = [other for other in robot.instruments if other.label_column == column]
+    own = {c.name for c in one.columns()}
+    if column not in table.names:
+        sharing = [other.name for other in group if own & {c.name for c in other.columns()}]
+        if len(sharing) > 1:
+            raise DataError(f"{table.path}: no column '{column}', which tells {' and '.join(sharing)} apart")
+        return np.ones(len(table.rows), dtype=bool)
+    texts, names = table.text(column), [other.name for other in group]
+    for line, text in zip(table.lines, texts, strict=True):
+        if text and text not in names:
+            raise DataError(f"{table.path}, line {line}, column '{column}': no {column} '{text}'{nearest(text, names)}")
+    return np.array([text == one.name for text in texts], dtype=bool)
+
+
+def _setups(robot: Robot, one: Instrument, table: Table) -> IntArray:
+    """What a setup adds to the number of the pair that an instrument looks along, (n_table_rows,)."""
+    names = list(robot.description.setups)
+    if not names:
+        return np.zeros(len(table.rows), dtype=np.intp)
+    if "setup" not in table.names:
+        raise DataError(f"{table.path}: no column 'setup'; the description names the setups {', '.join(names)}")
+    numbers = []
+    for line, text in zip(table.lines, table.text("setup"), strict=True):
+        if text not in names:
+            raise DataError(f"{table.path}, line {line}, column 'setup': no setup '{text}'{nearest(text, names)}")
+        numbers.append(names.index(text))
+    n_pairs = len(robot.pairs(one)) // len(names)
+    return np.array(numbers, dtype=np.intp) * n_pairs
+
+
+def _covariance(one: Instrument, table: Table, kept: IntArray) -> FloatArray | None:
+    """The covariance that columns of standard deviations and correlations state; None without them."""
+    names = _std_columns(one)
+    present = [name for name, _ in names if name in table.names]
+    if not present:
+        return None
+    missing = next((name for name, _ in names if name not in table.names), None)
+    if missing is not None:
+        raise DataError(f"{table.path}: no column '{missing}', but '{present[0]}'; give all standard deviations")
+    std = np.stack([table.column(name, dimension)[kept] for name, dimension in names], axis=1)
+    if np.any(std <= 0):
+        k, c = np.argwhere(std <= 0)[0]
+        raise DataError(
+            f"{table.path}, line {table.lines[kept[k]]}, column '{names[c][0]}': a standard deviation must be positive"
+        )
+    correlation = np.tile(np.eye(len(names)), (len(kept), 1, 1))
+    for name, (i, j) in _correlation_columns(one).items():
+        if name in table.names:
+            correlation[:, i, j] = correlation[:, j, i] = table.column(name, None)[kept]
+    smallest = np.linalg.eigvalsh(correlation)[:, 0] if len(kept) else np.ones(0)
+    if np.any(smallest <= 1e-9):
+        k = int(np.argmin(smallest))
+        raise DataError(f"{table.path}, line {table.lines[kept[k]]}: the correlations of '{one.name}' cannot be")
+    result: FloatArray = std[:, :, None] * correlation * std[:, None, :]
+    return result
+
+
+def _concatenated(parts: list[Readings]) -> Readings:
+    if len(parts) == 1:
+        return parts[0]
+    with_covariance = [part.covariance for part in parts if part.covariance is not None]
+    if with_covariance and len(with_covariance) < len(parts):
+        raise DataError("standard deviations are given in one file and not in another; give them in all, or in none")
+    return Readings(
+        np.concatenate([part.visits for part in parts]),
+        np.concatenate([part.pairs for part in parts]),
+        np.concatenate([part.values for part in parts]),
+        np.concatenate(with_covariance) if with_covariance else None,
+        np.concatenate([part.details for part in parts]),
+    )

@@ -1,17 +1,26 @@
-"""Measurements: joint values of each pose and where the targets were seen."""
+"""Measurements: the visits of a robot to its poses, and what each instrument read there.
+
+A visit is one row: joint values, and what else is known of that moment (context). Rows with one pose name repeat that
+pose; nothing is averaged. An instrument may have read nothing at a visit, and several may have read at one.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
+from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.errors import DataError
-from calib.model.mechanism import FloatArray, IntArray
+from calib.joint_terms.term import Context
 from calib.model.robot import Robot
-from calib.read_only import ReadOnlyArrays
+from calib.observation.kind import Readings
 from calib.units import DISPLAY_UNIT, PER_SI, Dimension
 
+CONTEXT: dict[str, Dimension] = {"time": "time", "temperature": "temperature", "load": "mass"}
+"""Columns that say under which conditions a visit was made, and what they measure."""
 _JOINTS_AGREE: dict[Dimension, float] = {"length": 1e-3, "angle": 2e-3}
 """Largest spread of a joint among repeats of one pose [m, rad]; more means that they are different poses."""
 _MOVED = 1e-4  # change of a joint between two rows that counts as motion [m, rad]
@@ -19,15 +28,16 @@ _MOVED = 1e-4  # change of a joint between two rows that counts as motion [m, ra
 
 @dataclass(frozen=True, eq=False)
 class Poses(ReadOnlyArrays):
-    """Joint values of a list of poses.
+    """Joint values of a list of visits.
 
     Attributes:
-        joints: Actuated joints in the robot's order, (n_poses, n_actuated) [m or rad].
-        labels: What to call each pose in messages: file, line and pose name.
-        names: The pose names of the file, or their running number.
+        joints: Actuated joints in the robot's order, (n, n_actuated) [m or rad].
+        labels: What to call each in messages: file, line and pose name.
+        names: The pose names of the file, or their running number; rows of one name repeat one pose.
         path: Where they came from.
         ignored: Columns of the file that nothing was read from.
         comments: What the file says about itself, line by line.
+        context: Conditions of each visit, (n,) [SI] by name, of `CONTEXT`; NaN where not known.
     """
 
     joints: FloatArray
@@ -36,70 +46,118 @@ class Poses(ReadOnlyArrays):
     path: str
     ignored: tuple[str, ...]
     comments: tuple[str, ...] = field(default=(), kw_only=True)
+    context: Mapping[str, FloatArray] = field(default_factory=dict, kw_only=True)
 
     def __len__(self) -> int:
         return len(self.joints)
 
+    @cached_property
+    def pose_numbers(self) -> IntArray:
+        """A number for each visit, the same for those of one pose name, counted as they first appear, (n,)."""
+        numbers: dict[str, int] = {}
+        return np.array([numbers.setdefault(name, len(numbers)) for name in self.names], dtype=np.intp)
+
+    @property
+    def n_poses(self) -> int:
+        """Number of different poses."""
+        return int(self.pose_numbers.max(initial=-1)) + 1
+
 
 @dataclass(frozen=True, eq=False)
 class Measurements(Poses):
-    """Poses with measured positions; repeats of a pose are already averaged.
+    """Visits with what was read.
 
     Attributes:
-        positions: Mean measured positions in the measurement frame, (n_poses, n_targets, 3) [m].
-        counts: How many readings each mean is of, (n_poses,).
-        scatter: Standard deviation of the repeats about their mean, (n_poses, n_targets, 3) [m]; NaN without repeats.
-        readings: The readings of each pose, (counts[k], n_targets, 3) [m] each; empty where they are not known.
-        approach: Direction in which each joint moved last before the pose was measured, +1 or -1, 0 where not known,
-            and the mean over repeats, (n_poses, n_actuated). If not given: from the order of the poses.
-        order: Place of each pose in the order of measurement, counted from 0, (n_poses,). If not given: as they stand.
+        readings: Of each instrument, by its name; visits are indices into the rows.
+        approach: Direction in which each joint moved last before the visit, +1 or -1, 0 where not known,
+            (n, n_actuated). If not given: from the order of the rows.
+        order: Place of each visit in the order of measurement, counted from 0, (n,). If not given: as they stand.
     """
 
-    positions: FloatArray
-    counts: IntArray
-    scatter: FloatArray
-    readings: tuple[FloatArray, ...] = ()
+    readings: Mapping[str, Readings]
     approach: FloatArray | None = None
     order: IntArray | None = None
 
     @property
-    def n_rows(self) -> int:
-        """Number of readings, repeats counted one by one."""
-        return int(self.counts.sum())
+    def n_readings(self) -> int:
+        """Number of readings of all instruments."""
+        return sum(len(found) for found in self.readings.values())
 
     @property
     def approach_directions(self) -> FloatArray:
-        """`approach`, from the order of the poses where it is not given, (n_poses, n_actuated)."""
+        """`approach`, from the order of the rows where it is not given, (n, n_actuated)."""
         return directions_of_motion(self.joints) if self.approach is None else self.approach
 
     @property
+    def conditions(self) -> Context:
+        """Under which conditions the robot was commanded, for its joint terms."""
+        return Context.of(self.approach_directions, self.context)
+
+    @property
     def places(self) -> IntArray:
-        """`order`, the poses as they stand where it is not given, (n_poses,)."""
+        """`order`, the rows as they stand where it is not given, (n,)."""
         return np.arange(len(self)) if self.order is None else self.order
 
     def subset(self, index: IntArray) -> Measurements:
-        """Return the poses with these indices (n,), in this order."""
+        """Return the visits with these indices (n,), in this order, with their readings."""
+        index = np.asarray(index, dtype=np.intp)
         return replace(
             self,
             order=self.places[index],
-            readings=tuple(self.readings[i] for i in index) if self.readings else (),
             approach=self.approach_directions[index],
             joints=self.joints[index],
-            positions=self.positions[index],
-            counts=self.counts[index],
-            scatter=self.scatter[index],
             labels=tuple(self.labels[i] for i in index),
             names=tuple(self.names[i] for i in index),
+            context={key: values[index] for key, values in self.context.items()},
+            readings={name: _of_visits(found, index) for name, found in self.readings.items()},
         )
 
-    def repeatability(self) -> float:
-        """Return the pooled standard deviation of one reading about its pose's mean, per axis [m], or NaN."""
-        repeated = self.counts > 1
-        if not np.any(repeated):
-            return float("nan")
-        freedom = self.counts[repeated] - 1
-        squares = np.mean(self.scatter[repeated] ** 2, axis=(1, 2))
-        return float(np.sqrt(np.sum(freedom * squares) / np.sum(freedom)))
+    def points(self, robot: Robot) -> FloatArray:
+        """Return where each target was seen in the measurement frame, (n, n_targets, 3) [m]; NaN where it was not.
+
+        Only instruments that measure points say so; of several readings of a target at a visit, the mean.
+        """
+        total = np.zeros((len(self), len(robot.target_names), 3))
+        count = np.zeros((len(self), len(robot.target_names), 1))
+        for one in robot.instruments:
+            found = self.readings.get(one.name)
+            seen = None if found is None else one.points(found.values)
+            if found is None or seen is None:
+                continue
+            t = robot.target_names.index(one.target)
+            np.add.at(total[:, t], found.visits, seen)
+            np.add.at(count[:, t], found.visits, 1.0)
+        with np.errstate(invalid="ignore"):
+            result: FloatArray = total / count
+        return result
+
+
+def with_points(robot: Robot, data: Measurements, points: FloatArray) -> Measurements:
+    """Return measurements in which instruments that measure points saw these, (n, n_targets, 3) [m]."""
+    readings = dict(data.readings)
+    for name, found in data.readings.items():
+        one = robot.instrument(name)
+        seen = one.points(found.values)
+        if seen is not None:
+            change = np.zeros((len(found), one.n_rows))
+            change[:, :3] = points[found.visits, robot.target_names.index(one.target)] - seen
+            readings[name] = replace(found, values=one.moved(found.values, change))
+    return replace(data, readings=readings)
+
+
+def _of_visits(found: Readings, index: IntArray) -> Readings:
+    """The readings of the visits with these indices, in this order; a visit may come twice."""
+    order = np.argsort(found.visits, kind="stable")
+    first, last = (np.searchsorted(found.visits[order], index, side=side) for side in ("left", "right"))
+    counts = last - first
+    kept = order[np.repeat(first - np.cumsum(counts) + counts, counts) + np.arange(int(counts.sum()))]
+    return Readings(
+        np.repeat(np.arange(len(index)), counts),
+        found.pairs[kept],
+        found.values[kept],
+        None if found.covariance is None else found.covariance[kept],
+        found.details[kept],
+    )
 
 
 def directions_of_motion(joints: FloatArray) -> FloatArray:
@@ -118,71 +176,21 @@ def directions_of_motion(joints: FloatArray) -> FloatArray:
     return result
 
 
-def single_readings(poses: Poses, positions: FloatArray) -> Measurements:
-    """Return one reading of each pose as measurements.
-
-    Args:
-        poses: Where they were taken.
-        positions: Measured positions in the measurement frame, (n_poses, n_targets, 3) [m].
-    """
-    return Measurements(
-        poses.joints,
-        poses.labels,
-        poses.names,
-        poses.path,
-        poses.ignored,
-        positions,
-        np.ones(len(poses), dtype=np.intp),
-        np.full(positions.shape, np.nan),
-        comments=poses.comments,
-    )
-
-
-def averaged(single: Measurements, robot: Robot) -> Measurements:
-    """Average single readings that share a pose name, keeping the order in which the names first appear.
-
-    Args:
-        single: Of `single_readings`.
-        robot: Names the joints.
-
-    Raises:
-        DataError: Readings with the same pose name have different joint values.
-    """
-    groups: dict[str, list[int]] = {}
-    for row, name in enumerate(single.names):
-        groups.setdefault(name, []).append(row)
-    if len(groups) == len(single):
-        return single
-    joints, positions, scatter = [], [], []
-    directions = directions_of_motion(single.joints)
-    for name, rows in groups.items():
-        values = single.joints[rows]
-        spread = np.ptp(values, axis=0)
-        limits = np.array([_JOINTS_AGREE[robot.mechanism.dimensions[joint]] for joint in robot.joint_names])
-        if np.any(spread > limits):
-            joint = int(np.argmax(spread / limits))
-            dimension = robot.mechanism.dimensions[robot.joint_names[joint]]
-            unit = DISPLAY_UNIT[dimension]
-            raise DataError(
-                f"{single.labels[rows[0]]}: joint '{robot.joint_names[joint]}' differs by"
-                f" {spread[joint] * PER_SI[dimension][unit]:.3g} {unit} among the rows of pose '{name}';"
-                " rows with the same pose value must repeat one pose"
-            )
-        joints.append(values.mean(axis=0))
-        positions.append(single.positions[rows].mean(axis=0))
-        several = len(rows) > 1
-        scatter.append(
-            single.positions[rows].std(axis=0, ddof=1) if several else np.full(single.positions.shape[1:], np.nan)
+def check_repeats(poses: Poses, robot: Robot) -> None:
+    """Raise `DataError` where rows of one pose name have different joint values."""
+    limits = np.array([_JOINTS_AGREE[robot.mechanism.dimensions[joint]] for joint in robot.joint_names])
+    order = np.argsort(poses.pose_numbers, kind="stable")
+    starts = np.flatnonzero(np.diff(poses.pose_numbers[order], prepend=-1))
+    spread = np.maximum.reduceat(poses.joints[order], starts) - np.minimum.reduceat(poses.joints[order], starts)
+    bad = np.argwhere(spread > limits)
+    if len(bad):
+        pose = int(bad[0][0])
+        joint = int(np.argmax(spread[pose] / limits))
+        row = int(order[starts[pose]])
+        dimension = robot.mechanism.dimensions[robot.joint_names[joint]]
+        unit = DISPLAY_UNIT[dimension]
+        raise DataError(
+            f"{poses.labels[row]}: joint '{robot.joint_names[joint]}' differs by"
+            f" {spread[pose, joint] * PER_SI[dimension][unit]:.3g} {unit} among the rows of pose"
+            f" '{poses.names[row]}'; rows with the same pose value must repeat one pose"
         )
-    first = [rows[0] for rows in groups.values()]
-    return replace(
-        single,
-        joints=np.array(joints),
-        positions=np.array(positions),
-        scatter=np.array(scatter),
-        counts=np.array([len(rows) for rows in groups.values()], dtype=np.intp),
-        labels=tuple(single.labels[i] for i in first),
-        names=tuple(groups),
-        readings=tuple(single.positions[rows] for rows in groups.values()),
-        approach=np.array([directions[rows].mean(axis=0) for rows in groups.values()]),
-    )

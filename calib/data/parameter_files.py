@@ -7,8 +7,8 @@ from pathlib import Path
 
 from calib.data.tables import check_plausible, format_table, read_number, read_table
 from calib.errors import DataError, InputError, ParameterError, nearest
-from calib.model.parameters import index_of
 from calib.model.robot import Robot
+from calib.parameter import index_of
 from calib.units import PER_SI, per_si
 
 COLUMNS = ("parameter", "value", "unit")
@@ -41,7 +41,7 @@ def read_parameters(path: Path | str, robot: Robot, *, complete: bool = False) -
             raise ParameterError(f"{where}: parameter '{name}' is given twice")
         place = f"{where}, parameter '{name}'"
         try:
-            number = read_number(text, place)
+            number = read_number(text, place, table.separator)
             if not unit:
                 check_plausible(number, parameter.dimension, place, "into the column 'unit'")
             values[name] = number / per_si(unit, parameter.dimension, place)

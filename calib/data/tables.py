@@ -1,6 +1,7 @@
 """CSV tables with units in their headers: read with the line and column of every mistake, and written back.
 
-A column is `name` or `name [unit]`; without a unit the numbers are SI. Lines that start with # are comments.
+A column is `name` or `name [unit]`; without a unit the numbers are SI. Lines that start with # are comments. Commas,
+semicolons or tabs part the columns, whichever the header has; where it is not the comma, that may be the decimal mark.
 """
 
 from __future__ import annotations
@@ -15,11 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.arrays import FloatArray
 from calib.errors import DataError, InputError, nearest
-from calib.model.mechanism import FloatArray
 from calib.units import Dimension, per_si, split_column
 
 _LARGEST = 1e6  # [m or rad]
+_SEPARATORS = ",;\t"
+_WITH_THOUSANDS = re.compile(r"[-+]?\d+(\.\d+)+,\d*|[-+]?\d+(,\d+)+\.\d*|[-+]?\d+(,\d+){2,}", re.ASCII)
+_DECIMAL_COMMA = re.compile(r"[-+]?(\d+,\d*|,\d+)([eE][-+]?\d+)?", re.ASCII)
 _SUSPICIOUS: dict[Dimension, tuple[float, str]] = {"angle": (4 * math.pi, "deg"), "length": (50.0, "mm")}
 
 
@@ -34,6 +38,7 @@ class Table:
         rows: Cells of each row.
         lines: Line number in the file of each row.
         comments: Comment lines without their #.
+        separator: What stands between the cells.
     """
 
     path: str
@@ -42,27 +47,38 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
     lines: tuple[int, ...]
     comments: tuple[str, ...]
+    separator: str
 
-    def column(self, name: str, dimension: Dimension) -> FloatArray:
+    def column(self, name: str, dimension: Dimension | None, *, gaps: bool = False) -> FloatArray:
         """Return a column of numbers in SI, (n_rows,).
 
+        Args:
+            name: The column.
+            dimension: What it measures; None: pure numbers.
+            gaps: Whether cells may be empty; these are NaN.
+
         Raises:
-            DataError: No such column, wrong unit, or a cell that is not a finite number.
+            DataError: No such column, wrong unit, a cell that is not a finite number, or decimal commas beside points.
         """
         if name not in self.names:
             raise DataError(f"{self.path}: no column '{name}'{nearest(name, self.names)}")
         index = self.names.index(name)
+        if dimension is None and self.units[index] is not None:
+            raise DataError(f"{self.path}, column '{name}': has a unit, but is a pure number; remove the unit")
         try:
-            divisor = per_si(self.units[index], dimension, f"{self.path}, column '{name}'")
+            divisor = (
+                1.0 if dimension is None else per_si(self.units[index], dimension, f"{self.path}, column '{name}'")
+            )
         except InputError as error:
             raise DataError(str(error)) from None
-        values = self._numbers(index)
-        if self.units[index] is None:
-            worst = int(np.argmax(np.abs(values)))
+        values = self._numbers(index, gaps=gaps)
+        if np.all(np.isnan(values)):
+            return values
+        worst = int(np.nanargmax(np.abs(values)))
+        if self.units[index] is None and dimension is not None:
             check_plausible(values[worst], dimension, self._where(worst, index), "into the header")
         values = values / divisor
-        worst = int(np.argmax(np.abs(values)))
-        if abs(values[worst]) > _LARGEST:
+        if dimension in _SUSPICIOUS and abs(values[worst]) > _LARGEST:
             raise DataError(
                 f"{self._where(worst, index)}: {self.rows[worst][index]} is beyond what any robot reaches; correct it,"
                 " or leave the row out"
@@ -74,22 +90,45 @@ class Table:
         index = self.names.index(name)
         return [row[index].strip() for row in self.rows]
 
-    def _numbers(self, index: int) -> FloatArray:
+    def _numbers(self, index: int, *, gaps: bool) -> FloatArray:
         cells = [row[index] for row in self.rows]
+        self._check_marks(cells, index)
+        if gaps and not all(cell.strip() for cell in cells):
+            return np.array(
+                [
+                    read_number(cell, self._where(k, index), self.separator) if cell.strip() else np.nan
+                    for k, cell in enumerate(cells)
+                ]
+            )
         try:
             values = np.array([float(cell) for cell in cells])
         except ValueError:
             values = np.array([np.nan])
         if np.all(np.isfinite(values)) and not any("_" in cell for cell in cells):  # float() also reads 1_000
             return values
-        return np.array([read_number(cell, self._where(k, index)) for k, cell in enumerate(cells)])
+        return np.array([read_number(cell, self._where(k, index), self.separator) for k, cell in enumerate(cells)])
+
+    def _check_marks(self, cells: list[str], index: int) -> None:
+        """Raise `DataError` where a column has decimal commas and decimal points: which of them part thousands?"""
+        comma = next((k for k, cell in enumerate(cells) if "," in cell and "." not in cell), None)
+        point = next((k for k, cell in enumerate(cells) if "." in cell and "," not in cell), None)
+        if self.separator != "," and comma is not None and point is not None:
+            raise DataError(
+                f"{self._where(comma, index)}: '{cells[comma].strip():.60}', but '{cells[point].strip():.60}' in line"
+                f" {self.lines[point]}; write all decimals of a column one way"
+            )
 
     def _where(self, row: int, index: int) -> str:
         return f"{self.path}, line {self.lines[row]}, column '{self.names[index]}'"
 
 
-def read_number(cell: str, where: str) -> float:
+def read_number(cell: str, where: str, separator: str = ",") -> float:
     """Read the number in a cell.
+
+    Args:
+        cell: Its text.
+        where: For the message.
+        separator: What stands between cells; if that is not the comma, the comma may be the decimal mark.
 
     Raises:
         DataError: It is empty, no number, or not finite.
@@ -97,10 +136,15 @@ def read_number(cell: str, where: str) -> float:
     text = cell.strip()
     if not text:
         raise DataError(f"{where}: is empty; fill it in, or remove the row")
+    hint = "; write decimals with a point" if _DECIMAL_COMMA.fullmatch(text) else ""
+    if separator != ",":
+        if _WITH_THOUSANDS.fullmatch(text):
+            hint = "; write thousands without a mark"
+        elif hint:
+            text = text.replace(",", ".")
     try:
         value = float(text.replace("_", " "))
     except ValueError:
-        hint = "; write decimals with a point" if re.fullmatch(r"[-+]?\d*,\d+", text) else ""
         raise DataError(f"{where}: '{text:.60}' is not a number{hint}") from None
     if not math.isfinite(value):
         raise DataError(f"{where}: '{text:.60}' is not finite; remove the row")
@@ -116,6 +160,8 @@ def check_plausible(value: float, dimension: Dimension, where: str, place: str) 
         where: For the message.
         place: Where the unit should be written, such as `into the header`.
     """
+    if dimension not in _SUSPICIOUS:
+        return
     limit, unit = _SUSPICIOUS[dimension]
     if abs(value) > limit:
         si = "rad" if dimension == "angle" else "m"
@@ -125,7 +171,7 @@ def check_plausible(value: float, dimension: Dimension, where: str, place: str) 
 
 
 def read_table(path: Path | str, renamed: Mapping[str, str] | None = None) -> Table:
-    """Read a CSV file.
+    """Read a CSV file, its columns separated by commas, semicolons or tabs.
 
     Args:
         path: The file.
@@ -146,36 +192,36 @@ def read_table(path: Path | str, renamed: Mapping[str, str] | None = None) -> Ta
     for number, line in enumerate(text.split("\n"), start=1):
         if line.lstrip().startswith("#"):
             comments.append(line.lstrip()[1:].strip())
-        elif line.strip().strip(","):
+        elif line.strip().strip(_SEPARATORS):
             kept.append(line)
             numbers.append(number)
     if not kept:
         raise DataError(f"{path}: is empty; expected a header line and rows of numbers")
-    cells = [_cells(str(path), line, number) for line, number in zip(kept, numbers, strict=True)]
-    names, units = _header(str(path), kept[0], cells[0], renamed or {})
+    separator = max(_SEPARATORS, key=re.sub('"[^"]*"', "", kept[0]).count)
+    cells = [_cells(str(path), line, number, separator) for line, number in zip(kept, numbers, strict=True)]
+    names, units = _header(str(path), cells[0], renamed or {})
     for row, number in zip(cells[1:], numbers[1:], strict=True):
         if len(row) != len(names):
+            hint = "; write decimals with a point, or separate columns by semicolons"
             raise DataError(
                 f"{path}, line {number}: {len(row)} cells for {len(names)} columns"
-                + ("; write decimals with a point" if len(row) > len(names) else "")
+                + (hint if len(row) > len(names) and separator == "," else "")
             )
     if len(cells) == 1:
         raise DataError(f"{path}: has a header but no rows")
-    return Table(str(path), names, units, tuple(cells[1:]), tuple(numbers[1:]), tuple(comments))
+    return Table(str(path), names, units, tuple(cells[1:]), tuple(numbers[1:]), tuple(comments), separator)
 
 
-def _cells(path: str, line: str, number: int) -> tuple[str, ...]:
+def _cells(path: str, line: str, number: int, separator: str) -> tuple[str, ...]:
     try:
-        return tuple(next(csv.reader([line], strict=True, skipinitialspace=True)))
+        return tuple(next(csv.reader([line], delimiter=separator, strict=True, skipinitialspace=True)))
     except csv.Error as error:
         raise DataError(f"{path}, line {number}: is not CSV ({error})") from None
 
 
 def _header(
-    path: str, line: str, cells: tuple[str, ...], renamed: Mapping[str, str]
+    path: str, cells: tuple[str, ...], renamed: Mapping[str, str]
 ) -> tuple[tuple[str, ...], tuple[str | None, ...]]:
-    if len(cells) == 1 and any(mark in line for mark in ";\t"):
-        raise DataError(f"{path}: columns are separated by {'semicolons' if ';' in line else 'tabs'}; use commas")
     names, units = [], []
     for number, cell in enumerate(cells, start=1):
         name, unit = split_column(renamed.get(cell.strip(), cell))

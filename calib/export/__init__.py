@@ -4,7 +4,7 @@ from calib.export.closed_model import ClosedModel, closed_model
 from calib.export.drake import drake_bytes
 from calib.export.formats import FORMATS, export
 from calib.export.gap import Gap, loop_gaps
-from calib.export.mjcf import mjcf_bytes
+from calib.export.mjcf import Mjcf, mjcf
 from calib.export.toolbox import calibrated_description, toolbox_yaml
 from calib.export.urdf import urdf_bytes
 
@@ -12,12 +12,13 @@ __all__ = [
     "FORMATS",
     "ClosedModel",
     "Gap",
+    "Mjcf",
     "calibrated_description",
     "closed_model",
     "drake_bytes",
     "export",
     "loop_gaps",
-    "mjcf_bytes",
+    "mjcf",
     "toolbox_yaml",
     "urdf_bytes",
 ]

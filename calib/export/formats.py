@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from calib.errors import InputError, nearest
 from calib.export.closed_model import closed_model
 from calib.export.drake import drake_bytes
 from calib.export.gap import Gap, loop_gaps
-from calib.export.mjcf import mjcf_bytes
+from calib.export.mjcf import mjcf
 from calib.export.toolbox import toolbox_yaml
 from calib.export.urdf import urdf_bytes
-from calib.files import check_file, write_file
+from calib.files import check_file, write_file, write_folder
 from calib.model.robot import Robot
 
 FORMATS = ("urdf", "mjcf", "drake", "toolbox")
@@ -25,6 +25,7 @@ def export(
     *,
     free_slide: bool = False,
     provenance: Sequence[str] | None = None,
+    note: Callable[[str], None] = lambda text: None,
 ) -> tuple[Gap, ...]:
     """Write a robot with its current values for another program.
 
@@ -37,6 +38,7 @@ def export(
         free_slide: Formats `mjcf` and `drake`: a free joint for each direction that a closure leaves free.
         provenance: Lines for the comment that says where the numbers come from; formats `urdf` and `toolbox` put no
             comment into the URDF if this is None.
+        note: Called with each thing that the user should know, such as a mesh that had to be left out.
 
     Returns:
         What 3D constraints would have to absorb, for each direction that a closure leaves free.
@@ -50,7 +52,7 @@ def export(
         raise InputError(f"format '{file_format}': unknown{nearest(file_format, FORMATS)}")
     if free_slide and file_format not in ("mjcf", "drake"):
         raise InputError(f"format '{file_format}' has no variant with free slides; only mjcf and drake have")
-    files = _contents(robot, file_format, path, free_slide, provenance)
+    files = _contents(robot, file_format, path, free_slide, provenance, note)
     for file in files:
         if file.resolve() in (Path(robot.urdf.path).resolve(), Path(robot.path).resolve()):
             raise InputError(f"{file}: is the robot's own input; choose another file, so that nominal is not lost")
@@ -61,12 +63,24 @@ def export(
 
 
 def _contents(
-    robot: Robot, file_format: str, path: Path, free_slide: bool, provenance: Sequence[str] | None
+    robot: Robot,
+    file_format: str,
+    path: Path,
+    free_slide: bool,
+    provenance: Sequence[str] | None,
+    note: Callable[[str], None],
 ) -> dict[Path, bytes]:
     if file_format == "urdf":
         return {path: urdf_bytes(robot, provenance)}
     if file_format == "mjcf":
-        return {path: mjcf_bytes(closed_model(robot, free_slide=free_slide), path.parent, provenance or ())}
+        written = mjcf(closed_model(robot, free_slide=free_slide), path, provenance or ())
+        for text in written.notes:
+            note(text)
+        if written.meshes:
+            folder = next(iter(written.meshes)).parent
+            write_folder(folder, {mesh.name: content for mesh, content in written.meshes.items()})
+            note(f"meshes that MuJoCo cannot read were converted into {folder}; keep that folder beside {path.name}")
+        return {path: written.content}
     if file_format == "drake":
         return {path: drake_bytes(closed_model(robot, free_slide=free_slide), provenance or ())}
     urdf = path.with_suffix(".urdf")

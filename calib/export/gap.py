@@ -23,11 +23,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import qmc
 
+from calib.arrays import FloatArray
 from calib.errors import InputError
 from calib.model import kinematics
-from calib.model.description import ANGLE_COMPONENTS, COMPONENTS, Component
-from calib.model.mechanism import FloatArray, RelativeFrame
+from calib.model.mechanism import RelativeFrame
 from calib.model.robot import Robot
+from calib.sections import ANGLE_COMPONENTS, COMPONENTS, Component
 
 LARGEST_CHANGE = 0.01
 """Largest change of a gap that a constraint may be left to absorb [characteristic lengths of the robot, or rad]."""

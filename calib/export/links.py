@@ -14,8 +14,8 @@ from xml.etree.ElementTree import Element, TreeBuilder
 import numpy as np
 import pinocchio as pin
 
+from calib.arrays import FloatArray
 from calib.errors import UrdfError
-from calib.model.mechanism import FloatArray
 from calib.model.urdf_text import UrdfText
 
 

@@ -9,12 +9,15 @@ Every link is a body, also the fixed ones; a root link named `world` becomes the
 that name for itself. Targets and the measurement frame are empty bodies, because not every program reads sites. Motors
 are position servos whose stiffness comes from the inertia that they feel at home. Ties are soft in a simulator, though
 little here: never take its pose for the truth.
+
+A lamp and a floor that touches nothing make the robot visible; the keyframe `home` puts joints and servos there.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -25,7 +28,7 @@ import pinocchio as pin
 from calib.errors import InputError
 from calib.export.closed_model import ClosedModel, joint_motion, origin, tie_lines
 from calib.export.links import Inertial, Link, possible_inertia, read_links
-from calib.export.mjcf_shapes import Shapes, placed
+from calib.export.mjcf_shapes import Shapes, add_surroundings, placed
 from calib.export.servo import servo_gains
 from calib.export.urdf import provenance_lines
 from calib.export.xml_text import comment, numbers
@@ -42,26 +45,43 @@ _NO_MASS, _NO_INERTIA = 1e-9, 1e-12
 _TYPES = {"prismatic": "slide", "revolute": "hinge", "continuous": "hinge"}
 
 
-def mjcf_bytes(model: ClosedModel, folder: Path | str = ".", provenance: Sequence[str] = ()) -> bytes:
-    """Return the MJCF file.
+@dataclass(frozen=True)
+class Mjcf:
+    """An MJCF file and what goes with it.
+
+    Attributes:
+        content: The file.
+        meshes: Converted mesh files that it names.
+        notes: What cannot be drawn as the URDF asks, and why.
+    """
+
+    content: bytes
+    meshes: dict[Path, bytes]
+    notes: tuple[str, ...]
+
+
+def mjcf(model: ClosedModel, path: Path | str = "robot.xml", provenance: Sequence[str] = ()) -> Mjcf:
+    """Return the MJCF file and the meshes that had to be converted for it.
 
     Args:
         model: The closed robot.
-        folder: Where the file will lie; mesh files are named relative to it.
+        path: Where the file will lie; mesh files are named relative to its folder.
         provenance: Further lines for the comment that says where the numbers come from.
 
     Raises:
         InputError: A link other than the root is named `world`, which MuJoCo keeps for itself.
     """
-    return _Writer(model, Path(folder)).write(provenance)
+    writer = _Writer(model, Path(path))
+    content = writer.write(provenance)
+    return Mjcf(content, writer.shapes.converted, tuple(dict.fromkeys(writer.shapes.remarks)))
 
 
 class _Writer:
-    def __init__(self, model: ClosedModel, folder: Path) -> None:
+    def __init__(self, model: ClosedModel, path: Path) -> None:
         self.model = model
         self.links = read_links(model.urdf)
         self.remarks: list[str] = []
-        self.shapes = Shapes(model.robot.urdf.path, folder)
+        self.shapes = Shapes(model.robot.urdf.path, path)
         self.children: dict[str, list[UrdfJoint]] = {link: [] for link in model.urdf.links}
         for joint in model.urdf.joints:
             self.children[joint.parent].append(joint)
@@ -76,6 +96,7 @@ class _Writer:
         self._contact(root)
         self._equality(root)
         self._actuators(root)
+        self._keyframe(root)
         ElementTree.indent(root)
         header = comment(
             [
@@ -95,6 +116,10 @@ class _Writer:
             raise InputError(
                 f"{urdf.path}: link 'world' is not the root link; MuJoCo keeps this name for its world: rename the link"
             )
+        robot = self.model.robot
+        T_root_base = np.linalg.inv(robot.forward(robot.home, urdf.root))
+        links = np.array([T_root_base @ robot.forward(robot.home, link) for link in robot.urdf.links])
+        add_surroundings(world, links[:, :3, 3])
         # Pinocchio passes over the placement of a body that is fixed to the worldbody itself: this one has none
         self._content(SubElement(world, "body", name=self._body_name(urdf.root)), urdf.root, moving=False)
 
@@ -102,7 +127,7 @@ class _Writer:
         """Fill a body with its mass, shapes, markers and children."""
         link = self.links[name]
         self._inertial(element, name, link, moving)
-        self.shapes.add(element, link)
+        self.shapes.add(element, link, [np.asarray(joint.xyz, dtype=float) for joint in self.children[name]])
         for marker in self.model.markers:
             if marker.link == name:
                 SubElement(element, "body", {"name": marker.name, **placed(marker.placement)})
@@ -232,3 +257,10 @@ class _Writer:
         for name, inertia in zip(self.model.actuated, self.model.inertia, strict=True):
             stiffness, damping = servo_gains(inertia)
             SubElement(actuator, "position", name=name, joint=name, kp=repr(stiffness), kv=repr(damping))
+
+    def _keyframe(self, root: Element) -> None:
+        """Home, with the servos holding it; joints in the order in which MuJoCo counts them."""
+        joints = [element.attrib for element in root.iter("joint") if "type" in element.attrib]
+        positions = numbers(self.model.home[joint["name"]] for joint in joints)
+        controls = numbers(self.model.home[name] for name in self.model.actuated)
+        SubElement(SubElement(root, "keyframe"), "key", name="home", qpos=positions, ctrl=controls)

@@ -1,18 +1,27 @@
-"""The shapes of links in MJCF: boxes, cylinders, spheres, and those meshes that MuJoCo can read."""
+"""The shapes of links in MJCF: boxes, cylinders, spheres, and meshes.
+
+MuJoCo reads OBJ and binary STL. Other meshes, such as Collada, are converted to OBJ files beside the MJCF file, one for
+each colour. A link whose meshes cannot be read is drawn as rods to its joints.
+"""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 import pinocchio as pin
 
+from calib.arrays import FloatArray
 from calib.export.links import Link, Shape, find_mesh
 from calib.export.xml_text import numbers
 
 _MAX_FACES = 200_000  # of a binary STL file, MuJoCo's limit
+_GREY = (0.6, 0.6, 0.6, 1.0)
+_ROD = 0.06  # radius of a rod over its length
 
 
 class Shapes:
@@ -20,58 +29,153 @@ class Shapes:
 
     Args:
         urdf_path: Where mesh files are looked for.
-        folder: Where the MJCF file will lie; mesh files are named relative to it.
+        path: The MJCF file; mesh files are named relative to its folder, and converted ones lie in a folder beside it.
 
     Attributes:
         asset: The `<asset>` element with the meshes.
-        remarks: What was left out, and why.
+        remarks: What could not be drawn, and why.
+        converted: Contents of the converted mesh files.
     """
 
-    def __init__(self, urdf_path: str, folder: Path) -> None:
-        self.urdf_path, self.folder = urdf_path, folder.resolve()
+    def __init__(self, urdf_path: str, path: Path) -> None:
+        self.urdf_path, self.folder = urdf_path, path.resolve().parent
         self.asset = Element("asset")
         self.remarks: list[str] = []
+        self.converted: dict[Path, bytes] = {}
+        self._beside = path.parent / f"{path.stem}_meshes"
         self._meshes: dict[tuple[str, tuple[float, ...]], str] = {}
+        self._parts: dict[Path, list[tuple[Path, tuple[float, ...]]]] = {}
 
-    def add(self, body: Element, link: Link) -> None:
-        """Add a link's shapes to its body: visuals in group 2, collisions in group 3."""
-        for shape in link.visuals:
-            self._geom(body, shape, {"group": "2", "contype": "0", "conaffinity": "0"})
+    def add(self, body: Element, link: Link, ends: list[FloatArray]) -> None:
+        """Add a link's shapes to its body: visuals in group 2, collisions in group 3.
+
+        Args:
+            body: Where to.
+            link: The link.
+            ends: Where its joints are, (3,) [m] each, for a link whose visuals cannot be read.
+        """
+        visible = {"group": "2", "contype": "0", "conaffinity": "0"}
+        drawn = [self._geom(body, shape, visible) for shape in link.visuals]
+        if drawn and not any(drawn):
+            self._rods(body, ends, visible)
         for shape in link.collisions:
             self._geom(body, shape, {"group": "3"})
 
-    def _geom(self, body: Element, shape: Shape, role: dict[str, str]) -> None:
-        attributes = {"type": shape.kind, **placed(shape.placement)}
-        if shape.kind == "mesh":
-            name = self._mesh(shape)
-            if name is None:
-                return
-            attributes["mesh"] = name
-        elif shape.kind == "box":
-            attributes["size"] = numbers(edge / 2 for edge in shape.size)
-        elif shape.kind == "cylinder":
-            attributes["size"] = numbers((shape.size[0], shape.size[1] / 2))
-        else:
-            attributes["size"] = numbers(shape.size)
-        if shape.colour is not None:
-            attributes["rgba"] = numbers(shape.colour)
-        SubElement(body, "geom", {**attributes, "mass": "0", **role})  # a link weighs what its <inertial> says
+    def _rods(self, body: Element, ends: list[FloatArray], role: dict[str, str]) -> None:
+        """Draw a link as rods to its joints."""
+        for end in ends:
+            length = float(np.linalg.norm(end))
+            if length > 0:
+                where = {"fromto": numbers((0.0, 0.0, 0.0, *end)), "size": numbers([_ROD * length])}
+                SubElement(body, "geom", {"type": "capsule", **where, "rgba": numbers(_GREY), "mass": "0", **role})
 
-    def _mesh(self, shape: Shape) -> str | None:
-        """Name of a mesh that MuJoCo can read, or None with a remark."""
+    def _geom(self, body: Element, shape: Shape, role: dict[str, str]) -> bool:
+        """Add one shape; return whether it could be read."""
+        common = {**placed(shape.placement), "mass": "0", **role}  # a link weighs what its <inertial> says
+        if shape.kind == "mesh":
+            parts = self._files_of(shape)
+            for file, own_colour in parts:
+                colour = {"rgba": numbers(shape.colour or own_colour)} if shape.colour or own_colour else {}
+                SubElement(body, "geom", {"type": "mesh", "mesh": self._mesh(file, shape.size), **colour, **common})
+            return bool(parts)
+        if shape.kind == "box":
+            size = numbers(edge / 2 for edge in shape.size)
+        elif shape.kind == "cylinder":
+            size = numbers((shape.size[0], shape.size[1] / 2))
+        else:
+            size = numbers(shape.size)
+        colour = {} if shape.colour is None else {"rgba": numbers(shape.colour)}
+        SubElement(body, "geom", {"type": shape.kind, "size": size, **colour, **common})
+        return True
+
+    def _files_of(self, shape: Shape) -> list[tuple[Path, tuple[float, ...]]]:
+        """Files that MuJoCo can read for a mesh, and the colours that they bring; without any, a remark says why."""
         path = find_mesh(shape.file, self.urdf_path)
-        if path is None or not _is_readable(path):
-            why = "not found" if path is None else "neither OBJ nor binary STL of at most 200 000 faces"
-            self.remarks.append(f"mesh {shape.file} left out ({why})")
-            return None
+        if path is None:
+            self.remarks.append(f"mesh {shape.file} left out (not found; set ROS_PACKAGE_PATH, or mend its name)")
+            return []
+        if _is_readable(path):
+            return [(path, ())]
+        if path not in self._parts:
+            try:
+                self._parts[path] = self._convert(path)
+            except Exception as error:  # readers of mesh files raise many kinds
+                self._parts[path] = []
+                why = (str(error).strip().splitlines() or [type(error).__name__])[0]
+                self.remarks.append(f"mesh {shape.file} left out (cannot be read: {why}; save it as OBJ or binary STL)")
+        return self._parts[path]
+
+    def _convert(self, path: Path) -> list[tuple[Path, tuple[float, ...]]]:
+        """Write a mesh file as OBJ files, one for each colour.
+
+        Raises:
+            ValueError: There are no triangles in it.
+            Exception: Others, from the readers of mesh files.
+        """
+        stem = f"{path.stem}_{len(self._parts)}"
+        parts = []
+        for number, (colour, content) in enumerate(_obj_by_colour(path)):
+            file = self._beside / f"{stem}_{number}.obj"
+            self.converted[file] = content
+            parts.append((file, colour))
+        if not parts:
+            raise ValueError("no triangles in it")
+        return parts
+
+    def _mesh(self, path: Path, scale: tuple[float, ...]) -> str:
+        """Name of a mesh file among the assets."""
         file = os.path.relpath(path, self.folder)
-        key = (file, shape.size)
+        key = (file, scale)
         if key not in self._meshes:
             self._meshes[key] = f"mesh_{len(self._meshes)}"
-            attributes = {"file": file, "scale": numbers(shape.size)}
+            attributes = {"file": file, "scale": numbers(scale)}
             attributes["inertia"] = "shell"  # a flat mesh has no volume, which MuJoCo would refuse
             SubElement(self.asset, "mesh", {"name": self._meshes[key], **attributes})
         return self._meshes[key]
+
+
+def _obj_by_colour(path: Path) -> Iterator[tuple[tuple[float, ...], bytes]]:
+    """Yield the parts of a mesh file that have the same colour, as OBJ."""
+    import trimesh
+
+    scene: Any = trimesh.load(path, force="scene")
+    points: dict[tuple[float, ...], list[FloatArray]] = {}
+    for node in scene.graph.nodes_geometry:
+        T_file_part, key = scene.graph[node]
+        geometry = scene.geometry[key]
+        if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
+            corners = np.asarray(geometry.triangles, dtype=float) @ T_file_part[:3, :3].T + T_file_part[:3, 3]
+            if np.linalg.det(T_file_part[:3, :3]) < 0:
+                corners = corners[:, ::-1]  # a mirrored part is seen from outside again
+            points.setdefault(_colour(geometry.visual), []).append(corners)
+    for colour, triangles in points.items():
+        vertices, index = np.unique(np.concatenate(triangles).reshape(-1, 3), axis=0, return_inverse=True)
+        lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices]
+        lines += [f"f {a} {b} {c}" for a, b, c in index.reshape(-1, 3) + 1 if len({a, b, c}) == 3]
+        yield colour, ("\n".join(lines) + "\n").encode()
+
+
+def _colour(visual: Any) -> tuple[float, ...]:
+    """Main colour of a part of a mesh file."""
+    parts = np.ravel(getattr(getattr(visual, "material", visual), "main_color", ()))
+    if not visual.defined or len(parts) < 3:
+        return _GREY
+    return (*(round(float(value) / 255, 3) for value in parts[:3]), 1.0)
+
+
+def add_surroundings(world: Element, points: FloatArray) -> None:
+    """Add a lamp above the robot, and a floor below that collides with nothing.
+
+    Args:
+        world: The world.
+        points: Where the links' frames are at home, (n, 3) [m].
+    """
+    size = round(max(float(np.max(np.abs(points))), 0.1), 3)  # millimetres: more digits would only be rounding
+    low, high = (round(float(end), 3) for end in (np.min(points[:, 2]), np.max(points[:, 2])))
+    SubElement(world, "light", name="lamp", pos=numbers((0.0, -size, high + 2 * size)), dir="0 0.4 -1")
+    floor = {"type": "plane", "size": numbers((3 * size, 3 * size, size / 10)), "rgba": "0.85 0.87 0.9 1"}
+    floor |= {"pos": numbers((0.0, 0.0, low)), "group": "2", "contype": "0", "conaffinity": "0"}
+    SubElement(world, "geom", {"name": "floor", **floor})
 
 
 def placed(placement: pin.SE3) -> dict[str, str]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.data.measurements import Measurements
 from calib.identification.fitted import Fit
-from calib.numerics.outliers import Outlier
+from calib.identification.judged import Outlier
 
 _ROUNDS = 5
 

@@ -2,18 +2,20 @@
 
 Minimise, over u = (p - p_nominal) / s,
 
-    sum over poses and axes  n_k (x_k(p) - measured_k)^2 / sigma^2   +   sum over parameters with a prior  u^2
+    sum over visits  r^T V^-1 r   +   sum over parameters with a prior  u^2
 
-with n_k the readings averaged at pose k (`calib.identification.problem`), by `calib.numerics.least_squares`.
+with r the residuals of all readings of a visit and V the covariance of their noise (`calib.linearisation.rows`), by
+`calib.numerics.least_squares`.
 
-Order of work: (1) close every pose at nominal, or name those that cannot be; (2) where the measurement frame or the
-target's place is not known, a closed-form rigid fit places them, refined alone: this is the honest state `before`;
+Order of work: (1) close every pose at nominal, or name those that cannot be; (2) where measurement frames or targets
+are
+not known, they are placed alone, near where they are expected if a sigma says so: this is the honest state `before`;
 (3) all free parameters together, from several starts if asked for; (4) with a robust loss, again with weights
 (`calib.identification.robust`); (5) rank, statistics and error tables at the solution; (6) if asked for, outliers are
 left out and all is done again, and poses are left out in turns for cross-validation.
 
-The noise sigma weighs measurements against priors. Where nobody states it, it is found by repeating step 3 with the
-residuals' own sigma until that changes by less than one percent.
+Where nobody states the noise of an instrument, it is found from the residuals, and so is an error that the rows of a
+visit share (`calib.numerics.variance_components`): step 3 is repeated until that changes by less than one percent.
 
 When it fails. Fewer coordinates than unknowns, or columns that the poses cannot tell apart and no prior holds, is a
 `NotIdentifiableError` that names the parameters. A fit that did not converge comes back with the verdict FAIL.
@@ -26,32 +28,37 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.arrays import FloatArray
 from calib.data.measurements import Measurements
 from calib.errors import ComputationError, DataError, InputError, NotConvergedError, UnreachablePoseError
+from calib.identification.errors_found import ErrorSet
 from calib.identification.exclusion import without_outliers
-from calib.identification.fitted import Convergence, ErrorSet, Fit
+from calib.identification.fitted import Convergence, Fit
 from calib.identification.folds import cross_validate
 from calib.identification.pose_checks import check_measurements, require_identifiable
-from calib.identification.problem import Problem
+from calib.identification.problem import Evaluation, Problem
 from calib.identification.robust import solve_robust
 from calib.identification.starts import Starts, explore
 from calib.identification.suspects import likely_mistake
-from calib.linearisation.jacobian import linearise
+from calib.identification.verdict import judge
+from calib.linearisation.observed import observe
 from calib.linearisation.registration import register
-from calib.model.mechanism import FloatArray
-from calib.model.robot import Configurations, Robot, describe_open
-from calib.numerics.identifiability import numerical_rank
+from calib.linearisation.rows import Rows, Scales, Unknowns
+from calib.model.robot import Robot
 from calib.numerics.least_squares import TOLERANCE, Solution
 from calib.numerics.losses import Loss, checked_loss
 from calib.numerics.observability import observability
-from calib.numerics.statistics import EXACT, Noise, effective_parameters, found_noise, statistics
+from calib.numerics.statistics import Factors, found_factors, statistics
+from calib.numerics.variance_components import EXACT
 from calib.threads import one_blas_thread
 
 __all__ = ["ErrorSet", "Fit", "fit"]
 
 _LOOSE = 1e-2  # tolerance of the solver where another solve follows
 _PLACED = 1e-6  # the same for the state before: its errors then hold to a millionth
-_SIGMA_ROUNDS = 20
+_NOISE_ROUNDS = 20
+_NOISE_STANDS = 0.01  # relative change of scales below which they are found
+_FAMILIES_STAND = 5.0  # how much less exactly the sizes of families need to be found
 _STEP_LEFT = 0.05  # standard deviations that a converged fit may be away from its minimum
 _ROUNDING = 1e-8  # 10 nm and 10 nrad: below, rounding decides about a step
 
@@ -61,13 +68,13 @@ class _Settings:
     """How to fit.
 
     Attributes:
-        stated: Noise of one reading per axis [m], or None.
+        sigma: Noise of positions per axis that replaces what is stated [m], or None.
         loss: Robust loss.
         starts: Number of starts.
         seed: Seed of the random steps.
     """
 
-    stated: float | None
+    sigma: float | None
     loss: Loss
     starts: int
     seed: int
@@ -78,10 +85,10 @@ class _Solved:
     """A minimum, and what weighed its rows."""
 
     robot: Robot
-    sigma: float
+    groups: FloatArray
     solution: Solution
     weights: FloatArray | None = None
-    noise: Noise | None = None
+    factors: Factors | None = None
     settled: bool = True
     starts: Starts | None = None
 
@@ -105,7 +112,8 @@ def fit(
         robot: The nominal robot.
         data: Measurements to identify with.
         validation: Measurements to judge the result with.
-        sigma: Standard deviation of one reading per axis [m]; the description's if not given, found if that has none.
+        sigma: Standard deviation of measured positions per axis [m], in place of what the description states; where
+            neither does, it is found.
         loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey` (see `calib.numerics.losses`).
         exclude_outliers: Leave outliers out and fit again; the result holds both fits.
         starts: Number of starting points, the nominal one and perturbed ones.
@@ -121,14 +129,13 @@ def fit(
     """
     started = time.perf_counter()
     _require_measurements(data, validation)
-    stated = sigma if sigma is not None else robot.description.sigma
-    if stated is not None and not (np.isfinite(stated) and stated > 0):
-        raise DataError(f"sigma {stated:g} m: must be a positive number")
+    if sigma is not None and not (np.isfinite(sigma) and sigma > 0):
+        raise DataError(f"sigma {sigma:g} m: must be a positive number")
     if starts < 1:
         raise InputError(f"starts {starts}: must be 1 or more")
     if seed < 0:
         raise InputError(f"seed {seed}: must be zero or more")
-    settings = _Settings(stated, checked_loss(loss), starts, seed)
+    settings = _Settings(sigma, checked_loss(loss), starts, seed)
     try:
         found = _fit(robot, data, validation, settings)
     except UnreachablePoseError as error:
@@ -162,143 +169,179 @@ def _require_measurements(data: object, validation: object) -> None:
 
 def _fit(robot: Robot, data: Measurements, validation: Measurements | None, settings: _Settings) -> Fit:
     """Do steps 1 to 5 of the module docstring."""
-    free = robot.free
-    check_measurements(robot, data, free)
-    problem = Problem(robot, data, free)
+    check_measurements(robot, data)
+    problem = Problem(robot, data, settings.sigma)
     placed = _place(problem)
-    before = problem.evaluate(placed).errors
+    start = problem.evaluate(placed)
+    determined = require_identifiable(problem, start)  # before the solver, where `calib check` looks too
     solved = _solve(problem, placed, settings)
     final = problem.evaluate(solved.robot)
-    rows = problem.weighted(final.errors[..., None])[:, 0]
-    # everything below needs J^T J alone, which the small triangular factor of J has too
-    factor = _factor(problem.weighted(final.jacobian) * problem.scales)
-    rank = numerical_rank(factor)
-    require_identifiable(problem, factor)
-    noise = solved.noise or found_noise(rows, effective_parameters(factor, problem.has_prior, solved.sigma))
-    found = statistics(factor, noise, problem.scales, problem.has_prior, solved.sigma)
-    all_scales = np.array([p.sigma for p in robot.parameters])
+    rows = problem.rows(final, solved.groups)
+    require_identifiable(problem, final)
+    scales = problem.found_shared(final, solved.groups) if settings.loss == "none" else Scales.of(solved.groups)
+    layout, unknowns = problem.whitening.layout, problem.unknowns
+    factors = solved.factors or found_factors(
+        rows.residuals, rows.jacobian, layout.group, len(layout.groups), rows.known
+    )
+    slowed = rows if factors.slope == 1.0 else rows.weighted(np.full(layout.n_readings, factors.slope))
+    found = statistics(
+        rows.jacobian,
+        layout.group,
+        slowed.known,
+        factors,
+        unknowns.scales,
+        unknowns.has_prior,
+        problem.noise_of_rows(final, scales),
+    )
     return Fit(
         nominal=robot,
         placed=placed,
         robot=solved.robot,
-        identification=ErrorSet(data, before, final.errors, solved.robot.singular_values(final.configurations)),
+        identification=ErrorSet(
+            data,
+            robot.instruments,
+            start.residuals,
+            final.residuals,
+            solved.robot.singular_values(final.configurations),
+        ),
         validation=None if validation is None else _errors_on(placed, solved.robot, validation),
         configurations=final.configurations,
-        free=free,
+        unknowns=unknowns,
         statistics=found,
-        rank=rank,
-        rank_all=numerical_rank(_factor(problem.weighted(final.all_columns) * all_scales)),
-        observability=observability(rank.singular_values[: rank.rank], len(data)),
-        jacobian=final.jacobian,
-        sigma_stated=settings.stated,
+        determination=determined,
+        observability=_observability(problem, final, determined.free.rank),
+        rows=rows,
+        whitening=problem.whitening,
+        scales=scales,
         message=solved.solution.message,
         seconds=float("nan"),
-        convergence=_convergence(problem, solved, final.jacobian, final.errors, found.std),
-        sigma_used=solved.sigma,
+        convergence=_convergence(problem, solved, rows, found.std),
         loss=settings.loss,
-        weights=np.ones(final.errors.shape[:2]) if solved.weights is None else solved.weights,
+        weights=np.ones(layout.n_readings) if solved.weights is None else solved.weights,
+        sigma_given=settings.sigma,
+        judge=judge,
         starts=solved.starts,
         seed=settings.seed,
     )
 
 
-def _factor(rows: FloatArray) -> FloatArray:
-    """Return the triangular factor of a tall matrix."""
-    if len(rows) <= rows.shape[1]:
-        return rows
-    return np.asarray(np.linalg.qr(rows, mode="r"))
+def _observability(problem: Problem, final: Evaluation, rank: int) -> dict[str, float]:
+    """O1 to O5 of the scaled Jacobian of readings in SI units, as measured: of metres, where only positions are."""
+    units = 1.0 / np.array([group.typical if group.stated else 1.0 for group in problem.whitening.groups])
+    own = problem.unknowns.only(problem.unknowns.family < 0)  # of families, priors decide what counts
+    factor = problem.rows(final, units, own).factor[:, :-1]
+    return observability(np.linalg.svd(factor, compute_uv=False)[:rank], len(problem.data))
 
 
 def _place(problem: Problem) -> Robot:
-    """Return the nominal robot with an unknown base and unknown targets placed by registration alone."""
+    """Return the nominal robot with unknown frames and targets placed by registration alone.
+
+    A target that is expected somewhere stays near, as far as the noise of these residuals lets it: the nominal robot's
+    own errors are part of that noise, so that it is found, whatever is stated for the sensor.
+    """
     robot = problem.robot
-    if not np.any(problem.moves):
+    places = problem.unknowns.only(problem.unknowns.placement)
+    if not len(places):
         return robot
-    registered, any_sigma = register(robot, problem.data), 1e-4
-    if _is_best_placed(problem, registered):
+    registered = register(robot, problem.data)
+    if not np.any(places.has_prior) and _is_best_placed(problem, registered, places):
         return registered
-    placed, solution = problem.solve(registered, any_sigma, problem.moves, priors=False, tolerance=_PLACED)
-    if not solution.converged:
+    first = problem.evaluate(registered)
+    found, solution = registered, None
+    groups = _as_found(problem, first, problem.whitening.start(first.residuals))
+    for _ in range(_NOISE_ROUNDS):
+        found, solution = problem.solve(found, groups, places, tolerance=_PLACED)
+        again = _as_found(problem, problem.evaluate(found), groups)
+        if not np.any(places.has_prior) or np.all(np.abs(again / groups - 1.0) <= _NOISE_STANDS):
+            break
+        groups = again
+    if solution is None or not solution.converged:
         raise NotConvergedError(
             "placing the base and the targets did not converge; check units and axes of the measurements"
         )
-    return placed
+    return found
 
 
-def _is_best_placed(problem: Problem, robot: Robot) -> bool:
+def _as_found(problem: Problem, found: Evaluation, groups: FloatArray) -> FloatArray:
+    """Scales of all groups, stated or not, as the residuals of placing are."""
+    flat, group = problem.whitening.flatten(found.residuals), problem.whitening.layout.group
+    places = problem.unknowns.only(problem.unknowns.placement)
+    result = groups.copy()
+    for g in range(len(result)):
+        rows = group == g
+        left = max(int(np.sum(rows)) - len(places), 1)
+        result[g] = np.sqrt(float(flat[rows] @ flat[rows]) / left) + EXACT
+    return result
+
+
+def _is_best_placed(problem: Problem, robot: Robot, places: Unknowns) -> bool:
     """Whether no other place of base and targets promises errors that are smaller by more than `_PLACED`."""
-    evaluation = problem.evaluate(robot)
-    rows = problem.weighted(evaluation.errors[..., None])[:, 0]
-    columns = problem.weighted(evaluation.jacobian[..., problem.moves]) * problem.scales[problem.moves]
-    explained = np.linalg.qr(columns)[0].T @ rows
-    return bool(explained @ explained <= _PLACED * (rows @ rows))
+    found = problem.evaluate(robot)
+    rows = problem.rows(found, problem.whitening.start(found.residuals), places)
+    explained = np.linalg.qr(rows.jacobian)[0].T @ rows.residuals
+    return bool(explained @ explained <= _PLACED * (rows.residuals @ rows.residuals))
 
 
 def _solve(problem: Problem, placed: Robot, settings: _Settings) -> _Solved:
     """Solve with the stated noise or find it; from several starts and with a robust loss, if asked for."""
     exact = TOLERANCE if settings.loss == "none" else _LOOSE  # a robust loss goes on from there
-    solved = _solve_with_noise(problem, placed, settings.stated, exact)
+    solved = _solve_with_noise(problem, placed, exact)
     if settings.starts > 1:
         first = (solved.robot, solved.solution)
-        tried = explore(problem, placed, first, solved.sigma, settings.starts, settings.seed)
+        tried = explore(problem, placed, first, solved.groups, settings.starts, settings.seed)
         best = tried.minima[0]
         if best.solution is not solved.solution:  # the noise that was found belongs to the minimum left behind
-            solved = _solve_with_noise(problem, best.robot, settings.stated, exact)
+            solved = _solve_with_noise(problem, best.robot, exact)
         solved = replace(solved, starts=tried)
     if settings.loss == "none":
         return solved
-    evaluation = problem.evaluate(solved.robot)
-    require_identifiable(problem, _factor(problem.weighted(evaluation.jacobian) * problem.scales))
-    robust = solve_robust(problem, solved.robot, settings.loss, settings.stated)
+    robust = solve_robust(problem, solved.robot, settings.loss, solved.groups)
     return _Solved(
-        robust.robot, robust.sigma, robust.solution, robust.weights, robust.noise, robust.settled, solved.starts
+        robust.robot, robust.groups, robust.solution, robust.weights, robust.factors, robust.settled, solved.starts
     )
 
 
-def _solve_with_noise(problem: Problem, placed: Robot, stated: float | None, exact: float) -> _Solved:
-    """Solve with the stated noise; where none is stated, find it."""
-    everything = np.ones(len(problem.scales), dtype=bool)
-    first = problem.weighted(problem.evaluate(placed).errors[..., None])
-    sigma, tolerance = stated or float(np.sqrt(np.mean(first**2))) + 1e-9, _LOOSE
-    moves = problem.moves
-    # registration alone may have put a loosely determined target far from where its prior says it is
-    robot = problem.solve(placed, sigma, moves, tolerance=_LOOSE)[0] if np.any(moves & problem.has_prior) else placed
-    if stated is not None or not np.any(problem.has_prior):  # without priors, sigma weighs nothing
-        robot, solution = problem.solve(robot, sigma, everything, tolerance=exact)
-        return _Solved(robot, sigma, solution)
-    for _ in range(_SIGMA_ROUNDS):
-        robot, solution = problem.solve(robot, sigma, everything, tolerance=tolerance)
-        evaluation = problem.evaluate(robot)
-        factor = _factor(problem.weighted(evaluation.jacobian) * problem.scales)
-        rows = problem.weighted(evaluation.errors[..., None])[:, 0]
-        freedom = len(rows) - effective_parameters(factor, problem.has_prior, sigma)
-        found = float(np.sqrt(rows @ rows / max(freedom, 1.0)))
-        settled = abs(found - sigma) <= 0.01 * sigma or found < EXACT
-        if settled and tolerance == exact:
-            return _Solved(robot, sigma, solution)
-        if abs(found - sigma) <= 0.1 * sigma or found < EXACT:
+def _solve_with_noise(problem: Problem, start: Robot, exact: float) -> _Solved:
+    """Solve with the stated noise; find what is not stated of it."""
+    groups = problem.whitening.start(problem.evaluate(start).residuals)
+    unstated = np.array([not group.stated for group in problem.whitening.groups])
+    matters = np.any(problem.unknowns.has_prior) or len(unstated) > 1
+    if (
+        not (np.any(unstated) and matters) and not problem.unknowns.families
+    ):  # without priors and with one instrument, the noise weighs nothing
+        robot, solution = problem.solve(start, groups, tolerance=exact)
+        return _Solved(robot, groups, solution)
+    robot, tolerance = start, _LOOSE
+    for _ in range(_NOISE_ROUNDS):
+        robot, solution = problem.solve(robot, groups, tolerance=tolerance)
+        found, sizes = problem.found_scales(problem.evaluate(robot), groups)
+        counts = unstated & (found > EXACT)
+        change = float(np.max(np.abs(found / groups - 1.0)[counts], initial=0.0))
+        change = max(change, float(np.max(np.abs(sizes - 1.0), initial=0.0)) / _FAMILIES_STAND)
+        if change <= _NOISE_STANDS and tolerance == exact:
+            return _Solved(robot, groups, solution)
+        if change <= 10 * _NOISE_STANDS:
             tolerance = exact
-        sigma = sigma if found < EXACT else found
+        if change > _NOISE_STANDS:
+            groups = found
+            problem.unknowns = problem.unknowns.rescaled(sizes)
     raise NotConvergedError(
-        "the noise of the measurements could not be found from the residuals; state it with --sigma-mm"
+        "the noise of the measurements could not be found from the residuals; state it (`sigma` in the description, or"
+        " --sigma-mm)"
     )
 
 
-def _convergence(
-    problem: Problem, solved: _Solved, jacobian: FloatArray, errors: FloatArray, std: FloatArray
-) -> Convergence:
+def _convergence(problem: Problem, solved: _Solved, rows: Rows, std: FloatArray) -> Convergence:
     """Judge the end of the iteration by its stopping rule and by the Gauss-Newton step that is left."""
-    rows = problem.weighted(errors[..., None], solved.weights)[:, 0]
-    scaled = problem.weighted(jacobian, solved.weights) * problem.scales
-    prior = np.eye(len(problem.scales))[problem.has_prior]
-    stacked = np.vstack([scaled, solved.sigma * prior])
-    right = np.concatenate([rows, solved.sigma * (prior @ problem.scaled_values(solved.robot))])
-    q, r = np.linalg.qr(stacked)
-    left = np.abs(problem.scales * np.linalg.solve(r, q.T @ right)) / (std + _ROUNDING)
+    weighted = rows if solved.weights is None else rows.weighted(solved.weights)
+    pull = weighted.jacobian.T @ weighted.residuals + np.where(rows.has_prior, rows.deviations, 0.0)
+    root = weighted.known.root
+    left = np.abs(problem.unknowns.scales * (root @ (root.T @ pull))) / (std + _ROUNDING)
     largest = int(np.argmax(left))
-    name = [p.name for p, use in zip(problem.robot.parameters, problem.free, strict=True) if use][largest]
     converged = solved.solution.converged and solved.settled and bool(left[largest] < _STEP_LEFT)
-    return Convergence(converged, solved.solution.message, float(left[largest]), name, solved.settled)
+    return Convergence(
+        converged, solved.solution.message, float(left[largest]), problem.unknowns.names[largest], solved.settled
+    )
 
 
 def _errors_on(placed: Robot, calibrated: Robot, data: Measurements) -> ErrorSet:
@@ -307,12 +350,10 @@ def _errors_on(placed: Robot, calibrated: Robot, data: Measurements) -> ErrorSet
         after, singular = _errors_of(calibrated, data)
     except UnreachablePoseError as error:
         raise ComputationError(f"with the parameters found, the robot cannot be assembled: {error}") from None
-    return ErrorSet(data, before, after, singular)
+    return ErrorSet(data, placed.instruments, before, after, singular)
 
 
-def _errors_of(robot: Robot, data: Measurements) -> tuple[FloatArray, FloatArray]:
-    closed = robot.close(data.joints)
-    if not np.all(closed.ok):
-        raise UnreachablePoseError(describe_open(robot, data.joints, closed, data.labels))
-    configurations = Configurations(data.joints, closed.passive, closed.slope)
-    return linearise(robot, configurations).positions - data.positions, robot.singular_values(configurations)
+def _errors_of(robot: Robot, data: Measurements) -> tuple[dict[str, FloatArray], FloatArray]:
+    configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
+    found = observe(robot, configurations, data.readings)
+    return {name: one.residuals for name, one in found.items()}, robot.singular_values(configurations)

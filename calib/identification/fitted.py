@@ -1,54 +1,33 @@
-"""A finished fit: what was found, and what follows from it on request (outliers, patterns, verdict, uncertainty)."""
+"""A finished fit: what was found, and what follows from it on request (outliers, patterns, uncertainty)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib.data.measurements import Measurements
+from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.identification.errors_found import ErrorSet, Folds
+from calib.identification.judged import Outlier, blocks, outliers_of
+from calib.identification.reasons import Verdict
 from calib.identification.starts import Starts
-from calib.identification.systematic import Pattern, Residuals, patterns
-from calib.identification.validation import error_table
-from calib.linearisation.prediction import PositionUncertainty, carried, position_uncertainty
-from calib.model.mechanism import BoolArray, FloatArray
+from calib.identification.systematic import Pattern, Residuals, Setting, patterns
+from calib.linearisation.determination import Determination
+from calib.linearisation.observed import observe
+from calib.linearisation.prediction import PositionUncertainty, position_uncertainty
+from calib.linearisation.rows import Group, Rows, Scales, Unknowns, Whitening
 from calib.model.robot import Configurations, Robot
 from calib.numerics.identifiability import Rank
 from calib.numerics.losses import Loss
-from calib.numerics.outliers import Outlier, Studentised, outliers, studentised
-from calib.numerics.statistics import EXACT, ChiSquare, Statistics, chi_square, prior_shares
-from calib.read_only import ReadOnlyArrays
+from calib.numerics.outliers import Studentised, studentised
+from calib.numerics.statistics import ChiSquare, Statistics, chi_square
+from calib.numerics.variance_components import EXACT
 from calib.threads import one_blas_thread
 
-if TYPE_CHECKING:
-    from calib.identification.folds import Folds
-    from calib.identification.reasons import Verdict
-
 COMPUTED = 1e-7
-"""Noise below this [m], and below a hundredth of what was stated, is what priors leave of data without noise."""
-
-
-@dataclass(frozen=True, eq=False)
-class ErrorSet(ReadOnlyArrays):
-    """Predicted minus measured positions of one set of poses.
-
-    Attributes:
-        data: The measurements.
-        before, after: Errors before and after calibration, (n_poses, n_targets, 3) [m].
-        singular_value: Each pose's distance to a singularity of the loops; infinite without loops, (n_poses,).
-    """
-
-    data: Measurements
-    before: FloatArray
-    after: FloatArray
-    singular_value: FloatArray
-
-    def table(self) -> dict[str, dict[str, object]]:
-        """Return the error tables `before` and `after` [mm]."""
-        return {"before": error_table(self.before.reshape(-1, 3)), "after": error_table(self.after.reshape(-1, 3))}
+"""Noise below this [SI], and below a hundredth of what was stated, is what priors leave of data without noise."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +49,25 @@ class Convergence:
     weights_stand: bool
 
 
+@dataclass(frozen=True)
+class FoundNoise:
+    """Noise of one group of rows.
+
+    Attributes:
+        group: The group.
+        sigma: Typical standard deviation of one component, as found [SI].
+        own: What of it is left to the instrument alone, where visits share an error; the same where they do not.
+        stated: The same as stated [SI], or None.
+        freedom: Degrees of freedom that it was found with.
+    """
+
+    group: Group
+    sigma: float
+    own: float
+    stated: float | None
+    freedom: float
+
+
 @dataclass(frozen=True, eq=False)
 class Fit(ReadOnlyArrays):
     """A finished identification.
@@ -78,27 +76,28 @@ class Fit(ReadOnlyArrays):
         nominal: The robot as described.
         placed: The robot `before`: nominal, with base and targets placed where these are not known.
         robot: The calibrated robot.
-        identification: Errors on the poses that were used.
-        validation: Errors on poses that were not used, if there were any.
-        configurations: The assembled poses of `identification`, at the solution.
-        free: Which parameters were free, (n_parameters,).
-        statistics: Uncertainty of the free ones.
-        rank: Rank of the scaled Jacobian of the free parameters.
-        rank_all: Rank of that of all parameters, held ones included.
+        identification: Errors on the visits that were used.
+        validation: Errors on visits that were not used, if there were any.
+        configurations: The assembled visits of `identification`, at the solution.
+        unknowns: The free parameters.
+        statistics: Their uncertainty.
+        determination: What poses and priors determine, at `placed`: as `calib check` tells.
         observability: O1 to O5 on scaled columns.
-        jacobian: d(positions)/d(free parameters) at the solution, (n_poses, n_targets, 3, n_free).
-        sigma_stated: Noise as stated [m], or None.
+        rows: Whitened residuals and Jacobian at the solution, without the weights of a robust loss.
+        whitening: What whitened them.
+        scales: What was assumed of the noise.
         message: What the solver said.
         seconds: Duration of the whole computation.
         convergence: How the iteration ended.
-        sigma_used: Noise that weighed measurements against priors [m].
         loss: Robust loss.
-        weights: Weight of each point, (n_poses, n_targets); 1 without a robust loss.
+        weights: Weight of each reading, (n_readings,); 1 without a robust loss.
+        sigma_given: Noise of positions that replaced what the description states [m], or None.
         starts: Ends of perturbed starts, if they were asked for.
         folds: Cross-validation, if it was asked for.
         excluded: Outliers that were left out, as they were in `with_all`.
-        with_all: The fit of all poses, where outliers were left out of this one.
+        with_all: The fit of all visits, where outliers were left out of this one.
         seed: Seed of every random choice.
+        judge: What gives the verdict when it is asked for.
     """
 
     nominal: Robot
@@ -107,19 +106,20 @@ class Fit(ReadOnlyArrays):
     identification: ErrorSet
     validation: ErrorSet | None
     configurations: Configurations
-    free: BoolArray
+    unknowns: Unknowns
     statistics: Statistics
-    rank: Rank
-    rank_all: Rank
+    determination: Determination
     observability: dict[str, float]
-    jacobian: FloatArray
-    sigma_stated: float | None
+    rows: Rows
+    whitening: Whitening
+    scales: Scales
     message: str
     seconds: float
     convergence: Convergence
-    sigma_used: float
     loss: Loss
     weights: FloatArray
+    sigma_given: float | None
+    judge: Callable[[Fit], Verdict]
     starts: Starts | None = None
     folds: Folds | None = None
     excluded: tuple[Outlier, ...] = ()
@@ -132,23 +132,77 @@ class Fit(ReadOnlyArrays):
         return self.convergence.converged
 
     @property
-    def free_names(self) -> list[str]:
+    def rank(self) -> Rank:
+        """Rank of the free parameters, from the poses alone."""
+        return self.determination.free
+
+    @property
+    def rank_all(self) -> Rank:
+        """Rank of all parameters, held ones included, from the poses alone."""
+        return self.determination.everything
+
+    @property
+    def free(self) -> BoolArray:
+        """Which parameters were free, (n_parameters,)."""
+        return np.isin(np.arange(len(self.nominal.parameters)), self.unknowns.index)
+
+    @property
+    def free_names(self) -> tuple[str, ...]:
         """Names of the free parameters."""
-        return [p.name for p, use in zip(self.nominal.parameters, self.free, strict=True) if use]
+        return self.unknowns.names
+
+    @cached_property
+    def noise(self) -> tuple[FoundNoise, ...]:
+        """Noise of each group of rows, as found and as stated."""
+        factors = self.statistics.factors
+        return tuple(
+            FoundNoise(
+                group,
+                float(factors.found[g] * self.scales.groups[g] * group.typical),
+                float(self.scales.own[g] if self.scales.shares else factors.found[g] * self.scales.groups[g])
+                * group.typical,
+                group.typical if group.stated else None,
+                float(factors.freedom[g]),
+            )
+            for g, group in enumerate(self.whitening.groups)
+        )
+
+    @property
+    def first_noise(self) -> FoundNoise:
+        """Noise of measured positions; of the first group of rows where none are."""
+        return next((one for one in self.noise if one.group.part == "position"), self.noise[0])
+
+    @property
+    def sigma(self) -> float:
+        """Noise of one measured position per axis, as found [m]; of the first kind of rows where none are [SI]."""
+        return self.first_noise.sigma
+
+    @property
+    def sigma_stated(self) -> float | None:
+        """The same as stated, or None."""
+        return self.first_noise.stated
+
+    @property
+    def shared_sigma(self) -> dict[str, float]:
+        """Error of each joint that all rows of a visit share, as found [m or rad]; empty where there is none."""
+        names = self.robot.joint_names
+        return dict(zip(names, map(float, self.scales.shared), strict=True)) if self.scales.shares else {}
 
     @property
     def chi_square(self) -> ChiSquare | None:
-        """The stated noise against the residuals; None where none was stated."""
-        if self.sigma_stated is None:
+        """The stated noise against the residuals; None where some of it was not stated."""
+        if not all(group.stated for group in self.whitening.groups):
             return None
-        return chi_square(self.statistics.sigma, self.statistics.freedom, self.sigma_stated)
+        factors = self.statistics.factors
+        mean_square = float(np.sum(factors.freedom * factors.found**2) / factors.total_freedom)
+        return chi_square(float(np.sqrt(mean_square)), factors.total_freedom)
 
     @property
     def computed(self) -> bool:
         """Whether the data were computed, not measured: no noise, or none beside what was stated to weigh priors."""
-        found = self.statistics.sigma
-        return found < EXACT or (
-            found < COMPUTED and self.sigma_stated is not None and found < 0.01 * self.sigma_stated
+        return all(
+            one.sigma < EXACT or (one.sigma < COMPUTED and one.stated is not None and one.sigma < 0.01 * one.stated)
+            for one in self.noise
         )
 
     @cached_property
@@ -159,51 +213,77 @@ class Fit(ReadOnlyArrays):
     def uncertainty(self, q: FloatArray) -> PositionUncertainty:
         """Predict positions at actuated joints q (n, n_actuated) [m or rad], with their covariance."""
         found = self.statistics
-        return position_uncertainty(self.robot, self.free, found.covariance, found.coverage_factor, q)
+        return position_uncertainty(self.robot, self.unknowns.index, found.covariance, found.coverage_factor, q)
 
     @cached_property
     def identification_uncertainty(self) -> PositionUncertainty:
-        """Predicted positions of the poses that were used, with their covariance."""
-        spread = carried(self.jacobian, self.statistics.covariance)
-        found = self.identification
-        return PositionUncertainty(found.data.positions + found.after, spread, self.statistics.coverage_factor)
+        """Predicted positions of the visits that were used, with their covariance."""
+        return self.uncertainty(self.identification.data.joints)
 
     @cached_property
     def validation_uncertainty(self) -> PositionUncertainty | None:
-        """Predicted positions of the poses that were not used, with their covariance."""
+        """Predicted positions of the visits that were not used, with their covariance."""
         return None if self.validation is None else self.uncertainty(self.validation.data.joints)
 
     @cached_property
     def studentised(self) -> Studentised:
-        """Every point that was used, judged; see `calib.numerics.outliers`."""
-        readings = np.sqrt(self.identification.data.counts)[:, None, None]
-        columns = readings[..., None] * self.jacobian * self._scales
-        residuals = readings * self.identification.after
-        return studentised(residuals, columns, self._inverse, self.weights, self.statistics.freedom)
+        """Every reading that was used, judged; see `calib.numerics.outliers`."""
+        return studentised(blocks(self.rows, self.weights), self._root, self.statistics.freedom)
 
     @cached_property
     def outliers(self) -> tuple[Outlier, ...]:
-        """Points that were used and lie further off than noise explains, worst first."""
-        found = self.identification
-        return outliers(self.studentised, found.after, found.data.labels, self.robot.target_names)
+        """Readings that were used and lie further off than noise explains, worst first."""
+        return outliers_of(self.studentised, self.identification, self.rows.layout)
+
+    def whitened(self, errors: ErrorSet) -> tuple[FloatArray, Rows]:
+        """Return whitened residuals before calibration (n_rows,), and the rows after it, by the noise as found.
+
+        Args:
+            errors: Of visits that were not used, or that were left out in turns.
+        """
+        data = errors.data
+        whitening = Whitening(self.robot, data, self.sigma_given)
+        configurations = self.robot.assemble(data.joints, labels=data.labels, context=data.conditions)
+        observed = observe(self.robot, configurations, data.readings, joints=self.scales.shares)
+        known = {(one.group.name, one.group.part, one.group.stated): one for one in self.noise}
+        factors = whitening.start(errors.after)  # of instruments that the fit has not seen
+        for g, group in enumerate(whitening.groups):
+            one = known.get((group.name, group.part, group.stated))
+            if one is not None:
+                factors[g] = max(one.own, 1e-30) / one.group.typical
+        divisor = whitening.row_scale(factors)
+        rows = whitening.rows(observed, factors, self.unknowns, self.unknowns.deviations(self.robot.values))
+        rows = replace(rows, residuals=whitening.flatten(errors.after) / divisor)
+        before = whitening.flatten(errors.before) / divisor
+        if self.scales.shares:
+            shared = whitening.shared_error(observed, factors, self.scales.shared)
+            return shared.whiten(before), rows.whitened(shared)
+        return before, rows
+
+    @cached_property
+    def validation_rows(self) -> Rows | None:
+        """Whitened rows of the visits that were not used; None without them."""
+        return None if self.validation is None else self.whitened(self.validation)[1]
+
+    @cached_property
+    def validation_studentised(self) -> Studentised | None:
+        """Every reading that was not used, judged; None without them."""
+        rows = self.validation_rows
+        if rows is None:
+            return None
+        known = self.statistics.covariance / np.outer(self.unknowns.scales, self.unknowns.scales)
+        values, vectors = np.linalg.eigh(known)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        total = float(np.sqrt(np.mean(self.statistics.factors.found**2)))
+        scale = self.studentised.scale / max(total, 1e-30)
+        return studentised(blocks(rows, np.zeros(rows.layout.n_readings)), root, self.statistics.freedom, scale)
 
     @cached_property
     def validation_outliers(self) -> tuple[Outlier, ...]:
-        """Points that were not used and lie further off than noise and uncertainty explain, worst first."""
-        if self.validation is None or self.validation_uncertainty is None:
+        """Readings that were not used and lie further off than noise and uncertainty explain, worst first."""
+        if self.validation is None or self.validation_rows is None or self.validation_studentised is None:
             return ()
-        found, sigma = self.validation, max(self.statistics.sigma, 1e-30)
-        readings = np.sqrt(found.data.counts)[:, None, None]
-        root = np.linalg.cholesky(self.validation_uncertainty.covariance / sigma**2 + 1e-12 * np.eye(3))
-        judged = studentised(
-            readings * found.after,
-            readings[..., None] * root,
-            np.eye(3),
-            np.zeros(found.after.shape[:2]),
-            self.statistics.freedom,
-            self.studentised.scale,
-        )
-        return outliers(judged, found.after, found.data.labels, self.robot.target_names)
+        return outliers_of(self.validation_studentised, self.validation, self.validation_rows.layout)
 
     @cached_property
     @one_blas_thread
@@ -212,42 +292,26 @@ class Fit(ReadOnlyArrays):
         if self.computed:
             return ()
         data = self.identification.data
-        weight = np.sqrt(data.counts[:, None] * self.weights)
-        rows = (weight[:, :, None] * self.identification.after).reshape(-1)
-        columns = (weight[:, :, None, None] * self.jacobian * self._scales).reshape(len(rows), -1)
-        model = Residuals(rows, columns, self._inverse, self.statistics.freedom, self.statistics.sigma)
-        return patterns(model, self.robot, self.configurations, data.approach_directions, weight)
+        observed = observe(self.robot, self.configurations, data.readings, joints=True)
+        factors = self.statistics.factors
+        factor = float(np.sqrt(np.sum(factors.freedom * factors.found**2) / factors.total_freedom))
+        setting = Setting(self.robot, data, observed, self.whitening, self.scales, self.weights)
+        if setting.shared is None:
+            residuals = Residuals(self.rows.weighted(self.weights), self._root, self.statistics.freedom, factor)
+        else:  # errors that visits share must not count as patterns: judged as weighed by what the rows scatter by
+            deviations = self.unknowns.deviations(self.robot.values)
+            rows = self.whitening.rows(observed, self.scales.own, self.unknowns, deviations)
+            rows = rows.whitened(setting.shared).at_minimum()
+            residuals = Residuals(rows, rows.known.root, self.statistics.freedom, 1.0)
+        return patterns(residuals, setting)
 
-    # Three shortcuts for users; what they call knows `Fit`, and is imported when it is called.
+    @cached_property
+    def _root(self) -> FloatArray:
+        """T of `calib.numerics.information` at the solution, with the weights of a robust loss."""
+        rows = self.rows if np.all(self.weights == 1.0) else self.rows.weighted(self.weights)
+        return rows.known.root
 
     @cached_property
     def verdict(self) -> Verdict:
         """PASS, CHECK or FAIL, with reasons."""
-        from calib.identification.verdict import judge
-
-        return judge(self)
-
-    def report(self) -> str:
-        """Return the result as text."""
-        from calib.reporting.report_text import text_report
-
-        return text_report(self)
-
-    def save(self, folder: Path | str, *, force: bool = False) -> None:
-        """Write the result to a folder; see `calib.reporting.results.save`."""
-        from calib.reporting.results import save
-
-        save(self, folder, force=force)
-
-    @cached_property
-    def _scales(self) -> FloatArray:
-        return np.array([p.sigma for p, use in zip(self.nominal.parameters, self.free, strict=True) if use])
-
-    @cached_property
-    def _inverse(self) -> FloatArray:
-        """R^-1 of `calib.numerics.statistics.prior_shares` at the solution, with the weights of a robust loss."""
-        data = self.identification.data
-        weight = np.sqrt(data.counts[:, None] * self.weights)
-        columns = (weight[:, :, None, None] * self.jacobian * self._scales).reshape(-1, self.jacobian.shape[-1])
-        has_prior = np.array([p.prior for p, use in zip(self.nominal.parameters, self.free, strict=True) if use])
-        return prior_shares(columns, has_prior, self.sigma_used)[0]
+        return self.judge(self)

@@ -7,34 +7,16 @@ as such) go into the same fold, because a repeat is no new pose.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import FloatArray, IntArray
 from calib.data.measurements import Measurements
 from calib.errors import InputError
-from calib.identification.fitted import ErrorSet, Fit
+from calib.identification.errors_found import ErrorSet, Folds
+from calib.identification.fitted import Fit
 from calib.identification.validation import deal
-from calib.model.mechanism import FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class Folds:
-    """Errors of all poses, each predicted by the fit of the other folds.
-
-    Attributes:
-        count: Number of folds.
-        seed: Seed of the random choice.
-        errors: In the order of the data.
-        rms: Root mean square distance after calibration of each fold [m], (count,).
-        converged: Whether all fits converged.
-    """
-
-    count: int
-    seed: int
-    errors: ErrorSet
-    rms: tuple[float, ...]
-    converged: bool
+from calib.observation.kind import Instrument, Readings
 
 
 def cross_validate(
@@ -54,16 +36,34 @@ def cross_validate(
     folds = deal(data, count, seed)
     if count < 2 or min(len(fold) for fold in folds) == 0:
         raise InputError(f"folds {count}: must be 2 or more, and not more than there are different poses")
-    before: FloatArray = np.empty(data.positions.shape)
-    after: FloatArray = np.empty(data.positions.shape)
+    before = {name: np.empty((len(found), 0)) for name, found in data.readings.items()}
+    after = dict(before)
     singular: FloatArray = np.empty(len(data))
     rms, converged = [], True
+    instruments: tuple[Instrument, ...] = ()
     for held in folds:
         kept = np.setdiff1d(np.arange(len(data)), held)
         found = fit(data.subset(kept), data.subset(held))
         errors = found.validation
         assert errors is not None
-        before[held], after[held], singular[held] = errors.before, errors.after, errors.singular_value
-        rms.append(float(np.sqrt(np.mean(np.sum(errors.after**2, axis=2)))))
+        instruments = errors.instruments
+        for whole, part in ((before, errors.before), (after, errors.after)):
+            for name, rows in part.items():
+                if whole[name].shape[1] == 0:
+                    whole[name] = np.empty((len(data.readings[name]), rows.shape[1]))
+                whole[name][_readings_at(data.readings[name], held)] = rows
+        singular[held] = errors.singular_value
+        rms.append(float(np.sqrt(np.mean(np.sum(errors.errors("after", errors.parts()[0][1].name) ** 2, axis=1)))))
         converged &= found.converged
-    return Folds(count, seed, ErrorSet(data, before, after, singular), tuple(rms), converged)
+    return Folds(count, seed, ErrorSet(data, instruments, before, after, singular), tuple(rms), converged)
+
+
+def _readings_at(readings: Readings, visits: IntArray) -> IntArray:
+    """Indices of the readings at these visits, in the order of the visits."""
+    place = np.full(int(readings.visits.max(initial=-1)) + 1, -1)
+    inside = visits[visits < len(place)]
+    place[inside] = np.arange(len(inside))
+    number = place[readings.visits]
+    found = np.flatnonzero(number >= 0)
+    result: IntArray = found[np.argsort(number[found], kind="stable")]
+    return result

@@ -1,28 +1,30 @@
-"""The least-squares problem of a fit: weighted residuals and their Jacobian as functions of the scaled parameters.
+"""The least-squares problem of a fit: whitened rows as functions of the scaled parameters.
 
-Unknowns u = (p - p_nominal) / s with scales s, the parameters' sigma. Rows are
+Unknowns u = (p - p_nominal) / s with scales s, the parameters' sigma. The rows are those of `calib.linearisation.rows`,
+times the root of the weight that a robust loss gives their reading (`calib.identification.robust`), and
 
-    sqrt(w_k n_k) (x_k(p) - measured_k) / sigma     for every pose, target and axis, n_k readings averaged
-    u                                               for every parameter that has a prior
+    u       for every parameter that has a prior
 
-with w_k = 1, or the weight that a robust loss gives the point (`calib.identification.robust`). Signed components, never
-distances: a distance loses its sign, and has no derivative at zero. A trial step that opens a loop is answered with
-NaN, on which the solver (`calib.numerics.least_squares`) shortens its step.
+Signed components, never distances: a distance loses its sign, and has no derivative at zero. A trial step that opens a
+loop is answered with NaN, on which the solver (`calib.numerics.least_squares`) shortens its step.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import FloatArray
 from calib.data.measurements import Measurements
 from calib.errors import ComputationError
-from calib.linearisation.jacobian import linearise
-from calib.model import loops
-from calib.model.mechanism import BoolArray, FloatArray
+from calib.linearisation.observed import Observed, observe
+from calib.linearisation.rows import Rows, Scales, Unknowns, Whitening
 from calib.model.robot import Configurations, Robot, describe_open
 from calib.numerics.least_squares import TOLERANCE, Solution, minimise
+from calib.numerics.statistics import NoiseOfRows
+from calib.numerics.variance_components import LinearModel, found_components, found_scales, found_with_families
 
 _ROUNDING = 1e-14  # a parameter that moves by less stays nominal, to the last digit [m or rad]
 _REMEMBERED = 3  # evaluations: the start, where the solver is, and its trial step
@@ -30,39 +32,40 @@ _REMEMBERED = 3  # evaluations: the start, where the solver is, and its trial st
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Errors and Jacobian at one set of parameter values.
+    """Readings compared with a robot at one set of parameter values.
 
     Attributes:
-        configurations: The assembled poses.
-        errors: Predicted minus measured, (n_poses, n_targets, 3) [m].
-        all_columns: d(positions)/d(parameters), (n_poses, n_targets, 3, n_parameters).
-        jacobian: The columns of the free parameters.
+        robot: With these values.
+        configurations: Its assembled visits.
+        observed: Residuals and derivatives of each instrument, by name.
     """
 
+    robot: Robot
     configurations: Configurations
-    errors: FloatArray
-    all_columns: FloatArray
-    jacobian: FloatArray
+    observed: Mapping[str, Observed]
+
+    @property
+    def residuals(self) -> dict[str, FloatArray]:
+        """Predicted minus read, of each instrument, (n, n_rows) [SI]; NaN where a component was not read."""
+        return {name: found.residuals for name, found in self.observed.items()}
 
 
 class Problem:
-    """Residuals and Jacobian of a fit; remembers the last solution of the loops to start the next from.
+    """Rows of a fit as functions of the parameters; remembers the last solution of the loops to start the next from.
 
     Args:
         robot: Nominal robot.
         data: Measurements.
-        free: Which parameters may change, (n_parameters,).
+        sigma: Noise of positions per axis, if it replaces what the description states [m].
     """
 
-    def __init__(self, robot: Robot, data: Measurements, free: BoolArray) -> None:
-        self.robot, self.data, self.free = robot, data, free
-        chosen = [parameter for parameter, use in zip(robot.parameters, free, strict=True) if use]
-        self.scales = np.array([parameter.sigma for parameter in chosen])
-        self.has_prior = np.array([parameter.prior for parameter in chosen], dtype=bool)
-        self.moves = np.array([parameter.placement for parameter in chosen], dtype=bool)
-        self.nominal = np.array([parameter.nominal for parameter in chosen])
-        self._weight = np.sqrt(data.counts)[:, None, None, None]
-        self._seed = robot.assemble(data.joints, labels=data.labels).passive
+    def __init__(self, robot: Robot, data: Measurements, sigma: float | None = None) -> None:
+        self.robot, self.data = robot, data
+        self.unknowns = Unknowns.of(robot)
+        self.whitening = Whitening(robot, data, sigma)
+        self._joints = self.whitening.shares_visits
+        self._columns = robot.term_columns(data.joints, data.conditions)
+        self._seed = robot.assemble(data.joints, labels=data.labels, context=data.conditions).passive
         self._recent: dict[bytes, Evaluation | None] = {}
 
     def evaluate(self, robot: Robot) -> Evaluation:
@@ -73,7 +76,7 @@ class Problem:
         """
         found = self._evaluate(robot)
         if found is None:
-            closed = robot.close(self.data.joints)
+            closed = robot.close(self.data.joints, columns=self._columns)
             raise ComputationError(describe_open(robot, self.data.joints, closed, self.data.labels))
         return found
 
@@ -87,88 +90,140 @@ class Problem:
         return self._recent[key]
 
     def _compute(self, robot: Robot) -> Evaluation | None:
-        closed = loops.close(robot.mechanism, robot.mode, self.data.joints, self._seed)
+        closed = robot.close(self.data.joints, self._seed, self._columns)
         if not np.all(closed.ok):
             return None
         self._seed = closed.passive
-        configurations = Configurations(self.data.joints, closed.passive, closed.slope)
-        linear = linearise(robot, configurations)
+        configurations = robot.configurations(self.data.joints, closed, self._columns)
         return Evaluation(
-            configurations, linear.positions - self.data.positions, linear.jacobian, linear.jacobian[..., self.free]
+            robot, configurations, observe(robot, configurations, self.data.readings, joints=self._joints)
         )
 
-    def weighted(self, rows: FloatArray, weights: FloatArray | None = None) -> FloatArray:
-        """Flatten (n_poses, n_targets, 3, k) to (n_rows, k), each row with the noise of one reading.
+    def rows(self, found: Evaluation, groups: FloatArray, unknowns: Unknowns | None = None) -> Rows:
+        """Return the whitened rows.
 
         Args:
-            rows: What to flatten.
-            weights: w_k of the module docstring, (n_poses, n_targets).
+            found: An evaluation.
+            groups: Scale of the noise of each group, (n_groups,).
+            unknowns: Parameters that count; the free ones if not given.
         """
-        factor = self._weight if weights is None else self._weight * np.sqrt(weights)[:, :, None, None]
-        result: FloatArray = (factor * rows).reshape(-1, rows.shape[-1])
-        return result
+        chosen = self.unknowns if unknowns is None else unknowns
+        return self.whitening.rows(found.observed, groups, chosen, chosen.deviations(found.robot.values))
 
-    def scaled_values(self, robot: Robot) -> FloatArray:
-        """Return u of a robot's free parameters, (n_free,)."""
-        result: FloatArray = (robot.values[self.free] - self.nominal) / self.scales
-        return result
+    def _model(self, found: Evaluation) -> LinearModel:
+        """Rows around an evaluation, whitened by what is stated alone."""
+        layout = self.whitening.layout
+        rows = self.rows(found, np.ones(len(layout.groups)))
+        unstated = np.array([not group.stated for group in layout.groups])
+        unknowns = self.unknowns
+        return LinearModel(
+            rows.residuals,
+            rows.jacobian,
+            rows.has_prior,
+            rows.deviations,
+            layout.group,
+            unstated,
+            unknowns.family,
+            len(unknowns.families),
+        )
 
-    def with_values(self, start: Robot, u: FloatArray, chosen: BoolArray) -> Robot:
-        """Return `start` with the chosen (n_free,) free parameters at nominal + scale u, u (n_chosen,)."""
-        return start.with_parameters(self._values(start, u, chosen))
+    def found_scales(self, found: Evaluation, groups: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Find scales that nobody stated, and factors on the sigmas of families, from the residuals.
 
-    def _values(self, start: Robot, u: FloatArray, chosen: BoolArray) -> FloatArray:
-        values = start.values.copy()
-        index = np.flatnonzero(self.free)[chosen]
-        change = self.scales[chosen] * u
-        values[index] = self.nominal[chosen] + np.where(np.abs(change) < _ROUNDING, 0.0, change)
-        return values
+        Args:
+            found: An evaluation near the minimum.
+            groups: Scales to start from, (n_groups,).
+
+        Returns:
+            Scales of the groups (n_groups,), factors of the families (n_families,).
+        """
+        if self.unknowns.families:
+            return found_with_families(self._model(found), groups)
+        return found_scales(self._model(found), groups).scales, np.ones(0)
+
+    def found_shared(self, found: Evaluation, groups: FloatArray) -> Scales:
+        """Find what of the residuals around a minimum all rows of a visit share.
+
+        Args:
+            found: An evaluation at the minimum.
+            groups: Scales of the noise without that, (n_groups,).
+        """
+        if not self.whitening.shares_visits:
+            return Scales.of(groups)
+        layout = self.whitening.layout
+        columns = self.whitening.joint_columns(found.observed)
+        components = found_components(self._model(found), groups, columns, layout.pose[layout.reading])
+        found_any = bool(np.any(components.shared > 0))
+        return Scales(groups, components.scales, components.shared) if found_any else Scales.of(groups)
+
+    def noise_of_rows(self, found: Evaluation, scales: Scales) -> NoiseOfRows | None:
+        """Return what the rows of an evaluation scatter by, where visits share an error; None where they do not."""
+        if not scales.shares:
+            return None
+        shared = self.whitening.shared_error(found.observed, scales.groups, scales.shared)
+        return NoiseOfRows(scales.own / scales.groups, shared, self.whitening.layout.group)
+
+    def moved(self, start: Robot, unknowns: Unknowns, u: FloatArray) -> Robot:
+        """Return `start` with these parameters at nominal + scale u, u (n_unknowns,)."""
+        return start.with_parameters(_values(start, unknowns, u))
 
     def solve(
         self,
         start: Robot,
-        sigma: float,
-        chosen: BoolArray,
+        groups: FloatArray,
+        unknowns: Unknowns | None = None,
         *,
-        priors: bool = True,
         tolerance: float = TOLERANCE,
         weights: FloatArray | None = None,
     ) -> tuple[Robot, Solution]:
-        """Minimise over the chosen free parameters, the others staying as in `start`.
+        """Minimise over some parameters, the others staying as in `start`.
 
         Args:
             start: Where to begin.
-            sigma: Noise of one reading per axis [m].
-            chosen: Of the free parameters, (n_free,).
-            priors: Whether nominal +- sigma counts.
+            groups: Scale of the noise of each group, (n_groups,).
+            unknowns: The parameters that may move; the free ones if not given.
             tolerance: See `calib.numerics.least_squares`.
-            weights: Of each point, (n_poses, n_targets).
+            weights: Of each reading, (n_readings,).
 
         Raises:
             ComputationError: A loop is open at the start.
         """
-        prior = np.flatnonzero(self.has_prior[chosen] & priors)
-        prior_rows = np.eye(int(np.sum(chosen)))[prior]
+        chosen = self.unknowns if unknowns is None else unknowns
+        self.evaluate(start)  # says which loop is open, if one is
+        prior = np.flatnonzero(chosen.has_prior)
+        prior_rows = np.eye(len(chosen))[prior]
+        n_rows = self.whitening.layout.n_rows + len(prior)
+        last: dict[bytes, Rows] = {}
 
-        def at(u: FloatArray) -> Evaluation | None:
-            values = self._values(start, u, chosen)
-            known = self._recent.get(values.tobytes())
-            return known or self._evaluate(start.with_parameters(values))
+        def rows(u: FloatArray) -> Rows | None:
+            key = u.tobytes()
+            if key not in last:
+                values = _values(start, chosen, u)
+                known = self._recent.get(values.tobytes())
+                found = known or self._evaluate(start.with_parameters(values))
+                if found is None:
+                    return None
+                made = self.rows(found, groups, chosen)
+                last.clear()
+                last[key] = made if weights is None else made.weighted(weights)
+            return last[key]
 
         def residuals(u: FloatArray) -> FloatArray:
-            found = at(u)
-            if found is None:
-                return np.full(self.data.positions.size + len(prior), np.nan)
-            return np.concatenate([self.weighted(found.errors[..., None], weights)[:, 0] / sigma, u[prior]])
+            found = rows(u)
+            return np.full(n_rows, np.nan) if found is None else np.concatenate([found.residuals, u[prior]])
 
         def jacobian(u: FloatArray) -> FloatArray:
-            found = at(u)
+            found = rows(u)
             if found is None:  # derivatives are asked for only where the residuals were finite
                 raise ComputationError("the solver left the region where the loops close")
-            columns = self.weighted(found.jacobian[..., chosen], weights) * (self.scales[chosen] / sigma)
-            return np.vstack([columns, prior_rows])
+            return np.vstack([found.jacobian, prior_rows])
 
-        first = self.scaled_values(start)[chosen]
-        self.evaluate(self.with_values(start, first, chosen))  # says which loop is open, if one is
-        outcome = minimise(residuals, jacobian, first, tolerance=tolerance)
-        return self.with_values(start, outcome.x, chosen), outcome
+        outcome = minimise(residuals, jacobian, chosen.deviations(start.values), tolerance=tolerance)
+        return self.moved(start, chosen, outcome.x), outcome
+
+
+def _values(start: Robot, unknowns: Unknowns, u: FloatArray) -> FloatArray:
+    values = start.values.copy()
+    change = unknowns.scales * u
+    values[unknowns.index] = unknowns.nominal + np.where(np.abs(change) < _ROUNDING, 0.0, change)
+    return values

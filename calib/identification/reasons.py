@@ -13,7 +13,7 @@ class Reason:
     """One thing to know.
 
     Attributes:
-        grade: CHECK or FAIL.
+        grade: CHECK or FAIL; PASS where it is good to know and no doubt.
         code: Short name for programs.
         text: What was found, and what to do.
     """
@@ -29,7 +29,7 @@ class Verdict:
 
     Attributes:
         grade: The worst of its reasons; PASS without any.
-        reasons: FAIL before CHECK.
+        reasons: FAIL before CHECK before PASS.
     """
 
     grade: Grade

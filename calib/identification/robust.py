@@ -5,6 +5,9 @@ gives new weights. The alternation runs on the linear model around the present p
 nothing, until the weights stand; then the parameters go where the linear model says, and so on until the weights stand
 there too. Last, the true problem is solved with these weights.
 
+Noise that nobody stated is that of the median reading: least squares finds the scales of the groups of rows, and each
+is brought to where the median length of its readings says.
+
 Cauchy and Tukey have several minima. They start from Huber's solution, which on a linear model has one, and keep its
 scale (the MM principle), so that the alternation cannot run away with a shrinking scale.
 
@@ -18,18 +21,21 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from calib.arrays import FloatArray
 from calib.errors import ComputationError, NotIdentifiableError
 from calib.identification.problem import Evaluation, Problem
-from calib.model.mechanism import FloatArray
+from calib.linearisation.rows import Rows
 from calib.model.robot import Robot
+from calib.numerics.information import information, prior_rows
 from calib.numerics.least_squares import Solution
-from calib.numerics.losses import COORDINATES, Loss, noise, scale_of, weights
-from calib.numerics.statistics import Noise, effective_parameters
+from calib.numerics.losses import Loss, median_length, robust_factors, scale_of, weights_of
+from calib.numerics.statistics import Factors, effective_parameters
+from calib.numerics.variance_components import EXACT
 
 _ROUNDS = 20
 _LINEAR_ROUNDS = 200
 _WEIGHTS_STAND = 1e-4
-_SMALLEST_SCALE = 1e-8  # below ten nanometres a residual is rounding [m]
+_SMALLEST_SCALE = 1e-8  # below ten nanometres a residual is rounding [SI]
 _TOO_FEW_LEFT = (
     "the poses that the robust loss still believes do not determine the parameters: too many measurements disagree with"
     " each other; check them, or fit with --loss none"
@@ -43,131 +49,131 @@ class RobustFit:
     Attributes:
         robot: The solution.
         solution: What the solver said last.
-        weights: Weight of each point, (n_poses, n_targets).
-        scale: Scale of the residuals [m].
-        noise: What they say about the noise.
-        sigma: Noise that weighed data against priors [m].
+        weights: Weight of each reading, (n_readings,).
+        factors: What the residuals say about the assumed noise.
+        groups: Scale of the noise of each group that was assumed, (n_groups,).
         settled: Whether the weights stand.
     """
 
     robot: Robot
     solution: Solution
     weights: FloatArray
-    scale: float
-    noise: Noise
-    sigma: float
+    factors: Factors
+    groups: FloatArray
     settled: bool
 
 
-@dataclass(frozen=True, eq=False)
-class _Linear:
-    """The problem around some parameters: rows J u + r, and the priors' u."""
-
-    jacobian: FloatArray
-    residuals: FloatArray
-    values: FloatArray
-    prior: FloatArray
-
-
-def solve_robust(problem: Problem, start: Robot, loss: Loss, stated: float | None) -> RobustFit:
+def solve_robust(problem: Problem, start: Robot, loss: Loss, groups: FloatArray) -> RobustFit:
     """Minimise with a robust loss.
 
     Args:
         problem: The problem; identifiable from its data and priors.
         start: The least-squares solution.
         loss: Not `none`.
-        stated: Noise of one reading per axis [m] if it is stated; else the scale takes its place against priors.
+        groups: Scale of the noise of each group as least squares assumed it, (n_groups,).
 
     Raises:
         NotIdentifiableError: What the loss leaves of the data does not determine the parameters.
     """
+    layout = problem.whitening.layout
+    found_everywhere = not any(group.stated for group in layout.groups)
     robot, scale = start, float("nan")
-    everything = np.ones(len(problem.scales), dtype=bool)
     stages: tuple[Loss, ...] = ("huber",) if loss == "huber" else ("huber", loss)
     for stage in stages:
         fixed = scale if stage != "huber" else None
-        found: FloatArray = np.ones((len(problem.data), len(problem.robot.target_names)))
+        found: FloatArray = np.ones(layout.n_readings)
         settled = False
         for _ in range(_ROUNDS):
-            linear = _linear(problem, robot, problem.evaluate(robot))
-            weights_now, scale, step = _linear_solution(linear, stage, stated, fixed)
-            settled = bool(np.max(np.abs(weights_now - found.ravel())) < _WEIGHTS_STAND)
-            found = weights_now.reshape(found.shape)
+            rows = problem.rows(problem.evaluate(robot), groups)
+            if stage == "huber":
+                groups = _median_scales(rows, groups)
+                rows = problem.rows(problem.evaluate(robot), groups)
+            now, scale, step = _linear_solution(rows, stage, fixed, found_everywhere)
+            settled = bool(np.max(np.abs(now - found)) < _WEIGHTS_STAND)
+            found = now
             if settled:
                 break
-            stepped = _stepped(problem, robot, linear, step, found, stated or scale)
-            robot = stepped or problem.solve(robot, stated or scale, everything, weights=found)[0]
-    sigma = stated or scale
-    robot, solution = problem.solve(robot, sigma, everything, weights=found)
-    final = _linear(problem, robot, problem.evaluate(robot))
-    n_effective = effective_parameters(np.sqrt(np.mean(found)) * final.jacobian, problem.has_prior, sigma)
-    residual_noise = noise(loss, _distances(final.residuals), scale, n_effective)
-    return RobustFit(robot, solution, found, scale, residual_noise, sigma, settled)
+            robot = (
+                _stepped(problem, robot, rows, step, found, groups) or problem.solve(robot, groups, weights=found)[0]
+            )
+    if found_everywhere:  # priors weigh against the noise of the median reading
+        groups, scale = groups * scale, 1.0
+    robot, solution = problem.solve(robot, groups, weights=found)
+    final = problem.rows(problem.evaluate(robot), groups)
+    known = information(np.sqrt(np.mean(found)) * final.factor[:, :-1], prior_rows(final.has_prior))
+    n_effective = effective_parameters(known, final.has_prior)
+    one = robust_factors(loss, final.distances(), layout.width, scale, n_effective)
+    n_rows = np.bincount(layout.group[layout.group >= 0], minlength=len(layout.groups))
+    every = np.ones(len(n_rows))
+    factors = Factors(one.found * every, one.freedom * n_rows / n_rows.sum(), one.effective * every, one.slope)
+    return RobustFit(robot, solution, found, factors, groups, settled)
 
 
-def _stepped(
-    problem: Problem, robot: Robot, linear: _Linear, step: FloatArray, found: FloatArray, sigma: float
-) -> Robot | None:
-    """Return the robot one Gauss-Newton step on; None if that lowers nothing."""
-    everything = np.ones(len(step), dtype=bool)
-    further = problem.with_values(robot, linear.values + step, everything)
-    try:
-        reached = _linear(problem, further, problem.evaluate(further))
-    except ComputationError:
-        return None
-    root = np.repeat(np.sqrt(found.ravel()), COORDINATES)
-
-    def cost(at: _Linear) -> float:
-        return float(np.sum((root * at.residuals) ** 2) + np.sum((sigma * (at.prior @ at.values)) ** 2))
-
-    return further if cost(reached) < cost(linear) else None
-
-
-def _linear(problem: Problem, robot: Robot, evaluation: Evaluation) -> _Linear:
-    return _Linear(
-        problem.weighted(evaluation.jacobian) * problem.scales,
-        problem.weighted(evaluation.errors[..., None])[:, 0],
-        problem.scaled_values(robot),
-        np.eye(len(problem.scales))[problem.has_prior],
-    )
-
-
-def _distances(residuals: FloatArray) -> FloatArray:
-    result: FloatArray = np.linalg.norm(residuals.reshape(-1, COORDINATES), axis=1)
+def _median_scales(rows: Rows, groups: FloatArray) -> FloatArray:
+    """Bring the scale of each unstated group, beside the first, to where the median length of its readings says."""
+    layout = rows.layout
+    levels = np.ones(len(layout.groups))
+    for g, group in enumerate(layout.groups):
+        mine = layout.group == g
+        width = np.bincount(layout.reading[mine], minlength=layout.n_readings)
+        length = np.sqrt(np.bincount(layout.reading[mine], rows.residuals[mine] ** 2, layout.n_readings))
+        seen = width > 0
+        if not group.stated and np.any(seen):
+            levels[g] = float(np.median(length[seen] / median_length(width[seen])))
+    unstated = [g for g, group in enumerate(layout.groups) if not group.stated]
+    if len(unstated) < 2 and not (unstated and len(layout.groups) > 1):
+        return groups
+    result: FloatArray = groups * np.maximum(levels, EXACT)
     return result
 
 
+def _stepped(
+    problem: Problem, robot: Robot, rows: Rows, step: FloatArray, found: FloatArray, groups: FloatArray
+) -> Robot | None:
+    """Return the robot one Gauss-Newton step on; None if that lowers nothing."""
+    further = problem.moved(robot, problem.unknowns, rows.deviations + step)
+    try:
+        reached: Evaluation = problem.evaluate(further)
+    except ComputationError:
+        return None
+    return further if problem.rows(reached, groups).weighted(found).cost < rows.weighted(found).cost else None
+
+
 def _linear_solution(
-    linear: _Linear, loss: Loss, stated: float | None, fixed_scale: float | None
+    rows: Rows, loss: Loss, fixed_scale: float | None, found_everywhere: bool
 ) -> tuple[FloatArray, float, FloatArray]:
-    """Alternate on the linear model; return weights (n_points,), scale [m] and the step to its solution (n_free,)."""
-    has_prior = np.any(linear.prior != 0, axis=0)
-    found: FloatArray = np.ones(len(linear.residuals) // COORDINATES)
-    step: FloatArray = np.zeros(linear.jacobian.shape[1])
-    scale = fixed_scale or 0.0
+    """Alternate on the linear model; return weights (n_readings,), scale, and the step to its solution (n_free,)."""
+    layout = rows.layout
+    found: FloatArray = np.ones(layout.n_readings)
+    step: FloatArray = np.zeros(rows.jacobian.shape[1])
+    scale, smallest = fixed_scale or 0.0, _SMALLEST_SCALE / max(group.typical for group in layout.groups)
+    priors = prior_rows(rows.has_prior)
     for _ in range(_LINEAR_ROUNDS):
-        distances = _distances(linear.residuals + linear.jacobian @ step)
+        residuals = rows.residuals + rows.jacobian @ step
+        distances = np.sqrt(np.bincount(layout.reading, residuals**2, layout.n_readings))
         if fixed_scale is None:
-            assumed = stated or max(scale_of(distances, 0.0), _SMALLEST_SCALE)
-            n_effective = effective_parameters(linear.jacobian, has_prior, assumed)
-            scale = max(scale_of(distances, n_effective), _SMALLEST_SCALE)
-        weights_now = weights(loss, distances / scale)
-        settled = bool(np.max(np.abs(weights_now - found)) < _WEIGHTS_STAND / 10)
-        found = weights_now
-        step = _step(linear, found, stated or scale)
+            assumed = max(scale_of(distances, layout.width, 0.0), smallest) if found_everywhere else 1.0
+            known = information(rows.factor[:, :-1] / assumed, priors)
+            n_effective = effective_parameters(known, rows.has_prior)
+            scale = max(scale_of(distances, layout.width, n_effective), smallest)
+        now = weights_of(loss, distances / scale, layout.width)
+        settled = bool(np.max(np.abs(now - found)) < _WEIGHTS_STAND / 10)
+        found = now
+        step = _step(rows, found, scale if found_everywhere else 1.0)
         if settled:
             break
     return found, scale, step
 
 
-def _step(linear: _Linear, found: FloatArray, sigma: float) -> FloatArray:
-    """Solve the weighted linear problem."""
-    root = np.repeat(np.sqrt(found), COORDINATES)
-    rows = np.vstack([root[:, None] * linear.jacobian, sigma * linear.prior])
-    right = np.concatenate([root * linear.residuals, sigma * (linear.prior @ linear.values)])
-    if len(rows) < rows.shape[1]:
+def _step(rows: Rows, found: FloatArray, sigma: float) -> FloatArray:
+    """Solve the weighted linear problem, priors weighed against this noise."""
+    root = np.sqrt(found)[rows.layout.reading]
+    priors = prior_rows(rows.has_prior)
+    stacked = np.vstack([root[:, None] * rows.jacobian, sigma * priors])
+    right = np.concatenate([root * rows.residuals, sigma * (priors @ rows.deviations)])
+    if len(stacked) < stacked.shape[1]:
         raise NotIdentifiableError(_TOO_FEW_LEFT)
-    q, triangle = np.linalg.qr(rows)
+    q, triangle = np.linalg.qr(stacked)
     diagonal = np.abs(np.diag(triangle))
     if np.min(diagonal) <= 1e-12 * np.max(diagonal):
         raise NotIdentifiableError(_TOO_FEW_LEFT)

@@ -6,11 +6,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib.data.repeats import beyond_repeatability
+from calib.arrays import FloatArray, IntArray
+from calib.data.dead_readings import equal_columns, zero_visits
+from calib.data.measurements import Measurements
 from calib.identification.fitted import Fit
 from calib.identification.pose_checks import directions_moved, unmoved_joints
 from calib.identification.reasons import Reason
+from calib.identification.repeats import beyond_repeatability
 from calib.identification.validation import pose_labels
+from calib.model.robot import Robot
 from calib.numerics.outliers import FALSE_ALARM, HIGH_LEVERAGE
 from calib.words import counted, listed
 
@@ -24,8 +28,12 @@ UNLIKELY = 1e-3
 """Chance below which a test against noise counts."""
 BEYOND_LIMIT = 0.01
 """How far beyond a joint's limit a pose must be to be named [rad, or characteristic lengths]."""
+CORNER = 0.1
+"""Part of the range between its limits that at least one joint must move through."""
 COPIED = 0.1
 """Part of the readings that may equal another one; coarse readings may do so by chance."""
+FAR = 3.0
+"""Residual over the median residual from which a reading of 0, 0, 0 is not the origin of the measurement frame."""
 USED_FOR_BOTH = 0.1
 """Part of the validation poses that may be poses of the fit, measured again."""
 
@@ -66,11 +74,27 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
         )
 
 
+def one_corner(fit: Fit) -> Iterator[Reason]:
+    """See how much of what its limits allow (or a turn, without limits) each joint has moved."""
+    robot, reach = fit.nominal, np.ptp(fit.identification.data.joints, axis=0)
+    lower, upper = _limits(robot)
+    turns = np.array([robot.mechanism.dimensions[name] == "angle" for name in robot.joint_names])
+    allowed = np.minimum(upper - lower, np.where(turns, 2 * np.pi, np.inf))
+    known = np.isfinite(allowed) & (allowed > 0)
+    part = np.max(reach[known] / allowed[known], initial=0.0)
+    if np.all(known) and 0 < part < CORNER:
+        yield Reason(
+            "CHECK",
+            "one_corner",
+            f"all poses lie in one corner: no joint moved through more than {100 * part:.2g} % of its limits, and"
+            " elsewhere the robot is not calibrated: measure poses all over the space where it will work",
+        )
+
+
 def beyond_joint_limits(fit: Fit) -> Iterator[Reason]:
     """Look for joint values that the robot's own limits exclude."""
     data, robot = fit.identification.data, fit.nominal
-    limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
-    lower, upper = np.array([limits[name] for name in robot.joint_names]).T
+    lower, upper = _limits(robot)
     excess = np.maximum(lower - data.joints, data.joints - upper) / robot.mechanism.joint_scale
     beyond = np.flatnonzero(np.max(excess, axis=1) > BEYOND_LIMIT)
     if len(beyond):
@@ -85,9 +109,16 @@ def beyond_joint_limits(fit: Fit) -> Iterator[Reason]:
         )
 
 
+def _limits(robot: Robot) -> tuple[FloatArray, FloatArray]:
+    """Lower and upper limits of the actuated joints, (n_actuated,) each [m or rad]; infinite where there are none."""
+    limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
+    lower, upper = np.array([limits[name] for name in robot.joint_names]).T
+    return lower, upper
+
+
 def too_few_poses(fit: Fit) -> Iterator[Reason]:
     """Count degrees of freedom."""
-    rows, used = fit.identification.after.size, fit.statistics.effective_parameters
+    rows, used = fit.rows.layout.n_read, fit.statistics.effective_parameters
     if fit.statistics.freedom < FEW or rows < 2 * used:
         yield Reason(
             "CHECK",
@@ -128,8 +159,8 @@ def used_for_both(fit: Fit) -> Iterator[Reason]:
     used, other = fit.identification.data, fit.validation.data
     label = pose_labels(np.vstack([used.joints, other.joints]))
     same_pose = np.isin(label[len(used) :], label[: len(used)])
-    known = {position.tobytes() for position in used.positions}
-    same_reading = [position.tobytes() in known for position in other.positions[same_pose]]
+    known = {key for keys in _reading_keys(used) for key in keys}
+    same_reading = [bool(keys & known) for keys, same in zip(_reading_keys(other), same_pose, strict=True) if same]
     if any(same_reading) or np.sum(same_pose) > USED_FOR_BOTH * len(other):
         what = "are measurements that the fit has used" if any(same_reading) else "were measured at poses of the fit"
         yield Reason(
@@ -140,15 +171,20 @@ def used_for_both(fit: Fit) -> Iterator[Reason]:
         )
 
 
+def doubtful_readings(fit: Fit) -> Iterator[Reason]:
+    """Ask the instruments what looks wrong about their readings."""
+    for name, readings in fit.identification.data.readings.items():
+        for text in fit.nominal.instrument(name).doubts(readings):
+            yield Reason("CHECK", "doubtful_readings", text)
+
+
 def copied(fit: Fit) -> Iterator[Reason]:
     """Look for readings that are in the data more than once, to the last digit."""
     data = fit.identification.data
     if fit.computed:
         return
-    readings = np.concatenate(data.readings) if data.readings else data.positions
-    joints = np.repeat(data.joints, data.counts if data.readings else 1, axis=0)
-    rows = np.hstack([joints, readings.reshape(len(readings), -1)])
-    copies = len(rows) - len(np.unique(rows, axis=0))
+    rows = [(joints.tobytes(), frozenset(keys)) for joints, keys in zip(data.joints, _reading_keys(data), strict=True)]
+    copies = len(rows) - len(set(rows))
     if copies > COPIED * len(rows):
         yield Reason(
             "CHECK",
@@ -158,9 +194,40 @@ def copied(fit: Fit) -> Iterator[Reason]:
         )
 
 
+def _reading_keys(data: Measurements) -> list[set[bytes]]:
+    """What was read at each visit, to the last digit."""
+    keys: list[set[bytes]] = [set() for _ in range(len(data))]
+    for name, found in data.readings.items():
+        for visit, values, details in zip(found.visits, found.values, found.details, strict=True):
+            keys[visit].add(name.encode() + values.tobytes() + details.tobytes())
+    return keys
+
+
+def dead_readings(fit: Fit) -> Iterator[Reason]:
+    """Look for readings that no instrument took: exactly 0, 0, 0 and not fitting, and columns that are copies."""
+    data = fit.identification.data
+    zeros = zero_visits(data, fit.nominal)
+    left = np.zeros(len(data))
+    np.maximum.at(left, fit.rows.layout.visit, fit.rows.distances())
+    if len(zeros) > 1 or np.any(left[zeros] > FAR * np.median(left)):  # one may be the origin of the frame
+        yield Reason(
+            "FAIL",
+            "zero_readings",
+            f"{counted(len(zeros), 'pose was', 'poses were')} read at exactly 0, 0, 0, as some programs write where"
+            f" they saw nothing: {listed([data.labels[k] for k in zeros])};"
+            f" leave {'it' if len(zeros) == 1 else 'them'} out",
+        )
+    for first, second in equal_columns(data, fit.nominal):
+        yield Reason(
+            "FAIL",
+            "equal_columns",
+            f"columns {first} and {second} are equal in every row: one is a copy of the other; export the file again",
+        )
+
+
 def repeats(fit: Fit) -> Iterator[Reason]:
     """Compare residuals with the scatter of repeats."""
-    ratio, p_value = beyond_repeatability(fit.identification.data, fit.statistics.sigma, fit.statistics.freedom)
+    ratio, p_value = beyond_repeatability(fit.identification, fit.statistics.effective_parameters)
     if ratio > BEYOND_REPEATS and p_value < UNLIKELY:
         yield Reason(
             "CHECK",
@@ -172,7 +239,7 @@ def repeats(fit: Fit) -> Iterator[Reason]:
 
 def leverage(fit: Fit) -> Iterator[Reason]:
     """List poses that decide their own prediction."""
-    high = [fit.identification.data.labels[k] for k, _ in np.argwhere(fit.studentised.largest_leverage > HIGH_LEVERAGE)]
+    high = _visits(fit, np.flatnonzero(fit.studentised.largest_leverage > HIGH_LEVERAGE))
     if high and fit.statistics.freedom >= FEW:
         yield Reason(
             "CHECK",
@@ -180,3 +247,8 @@ def leverage(fit: Fit) -> Iterator[Reason]:
             f"{counted(len(high), 'pose decides its', 'poses decide their')} own prediction, so that an error there"
             f" would not show: {listed(high)}; measure more poses near {'it' if len(high) == 1 else 'them'}",
         )
+
+
+def _visits(fit: Fit, readings: IntArray) -> list[str]:
+    """Labels of the visits of some readings, each once."""
+    return [fit.identification.data.labels[k] for k in dict.fromkeys(fit.rows.layout.visit[readings].tolist())]

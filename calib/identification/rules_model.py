@@ -5,22 +5,29 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.stats import chi2
+import pinocchio as pin
 from scipy.stats import f as f_distribution
 
-from calib.identification.fitted import ErrorSet, Fit
+from calib.arrays import FloatArray
+from calib.errors import DataError
+from calib.identification.comparison import CHANCE, comparisons
+from calib.identification.errors_found import ErrorSet
+from calib.identification.fitted import Fit, FoundNoise
 from calib.identification.reasons import Reason
 from calib.identification.rules_data import UNLIKELY
 from calib.identification.systematic import describe
-from calib.model.mechanism import FloatArray
+from calib.linearisation.registration import registration
+from calib.numerics.losses import median_length
 from calib.numerics.rigid import best_transform
-from calib.numerics.statistics import EXACT
+from calib.numerics.statistics import chi_square
+from calib.numerics.variance_components import EXACT
+from calib.units import ERROR_UNIT, PER_SI, error_scale, millimetres
 from calib.words import counted, listed
 
 NOISE_RATIO = 3.0
 """Found over stated noise from which the statement, or the model, is wrong."""
-PROVEN = 0.5
-"""Errors on poses that were not used, after over before, that prove a calibration."""
+ELSEWHERE = 0.2
+"""Errors of the nominal robot with its base placed by the data, over those where it is stated, if it is elsewhere."""
 UNUSED_RATIO = 1.5
 """Residuals of poses that were not used, over their predicted scatter."""
 FEW_POSES = 6
@@ -51,52 +58,79 @@ def not_converged(fit: Fit) -> Iterator[Reason]:
 
 
 def noise(fit: Fit) -> Iterator[Reason]:
-    """Compare the noise found with the positions and with the stated noise."""
-    found, stated, chi = fit.statistics.sigma, fit.sigma_stated, fit.chi_square
-    spread = _spread(fit)
+    """Compare the noise found with the positions, with the stated noise, and with what such instruments have."""
+    found, spread = fit.sigma, _spread(fit)
     if found > LARGE_NOISE * spread:
         yield Reason(
             "FAIL",
             "noise_as_large_as_robot",
-            f"noise found: {1e3 * found:.4g} mm per axis, for positions that spread over {1e3 * spread:.4g} mm; nothing"
-            " fits: check units, axes, joint order and signs, and that joints and positions belong together",
+            f"noise found: {millimetres(found):.4g} mm per axis, for positions that spread over"
+            f" {millimetres(spread):.4g} mm; nothing fits: check units, axes, joint order and signs, and that joints"
+            " and positions belong together",
         )
     elif fit.computed:
         yield Reason(
             "CHECK",
             "no_noise",
-            f"noise found: {1e3 * found:.1g} mm, less than any sensor has; these data were computed, not measured, and"
-            " the intervals say nothing about a real robot",
+            f"noise found: {_in_words(fit.first_noise, found, 1)}, less than any sensor has; these data were computed,"
+            " not measured, and the intervals say nothing about a real robot",
         )
-    elif stated is not None and chi is not None:
-        yield from _against_statement(fit, found / stated, chi.p_larger, chi.p_smaller)
+    else:
+        for one in fit.noise:
+            if one.freedom > 0:
+                yield from _against_usual(fit, one) if one.stated is None else _against_statement(fit, one)
 
 
-def _against_statement(fit: Fit, ratio: float, p_larger: float, p_smaller: float) -> Iterator[Reason]:
-    numbers = (
-        f"{1e3 * fit.statistics.sigma:.3g} mm per axis where {1e3 * fit.statistics.sigma / ratio:.3g} mm was stated"
-    )
+def _in_words(one: FoundNoise, size: float, digits: int = 3) -> str:
+    """A noise [SI] in the unit of its group."""
+    return f"{error_scale(one.group.dimension) * size:.{digits}g} {ERROR_UNIT[one.group.dimension]}"
+
+
+def _of(fit: Fit, one: FoundNoise) -> str:
+    return f" of {one.group.name}, {one.group.part}," if len(fit.noise) > 1 else ""
+
+
+def _against_usual(fit: Fit, one: FoundNoise) -> Iterator[Reason]:
+    usual = one.group.usual
+    if one.sigma > usual:
+        yield Reason(
+            "CHECK",
+            "noise",
+            f"noise found{_of(fit, one)} is {_in_words(one, one.sigma)} per axis, more than such an instrument has"
+            f" ({_in_words(one, usual)} at most): the model does not explain the measurements, and what is left may"
+            " have moved the parameters; look for what is missing or wrong in the description of the instrument, and"
+            " prove the result by another instrument",
+        )
+
+
+def _against_statement(fit: Fit, one: FoundNoise) -> Iterator[Reason]:
+    stated = one.stated or 1.0
+    ratio = one.sigma / stated
+    chi = chi_square(ratio, one.freedom)
+    p_larger, p_smaller = chi.p_larger, chi.p_smaller
+    numbers = f"{_in_words(one, one.sigma)} per axis where {_in_words(one, stated)} was stated"
+    of = _of(fit, one)
     if ratio > NOISE_RATIO and p_larger < UNLIKELY:
-        proven = any(_rms(found.after) < PROVEN * _rms(found.before) for _, found in _unused(fit))
+        proven = any(found.better for found in comparisons(fit))
         yield Reason(
             "CHECK" if proven else "FAIL",
             "noise",
-            f"noise found is {ratio:.1f} times what was stated ({numbers}): the model does not explain the"
+            f"noise found{of} is {ratio:.1f} times what was stated ({numbers}): the model does not explain the"
             " measurements;"
             + (
-                " poses that were not used do get better, so what is left is what the model leaves out: state the noise"
-                " of robot and sensor together (--sigma-mm)"
+                " poses that were not used do get better beyond chance, so what is left is what the model leaves out,"
+                " and intervals do not count it: state the noise of robot and sensor together (--sigma-mm)"
                 if proven
                 else " look at outliers and units, state the noise of robot and sensor together (--sigma-mm), or prove"
                 " the result on other poses (--validate, --folds)"
             ),
         )
     elif p_larger < UNLIKELY:
-        text = f"noise found is {ratio:.2f} times what was stated ({numbers}), more than chance explains"
+        text = f"noise found{of} is {ratio:.2f} times what was stated ({numbers}), more than chance explains"
         yield Reason("CHECK", "noise", f"{text}: state what robot and sensor do together, or look for what is missing")
     elif p_smaller < UNLIKELY:
-        text = f"noise found is only {ratio:.2g} times what was stated ({numbers}), less than chance explains"
-        advice = "state it anew (in mm); the same reading may have been used more than once"
+        text = f"noise found{of} is only {ratio:.2g} times what was stated ({numbers}), less than chance explains"
+        advice = "state it anew; the same reading may have been used more than once"
         yield Reason("CHECK", "noise", f"{text}: {advice}")
 
 
@@ -113,24 +147,26 @@ def not_assembled(fit: Fit) -> Iterator[Reason]:
 
 def worse_on_validation(fit: Fit) -> Iterator[Reason]:
     """Compare errors on unused poses before and after."""
-    for name, found in _unused(fit):
-        before, after = _rms(found.before), _rms(found.after)
-        if after > before:
+    for found in comparisons(fit):
+        if found.worse:
             yield Reason(
                 "FAIL",
                 "worse_on_validation",
-                f"worse than before on {name}: RMS {1e3 * after:.4f} mm after, {1e3 * before:.4f} mm before; the fit"
-                " follows its own measurements, not the robot: measure more poses, spread over the same space",
+                f"worse than before on {found.name}: {found.words}, more than the uncertainty of the fit explains"
+                f" (chance {100 * CHANCE:g} %); the fit follows its own measurements, not the robot: measure more"
+                " poses, spread over the same space",
             )
 
 
 def unused_fits_worse(fit: Fit) -> Iterator[Reason]:
     """Compare errors on unused poses with what noise and uncertainty predict."""
-    if fit.validation is None or fit.validation_uncertainty is None or fit.computed:
+    if fit.validation is None or fit.computed:
         return
-    noise = fit.statistics.sigma**2 / fit.validation.data.counts[:, None, None]
-    expected = noise + fit.validation_uncertainty.std**2
-    ratio = float(np.sqrt(np.median(np.sum(fit.validation.after**2 / expected, axis=2)) / chi2(3).median()))
+    judged, rows = fit.validation_studentised, fit.validation_rows
+    if judged is None or rows is None:
+        return
+    size = judged.ratio * judged.scale / median_length(rows.layout.width)
+    ratio = float(np.median(size))
     if ratio > UNUSED_RATIO:
         yield Reason(
             "CHECK",
@@ -140,44 +176,80 @@ def unused_fits_worse(fit: Fit) -> Iterator[Reason]:
         )
 
 
+def base_elsewhere(fit: Fit) -> str:
+    """Return what to do if the nominal robot fits with its base anywhere but where it is stated; else nothing."""
+    robot, data = fit.nominal, fit.identification.data
+    if robot.description.base.pose == "unknown":
+        return ""
+    try:
+        stated, placed = (registration(robot, data, frame_known=known) for known in (True, False))
+    except DataError:  # no points were measured
+        return ""
+    if placed.rms > ELSEWHERE * stated.rms:
+        return ""
+    pose = placed.T_base_measurement.inverse()
+    xyz = ", ".join(f"{millimetres(value):.2f} mm" for value in pose.translation)
+    rpy = ", ".join(f"{PER_SI['angle']['deg'] * value:.3f} deg" for value in pin.rpy.matrixToRpy(pose.rotation))
+    has_own_base = isinstance(robot.description.parametrisation, str)  # then it cannot be called unknown
+    unknown = "" if has_own_base else "set base: pose: unknown, or "
+    return (
+        f"base: pose: known does not fit these measurements (rms {millimetres(stated.rms):.4g} mm; placed by the data:"
+        f" {millimetres(placed.rms):.4g} mm): {unknown}correct it to about xyz: [{xyz}], rpy: [{rpy}]"
+    )
+
+
 def frame_moved(fit: Fit) -> Iterator[Reason]:
     """See whether a rigid motion explains the errors on validation poses: whether they were measured from elsewhere."""
-    if fit.validation is None or len(fit.validation.data) < FEW_POSES or fit.computed:
+    if fit.validation is None or len(fit.validation.data) < FEW_POSES or fit.computed or _from_one_file(fit):
         return
-    measured = fit.validation.data.positions.reshape(-1, 3)
-    predicted = measured + fit.validation.after.reshape(-1, 3)
+    measured, errors = _points(fit.validation)
+    if len(measured) < FEW_POSES:
+        return
+    predicted = measured + errors
     rotation, translation = best_transform(measured, predicted)
-    left = _rms((predicted - measured @ rotation.T - translation)[:, None])
-    if left < EXPLAINED * _rms(fit.validation.after):
+    left = _rms(predicted - measured @ rotation.T - translation)
+    if left < EXPLAINED * _rms(errors):
         centre = measured.mean(axis=0)
-        shift = 1e3 * float(np.linalg.norm(rotation @ centre + translation - centre))
+        shift = millimetres(float(np.linalg.norm(rotation @ centre + translation - centre)))
         angle = float(np.degrees(np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0))))
         yield Reason(
             "CHECK",
             "frame_moved",
             f"the validation poses look as if the tracker, the base or its frame had moved between the two files, by"
-            f" {shift:.3g} mm and {angle:.2g} deg: that explains all but {1e3 * left:.3g} mm RMS; measure both from one"
-            " place, or hold out poses of one file (--validate 0.2)",
+            f" {shift:.3g} mm and {angle:.2g} deg: that explains all but {millimetres(left):.3g} mm RMS; measure both"
+            " from one place, or hold out poses of one file (--validate 0.2)",
         )
 
 
-def no_gain(fit: Fit) -> Iterator[Reason]:
-    """F test of all parameters against placing base and targets alone."""
-    weight = (fit.identification.data.counts[:, None] * fit.weights)[:, :, None]
-    before = float(np.sum(weight * fit.identification.before**2))
-    after = float(np.sum(weight * fit.identification.after**2))
-    placed = sum(p.placement for p, use in zip(fit.nominal.parameters, fit.free, strict=True) if use)
-    k = fit.statistics.effective_parameters - placed
-    if k < 0.5 or after <= 0 or fit.computed:
+def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
+    """See whether the calibration gains anything: on unused poses, else by an F test of all that was not placed."""
+    if fit.computed:
         return
-    p_value = float(f_distribution.sf((before - after) / k / fit.statistics.sigma**2, k, fit.statistics.freedom))
-    if p_value > UNLIKELY:
-        yield Reason(
-            "CHECK",
-            "no_gain",
-            f"the calibration explains no more than chance would (p = {p_value:.2g}): the robot may be as good as its"
-            " nominal model, or the measurements too noisy or too few",
-        )
+    found = list(comparisons(fit))
+    chance = _chance_of_gain(fit)
+    no_gain = chance > UNLIKELY or (bool(found) and all(entry.after >= entry.before for entry in found))
+    if not no_gain or any(entry.better or entry.worse for entry in found):
+        return
+    said = "; ".join(f"on {entry.name} {entry.words}, no gain beyond the uncertainty" for entry in found)
+    if chance > UNLIKELY:
+        said += f"{'; ' if said else ''}on the poses used, no more than chance gives (p = {chance:.2g})"
+    yield Reason(
+        "PASS",
+        "nothing_to_correct",
+        f"nothing to correct: {said}; the nominal values are as good as any, as far as measurements with"
+        f" {_in_words(fit.first_noise, fit.sigma)} of noise can tell",
+    )
+
+
+def _chance_of_gain(fit: Fit) -> float:
+    """Chance that the parameters explain as much of a robot at nominal, with base and targets placed alone."""
+    root = np.sqrt(fit.weights)[fit.rows.layout.reading]
+    whitened, rows = fit.whitened(fit.identification)
+    before, after = float(np.sum((root * whitened) ** 2)), float(np.sum((root * rows.residuals) ** 2))
+    k = fit.statistics.effective_parameters - int(np.sum(fit.unknowns.placement))
+    if k < 0.5 or after <= 0:
+        return 0.0
+    return float(f_distribution.sf((before - after) / k, k, fit.statistics.freedom))
 
 
 def systematic(fit: Fit) -> Iterator[Reason]:
@@ -199,30 +271,49 @@ def other_minima(fit: Fit) -> Iterator[Reason]:
         return
     best, *others = fit.starts.minima
     # without a statement the starts were weighed by a noise that was not found yet
-    unit = 1.0 if fit.sigma_stated is not None else (max(fit.statistics.sigma, EXACT) / fit.starts.sigma) ** 2
+    started = fit.starts.groups[0] * fit.whitening.groups[0].typical
+    unit = 1.0 if fit.noise[0].stated is not None else (max(fit.noise[0].sigma, EXACT) / started) ** 2
     near = [other for other in others if other.cost - best.cost < OTHER_MINIMUM * unit]
     if near:
         yield Reason(
             "CHECK",
             "other_minimum",
             f"{counted(len(near), 'other minimum explains', 'other minima explain')} the data as well (RMS"
-            f" {1e3 * near[0].rms:.4g} mm against {1e3 * best.rms:.4g} mm): the data do not say which is the"
-            " robot; measure more different poses",
+            f" {millimetres(near[0].rms):.4g} mm against {millimetres(best.rms):.4g} mm): the data do not say which is"
+            " the robot; measure more different poses",
         )
 
 
-def _unused(fit: Fit) -> Iterator[tuple[str, ErrorSet]]:
-    if fit.validation is not None:
-        yield "the validation poses", fit.validation
-    if fit.folds is not None:
-        yield "poses left out in turns", fit.folds.errors
-
-
 def _rms(errors: FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.sum(errors**2, axis=2))))
+    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+
+
+def _points(found: ErrorSet) -> tuple[FloatArray, FloatArray]:
+    """Measured points of all instruments, and their errors after calibration, (n, 3) each [m]."""
+    measured: list[FloatArray] = [np.zeros((0, 3))]
+    errors: list[FloatArray] = [np.zeros((0, 3))]
+    for one, part, rows in found.parts():
+        points = one.points(found.data.readings[one.name].values)
+        if points is not None and part.name == "position":
+            seen = np.isfinite(points).all(axis=1)
+            measured.append(points[seen])
+            errors.append(found.after[one.name][seen][:, rows])
+    return np.concatenate(measured), np.concatenate(errors)
 
 
 def _spread(fit: Fit) -> float:
-    """Root mean square distance per axis of the measured positions from their centre [m], of the widest target."""
-    positions = fit.identification.data.positions
-    return float(np.max(np.sqrt(np.mean(np.var(positions, axis=0), axis=1))))
+    """Root mean square distance per axis of measured positions from their centre [m], of the widest; inf without."""
+    found = fit.identification
+    spreads = [np.inf]
+    for one in found.instruments:
+        readings = found.data.readings.get(one.name)
+        points = None if readings is None else one.points(readings.values)
+        if points is not None and len(points):
+            spreads.append(float(np.sqrt(np.mean(np.nanvar(points, axis=0)))))
+    return max(spreads[1:], default=np.inf)
+
+
+def _from_one_file(fit: Fit) -> bool:
+    """Whether the validation poses were held out of the file that was fitted."""
+    used, unused = fit.identification.data, fit.validation.data if fit.validation is not None else None
+    return unused is not None and used.path == unused.path and used.order is not None and unused.order is not None

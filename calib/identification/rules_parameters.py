@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.identification.fitted import Fit
 from calib.identification.reasons import Reason
-from calib.model.parameters import Parameter
+from calib.parameter import Parameter
 from calib.units import PER_SI
 from calib.words import listed
 
@@ -66,7 +66,7 @@ def _deviations(fit: Fit) -> Iterator[tuple[Parameter, float]]:
         if not free:
             continue
         std, share = next(known)
-        if parameter.placement and not parameter.prior:
+        if (parameter.placement and not parameter.prior) or parameter.family:  # a family's size is found
             continue
         away = abs(float(value) - parameter.nominal) / parameter.sigma
         if parameter.prior:

@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.arrays import FloatArray
 from calib.errors import ComputationError
 from calib.identification.problem import Problem
-from calib.model.mechanism import BoolArray, FloatArray
 from calib.model.robot import Robot
 from calib.numerics.least_squares import Solution
 
@@ -34,7 +34,7 @@ class Minimum:
         robot: The parameters there.
         solution: What the solver said.
         cost: Sum of squared residuals and priors, in units of the noise that weighed them.
-        rms: Root mean square distance of the residuals [m].
+        rms: Root mean square length of the readings' residuals [SI].
         count: How many starts came there.
     """
 
@@ -53,13 +53,13 @@ class Starts:
         minima: Lowest cost first.
         failed: Starts that did not converge or could not be assembled.
         seed: Seed of the random steps.
-        sigma: Noise that weighed all of them [m].
+        groups: Scale of the noise of each group that all of them assumed, (n_groups,).
     """
 
     minima: tuple[Minimum, ...]
     failed: int
     seed: int
-    sigma: float
+    groups: FloatArray
 
     @property
     def total(self) -> int:
@@ -67,58 +67,64 @@ class Starts:
         return self.failed + sum(minimum.count for minimum in self.minima)
 
 
-def explore(problem: Problem, placed: Robot, first: tuple[Robot, Solution], sigma: float, n: int, seed: int) -> Starts:
+def explore(
+    problem: Problem, placed: Robot, first: tuple[Robot, Solution], groups: FloatArray, n: int, seed: int
+) -> Starts:
     """Fit again from n - 1 perturbed starts.
 
     Args:
         problem: The problem.
         placed: Where the first start began.
         first: Where it ended.
-        sigma: Noise that weighs data against priors [m].
+        groups: Scale of the noise of each group, (n_groups,).
         n: Number of starts, the first included.
         seed: Seed of the random steps.
     """
     rng = np.random.default_rng(seed)
-    everything = np.ones(len(problem.scales), dtype=bool)
     found: list[tuple[Minimum, FloatArray]] = []
     failed = 0
-    _add(found, problem, first)
+    _add(found, problem, groups, first)
     for _ in range(n - 1):
-        step = rng.standard_normal(len(problem.scales))
-        end = _from(problem, placed, step, sigma, everything)
+        step = rng.standard_normal(len(problem.unknowns))
+        end = _from(problem, placed, step, groups)
         if end is None:
             failed += 1
         else:
-            _add(found, problem, end)
-    return Starts(tuple(minimum for minimum, _ in sorted(found, key=lambda entry: entry[0].cost)), failed, seed, sigma)
+            _add(found, problem, groups, end)
+    minima = tuple(minimum for minimum, _ in sorted(found, key=lambda entry: entry[0].cost))
+    return Starts(minima, failed, seed, groups)
 
 
-def _from(
-    problem: Problem, placed: Robot, step: FloatArray, sigma: float, everything: BoolArray
-) -> tuple[Robot, Solution] | None:
-    base = problem.scaled_values(placed)
+def _from(problem: Problem, placed: Robot, step: FloatArray, groups: FloatArray) -> tuple[Robot, Solution] | None:
+    base = problem.unknowns.deviations(placed.values)
     for halving in range(_HALVINGS + 1):
-        start = problem.with_values(placed, base + step / 2**halving, everything)
+        start = problem.moved(placed, problem.unknowns, base + step / 2**halving)
         try:
-            robot, solution = problem.solve(start, sigma, everything)
+            robot, solution = problem.solve(start, groups)
         except ComputationError:
             continue
         return (robot, solution) if solution.converged else None
     return None
 
 
-def _add(found: list[tuple[Minimum, FloatArray]], problem: Problem, end: tuple[Robot, Solution]) -> None:
+def _add(
+    found: list[tuple[Minimum, FloatArray]], problem: Problem, groups: FloatArray, end: tuple[Robot, Solution]
+) -> None:
     """Count an end towards the minimum that it belongs to, or as a new one."""
     robot, solution = end
-    errors = problem.evaluate(robot).errors
-    size = _size(errors)
+    residuals = problem.evaluate(robot).residuals
+    whitened = problem.whitening.flatten(residuals) / problem.whitening.row_scale(groups)
+    smallest = _EXACT / float(np.min(groups * [group.typical for group in problem.whitening.groups]))
+    size = _size(whitened)
     for k, (minimum, known) in enumerate(found):
-        if _size(errors - known) <= _SAME * max(min(size, _size(known)), _EXACT):
+        if _size(whitened - known) <= _SAME * max(min(size, _size(known)), smallest):
             found[k] = replace(minimum, count=minimum.count + 1), known
             return
-    found.append((Minimum(robot, solution, solution.cost, float(np.sqrt(3.0)) * size, 1), errors))
+    lengths = [np.sqrt(np.nansum(errors**2, axis=1)) for errors in residuals.values()]
+    rms = float(np.sqrt(np.mean(np.concatenate(lengths) ** 2)))
+    found.append((Minimum(robot, solution, solution.cost, rms, 1), whitened))
 
 
-def _size(errors: FloatArray) -> float:
-    """Root mean square per axis [m]."""
-    return float(np.sqrt(np.mean(errors**2)))
+def _size(whitened: FloatArray) -> float:
+    """Root mean square of whitened rows."""
+    return float(np.sqrt(np.mean(whitened**2)))

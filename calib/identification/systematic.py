@@ -17,9 +17,9 @@ Effects tested, all as displacements of the targets through the robot (d(positio
     zero         each joint off by an error that changes in the course of the measurement: an encoder or a belt that
                  slipped, warming up
 
-An effect that the fit absorbs (a constant shift, where the base is free) cannot be seen and is not tested. A finding
-needs a chance below 1 % over the number of tests, and an effect of at least a tenth of the noise: enough data make any
-trifle significant.
+An effect that the fit absorbs (a constant shift, where the base is free) cannot be seen and is not tested, and nothing
+is put down to a joint that never moved. A finding needs a chance below 1 % over the number of tests, and an effect of
+at least a tenth of the noise: enough data make any trifle significant.
 
 The direction of approach and the course of the measurement come from the order of the rows in the data file, which must
 be the order of measurement. A sudden change shows too: a polynomial of degree 3 explains 86 % of a step.
@@ -34,18 +34,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
-import pinocchio as pin
 from numpy.polynomial import legendre
 from scipy.stats import f as f_distribution
 
-from calib.linearisation.jacobian import origin_jacobian
-from calib.model.mechanism import FloatArray
-from calib.model.robot import Configurations, Robot
-from calib.numerics.statistics import EXACT
-from calib.units import DISPLAY_UNIT, PER_SI, Dimension
+from calib.arrays import FloatArray
+from calib.data.measurements import Measurements
+from calib.identification.pose_checks import unmoved_joints
+from calib.linearisation.observed import Observed
+from calib.linearisation.rows import Rows, Scales, Whitening
+from calib.model.robot import Robot
+from calib.numerics.shared_error import SharedError
+from calib.numerics.variance_components import EXACT
+from calib.observation.kind import Instrument
+from calib.units import DISPLAY_UNIT, ERROR_UNIT, PER_SI, Dimension, error_scale, millimetres
 
 FALSE_ALARM = 0.01
 """Chance that good residuals show a pattern."""
@@ -65,9 +70,10 @@ class Pattern:
         kind: Which effect.
         name: The axis or joint; `xyz` for a drift.
         p_value: Chance of such a pattern from noise, over all tests.
-        size: Root mean square displacement that it explains [m].
+        size: Root mean square of what it explains [m]; of readings in another unit where no positions are [SI].
         amount: The shift [m], or half the backlash [m or rad]; NaN for a curve.
         significant: Whether it counts as a finding.
+        dimension: What `size` measures.
     """
 
     kind: Kind
@@ -76,6 +82,7 @@ class Pattern:
     size: float
     amount: float
     significant: bool
+    dimension: Dimension = "length"
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,88 +90,128 @@ class Residuals:
     """A finished fit as a linear model.
 
     Attributes:
-        rows: Residuals with the noise of one reading, (n_rows,) [m].
-        columns: Scaled Jacobian of the same rows, (n_rows, n_free) [m].
-        inverse: R^-1 of `calib.numerics.statistics.prior_shares`, (n_free, n_free).
+        rows: Its whitened rows, with the weights of a robust loss.
+        root: T of `calib.numerics.information`, (n_free, rank).
         freedom: Degrees of freedom.
-        sigma: Found noise [m].
+        factor: Found over assumed noise.
     """
 
-    rows: FloatArray
-    columns: FloatArray
-    inverse: FloatArray
+    rows: Rows
+    root: FloatArray
     freedom: float
-    sigma: float
+    factor: float
 
     def after_fit(self, effect: FloatArray) -> FloatArray:
         """Return M Z, what a fit leaves of effects Z (n_rows, n_effects) on the residuals, (n_rows, n_effects)."""
-        pulled = self.columns @ self.inverse
+        pulled = self.rows.jacobian @ self.root
         result: FloatArray = effect - pulled @ (pulled.T @ effect)
         return result
 
 
-def joint_jacobian(robot: Robot, configurations: Configurations) -> FloatArray:
-    """Return d(position)/d(actuated joint), loops closed, (n_poses, n_targets, 3, n_actuated) [m per m or rad].
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What effects are made of.
 
-    Moving a joint by dq is the same as turning its origin by dq about the joint's own axis.
+    Attributes:
+        robot: The calibrated robot.
+        data: Its measurements.
+        observed: These compared with the robot, with derivatives by the joints.
+        whitening: What whitened the rows.
+        scales: What was assumed of the noise.
+        weights: Of each reading, (n_readings,).
     """
-    mechanism = robot.mechanism
-    model = mechanism.model
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    twists = np.zeros((6 * mechanism.n_joints, len(mechanism.actuated)))
-    for i in range(mechanism.n_joints):
-        axis = np.asarray(data.joints[i + 1].S).reshape(6)
-        twists[6 * i : 6 * i + 6] = np.outer(axis, mechanism.select_actuated[i])
-    return origin_jacobian(mechanism, configurations, twists)[1]
+
+    robot: Robot
+    data: Measurements
+    observed: Mapping[str, Observed]
+    whitening: Whitening
+    scales: Scales
+    weights: FloatArray
+
+    def whitened(self, arrays: Mapping[str, FloatArray]) -> FloatArray:
+        """Return what effects do to the rows of each instrument, (n, n_rows, k) [SI], as whitened rows, (n_all, k)."""
+        rows: FloatArray = self.whitening.flatten(arrays) / self.whitening.row_scale(self.scales.own)[:, None]
+        if self.shared is not None:
+            rows = self.shared.whiten(rows)
+        return np.sqrt(self.weights)[self.whitening.layout.reading][:, None] * rows
+
+    @cached_property
+    def shared(self) -> SharedError | None:
+        """What whitens for an error shared by visits; None without one."""
+        if not self.scales.shares:
+            return None
+        return self.whitening.shared_error(self.observed, self.scales.own, self.scales.shared)
+
+    def per_visit(self, values: FloatArray) -> FloatArray:
+        """Return values of the visits, (n_visits, ...), for each row."""
+        layout = self.whitening.layout
+        result: FloatArray = values[layout.visit[layout.reading]]
+        return result
+
+    @property
+    def metre(self) -> float:
+        """What a whitened row of a position is in metres; of the first kind of rows where no positions are."""
+        return float(self.scales.own[self._first] * self.whitening.groups[self._first].typical)
+
+    @property
+    def dimension(self) -> Dimension:
+        """What `metre` measures."""
+        return self.whitening.groups[self._first].dimension
+
+    @property
+    def _first(self) -> int:
+        return next((g for g, group in enumerate(self.whitening.groups) if group.part == "position"), 0)
 
 
-def patterns(
-    residuals: Residuals, robot: Robot, configurations: Configurations, approach: FloatArray, weight: FloatArray
-) -> tuple[Pattern, ...]:
+def patterns(residuals: Residuals, setting: Setting) -> tuple[Pattern, ...]:
     """Test all effects.
 
     Args:
         residuals: The fit.
-        robot: The calibrated robot.
-        configurations: Its poses.
-        approach: Direction of approach of each joint, (n_poses, n_actuated).
-        weight: Root of the weight of each point's rows, (n_poses, n_targets).
+        setting: What effects are made of.
     """
-    if residuals.sigma < EXACT:
+    if residuals.factor * setting.metre < EXACT:
         return ()
     tested: list[tuple[Kind, str, float, float, float]] = []
-    for kind, name, effect in _effects(robot, configurations, approach):
-        rows = (weight[:, :, None, None] * effect).reshape(len(residuals.rows), -1)
-        found = _test(residuals, rows)
+    for kind, name, effect in _effects(setting):
+        found = _test(residuals, effect)
         if found is not None:
             tested.append((kind, name, *found))
     result = []
     for kind, name, p_value, size, amount in tested:
         p = min(1.0, p_value * len(tested))
-        significant = p < FALSE_ALARM and size > SMALLEST_EFFECT * np.sqrt(3.0) * residuals.sigma
-        result.append(Pattern(kind, name, p, size, amount, bool(significant)))
+        significant = p < FALSE_ALARM and size > SMALLEST_EFFECT * np.sqrt(3.0) * residuals.factor
+        result.append(Pattern(kind, name, p, size * setting.metre, amount, bool(significant), setting.dimension))
     return tuple(sorted(result, key=lambda pattern: (pattern.p_value, -pattern.size)))
 
 
-def _effects(
-    robot: Robot, configurations: Configurations, approach: FloatArray
-) -> Iterator[tuple[Kind, str, FloatArray]]:
-    """Yield (kind, name, Z as (n_poses, n_targets, 3, k))."""
-    by_joint = joint_jacobian(robot, configurations)
-    course = _curves(np.arange(len(by_joint), dtype=float))
+def _effects(setting: Setting) -> Iterator[tuple[Kind, str, FloatArray]]:
+    """Yield (kind, name, Z as whitened rows (n_rows, k))."""
+    robot, data = setting.robot, setting.data
+    by_joint = setting.whitened({name: found.by_joint for name, found in setting.observed.items()})
+    course = _curves(np.arange(len(data), dtype=float))
+    shifts = setting.whitened({name: _shift(robot.instrument(name), len(r)) for name, r in data.readings.items()})
     for axis, name in enumerate("xyz"):
-        shift = np.zeros((*by_joint.shape[:3], 1))
-        shift[:, :, axis] = 1.0
-        yield "axis", name, shift
-    drift = np.eye(3)[:, :, None] * course[:, None, None, None, :]
-    yield "drift", "xyz", np.broadcast_to(drift, (*by_joint.shape[:3], 3, _DEGREE)).reshape(*by_joint.shape[:3], -1)
+        yield "axis", name, shifts[:, axis : axis + 1]
+    in_course = setting.per_visit(course)
+    yield "drift", "xyz", (shifts[:, :, None] * in_course[:, None, :]).reshape(len(shifts), -1)
+    still = unmoved_joints(robot, data.joints)
     for j, name in enumerate(robot.joint_names):
-        column, q = by_joint[..., j : j + 1], configurations.actuated[:, j]
-        if np.ptp(q) > 0:
-            yield "joint", name, column * _curves(q)[:, None, None, :]
-        yield "approach", name, column * approach[:, j][:, None, None, None]
-        yield "zero", name, column * course[:, None, None, :]
+        column, q = by_joint[:, j : j + 1], data.joints[:, j]
+        if name in still:
+            continue
+        yield "joint", name, column * setting.per_visit(_curves(q))
+        yield "approach", name, column * setting.per_visit(data.approach_directions[:, j])[:, None]
+        yield "zero", name, column * in_course
+
+
+def _shift(one: Instrument, n: int) -> FloatArray:
+    """What shifts of the measurement frame along x, y and z do to n readings, (n, n_rows, 3)."""
+    result: FloatArray = np.zeros((n, one.n_rows, 3))
+    rows = [k for k, part in enumerate(one.part_of_row) if one.parts[part].name == "position"]
+    if len(rows) == 3:
+        result[:, rows] = np.eye(3)
+    return result
 
 
 def _curves(values: FloatArray) -> FloatArray:
@@ -174,7 +221,10 @@ def _curves(values: FloatArray) -> FloatArray:
 
 
 def _test(residuals: Residuals, effect: FloatArray) -> tuple[float, float, float] | None:
-    """Return p value, root mean square displacement explained, and coefficient (one column only); None if unseen."""
+    """Return p value, size and coefficient (of one column only) of an effect; None if it cannot be seen.
+
+    The size is the root mean square of what it explains of a point's three rows.
+    """
     size = np.linalg.norm(effect, axis=0)
     if not np.all(size > 0):
         return None
@@ -184,15 +234,16 @@ def _test(residuals: Residuals, effect: FloatArray) -> tuple[float, float, float
     k = int(np.sum(seen))
     if k == 0 or residuals.freedom - k < 1:
         return None
-    score = vectors[:, seen].T @ (unit.T @ residuals.rows)
+    residual = residuals.rows.residuals
+    score = vectors[:, seen].T @ (unit.T @ residual)
     gain = float(np.sum(score**2 / values[seen]))
-    total = float(residuals.rows @ residuals.rows)
+    total = float(residual @ residual)
     rest = max(total - gain, 1e-12 * total) / (residuals.freedom - k)
     p_value = float(f_distribution.sf(gain / k / rest, k, residuals.freedom - k))
     amount = float("nan")
     if effect.shape[1] == 1:
         amount = float(score[0] * vectors[0, 0] / values[0] / size[0])
-    return p_value, float(np.sqrt(3.0 * gain / len(residuals.rows))), amount
+    return p_value, float(np.sqrt(3.0 * gain / residuals.rows.layout.n_read)), amount
 
 
 def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:
@@ -202,9 +253,9 @@ def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:
         pattern: The pattern.
         dimensions: Whether each joint is a length or an angle.
     """
-    size = f"{1e3 * pattern.size:.3g} mm RMS"
+    size = f"{error_scale(pattern.dimension) * pattern.size:.3g} {ERROR_UNIT[pattern.dimension]} RMS"
     if pattern.kind == "axis":
-        return f"a constant shift of {1e3 * pattern.amount:+.3g} mm along {pattern.name}"
+        return f"a constant shift of {millimetres(pattern.amount):+.3g} mm along {pattern.name}"
     if pattern.kind == "joint":
         return f"an error that follows joint {pattern.name} ({size})"
     if pattern.kind == "drift":

@@ -1,4 +1,4 @@
-"""Position errors as tables, and splitting measurements into those to identify with and those to validate with."""
+"""Splitting measurements into those to identify with and those to validate with, and into folds."""
 
 from __future__ import annotations
 
@@ -7,61 +7,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from calib.arrays import FloatArray, IntArray
 from calib.data.measurements import Measurements
 from calib.errors import DataError
-from calib.model.mechanism import FloatArray, IntArray
 
 _SAME_JOINTS = 1e-4  # joint values that agree to this are one pose, read back with an encoder's noise [m, rad]
-PERCENTILES = {"median": 50, "p90": 90, "p95": 95, "p99": 99}
-"""Percentiles of error tables by their key."""
-
-
-def error_table(errors: FloatArray) -> dict[str, object]:
-    """Summarise position errors.
-
-    Args:
-        errors: Predicted minus measured, (n, 3) [m].
-
-    Returns:
-        `mean`, `max`, `rms`, `std`, `median`, `p90`, `p95`, `p99` of the distance; and for each of `x`, `y`, `z` the
-        `mean`, `max` and percentiles of the absolute component, its `rms`, its `std` and its signed mean `bias`. All
-        [mm]; std is NaN for a single error.
-    """
-
-    def spread(values: FloatArray) -> float:
-        return float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
-
-    def percentiles(values: FloatArray) -> dict[str, float]:
-        found = np.percentile(values, list(PERCENTILES.values()))
-        return {key: float(value) for key, value in zip(PERCENTILES, found, strict=True)}
-
-    millimetres = 1e3 * np.asarray(errors)
-    distance = np.linalg.norm(millimetres, axis=1)
-    table: dict[str, object] = {
-        "mean": float(np.mean(distance)),
-        "max": float(np.max(distance)),
-        "rms": float(np.sqrt(np.mean(distance**2))),
-        "std": spread(distance),
-        **percentiles(distance),
-    }
-    for axis, values in zip("xyz", millimetres.T, strict=True):
-        table[axis] = {
-            "mean": float(np.mean(np.abs(values))),
-            "max": float(np.max(np.abs(values))),
-            "rms": float(np.sqrt(np.mean(values**2))),
-            "std": spread(values),
-            "bias": float(np.mean(values)),
-            **percentiles(np.abs(values)),
-        }
-    return table
-
-
-def format_error(table: dict[str, object]) -> list[str]:
-    """Return mean, max, rms, std, 95th percentile and the mean of |x|, |y|, |z| of an error table as text [mm]."""
-    axes = [table[axis] for axis in "xyz"]
-    numbers = [table[key] for key in ("mean", "max", "rms", "std", "p95")]
-    numbers += [axis["mean"] for axis in axes if isinstance(axis, dict)]
-    return [f"{number:.4f}" for number in numbers]
 
 
 def split(data: Measurements, fraction: float, seed: int = 0) -> tuple[Measurements, Measurements]:
@@ -118,8 +68,13 @@ def pose_labels(joints: FloatArray) -> IntArray:
 
 
 def _shuffled(data: Measurements, seed: int) -> list[IntArray]:
-    """Return groups of poses with the same joint values in random order."""
-    label = pose_labels(data.joints)
+    """Return groups of visits with the same pose name or the same joint values in random order."""
+    by_joints, by_name = pose_labels(data.joints), data.pose_numbers
+    n = int(by_joints.max(initial=-1)) + 1
+    size = n + data.n_poses
+    graph = coo_array((np.ones(len(data)), (by_joints, n + by_name)), shape=(size, size))
+    label: IntArray = connected_components(graph, directed=False)[1][by_joints]
+    label = np.unique(label, return_inverse=True)[1].reshape(-1)
     by_label = np.argsort(label, kind="stable")
     groups = np.split(by_label, np.cumsum(np.bincount(label))[:-1])
     groups.sort(key=lambda group: int(group[0]))  # in file order, so that without repeats a pose is a pose

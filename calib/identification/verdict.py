@@ -4,8 +4,9 @@ FAIL: the numbers must not be used (the robot is not exported as calibrated unle
 CHECK: they can be used by someone who has read the reasons.
 PASS: nothing was found; that is no proof that nothing is wrong.
 
-Each rule looks at one thing. Tests with a chance in them state it where they are made: chi-square, gain and repeats
-0.1 %, patterns and outliers 1 % each. Good data therefore get a CHECK by chance in about one fit of thirty.
+Each rule looks at one thing. Tests with a chance in them state it where they are made: chi-square, gain, comparisons
+and repeats 0.1 %, patterns and outliers 1 % each. Good data therefore get a CHECK by chance in about one fit of thirty
+(measured: docs/verdict.md).
 """
 
 from __future__ import annotations
@@ -18,17 +19,20 @@ from calib.identification.reasons import Reason, Verdict
 from calib.identification.suspects import likely_mistake
 
 _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
+    rules_data.dead_readings,
     rules_model.not_converged,
     rules_model.not_assembled,
     rules_model.noise,
+    rules_data.doubtful_readings,
     rules_model.worse_on_validation,
     rules_model.frame_moved,
     rules_parameters.far_from_nominal,
     rules_data.poses_that_say_little,
+    rules_data.one_corner,
     rules_data.beyond_joint_limits,
     rules_data.too_few_poses,
     rules_parameters.loose,
-    rules_model.no_gain,
+    rules_model.nothing_to_correct,
     rules_model.unused_fits_worse,
     rules_model.systematic,
     rules_data.outliers,
@@ -38,23 +42,28 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_model.other_minima,
     rules_data.leverage,
 )
+_ORDER = ("FAIL", "CHECK", "PASS")
+_IN_MISTAKE = ("zero_readings", "equal_columns")
+"""Reasons that the likely mistake says already."""
 _NOTHING_FITS = ("not_converged", "not_assembled", "noise_as_large_as_robot", "far_from_nominal")
+_MOVED = ("at_bounds",)  # what a base that stands a little elsewhere does
 
 
 def judge(fit: Fit) -> Verdict:
     """Return the verdict on a fit: the worst of the reasons found, FAIL before CHECK."""
     found = [reason for rule in _RULES for reason in rule(fit)]
-    if any(reason.code in _NOTHING_FITS for reason in found):
+    codes = {reason.code for reason in found}
+    elsewhere = rules_model.base_elsewhere(fit) if codes & {*_NOTHING_FITS, *_MOVED} else ""
+    if elsewhere:
+        found.insert(0, Reason("FAIL" if codes & set(_NOTHING_FITS) else "CHECK", "base_elsewhere", elsewhere))
+    elif codes & set(_NOTHING_FITS):
         mistake = likely_mistake(fit.nominal, fit.identification.data)
-        found = (
-            [
-                Reason(
-                    "FAIL", "likely_mistake", f"{mistake}; correct the data, or the description where that is wrong"
-                ),
-                *found,
-            ]
-            if mistake
-            else found
-        )
-    found.sort(key=lambda reason: reason.grade != "FAIL")
-    return Verdict(found[0].grade if found else "PASS", tuple(found))
+        if mistake:
+            text = f"{mistake}; correct the data, or the description where that is wrong"
+            found = [reason for reason in found if reason.code not in _IN_MISTAKE]
+            found.insert(0, Reason("FAIL", "likely_mistake", text))
+    found.sort(key=lambda reason: _ORDER.index(reason.grade))
+    grade = found[0].grade if found else "PASS"
+    if grade == "FAIL":  # what was found on the side says nothing about numbers that must not be used
+        found = [reason for reason in found if reason.grade != "PASS"]
+    return Verdict(grade, tuple(found))

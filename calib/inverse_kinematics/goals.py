@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
+from calib.arrays import FloatArray, IntArray
 from calib.data.tables import Table, read_table
 from calib.errors import DataError
-from calib.model.mechanism import FloatArray, IntArray
 from calib.model.robot import Robot
 
 

@@ -18,13 +18,14 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
+from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.errors import DataError, UnreachablePoseError, nearest
 from calib.inverse_kinematics.goals import Goals
 from calib.inverse_kinematics.reaching import Configured, Reach, actuated_jacobian, descend
 from calib.inverse_kinematics.redundancy import nearer, unwound
 from calib.model import loops
-from calib.model.mechanism import BoolArray, FloatArray, IntArray
 from calib.model.robot import Robot
+from calib.units import millimetres
 
 TOLERANCE = 1e-9
 """Largest miss of a goal that counts as reached [m, rad]."""
@@ -61,7 +62,9 @@ class Solution:
         length, angle = float(self.miss_position[k]), float(self.miss_angle[k])
         if length <= TOLERANCE and angle <= TOLERANCE:
             return "can be reached, but no way leads there from home in its assembly mode"
-        return f"misses by {1e3 * length:.3f} mm" + (f" and {np.degrees(angle):.3f} deg" if angle > TOLERANCE else "")
+        return f"misses by {millimetres(length):.3f} mm" + (
+            f" and {np.degrees(angle):.3f} deg" if angle > TOLERANCE else ""
+        )
 
     def require_all(self) -> None:
         """Raise `UnreachablePoseError` that names the goals that are not reached."""
@@ -91,6 +94,7 @@ def solve(robot: Robot, goals: Goals, *, near: ArrayLike | None = None) -> Solut
     if np.ndim(wanted) == 2 and len(wanted) not in (1, len(goals)):
         raise DataError(f"near: {len(wanted)} rows for {len(goals)} goals; give one row, or one for each")
     wanted = np.clip(np.broadcast_to(wanted, (len(goals), len(robot.home))), reach.lower, reach.upper)
+    wanted = robot.actual(wanted, robot.term_columns(wanted))
     search = _Search(reach, _closed_start(robot, reach))
     search.run(robot)
     solved = np.flatnonzero(search.solved)
@@ -98,8 +102,9 @@ def solve(robot: Robot, goals: Goals, *, near: ArrayLike | None = None) -> Solut
     search.keep(solved, nearer(reach, solved, turned, wanted[solved]))
     positions, miss, angle = reach.misses(search.best.actuated, search.best.passive)
     ok = (miss <= TOLERANCE) & (angle <= TOLERANCE)
-    ok[ok] = robot.close(search.best.actuated[ok]).ok  # the loops were followed from elsewhere
-    return Solution(search.best.actuated, ok, miss, angle, positions, goals.labels)
+    commands = robot.commands(search.best.actuated)
+    ok[ok] = robot.close(commands[ok]).ok  # the loops were followed from elsewhere
+    return Solution(commands, ok, miss, angle, positions, goals.labels)
 
 
 def _problem(robot: Robot, goals: Goals) -> Reach:
@@ -117,7 +122,8 @@ def _problem(robot: Robot, goals: Goals) -> Reach:
 def _closed_start(robot: Robot, reach: Reach) -> Configured:
     """Home, moved inside the joint limits where it is not."""
     inside = np.clip(robot.home, reach.lower, reach.upper)[None]
-    return Configured(inside, robot.assemble(inside).passive, np.array([np.inf]))
+    found = robot.assemble(inside)
+    return Configured(found.actuated, found.passive, np.array([np.inf]))
 
 
 class _Search:

@@ -29,11 +29,12 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
+from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.inverse_kinematics.goals import Goals
 from calib.model import kinematics, loops
 from calib.model.assembly_mode import AssemblyMode
 from calib.model.closure import residual
-from calib.model.mechanism import BoolArray, FloatArray, IntArray, Mechanism, RelativeFrame
+from calib.model.mechanism import Mechanism, RelativeFrame
 from calib.model.newton import newton
 
 _CONVERGED = 2e-13  # norm of e where rounding takes over [m]

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.arrays import FloatArray, IntArray
 from calib.inverse_kinematics.reaching import LARGEST_STEP, NEARLY, Configured, Linear, Reach, descend
-from calib.model.mechanism import FloatArray, IntArray
 
 _STEPS = 60
 _TOLERANCE = 1e-7  # of the way left within the null space [rad, or characteristic lengths]

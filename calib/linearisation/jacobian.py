@@ -1,24 +1,30 @@
-"""The identification Jacobian: how measured positions move with parameters, through closed loops, exactly.
+"""The identification Jacobian: how frames seen from each other move with parameters, through closed loops, exactly.
 
-With passive joints p decided by the closures r(xi, p) = 0, and x the position of a target in the measurement frame:
+With passive joints p decided by the closures r(xi, p) = 0, and x a frame b seen from a frame a:
 
     dx/dxi = X_xi - W C_xi        W = X_p C_p^-1
 
 (implicit function theorem), where X and C are the derivatives of x and r by origin twists xi and passive joints. W is
 found first, so that one small solve per pose serves all origins; then both terms are one sum of twist maps times
-Pinocchio's kinematic regressor. Finally d(parameters) enters through the twists of the parametrisation.
+Pinocchio's kinematic regressor. Finally d(parameters) enters through the twists of the parametrisation. Moving an
+actuated joint by dq is the same as turning its origin by dq about the joint's own axis, so that derivatives by joints
+are columns of the same kind.
 
-Poses are processed in chunks that stay in the processor's cache.
+x is the twist [dp; dw] of b seen from a, in the axes of a (`calib.observation.kind`): what every kind of measurement is
+differentiated by. Poses are processed in chunks that stay in the processor's cache.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 
+from calib.arrays import FloatArray
 from calib.model import kinematics
-from calib.model.mechanism import FloatArray, Mechanism, RelativeFrame
+from calib.model.mechanism import Mechanism, RelativeFrame
 from calib.model.robot import Configurations, Robot
 from calib.threads import one_blas_thread
 
@@ -27,7 +33,7 @@ _CHUNK = 64
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """Positions and their derivatives.
+    """Positions of the targets and their derivatives.
 
     Attributes:
         positions: Targets in the measurement frame, (n, n_targets, 3) [m].
@@ -45,8 +51,17 @@ def linearise(robot: Robot, configurations: Configurations) -> Linearisation:
         robot: The robot.
         configurations: Assembled poses, from `robot.assemble`.
     """
-    positions, by_origin = origin_jacobian(robot.mechanism, configurations, _parameter_twists(robot))
-    return Linearisation(positions, by_origin)
+    if not robot.terms:
+        return Linearisation(*origin_jacobian(robot.mechanism, configurations, parameter_twists(robot)))
+    twists = np.hstack([parameter_twists(robot), joint_twists(robot.mechanism)])
+    positions, both = origin_jacobian(robot.mechanism, configurations, twists)
+    jacobian, by_joint = both[..., : len(robot.parameters)], both[..., len(robot.parameters) :]
+    n = len(positions)
+    flat = by_joint.reshape(n, -1, by_joint.shape[-1])
+    jacobian[..., robot.coefficients] = by_coefficient(robot, flat, configurations.term_columns).reshape(
+        *jacobian.shape[:3], -1
+    )
+    return Linearisation(positions, jacobian)
 
 
 @one_blas_thread
@@ -68,32 +83,84 @@ def origin_jacobian(
     width = 6 * mechanism.n_joints if twists is None else twists.shape[1]
     positions = np.empty((n, n_targets, 3))
     derivative = np.empty((n, n_targets, 3, width))
-    joints = mechanism.all_joints(configurations.actuated, configurations.passive)
-    for start in range(0, n, _CHUNK):
-        part = slice(start, min(start + _CHUNK, n))
-        swept = kinematics.sweep(mechanism, joints[part], mechanism.targets + mechanism.loops, regressors=True)
+    for part, swept in sweeps(mechanism, configurations, mechanism.targets):
         for t, target in enumerate(mechanism.targets):
             positions[part, t] = kinematics.value(swept, target)
-            mapping = kinematics.twist_map(swept, target)
-            terms = [(mapping, mechanism.between(target))]
-            terms += _through_loops(mechanism, swept, target, mapping, configurations.slope[part])
-            by_origin = kinematics.origin_derivative(mechanism, swept, terms)
-            derivative[part, t] = by_origin if twists is None else _times(by_origin, twists)
+            derivative[part, t] = relative_motion(
+                mechanism, swept, target, configurations.slope[part], twists, angular=False
+            )
     return positions, derivative
 
 
-def _through_loops(
+def sweeps(
+    mechanism: Mechanism, configurations: Configurations, pairs: tuple[RelativeFrame, ...]
+) -> Iterator[tuple[slice, kinematics.Sweep]]:
+    """Yield the kinematics of chunks of poses, with regressors, for these pairs and the loops.
+
+    Args:
+        mechanism: The mechanism.
+        configurations: Assembled poses.
+        pairs: Frames that are needed.
+    """
+    joints = mechanism.all_joints(configurations.actuated, configurations.passive)
+    for start in range(0, len(joints), _CHUNK):
+        part = slice(start, min(start + _CHUNK, len(joints)))
+        yield part, kinematics.sweep(mechanism, joints[part], pairs + mechanism.loops, regressors=True)
+
+
+def relative_motion(
     mechanism: Mechanism,
     swept: kinematics.Sweep,
-    target: RelativeFrame,
-    mapping: FloatArray,
+    pair: RelativeFrame,
     slope: FloatArray,
+    twists: FloatArray | None,
+    *,
+    angular: bool,
+) -> FloatArray:
+    """Return d[dp; dw]/d(origin twists) of frame b seen from frame a, loops closed, (n, 3 or 6, 6 n_joints or k).
+
+    Args:
+        mechanism: The mechanism.
+        swept: Of the poses.
+        pair: The frames.
+        slope: C_p, (n, n_passive, n_passive).
+        twists: Combinations (6 n_joints, k) to take the derivative along; None: every origin twist.
+        angular: Whether dw is wanted too.
+    """
+    mapping = kinematics.motion_map(swept, pair, angular=angular)
+    by_passive = kinematics.joint_derivative(
+        swept, mapping, mechanism.between(pair)[:, None] * mechanism.select_passive
+    )
+    terms = [(mapping, mechanism.between(pair)), *_through_loops(mechanism, swept, by_passive, slope)]
+    return _along(kinematics.origin_derivative(mechanism, swept, terms), twists)
+
+
+def passive_motion(
+    mechanism: Mechanism, swept: kinematics.Sweep, coordinate: FloatArray, slope: FloatArray, twists: FloatArray
+) -> FloatArray:
+    """Return d(q_j)/d(origin twists) of one joint coordinate that the loops decide, (n, 1, k).
+
+    Args:
+        mechanism: The mechanism.
+        swept: Of the poses.
+        coordinate: d(q_j)/d(passive joints), (n_passive,); zero throughout for a joint that the user gives.
+        slope: C_p, (n, n_passive, n_passive).
+        twists: Combinations to take the derivative along, (6 n_joints, k).
+    """
+    n = len(swept.rotation)
+    if not np.any(coordinate):
+        return np.zeros((n, 1, twists.shape[1]))
+    by_passive = np.broadcast_to(coordinate, (n, 1, len(coordinate)))
+    terms = _through_loops(mechanism, swept, by_passive, slope)
+    return _along(kinematics.origin_derivative(mechanism, swept, terms), twists)
+
+
+def _through_loops(
+    mechanism: Mechanism, swept: kinematics.Sweep, by_passive: FloatArray, slope: FloatArray
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """The terms -W C_xi, loop by loop."""
+    """The terms -W C_xi, loop by loop, from X_p (n, n_rows, n_passive)."""
     if not mechanism.loops:
         return []
-    columns = mechanism.between(target)[:, None] * mechanism.select_passive
-    by_passive = kinematics.joint_derivative(swept, mapping, columns)
     weights = np.linalg.solve(slope.transpose(0, 2, 1), by_passive.transpose(0, 2, 1)).transpose(0, 2, 1)
     terms, row = [], 0
     for loop in mechanism.loops:
@@ -103,17 +170,52 @@ def _through_loops(
     return terms
 
 
-def _times(by_origin: FloatArray, twists: FloatArray) -> FloatArray:
-    n = len(by_origin)
-    result: FloatArray = (by_origin.reshape(3 * n, len(twists)) @ twists).reshape(n, 3, twists.shape[1])
+def _along(by_origin: FloatArray, twists: FloatArray | None) -> FloatArray:
+    if twists is None:
+        return by_origin
+    n, rows = by_origin.shape[:2]
+    result: FloatArray = (by_origin.reshape(rows * n, len(twists)) @ twists).reshape(n, rows, twists.shape[1])
     return result
 
 
-def _parameter_twists(robot: Robot) -> FloatArray:
-    """Twists of all origins per parameter, (6 n_joints, n_parameters)."""
+def parameter_twists(robot: Robot) -> FloatArray:
+    """Return twists of all origins per parameter, (6 n_joints, n_parameters)."""
     mechanism = robot.mechanism
     matrix = np.zeros((6 * mechanism.n_joints, len(robot.parameters)))
-    for name, twist in robot.parametrisation.twists(robot.values).items():
+    values = robot.values[: robot.n_origin_parameters]
+    for name, twist in robot.parametrisation.twists(values).items():
         row = 6 * mechanism.origin_names.index(name)
-        matrix[row : row + 6] = twist
+        matrix[row : row + 6, : robot.n_origin_parameters] = twist
     return matrix
+
+
+def by_coefficient(robot: Robot, by_joint: FloatArray, columns: tuple[FloatArray, ...]) -> FloatArray:
+    """Return the derivative by the coefficients of the joint terms, (n, n_rows, n_coefficients).
+
+    Args:
+        robot: Knows the joints of the terms.
+        by_joint: Derivative by the actuated joints, (n, n_rows, n_actuated).
+        columns: phi of each term, (n, n_coefficients) each.
+    """
+    parts = [
+        by_joint[:, :, robot.joint_names.index(term.joint), None] * phi[:, None, :]
+        for term, phi in zip(robot.terms, columns, strict=True)
+    ]
+    return np.concatenate(parts, axis=2)
+
+
+def joint_twists(mechanism: Mechanism) -> FloatArray:
+    """Return twists of all origins per actuated joint, (6 n_joints, n_actuated): the joint's axis at its own origin."""
+    model = mechanism.model
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    twists = np.zeros((6 * mechanism.n_joints, len(mechanism.actuated)))
+    for i in range(mechanism.n_joints):
+        axis = np.asarray(data.joints[i + 1].S).reshape(6)
+        twists[6 * i : 6 * i + 6] = np.outer(axis, mechanism.select_actuated[i])
+    return twists
+
+
+def joint_jacobian(robot: Robot, configurations: Configurations) -> FloatArray:
+    """Return d(position)/d(actuated joint), loops closed, (n_poses, n_targets, 3, n_actuated) [m per m or rad]."""
+    return origin_jacobian(robot.mechanism, configurations, joint_twists(robot.mechanism))[1]

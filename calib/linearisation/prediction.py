@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.linearisation.jacobian import linearise
-from calib.model.mechanism import BoolArray, FloatArray
 from calib.model.robot import Robot
-from calib.read_only import ReadOnlyArrays
+from calib.units import millimetres
 
 _CHUNK = 4096
 
@@ -56,7 +56,7 @@ class PositionUncertainty(ReadOnlyArrays):
 
     def summary(self) -> dict[str, float]:
         """Return mean, root mean square and largest `distance` over the poses [mm]."""
-        distance = 1e3 * self.distance
+        distance = millimetres(self.distance)
         return {
             "mean": float(np.mean(distance)),
             "rms": float(np.sqrt(np.mean(distance**2))),
@@ -71,13 +71,13 @@ def carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 def position_uncertainty(
-    robot: Robot, free: BoolArray, covariance: FloatArray, coverage_factor: float, q: FloatArray
+    robot: Robot, free: IntArray, covariance: FloatArray, coverage_factor: float, q: FloatArray
 ) -> PositionUncertainty:
     """Predict positions of all targets, loops closed, with their covariance.
 
     Args:
         robot: The calibrated robot.
-        free: Which of its parameters the covariance is of, (n_parameters,).
+        free: Places of the parameters that the covariance is of, (n_free,).
         covariance: (n_free, n_free) [m, rad].
         coverage_factor: Of the fit's 95 % intervals.
         q: Actuated joints, (n_poses, n_actuated) [m or rad].

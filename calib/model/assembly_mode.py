@@ -12,8 +12,8 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, maximum_bipartite_matching
 
-from calib.model.mechanism import BoolArray, FloatArray, IntArray, Mechanism
-from calib.read_only import ReadOnlyArrays
+from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.model.mechanism import Mechanism
 
 
 @dataclass(frozen=True, eq=False)

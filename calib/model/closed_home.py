@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.arrays import FloatArray
 from calib.errors import DescriptionError
 from calib.model.assembly_mode import AssemblyMode, block_signs, blocks
 from calib.model.closure import gap_text, open_by, residual, scaled, singular_values
-from calib.model.mechanism import FloatArray, Mechanism
-from calib.model.newton import TOLERANCE, newton
+from calib.model.mechanism import Mechanism
+from calib.model.newton import closing_tolerance, newton
+from calib.units import millimetres
 
 _OPEN_HOME = 0.05  # characteristic lengths, or rad: as much as a calibrated URDF differs from its drawing
 
@@ -42,7 +44,9 @@ def closed_home(mechanism: Mechanism, home: dict[str, float], singularity_limit:
     mode = AssemblyMode(mechanism, actuated[0], passive[0], rows, columns, block_signs(slope, rows, columns)[0])
     polished, _, ok = newton(mechanism, mode, actuated, passive)
     if not ok[0]:
-        raise DescriptionError(f"{where}: home: cannot be closed to {TOLERANCE:g} m from the values given")
+        raise DescriptionError(
+            f"{where}: home: cannot be closed to {closing_tolerance(mechanism):.2g} m from the values given"
+        )
     return AssemblyMode(mechanism, actuated[0], polished[0], rows, columns, mode.signs)
 
 
@@ -55,7 +59,7 @@ def _check_closed(mechanism: Mechanism, values: FloatArray, where: str) -> None:
         turned = f" and {np.degrees(_OPEN_HOME):.0f} deg" if angles[loop] > 0 else ""
         raise DescriptionError(
             f"{where}: home: loop {mechanism.loops[loop].name} is open by {gap_text(lengths[loop], angles[loop])};"
-            f" give joint values at which the robot is assembled (to {1e3 * limit:.0f} mm{turned} or better)"
+            f" give joint values at which the robot is assembled (to {millimetres(limit):.0f} mm{turned} or better)"
         )
 
 

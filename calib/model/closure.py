@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.arrays import FloatArray
 from calib.model import kinematics
-from calib.model.mechanism import FloatArray, Mechanism
+from calib.model.mechanism import Mechanism
+from calib.units import millimetres
 
 
 def residual(
@@ -61,4 +63,4 @@ def open_by(mechanism: Mechanism, values: FloatArray) -> tuple[FloatArray, Float
 def gap_text(length: float, angle: float) -> str:
     """Say a gap in mm, and in degrees where a loop's directions do not agree."""
     turned = f" and {np.degrees(angle):.3g} deg" if angle > 0 else ""
-    return f"{1e3 * length:.3f} mm{turned}"
+    return f"{millimetres(length):.3f} mm{turned}"

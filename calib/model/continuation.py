@@ -20,9 +20,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.model.assembly_mode import AssemblyMode
 from calib.model.closure import residual
-from calib.model.mechanism import BoolArray, FloatArray, IntArray, Mechanism
+from calib.model.mechanism import Mechanism
 from calib.model.newton import LARGEST_STEP, in_radians, newton, solved_for
 
 _SMALLEST_PART = 1 / 256  # of the way from start to goal, before continuation gives up

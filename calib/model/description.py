@@ -9,58 +9,30 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Discriminator,
-    Field,
-    PlainValidator,
-    Tag,
-    ValidationError,
-    model_validator,
-)
+from pydantic import Discriminator, Field, Tag, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
-from calib.errors import DescriptionError, InputError, nearest
-from calib.units import Dimension, quantity
+from calib.errors import DescriptionError, nearest
+from calib.joint_terms.term import TermSection
+from calib.joint_terms.terms import TERMS, AnyTerm
+from calib.observation.kinds import KINDS, AnyInstrument
+from calib.observation.noise import PositionSigma
+from calib.sections import (
+    COMPONENTS,
+    LENGTH_COMPONENTS,
+    Angle,
+    Component,
+    Length,
+    Quantity,
+    Section,
+)
+from calib.units import Dimension
 from calib.yaml_file import read_yaml
 
-Component = Literal["x", "y", "z", "rx", "ry", "rz"]
-LENGTH_COMPONENTS: tuple[Component, ...] = ("x", "y", "z")
-ANGLE_COMPONENTS: tuple[Component, ...] = ("rx", "ry", "rz")
-COMPONENTS = LENGTH_COMPONENTS + ANGLE_COMPONENTS
 
-
-def _reader(dimension: Dimension) -> BeforeValidator:
-    def read(value: Any) -> float:
-        try:
-            return quantity(value, dimension, "value")
-        except InputError as error:
-            raise ValueError(str(error).removeprefix("value: ")) from None
-
-    return BeforeValidator(read)
-
-
-def _number_or_text(value: Any) -> float | str:
-    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
-        raise ValueError(f"{value!r:.60} is not a number with a unit, such as '0.04 mm' or '1.5 deg'")
-    return value
-
-
-Length = Annotated[float, _reader("length")]
-Angle = Annotated[float, _reader("angle")]
-Quantity = Annotated[float | str, PlainValidator(_number_or_text)]
-"""A number, or text with a unit, whose dimension is known only later."""
-
-
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class BaseSection(_Section):
+class BaseSection(Section):
     """The frame in which positions are measured.
 
     Attributes:
@@ -75,30 +47,37 @@ class BaseSection(_Section):
     pose: Literal["known", "unknown"] = "known"
 
 
-class TargetSection(_Section):
-    """A measured point.
+class TargetSection(Section):
+    """A measured point, or a measured frame.
 
     Attributes:
         frame: Link that carries it.
-        xyz: Where it is in that link [m].
+        xyz, rpy: Where it is in that link, and how it is turned [m], [rad].
         position: `known`: it is right there; `unknown`: found from the measurements, starting from `xyz`.
+        orientation: The same for `rpy`; only instruments that see orientations need it.
         sigma: How far an unknown position may be from `xyz` (one standard deviation) [m]; left out, `xyz` says nothing.
             Give it if you can: joints that hardly turned during the measurements leave the point loosely determined.
+        sigma_angle: The same for an unknown orientation [rad].
     """
 
     frame: str
     xyz: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
+    rpy: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
     position: Literal["known", "unknown"] = "known"
+    orientation: Literal["known", "unknown"] = "known"
     sigma: Annotated[Length, Field(gt=0)] | None = None
+    sigma_angle: Annotated[Angle, Field(gt=0)] | None = None
 
     @model_validator(mode="after")
     def _sigma_of_unknown(self) -> TargetSection:
         if self.sigma is not None and self.position == "known":
             raise ValueError("sigma is for a target whose position is unknown")
+        if self.sigma_angle is not None and self.orientation == "known":
+            raise ValueError("sigma_angle is for a target whose orientation is unknown")
         return self
 
 
-class OriginSection(_Section):
+class OriginSection(Section):
     """Components of joint origins that may be wrong.
 
     Attributes:
@@ -125,13 +104,24 @@ class OriginSection(_Section):
         return "length" if self.components[0] in LENGTH_COMPONENTS else "angle"
 
 
+_FORMS = ("number", "axes", "beam")  # of `calib.observation.noise`
+
+
+def _origin_or_joint(value: Any) -> str:
+    keys = value if isinstance(value, dict) else vars(value)
+    return "joint" if "joint" in keys else "origin"
+
+
 def _name_or_list(value: Any) -> str:
     return "name" if isinstance(value, str) else "list"
 
 
-class Description(_Section):
+class Description(Section):
     """A robot description, as the YAML file has it. See docs/robot_description.md for every key.
 
+    `instruments` says what is measured, by which kind of measurement; without it, the position of every target.
+    `setups` names the setups of a measurement and what had been moved or remounted before each but the first.
+    `joint_terms` are terms of the joints' errors, which a list in `parametrisation` may hold too.
     `elimination_order` names parameters in the order in which `calib check` proposes to hold them, where it can choose.
     """
 
@@ -140,18 +130,32 @@ class Description(_Section):
     closed_loop: tuple[tuple[str, str], ...] = ()
     type: tuple[Literal["3d", "6d"], ...] = ()
     closed_loop_axes: tuple[tuple[Component, ...], ...] | None = None
-    home: dict[str, Quantity] = {}
+    home: dict[str, Quantity] = Field(default_factory=dict)
     base: BaseSection
     targets: dict[str, TargetSection] = Field(min_length=1)
+    instruments: dict[str, AnyInstrument] = Field(default_factory=dict)
+    setups: dict[str, tuple[str, ...]] = Field(default_factory=dict)
     parametrisation: Annotated[
-        Annotated[str, Tag("name")] | Annotated[tuple[OriginSection, ...], Tag("list")], Discriminator(_name_or_list)
+        Annotated[str, Tag("name")]
+        | Annotated[
+            tuple[
+                Annotated[
+                    Annotated[OriginSection, Tag("origin")] | Annotated[AnyTerm, Tag("joint")],
+                    Discriminator(_origin_or_joint),
+                ],
+                ...,
+            ],
+            Tag("list"),
+        ],
+        Discriminator(_name_or_list),
     ]
+    joint_terms: tuple[AnyTerm, ...] = ()
     held: tuple[str, ...] = ()
     elimination_order: tuple[str, ...] = ()
     priors: bool = True
-    sigma: Annotated[Length, Field(gt=0)] | None = None
+    sigma: PositionSigma | None = None
     singularity_limit: Annotated[float, Field(gt=0, lt=1)] = 0.02
-    columns: dict[str, str] = {}
+    columns: dict[str, str] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _named_once(self) -> Description:
@@ -175,6 +179,18 @@ class Description(_Section):
             )
         return self
 
+    @property
+    def origins(self) -> tuple[OriginSection, ...]:
+        """Listed components of origins; none where the parametrisation has a name."""
+        listed = () if isinstance(self.parametrisation, str) else self.parametrisation
+        return tuple(section for section in listed if isinstance(section, OriginSection))
+
+    @property
+    def terms(self) -> tuple[TermSection, ...]:
+        """Listed terms of joint errors."""
+        listed = () if isinstance(self.parametrisation, str) else self.parametrisation
+        return tuple(section for section in listed if isinstance(section, TermSection)) + self.joint_terms
+
     def loop_axes(self, index: int) -> tuple[Component, ...]:
         """Constrained directions of one closure: as given, or all that its type has."""
         if self.closed_loop_axes is not None:
@@ -194,7 +210,7 @@ def read_description(path: Path | str) -> Description:
             f"{path}: is not a mapping of keys to values; `calib init URDF` writes one to start from"
         )
     try:
-        return Description.model_validate(content)
+        return Description.model_validate(content, context={"folder": Path(path).parent})
     except ValidationError as error:
         raise DescriptionError(f"{path}: {_one_line(error)}") from None
 
@@ -203,17 +219,28 @@ def _one_line(error: ValidationError) -> str:
     """Turn pydantic's complaints into one line: where, what, and the nearest valid key."""
     complaints = error.errors()  # a misspelled key first: it explains why another one is missing
     first = next((detail for detail in complaints if detail["type"] == "extra_forbidden"), complaints[0])
-    location = [part for k, part in enumerate(first["loc"]) if not (k == 1 and first["loc"][0] == "parametrisation")]
+    location = [part for k, part in enumerate(first["loc"]) if not _is_tag(k, first["loc"])]
     if first["type"] == "invalid_key" or location[-1:] == ["[key]"]:  # 1, on, yes, null: YAML reads them as no text
         return f"key {first['input']} should be text; put it in quotes"
     place = _place(location)
     if first["type"] == "extra_forbidden":
-        return f"unknown key '{place}'{nearest(str(location[-1]), _valid_keys(location))}"
+        return f"unknown key '{place}'{nearest(str(location[-1]), _valid_keys(first['loc']))}"
     if first["type"] == "missing" and isinstance(location[-1], str):
         return f"key '{place}' is missing"
     if first["type"] == "missing":
         return f"{_place(location[:-1])}: entry {int(location[-1]) + 1} is missing"
     return (f"{place}: " if place else "") + _complaint(first)
+
+
+def _is_tag(k: int, location: tuple[int | str, ...]) -> bool:
+    """Whether pydantic put the k-th part of a location there to tell forms of a value apart."""
+    if location[0] == "parametrisation":
+        return k in (1, 3) or (k == 4 and location[3] == "joint" and location[k] in TERMS)
+    if location[0] == "joint_terms":
+        return k == 2 and location[k] in TERMS
+    if location[0] == "instruments":
+        return (k == 2 and location[k] in KINDS) or (k > 3 and location[k] in _FORMS)
+    return location[0] == "sigma" and k == 1 and location[k] in _FORMS
 
 
 def _place(location: list[int | str]) -> str:
@@ -227,6 +254,13 @@ def _complaint(detail: ErrorDetails) -> str:
     kind, given, context = detail["type"], detail["input"], detail.get("ctx", {})
     if kind == "value_error":
         return detail["msg"].removeprefix("Value error, ")
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        tag = str(context.get("tag", ""))
+        valid = re.findall("'([^']*)'", context.get("expected_tags", "")) or list(KINDS)
+        key = "term" if set(valid) <= set(TERMS) else "kind"
+        return (
+            f"unknown {key} '{tag}'{nearest(tag, valid)}" if tag else f"needs a key '{key}', one of {', '.join(valid)}"
+        )
     if kind == "literal_error":
         valid = re.findall("'([^']*)'", context["expected"])
         return f"unknown value '{given}'{nearest(str(given), valid)}"
@@ -244,11 +278,21 @@ def _complaint(detail: ErrorDetails) -> str:
     return detail["msg"].removeprefix("Input ") + shown
 
 
-def _valid_keys(location: list[int | str]) -> list[str]:
-    sections: dict[str, type[_Section]] = {
+def _valid_keys(location: tuple[int | str, ...]) -> list[str]:
+    sections: dict[str, type[Section]] = {
         "base": BaseSection,
         "targets": TargetSection,
         "parametrisation": OriginSection,
     }
+    if location[0] == "instruments" and len(location) > 2 and location[2] in KINDS:
+        nested = KINDS[str(location[2])].section
+        for key in map(str, location[3:-1]):  # sections inside a section
+            inner = nested.model_fields.get(key)
+            kinds = [] if inner is None else [inner.annotation, *get_args(inner.annotation)]
+            nested = next((one for one in kinds if isinstance(one, type) and issubclass(one, Section)), nested)
+        return list(nested.model_fields)
+    named = [part for part in location if part in TERMS]
+    if named:
+        return list(TERMS[str(named[0])].section.model_fields)
     section = sections.get(str(location[0]), Description) if len(location) > 1 else Description
     return list(section.model_fields)

@@ -25,7 +25,8 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from calib.model.mechanism import FloatArray, Mechanism, RelativeFrame
+from calib.arrays import FloatArray
+from calib.model.mechanism import Mechanism, RelativeFrame
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +53,12 @@ class Sweep:
 def sweep(
     mechanism: Mechanism, joints: FloatArray, pairs: tuple[RelativeFrame, ...], *, regressors: bool = False
 ) -> Sweep:
-    """Run Pinocchio over the configurations `joints`, (n, n_joints) [m or rad]."""
-    model = mechanism.model
+    """Run Pinocchio over the configurations `joints`, (n, n_joints) [m or rad].
+
+    "World" is where the robot stands after the joints that move all frames of `pairs` alike (`Mechanism.around`).
+    """
+    model, moving = mechanism.around(pairs)
+    joints = joints * moving
     data = model.createData()
     wanted = sorted({frame for pair in pairs for frame in (pair.a, pair.b)})
     leaves = regressor_leaves(mechanism, pairs) if regressors else ()
@@ -89,15 +94,23 @@ def regressor_leaves(mechanism: Mechanism, pairs: tuple[RelativeFrame, ...]) -> 
 
 def value(swept: Sweep, pair: RelativeFrame) -> FloatArray:
     """Return the pair's constrained components, (n, n_rows) [m, rad]."""
+    if pair.full_pose:
+        logs = [pin.log6(pin.SE3(pose)).vector for pose in relative_pose(swept, pair)]
+        return np.array(logs).reshape(-1, 6)[:, pair.rows]
     a, b = swept.index[pair.a], swept.index[pair.b]
-    rotation_a = swept.rotation[:, a]
     offset = swept.translation[:, b] - swept.translation[:, a]
-    translation: FloatArray = np.matmul(offset[:, None, :], rotation_a)[:, 0, :]
-    if not pair.full_pose:
-        return translation[:, pair.rows]
-    relative = np.matmul(rotation_a.transpose(0, 2, 1), swept.rotation[:, b])
-    logs = [pin.log6(pin.SE3(rotation, point)).vector for rotation, point in zip(relative, translation, strict=True)]
-    return np.array(logs).reshape(-1, 6)[:, pair.rows]
+    translation: FloatArray = np.matmul(offset[:, None, :], swept.rotation[:, a])[:, 0, :]
+    return translation[:, pair.rows]
+
+
+def relative_pose(swept: Sweep, pair: RelativeFrame) -> FloatArray:
+    """Return the pose of frame b in frame a, (n, 4, 4) [m]."""
+    a, b = swept.index[pair.a], swept.index[pair.b]
+    inverse_a = swept.rotation[:, a].transpose(0, 2, 1)
+    poses = np.tile(np.eye(4), (len(inverse_a), 1, 1))
+    poses[:, :3, :3] = inverse_a @ swept.rotation[:, b]
+    poses[:, :3, 3] = np.einsum("nij,nj->ni", inverse_a, swept.translation[:, b] - swept.translation[:, a])
+    return poses
 
 
 def twist_map(swept: Sweep, pair: RelativeFrame) -> FloatArray:
@@ -117,6 +130,25 @@ def _pose_map(swept: Sweep, a: int, b: int) -> FloatArray:
         world_b = pin.SE3(swept.rotation[k, b], swept.translation[k, b])
         maps[k] = pin.Jlog6(world_a.actInv(world_b)) @ world_b.toActionMatrixInverse()
     return maps
+
+
+def motion_map(swept: Sweep, pair: RelativeFrame, *, angular: bool) -> FloatArray:
+    """Return the (n, 3 or 6, 6) map from V_b - V_a (world twists) to [dp; dw], the motion of b in the axes of a.
+
+    dp = R_a^T [I  -[p_b]x] (V_b - V_a),    dw = R_a^T [0  I] (V_b - V_a)
+
+    Args:
+        swept: Of the poses.
+        pair: The frames.
+        angular: Whether dw is wanted too.
+    """
+    a, b = swept.index[pair.a], swept.index[pair.b]
+    axes = swept.rotation[:, a].transpose(0, 2, 1)
+    linear = np.concatenate([axes, np.cross(swept.translation[:, b][:, None, :], axes)], axis=2)
+    if not angular:
+        return linear
+    turning = np.concatenate([np.zeros_like(axes), axes], axis=2)
+    return np.concatenate([linear, turning], axis=1)
 
 
 def joint_derivative(swept: Sweep, mapping: FloatArray, columns: FloatArray) -> FloatArray:

@@ -16,9 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.model.assembly_mode import AssemblyMode
 from calib.model.continuation import follow
-from calib.model.mechanism import BoolArray, FloatArray, Mechanism
+from calib.model.mechanism import Mechanism
 from calib.model.newton import newton
 from calib.threads import one_blas_thread
 
@@ -39,6 +40,10 @@ class Closed:
     passive: FloatArray
     ok: BoolArray
     slope: FloatArray
+
+    def at(self, index: IntArray) -> Closed:
+        """Return the poses with these indices, (n,)."""
+        return Closed(self.passive[index], self.ok[index], self.slope[index])
 
 
 @one_blas_thread

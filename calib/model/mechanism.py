@@ -15,21 +15,16 @@ with selection matrices E that also hold `<mimic>` multipliers, so that a follow
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.errors import DescriptionError, nearest
-from calib.read_only import ReadOnlyArrays
 from calib.units import Dimension
-
-FloatArray = NDArray[np.floating[Any]]
-IntArray = NDArray[np.intp]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -50,6 +45,11 @@ class RelativeFrame:
     rows: tuple[int, ...]
 
 
+def view(places: Mapping[str, int], a: str, b: str) -> RelativeFrame:
+    """Return place b seen from place a, from the joint index of each place."""
+    return RelativeFrame(f"{a}-{b}", places[a], places[b], True, (0, 1, 2, 3, 4, 5))
+
+
 @dataclass(frozen=True, eq=False)
 class Mechanism(ReadOnlyArrays):
     """Pinocchio model of a robot plus its loops and targets. Arrays are read-only; pickles.
@@ -64,6 +64,8 @@ class Mechanism(ReadOnlyArrays):
         lower, upper: Limits of the passive joints [m or rad], (n_passive,).
         loops: Closures, in the order of the description.
         targets: Each target seen from the measurement frame.
+        places: Joint index of every place that instruments look from or at, by name.
+        views: What instruments look along.
         support: `support[i, j]` is 1.0 where joint j + 1 moves frame i, (n_joints + 1, n_joints).
         length: Characteristic length that makes metres and radians comparable [m].
     """
@@ -81,6 +83,8 @@ class Mechanism(ReadOnlyArrays):
     upper: FloatArray
     loops: tuple[RelativeFrame, ...]
     targets: tuple[RelativeFrame, ...]
+    places: dict[str, int]
+    views: tuple[RelativeFrame, ...]
     support: FloatArray
     length: float
 
@@ -95,6 +99,10 @@ class Mechanism(ReadOnlyArrays):
             raise DescriptionError(f"no link or joint '{name}'{nearest(name, self.frames)}")
         return self.frames[name]
 
+    def origin(self, place: str) -> str:
+        """Return the name of the origin of a place."""
+        return self.origin_names[self.places[place] - 1]
+
     def placement(self, origin: str) -> pin.SE3:
         """Return a copy of an origin's placement, parent link to joint."""
         return self.model.jointPlacements[self.origin_names.index(origin) + 1].copy()
@@ -106,6 +114,30 @@ class Mechanism(ReadOnlyArrays):
             model.jointPlacements[self.origin_names.index(name) + 1] = placement
         values = {key: getattr(self, key) for key in self.__dataclass_fields__} | {"model": model}
         return Mechanism(**values)
+
+    def around(self, pairs: tuple[RelativeFrame, ...]) -> tuple[pin.Model, FloatArray]:
+        """Return the model with all joints that move both frames of every pair alike left out, and which joints remain.
+
+        Such joints cancel in every pair, but for rounding: coordinates of size L are wrong by eps L, so that a robot
+        that stands kilometres from the root link's origin would otherwise lose the digits that closed loops need.
+
+        Args:
+            pairs: What is looked at.
+
+        Returns:
+            The model, and by what to multiply joint values, (n_joints,).
+        """
+        if pairs not in self._around:
+            moving = np.any([self.between(pair) != 0 for pair in pairs], axis=0)
+            model = self.model.copy()
+            for joint in np.flatnonzero(~moving):
+                model.jointPlacements[int(joint) + 1] = pin.SE3.Identity()
+            self._around[pairs] = model, moving.astype(float)
+        return self._around[pairs]
+
+    @cached_property
+    def _around(self) -> dict[tuple[RelativeFrame, ...], tuple[pin.Model, FloatArray]]:
+        return {}
 
     def between_origins(self, other: Mechanism, part: float) -> Mechanism:
         """Return the mechanism whose origins have moved by this part (0 to 1) of the way to those of `other`."""
@@ -125,6 +157,12 @@ class Mechanism(ReadOnlyArrays):
         """Return +1 for joints that move only b, -1 for those that move only a, else 0, (n_joints,)."""
         difference: FloatArray = self.support[relative.b] - self.support[relative.a]
         return difference
+
+    @cached_property
+    def is_seen(self) -> BoolArray:
+        """Which joints move a target, a view or a loop, (n_joints,)."""
+        pairs = self.targets + self.views + self.loops
+        return np.any([self.between(pair) != 0 for pair in pairs], axis=0)
 
     @cached_property
     def joint_scale(self) -> FloatArray:

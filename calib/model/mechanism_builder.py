@@ -9,22 +9,34 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from calib.arrays import FloatArray
 from calib.errors import DescriptionError, InputError, UrdfError, nearest
-from calib.model.description import ANGLE_COMPONENTS, COMPONENTS, Description
-from calib.model.mechanism import FloatArray, Mechanism, RelativeFrame
+from calib.model.description import Description
+from calib.model.instruments import MEASUREMENT_FRAME
+from calib.model.mechanism import Mechanism, RelativeFrame, view
 from calib.model.urdf_text import HELD_TYPES, UrdfJoint, UrdfText
+from calib.observation.kind import Place
+from calib.sections import ANGLE_COMPONENTS, COMPONENTS
 from calib.units import Dimension, quantity
 from calib.words import counted
 
 Loops = tuple[RelativeFrame, ...]
 
 
-def build_mechanism(urdf: UrdfText, description: Description, where: str) -> Mechanism:
+def build_mechanism(
+    urdf: UrdfText,
+    description: Description,
+    places: tuple[Place, ...],
+    views: tuple[tuple[str, str], ...],
+    where: str,
+) -> Mechanism:
     """Build the mechanism of a URDF and its description.
 
     Args:
         urdf: The URDF.
         description: What the URDF cannot say.
+        places: Of `calib.model.instruments.places_of`, the measurement frame first, then the targets.
+        views: Names of the places (a, b) that instruments look from and at.
         where: File of the description, for messages.
 
     Raises:
@@ -33,19 +45,19 @@ def build_mechanism(urdf: UrdfText, description: Description, where: str) -> Mec
     """
     model, frames = _tree(urdf)
     origin_names = [joint.name for joint in _topological(urdf)]
-    base_link = _frame(frames, description.base.frame, f"{where}: base.frame")
-    base_name = _new_name("base", "measurement_base", origin_names)
-    T_measurement_link = _pose(description.base.xyz, description.base.rpy)
-    base = int(model.addJoint(base_link, pin.JointModelRX(), T_measurement_link.inverse(), base_name))
-    origin_names.append(base_name)
-    targets = []
-    for name, section in description.targets.items():
-        link = _frame(frames, section.frame, f"{where}: targets.{name}.frame")
-        origin = _new_name(name, f"{name}_point", origin_names)
-        index = int(model.addJoint(link, pin.JointModelRX(), _pose(section.xyz, (0.0, 0.0, 0.0)), origin))
+    indices: dict[str, int] = {}
+    for place in places:
+        link = _frame(frames, place.link, f"{where}: {_entry(place, description)}.frame")
+        origin = _new_name(*_origin_names(place), origin_names)
+        pose = _pose(place.xyz, place.rpy)
+        indices[place.name] = int(
+            model.addJoint(link, pin.JointModelRX(), pose.inverse() if place.inverted else pose, origin)
+        )
         origin_names.append(origin)
-        frames.setdefault(name, index)
-        targets.append(RelativeFrame(name, base, index, False, (0, 1, 2)))
+        if not place.inverted:
+            frames.setdefault(place.name, indices[place.name])
+    base = indices[MEASUREMENT_FRAME]
+    targets = [RelativeFrame(name, base, indices[name], False, (0, 1, 2)) for name in description.targets]
     support = _support(model)
     loops = tuple(_loop(description, frames, index, where) for index in range(len(description.closed_loop)))
     groups = _joint_groups(urdf, description, origin_names, _in_loops(support, loops), where)
@@ -61,6 +73,8 @@ def build_mechanism(urdf: UrdfText, description: Description, where: str) -> Mec
         upper=np.array([groups.moving[name].upper for name in groups.passive]),
         loops=loops,
         targets=tuple(targets),
+        places=indices,
+        views=tuple(view(indices, a, b) for a, b in views),
         support=support,
         length=_length(model, support, targets, loops),
         **_selection(urdf, groups, origin_names, home_values(urdf, description, where)),
@@ -83,6 +97,21 @@ def home_values(urdf: UrdfText, description: Description, where: str) -> dict[st
         except InputError as error:
             raise DescriptionError(str(error)) from None
     return values
+
+
+def _entry(place: Place, description: Description) -> str:
+    """Where the description speaks of a place."""
+    if place.name in description.targets:
+        return f"targets.{place.name}"
+    return "base" if place.inverted else f"place '{place.name}'"
+
+
+def _origin_names(place: Place) -> tuple[str, str]:
+    """What the origin of a place is called, and what else if that name is taken."""
+    if not place.inverted:
+        return place.name, f"{place.name}_point"
+    later = place.name.removeprefix(MEASUREMENT_FRAME)
+    return f"base{later}", f"measurement_base{later}"
 
 
 def _moving(urdf: UrdfText) -> dict[str, UrdfJoint]:

@@ -11,15 +11,26 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.arrays import BoolArray, FloatArray
 from calib.model.assembly_mode import AssemblyMode
 from calib.model.closure import residual
-from calib.model.mechanism import BoolArray, FloatArray, Mechanism
+from calib.model.mechanism import Mechanism
 
 TOLERANCE = 1e-12
-"""Largest closure residual of a solved pose [m, rad]."""
+"""Largest closure residual of a solved pose [m, rad]; for links of more than 28 m see `closing_tolerance`."""
+_ROUNDINGS = 16  # roundings of a coordinate on the way around a loop, at most about
 LARGEST_STEP = 0.5
 """Of any passive joint in one correction [rad, or characteristic lengths]."""
 _MAX_NEWTON = 12
+
+
+def closing_tolerance(mechanism: Mechanism) -> float:
+    """Return the closure residual that can be reached [m, rad]: `TOLERANCE`, but what rounding leaves of long links.
+
+    Coordinates of the size L of the links are multiples of eps L, and some are added on the way around a loop. Where
+    the robot stands plays no part: `Mechanism.around`.
+    """
+    return max(TOLERANCE, 10 * _ROUNDINGS * float(np.finfo(float).eps) * mechanism.length)
 
 
 def newton(
@@ -35,9 +46,10 @@ def newton(
     slope = np.full((n, passive.shape[1], passive.shape[1]), np.nan)
     accepted, last = np.zeros(n, dtype=bool), np.full(n, np.inf)
     active = np.arange(n)
+    enough = closing_tolerance(mechanism) / 10
     for _ in range(_MAX_NEWTON):
         values, slope_p, _ = residual(mechanism, actuated[active], passive[active])
-        small = np.max(np.abs(values), axis=1) <= TOLERANCE / 10
+        small = np.max(np.abs(values), axis=1) <= enough
         slope[active[small]] = slope_p[small]
         accepted[active[small]] = True
         rest = ~small & np.all(np.isfinite(slope_p), axis=(1, 2))

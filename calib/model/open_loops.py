@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import least_squares
 
+from calib.arrays import FloatArray
 from calib.model.assembly_mode import AssemblyMode
 from calib.model.closure import gap_text, open_by, residual
 from calib.model.continuation import follow
 from calib.model.loops import wrapped
-from calib.model.mechanism import FloatArray, Mechanism
+from calib.model.mechanism import Mechanism
 
 _CLOSED = 1e-6  # the search for the smallest gap ends a few nanometres from closed [m or rad]
 

@@ -22,40 +22,15 @@ the model close to linear, turning it about the tracker would not.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
 
-from calib.errors import ParameterError, nearest
-from calib.model.mechanism import FloatArray
-from calib.read_only import ReadOnlyArrays
-from calib.units import Dimension
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One number that may differ from its nominal value.
-
-    Attributes:
-        name: Unique name.
-        dimension: Length or angle.
-        nominal: Value in the description [m or rad].
-        sigma: Expected deviation from nominal, one standard deviation [m or rad]; scales its column, and is its prior.
-        unit: Unit in tables.
-        prior: Whether nominal +- sigma counts as information in a fit. False: the measurements alone decide.
-        placement: Whether it only says where the measurement frame or a target is, which is no error of the robot.
-    """
-
-    name: str
-    dimension: Dimension
-    nominal: float
-    sigma: float
-    unit: str
-    prior: bool = True
-    placement: bool = False
+from calib.arrays import FloatArray, ReadOnlyArrays
+from calib.parameter import Parameter
 
 
 @dataclass(frozen=True)
@@ -153,9 +128,37 @@ class OriginComponents:
         return moved
 
 
-def index_of(parameters: Sequence[Parameter], name: str, where: str = "parameters") -> int:
-    """Return the position of a parameter; an unknown name is a `ParameterError` that names the nearest one."""
-    for index, parameter in enumerate(parameters):
-        if parameter.name == name:
-            return index
-    raise ParameterError(f"{where}: no parameter '{name}'{nearest(name, [p.name for p in parameters])}")
+@dataclass(frozen=True, eq=False)
+class Stacked:
+    """Several parametrisations of different origins, one after another.
+
+    Attributes:
+        parts: The parametrisations.
+    """
+
+    parts: tuple[Parametrisation, ...]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameters of all parts."""
+        return tuple(parameter for part in self.parts for parameter in part.parameters)
+
+    def placements(self, values: FloatArray) -> dict[str, pin.SE3]:
+        """Return the edited origins; see `Parametrisation`."""
+        return {name: pose for part, own, _ in self._split(values) for name, pose in part.placements(own).items()}
+
+    def twists(self, values: FloatArray) -> dict[str, FloatArray]:
+        """Return the derivative of each origin; see `Parametrisation`."""
+        result: dict[str, FloatArray] = {}
+        for part, own, columns in self._split(values):
+            for name, twist in part.twists(own).items():
+                result[name] = np.zeros((6, len(values)))
+                result[name][:, columns] = twist
+        return result
+
+    def _split(self, values: FloatArray) -> Iterator[tuple[Parametrisation, FloatArray, slice]]:
+        start = 0
+        for part in self.parts:
+            columns = slice(start, start + len(part.parameters))
+            yield part, values[columns], columns
+            start = columns.stop

@@ -13,17 +13,13 @@ from importlib.metadata import entry_points
 import numpy as np
 
 from calib.errors import DescriptionError, InputError, nearest
-from calib.model.description import (
-    ANGLE_COMPONENTS,
-    COMPONENTS,
-    LENGTH_COMPONENTS,
-    Component,
-    Description,
-    OriginSection,
-)
+from calib.model.description import Description, OriginSection
 from calib.model.mechanism import Mechanism
-from calib.model.parameters import Origin, OriginComponents, Parameter, Parametrisation
-from calib.units import DISPLAY_UNIT, per_si, quantity
+from calib.model.parameters import Origin, OriginComponents, Parametrisation, Stacked
+from calib.observation.kind import Place
+from calib.parameter import Parameter
+from calib.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component
+from calib.units import DISPLAY_UNIT, millimetres, per_si, quantity
 
 ENTRY_POINTS = "calib.parametrisations"
 DEFAULT_LENGTH_SIGMA = 2e-3
@@ -33,31 +29,45 @@ DEFAULT_ANGLE_SIGMA = 5e-3
 
 
 def build_parametrisation(
-    description: Description, origins: Mapping[str, Origin], mechanism: Mechanism, where: str
+    description: Description, origins: Mapping[str, Origin], mechanism: Mechanism, places: tuple[Place, ...], where: str
 ) -> Parametrisation:
-    """Build the parametrisation that a description names or lists, plus an unknown base and unknown targets.
+    """Build the parametrisation that a description names or lists, plus unknown places.
 
     Args:
         description: The robot description.
         origins: Nominal origins by name.
         mechanism: The nominal mechanism.
+        places: What instruments look from and at.
         where: File of the description, for messages.
 
     Raises:
         DescriptionError: Unknown plugin, origin or unit, or a component listed twice.
     """
+    unknown = [entry for place in places for entry in _unknown_components(place, mechanism.origin(place.name))]
+    inverted = frozenset(mechanism.origin(place.name) for place in places if place.inverted)
     if isinstance(description.parametrisation, str):
         if description.base.pose == "unknown" or any(t.position == "unknown" for t in description.targets.values()):
             raise DescriptionError(
                 f"{where}: a named parametrisation has its own base and target parameters;"
                 " set base.pose and targets.*.position to 'known'"
             )
-        return _from_plugin(description.parametrisation, origins, mechanism, where)
-    listed = sorted(description.parametrisation, key=lambda section: section.origin == "all")  # exact entries win
+        plugin = _from_plugin(description.parametrisation, origins, mechanism, where)
+        return Stacked((plugin, _components(unknown, origins, mechanism, inverted, where))) if unknown else plugin
+    listed = sorted(description.origins, key=lambda section: section.origin == "all")  # exact entries win
     entries = [(section, description.priors, False) for section in listed]
-    entries += [(section, prior, True) for section, prior in _unknown_places(description, mechanism)]
+    return _components(entries + unknown, origins, mechanism, inverted, where)
+
+
+def _components(
+    entries: list[tuple[OriginSection, bool, bool]],
+    origins: Mapping[str, Origin],
+    mechanism: Mechanism,
+    inverted: frozenset[str],
+    where: str,
+) -> OriginComponents:
+    """Parameters of entries, each with whether it has a prior and whether it is a mere place."""
     parameters: dict[str, Parameter] = {}
-    places: list[tuple[str, int]] = []
+    components: list[tuple[str, int]] = []
     from_all: set[str] = set()
     for section, prior, placement in entries:
         for origin in _origins_of(section, mechanism, where):
@@ -72,43 +82,31 @@ def build_parametrisation(
                 parameters[parameter.name] = parameter
                 if section.origin == "all":
                     from_all.add(parameter.name)
-                places.append((origin, COMPONENTS.index(component)))
-    nominal = {name: origins[name].placement for name in dict.fromkeys(origin for origin, _ in places)}
-    return OriginComponents(tuple(parameters.values()), tuple(places), nominal, inverted=frozenset({_base(mechanism)}))
+                components.append((origin, COMPONENTS.index(component)))
+    nominal = {name: origins[name].placement for name in dict.fromkeys(origin for origin, _ in components)}
+    return OriginComponents(tuple(parameters.values()), tuple(components), nominal, inverted)
 
 
 def default_sections() -> tuple[OriginSection, ...]:
     """Return the entries for a plain URDF: every component of every origin that moves a target, with default priors."""
     return (
-        OriginSection(origin="all", components=LENGTH_COMPONENTS, sigma=f"{DEFAULT_LENGTH_SIGMA * 1e3:g} mm"),
+        OriginSection(origin="all", components=LENGTH_COMPONENTS, sigma=f"{millimetres(DEFAULT_LENGTH_SIGMA):g} mm"),
         OriginSection(origin="all", components=ANGLE_COMPONENTS, sigma=f"{DEFAULT_ANGLE_SIGMA * 1e3:g} mrad"),
     )
 
 
-def _base(mechanism: Mechanism) -> str:
-    return mechanism.origin_names[mechanism.targets[0].a - 1]
-
-
-def _unknown_places(description: Description, mechanism: Mechanism) -> list[tuple[OriginSection, bool]]:
-    """Entries for a base or targets whose place is not known beforehand, and whether `sigma` is a prior for them."""
-    sections = []
-    base = _base(mechanism)
-    if description.base.pose == "unknown":
-        sections += [
-            (OriginSection(origin=base, components=LENGTH_COMPONENTS, sigma="10 mm"), False),
-            (OriginSection(origin=base, components=ANGLE_COMPONENTS, sigma="10 mrad"), False),
-        ]
-    for target in mechanism.targets:
-        section = description.targets[target.name]
-        if section.position == "unknown":
-            origin = mechanism.origin_names[target.b - 1]
-            sections.append(
-                (
-                    OriginSection(origin=origin, components=LENGTH_COMPONENTS, sigma=section.sigma or "10 mm"),
-                    section.sigma is not None,
-                )
-            )
-    return sections
+def _unknown_components(place: Place, origin: str) -> list[tuple[OriginSection, bool, bool]]:
+    """Entries for the unknown components of a place; its sigmas are priors where they are stated."""
+    entries = []
+    for components, sigma, default in (
+        (LENGTH_COMPONENTS, place.sigma, "10 mm"),
+        (ANGLE_COMPONENTS, place.sigma_angle, "10 mrad"),
+    ):
+        unknown = tuple(component for component in components if component in place.unknown)
+        if unknown:
+            section = OriginSection(origin=origin, components=unknown, sigma=default if sigma is None else sigma)
+            entries.append((section, sigma is not None, True))
+    return entries
 
 
 def _origins_of(section: OriginSection, mechanism: Mechanism, where: str) -> list[str]:
@@ -119,13 +117,8 @@ def _origins_of(section: OriginSection, mechanism: Mechanism, where: str) -> lis
                 f"{nearest(section.origin, (*mechanism.origin_names, 'all'))}"
             )
         return [section.origin]
-    pairs = mechanism.targets + mechanism.loops
-    virtual = {pair.a for pair in mechanism.targets} | {pair.b for pair in mechanism.targets}
-    return [
-        name
-        for i, name in enumerate(mechanism.origin_names)
-        if i + 1 not in virtual and any(mechanism.between(pair)[i] for pair in pairs)
-    ]
+    virtual = set(mechanism.places.values())
+    return [name for i, name in enumerate(mechanism.origin_names) if i + 1 not in virtual and mechanism.is_seen[i]]
 
 
 def _component_parameter(

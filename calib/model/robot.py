@@ -4,29 +4,37 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays, read_only
 from calib.errors import DataError, DescriptionError, InputError, ParameterError, UnreachablePoseError, nearest
+from calib.joint_terms.term import Context, JointTerm
 from calib.model import kinematics, loops
+from calib.model.arm_chain import arm_chain
 from calib.model.assembly_mode import AssemblyMode
 from calib.model.closed_home import closed_home
 from calib.model.closure import singular_values
 from calib.model.description import Description, read_description
-from calib.model.mechanism import BoolArray, FloatArray, Mechanism
+from calib.model.instruments import instruments_of, pair_names, places_of
+from calib.model.joint_errors import build_terms, gravity_torque, joint_errors, term_columns, with_torque
+from calib.model.mechanism import Mechanism, RelativeFrame, view
 from calib.model.mechanism_builder import build_mechanism, home_values
 from calib.model.open_loops import why_open
-from calib.model.parameters import Origin, Parameter, Parametrisation, index_of
+from calib.model.parameters import Origin, Parametrisation
 from calib.model.parametrisation import build_parametrisation
 from calib.model.plain_urdf import describe
 from calib.model.urdf_text import Triple, UrdfText, read_urdf
-from calib.read_only import ReadOnlyArrays, read_only
+from calib.observation.kind import Instrument, Place
+from calib.parameter import Parameter, index_of
 from calib.units import Dimension, per_si, split_column
 
 _LARGEST_JOINT = 1e6  # [m or rad]
+_COMMAND_ROUNDS = 50
 _ROUNDING = 1e-14  # a number of the URDF that moves by less has not been edited [m or rad]
 
 
@@ -35,14 +43,16 @@ class Configurations(ReadOnlyArrays):
     """Assembled configurations of a robot.
 
     Attributes:
-        actuated: (n, n_actuated) [m or rad].
+        actuated: What the actuated joints really are, (n, n_actuated) [m or rad]: commands and the joints' errors.
         passive: (n, n_passive) [m or rad].
         slope: Derivative of the closures by the passive joints, (n, n_passive, n_passive).
+        term_columns: phi of each joint term, (n, n_coefficients) each.
     """
 
     actuated: FloatArray
     passive: FloatArray
     slope: FloatArray
+    term_columns: tuple[FloatArray, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,7 +66,10 @@ class Robot(ReadOnlyArrays):
         nominal: Mechanism with nominal origins.
         mechanism: Mechanism with the origins that `values` give.
         parametrisation: Its parameters.
-        values: Current parameter values, (n_parameters,) [m or rad].
+        instruments: What is measured.
+        terms: Terms of the joints' errors.
+        values: Current parameter values, (n_parameters,) [m or rad]: of the parametrisation, then unknown numbers of
+            the instruments, then coefficients of the terms.
         mode: Home configuration and assembly mode of the nominal robot.
     """
 
@@ -66,6 +79,8 @@ class Robot(ReadOnlyArrays):
     nominal: Mechanism
     mechanism: Mechanism
     parametrisation: Parametrisation
+    instruments: tuple[Instrument, ...]
+    terms: tuple[JointTerm, ...]
     values: FloatArray
     mode: AssemblyMode
 
@@ -95,10 +110,80 @@ class Robot(ReadOnlyArrays):
         """Names of the measured points."""
         return tuple(target.name for target in self.mechanism.targets)
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters, in the order of `values`."""
-        return self.parametrisation.parameters
+        of_instruments = tuple(p for one in self.instruments for p in one.unknowns)
+        return (
+            self.parametrisation.parameters + of_instruments + tuple(p for term in self.terms for p in term.parameters)
+        )
+
+    @cached_property
+    def n_origin_parameters(self) -> int:
+        """How many of the parameters move origins; they come first."""
+        return len(self.parametrisation.parameters)
+
+    def instrument(self, name: str) -> Instrument:
+        """Return an instrument; an unknown name is a `DescriptionError`."""
+        for one in self.instruments:
+            if one.name == name:
+                return one
+        raise DescriptionError(f"no instrument '{name}'{nearest(name, [one.name for one in self.instruments])}")
+
+    def unknowns(self, name: str) -> slice:
+        """Return which parameters are the unknown numbers of an instrument."""
+        start = self.n_origin_parameters
+        for one in self.instruments:
+            if one.name == name:
+                break
+            start += len(one.unknowns)
+        return slice(start, start + len(self.instrument(name).unknowns))
+
+    @cached_property
+    def coefficients(self) -> slice:
+        """Which parameters are coefficients of joint terms; they come last."""
+        n = len(self.parameters)
+        return slice(n - sum(len(term.parameters) for term in self.terms), n)
+
+    def term_columns(self, q: FloatArray, context: Context | None = None) -> tuple[FloatArray, ...]:
+        """Return phi of each joint term at commands q (n, n_actuated), (n, n_coefficients) each."""
+        if not self.terms:
+            return ()
+        found = Context.neutral(len(q), len(self.joint_names)) if context is None else context
+        if any(term.needs_torque for term in self.terms):
+            closed = loops.close(self.nominal, self.mode, q)
+            passive = np.where(np.isfinite(closed.passive), closed.passive, 0.0)
+            slope = np.where(closed.ok[:, None, None], closed.slope, np.eye(passive.shape[1]))
+            found = with_torque(found, gravity_torque(self.urdf, self.nominal, q, passive, slope, self.path))
+        return term_columns(self.terms, self.joint_names, q, found)
+
+    def actual(self, q: FloatArray, columns: tuple[FloatArray, ...]) -> FloatArray:
+        """Return what the actuated joints are when they are told q (n, n_actuated), from phi of the joint terms."""
+        if not self.terms:
+            return q
+        return q + joint_errors(self.terms, self.joint_names, columns, self.values[self.coefficients], len(q))
+
+    def commands(self, actual: FloatArray, context: Context | None = None) -> FloatArray:
+        """Return what the actuated joints must be told to be at `actual` (n, n_actuated) [m or rad].
+
+        q = actual - dq(q) is repeated until it stands; joint errors change so little with q that each round gains
+        digits.
+
+        Args:
+            actual: What they shall be.
+            context: Under which conditions.
+        """
+        q = actual
+        for _ in range(_COMMAND_ROUNDS if self.terms else 0):
+            again = actual - (self.actual(q, self.term_columns(q, context)) - q)
+            change, q = float(np.max(np.abs(again - q), initial=0.0)), again
+            if change < _ROUNDING:
+                break
+        return q
+
+    def pairs(self, one: Instrument) -> tuple[RelativeFrame, ...]:
+        """Return what an instrument looks along, in the order of `Readings.pairs`."""
+        return tuple(view(self.mechanism.places, a, b) for a, b in pair_names(self.description, one))
 
     @property
     def home(self) -> FloatArray:
@@ -130,7 +215,7 @@ class Robot(ReadOnlyArrays):
         if not np.all(np.isfinite(vector)):
             bad = self.parameters[int(np.argmin(np.isfinite(vector)))].name
             raise ParameterError(f"parameter '{bad}': value is not finite")
-        mechanism = self.nominal.with_placements(self.parametrisation.placements(vector))
+        mechanism = self.nominal.with_placements(self.parametrisation.placements(vector[: self.n_origin_parameters]))
         return replace(self, values=vector, mechanism=mechanism)
 
     def joint_vector(self, q: ArrayLike) -> FloatArray:
@@ -156,12 +241,33 @@ class Robot(ReadOnlyArrays):
             )
         return values
 
-    def close(self, q: ArrayLike, seed: FloatArray | None = None) -> loops.Closed:
-        """Solve the loops of each pose without raising; see `calib.model.loops.close`."""
-        return loops.close(self.mechanism, self.mode, self.joint_vector(q), seed)
+    def close(
+        self, q: ArrayLike, seed: FloatArray | None = None, columns: tuple[FloatArray, ...] | None = None
+    ) -> loops.Closed:
+        """Solve the loops of each pose without raising; see `calib.model.loops.close`.
+
+        Args:
+            q: Commanded joints, (n, n_actuated) [m or rad].
+            seed: Passive joints to start from, (n, n_passive).
+            columns: Of `term_columns`, if they are known.
+        """
+        values = self.joint_vector(q)
+        actual = self.actual(values, self.term_columns(values) if columns is None else columns)
+        return loops.close(self.mechanism, self.mode, actual, seed)
+
+    def configurations(
+        self, q: FloatArray, closed: loops.Closed, columns: tuple[FloatArray, ...] | None = None
+    ) -> Configurations:
+        """Return closed poses of commands q (n, n_actuated) as configurations."""
+        phi = self.term_columns(q) if columns is None else columns
+        return Configurations(self.actual(q, phi), closed.passive, closed.slope, phi)
 
     def assemble(
-        self, q: ArrayLike, seed: FloatArray | None = None, labels: Sequence[str] | None = None
+        self,
+        q: ArrayLike,
+        seed: FloatArray | None = None,
+        labels: Sequence[str] | None = None,
+        context: Context | None = None,
     ) -> Configurations:
         """Solve the loops of each pose in the assembly mode of home.
 
@@ -170,15 +276,17 @@ class Robot(ReadOnlyArrays):
             seed: Passive joints of the same poses under slightly different parameters, to start from,
                 (n, n_passive) [m or rad].
             labels: What to call each pose in messages, n of them.
+            context: Under which conditions the commands were given; joint terms may depend on it.
 
         Raises:
             UnreachablePoseError: A loop stays open; the message names pose and loop and the miss.
         """
         values = self.joint_vector(q)
-        closed = loops.close(self.mechanism, self.mode, values, seed)
+        columns = self.term_columns(values, context)
+        closed = self.close(values, seed, columns)
         if not np.all(closed.ok):
             raise UnreachablePoseError(describe_open(self, values, closed, labels))
-        return Configurations(values, closed.passive, closed.slope)
+        return self.configurations(values, closed, columns)
 
     def singular_values(self, configurations: Configurations) -> FloatArray:
         """Return each pose's distance to a singularity of the loops, (n,): see `calib.model.closure`."""
@@ -218,10 +326,7 @@ class Robot(ReadOnlyArrays):
         pair = replace(target, b=index)
         joints = self.mechanism.all_joints(configurations.actuated, configurations.passive)
         swept = kinematics.sweep(self.mechanism, joints, (pair,))
-        base, b = swept.index[pair.a], swept.index[pair.b]
-        transforms = np.tile(np.eye(4), (len(joints), 1, 1))
-        transforms[:, :3, :3] = swept.rotation[:, base].transpose(0, 2, 1) @ swept.rotation[:, b]
-        transforms[:, :3, 3] = kinematics.value(swept, pair)
+        transforms = kinematics.relative_pose(swept, pair)
         return transforms[0] if np.ndim(q) == 1 else transforms
 
     def positions(self, q: ArrayLike) -> FloatArray:
@@ -252,8 +357,9 @@ def _edited(text: Triple, wanted: FloatArray) -> Triple:
 def load(path: str | Path) -> Robot:
     """Load a robot from a robot description (YAML) or from a plain URDF.
 
-    A plain URDF means: every moving joint on the way to the last link is actuated, every joint origin on that way may
-    be wrong (with default priors), and neither the measurement frame nor the measured point is known beforehand.
+    A plain URDF means its arm (see `calib.model.arm_chain`): every moving joint on the way to the arm's last link is
+    actuated, every joint origin from the first of them on may be wrong (with default priors), and neither the
+    measurement frame nor the measured point is known beforehand.
 
     Raises:
         UrdfError: The URDF is not valid.
@@ -265,44 +371,77 @@ def load(path: str | Path) -> Robot:
         urdf = read_urdf(path.parent / description.urdf)
     else:
         urdf = read_urdf(path)
-        description = describe(urdf, path.name)
+        description = describe(arm_chain(urdf), path.name)
     where = str(path)
-    nominal = build_mechanism(urdf, description, where)
-    _check_columns(description, nominal, where)
+    instruments = instruments_of(description, where)
+    places = places_of(description, instruments, where)
+    views = tuple(dict.fromkeys(pair for one in instruments for pair in pair_names(description, one)))
+    nominal = build_mechanism(urdf, description, places, views, where)
+    _check_columns(description, nominal, instruments, where)
+    _check_joints(nominal, instruments, where)
     home = home_values(urdf, description, where)
     mode = closed_home(nominal, home, description.singularity_limit, where)
-    parametrisation = build_parametrisation(description, _origins(nominal, urdf, description), nominal, where)
-    names = [parameter.name for parameter in parametrisation.parameters]
+    parametrisation = build_parametrisation(description, _origins(nominal, urdf, places), nominal, places, where)
+    terms = build_terms(description, urdf, nominal, where)
+    robot = Robot(
+        str(path), description, urdf, nominal, nominal, parametrisation, instruments, terms, np.zeros(0), mode
+    )
+    names = [parameter.name for parameter in robot.parameters]
     for held in description.held:
-        index_of(parametrisation.parameters, held, f"{path}: held")
+        index_of(robot.parameters, held, f"{path}: held")
     for name in description.elimination_order:
-        index_of(parametrisation.parameters, name, f"{path}: elimination_order")
+        index_of(robot.parameters, name, f"{path}: elimination_order")
     if len(set(names)) != len(names):
         raise DescriptionError(f"{path}: parametrisation: a parameter name is used twice")
-    values = np.array([parameter.nominal for parameter in parametrisation.parameters])
-    return Robot(str(path), description, urdf, nominal, nominal, parametrisation, values, mode)
+    return replace(robot, values=np.array([parameter.nominal for parameter in robot.parameters]))
 
 
-def _check_columns(description: Description, mechanism: Mechanism, where: str) -> None:
+def _check_columns(
+    description: Description, mechanism: Mechanism, instruments: tuple[Instrument, ...], where: str
+) -> None:
     """Raise `DescriptionError` if a foreign column stands for something that is not read."""
-    dimensions: dict[str, Dimension] = {name: mechanism.dimensions[name] for name in mechanism.actuated}
-    dimensions |= {f"{target.name}_{axis}": "length" for target in mechanism.targets for axis in "xyz"}
+    dimensions: dict[str, Dimension | None] = {name: mechanism.dimensions[name] for name in mechanism.actuated}
+    dimensions |= {column.name: column.dimension for one in instruments for column in one.columns()}
+    texts = {name for one in instruments for name in (*one.text_columns(), one.label_column) if name is not None}
+    texts |= {"pose", "setup"}
     taken: dict[str, str] = {}
     for foreign, column in description.columns.items():
         name, unit = split_column(column)
         if name in taken:
             raise DescriptionError(f"{where}: columns: '{taken[name]}' and '{foreign}' both stand for '{name}'")
         taken[name] = foreign
-        if name == "pose" and unit is None:
+        if name in texts and unit is None:
             continue
         if name not in dimensions:
             raise DescriptionError(
-                f"{where}: columns.{foreign}: no column '{name}'{nearest(name, (*dimensions, 'pose'))}"
+                f"{where}: columns.{foreign}: no column '{name}'{nearest(name, (*dimensions, *sorted(texts)))}"
             )
+        dimension = dimensions[name]
+        if dimension is None:
+            continue
         try:
-            per_si(unit, dimensions[name], f"{where}: columns.{foreign}")
+            per_si(unit, dimension, f"{where}: columns.{foreign}")
         except InputError as error:
             raise DescriptionError(str(error)) from None
+
+
+def _check_joints(mechanism: Mechanism, instruments: tuple[Instrument, ...], where: str) -> None:
+    """Raise `DescriptionError` if an instrument reads a joint that does not move, or in the wrong dimension."""
+    for one in instruments:
+        if one.joint is None:
+            continue
+        place = f"{where}: instruments.{one.name}.joint"
+        moving = [
+            name
+            for k, name in enumerate(mechanism.origin_names)
+            if np.any(mechanism.select_actuated[k]) or np.any(mechanism.select_passive[k])
+        ]
+        if one.joint not in moving:
+            raise DescriptionError(f"{place}: no joint '{one.joint}' that moves{nearest(one.joint, moving)}")
+        own, wanted = one.parts[0].dimension, mechanism.dimensions[one.joint]
+        if own != wanted:
+            moves = "slides" if wanted == "length" else "turns"
+            raise DescriptionError(f"{place}: joint '{one.joint}' {moves}; set dimension: {wanted}")
 
 
 def near_singularity(label: str, value: float, limit: float) -> str:
@@ -320,12 +459,9 @@ def describe_open(robot: Robot, q: FloatArray, closed: loops.Closed, labels: Seq
     return f"{names[k]}{more}: {why}; check these joint values, or leave the pose out"
 
 
-def _origins(mechanism: Mechanism, urdf: UrdfText, description: Description) -> dict[str, Origin]:
+def _origins(mechanism: Mechanism, urdf: UrdfText, places: tuple[Place, ...]) -> dict[str, Origin]:
     """Nominal origins by name: the numbers of the two files, not what is left of them after a computation."""
     result = {joint.name: Origin(np.array(joint.xyz), np.array(joint.rpy)) for joint in urdf.joints}
-    base = mechanism.origin_names[mechanism.targets[0].a - 1]
-    result[base] = Origin(np.array(description.base.xyz), np.array(description.base.rpy))
-    for target in mechanism.targets:
-        point = np.array(description.targets[target.name].xyz)
-        result[mechanism.origin_names[target.b - 1]] = Origin(point, np.zeros(3))
+    for place in places:
+        result[mechanism.origin(place.name)] = Origin(np.array(place.xyz), np.array(place.rpy))
     return result

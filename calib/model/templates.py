@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import yaml
 
 from calib.model.description import Description
@@ -13,7 +15,7 @@ _TEXT = """\
 urdf: {urdf}
 
 # Joints with a motor, in the order of every joint vector. Measurement files have one column for each.
-name_mot: {actuated}
+{remark}name_mot: {actuated}
 
 # Closed loops: cut them open in the URDF, name the two frames that coincide, and constrain only the directions that
 # the mechanism constrains (a planar five-bar about x: y and z). Passive joints are those of the loops without a motor.
@@ -49,14 +51,20 @@ parametrisation:
 """
 
 
-def description_text(urdf: UrdfText, description: Description) -> str:
-    """Return the YAML text of a plain URDF's description, with comments."""
+def description_text(urdf: UrdfText, description: Description, remark: str = "") -> str:
+    """Return the YAML text of a plain URDF's description, with comments.
+
+    Args:
+        urdf: The URDF.
+        description: What it stands for.
+        remark: What to say about the joints that it leaves out.
+    """
     target = next(iter(description.targets))
     lengths, angles = default_sections()
     parent = {joint.child: joint for joint in urdf.joints}
     link = target
     joints: list[str] = []
-    while link in parent:
+    while link != description.base.frame:
         joints.insert(0, parent[link].name)
         link = parent[link].parent
     moving = [joint.name for joint in urdf.joints if joint.type not in HELD_TYPES]
@@ -65,14 +73,17 @@ def description_text(urdf: UrdfText, description: Description) -> str:
         text = str(yaml.safe_dump([value], default_flow_style=True, allow_unicode=True, width=10**6))
         return text.strip()[1:-1]
 
+    remark = " ".join(remark.split())
+    lines = textwrap.wrap(remark[:1].upper() + remark[1:], 116, break_long_words=False, break_on_hyphens=False)
     return _TEXT.format(
+        remark="".join(f"# {line}\n" for line in lines),
         robot=" ".join(urdf.name.split()) or "a robot",
         urdf=quoted(description.urdf),
         actuated=quoted(list(description.name_mot)),
         home=", ".join(f"{quoted(name)}: 0" for name in moving[:2]),
         base=quoted(description.base.frame),
         target=quoted(target),
-        joints=", ".join(joints),
+        joints=" ".join(", ".join(joints).split()),
         length=lengths.sigma,
         angle=angles.sigma,
         example=quoted(description.name_mot[0]),

@@ -27,7 +27,7 @@ from math import comb
 import numpy as np
 from scipy.optimize import linprog
 
-from calib.model.mechanism import BoolArray, FloatArray
+from calib.arrays import BoolArray, FloatArray
 
 ZERO = 1e-6
 """Entries of a vector below this part of its largest are zero."""

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.model.mechanism import FloatArray
+from calib.arrays import FloatArray
 from calib.numerics.identifiability import numerical_rank, reduced
 
 TIE = 2.0
@@ -47,7 +47,7 @@ def eliminate(scaled_jacobian: FloatArray, order: Sequence[int] = ()) -> Elimina
     """Drop columns until the rest is independent.
 
     Args:
-        scaled_jacobian: (n_rows, n_columns).
+        scaled_jacobian: Columns that can be compared, such as unit columns, (n_rows, n_columns).
         order: Columns to prefer for dropping where condition numbers tie, first one first.
     """
     factor = reduced(scaled_jacobian)
@@ -77,7 +77,7 @@ def _conditions(factor: FloatArray, columns: list[int], rank: int, threshold: fl
 
 def _choose(found: dict[int, float], order: Sequence[int]) -> int:
     smallest = min(found.values())
-    ties = {column for column, condition in found.items() if condition <= TIE * smallest}
+    ties = {column for column, condition in found.items() if condition <= TIE * (1 + _DIGITS) * smallest}
     for column in order:
         if column in ties:
             return column

@@ -1,9 +1,10 @@
 """What the measurements can tell: the rank of the identification Jacobian, with the gap that shows it.
 
-Columns are scaled by the parameters' sigma before anything is judged, so that metres and radians can be compared: a
-scaled column says how far the target moves when the parameter is off by its expected error. The Jacobian is exact to
-about 1e-12 of its largest entry, so singular values below 1e-9 of the largest are zero; the gap around that threshold
-is reported.
+Columns are scaled before anything is judged, so that metres and radians can be compared: by the parameters' sigma where
+it matters how far the target moves for an error of the expected size; to unit length where it only matters whether the
+target moves (`unit_columns`), because expected errors that are a million times apart would hide what is small. The
+Jacobian is exact to about 1e-12 of its largest entry, so singular values below 1e-9 of the largest are zero; the gap
+around that threshold is reported.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.model.mechanism import FloatArray
-from calib.read_only import ReadOnlyArrays
+from calib.arrays import FloatArray, ReadOnlyArrays
 
 RANK_TOLERANCE = 1e-9
 """Singular values of the scaled Jacobian below this part of the largest count as zero."""
+NO_EFFECT = 1e-7
+"""Length of a column over that of the longest, in metres and radians, below which it is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +62,23 @@ def reduced(rows: FloatArray) -> FloatArray:
     if len(rows) <= rows.shape[1]:
         return rows
     return np.asarray(np.linalg.qr(rows, mode="r"))
+
+
+def unit_columns(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Divide columns by their length; those that are rounding beside the longest become zero.
+
+    Args:
+        columns: Derivatives by metres and radians, not scaled, (n_rows, n_columns).
+
+    Returns:
+        The columns, each of length 1 or 0, and what each was divided by (as the longest, where it became zero, so that
+        rounding stays rounding), (n_columns,).
+    """
+    lengths = np.linalg.norm(columns, axis=0)
+    longest = float(np.max(lengths, initial=0.0))
+    seen = lengths > NO_EFFECT * longest
+    lengths = np.where(seen, lengths, longest or 1.0)
+    return np.where(seen, columns / lengths, 0.0), lengths
 
 
 def numerical_rank(scaled_jacobian: FloatArray) -> Rank:

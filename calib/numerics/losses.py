@@ -1,23 +1,24 @@
 """Robust losses: how much a measured point counts, given how far it is from where the fit puts it.
 
-A point is one target at one pose: three coordinates with the same noise. With d = |r| / scale the length of its
-residual over a scale found from the data, its squares count with the weight
+A reading is k whitened rows of one instrument at one visit. With d = |r| / scale the length of its residual over a
+scale found from the data, its squares count with the weight
 
     none     1
     huber    min(1, c / d)
     cauchy   1 / (1 + (d/c)^2)
     tukey    (1 - (d/c)^2)^2 for d < c, else 0
 
-Whole points are weighed, not coordinates, so that the result does not depend on how the measurement frame is turned.
-The constants c lose 5 % of the information of normal data, for three coordinates: with w' = dw/dd and E over the chi
-distribution of d with k degrees of freedom, the efficiency is
+Whole readings are weighed, not coordinates, so that the result does not depend on how the measurement frame is turned.
+The constants c lose 5 % of the information of normal data, for each k: with w' = dw/dd and E over the chi distribution
+of d with k degrees of freedom, the efficiency is
 
     m^2 / b       m = E[w + w' d / k],   b = E[w^2 d^2] / k
 
-(for k = 1 this gives the usual 1.345, 2.385 and 4.685). The noise that goes with the weights:
+(for k = 1 this gives the usual 1.345, 2.385 and 4.685). The noise that goes with the weights, of readings whose rows
+are whitened:
 
-    scale       median(|r|) / median of chi(3), times sqrt(rows / (rows - n_eff))
-    sigma^2     sum w |r|^2 / (3 sum w), over its expectation for normal data with sigma 1; rows that a weight of zero
+    scale       median of |r| / median of chi(k), times sqrt(rows / (rows - n_eff))
+    f^2         sum w |r|^2 / sum k w, over its expectation for normal data with noise 1; rows that a weight of zero
                 takes out do not count as rows
     effective   K b / m from the actual residuals: what normal noise would scatter the parameters as much (Huber's K)
 
@@ -35,18 +36,18 @@ from typing import Literal, get_args
 
 import numpy as np
 from scipy.integrate import quad
+from scipy.optimize import brentq
 from scipy.stats import chi
 
+from calib.arrays import FloatArray, IntArray
 from calib.errors import InputError, nearest
-from calib.model.mechanism import FloatArray
-from calib.numerics.statistics import Noise, require_freedom
+from calib.numerics.statistics import Factors, require_freedom
 
 Loss = Literal["none", "huber", "cauchy", "tukey"]
 LOSSES: tuple[Loss, ...] = get_args(Loss)
-COORDINATES = 3
-CONSTANTS: dict[Loss, float] = {"none": np.inf, "huber": 1.6279879, "cauchy": 2.6655684, "tukey": 5.4902492}
-"""c of the module docstring for points of three coordinates."""
-_MEDIAN = float(chi(COORDINATES).median())
+EFFICIENCY = 0.95
+"""Part of the information of normal data that a robust loss keeps."""
+_BRACKET = (0.05, 60.0)
 
 
 def checked_loss(name: str) -> Loss:
@@ -57,15 +58,35 @@ def checked_loss(name: str) -> Loss:
     raise InputError(f"loss '{name}'{nearest(name, LOSSES)}")
 
 
-def weights(loss: Loss, distance: FloatArray, constant: float | None = None) -> FloatArray:
-    """Return the weight of points at these distances, in units of the scale.
+@lru_cache
+def constant(loss: Loss, k: int) -> float:
+    """Return c of the module docstring for readings of k rows."""
+    if loss == "none":
+        return np.inf
+    return float(brentq(lambda c: efficiency(loss, c, k) - EFFICIENCY, *_BRACKET, xtol=1e-10))
+
+
+def median_length(widths: IntArray) -> FloatArray:
+    """Return the median length of normal residuals of these numbers of rows, (n_readings,)."""
+    result: FloatArray = _by_width(lambda k: float(chi(k).median()), widths)
+    return result
+
+
+def _by_width(function: Callable[[int], float], widths: IntArray) -> FloatArray:
+    """A number for each reading that depends on its rows alone."""
+    different, index = np.unique(widths, return_inverse=True)
+    return np.array([function(int(k)) for k in different])[index.ravel()]
+
+
+def weights(loss: Loss, distance: FloatArray, c: FloatArray | float) -> FloatArray:
+    """Return the weight of readings at these distances, in units of the scale.
 
     Args:
         loss: Which one.
-        distance: d >= 0, (n_points,); the weights have its shape.
-        constant: c; that of three coordinates if not given.
+        distance: d >= 0, (n_readings,); the weights have its shape.
+        c: Constant of each, or of all.
     """
-    d, c = np.asarray(distance, dtype=float), CONSTANTS[loss] if constant is None else constant
+    d = np.asarray(distance, dtype=float)
     if loss == "huber":
         return np.minimum(1.0, c / np.maximum(d, 1e-300))
     if loss == "cauchy":
@@ -75,12 +96,17 @@ def weights(loss: Loss, distance: FloatArray, constant: float | None = None) -> 
     return np.ones_like(d)
 
 
-def slopes(loss: Loss, distance: FloatArray, constant: float | None = None, k: int = COORDINATES) -> FloatArray:
-    """Return w + w' d / k, the mean over k coordinates of d(w r)/dr, of distances d (n_points,)."""
-    d, c = np.asarray(distance, dtype=float), CONSTANTS[loss] if constant is None else constant
+def weights_of(loss: Loss, distance: FloatArray, widths: IntArray) -> FloatArray:
+    """Return the weights of readings of these numbers of rows, (n_readings,)."""
+    return weights(loss, distance, _by_width(lambda k: constant(loss, k), widths))
+
+
+def slopes(loss: Loss, distance: FloatArray, c: FloatArray | float, k: IntArray | int) -> FloatArray:
+    """Return w + w' d / k, the mean over k rows of d(w r)/dr, of distances d (n_readings,)."""
+    d = np.asarray(distance, dtype=float)
     w = weights(loss, d, c)
     if loss == "huber":
-        return np.asarray(np.where(d > c, w * (1.0 - 1.0 / k), w))
+        return np.asarray(np.where(d > c, w * (1.0 - 1.0 / np.asarray(k)), w))
     if loss == "cauchy":
         return np.asarray(w - 2.0 * (d / c) ** 2 * w**2 / k)
     if loss == "tukey":
@@ -89,62 +115,73 @@ def slopes(loss: Loss, distance: FloatArray, constant: float | None = None, k: i
     return w
 
 
-def efficiency(loss: Loss, constant: float, k: int = COORDINATES) -> float:
+def efficiency(loss: Loss, c: float, k: int) -> float:
     """Return the part of the information of normal data that a loss keeps."""
-    slope = _mean(lambda d: float(slopes(loss, np.array(d), constant, k)), constant, k)
-    score = _mean(lambda d: float(weights(loss, np.array(d), constant)) ** 2 * d**2, constant, k) / k
+    slope = _mean(lambda d: float(slopes(loss, np.array(d), c, k)), c, k)
+    score = _mean(lambda d: float(weights(loss, np.array(d), c)) ** 2 * d**2, c, k) / k
     return slope**2 / score
 
 
-def scale_of(distances: FloatArray, n_effective: float) -> float:
-    """Return the scale [m] of residual lengths, (n_points,) [m]: a median, so that outliers hardly move it."""
-    n_rows = COORDINATES * len(distances)
+def scale_of(distances: FloatArray, widths: IntArray, n_effective: float) -> float:
+    """Return the scale of whitened residual lengths, (n_readings,): a median, so that outliers hardly move it.
+
+    Args:
+        distances: Lengths.
+        widths: Rows of each reading.
+        n_effective: Effective parameters.
+    """
+    n_rows = int(np.sum(widths))
     require_freedom(n_rows - n_effective, n_rows)
-    return float(np.median(distances)) / _MEDIAN * float(np.sqrt(n_rows / (n_rows - n_effective)))
+    return float(np.median(distances / median_length(widths))) * float(np.sqrt(n_rows / (n_rows - n_effective)))
 
 
-def noise(loss: Loss, distances: FloatArray, scale: float, n_effective: float) -> Noise:
-    """Return what the residuals say about the noise.
+def robust_factors(loss: Loss, distances: FloatArray, widths: IntArray, scale: float, n_effective: float) -> Factors:
+    """Return what the residuals say about the assumed noise, one factor for all rows.
 
     Args:
         loss: The loss that weighed them.
-        distances: Residual lengths with the noise of one reading, (n_points,) [m].
-        scale: What they were divided by for the weights [m].
+        distances: Lengths of whitened residuals, (n_readings,).
+        widths: Rows of each reading, (n_readings,).
+        scale: What they were divided by for the weights.
         n_effective: Effective parameters.
 
     Raises:
         NotIdentifiableError: The loss leaves no degrees of freedom.
     """
-    n_rows = COORDINATES * len(distances)
-    w, slope = weights(loss, distances / scale), slopes(loss, distances / scale)
-    mean_weight, mean_square = _normal_moments(loss)
-    counted = min(float(n_rows), COORDINATES * float(np.sum(w)) / mean_weight)
+    n_rows = float(np.sum(widths))
+    c = _by_width(lambda k: constant(loss, k), widths)
+    w, slope = weights(loss, distances / scale, c), slopes(loss, distances / scale, c, widths)
+    expected_weight = _by_width(lambda k: _normal_moments(loss, k)[0], widths)
+    expected_square = _by_width(lambda k: _normal_moments(loss, k)[1], widths)
+    counted = min(n_rows, float(np.sum(widths * w / expected_weight)))
     freedom = counted - n_effective
-    require_freedom(freedom, n_rows)
-    ratio = float(np.sum(w * distances**2) / (COORDINATES * np.sum(w))) / (mean_square / mean_weight)
-    sigma = float(np.sqrt(ratio * counted / freedom))
+    require_freedom(freedom, int(n_rows))
+    expected = float(np.sum(widths * expected_square) / np.sum(widths * expected_weight))
+    ratio = float(np.sum(w * distances**2) / np.sum(widths * w)) / expected
+    found = float(np.sqrt(ratio * counted / freedom))
     score = float(np.sqrt(np.sum(w**2 * distances**2) / (n_rows - n_effective)))
-    m = float(np.mean(slope))
+    m = float(np.average(slope, weights=widths))
     if m <= 0:
-        require_freedom(0.0, n_rows)
-    correction = 1.0 + n_effective / n_rows * float(np.var(slope)) / m**2
-    return Noise(sigma, freedom, correction * score / m, m)
+        require_freedom(0.0, int(n_rows))
+    variance = float(np.average((slope - m) ** 2, weights=widths))
+    correction = 1.0 + n_effective / n_rows * variance / m**2
+    return Factors(np.array([found]), np.array([freedom]), np.array([correction * score / m]), m)
 
 
 @lru_cache
-def _normal_moments(loss: Loss) -> tuple[float, float]:
-    """E[w] and E[w d^2] / 3 for normal points of sigma 1."""
-    c = CONSTANTS[loss]
+def _normal_moments(loss: Loss, k: int) -> tuple[float, float]:
+    """E[w] and E[w d^2] / k for normal readings of k rows with noise 1."""
+    c = constant(loss, k)
     return (
-        _mean(lambda d: float(weights(loss, np.array(d))), c, COORDINATES),
-        _mean(lambda d: float(weights(loss, np.array(d))) * d**2, c, COORDINATES) / COORDINATES,
+        _mean(lambda d: float(weights(loss, np.array(d), c)), c, k),
+        _mean(lambda d: float(weights(loss, np.array(d), c)) * d**2, c, k) / k,
     )
 
 
-def _mean(function: Callable[[float], float], constant: float, k: int) -> float:
-    """Mean over the chi distribution with k degrees of freedom; `constant` is where the integrand may have a kink."""
+def _mean(function: Callable[[float], float], kink: float, k: int) -> float:
+    """Mean over the chi distribution with k degrees of freedom; the integrand may have a kink."""
     density = chi(k).pdf
-    middle = min(constant, 15.0)
+    middle = min(kink, 15.0)
     inner, _ = quad(lambda d: function(d) * density(d), 0.0, middle)
-    outer, _ = quad(lambda d: function(d) * density(d), middle, 30.0)
+    outer, _ = quad(lambda d: function(d) * density(d), middle, max(30.0, 2.0 * middle))
     return float(inner + outer)

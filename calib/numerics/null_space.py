@@ -15,11 +15,10 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from calib.model.mechanism import FloatArray, IntArray
-from calib.model.parameters import Parameter
+from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.numerics.elementary_vectors import ZERO, shortest_basis
 from calib.numerics.identifiability import numerical_rank, reduced
-from calib.read_only import ReadOnlyArrays
+from calib.parameter import Parameter
 from calib.units import PER_SI
 
 _SPEAKS = 0.1  # least part of the largest movement, in sigmas, of the parameter by which a group is told
@@ -38,13 +37,16 @@ class Group(ReadOnlyArrays):
     coefficients: FloatArray
 
 
-def null_groups(scaled_jacobian: FloatArray, dropped: Sequence[int] = ()) -> tuple[Group, ...]:
+def null_groups(
+    scaled_jacobian: FloatArray, dropped: Sequence[int] = (), lengths: FloatArray | None = None
+) -> tuple[Group, ...]:
     """Return a basis of the null space of smallest groups, shortest first.
 
     Args:
         scaled_jacobian: (n_rows, n_columns).
         dropped: Columns that are held or dropped. Groups are told with one of them first where one moves enough, and
             with as few others of them as possible.
+        lengths: What each column was divided by after it was scaled by its sigma, (n_columns,); 1 if not given.
     """
     null = _null_space(scaled_jacobian)
     projector = null @ null.T
@@ -54,6 +56,8 @@ def null_groups(scaled_jacobian: FloatArray, dropped: Sequence[int] = ()) -> tup
         columns = np.flatnonzero(label == k)
         if np.max(np.abs(projector[np.ix_(columns, columns)])) > ZERO:
             vectors += _part(null, columns, set(dropped))
+    if lengths is not None:
+        vectors = [vector / lengths for vector in vectors]
     groups = [_group(vector, set(dropped)) for vector in vectors]
     return tuple(sorted(groups, key=lambda group: (len(group.members), group.members)))
 
@@ -103,7 +107,7 @@ def _group(vector: FloatArray, dropped: set[int]) -> Group:
     members = [int(k) for k in np.flatnonzero(vector)]
     size = np.abs(vector)
     # one that hardly moves would have to move by metres or turns to show what the others do
-    moving = [k for k in members if size[k] >= _SPEAKS * size.max()]
+    moving = [k for k in members if size[k] >= (1 - ZERO) * _SPEAKS * size.max()]
     first = next((k for k in moving if k in dropped), moving[0])
     members.remove(first)
     ordered = (first, *members)

@@ -23,9 +23,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.model.mechanism import FloatArray
-from calib.model.parameters import Parameter
+from calib.arrays import FloatArray
 from calib.numerics.identifiability import numerical_rank
+from calib.parameter import Parameter
 from calib.units import PER_SI
 
 INDICES = ("O1", "O2", "O3", "O4", "O5")
@@ -68,16 +68,19 @@ def raw_columns(jacobian: FloatArray, parameters: Iterable[Parameter]) -> FloatA
     return result
 
 
-def observability_of(rows: FloatArray, parameters: Sequence[Parameter]) -> tuple[dict[str, float], dict[str, float]]:
+def observability_of(
+    rows: FloatArray, parameters: Sequence[Parameter], n_poses: int
+) -> tuple[dict[str, float], dict[str, float]]:
     """Return O1 to O5 of poses, on scaled columns [m] and on raw ones (mm per unit of table).
 
     Where the poses are short of rank they are taken over the singular values that are not zero.
 
     Args:
-        rows: Scaled Jacobian, (n_poses, 3 n_targets, n_parameters) [m].
+        rows: Scaled Jacobian, (..., n_parameters) [m]; leading axes are flattened.
         parameters: The parameters of its columns.
+        n_poses: Number of poses that the rows are of.
     """
-    n_poses, width = len(rows), rows.shape[-1]
+    width = rows.shape[-1]
     scales = np.array([parameter.sigma for parameter in parameters])
     scaled = numerical_rank(rows.reshape(-1, width))
     raw = numerical_rank(raw_columns(rows / scales, parameters).reshape(-1, width))

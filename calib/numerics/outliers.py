@@ -1,22 +1,23 @@
-"""Outliers: measured points that lie further from where the fit puts them than noise explains.
+"""Outliers: readings that lie further from where the fit puts them than noise explains.
 
-With h = B C B^T / sigma^2 (3 x 3) the leverage of a point on its own prediction and w its weight in the fit (1 without
-a robust loss, 0 outside the fit), the residual r of normal data has
+A reading has k whitened rows r with scaled Jacobian B. With h = B C B^T (k x k) its leverage on its own prediction, C
+the covariance of the parameters for noise 1, and w its weight in the fit (1 without a robust loss, 0 outside the fit),
+the residual of normal data has
 
-    cov r = sigma^2 V,      V = I + (1 - 2 w) h      (I - h for a point that was used, I + h for one that was not)
+    cov r = f^2 V,      V = I + (1 - 2 w) h      (I - h for a reading that was used, I + h for one that was not)
 
-so that T^2 = r^T V^-1 r is the studentised residual: the same for a point that pulls the fit towards itself as for one
-that does not. T is compared with a scale that outliers hardly move, the median of all T over that of chi(3). A point is
-an outlier where 3 F(3, nu/2) exceeds (T / scale)^2 with a chance below 1 % over the number of points: good
-measurements of any number show one in a set out of a hundred. (nu/2, because a median finds a scale about half as well
-as the squares.)
+so that T^2 = r^T V^-1 r is the studentised residual: the same for a reading that pulls the fit towards itself as for
+one that does not. T / median of chi(k) is compared with a scale that outliers hardly move, its median over the
+readings. A reading is an outlier where k F(k, nu/2) exceeds (T / scale)^2 with a chance below 1 % over the number of
+readings: good measurements of any number show one in a set out of a hundred. (nu/2, because a median finds a scale
+about half as well as the squares.)
 
-Leverage is trace(h)/3: the part of a point's own error that its prediction follows, the mean over its coordinates;
-leverages of all points, times 3, add up to the effective parameters. The largest eigenvalue of h is the same for the
-direction in which it is worst. Near 1 a point cannot be judged there.
+Leverage is trace(h)/k: the part of a reading's own error that its prediction follows, the mean over its rows; leverages
+of all rows add up to the effective parameters. The largest eigenvalue of h is the same for the direction in which it is
+worst. Near 1 a reading cannot be judged there.
 
 When it fails. Several outliers that agree with each other pull a least-squares fit to them; fit with a robust loss to
-see them. A point of leverage near 1 is never an outlier.
+see them. A reading of leverage near 1 is never an outlier.
 
 Reference: cook1982, chapter 2.
 """
@@ -26,60 +27,29 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi
 from scipy.stats import f as f_distribution
 
-from calib.model.mechanism import FloatArray
-from calib.numerics.statistics import EXACT
-from calib.read_only import ReadOnlyArrays
+from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.numerics.losses import median_length
 
 FALSE_ALARM = 0.01
 """Chance that a set of good measurements shows an outlier."""
 HIGH_LEVERAGE = 0.9
-"""Largest leverage along any direction, above which a point decides its own prediction and cannot be judged."""
-_MEDIAN = float(chi(3).median())
+"""Largest leverage along any direction, above which a reading decides its own prediction and cannot be judged."""
 _SMALLEST = 1e-6  # eigenvalue of V below which a direction has no residual left
-
-
-@dataclass(frozen=True)
-class Outlier:
-    """One measured point that does not fit.
-
-    Attributes:
-        pose: Index of the pose in its set.
-        target: Name of the measured point.
-        label: File, line and pose name.
-        distance: Predicted to measured [m].
-        studentised: T over its scale.
-        leverage: See the module docstring.
-        p_value: Chance of such a point among good measurements of this number.
-    """
-
-    pose: int
-    target: str
-    label: str
-    distance: float
-    studentised: float
-    leverage: float
-    p_value: float
-
-    def __str__(self) -> str:
-        return (
-            f"{self.label}, {self.target}: {1e3 * self.distance:.3f} mm off, {self.studentised:.1f} times the noise"
-            f" (leverage {self.leverage:.2f})"
-        )
+_NO_NOISE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class Studentised(ReadOnlyArrays):
-    """Every point of a set judged.
+    """Every reading of a set judged.
 
     Attributes:
-        ratio: T over its scale, (n_poses, n_targets).
-        leverage: Mean over the coordinates, (n_poses, n_targets).
-        largest_leverage: That of the worst direction, (n_poses, n_targets).
-        p_value: Chance of such a point among good measurements of this number, (n_poses, n_targets).
-        scale: Scale of T [m].
+        ratio: T over its scale, (n_readings,).
+        leverage: Mean over the rows, (n_readings,).
+        largest_leverage: That of the worst direction, (n_readings,).
+        p_value: Chance of such a reading among good measurements of this number, (n_readings,).
+        scale: Scale of T.
     """
 
     ratio: FloatArray
@@ -88,61 +58,53 @@ class Studentised(ReadOnlyArrays):
     p_value: FloatArray
     scale: float
 
+    @property
+    def outliers(self) -> IntArray:
+        """Readings that are outliers, worst first, (n_outliers,)."""
+        found = np.flatnonzero(self.p_value < FALSE_ALARM)
+        result: IntArray = found[np.argsort(-self.ratio[found], kind="stable")]
+        return result
 
-def studentised(
-    residuals: FloatArray,
-    columns: FloatArray,
-    inverse: FloatArray,
-    weights: FloatArray,
-    freedom: float,
-    scale: float | None = None,
-) -> Studentised:
-    """Judge every point.
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Readings of equally many rows.
+
+    Attributes:
+        residuals: Whitened, (n, k); zero for rows that were not read.
+        columns: Whitened scaled Jacobian, (n, k, n_free).
+        widths: Rows that were read, (n,).
+        weights: w of the module docstring, (n,).
+    """
+
+    residuals: FloatArray
+    columns: FloatArray
+    widths: IntArray
+    weights: FloatArray
+
+
+def studentised(blocks: list[Blocks], root: FloatArray, freedom: float, scale: float | None = None) -> Studentised:
+    """Judge every reading.
 
     Args:
-        residuals: With the noise of one reading, (n_poses, n_targets, 3) [m].
-        columns: Scaled Jacobian of the same rows, (n_poses, n_targets, 3, n_free) [m].
-        inverse: R^-1 of `calib.numerics.statistics.prior_shares`, (n_free, n_free).
-        weights: w of the module docstring, (n_poses, n_targets).
+        blocks: Readings, in order.
+        root: T of `calib.numerics.information`, (n_free, rank).
         freedom: Degrees of freedom of the fit.
-        scale: Scale of T, if it is known from other points [m].
+        scale: Scale of T, if it is known from other readings.
     """
-    pulled = columns @ inverse
-    own = pulled @ pulled.swapaxes(-1, -2)
-    values, vectors = np.linalg.eigh(np.eye(3) + (1.0 - 2.0 * weights)[..., None, None] * own)
-    along = np.squeeze(residuals[..., None, :] @ vectors, axis=-2)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        squares = np.where(values > _SMALLEST, along**2 / values, 0.0)
-    size = np.sqrt(np.sum(squares, axis=-1))
-    found = float(np.median(size)) / _MEDIAN if scale is None else scale
-    found = max(found, EXACT)
+    sizes, leverages, largest = [], [], []
+    for block in blocks:
+        pulled = block.columns @ root
+        own = pulled @ pulled.transpose(0, 2, 1)
+        values, vectors = np.linalg.eigh(np.eye(own.shape[-1]) + (1.0 - 2.0 * block.weights)[:, None, None] * own)
+        turned = np.matmul(vectors.transpose(0, 2, 1), block.residuals[:, :, None])[:, :, 0]
+        squares = np.where(values > _SMALLEST, turned**2 / np.maximum(values, _SMALLEST), 0.0)
+        sizes.append(np.sqrt(np.sum(squares, axis=1)))
+        leverages.append(np.trace(own, axis1=1, axis2=2) / block.widths)
+        largest.append(np.linalg.eigvalsh(own)[:, -1])
+    size, widths = np.concatenate(sizes), np.concatenate([block.widths for block in blocks])
+    found = float(np.median(size / median_length(widths))) if scale is None else scale
+    found = max(found, _NO_NOISE)
     ratio = size / found
-    p_value = np.minimum(1.0, ratio.size * f_distribution.sf(ratio**2 / 3.0, 3, max(freedom / 2.0, 1.0)))
-    own_values = np.linalg.eigvalsh(own)
-    return Studentised(ratio, np.mean(own_values, axis=-1), own_values[..., -1], p_value, found)
-
-
-def outliers(
-    judged: Studentised, residuals: FloatArray, labels: tuple[str, ...], targets: tuple[str, ...]
-) -> tuple[Outlier, ...]:
-    """Return the outliers, worst first.
-
-    Args:
-        judged: From `studentised`.
-        residuals: Predicted minus measured positions, (n_poses, n_targets, 3) [m].
-        labels, targets: Names of poses and measured points.
-    """
-    places = [(int(k), int(t)) for k, t in np.argwhere(judged.p_value < FALSE_ALARM)]
-    places.sort(key=lambda place: -float(judged.ratio[place]))
-    return tuple(
-        Outlier(
-            k,
-            targets[t],
-            labels[k],
-            float(np.linalg.norm(residuals[k, t])),
-            float(judged.ratio[k, t]),
-            float(judged.leverage[k, t]),
-            float(judged.p_value[k, t]),
-        )
-        for k, t in places
-    )
+    p_value = np.minimum(1.0, len(ratio) * f_distribution.sf(ratio**2 / widths, widths, max(freedom / 2.0, 1.0)))
+    return Studentised(ratio, np.concatenate(leverages), np.concatenate(largest), p_value, found)

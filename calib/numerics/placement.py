@@ -1,14 +1,23 @@
-"""Where frames and points are that nobody measured: the world from nests, the measurement frame, the measured point.
+"""Where the measurement frame and the measured points are, where nobody measured that.
 
-`world_from_nests` is a rigid fit (`calib.numerics.rigid`) with names, repeats and outliers.
+Problem. A link has the poses (R_i, t_i) in the robot's base link, and one of its points p was seen at m_i from a frame
+X = (R, t). With other points of the same or other links, and w_i readings each,
 
-`place_base_and_target`. A link has the poses T_i in the robot's base link, and one of its points p was seen at m_i from
-a frame X: X m_i = T_i p, with X and p unknown. For any p the best X is a rigid fit. Two values of p are tried: the
-guess, and the solution of R m_i + t - R_i p = t_i with the nine entries of R left free, which is linear, so that the
-guess may be wrong by more than the robot's size. The better one starts a least-squares solution for X and p together.
-What the poses cannot tell (all of p, where the link never turns) stays at the guess.
+    sum w_i |R m_i + t - R_i p - t_i|^2   +   sum noise^2 |p - guess|^2 / sigma^2      shall be smallest.
 
-References: kabsch1976, umeyama1991.
+Method. For a given R this is linear in t and all p. Solved for them, what is left is linear in the nine entries of R,
+so that all poses shrink into ten rows: a quadratic function on the rotations, whatever the mechanism is. It may have
+several minima; Levenberg-Marquardt descends from each of the 60 rotations of the icosahedron, no rotation being more
+than 45 degrees away from one of them, and the lowest end is taken. Where sigma is given, the noise is found from the
+residuals.
+
+What the poses cannot tell stays as near as it can to the guess: first the points (a link that never turns shows nothing
+of its point, one that turns about one axis does not tell the point's direction from that of X), then the rotation of X
+(points on one line, or all in one place). For that the distances to both count, too little to move what is known, and
+the last steps leave them out.
+
+When it fails. It does not: what is undetermined is the guess, and whoever needs to know counts ranks
+(`calib.numerics.identifiability`). Noise alone can seem to tell a direction that the poses hardly show.
 """
 
 from __future__ import annotations
@@ -19,226 +28,225 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
-from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
-from calib.errors import DataError, nearest
-from calib.model.mechanism import FloatArray
-from calib.numerics.rigid import RigidFit, best_transform, checked_points, cross_matrices, rigid_fit
+from calib.arrays import BoolArray, FloatArray
+from calib.errors import DataError
+from calib.numerics.identifiability import reduced
+from calib.numerics.rigid import cross_matrices
 
-__all__ = ["RigidFit", "WorldFrame", "place_base_and_target", "place_target", "rigid_fit", "world_from_nests"]
-
-_RANK = 1e-9  # singular values below this part of the largest are zero
+_RANK = 1e-9  # turning of a link below which it tells nothing of its point [rad]
+_OPEN = 1e-6  # singular values below this part of the largest leave a rotation open
+_POINT_WEIGHT, _TURN_WEIGHT = 1e-5, 1e-7  # of the distances to the guesses, against the measurements
+_STILL = 1e-11  # step below which a descent has ended [rad]
+_ITERATIONS, _LAST_STEPS, _NOISE_ROUNDS = 80, 8, 20
+_NOISE_FOUND, _EXACT = 1e-2, 1e-12  # part of the noise, and noise [m], to which it is found
+_SMALLEST = 1e-3  # extent of points below which the turn about them counts as open [m], times `_OPEN`
 
 
 @dataclass(frozen=True, eq=False)
-class WorldFrame:
-    """The world frame found from nests that are fixed to the robot.
+class MovingPoint:
+    """A point of a link that was seen in several poses of that link.
 
     Attributes:
-        fit: Rigid fit from the instrument's frame to the world; its covariance is the frame's uncertainty.
-        outliers: Names of nests that do not fit.
-        excluded: Names of nests that were left out on request.
-        repeatability: Standard deviation of one reading about its nest's mean, per axis; NaN without repeats [m].
-    """
-
-    fit: RigidFit
-    outliers: tuple[str, ...]
-    excluded: tuple[str, ...]
-    repeatability: float
-
-
-def world_from_nests(
-    nominal: ArrayLike,
-    measured: ArrayLike,
-    sigma: float | None = None,
-    *,
-    names: Sequence[str] | None = None,
-    exclude: Sequence[str] = (),
-) -> WorldFrame:
-    """Find the world frame from nests at known places on the robot, seen by an instrument in its own frame.
-
-    `fit.apply` turns readings of the instrument into world coordinates. Nests that do not fit are reported, and left
-    out only when they are named in `exclude`.
-
-    Args:
-        nominal: Nests in the world, (n, 3) [m].
-        measured: Nests in the instrument's frame, (n, 3), or (n, n_repeats, 3) to be averaged [m].
-        sigma: Noise of one component of `measured` (of its means, where repeats are given) [m]; estimated if not given.
-        names: Names of the nests; `nest 1`, ... if not given.
-        exclude: Names of nests to leave out.
-
-    Raises:
-        DataError: As for `rigid_fit`; an unknown name in `exclude`; points that fit only as a mirror image.
-    """
-    seen, known = np.asarray(measured, dtype=float), np.asarray(nominal, dtype=float)
-    repeatability = float("nan")
-    if seen.ndim == 3:
-        if seen.shape[1] > 1:
-            repeatability = float(np.sqrt(np.mean(np.var(seen, axis=1, ddof=1))))
-        seen = seen.mean(axis=1)
-    labels = list(names) if names is not None else [f"nest {k + 1}" for k in range(len(known))]
-    if seen.shape != known.shape or len(labels) != len(known) or len(set(labels)) != len(labels):
-        raise DataError(
-            f"{len(known)} nests, {len(seen)} measured, {len(set(labels))} different names; each nest needs"
-            " its place (x, y, z), its reading and a name of its own"
-        )
-    for name in exclude:
-        if name not in labels:
-            raise DataError(f"no nest '{name}' to leave out{nearest(name, labels)}")
-    kept = np.array([name not in exclude for name in labels], dtype=bool)
-    used = [name for name in labels if name not in exclude]
-    fit = rigid_fit(seen[kept], known[kept], sigma, names=used)
-    _refuse_mirror(seen[kept], known[kept], fit)
-    return WorldFrame(fit, tuple(used[k] for k in fit.outliers), tuple(exclude), repeatability)
-
-
-def _refuse_mirror(seen: FloatArray, known: FloatArray, fit: RigidFit) -> None:
-    """Raise where points that do not fit would fit as a mirror image."""
-    rotation, translation = best_transform(-seen, known)
-    mirrored = float(np.sqrt(np.mean(np.sum((known + seen @ rotation.T - translation) ** 2, axis=1))))
-    if fit.rms > 1e-3 and mirrored < 0.1 * fit.rms:
-        raise DataError(
-            f"the nests fit to {1e3 * mirrored:.3g} mm only as a mirror image ({1e3 * fit.rms:.3g} mm as"
-            " they are); an axis has the wrong sign, or two columns are swapped"
-        )
-
-
-def place_base_and_target(
-    T_base_link: ArrayLike, measured: ArrayLike, guess: ArrayLike, *, point_known: bool = False
-) -> tuple[pin.SE3, FloatArray]:
-    """Find the measurement frame, and the measured point of a link, from poses of that link.
-
-    Args:
-        T_base_link: Poses of the link that carries the point in the base link, (n, 4, 4) [m].
+        T_base_link: Poses of the link in the base link, (n, 4, 4) [m].
         measured: The point in the measurement frame, (n, 3) [m].
-        guess: About where the point is in its link, (3,) [m]; an error of decimetres does no harm.
-        point_known: `guess` is right; find the measurement frame alone.
-
-    Returns:
-        Pose of the measurement frame in the base link, and the point in its link, (3,) [m].
-
-    Raises:
-        DataError: Fewer than three rows, rows on one line, values that are not finite, or shapes that differ.
+        guess: Where it may be in its link, (3,) [m].
+        sigma: How far it may be from the guess along each axis: 0 where the guess is right, infinite where it says
+            nothing, (3,) [m].
     """
-    T, m = _checked_poses(T_base_link, measured)
-    point = np.array(guess, dtype=float)
-    if point.shape != (3,) or not np.all(np.isfinite(point)):
-        raise DataError(f"guessed point {point}: expected three finite numbers")
-    first = _best_frame(T, m, point)
-    if point_known:
-        return pin.SE3(*first[:2]), point
-    starts = [(first[2], point, first[:2])]
-    relaxed = _relaxed_point(T, m)
-    if relaxed is not None:
-        frame = _best_frame(T, m, relaxed)
-        starts.append((frame[2], relaxed, frame[:2]))
-    _, start, at = min(starts, key=lambda candidate: candidate[0])
-    return _refine(_PlacementProblem(T, m, start, at), point)
+
+    T_base_link: FloatArray
+    measured: FloatArray
+    guess: FloatArray
+    sigma: FloatArray
 
 
-def place_target(T_base_link: ArrayLike, measured: ArrayLike, T_base_measurement: pin.SE3) -> FloatArray:
-    """Find the measured point of a link from poses of that link, where the measurement frame is known.
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Where the measurement frame and the points are.
 
-    The mean over the poses of the point as each of them shows it, which is the least-squares solution.
+    Attributes:
+        T_base_measurement: The measurement frame in the base link.
+        points: Each point in its link, (n_points, 3) [m].
+        rms: Root mean square distance between where the points were seen and where they are [m].
+    """
+
+    T_base_measurement: pin.SE3
+    points: FloatArray
+    rms: float
+
+
+def place(points: Sequence[MovingPoint], counts: ArrayLike, guess: pin.SE3, *, frame_known: bool = False) -> Placement:
+    """Find the measurement frame, and points of links, from poses of those links.
 
     Args:
-        T_base_link: Poses of the link that carries the point in the base link, (n, 4, 4) [m].
-        measured: The point in the measurement frame, (n, 3) [m].
-        T_base_measurement: Pose of the measurement frame in the base link.
-
-    Returns:
-        The point in its link, (3,) [m].
+        points: The points, all seen in the same n poses.
+        counts: How many readings each pose is the mean of, (n,).
+        guess: Where the measurement frame may be in the base link.
+        frame_known: It is right; find the points alone.
 
     Raises:
-        DataError: Values that are not finite, or shapes that differ.
+        DataError: No pose, values that are not finite, or shapes that differ.
     """
-    T, m = _checked_poses(T_base_link, measured)
-    in_base = m @ T_base_measurement.rotation.T + T_base_measurement.translation
-    point: FloatArray = np.einsum("nji,nj->ni", T[:, :3, :3], in_base - T[:, :3, 3]).mean(axis=0)
-    return point
+    weights = np.asarray(counts, dtype=float)
+    for point in points:
+        _check(point, weights)
+    system = _system(points, weights, guess, frame_known)
+    noise = 0.0
+    for _ in range(_NOISE_ROUNDS):
+        rotation = guess.rotation if frame_known else _best_rotation(system, noise, guess.rotation)
+        moved = _reduced(system, noise).moved(rotation)
+        squares = float(np.sum(system.errors(rotation, moved) ** 2))
+        found = float(np.sqrt(squares / max(3 * len(points) * len(weights) - len(moved) - 6 * (not frame_known), 1)))
+        if np.all(np.isinf(system.sigma)) or abs(found - noise) <= max(_NOISE_FOUND * found, _EXACT):
+            break
+        noise = found
+    result = np.array([point.guess for point in points], dtype=float)
+    result[system.free] += moved
+    translation = guess.translation if frame_known else system.translation(rotation, moved)
+    return Placement(pin.SE3(rotation, translation), result, float(np.sqrt(squares / weights.sum() / len(points))))
 
 
-def _checked_poses(T_base_link: ArrayLike, measured: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    T, m = np.asarray(T_base_link, dtype=float), np.asarray(measured, dtype=float)
-    if m.ndim != 2 or T.shape != (len(m), 4, 4) or m.shape != (len(m), 3) or len(m) == 0:
+def _check(point: MovingPoint, weights: FloatArray) -> None:
+    T, m = point.T_base_link, point.measured
+    if m.ndim != 2 or T.shape != (len(m), 4, 4) or m.shape != (len(m), 3) or len(m) == 0 or weights.shape != (len(m),):
         raise DataError(
-            f"link poses {T.shape} and measured points {m.shape} do not belong together; expected (n, 4, 4) and (n, 3)"
+            f"link poses {T.shape}, measured points {m.shape} and counts {weights.shape} do not belong together;"
+            " expected (n, 4, 4), (n, 3) and (n,)"
         )
+    if point.guess.shape != (3,) or not np.all(np.isfinite(point.guess)):
+        raise DataError(f"guessed point {point.guess}: expected three finite numbers")
     finite = np.isfinite(T).all(axis=(1, 2)) & np.isfinite(m).all(axis=1)
     if not finite.all():
         raise DataError(f"row {int(np.argmin(finite))}: a pose or a measured point is not finite; leave the row out")
-    return T, m
-
-
-def _best_frame(T: FloatArray, m: FloatArray, point: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Best X for a given point: R (3, 3), t (3,) [m] and the sum of squares [m^2]."""
-    p, q = checked_points(m, T[:, :3, :3] @ point + T[:, :3, 3], None, [f"row {k}" for k in range(len(m))])
-    rotation, translation = best_transform(p, q)
-    return rotation, translation, float(np.sum((q - p @ rotation.T - translation) ** 2))
-
-
-def _relaxed_point(T: FloatArray, m: FloatArray) -> FloatArray | None:
-    """Point from R m + t - R_i p = t_i with R's entries free (linear); None where that has no single solution."""
-    matrix = np.zeros((len(m), 3, 15))
-    for row in range(3):
-        matrix[:, row, 3 * row : 3 * row + 3] = m
-        matrix[:, row, 9 + row] = 1.0
-    matrix[:, :, 12:] = -T[:, :3, :3]
-    solution, _, rank, _ = np.linalg.lstsq(matrix.reshape(-1, 15), T[:, :3, 3].ravel(), rcond=_RANK)
-    return np.asarray(solution[12:]) if rank == 15 else None
 
 
 @dataclass(frozen=True, eq=False)
-class _PlacementProblem:
-    """Rows R_X^T (R_i p + t_i - t_X) - m_i about a start (point, (R_X, t_X)).
+class _System:
+    """Rows A dp - M vec(R) + s, of as many rows as there are columns, with the same sum of squares as all of them.
 
-    The nine unknowns are [dt_X; w; dp], with dt_X in the axes of the base link and R_X exp(w), so that the slope is
-    [-R_X^T, [seen]x Jexp3(w), R_X^T R_i].
+    Attributes:
+        rows: [A M s], (n_rows, n_free + 10).
+        mean: What was taken off all rows because X's translation answers for it, (3, n_free + 10).
+        free: Which coordinates of the points are unknown, (n_points, 3).
+        sigma: Of those, (n_free,) [m].
+        weight: Root of the number of readings.
+        extent: Root mean square distance of the measured points from their centre [m].
     """
 
-    T: FloatArray
-    m: FloatArray
-    start: FloatArray
-    frame: tuple[FloatArray, FloatArray]
+    rows: FloatArray
+    mean: FloatArray
+    free: BoolArray
+    sigma: FloatArray
+    weight: float
+    extent: float
 
-    def unpack(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        rotation, translation = self.frame
-        return rotation @ pin.exp3(x[3:6]), translation + x[:3], self.start + x[6:]
+    def errors(self, rotation: FloatArray, moved: FloatArray) -> FloatArray:
+        """Return the rows at R (3, 3) and dp (n_free,) [m]."""
+        result: FloatArray = self.rows @ np.concatenate([moved, -rotation.ravel(), [1.0]])
+        return result
 
-    def seen(self, x: FloatArray) -> FloatArray:
-        rotation, translation, point = self.unpack(x)
-        predicted: FloatArray = (self.T[:, :3, :3] @ point + self.T[:, :3, 3] - translation) @ rotation
-        return predicted
-
-    def rows(self, x: FloatArray) -> FloatArray:
-        return (self.seen(x) - self.m).ravel()
-
-    def slope(self, x: FloatArray) -> FloatArray:
-        rotation = self.unpack(x)[0]
-        result = np.empty((len(self.m), 3, 9))
-        result[:, :, :3] = -rotation.T
-        result[:, :, 3:6] = cross_matrices(self.seen(x)) @ pin.Jexp3(x[3:6])
-        result[:, :, 6:] = rotation.T @ self.T[:, :3, :3]
-        return result.reshape(-1, 9)
+    def translation(self, rotation: FloatArray, moved: FloatArray) -> FloatArray:
+        """Return t at R (3, 3) and dp (n_free,), (3,) [m]."""
+        result: FloatArray = self.mean @ np.concatenate([moved, -rotation.ravel(), [1.0]])
+        return result
 
 
-def _refine(problem: _PlacementProblem, guess: FloatArray) -> tuple[pin.SE3, FloatArray]:
-    """Least squares over the measurement frame and the point together."""
-    x = _least_squares(problem, np.zeros(9))
-    # lengths become angles over the extent of the points, so that one threshold judges both
-    scale = np.ones(9)
-    scale[3:6] = 1 / float(np.ptp(problem.m, axis=0).max())
-    _, values, right = np.linalg.svd(np.linalg.qr(problem.slope(x) * scale, mode="r"))
-    rank = int(np.sum(values > _RANK * values[0]))
-    if rank < 9:  # of all equally good solutions, the one whose point is nearest to the guess
-        free = right[rank:].T * scale[:, None]
-        x = _least_squares(problem, x + free @ np.linalg.lstsq(free[6:], guess - problem.start - x[6:], rcond=None)[0])
-    rotation, translation, point = problem.unpack(x)
-    return pin.SE3(rotation, translation), point
+def _system(points: Sequence[MovingPoint], weights: FloatArray, guess: pin.SE3, frame_known: bool) -> _System:
+    free = np.array([point.sigma > 0 for point in points], dtype=bool)
+    n_free, n = int(free.sum()), len(weights)
+    rows = np.zeros((len(points), n, 3, n_free + 10))
+    for j, point in enumerate(points):
+        first = int(free[:j].sum())
+        turns = point.T_base_link[:, :3, :3]
+        rows[j, :, :, first : first + int(free[j].sum())] = turns[:, :, free[j]]
+        for axis in range(3):
+            rows[j, :, axis, n_free + 3 * axis : n_free + 3 * axis + 3] = point.measured
+        rows[j, :, :, -1] = turns @ point.guess + point.T_base_link[:, :3, 3]
+    mean = np.einsum("n,jnac->ac", weights, rows) / weights.sum() / len(points)
+    if frame_known:
+        mean = np.zeros_like(mean)
+        mean[:, -1] = guess.translation
+    rows = (np.sqrt(weights)[:, None, None] * (rows - mean)).reshape(-1, n_free + 10)
+    extent = float(np.sqrt(np.sum(rows[:, n_free:-1] ** 2) / weights.sum() / len(points) / 3))
+    sigma = np.concatenate([point.sigma[point.sigma > 0] for point in points])
+    return _System(reduced(rows), mean, free, sigma, float(np.sqrt(weights.sum() * len(points))), extent)
 
 
-def _least_squares(problem: _PlacementProblem, x: FloatArray) -> FloatArray:
-    solution: FloatArray = least_squares(
-        problem.rows, x, jac=problem.slope, x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-14
-    ).x
-    return solution
+@dataclass(frozen=True, eq=False)
+class _Reduced:
+    """The system solved for dp: dp = D vec(R) - d, and the rows that are left, F vec(R) - f."""
+
+    D: FloatArray
+    d: FloatArray
+    F: FloatArray
+    f: FloatArray
+
+    def moved(self, rotation: FloatArray) -> FloatArray:
+        """Return dp at R (3, 3), (n_free,) [m]."""
+        result: FloatArray = self.D @ rotation.ravel() - self.d
+        return result
+
+
+def _reduced(system: _System, noise: float, weak: float = 0.0) -> _Reduced:
+    """Solve for dp, of equally good ones the smallest; `weak` is how much every |dp| counts at least."""
+    n_free = len(system.sigma)
+    distances = np.zeros((n_free, n_free + 10))
+    distances[:, :n_free] = np.diag(np.maximum(noise / system.sigma, weak))
+    rows = np.vstack([system.rows, distances])
+    left, values, right = np.linalg.svd(rows[:, :n_free], full_matrices=False)
+    told = values > _RANK * system.weight
+    left, inverse = left[:, told], right[told].T / values[told]
+    coordinates = left.T @ rows[:, n_free:]
+    solution, rest = inverse @ coordinates, rows[:, n_free:] - left @ coordinates
+    return _Reduced(solution[:, :9], solution[:, 9], rest[:, :9], rest[:, 9])
+
+
+def _best_rotation(system: _System, noise: float, guess: FloatArray) -> FloatArray:
+    """Return the rotation R (3, 3) with the smallest sum of squares, near the guess where that leaves it open."""
+    searched = _reduced(system, noise, _POINT_WEIGHT * system.weight)
+    turn = _TURN_WEIGHT * system.weight * max(system.extent, _SMALLEST)
+    rows = np.vstack(
+        [np.column_stack([searched.F, searched.f]), turn * np.column_stack([np.eye(9), guess.ravel()])],
+    )
+    rotation = _descend(reduced(rows), np.concatenate([[guess], Rotation.create_group("I").as_matrix()]))
+    exact = _reduced(system, noise)
+    least = _OPEN * system.weight * _SMALLEST
+    for _ in range(_LAST_STEPS):
+        left, values, right = np.linalg.svd(_slope(exact.F, rotation), full_matrices=False)
+        told = values > max(_OPEN * values[0], least)
+        error = exact.F @ rotation.ravel() - exact.f
+        rotation = rotation @ pin.exp3(-right[told].T @ ((left.T @ error)[told] / values[told]))
+    return rotation
+
+
+def _descend(rows: FloatArray, starts: FloatArray) -> FloatArray:
+    """Minimise |rows [vec(R); -1]|^2 over rotations from all starts (n, 3, 3) at once; return the best end (3, 3)."""
+    F, f = rows[:, :9], rows[:, 9]
+    rotations = starts
+    errors = rotations.reshape(-1, 9) @ F.T - f
+    damping = np.full(len(starts), 1e-2)
+    for _ in range(_ITERATIONS):
+        slope = _slope(F, rotations)
+        square = slope.transpose(0, 2, 1) @ slope
+        size = np.trace(square, axis1=1, axis2=2)
+        square += ((damping + 1e-16) * size + 1e-300)[:, None, None] * np.eye(3)
+        steps = -np.linalg.solve(square, np.einsum("nrk,nr->nk", slope, errors)[..., None])[..., 0]
+        tried = rotations @ Rotation.from_rotvec(steps).as_matrix()
+        there = tried.reshape(-1, 9) @ F.T - f
+        better = np.sum(there**2, axis=1) < np.sum(errors**2, axis=1)
+        rotations = np.where(better[:, None, None], tried, rotations)
+        errors = np.where(better[:, None], there, errors)
+        damping = np.where(better, 0.1 * damping, 10 * damping)
+        if np.all(np.linalg.norm(steps, axis=1) < _STILL):
+            break
+    best: FloatArray = rotations[np.argmin(np.sum(errors**2, axis=1))]
+    return best
+
+
+def _slope(F: FloatArray, rotation: FloatArray) -> FloatArray:
+    """Return d(F vec(R exp(w)))/dw at w = 0 for R (..., 3, 3), (..., n_rows, 3)."""
+    turned = rotation[..., None, :, :] @ cross_matrices(np.eye(3))  # R [e_k]x
+    result: FloatArray = np.swapaxes(turned.reshape(*turned.shape[:-2], 9) @ F.T, -1, -2)
+    return result

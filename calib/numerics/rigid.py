@@ -30,13 +30,15 @@ from numpy.typing import ArrayLike
 from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
+from calib.arrays import FloatArray
 from calib.errors import DataError
-from calib.model.mechanism import FloatArray
+from calib.units import millimetres
 
 OUTLIER_PROBABILITY = 0.01
 """How often a set of points without any outlier may be said to have one."""
 _COLLINEAR = 1e-6  # second extent of the points against the first
 _EXACT = 1e-13  # residuals below are rounding [m]
+_ROUNDING = 4 * float(np.finfo(float).eps)  # of a coordinate that was turned and moved, as part of the largest
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +96,7 @@ def rigid_fit(
 
     Reference: kabsch1976.
     """
-    p, q = checked_points(p_from, p_to, sigma, names)
+    p, q = _checked_points(p_from, p_to, sigma, names)
     rotation, translation = best_transform(p, q)
     residuals = q - (p @ rotation.T + translation)
     squares = float(np.sum(residuals**2))
@@ -119,10 +121,12 @@ def best_transform(p: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray
 def _outliers(p: FloatArray, q: FloatArray, sigma: float | None) -> tuple[int, ...]:
     """Remove the most surprising point while one is too surprising; see the module docstring."""
     kept, found = np.arange(len(p)), []
+    exact = max(_EXACT, _ROUNDING * float(max(np.max(np.abs(p)), np.max(np.abs(q)))))
     while len(kept) >= 3 and _extents(p[kept])[1] > _COLLINEAR * _extents(p[kept])[0]:
         rotation, translation = best_transform(p[kept], q[kept])
         residuals = q[kept] - (p[kept] @ rotation.T + translation)
-        surprise = _surprise(residuals, _slope(rotation, p[kept]), sigma, OUTLIER_PROBABILITY / len(p))
+        slope = _slope(rotation, p[kept] - p[kept].mean(axis=0))  # leverage is the same, and far from 0 it keeps digits
+        surprise = _surprise(residuals, slope, sigma, OUTLIER_PROBABILITY / len(p), exact)
         worst = int(np.argmax(surprise))
         if surprise[worst] <= 1:
             break
@@ -131,12 +135,14 @@ def _outliers(p: FloatArray, q: FloatArray, sigma: float | None) -> tuple[int, .
     return tuple(found)
 
 
-def _surprise(residuals: FloatArray, slope: FloatArray, sigma: float | None, probability: float) -> FloatArray:
+def _surprise(
+    residuals: FloatArray, slope: FloatArray, sigma: float | None, probability: float, exact: float
+) -> FloatArray:
     """The drop d_i over its largest value that chance explains, (n,); 0 where nothing is left to compare with."""
     information = np.linalg.inv(np.einsum("nij,nik->jk", slope, slope))
     total, freedom = float(np.sum(residuals**2)), residuals.size - 6
     surprise = np.zeros(len(residuals))
-    if total <= _EXACT**2 * residuals.size:
+    if total <= exact**2 * residuals.size:
         return surprise
     for k, (r, J) in enumerate(zip(residuals, slope, strict=True)):
         values, vectors = np.linalg.eigh(np.eye(3) - J @ information @ J.T)
@@ -144,14 +150,14 @@ def _surprise(residuals: FloatArray, slope: FloatArray, sigma: float | None, pro
         drop, count = float(np.sum((vectors.T @ r)[seen] ** 2 / values[seen])), int(seen.sum())
         left = freedom - count
         if count and sigma is not None:
-            surprise[k] = drop / max(sigma, _EXACT) ** 2 / chi2.isf(probability, count)
+            surprise[k] = drop / max(sigma, exact) ** 2 / chi2.isf(probability, count)
         elif count and left > 0:
-            rest = max(total - drop, _EXACT**2) / left
+            rest = max(total - drop, exact**2) / left
             surprise[k] = drop / count / rest / f_distribution.isf(probability, count, left)
     return surprise
 
 
-def checked_points(
+def _checked_points(
     p_from: ArrayLike, p_to: ArrayLike, sigma: float | None, names: Sequence[str] | None
 ) -> tuple[FloatArray, FloatArray]:
     """Return both sets of points as (n, 3) arrays, or raise; see `rigid_fit`."""
@@ -182,7 +188,7 @@ def _refuse_one_line(points: FloatArray, what: str, noise: float) -> None:
         raise DataError(f"{what} are all one point; use three points that are not on one line")
     if second <= max(_COLLINEAR * first, noise):
         raise DataError(
-            f"{what} lie on one line to {1e3 * second:.2g} mm, so the turn about it stays open;"
+            f"{what} lie on one line to {millimetres(second):.2g} mm, so the turn about it stays open;"
             " add a point beside the line"
         )
 

@@ -1,27 +1,33 @@
 """How sure the parameters are: covariance, intervals and the found noise of a least-squares fit with priors.
 
-Unknowns u = (p - p_nominal) / s with scales s (the parameters' sigma). Data rows J u ~ N(r, sigma^2), and for
-parameters that have a prior u ~ N(0, 1). With sigma_a the noise that weighed data against priors, and P = 1 for a
-prior, else 0:
+Unknowns u = (p - p_nominal) / s with scales s (the parameters' sigma). Whitened data rows J u ~ N(r, f^2), each with
+the noise that the fit assumed, f being by how much that was off (1 where it was found from the residuals, about 1 where
+it was stated well), and for parameters that have a prior u ~ N(0, 1). With P = 1 for a prior, else 0, and
+T T^T = (J^T J + P)^-1 (`calib.numerics.information`):
 
-    A = J^T J + sigma_a^2 P                             R^T R = A      (QR of the stacked rows, never of J^T J)
-    S = sigma_a^2 R^-T P R^-1                           the share that the priors have in each direction
-    effective parameters     n_eff = trace(I - S)       (the number of free ones, where no prior takes part)
-    degrees of freedom       rows - n_eff
-    found noise              sigma^2 = |r|^2 / (rows - n_eff)
-    covariance of u          C = R^-1 (sigma^2 (I - S) + sigma_a^2 S) R^-T
+    S = T^T P T                              the share that the priors have in each direction
+    effective parameters                     n_eff = trace(I - S)       (the number of free ones without any prior)
+    degrees of freedom                       rows - n_eff
+    found factor                             f^2 = |r|^2 / (rows - n_eff)
+    covariance of u                          C = T (f^2 (I - S) + S) T^T
 
-E |r|^2 = sigma^2 (rows - n_eff) holds when the deviations are as large as the priors say; then C is also the
-posterior covariance. Where sigma_a was stated and the found noise differs, C still says how far the estimate scatters.
-A robust loss changes what a residual tells: see `calib.identification.robust`, which gives sigma and its counterpart in
-C.
+E |r|^2 = f^2 (rows - n_eff) holds when the deviations are as large as the priors say; then C is also the posterior
+covariance. Where the noise was stated and the found one differs, C still says how far the estimate scatters. With
+several groups of rows (instruments, or position and orientation), each with its own factor f_g from its own rows,
 
-Intervals are value +- t std with Student's t at 97.5 % and the degrees of freedom above, because sigma is found from
-the same residuals. The part of a parameter that the data decide is 1 - C_kk (prior variance 1): near 1 the
+    f_g^2 = |r_g|^2 / (rows_g - trace(T^T J_g^T J_g T)),         C = T (sum of f_g^2 T^T J_g^T J_g T + S) T^T
+
+Where rows of a visit share errors, the covariance of the whitened rows is W = diag(o_g^2) + sum of tau_j^2 h_j h_j^T
+(`calib.linearisation.rows`), and in the place of the sum stands T^T J^T W J T.
+
+A robust loss changes what a residual tells: see `calib.identification.robust`, which gives f and its counterpart in C.
+
+Intervals are value +- t std with Student's t at 97.5 % and the degrees of freedom above, because the noise is found
+from the same residuals. The part of a parameter that the data decide is 1 - C_kk (prior variance 1): near 1 the
 measurements know the value, near 0 the prior holds it.
 
-When it fails. All of it is linear in the parameters at the solution, and counts noise that is independent from reading
-to reading. Errors that the model leaves out are not noise: `calib.identification.systematic` tests for them.
+When it fails. All of it is linear in the parameters at the solution, and counts noise that is independent from visit to
+visit. Errors that the model leaves out are not noise: `calib.identification.systematic` tests for them.
 
 Reference: jcgm100 (GUM), sections 4.2 and G.3; tarantola2005, section 3.2, for the resolution.
 """
@@ -32,61 +38,91 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.stats import chi2
 from scipy.stats import t as student_t
 
+from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.errors import NotIdentifiableError
-from calib.model.mechanism import BoolArray, FloatArray
-from calib.read_only import ReadOnlyArrays
+from calib.numerics.information import Information
+from calib.numerics.shared_error import SharedError
 
 DECIDED_BY_DATA = 0.9
 """Share of a parameter's expected variance that the data must remove for `identified`; up to 1 - this, `prior`."""
 Status = Literal["identified", "partly", "prior", "weak", "placed", "held"]
 """What a parameter's value rests on; see `status`."""
 _BY_PRIOR = 1.0 - DECIDED_BY_DATA
-EXACT = 1e-9
-"""Noise below this [m] is rounding: the data were computed, not measured."""
+_ENOUGH = 0.5  # degrees of freedom of a group below which its own rows say nothing about its noise
 
 
-@dataclass(frozen=True)
-class Noise:
-    """What the residuals say about the noise.
+@dataclass(frozen=True, eq=False)
+class Factors(ReadOnlyArrays):
+    """What the residuals say about the assumed noise.
 
     Attributes:
-        sigma: Standard deviation of one reading per axis [m].
-        freedom: Degrees of freedom that it was found with.
-        effective: Noise that gives the scatter of the parameters [m]; `sigma`, except with a robust loss.
+        found: f of each group of rows, (n_groups,).
+        freedom: Degrees of freedom of each group, (n_groups,).
+        effective: Noise that gives the scatter of the parameters, in place of f in C; `found`, except with a robust
+            loss, (n_groups,).
         slope: How much less the data weigh against priors than without a robust loss; 1 without one.
     """
 
-    sigma: float
-    freedom: float
-    effective: float
+    found: FloatArray
+    freedom: FloatArray
+    effective: FloatArray
     slope: float = 1.0
+
+    @property
+    def total_freedom(self) -> float:
+        """Degrees of freedom of all groups."""
+        return float(np.sum(self.freedom))
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseOfRows:
+    """What whitened rows scatter by, where visits share an error.
+
+    Attributes:
+        own: o_g of the module docstring, over what was assumed, (n_groups,).
+        shared: The errors shared by the rows of a visit.
+        group: Of each row, -1 for rows that were not read, (n_rows,).
+    """
+
+    own: FloatArray
+    shared: SharedError
+    group: IntArray
+
+    def core(self, pulled: FloatArray) -> FloatArray:
+        """Return B^T W B of rows B, (n_rows, k) -> (k, k)."""
+        read = self.group >= 0
+        scaled = np.where(read, self.own[np.where(read, self.group, 0)], 0.0)[:, None] * pulled
+        felt = self.shared.felt(pulled).reshape(-1, pulled.shape[1])
+        result: FloatArray = scaled.T @ scaled + felt.T @ felt
+        return result
 
 
 @dataclass(frozen=True, eq=False)
 class Statistics(ReadOnlyArrays):
-    """Statistics of a fit.
+    """Uncertainty of the free parameters.
 
     Attributes:
-        sigma: Found standard deviation of one reading per axis [m].
+        factors: What the residuals say about the assumed noise.
         freedom: Degrees of freedom, rows minus effective parameters.
         covariance: Of the free parameters, (n_free, n_free) [m, rad].
         std: Their standard deviations, (n_free,) [m, rad].
         half_width: Half the 95 % interval of each, (n_free,) [m, rad].
         data_share: Part of each that the data decide, 0 to 1, (n_free,).
         effective_parameters: How many parameters the data decide, n_eff of the module docstring.
+        root: T of the module docstring, (n_free, n_free).
     """
 
-    sigma: float
+    factors: Factors
     freedom: float
     covariance: FloatArray
     std: FloatArray
     half_width: FloatArray
     data_share: FloatArray
     effective_parameters: float
+    root: FloatArray
 
     @property
     def coverage_factor(self) -> float:
@@ -127,7 +163,7 @@ class ChiSquare:
     """The stated noise against the residuals.
 
     Attributes:
-        value: |r|^2 / sigma_stated^2.
+        value: |r|^2 of whitened residuals.
         freedom: What it is on average if the statement is right.
         p_larger, p_smaller: Chance of a value at least as large, or as small, if the statement is right.
     """
@@ -138,53 +174,57 @@ class ChiSquare:
     p_smaller: float
 
 
-def chi_square(sigma: float, freedom: float, sigma_stated: float) -> ChiSquare:
-    """Compare a found noise with a stated one [m]."""
-    value = freedom * (sigma / sigma_stated) ** 2
+def chi_square(factor: float, freedom: float) -> ChiSquare:
+    """Compare a found noise with the stated one, of which it is `factor`."""
+    value = freedom * factor**2
     return ChiSquare(value, freedom, float(chi2.sf(value, freedom)), float(chi2.cdf(value, freedom)))
 
 
-def prior_shares(scaled_jacobian: FloatArray, has_prior: BoolArray, sigma: float) -> tuple[FloatArray, FloatArray]:
-    """Return R^-1 and S of the module docstring, (n_free, n_free) each.
+def prior_shares(known: Information, has_prior: BoolArray) -> FloatArray:
+    """Return S of the module docstring, (rank, rank).
 
     Args:
-        scaled_jacobian: J, or any matrix with the same J^T J, such as its R factor, (n, n_free) [m].
+        known: What rows and priors determine.
         has_prior: Which parameters have a prior, (n_free,).
-        sigma: sigma_a [m].
     """
-    stacked = np.vstack([scaled_jacobian, sigma * np.eye(len(has_prior))[has_prior]])
-    inverse: FloatArray = solve_triangular(np.linalg.qr(stacked, mode="r"), np.eye(len(has_prior)))
-    held = inverse[has_prior]
-    return inverse, sigma**2 * held.T @ held
+    held = known.root[has_prior]
+    result: FloatArray = held.T @ held
+    return result
 
 
-def effective_parameters(scaled_jacobian: FloatArray, has_prior: BoolArray, sigma: float) -> float:
-    """Return n_eff of the module docstring.
+def effective_parameters(known: Information, has_prior: BoolArray) -> float:
+    """Return n_eff of the module docstring: how many parameters the rows decide, not the priors.
 
     Args:
-        scaled_jacobian: J, or any matrix with the same J^T J, such as its R factor, (n, n_free) [m].
+        known: What rows and priors determine.
         has_prior: Which parameters have a prior, (n_free,).
-        sigma: Assumed noise [m].
     """
-    if not np.any(has_prior):
-        return float(len(has_prior))
-    return float(len(has_prior) - np.trace(prior_shares(scaled_jacobian, has_prior, sigma)[1]))
+    return float(known.rank.rank - np.trace(prior_shares(known, has_prior)))
 
 
-def found_noise(residuals: FloatArray, n_effective: float) -> Noise:
-    """Return the noise of plain least squares.
+def found_factors(
+    residuals: FloatArray, jacobian: FloatArray, groups: IntArray, n_groups: int, known: Information
+) -> Factors:
+    """Return by how much the assumed noise of each group of rows is off.
 
     Args:
-        residuals: Data residuals with the noise of one reading, (n_rows,) [m].
-        n_effective: Effective parameters.
+        residuals: Whitened, (n_rows,).
+        jacobian: Whitened, of scaled parameters, (n_rows, n_free).
+        groups: Group of each row, (n_rows,); -1 for rows that were not read.
+        n_groups: Number of groups.
+        known: What these rows and the priors determine.
 
     Raises:
         NotIdentifiableError: No degrees of freedom are left.
     """
-    freedom = len(residuals) - n_effective
-    require_freedom(freedom, len(residuals))
-    sigma = float(np.sqrt(residuals @ residuals / freedom))
-    return Noise(sigma, freedom, sigma)
+    read = groups >= 0
+    pulled = np.sum((jacobian @ known.root) ** 2, axis=1)
+    squares = np.bincount(groups[read], residuals[read] ** 2, n_groups)
+    freedom: FloatArray = np.bincount(groups[read], 1.0 - pulled[read], n_groups).astype(float)
+    require_freedom(float(np.sum(freedom)), int(np.sum(read)))
+    total = float(np.sum(squares) / np.sum(freedom))
+    found = np.sqrt(np.where(freedom > _ENOUGH, squares / np.maximum(freedom, _ENOUGH), total))
+    return Factors(found, freedom, found)
 
 
 def require_freedom(freedom: float, n_rows: int) -> None:
@@ -197,25 +237,38 @@ def require_freedom(freedom: float, n_rows: int) -> None:
 
 
 def statistics(
-    scaled_jacobian: FloatArray, noise: Noise, scales: FloatArray, has_prior: BoolArray, sigma_assumed: float
+    jacobian: FloatArray,
+    groups: IntArray,
+    known: Information,
+    factors: Factors,
+    scales: FloatArray,
+    has_prior: BoolArray,
+    noise: NoiseOfRows | None = None,
 ) -> Statistics:
     """Return the statistics at the solution.
 
     Args:
-        scaled_jacobian: d(data rows)/du, rows weighted so that all have the noise of one reading, (n_rows, n_free) [m],
-            or any matrix with the same J^T J.
-        noise: What the residuals say.
+        jacobian: Whitened rows of scaled parameters, (n_rows, n_free).
+        groups: Group of each row, (n_rows,); -1 for rows that were not read.
+        known: What these rows (times the root of `factors.slope`) and the priors determine.
+        factors: What the residuals say about the noise.
         scales: s of the module docstring, (n_free,) [m, rad].
         has_prior: Which parameters have a prior, (n_free,).
-        sigma_assumed: Noise that weighed data against priors in the fit [m].
+        noise: What the rows scatter by, where visits share an error.
     """
-    sigma_prior = sigma_assumed / np.sqrt(noise.slope)
-    inverse, share = prior_shares(scaled_jacobian, has_prior, sigma_prior)
-    core = noise.effective**2 * (np.eye(len(share)) - share) + sigma_prior**2 * share
-    scaled_covariance = inverse @ core @ inverse.T
+    root = known.root
+    share = prior_shares(known, has_prior)
+    core = share.copy()  # with a robust loss J counts times the root of the slope in T, and in the scatter
+    if noise is not None:
+        core += noise.core(jacobian @ root)
+    for group, factor in enumerate(factors.effective if noise is None else ()):
+        pulled = jacobian[groups == group] @ root
+        core += (factors.slope * factor) ** 2 * (pulled.T @ pulled)
+    scaled_covariance = root @ core @ root.T
     covariance = scales[:, None] * scaled_covariance * scales
     std: FloatArray = np.sqrt(np.diag(covariance))
     decided = np.where(has_prior, np.clip(1.0 - np.diag(scaled_covariance), 0.0, 1.0), 1.0)
-    half_width = float(student_t.ppf(0.975, noise.freedom)) * std
-    n_effective = float(len(has_prior) - np.trace(share))
-    return Statistics(noise.sigma, noise.freedom, covariance, std, half_width, decided, n_effective)
+    freedom = factors.total_freedom
+    half_width = float(student_t.ppf(0.975, freedom)) * std
+    n_effective = float(len(share) - np.trace(share))
+    return Statistics(factors, freedom, covariance, std, half_width, decided, n_effective, root)

@@ -11,20 +11,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.data.measurements import Measurements, Poses
 from calib.errors import DataError
-from calib.linearisation.candidates import assemble_known
-from calib.linearisation.information import Information, information, measurement_sigma, prior_rows, require_free
-from calib.linearisation.jacobian import linearise
-from calib.model.mechanism import BoolArray, FloatArray
-from calib.model.parameters import Parameter, index_of
-from calib.model.robot import Robot
+from calib.linearisation.candidates import assumed_sigma, require_free, rows_of_measured, rows_of_poses
+from calib.linearisation.determination import Determination, determination
+from calib.linearisation.observed import observe
+from calib.linearisation.rows import Unknowns, Whitening
+from calib.model.robot import Configurations, Robot
 from calib.numerics.elimination import Elimination, eliminate
-from calib.numerics.identifiability import Rank, numerical_rank
+from calib.numerics.identifiability import Rank
+from calib.numerics.information import Information, information, prior_rows
 from calib.numerics.null_space import Group, null_groups
 from calib.numerics.observability import TaskIndex, observability_of, task_index
+from calib.parameter import Parameter, index_of
 from calib.pose_choice.pose_count import CountRow, accuracy_by_count
-from calib.read_only import ReadOnlyArrays
 from calib.threads import one_blas_thread
 
 CORRELATION_LIMIT = 0.95
@@ -43,9 +44,8 @@ class Assessment(ReadOnlyArrays):
         n_poses, n_rows: Poses, and measured coordinates.
         sigma: Noise of one reading per axis that was used [m].
         sigma_assumed: Whether nobody stated it.
-        rank_all: Rank of all parameters, from the poses alone.
-        rank_free: Rank of the free ones, from the poses alone.
-        known: What poses and priors determine of the free ones.
+        determination: Ranks of all and of the free parameters, from the poses alone and with priors.
+        known: How well poses and priors determine the free ones; in units of `determination.lengths`.
         groups: Parameters that move together unseen, of all parameters, from the poses alone.
         open_groups: The same of the free ones, priors included: what stays undetermined.
         elimination: Parameters to hold so that the poses determine the rest.
@@ -63,8 +63,7 @@ class Assessment(ReadOnlyArrays):
     n_rows: int
     sigma: float
     sigma_assumed: bool
-    rank_all: Rank
-    rank_free: Rank
+    determination: Determination
     known: Information
     groups: tuple[Group, ...]
     open_groups: tuple[Group, ...]
@@ -76,6 +75,16 @@ class Assessment(ReadOnlyArrays):
     position_errors: FloatArray
     by_count: tuple[CountRow, ...]
     near_singular: tuple[str, ...]
+
+    @property
+    def rank_all(self) -> Rank:
+        """Rank of all parameters, from the poses alone."""
+        return self.determination.everything
+
+    @property
+    def rank_free(self) -> Rank:
+        """Rank of the free parameters, from the poses alone."""
+        return self.determination.free
 
     @property
     def free_parameters(self) -> tuple[Parameter, ...]:
@@ -115,50 +124,74 @@ def assess(robot: Robot, poses: Poses, *, task: Poses | None = None, sigma: floa
     """
     require_free(robot)
     parameters, free = robot.parameters, robot.free
-    noise, assumed = measurement_sigma(robot, sigma)
+    noise, assumed = assumed_sigma(robot, sigma)
     configurations = robot.assemble(poses.joints, labels=poses.labels)
-    jacobian = linearise(robot, configurations).jacobian
-    _require_rows(robot, poses, jacobian.shape[1])
-    weight = np.sqrt(poses.counts if isinstance(poses, Measurements) else np.ones(len(poses)))
-    weighted = jacobian * weight[:, None, None, None]
-    everything = (weighted * np.array([p.sigma for p in parameters])).reshape(-1, len(parameters))
-    rows = everything[:, free].reshape(len(poses), -1, int(np.sum(free)))
-    priors = prior_rows(parameters, free, noise)
-    known = information(rows, priors)
-    rank_free = numerical_rank(everything[:, free])
-    elimination = eliminate(everything, _order(robot))
-    task_rows = rows / weight[:, None, None] if task is None else assemble_known(robot, task).rows
-    errors = known.position_errors(task_rows, noise)
+    everything = Unknowns.of(robot, np.ones(len(parameters), dtype=bool))
+    columns, rows, width = _columns(robot, poses, configurations, sigma, everything)
+    _require_rows(robot, poses, width)
+    found = determination(columns / everything.scales, parameters, free)
+    unknowns = Unknowns.of(robot)
+    lengths = found.lengths * everything.scales  # of the columns scaled by sigma: what rows and priors are divided by
+    priors = prior_rows(unknowns.has_prior) / lengths[free]
+    unit = columns[:, free] / lengths[free]
+    known = information(unit, priors)
+    elimination = eliminate(found.columns, _order(robot))
+    measured = rows_of_measured(robot, Poses(poses.joints, poses.labels, poses.names, poses.path, ()), sigma)
+    task_rows = (measured[2] if task is None else rows_of_measured(robot, task, sigma)[2]) / lengths[free]
+    errors = known.position_errors(task_rows)
     kept = [p for p, use in zip(parameters, free, strict=True) if use]
-    scaled, raw = observability_of(rows, kept)
+    scaled, raw = observability_of(noise * columns[:, free], kept, poses.n_poses)
     near = np.flatnonzero(robot.singular_values(configurations) < robot.description.singularity_limit)
     return Assessment(
         parameters=parameters,
         free=free,
-        n_poses=len(poses),
-        n_rows=everything.shape[0],
+        n_poses=poses.n_poses,
+        n_rows=len(columns),
         sigma=noise,
         sigma_assumed=assumed,
-        rank_all=numerical_rank(everything),
-        rank_free=rank_free,
+        determination=found,
         known=known,
-        groups=null_groups(everything, _spoken_for(robot, elimination)),
-        open_groups=null_groups(np.vstack([everything[:, free], priors])),
+        groups=null_groups(found.columns, _spoken_for(robot, elimination), lengths),
+        open_groups=null_groups(found.open_columns, lengths=lengths[free]),
         elimination=elimination,
         scaled=scaled,
         raw=raw,
-        std=known.standard_deviations(noise) * np.array([p.sigma for p in kept]),
+        std=known.standard_deviations() / found.lengths[free],
         accuracy=task_index(errors),
         position_errors=errors,
-        by_count=accuracy_by_count(rows, priors, task_rows, noise),
+        by_count=accuracy_by_count(rows[..., free] / lengths[free], priors, task_rows),
         near_singular=tuple(poses.labels[k] for k in near),
     )
 
 
-def _require_rows(robot: Robot, poses: Poses, n_targets: int) -> None:
+def _columns(
+    robot: Robot, poses: Poses, configurations: Configurations, sigma: float | None, everything: Unknowns
+) -> tuple[FloatArray, FloatArray, int]:
+    """Whitened rows of what is or could be read, those of each pose, and how many rows a visit gives."""
+    if not isinstance(poses, Measurements):
+        rows = rows_of_poses(robot, configurations, sigma, everything).rows
+        return rows.reshape(-1, len(everything)), rows, rows.shape[1]
+    whitening = Whitening(robot, poses, sigma)
+    observed = observe(robot, configurations, poses.readings)
+    found = whitening.rows(observed, whitening.start(), everything, everything.deviations(robot.values))
+    layout = whitening.layout
+    flat = found.jacobian[layout.group >= 0]
+    return flat, _by_pose(found.jacobian, layout.pose[layout.reading]), -(-len(flat) // len(poses))
+
+
+def _by_pose(rows: FloatArray, pose: IntArray) -> FloatArray:
+    """Rows pose by pose, filled up with zeros, (n_poses, most rows, n_parameters)."""
+    order = np.argsort(pose, kind="stable")
+    _, block, counts = np.unique(pose[order], return_inverse=True, return_counts=True)
+    place = np.arange(len(pose)) - np.repeat(np.cumsum(counts) - counts, counts)
+    packed = np.zeros((len(counts), int(counts.max()), rows.shape[1]))
+    packed[block, place] = rows[order]
+    return packed
+
+
+def _require_rows(robot: Robot, poses: Poses, per_pose: int) -> None:
     """Raise where the poses cannot determine the free parameters, whatever they are."""
     needed = sum(use and not p.prior for p, use in zip(robot.parameters, robot.free, strict=True))
-    per_pose = 3 * n_targets
     if per_pose * len(poses) < needed:
         raise DataError(
             f"{poses.path}: {len(poses)} poses give {per_pose * len(poses)} coordinates for {needed} free parameters"

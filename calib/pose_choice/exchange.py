@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.errors import NotIdentifiableError
-from calib.model.mechanism import BoolArray, FloatArray, IntArray
 from calib.pose_choice.selection_problem import TASK, Problem
 from calib.pose_choice.selection_scores import Scores, scores
 

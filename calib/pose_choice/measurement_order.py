@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.model.mechanism import FloatArray, IntArray
+from calib.arrays import FloatArray, IntArray
 
 _SHORTER = 1e-12
 _LONGEST_PIECE = 3

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.linearisation.information import information
-from calib.model.mechanism import FloatArray
+from calib.arrays import FloatArray
+from calib.numerics.information import information
 from calib.numerics.observability import TaskIndex, task_index
 from calib.pose_choice.exchange import Spacing, exchange, uniform_start
 from calib.pose_choice.selection_problem import TASK, build_problem
@@ -21,6 +21,7 @@ from calib.pose_choice.selection_problem import TASK, build_problem
 _COUNTS = 8  # numbers of poses up to all of them
 _MOST_CHOSEN, _MOST_CANDIDATES = 400, 2000  # for more, the search for the best poses would take long
 _BEYOND = (2, 4)  # how many times all poses
+_NOTHING_NEW = 1e-3  # part of a pose's strongest direction; repeats that hardly differ add no more than this
 
 
 @dataclass(frozen=True)
@@ -40,38 +41,44 @@ class CountRow:
 
 
 def accuracy_by_count(
-    rows: FloatArray, known: FloatArray, task_rows: FloatArray, sigma: float, counts: tuple[int, ...] | None = None
+    rows: FloatArray, known: FloatArray, task_rows: FloatArray, counts: tuple[int, ...] | None = None
 ) -> tuple[CountRow, ...]:
     """Predict the accuracy for several numbers of poses.
 
     Args:
-        rows: Scaled Jacobian of each pose, (n_poses, 3 n_targets, n_parameters) [m].
-        known: Prior rows, (n_priors, n_parameters) [m].
-        task_rows: Scaled Jacobian at the poses whose accuracy counts, (n_task, 3 n_targets, n_parameters) [m].
-        sigma: Noise of one reading per axis [m].
+        rows: Whitened rows of each pose, (n_poses, n_rows_per_pose, n_parameters).
+        known: Prior rows, (n_priors, n_parameters).
+        task_rows: Scaled derivative of positions at the poses whose accuracy counts, (n_task, 3 n_targets,
+            n_parameters) [m].
         counts: Numbers of poses up to those there are; chosen here if not given.
     """
     n = len(rows)
     candidates = uniform_start(np.arange(n), min(n, _MOST_CANDIDATES))
     problem = build_problem(rows[candidates], None, known, 0, task_rows)
     rank_left = problem.known.rank.rank - int(np.linalg.matrix_rank(problem.before, hermitian=True))
-    least = max(1, -(-rank_left // rows.shape[1]))
+    least = max(1, -(-rank_left // _directions_of_a_pose(rows[candidates])))
     if counts is None:
         counts = tuple(int(m) for m in np.unique(np.round(np.geomspace(min(least + 1, n), n, _COUNTS))))
     space = Spacing(np.zeros((len(candidates), 3)), 0.0, np.ones(len(candidates), dtype=bool))
     table = []
     for count in counts:
-        uniform = _accuracy(rows[uniform_start(np.arange(n), count)], known, task_rows, sigma, 1.0)
+        uniform = _accuracy(rows[uniform_start(np.arange(n), count)], known, task_rows, 1.0)
         chosen = uniform if count == n else None
         if count < n and count <= _MOST_CHOSEN:
             start = uniform_start(np.arange(len(candidates)), count)
             best = candidates[exchange(problem, TASK, start, space).chosen]
-            chosen = _accuracy(rows[best], known, task_rows, sigma, 1.0)
+            chosen = _accuracy(rows[best], known, task_rows, 1.0)
         table.append(CountRow(count, uniform, chosen))
     for times in _BEYOND:
-        table.append(CountRow(times * n, None, _accuracy(rows, known, task_rows, sigma, float(times))))
+        table.append(CountRow(times * n, None, _accuracy(rows, known, task_rows, float(times))))
     return tuple(table)
 
 
-def _accuracy(rows: FloatArray, known: FloatArray, task_rows: FloatArray, sigma: float, times: float) -> TaskIndex:
-    return task_index(information(np.sqrt(times) * rows, known).position_errors(task_rows, sigma))
+def _directions_of_a_pose(rows: FloatArray) -> int:
+    """How many directions a pose determines at most; its rows, (n, n_rows, n_parameters), may repeat each other."""
+    strengths = np.linalg.svd(rows, compute_uv=False)
+    return max(1, int(np.max(np.sum(strengths > _NOTHING_NEW * strengths[:, :1], axis=1))))
+
+
+def _accuracy(rows: FloatArray, known: FloatArray, task_rows: FloatArray, times: float) -> TaskIndex:
+    return task_index(information(np.sqrt(times) * rows, known).position_errors(task_rows))

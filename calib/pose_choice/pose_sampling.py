@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.data.measurements import Poses
 from calib.errors import DataError
-from calib.model.robot import Configurations, Robot
+from calib.model.robot import Robot
 
 _DRAWN_IN = 2.0 / 3.0
 _SMALLEST_BOX = 0.01  # of the joint limits
@@ -36,7 +36,7 @@ def sample_poses(robot: Robot, count: int, rng: np.random.Generator) -> Poses:
         q = rng.uniform(low, high, (_TRIES * count, len(low)))
         closed = robot.close(q)
         good = np.flatnonzero(closed.ok)
-        distance = robot.singular_values(Configurations(q[good], closed.passive[good], closed.slope[good]))
+        distance = robot.singular_values(robot.configurations(q[good], closed.at(good)))
         found = np.vstack([found, q[good[distance >= robot.description.singularity_limit]]])[:count]
         size *= _DRAWN_IN
     if len(found) < count:

@@ -15,12 +15,11 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.model.mechanism import BoolArray, FloatArray
-from calib.pose_choice.selection_problem import Problem
+from calib.arrays import BoolArray, FloatArray
+from calib.pose_choice.selection_problem import Problem, Sparing
 
 _REFRESH = 32  # moves after which the determinant's small matrices are computed anew, against rounding
 _UPDATED = 1e-6  # least det(I - G) for an update; where a direction nearly goes it would lose its digits
-_LOST = 1e-10  # part of a direction's information that counts as none
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +74,11 @@ class Determinant:
 
     def spares(self, candidate: int) -> bool:
         """Return whether a chosen candidate can go; see `calib.pose_choice.selection_scores.Scores`."""
-        # all eigenvalues of I - G are at most 1, so the smallest is no less than their product
-        return bool(_determinants(self.seen[:, :, candidate : candidate + 1], -1.0)[0] > _LOST)
+        return bool(self._sparing.spares(self.problem.rows[[candidate]])[0])
+
+    @cached_property
+    def _sparing(self) -> Sparing:
+        return Sparing.of(self.gathered)
 
 
 def _products(rows: FloatArray, matrix: FloatArray) -> FloatArray:
@@ -129,7 +131,7 @@ class Task:
         where = np.flatnonzero(allowed)
         small = np.eye(seen.shape[1]) + (1.0 if add else -1.0) * seen[where]
         if not add:
-            solvable = np.linalg.eigvalsh(small)[:, 0] > _LOST
+            solvable = self._sparing.spares(self.problem.rows[where])
             where, small = (
                 (where[solvable], small[solvable]) if np.any(solvable) else (where[:1], np.eye(seen.shape[1])[None])
             )
@@ -143,5 +145,8 @@ class Task:
 
     def spares(self, candidate: int) -> bool:
         """Return whether a chosen candidate can go; see `calib.pose_choice.selection_scores.Scores`."""
-        seen = self._through[0][candidate]
-        return bool(np.linalg.eigvalsh(np.eye(len(seen)) - seen)[0] > _LOST)
+        return bool(self._sparing.spares(self.problem.rows[[candidate]])[0])
+
+    @cached_property
+    def _sparing(self) -> Sparing:
+        return Sparing.of(self.gathered)

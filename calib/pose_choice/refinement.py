@@ -22,16 +22,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.linearisation.information import scaled_rows
-from calib.linearisation.jacobian import linearise
+from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.linearisation.candidates import rows_of_poses
 from calib.model.closure import residual
-from calib.model.mechanism import BoolArray, FloatArray
-from calib.model.newton import TOLERANCE
-from calib.model.robot import Configurations, Robot
+from calib.model.newton import closing_tolerance
+from calib.model.robot import Robot
 from calib.pose_choice.region import Region
 from calib.pose_choice.selection_problem import Problem
 from calib.pose_choice.selection_scores import Scores, scores_of
-from calib.read_only import ReadOnlyArrays
 
 _FIRST_STEP = 0.1  # of a joint's range
 _LARGEST_STEP = 0.25
@@ -61,7 +59,13 @@ class Refined(ReadOnlyArrays):
 
 
 def refine(
-    robot: Robot, problem: Problem, index: str, joints: FloatArray, region: Region, rng: np.random.Generator
+    robot: Robot,
+    problem: Problem,
+    index: str,
+    joints: FloatArray,
+    region: Region,
+    rng: np.random.Generator,
+    sigma: float | None = None,
 ) -> Refined:
     """Move poses until no trial pose raises the index.
 
@@ -72,9 +76,10 @@ def refine(
         joints: Poses to start from, (n_poses, n_actuated) [m or rad].
         region: Where they may go.
         rng: Source of the random directions.
+        sigma: Noise of positions per axis in place of what is stated [m], or None.
     """
     q, width = joints.copy(), region.upper - region.lower
-    _, positions, rows, passive = _evaluate(robot, problem, q, region, None)
+    _, positions, rows, passive = _evaluate(robot, problem, q, region, None, sigma)
     step, last = np.full(len(q), _FIRST_STEP), np.zeros_like(q)
     rounds = 0
     while rounds < _MAX_ROUNDS and np.any(step > _SMALLEST_STEP):
@@ -83,7 +88,7 @@ def refine(
         trials = np.stack([_trials(q[k], last[k], step[k], width, rng) for k in active])
         trials = np.clip(trials, region.lower, region.upper)
         seeds = np.repeat(passive[active], trials.shape[1], axis=0)
-        flat = _evaluate(robot, problem, trials.reshape(-1, q.shape[1]), region, seeds)
+        flat = _evaluate(robot, problem, trials.reshape(-1, q.shape[1]), region, seeds, sigma)
         inside, where, seen, closed = (part.reshape(*trials.shape[:2], *part.shape[1:]) for part in flat)
         gathered = problem.before + np.einsum("nki,nkj->ij", rows, rows)
         for a, k in enumerate(active):
@@ -116,7 +121,7 @@ def _trials(q: FloatArray, last: FloatArray, step: float, width: FloatArray, rng
 
 
 def _evaluate(
-    robot: Robot, problem: Problem, q: FloatArray, region: Region, seed: FloatArray | None
+    robot: Robot, problem: Problem, q: FloatArray, region: Region, seed: FloatArray | None, sigma: float | None
 ) -> tuple[BoolArray, FloatArray, FloatArray, FloatArray]:
     """Assemble poses.
 
@@ -124,7 +129,8 @@ def _evaluate(
         Which lie in the region, (n,), points (n, 3 n_targets) [m], whitened rows (n, k, r), passive joints; NaN: open.
     """
     n, k, r = len(q), *problem.rows.shape[1:]
-    allowed, points, rows = np.zeros(n, dtype=bool), np.full((n, k), np.nan), np.full((n, k, r), np.nan)
+    allowed, rows = np.zeros(n, dtype=bool), np.full((n, k, r), np.nan)
+    points = np.full((n, 3 * len(robot.target_names)), np.nan)
     passive = np.full((n, len(robot.passive_names)), np.nan)
     near = np.arange(n)
     if seed is not None:
@@ -134,13 +140,13 @@ def _evaluate(
     closed = robot.close(q[near], seed)
     good = near[closed.ok]
     passive[good] = closed.passive[closed.ok]
-    configurations = Configurations(q[good], passive[good], closed.slope[closed.ok])
+    configurations = robot.configurations(q[good], closed.at(np.flatnonzero(closed.ok)))
     far = robot.singular_values(configurations) >= robot.description.singularity_limit
-    linear = linearise(robot, configurations)
-    points[good] = linear.positions.reshape(len(good), -1)
+    found = rows_of_poses(robot, configurations, sigma)
+    points[good] = found.positions.reshape(len(good), -1)
     allowed[good] = far & region.holds(q[good], points[good])
     whiten = problem.known.directions / problem.known.strengths
-    rows[good] = scaled_rows(linear.jacobian, robot.parameters, robot.free) @ whiten
+    rows[good] = found.rows @ whiten
     return allowed, points, rows, passive
 
 
@@ -152,10 +158,10 @@ def _followed(robot: Robot, q: FloatArray, seed: FloatArray) -> FloatArray:
     mechanism, passive = robot.mechanism, seed.copy()
     if not mechanism.loops:
         return passive
-    active = np.arange(len(q))
+    active, tolerance = np.arange(len(q)), closing_tolerance(mechanism)
     for _ in range(_NEWTON_STEPS):
         values, slope, _ = residual(mechanism, q[active], passive[active])
-        active, values, slope = (part[np.max(np.abs(values), axis=1) > TOLERANCE] for part in (active, values, slope))
+        active, values, slope = (part[np.max(np.abs(values), axis=1) > tolerance] for part in (active, values, slope))
         if len(active) == 0:
             break
         try:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from calib.model.mechanism import BoolArray, FloatArray
+from calib.arrays import BoolArray, FloatArray
 from calib.model.robot import Robot
 
 _SPACING = 95  # percentile of the candidates' distances to their nearest neighbours: a few lie apart

@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from calib.arrays import FloatArray, IntArray
 from calib.data.measurements import Poses
 from calib.errors import InputError
-from calib.model.mechanism import FloatArray, IntArray
 from calib.model.robot import Robot
 from calib.numerics.observability import observability_of
 from calib.pose_choice.exchange import Exchange, exchange, swap, uniform_start
@@ -37,6 +37,7 @@ from calib.pose_choice.selection_result import Run, Selection
 from calib.pose_choice.selection_scores import index_of_score, index_values, values_of_rows
 from calib.pose_choice.selection_setting import Setting, Wanted, prepare
 from calib.threads import one_blas_thread
+from calib.units import millimetres
 
 __all__ = ["Run", "Selection", "select"]
 
@@ -158,8 +159,8 @@ def _run(setting: Setting, start: IntArray, kind: str) -> tuple[Exchange, Run]:
     start = setting.space.spread(start, wanted.count)
     if len(start) < wanted.count:
         raise InputError(
-            f"only {len(start)} candidates were found that keep {1e3 * wanted.minimum_distance:g} mm from each other,"
-            f" for {wanted.count} wanted; choose a smaller distance or count"
+            f"only {len(start)} candidates were found that keep {millimetres(wanted.minimum_distance):g} mm from each"
+            f" other, for {wanted.count} wanted; choose a smaller distance or count"
         )
     paper = exchange(setting.problem, wanted.index, start, setting.space)
     result = swap(paper, setting.space)
@@ -188,11 +189,15 @@ def _poses(setting: Setting, best: Exchange, on_grid: dict[str, float], rng: np.
     """The chosen candidates, moved off the grid if that is wanted."""
     chosen, found, usable = np.flatnonzero(best.chosen), setting.found, setting.space.usable
     if not setting.wanted.off_grid:
-        joints, positions, rows = (part[chosen] for part in (found.joints, found.positions, setting.problem.rows))
+        joints, positions, rows = (part[chosen] for part in (found.joints, found.found.positions, setting.problem.rows))
         return _Poses(chosen, joints, positions, rows, on_grid, setting.wanted.minimum_distance)
     distance = setting.wanted.minimum_distance or _smallest_gap(setting.space.points[usable])
-    region = region_of(setting.robot, found.joints[usable], found.positions[usable], distance, setting.measured_points)
-    moved = refine(setting.robot, setting.problem, setting.wanted.index, found.joints[chosen], region, rng)
+    region = region_of(
+        setting.robot, found.joints[usable], found.found.positions[usable], distance, setting.measured_points
+    )
+    moved = refine(
+        setting.robot, setting.problem, setting.wanted.index, found.joints[chosen], region, rng, setting.sigma_given
+    )
     values = values_of_rows(setting.problem, moved.rows, setting.sigma)
     return _Poses(chosen, moved.joints, moved.positions, moved.rows, values, distance)
 
@@ -200,8 +205,9 @@ def _poses(setting: Setting, best: Exchange, on_grid: dict[str, float], rng: np.
 def _raw(setting: Setting, rows: FloatArray) -> dict[str, float]:
     """O1 to O5 of whitened rows, (n_poses, 3 n_targets, r), on raw columns."""
     known, robot = setting.problem.known, setting.robot
-    scaled = (rows * known.strengths) @ known.directions.T
-    return observability_of(scaled, [p for p, free in zip(robot.parameters, robot.free, strict=True) if free])[1]
+    scaled = setting.sigma * (rows * known.strengths) @ known.directions.T
+    kept = [p for p, free in zip(robot.parameters, robot.free, strict=True) if free]
+    return observability_of(scaled, kept, len(rows))[1]
 
 
 def _measured_only(setting: Setting) -> dict[str, float] | None:

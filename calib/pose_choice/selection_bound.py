@@ -31,9 +31,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.model.mechanism import BoolArray, FloatArray, IntArray
+from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.pose_choice.selection_problem import TASK, Problem
-from calib.read_only import ReadOnlyArrays
 
 CERTIFIED = ("O1", TASK)
 """Indices for which a bound is computed."""

@@ -20,10 +20,15 @@ direction keeps. All indices are functions of K:
 
     log det of the information      log det K + constant
     singular values of the rows     square roots of the eigenvalues of S K S
-    task index                      sigma sqrt(trace(W K^-1) + c),     W = mean over task poses of their B^T B
+    task index                      sqrt(trace(W K^-1) + c) [m],       W = mean over task poses of their B^T B
 
 with B = J (V - N P_NN^+ P_NV) S^-1 for a task pose with rows J, and c = mean of |J N P_NN^(+1/2)|^2, the part that
 only priors hold. Without priors the index values are the published ones. A choice may use each candidate once.
+
+Without a pose j of a choice, direction v keeps the part v^T (K - B_j^T B_j) v / v^T K v of its information. The least
+part that any direction keeps is the smallest eigenvalue of I - B_j K^-1 B_j^T (`Sparing`). The eigenvalues of
+K - B_j^T B_j do not tell: the difference of two rounded matrices is wrong by eps |K| in every direction, so a lost one
+shows as plus or minus that much, whichever way a processor sums.
 """
 
 from __future__ import annotations
@@ -32,9 +37,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.linearisation.information import OUTSIDE, Information, information
-from calib.model.mechanism import BoolArray, FloatArray
+from calib.arrays import BoolArray, FloatArray
 from calib.numerics.identifiability import Rank, reduced
+from calib.numerics.information import OUTSIDE, Information, information
 
 TASK = "task"
 """Name of the task index where an index is chosen."""
@@ -144,3 +149,48 @@ def _task(
     if np.linalg.norm(unheld) > OUTSIDE * np.linalg.norm(flat):
         return factor, float("inf")
     return factor, float(np.sum(held_part**2)) / n_positions
+
+
+@dataclass(frozen=True, eq=False)
+class Sparing:
+    """Judges which poses a choice can do without; see the module docstring.
+
+    Attributes:
+        whiten: X with X^T K X = I, (r, r).
+        least: Part of its information that every direction must keep.
+    """
+
+    whiten: FloatArray
+    least: float
+
+    @classmethod
+    def of(cls, gathered: FloatArray) -> Sparing:
+        """Return the judge of a choice.
+
+        With the diagonal of K scaled to ones, B K^-1 B^T is exact to about r eps times its condition number; less than
+        that cannot be told from nothing. Where it is singular nothing can be told, and no pose is spared.
+
+        Args:
+            gathered: K of the choice, (r, r).
+        """
+        diagonal = np.diag(gathered)
+        scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, np.inf))
+        values, vectors = np.linalg.eigh(scale[:, None] * gathered * scale)
+        rounding = len(values) * float(np.finfo(float).eps) * float(values[-1])
+        if not values[0] > rounding:
+            return cls(np.zeros_like(gathered), 1.0)
+        return cls(scale[:, None] * vectors / np.sqrt(values), max(DETERMINED, rounding / float(values[0])))
+
+    def spares(self, rows: FloatArray) -> BoolArray:
+        """Return which poses of the choice can go.
+
+        Args:
+            rows: B of each, (n, 3 n_targets, r).
+
+        Returns:
+            (n,).
+        """
+        seen = rows @ self.whiten
+        left = np.eye(rows.shape[1]) - seen @ seen.transpose(0, 2, 1)
+        result: BoolArray = np.linalg.eigvalsh(left)[:, 0] > self.least
+        return result

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from calib.model.mechanism import FloatArray, IntArray
+from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.numerics.identifiability import Rank
-from calib.read_only import ReadOnlyArrays
 
 
 @dataclass(frozen=True, eq=False)

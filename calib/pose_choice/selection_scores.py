@@ -11,11 +11,11 @@ from typing import Protocol
 
 import numpy as np
 
+from calib.arrays import BoolArray, FloatArray
 from calib.errors import InputError, nearest
-from calib.model.mechanism import BoolArray, FloatArray
 from calib.numerics.observability import observability
 from calib.pose_choice.rank_three_scores import Determinant, Task
-from calib.pose_choice.selection_problem import TASK, Problem
+from calib.pose_choice.selection_problem import DETERMINED, TASK, Problem
 from calib.pose_choice.spectral_scores import Spectrum
 
 CHOICES = ("O1", "O2", "O3", "O4", "O5", TASK)
@@ -73,31 +73,36 @@ def scores_of(problem: Problem, index: str, gathered: FloatArray) -> Scores:
     return Spectrum(problem, problem.strengths[:, None] * gathered * problem.strengths, index)
 
 
-def index_values(problem: Problem, chosen: BoolArray, sigma: float) -> dict[str, float]:
+def index_values(problem: Problem, chosen: BoolArray, unit: float) -> dict[str, float]:
     """Return O1 to O5 and, where a task is given, the task index [m] of a choice.
 
     Args:
         problem: The candidates.
         chosen: Which candidates are in the choice, (n_candidates,).
-        sigma: Noise of one reading per axis [m], for the task index.
+        unit: What a row with noise 1 stands for, such as the noise of a position [m].
     """
-    return values_of_rows(problem, problem.rows[chosen], sigma)
+    return values_of_rows(problem, problem.rows[chosen], unit)
 
 
-def values_of_rows(problem: Problem, rows: FloatArray, sigma: float) -> dict[str, float]:
-    """Return the indices of whitened rows, (n_poses, 3 n_targets, r), with what is known before."""
-    gathered = np.einsum("nki,nkj->ij", rows, rows) + problem.before
-    eigenvalues = np.linalg.eigvalsh(problem.strengths[:, None] * gathered * problem.strengths)[::-1]
-    # eigenvalues of the product matrix carry half the digits: below this they are rounding
-    singular = np.sqrt(np.where(eigenvalues > 1e-15 * eigenvalues[0], eigenvalues, 0.0))
-    values = observability(singular, len(rows) + problem.n_before)
+def values_of_rows(problem: Problem, rows: FloatArray, unit: float) -> dict[str, float]:
+    """Return the indices of whitened rows, (n_poses, n_rows_per_pose, r), with what is known before."""
+    flat = rows.reshape(-1, rows.shape[2])
+    gathered = flat.T @ flat + problem.before
+    eigenvalues, vectors = np.linalg.eigh(gathered)
+    determined = bool(eigenvalues[0] > DETERMINED)
+    # of a factor, not of S K S: products carry half the digits, and strengths may differ by more than that
+    factor = np.sqrt(np.maximum(eigenvalues, 0.0))[:, None] * vectors.T
+    singular = np.linalg.svd(factor * problem.strengths, compute_uv=False)
+    if not determined:
+        singular[-1] = 0.0
+    values = observability(unit * singular, len(rows) + problem.n_before)
     if problem.task.shape[1]:
-        trace = problem.task_trace(gathered) if singular[-1] > 0 else float("inf")
-        values[TASK] = sigma * float(np.sqrt(trace + problem.task_floor))
+        trace = problem.task_trace(gathered) if determined else float("inf")
+        values[TASK] = float(np.sqrt(trace + problem.task_floor))
     return values
 
 
-def index_of_score(problem: Problem, index: str, score: float, count: int, sigma: float) -> float:
+def index_of_score(problem: Problem, index: str, score: float, count: int, unit: float) -> float:
     """Return the index that a score of `count` chosen poses stands for; the task index in m.
 
     Args:
@@ -105,9 +110,11 @@ def index_of_score(problem: Problem, index: str, score: float, count: int, sigma
         index: One of `CHOICES`.
         score: `Scores.value`.
         count: Number of chosen poses.
-        sigma: Noise of one reading per axis [m].
+        unit: What a row with noise 1 stands for, such as the noise of a position [m].
     """
     if index == "O1":
         mean_log = 0.5 * score / len(problem.strengths) + float(np.mean(np.log(problem.strengths)))
-        return float(np.exp(mean_log) / np.sqrt(count + problem.n_before))
-    return sigma * float(np.sqrt(problem.task_floor - score)) if index == TASK else score
+        return unit * float(np.exp(mean_log) / np.sqrt(count + problem.n_before))
+    if index == TASK:
+        return float(np.sqrt(problem.task_floor - score))
+    return score if index == "O2" else unit * score

@@ -12,13 +12,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from calib.arrays import BoolArray, FloatArray
 from calib.data.arrays import as_poses
 from calib.data.measurements import Poses
 from calib.errors import InputError, NotIdentifiableError, nearest
-from calib.linearisation.candidates import Candidates, assemble_known, build_candidates, near_measured
-from calib.linearisation.information import measurement_sigma, prior_rows, require_free
-from calib.model.mechanism import BoolArray, FloatArray
+from calib.linearisation.candidates import (
+    Candidates,
+    assumed_sigma,
+    build_candidates,
+    near_measured,
+    require_free,
+    rows_of_measured,
+)
+from calib.linearisation.rows import Unknowns
 from calib.model.robot import Robot
+from calib.numerics.information import prior_rows
 from calib.pose_choice.exchange import Spacing
 from calib.pose_choice.selection_problem import TASK, Problem, build_problem
 from calib.pose_choice.selection_scores import CHOICES
@@ -52,9 +60,10 @@ class Setting:
         problem: The same in whitened coordinates.
         space: Which candidates may be chosen.
         measured_points: Points of the poses already measured, (n, 3 n_targets) [m].
-        sigma: Noise of one reading per axis [m].
-        sigma_assumed: Whether nobody stated it.
+        sigma: Noise of one measured position per axis, which is the unit of indices [m].
+        sigma_assumed: Whether some noise is only assumed.
         already_measured: How many candidates are measured already.
+        sigma_given: Noise of positions that replaces what the description states [m], or None.
     """
 
     robot: Robot
@@ -66,6 +75,7 @@ class Setting:
     sigma: float
     sigma_assumed: bool
     already_measured: int
+    sigma_given: float | None
 
 
 def prepare(
@@ -100,28 +110,31 @@ def prepare(
         raise InputError(f"index '{wanted.index}'{nearest(wanted.index, CHOICES)}")
     require_free(robot)
     poses = as_poses(robot, candidates)
-    noise, assumed = measurement_sigma(robot, sigma)
+    noise, assumed = assumed_sigma(robot, sigma)
     if not (np.isfinite(wanted.minimum_distance) and wanted.minimum_distance >= 0):
         raise InputError(f"minimum distance {wanted.minimum_distance:g} m: must be zero or positive")
-    found = build_candidates(robot, poses, skip_unreachable=skip_unreachable)
+    candidates_found = build_candidates(robot, poses, sigma, skip_unreachable=skip_unreachable)
+    found = candidates_found.found
     done_rows, n_before, points, again = None, 0, points_of(found.positions[:0]), 0
-    usable = found.usable & ~_excluded(exclude, len(poses))
+    usable = candidates_found.usable & ~_excluded(exclude, len(poses))
     if measured is not None:
-        done = assemble_known(robot, as_poses(robot, measured))
-        done_rows, n_before, points = done.weighted(), len(done.joints), points_of(done.positions)
-        same = near_measured(found.joints, done.joints)
+        done = as_poses(robot, measured)
+        done_rows, positions, _ = rows_of_measured(robot, done, sigma)
+        n_before, points = done.n_poses, points_of(positions)
+        same = near_measured(poses.joints, done.joints)
         again = int(np.sum(same))
         usable &= ~same
     candidate_points = points_of(found.positions)
     if wanted.minimum_distance > 0 and len(points):
         usable[usable] = cKDTree(points).query(candidate_points[usable])[0] >= wanted.minimum_distance
     _require_count(wanted.count, usable, len(poses))
-    task_rows = found.rows[found.usable] if task is None else assemble_known(robot, as_poses(robot, task)).rows
-    priors = prior_rows(robot.parameters, robot.free, noise)
-    problem = build_problem(found.rows, done_rows, priors, n_before, task_rows)
+    task_rows = found.position_rows[candidates_found.usable]
+    if task is not None:
+        task_rows = rows_of_measured(robot, as_poses(robot, task), sigma)[2]
+    problem = build_problem(found.rows, done_rows, prior_rows(Unknowns.of(robot).has_prior), n_before, task_rows)
     _require_answer(problem, wanted)
     space = Spacing(candidate_points, wanted.minimum_distance, usable)
-    return Setting(robot, wanted, found, problem, space, points, noise, assumed, again)
+    return Setting(robot, wanted, candidates_found, problem, space, points, noise, assumed, again, sigma)
 
 
 def points_of(positions: FloatArray) -> FloatArray:

@@ -16,12 +16,11 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.model.mechanism import BoolArray, FloatArray
-from calib.pose_choice.selection_problem import Problem
+from calib.arrays import BoolArray, FloatArray
+from calib.pose_choice.selection_problem import Problem, Sparing
 
 _PINCHED = 4  # smallest eigenvectors that are kept as a block
 _BATCH = 16  # candidates whose eigenvalues are computed together
-_LOST = 1e-20  # part of the largest eigenvalue that counts as none
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +68,11 @@ class Spectrum:
 
     def spares(self, candidate: int) -> bool:
         """Return whether a chosen candidate can go; see `calib.pose_choice.selection_scores.Scores`."""
-        eigenvalues = np.linalg.eigvalsh(self.moved(candidate, add=False).matrix)
-        return bool(eigenvalues[0] > _LOST * eigenvalues[-1])
+        return bool(self._sparing.spares(self.problem.rows[[candidate]] * self.problem.strengths)[0])
+
+    @cached_property
+    def _sparing(self) -> Sparing:
+        return Sparing.of(self.matrix)
 
 
 def _pinched(eigenvalues: FloatArray, turned: FloatArray, sign: float) -> FloatArray:

@@ -11,8 +11,8 @@ from calib.numerics.null_space import describe_group, natural_coefficients
 from calib.numerics.observability import INDICES, TaskIndex
 from calib.pose_choice.assessment import CORRELATION_LIMIT, HARDLY, Assessment
 from calib.reporting.plain_text import plain_text
-from calib.units import PER_SI
-from calib.words import counted
+from calib.units import PER_SI, millimetres
+from calib.words import counted, sentence
 
 _SHOWN = 12
 _SINGLE = 5  # parameters without effect that get a line of their own
@@ -38,11 +38,11 @@ def to_dict(assessment: Assessment) -> dict[str, object]:
     return {
         "n_poses": a.n_poses,
         "n_rows": a.n_rows,
-        "sigma_mm": 1e3 * a.sigma,
+        "sigma_mm": millimetres(a.sigma),
         "sigma_assumed": a.sigma_assumed,
         "rank_all": _rank(a, everything=True),
         "rank_free": _rank(a, everything=False),
-        "rank_with_priors": a.known.rank.rank,
+        "rank_with_priors": a.determination.together.rank,
         "held": [name for name, free in zip(names, a.free, strict=True) if not free],
         "groups": [_group(a, k) for k in range(len(a.groups))],
         "undetermined": [[a.free_parameters[member].name for member in group.members] for group in a.open_groups],
@@ -70,29 +70,18 @@ def to_dict(assessment: Assessment) -> dict[str, object]:
 def _heading(a: Assessment, source: str) -> list[str]:
     noise = " (assumed; state it with --sigma-mm or in the description)" if a.sigma_assumed else ""
     return [
-        f"{counted(a.n_poses, 'pose')} ({source}), {a.n_rows} coordinates; noise {1e3 * a.sigma:g} mm per axis{noise}",
-        "Columns are scaled: each parameter's by the error that the description expects of it (its sigma)",
-        f"All {a.rank_all.n_columns} parameters, poses alone: {a.rank_all}",
-        f"The {a.rank_free.n_columns} free ones, poses alone: {a.rank_free}",
+        f"{counted(a.n_poses, 'pose')} ({source}), {a.n_rows} coordinates; noise {millimetres(a.sigma):g} mm per"
+        f" axis{noise}",
+        *a.determination.lines(),
     ]
 
 
 def _verdict(a: Assessment) -> list[str]:
     held = [parameter.name for parameter, free in zip(a.parameters, a.free, strict=True) if not free]
     lines = [f"Held at nominal: {', '.join(held)}"] if held else []
-    n_free, missing = a.rank_free.n_columns, a.known.rank.n_columns - a.known.rank.rank
-    if a.rank_free.rank == n_free:
-        lines.append(f"These poses determine all {n_free} free parameters.")
-    elif missing == 0:
-        lines.append(
-            f"These poses determine {a.rank_free.rank} combinations of the {n_free} free parameters;"
-            " priors hold the rest."
-        )
-    else:
-        lines.append(
-            f"NOT determined: {counted(missing, 'combination')} of the free parameters."
-            " Hold one of each, or add other poses:"
-        )
+    lines.append(sentence(a.determination.words()))
+    if a.determination.missing:
+        lines.append("Hold one of each of these, or add other poses:")
         lines += [f"  {describe_group(group, a.free_parameters)}" for group in a.open_groups]
     if a.near_singular:
         lines.append(
@@ -175,11 +164,17 @@ def _accuracy(a: Assessment) -> list[str]:
 
 
 def _pair(task: TaskIndex) -> tuple[str, str]:
-    return tuple(f"{1e3 * value:.4f}" if math.isfinite(value) else "unbounded" for value in (task.rms, task.maximum))  # type: ignore[return-value]
+    return tuple(
+        f"{millimetres(value):.4f}" if math.isfinite(value) else "unbounded" for value in (task.rms, task.maximum)
+    )  # type: ignore[return-value]
 
 
 def _task(task: TaskIndex) -> dict[str, object]:
-    return {"rms": _finite(1e3 * task.rms), "max": _finite(1e3 * task.maximum), "worst_pose": task.worst_pose}
+    return {
+        "rms": _finite(millimetres(task.rms)),
+        "max": _finite(millimetres(task.maximum)),
+        "worst_pose": task.worst_pose,
+    }
 
 
 def _rank(a: Assessment, *, everything: bool) -> dict[str, object]:

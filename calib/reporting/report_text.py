@@ -5,13 +5,16 @@ from __future__ import annotations
 import numpy as np
 from rich.table import Table
 
-from calib.data.repeats import repeats
+from calib.identification.errors_found import STATES, ErrorSet, error_table, format_error
 from calib.identification.fitted import Fit
+from calib.identification.joint_curves import joint_curves, without_terms
 from calib.identification.reasons import Verdict
-from calib.identification.validation import format_error
+from calib.identification.repeats import repeatability, repeats
+from calib.observation.kind import Part
 from calib.reporting.plain_text import plain_text
 from calib.reporting.result_content import correlated, error_sets, parameter_rows
-from calib.words import counted, listed
+from calib.units import DISPLAY_UNIT, ERROR_UNIT, PER_SI, error_scale, millimetres
+from calib.words import counted, listed, sentence
 
 
 def text_report(fit: Fit, width: int = 120) -> str:
@@ -19,7 +22,7 @@ def text_report(fit: Fit, width: int = 120) -> str:
     parts: list[str | Table] = [
         f"Calibration of {fit.nominal.name} ({fit.nominal.path})",
         *verdict_lines(fit.verdict),
-        _accuracy(fit),
+        *_accuracy(fit),
         _parameters(fit),
         *notes(fit),
     ]
@@ -35,7 +38,7 @@ def verdict_lines(verdict: Verdict) -> list[str]:
 
 def notes(fit: Fit) -> list[str]:
     """Return what a reader must know beside the tables, one line each."""
-    lines = [*_noise(fit), *_identifiability(fit), *_positions(fit), *_repeats(fit), *_options(fit)]
+    lines = [*_noise(fit), *_curves(fit), *_identifiability(fit), *_positions(fit), *_repeats(fit), *_options(fit)]
     if any(p.placement for p in fit.nominal.parameters):
         lines.append("'before' is with the base and the targets placed alone, the robot at nominal")
     if fit.identification.data.ignored:
@@ -46,11 +49,23 @@ def notes(fit: Fit) -> list[str]:
 def _noise(fit: Fit) -> list[str]:
     data, found = fit.identification.data, fit.statistics
     lines = [
-        f"{counted(len(data), 'pose')}, {counted(data.n_rows, 'reading')}, {found.freedom:.1f} degrees of freedom,"
-        f" {fit.seconds:.3f} s",
-        f"Noise found: {1e3 * found.sigma:.4g} mm per axis"
-        + (f" (stated: {1e3 * fit.sigma_stated:.4g} mm)" if fit.sigma_stated is not None else " (none was stated)"),
+        f"{counted(data.n_poses, 'pose')}, {counted(data.n_readings, 'reading')}, {found.freedom:.1f} degrees of"
+        f" freedom, {fit.seconds:.3f} s"
     ]
+    for one in fit.noise:
+        scale, unit = error_scale(one.group.dimension), ERROR_UNIT[one.group.dimension]
+        of = f" of {one.group.name}, {one.group.part}" if len(fit.noise) > 1 else ""
+        stated = "none was stated" if one.stated is None else f"stated: {scale * one.stated:.4g} {unit}"
+        lines.append(f"Noise found{of}: {scale * one.sigma:.4g} {unit} per axis ({stated})")
+    if fit.shared_sigma:
+        sizes = []
+        for name, size in fit.shared_sigma.items():
+            dimension = fit.nominal.mechanism.dimensions[name]
+            sizes.append(f"{name} {error_scale(dimension) * size:.3g} {ERROR_UNIT[dimension]}")
+        lines.append(
+            "All readings of a visit share an error, as of joints that are off there (what the model leaves out, or"
+            f" places that the robot does not come back to): {', '.join(sizes)}; intervals count it"
+        )
     if fit.chi_square is not None:
         chi = fit.chi_square
         chance = f"{chi.p_larger:.2g} of a larger, {chi.p_smaller:.2g} of a smaller value"
@@ -58,10 +73,30 @@ def _noise(fit: Fit) -> list[str]:
     return lines
 
 
+def _curves(fit: Fit) -> list[str]:
+    lines = []
+    for curve in joint_curves(fit):
+        scale, unit = error_scale(curve.dimension), ERROR_UNIT[curve.dimension]
+        shown = PER_SI[curve.dimension][DISPLAY_UNIT[curve.dimension]]
+        lines.append(
+            f"Error curve of {curve.joint}: {scale * curve.rms:.3g} {unit} RMS, known to {scale * curve.rms_std:.2g}"
+            f" {unit}; it holds from {shown * curve.command[0]:.4g} to {shown * curve.command[-1]:.4g}"
+            f" {DISPLAY_UNIT[curve.dimension]}, where it was measured"
+        )
+    if fit.robot.terms:
+        scale, unit = _unit(fit)
+        whole, alone = without_terms(fit)
+        lines.append(
+            f"A URDF cannot hold joint terms: calibrated.urdf alone has {scale * alone:.4f} {unit} RMS where the whole"
+            f" model has {scale * whole:.4f} {unit}"
+        )
+    return lines
+
+
 def _identifiability(fit: Fit) -> list[str]:
     lines = [
-        f"All {fit.rank_all.n_columns} parameters: {fit.rank_all}",
-        f"The {fit.rank.n_columns} free ones: {fit.rank}",
+        *fit.determination.lines(),
+        sentence(fit.determination.words()),
         "Observability (scaled columns): "
         + ", ".join(f"{name} {value:.3g}" for name, value in fit.observability.items()),
     ]
@@ -89,14 +124,15 @@ def _positions(fit: Fit) -> list[str]:
 
 def _repeats(fit: Fit) -> list[str]:
     lines = []
-    scatter = fit.identification.data.repeatability()
+    scatter, _ = repeatability(fit.identification)
     if np.isfinite(scatter):
-        lines.append(f"Scatter of the repeats: {1e3 * scatter:.4g} mm per axis")
+        lines.append(f"Scatter of the repeats: {millimetres(scatter):.4g} mm per axis")
     for name, errors in (("used", fit.identification), ("not used", fit.validation)):
-        found = None if errors is None else repeats(errors.data, errors.before, errors.after)
+        found = None if errors is None else repeats(errors)
         if found is not None:
             before, after, again = (
-                1e3 * values for values in (found.accuracy_before, found.accuracy_after, found.repeatability)
+                PER_SI["length"]["mm"] * values
+                for values in (found.accuracy_before, found.accuracy_after, found.repeatability)
             )
             lines.append(
                 f"ISO 9283-style, {counted(len(found.poses), 'pose')} {name}: accuracy AP {before.mean():.3f} mm"
@@ -117,31 +153,53 @@ def _options(fit: Fit) -> list[str]:
     if fit.with_all is not None:
         before = fit.with_all.identification.table()["after"]["rms"]
         after = fit.identification.table()["after"]["rms"]
+        scale, unit = _unit(fit)
         lines.append(
             f"Outliers left out: {listed([str(outlier) for outlier in fit.excluded], '; ')}. With them: RMS"
-            f" {before:.4f} mm, noise {1e3 * fit.with_all.statistics.sigma:.4g} mm; without: RMS {after:.4f} mm"
+            f" {before:.4f} {unit}, noise {scale * fit.with_all.sigma:.4g} {unit}; without: RMS {after:.4f} {unit}"
         )
     if fit.starts is not None:
-        minima = [f"RMS {1e3 * m.rms:.4f} mm from {m.count}" for m in fit.starts.minima]
+        scale, unit = _unit(fit)
+        minima = [f"RMS {scale * m.rms:.4f} {unit} from {m.count}" for m in fit.starts.minima]
         failed = f", {fit.starts.failed} failed" if fit.starts.failed else ""
         lines.append(f"{counted(fit.starts.total, 'start')} (seed {fit.starts.seed}): {listed(minima, '; ')}{failed}")
     if fit.folds is not None:
-        rms = ", ".join(f"{1e3 * value:.4f}" for value in fit.folds.rms)
-        lines.append(f"Cross-validation in {fit.folds.count} folds (seed {fit.folds.seed}): RMS of each {rms} mm")
+        scale, unit = _unit(fit)
+        rms = ", ".join(f"{scale * value:.4f}" for value in fit.folds.rms)
+        lines.append(f"Cross-validation in {fit.folds.count} folds (seed {fit.folds.seed}): RMS of each {rms} {unit}")
     return lines
 
 
-def _accuracy(fit: Fit) -> Table:
-    table = Table(title="Position error, mm (|x|, |y|, |z|: mean)", title_justify="left")
-    for header in ("", "poses", "mean", "max", "rms", "std", "95 %", "|x|", "|y|", "|z|"):
+def _unit(fit: Fit) -> tuple[float, str]:
+    """What an SI error of the main part is multiplied by for tables, and its unit there."""
+    dimension = fit.identification.main_part.dimension
+    return error_scale(dimension), ERROR_UNIT[dimension]
+
+
+def _accuracy(fit: Fit) -> list[Table]:
+    """One table for each part that was measured."""
+    parts = dict.fromkeys(part for _, found in error_sets(fit) for _, part, _ in found.parts())
+    return [_accuracy_of(fit, part) for part in parts]
+
+
+def _accuracy_of(fit: Fit, part: Part) -> Table:
+    axes = ", ".join(f"|{axis}|" for axis in part.axes)
+    title = f"{part.name.capitalize()} error, {ERROR_UNIT[part.dimension]} ({axes}: mean)"
+    table = Table(title=title, title_justify="left")
+    for header in ("", "poses", "mean", "max", "rms", "std", "95 %", *(f"|{axis}|" for axis in part.axes)):
         table.add_column(header, justify="left" if not header else "right")
     names = {"cross_validation": "left out in turns"}
-    for label, found in error_sets(fit):
-        for state, errors in found.table().items():
-            table.add_row(f"{names.get(label, label)}, {state}", str(len(found.data)), *format_error(errors))
+    sets: list[tuple[str, ErrorSet, tuple[str, ...]]] = [
+        (names.get(label, label), found, STATES) for label, found in error_sets(fit)
+    ]
     if fit.with_all is not None:
-        errors = fit.with_all.identification.table()["after"]
-        table.add_row("with outliers, after", str(len(fit.with_all.identification.data)), *format_error(errors))
+        sets.append(("with outliers", fit.with_all.identification, STATES[1:]))
+    for label, found, states in sets:
+        for state in states:
+            errors = found.errors(state, part.name)
+            if len(errors):
+                cells = format_error(error_table(errors, part))
+                table.add_row(f"{label}, {state}", str(found.data.n_poses), *cells)
     return table
 
 
@@ -150,6 +208,8 @@ def _parameters(fit: Fit) -> Table:
     for header in ("name", "unit", "nominal", "value", "std", "low 95 %", "high 95 %", "status"):
         table.add_column(header, justify="left" if header in ("name", "unit", "status") else "right")
     for row in parameter_rows(fit):
+        if row["family"]:  # hundreds of coefficients: one line for each family, among the notes
+            continue
         numbers = [
             f"{row[key]:.4f}" if np.isfinite(row[key]) else "-"  # type: ignore[call-overload]
             for key in ("nominal", "value", "std", "low95", "high95")

@@ -7,13 +7,16 @@ from dataclasses import asdict
 
 import numpy as np
 
-from calib.data.repeats import repeats
+from calib.arrays import FloatArray
 from calib.data.tables import format_table
-from calib.identification.fitted import ErrorSet, Fit
+from calib.identification.errors_found import STATES, ErrorSet
+from calib.identification.fitted import Fit
+from calib.identification.judged import Outlier
+from calib.identification.repeats import repeatability, repeats
 from calib.linearisation.prediction import PositionUncertainty
-from calib.numerics.outliers import Outlier
 from calib.numerics.statistics import status
-from calib.units import DISPLAY_UNIT, PER_SI
+from calib.observation.kind import Instrument
+from calib.units import DISPLAY_UNIT, ERROR_UNIT, PER_SI, Dimension, error_scale
 from calib.version import PROGRAM
 
 FORMAT_VERSION = 1
@@ -41,8 +44,9 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "message": fit.message,
             "seconds": fit.seconds,
             "seed": fit.seed,
-            "n_poses": len(data),
-            "n_rows": data.n_rows,
+            "n_poses": data.n_poses,
+            "n_rows": len(data),
+            "n_readings": data.n_readings,
             "n_parameters": int(np.sum(fit.free)),
             "rank": fit.rank.rank,
             "rank_all": fit.rank_all.rank,
@@ -50,18 +54,24 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "smallest_singular_value_kept": fit.rank_all.smallest_kept,
             "largest_singular_value_dropped": fit.rank_all.largest_dropped,
             "redundant": list(fit.nominal.description.held),
-            "sigma": fit.statistics.sigma,
+            "sigma": fit.sigma,
             "sigma_stated": fit.sigma_stated,
             "degrees_of_freedom": fit.statistics.freedom,
             "effective_parameters": fit.statistics.effective_parameters,
             "chi_square": None if fit.chi_square is None else asdict(fit.chi_square),
-            "repeatability": data.repeatability(),
+            "shared_sigma": [
+                {"joint": name, "unit": ERROR_UNIT[d], "sigma": error_scale(d) * size}
+                for name, size in fit.shared_sigma.items()
+                for d in (fit.nominal.mechanism.dimensions[name],)
+            ],
+            "repeatability": repeatability(fit.identification)[0],
             "repeats": repeat_table(fit.identification),
             "repeats_validation": None if fit.validation is None else repeat_table(fit.validation),
             "observability": fit.observability,
             "parameters": parameter_rows(fit),
             "correlations": correlated(fit),
             "errors": {name: found.table() for name, found in error_sets(fit)},
+            "instruments": instrument_blocks(fit),
             "position_uncertainty": position_uncertainty_table(fit),
             "loss": fit.loss,
             "outliers": outlier_rows(fit),
@@ -109,6 +119,7 @@ def parameter_rows(fit: Fit) -> list[dict[str, object]]:
                 "low95": float(value - half) * scale,
                 "high95": float(value + half) * scale,
                 "status": kind if free else "held",
+                "family": parameter.family,
             }
         )
     return rows
@@ -126,7 +137,7 @@ def correlated(fit: Fit) -> list[dict[str, object]]:
 
 def repeat_table(errors: ErrorSet) -> dict[str, object] | None:
     """Return ISO 9283-style accuracy and repeatability [mm]; None without repeats."""
-    found = repeats(errors.data, errors.before, errors.after)
+    found = repeats(errors)
     return None if found is None else found.table()
 
 
@@ -156,7 +167,8 @@ def _outlier(fit: Fit | None, label: str, outlier: Outlier) -> dict[str, object]
         "pose": None if found is None else found.data.names[outlier.pose],
         "where": outlier.label,
         "target": outlier.target,
-        "distance": 1e3 * outlier.distance,
+        "distance": outlier.distance * _error_scale(found, outlier),
+        "size": outlier.size,
         "over_noise": outlier.studentised,
         "leverage": outlier.leverage,
         "p_value": outlier.p_value,
@@ -168,9 +180,9 @@ def _with_excluded(fit: Fit) -> dict[str, object] | None:
     if fit.with_all is None:
         return None
     return {
-        "n_poses": len(fit.with_all.identification.data),
+        "n_poses": fit.with_all.identification.data.n_poses,
         "verdict": fit.with_all.verdict.to_dict(),
-        "sigma": fit.with_all.statistics.sigma,
+        "sigma": fit.with_all.sigma,
         "parameters": parameter_rows(fit.with_all),
         "errors": {name: found.table() for name, found in error_sets(fit.with_all)},
     }
@@ -179,55 +191,126 @@ def _with_excluded(fit: Fit) -> dict[str, object] | None:
 def _starts(fit: Fit) -> dict[str, object] | None:
     if fit.starts is None:
         return None
-    minima = [{"rms": 1e3 * m.rms, "cost": m.cost, "count": m.count} for m in fit.starts.minima]
+    scale = error_scale(fit.identification.main_part.dimension)
+    minima = [{"rms": scale * m.rms, "cost": m.cost, "count": m.count} for m in fit.starts.minima]
     return {"count": fit.starts.total, "failed": fit.starts.failed, "seed": fit.starts.seed, "minima": minima}
 
 
 def _folds(fit: Fit) -> dict[str, object] | None:
     if fit.folds is None:
         return None
-    rms = [1e3 * value for value in fit.folds.rms]
+    rms = [error_scale(fit.identification.main_part.dimension) * value for value in fit.folds.rms]
     return {"folds": fit.folds.count, "seed": fit.folds.seed, "rms": rms, "converged": fit.folds.converged}
 
 
+def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
+    """Return one block for each instrument, with errors and noise in the units of its parts."""
+    blocks: list[dict[str, object]] = []
+    for one in fit.nominal.instruments:
+        parts = []
+        for part in one.parts:
+            noise = next((n for n in fit.noise if (n.group.name, n.group.part) == (one.group, part.name)), None)
+            scale = error_scale(part.dimension)
+            parts.append(
+                {
+                    "name": part.name,
+                    "unit": ERROR_UNIT[part.dimension],
+                    "sigma": None if noise is None else scale * noise.sigma,
+                    "sigma_stated": None if noise is None or noise.stated is None else scale * noise.stated,
+                    "degrees_of_freedom": None if noise is None else noise.freedom,
+                    "errors": {
+                        label: found.tables()[one.name][part.name]
+                        for label, found in error_sets(fit)
+                        if one.name in found.tables()
+                    },
+                }
+            )
+        n_readings = len(fit.identification.data.readings.get(one.name, ()))
+        kind = str(getattr(one, "kind", type(one).__name__.lower()))
+        blocks.append({"name": one.name, "kind": kind, "n_readings": n_readings, "parts": parts})
+    return blocks
+
+
+def _error_scale(found: ErrorSet | None, outlier: Outlier) -> float:
+    if found is None:
+        return 1.0
+    one = next(one for one in found.instruments if one.name == outlier.target)
+    return error_scale(one.parts[0].dimension)
+
+
 def residual_table(fit: Fit) -> str:
-    """Return CSV: one row per pose and target: joints, measured positions, errors before and after [mm], [deg]."""
+    """Return CSV: one row per reading: joints, what was read, errors before and after [mm], [mrad], [deg]."""
     sets = [entry for entry in error_sets(fit) if entry[0] != "cross_validation"]
-    columns: dict[str, list[object]] = {"set": [], "pose": [], "target": [], "readings": []}
-    for label, found in sets:
-        for k in range(len(found.data)):
-            for t, target in enumerate(fit.robot.target_names):
-                for header, value in _residual_row(fit, label, found, k, t, target).items():
-                    columns.setdefault(header, []).append(value)
-    return format_table(list(columns.items()))
+    rows = [row for label, found in sets for row in _residual_rows(fit, label, found)]
+    headers = dict.fromkeys(header for row in rows for header in row)
+    return format_table([(header, [row.get(header, "") for row in rows]) for header in headers])
 
 
-def _residual_row(fit: Fit, label: str, found: ErrorSet, k: int, t: int, target: str) -> dict[str, object]:
-    row: dict[str, object] = {
-        "set": label,
-        "pose": found.data.names[k],
-        "target": target,
-        "readings": int(found.data.counts[k]),
-    }
+def _residual_rows(fit: Fit, label: str, found: ErrorSet) -> list[dict[str, object]]:
+    """One row per reading of a set, in the order of the visits."""
+    used = label == "identification"
+    rows = fit.rows if used else fit.validation_rows
+    judged = fit.studentised if used else fit.validation_studentised
+    assert rows is not None
+    assert judged is not None
+    layout, factor = rows.layout, float(np.sqrt(np.mean(fit.statistics.factors.found**2))) if used else 1.0
+    lengths = rows.distances() / max(factor, 1e-30) / np.sqrt(np.maximum(layout.width, 1))
+    result = []
+    for name in layout.instruments:
+        one, own = fit.nominal.instrument(name), layout.readings_of(name)
+        cells = one.cells(found.data.readings[name].values)
+        texts = one.texts(found.data.readings[name].pairs, found.data.readings[name].details)
+        dimensions = {column.name: column.dimension for column in one.columns()}
+        for k in range(own.stop - own.start):
+            reading, visit = own.start + k, int(layout.visit[own.start + k])
+            row: dict[str, object] = {"set": label, "pose": found.data.names[visit], "target": name}
+            row |= _setup_cell(fit, one, int(found.data.readings[name].pairs[k]))
+            row |= {f"looked_at_{column}": words[k] for column, words in texts.items()}
+            row |= _joint_cells(fit, found, visit)
+            for state in STATES:
+                row |= _error_cells(one, state, getattr(found, state)[name][k])
+            for column, numbers in cells.items():
+                row |= _measured_cell(one, column, dimensions[column], float(numbers[k]))
+            row["over_sigma"] = float(lengths[reading]) if factor > 0 else math.nan
+            row["studentised"] = float(judged.ratio[reading]) if used else math.nan
+            row["leverage"] = float(judged.leverage[reading]) if used else math.nan
+            row["weight"] = float(fit.weights[reading]) if used else math.nan
+            row["loop_singular_value"] = float(found.singular_value[visit])
+            result.append((visit, row))
+    return [row for _, row in sorted(result, key=lambda entry: entry[0])]
+
+
+def _setup_cell(fit: Fit, one: Instrument, pair: int) -> dict[str, object]:
+    """The setup of a reading, where there are several: errors are in its measurement frame."""
+    names, pairs = list(fit.nominal.description.setups), fit.nominal.pairs(one)
+    return {"setup": names[pair * len(names) // len(pairs)]} if names and pairs else {}
+
+
+def _joint_cells(fit: Fit, found: ErrorSet, visit: int) -> dict[str, object]:
+    cells: dict[str, object] = {}
     for j, joint in enumerate(fit.robot.joint_names):
         dimension = fit.robot.mechanism.dimensions[joint]
         unit = DISPLAY_UNIT[dimension]
-        row[f"{joint} [{unit}]"] = float(found.data.joints[k, j] * PER_SI[dimension][unit])
-    measured = 1e3 * found.data.positions[k, t]
-    for name, errors in (("before", found.before), ("after", found.after)):
-        for axis, value in zip("xyz", 1e3 * errors[k, t], strict=True):
-            row[f"error_{name}_{axis} [mm]"] = float(value)
-    for axis, value in zip("xyz", measured, strict=True):
-        row[f"measured_{axis} [mm]"] = float(value)
-    sigma = fit.statistics.sigma
-    length = np.linalg.norm(found.after[k, t]) * np.sqrt(found.data.counts[k])
-    row["over_sigma"] = float(length / sigma) if sigma > 0 else math.nan
-    used = label == "identification"
-    row["studentised"] = float(fit.studentised.ratio[k, t]) if used else math.nan
-    row["leverage"] = float(fit.studentised.leverage[k, t]) if used else math.nan
-    row["weight"] = float(fit.weights[k, t]) if used else math.nan
-    row["loop_singular_value"] = float(found.singular_value[k])
-    return row
+        cells[f"{joint} [{unit}]"] = float(found.data.joints[visit, j] * PER_SI[dimension][unit])
+    return cells
+
+
+def _error_cells(one: Instrument, state: str, errors: FloatArray) -> dict[str, object]:
+    cells: dict[str, object] = {}
+    for row, number in enumerate(one.part_of_row):
+        part = one.parts[number]
+        axis = part.axes[row - one.part_of_row.index(number)]
+        header = f"error_{state}_{axis} [{ERROR_UNIT[part.dimension]}]"
+        cells[header] = float(errors[row] * error_scale(part.dimension))
+    return cells
+
+
+def _measured_cell(one: Instrument, column: str, dimension: Dimension | None, value: float) -> dict[str, object]:
+    name = column.removeprefix(f"{one.name}_")
+    if dimension is None:
+        return {f"measured_{name}": value}
+    unit = DISPLAY_UNIT[dimension]
+    return {f"measured_{name} [{unit}]": value * PER_SI[dimension][unit]}
 
 
 def covariance_table(fit: Fit) -> str:

@@ -18,14 +18,15 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student_t
 
+from calib.arrays import BoolArray, FloatArray
 from calib.data.parameter_files import format_parameters, read_parameters
 from calib.data.tables import read_table
 from calib.errors import ComputationError, DataError
+from calib.export.urdf import urdf_bytes
 from calib.files import write_folder
 from calib.identification.fitted import Fit
 from calib.identification.reasons import Verdict
 from calib.linearisation.prediction import PositionUncertainty, position_uncertainty
-from calib.model.mechanism import BoolArray, FloatArray
 from calib.model.robot import Robot
 from calib.reporting.result_content import FORMAT_VERSION, covariance_table, parameter_rows, residual_table, to_dict
 from calib.units import PER_SI
@@ -36,6 +37,7 @@ _AGREE = 1e-9  # of the same value in two files [m or rad]
 REPORTS = "calib.reports"
 """Entry point group of page writers: name -> callable(result) returning file name -> content."""
 _URDF = "calibrated.urdf"
+_NO_TERMS = ("a URDF cannot hold joint terms (curves, backlash, ...): they are in parameters.csv, and missing here",)
 _OF_GOOD_FITS = (_URDF, "report.html", "viewer.html")  # an old one must not stay beside a new result
 
 
@@ -63,7 +65,7 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False) -> None:
         "residuals.csv": residual_table(fit).encode(),
     }
     if not failed:
-        files[_URDF] = fit.robot.calibrated_urdf()
+        files[_URDF] = urdf_bytes(fit.robot, _NO_TERMS) if fit.robot.terms else fit.robot.calibrated_urdf()
     elif force:
         files[_URDF] = _forced_urdf(fit)
     for entry in entry_points(group=REPORTS) if fit.assembles else ():  # no pictures of what cannot be assembled
@@ -74,8 +76,6 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False) -> None:
 
 def _forced_urdf(fit: Fit) -> bytes:
     """The calibrated URDF with a comment that says that its fit failed, and why."""
-    from calib.export.urdf import urdf_bytes
-
     return urdf_bytes(fit.robot, _said_inside(fit.verdict, "exported by force"))
 
 
@@ -141,7 +141,7 @@ class LoadedUncertainty:
 
     def at(self, robot: Robot, q: FloatArray) -> PositionUncertainty:
         """Predict positions of the calibrated robot at actuated joints q (n, n_actuated), with their covariance."""
-        return position_uncertainty(robot, self.free, self.covariance, self.coverage_factor, q)
+        return position_uncertainty(robot, np.flatnonzero(self.free), self.covariance, self.coverage_factor, q)
 
 
 def load_uncertainty(folder: Path | str, robot: Robot) -> LoadedUncertainty:

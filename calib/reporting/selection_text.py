@@ -7,7 +7,7 @@ import math
 import numpy as np
 from rich.table import Table as Printed
 
-from calib.data.measurement_files import format_measurements
+from calib.data.measurement_files import format_positions
 from calib.data.measurements import Poses
 from calib.data.tables import Table, format_table
 from calib.model.robot import Robot
@@ -16,6 +16,7 @@ from calib.pose_choice.selection import Run, Selection
 from calib.pose_choice.selection_bound import CERTIFIED
 from calib.pose_choice.selection_problem import TASK
 from calib.reporting.plain_text import plain_text
+from calib.units import millimetres
 from calib.words import counted
 
 
@@ -53,7 +54,7 @@ def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
         "rank": s.rank.rank,
         "rank_of_poses": s.rank_of_poses.rank,
         "n_parameters": s.rank.n_columns,
-        "sigma_mm": 1e3 * s.sigma,
+        "sigma_mm": millimetres(s.sigma),
         "sigma_assumed": s.sigma_assumed,
         "skipped": list(s.skipped),
         "already_measured": s.already_measured,
@@ -91,7 +92,7 @@ def format_poses(robot: Robot, selection: Selection, poses: Poses, table: Table)
         return format_table(columns, (comment,))
     names = tuple(poses.names[k] for k in selection.chosen)
     moved = Poses(selection.joints, names, names, "off the grid", ())
-    text = format_measurements(
+    text = format_positions(
         robot, moved, selection.positions, (f"{comment}, then moved off the grid; positions are predicted",)
     )
     if all(f"{target}_{axis}" in table.names for target in robot.target_names for axis in "xyz"):
@@ -149,7 +150,7 @@ def _indices(s: Selection) -> Printed:
 
 
 def _remarks(s: Selection) -> list[str]:
-    lines = [f"Targets of any two poses keep {1e3 * s.distance:.3g} mm"] if s.distance else []
+    lines = [f"Targets of any two poses keep {millimetres(s.distance):.3g} mm"] if s.distance else []
     lines += [
         f"Order of measurement: travel {s.travel[1]:.1f} joint ranges, {s.travel[0]:.1f} in the candidates' order"
     ]
@@ -164,7 +165,9 @@ def _remarks(s: Selection) -> list[str]:
             " parameters, which the indices are about; priors hold the rest"
         )
     if s.sigma_assumed:
-        lines.append(f"Noise {1e3 * s.sigma:g} mm per axis is assumed; state it with --sigma-mm or in the description")
+        lines.append(
+            f"Noise {millimetres(s.sigma):g} mm per axis is assumed; state it with --sigma-mm or in the description"
+        )
     if s.already_measured:
         lines.append(f"{counted(s.already_measured, 'candidate')} already measured and left out")
     if s.skipped:
@@ -207,7 +210,7 @@ def _shown(index: str, value: float | None) -> float:
     """An index as it is shown: the task index in mm."""
     if value is None:
         return math.nan
-    return 1e3 * value if index == TASK else value
+    return millimetres(value) if index == TASK else value
 
 
 def _finite(value: float) -> float | None:

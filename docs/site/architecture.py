@@ -1,6 +1,7 @@
 """The rooms of the house: which module is in which, and the picture of them. A test holds them against the imports.
 
-A module imports, while it is loaded, only from its own room and from rooms of lower floors.
+A module imports, also inside functions and for type checkers, only from its own room and from rooms of lower floors,
+and no modules import each other in a circle.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
 ROOT = Path(__file__).resolve().parents[2]
+FRONT = ("calibration", "cli")
+"""Files of `calib` itself that stand on the top floor: what users hold, and the program."""
 
 
 @dataclass(frozen=True)
@@ -36,21 +39,23 @@ class Room:
         """What is in it, by the names under which the picture shows them."""
         folder = ROOT / "calib" / self.folder
         names = (path.stem for path in sorted(folder.glob("*.py")) if not path.stem.startswith("__"))
-        return tuple(name for name in names if self.folder or name != "cli")
+        return tuple(name for name in names if self.folder or name not in FRONT)
 
 
 ROOMS = (
     Room("Ground", 0, ""),
-    Room("Model", 1, "model"),
-    Room("Numerics", 2, "numerics"),
-    Room("Data", 2, "data"),
-    Room("Linearisation", 3, "linearisation"),
-    Room("Pose choice", 4, "pose_choice"),
-    Room("Identification", 4, "identification"),
-    Room("Inverse kinematics", 4, "inverse_kinematics"),
-    Room("Reporting", 5, "reporting"),
-    Room("Export", 5, "export"),
-    Room("Commands", 6, "commands"),
+    Room("Numerics", 1, "numerics"),
+    Room("Observation", 2, "observation"),
+    Room("Joint terms", 2, "joint_terms"),
+    Room("Model", 3, "model"),
+    Room("Data", 4, "data"),
+    Room("Linearisation", 5, "linearisation"),
+    Room("Pose choice", 6, "pose_choice"),
+    Room("Identification", 6, "identification"),
+    Room("Inverse kinematics", 6, "inverse_kinematics"),
+    Room("Export", 6, "export"),
+    Room("Reporting", 7, "reporting"),
+    Room("Commands", 8, "commands"),
 )
 
 
@@ -72,7 +77,7 @@ def room_of(module: str) -> Room:
         KeyError: Its folder is not a room yet.
     """
     folder, _, rest = module.partition(".")
-    if module == "cli":
+    if module in FRONT:
         folder = "commands"
     elif not rest and not (ROOT / "calib" / module).is_dir():
         folder = ""
@@ -83,16 +88,35 @@ def room_of(module: str) -> Room:
 
 
 def imported(path: Path) -> set[str]:
-    """Modules of `calib` that a file imports while it is loaded (not inside functions, nor for type checkers only)."""
+    """Modules of `calib` that a file imports anywhere in it."""
     names: set[str] = set()
     known = modules()
-    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "calib":
             base = node.module.removeprefix("calib").removeprefix(".")
             for alias in node.names:
                 full = f"{base}.{alias.name}" if base else alias.name
                 names.add(full if full in known else base)
     return names - {""}
+
+
+def circle(graph: dict[str, set[str]]) -> list[str]:
+    """Return modules that import each other in a circle, the first twice; empty where there is none."""
+    done: set[str] = set()
+
+    def visit(module: str, way: list[str]) -> list[str]:
+        if module in way:
+            return [*way[way.index(module) :], module]
+        if module in done:
+            return []
+        for other in sorted(graph.get(module, ())):
+            found = visit(other, [*way, module])
+            if found:
+                return found
+        done.add(module)
+        return []
+
+    return next((found for module in sorted(graph) if (found := visit(module, []))), [])
 
 
 def picture() -> Figure:

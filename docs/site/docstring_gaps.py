@@ -4,14 +4,15 @@
 
 That docstrings exist, and their form, is checked by ruff. A function passes if its docstring shows some shape such as
 `(n, 3)`, names every error class of its own `raise` statements, or says `see` another one. Commands are left out: what
-their docstrings say is their help. So are errors that a context manager `_explained` turns into others.
+their docstrings say is their help. So are errors that a context manager `_explained` turns into others, and methods
+that an abstract base class of the project promises: its docstring says what they take and return.
 """
 
 from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import api_reference
 
@@ -19,9 +20,23 @@ _ARRAY = re.compile(r"\b(FloatArray|BoolArray|IntArray|ArrayLike|Array)\b")
 _SHAPE = re.compile(r"\((?:\w+(?: [-+*] \w+)*|\.\.\.),|\(\d")
 
 
-def gaps(text: str) -> Iterator[tuple[int, str, str]]:
-    """Return line, name and what is missing, for each function of a module that leaves something out."""
-    for node, name in _public(ast.parse(text), ""):
+def promises(text: str) -> dict[str, set[str]]:
+    """Return the methods of each abstract base class of a module."""
+    return {
+        node.name: {method.name for method in node.body if isinstance(method, ast.FunctionDef)}
+        for node in ast.parse(text).body
+        if isinstance(node, ast.ClassDef) and any(ast.unparse(base) == "ABC" for base in node.bases)
+    }
+
+
+def gaps(text: str, promised: Mapping[str, set[str]]) -> Iterator[tuple[int, str, str]]:
+    """Return line, name and what is missing, for each function of a module that leaves something out.
+
+    Args:
+        text: The module.
+        promised: Of `promises`, of all modules.
+    """
+    for node, name in _public(ast.parse(text), "", promised):
         docstring = ast.get_docstring(node) or ""
         if "see `" in docstring.lower():
             continue
@@ -34,10 +49,16 @@ def gaps(text: str) -> Iterator[tuple[int, str, str]]:
             yield node.lineno, name, ", ".join(missing)
 
 
-def _public(body: ast.Module | ast.ClassDef, prefix: str) -> Iterator[tuple[ast.FunctionDef, str]]:
+def _public(
+    body: ast.Module | ast.ClassDef, prefix: str, promised: Mapping[str, set[str]]
+) -> Iterator[tuple[ast.FunctionDef, str]]:
+    bases = [ast.unparse(base) for base in body.bases] if isinstance(body, ast.ClassDef) else []
+    inherited = {name for base in bases for name in promised.get(base, ())}
     for node in body.body:
+        if isinstance(node, ast.FunctionDef) and node.name in inherited:
+            continue
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-            yield from _public(node, f"{prefix}{node.name}.")
+            yield from _public(node, f"{prefix}{node.name}.", promised)
         elif isinstance(node, ast.FunctionDef) and not node.name.startswith("_") and not _is_command(node):
             yield node, prefix + node.name
 
@@ -62,11 +83,16 @@ def _raised(function: ast.FunctionDef) -> set[str]:
 
 def all_gaps() -> list[str]:
     """Return a line for each function of the project whose docstring leaves something out."""
-    return [
-        f"{module}, line {line}: {name}: {missing}"
+    texts = {
+        module: api_reference.source(module)
         for package in api_reference.PACKAGES
         for module in api_reference.modules(package)
-        for line, name, missing in gaps(api_reference.source(module))
+    }
+    promised = {name: methods for text in texts.values() for name, methods in promises(text).items()}
+    return [
+        f"{module}, line {line}: {name}: {missing}"
+        for module, text in texts.items()
+        for line, name, missing in gaps(text, promised)
     ]
 
 

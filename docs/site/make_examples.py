@@ -93,7 +93,7 @@ def _files(
     columns: list[tuple[str, list[object]]] = [("pose", list(names))]
     for joint, degrees in zip(robot.joint_names, np.degrees(joints).T, strict=True):
         columns.append((f"{joint} [deg]", [f"{value:.3f}" for value in degrees]))
-    for axis, millimetres in zip("xyz", 1e3 * measured.positions[:, 0].T, strict=True):
+    for axis, millimetres in zip("xyz", 1e3 * measured.points(robot)[:, 0].T, strict=True):
         columns.append((f"{robot.target_names[0]}_{axis} [mm]", [f"{value:.4f}" for value in millimetres]))
     return {
         f"{name}_simulated.csv": format_table(columns, comments),

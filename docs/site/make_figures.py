@@ -17,11 +17,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import calib
+from calib.arrays import FloatArray
 from calib.identification.validation import split
-from calib.linearisation.information import scaled_rows
 from calib.linearisation.jacobian import linearise
 from calib.model.kinematics import sweep
-from calib.model.mechanism import FloatArray, RelativeFrame
+from calib.model.mechanism import RelativeFrame
 from calib.numerics.identifiability import numerical_rank
 from viz.svg import BLUE, GREY, ORANGE, styled, svg_file
 
@@ -56,8 +56,8 @@ def singular_values() -> Figure:
     robot = calib.load(ROOT / "urdf" / "medrue.yaml")
     poses = calib.read_poses(EXAMPLES / "medrue_simulated.csv", robot)
     jacobian = linearise(robot, robot.assemble(poses.joints)).jacobian
-    rows = scaled_rows(jacobian, robot.parameters, np.ones(len(robot.parameters), dtype=bool))
-    rank = numerical_rank(rows.reshape(-1, rows.shape[-1]))
+    sigma = np.array([parameter.sigma for parameter in robot.parameters])
+    rank = numerical_rank((jacobian * sigma).reshape(-1, len(sigma)))
     values = np.maximum(rank.singular_values, 1e-20)
     number = np.arange(1, len(values) + 1)
     figure = Figure(figsize=(7, 3.2), layout="constrained")
@@ -82,12 +82,12 @@ def errors_before_after() -> Figure:
     figure = Figure(figsize=(8, 2.8), layout="constrained")
     for axes, errors, colour, title in zip(
         figure.subplots(1, 2),
-        (fit.validation.before, fit.validation.after),
+        (fit.validation.errors("before"), fit.validation.errors("after")),
         (ORANGE, BLUE),
         ("before", "after"),
         strict=True,
     ):
-        distance = 1e3 * np.linalg.norm(errors[:, 0], axis=1)
+        distance = 1e3 * np.linalg.norm(errors, axis=1)
         axes.hist(distance, bins=24, color=colour)
         axes.axvline(float(distance.mean()), color="black", linestyle=":")
         axes.set(xlabel="position error [mm]", ylabel="poses", title=f"{title}: mean {distance.mean():.3g} mm")

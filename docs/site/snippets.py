@@ -143,7 +143,7 @@ class _Session:
         printed = io.StringIO()
         with contextlib.chdir(self._folder), contextlib.redirect_stdout(printed):
             try:
-                exec(compile(text, "snippet", "exec"), self._names)
+                exec(compile(text, "snippet", "exec", dont_inherit=True), self._names)
             except Exception:
                 raise SnippetError(f"fails:\n{traceback.format_exc()}") from None
         return printed.getvalue()

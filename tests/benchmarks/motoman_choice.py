@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 
 import calib
-from calib.linearisation.candidates import assemble_known
-from calib.linearisation.information import information, prior_rows
+from calib.linearisation.candidates import rows_of_poses
+from calib.linearisation.rows import Unknowns
+from calib.numerics.information import information, prior_rows
 from calib.pose_choice.selection import select
 from calib.threads import one_blas_thread
 
@@ -35,13 +36,13 @@ def load(folder):
 
 
 def rms(errors):
-    """Root mean square length of errors (n, 1, 3) [m], in mm."""
-    return 1e3 * np.sqrt(np.mean(np.sum(errors**2, axis=2)))
+    """Root mean square length of errors (n, 3) [m], in mm."""
+    return 1e3 * np.sqrt(np.mean(np.sum(errors**2, axis=1)))
 
 
 def choices(fit, train, test, draws, seed=0):
     """Pose numbers by name, and `draws` random ones."""
-    sigma = fit.statistics.sigma
+    sigma = fit.sigma
     chosen = {
         "O1": select(fit.robot, train.joints, COUNT, "O1", sigma=sigma).chosen,
         "task": select(fit.robot, train.joints, COUNT, "task", task=test.joints, sigma=sigma).chosen,
@@ -52,13 +53,14 @@ def choices(fit, train, test, draws, seed=0):
 
 def predicted(fit, train, test):
     """A function from pose numbers to the position error at the held-out poses that noise alone leaves [mm]."""
-    robot, sigma = fit.robot, fit.statistics.sigma
-    rows, there = (assemble_known(robot, data).rows for data in (train, test))
-    priors = prior_rows(robot.parameters, robot.free, sigma)
+    robot, sigma = fit.robot, fit.sigma
+    rows = rows_of_poses(robot, robot.assemble(train.joints), sigma).rows
+    there = rows_of_poses(robot, robot.assemble(test.joints), sigma).position_rows
+    priors = prior_rows(Unknowns.of(robot).has_prior)
 
     @one_blas_thread
     def error(index):
-        return 1e3 * np.sqrt(np.mean(information(rows[index], priors).position_errors(there, sigma) ** 2))
+        return 1e3 * np.sqrt(np.mean(information(rows[index], priors).position_errors(there) ** 2))
 
     return error
 
@@ -81,27 +83,27 @@ def main():
     robot, train, test = load(options.folder)
     everything = calib.fit(robot, train, validation=test)
     chosen, random = choices(everything, train, test, options.draws)
-    print(f"all {len(train)} poses: held-out rms {rms(everything.validation.after):.4f} mm,"
-          f" noise found {1e6 * everything.statistics.sigma:.1f} um per axis")  # fmt: skip
+    print(f"all {len(train)} poses: held-out rms {rms(everything.validation.errors('after')):.4f} mm,"
+          f" noise found {1e6 * everything.sigma:.1f} um per axis")  # fmt: skip
 
     def real(index):
-        return rms(calib.fit(robot, train.subset(np.sort(index)), validation=test).validation.after)
+        return rms(calib.fit(robot, train.subset(np.sort(index)), validation=test).validation.errors("after"))
 
     report("held-out rms, real measurements", {k: real(v) for k, v in chosen.items()}, [real(i) for i in random])
     error = predicted(everything, train, test)
     report("predicted from noise alone", {k: error(v) for k, v in chosen.items()}, [error(i) for i in random])
-    data = calib.simulate(everything.robot, train, everything.statistics.sigma, np.random.default_rng(1))
-    truth = everything.robot.positions(test.joints)
+    data = calib.simulate(everything.robot, train, everything.sigma, np.random.default_rng(1))
+    truth = everything.robot.positions(test.joints)[:, 0]
 
     def simulated(index):
-        fit = calib.fit(robot, data.subset(np.sort(index)), sigma=everything.statistics.sigma)
-        return rms(fit.robot.positions(test.joints) - truth)
+        fit = calib.fit(robot, data.subset(np.sort(index)), sigma=everything.sigma)
+        return rms(fit.robot.positions(test.joints)[:, 0] - truth)
 
     few = random[: max(20, options.draws // 4)]
     report("error against the truth, simulated noise", {k: simulated(v) for k, v in chosen.items()},
            [simulated(i) for i in few])  # fmt: skip
     inside = np.isin(np.arange(len(train)), chosen["O1"])
-    residual = everything.identification.after
+    residual = everything.identification.errors("after")
     print(f"\nresiduals of the fit to all poses [mm]: {rms(residual[inside]):.4f} at the poses that O1 chooses,"
           f" {rms(residual[~inside]):.4f} at the others")  # fmt: skip
 

@@ -28,7 +28,7 @@ def test_verdict_of_84_poses(benchmark, problem):
     fit = calib.fit(*problem)
 
     def judged():
-        for name in ("verdict", "patterns", "studentised", "outliers", "_inverse", "assembles"):
+        for name in ("verdict", "patterns", "studentised", "outliers", "_root", "assembles"):
             fit.__dict__.pop(name, None)  # what is computed once on request
         return fit.verdict
 

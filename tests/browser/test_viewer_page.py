@@ -354,3 +354,27 @@ def test_five_thousand_poses_load_and_can_be_stepped_through(chromium, tmp_path)
     assert tab.changed(tab.page.locator("#show-validation").click) > 0.001
     assert tab.problems == []
     tab.context.close()
+
+
+def test_poses_without_measured_points_show_predictions_beside_those_with_errors(chromium, tmp_path):
+    nominal, calibrated, table = many_poses(40)
+    unseen = np.arange(40) < 10
+    table = dataclasses.replace(
+        table,
+        measured=np.where(unseen[:, None], np.nan, table.measured),
+        sigma=np.where(unseen, np.nan, table.sigma),
+        group=("identification",) * 10 + ("validation",) * 30,
+    )
+    tab = Tab(chromium).open(scene_page(build_scene(nominal, calibrated, table)).save(tmp_path / "v.html").as_uri())
+    slide(tab, "pose", 3)
+    rows = {row.split("\t")[0]: row.split("\t")[1:4] for row in tab.page.locator("#position tr").all_inner_texts()}
+    predicted = [float(number.replace("−", "-")) for number in rows["predicted"]]
+    np.testing.assert_allclose(predicted, 1e3 * table.after[3], atol=6e-4)
+    assert "pred. after" not in rows
+    slide(tab, "pose", 20)
+    assert "pred. after" in tab.page.locator("#position").inner_text()
+    nothing = dataclasses.replace(table, measured=np.full((40, 3), np.nan), sigma=np.full(40, np.nan))
+    tab.open(scene_page(build_scene(nominal, calibrated, nothing)).save(tmp_path / "n.html").as_uri())
+    assert "Predicted positions; no points were measured here." in tab.page.locator("#summary").inner_text()
+    assert tab.problems == []
+    tab.context.close()

@@ -1,6 +1,6 @@
 """The tool that lists what docstrings leave out."""
 
-from docstring_gaps import all_gaps, gaps
+from docstring_gaps import all_gaps, gaps, promises
 
 MODULE = '''
 def fine(q: FloatArray) -> FloatArray:
@@ -42,8 +42,31 @@ def command(q: FloatArray) -> None:
 '''
 
 
+BASE = '''
+class Kind(ABC):
+    def predict(self) -> FloatArray:
+        """Return it, (n, 3)."""
+
+class Other:
+    pass
+'''
+CHILD = '''
+class Position(Kind):
+    def predict(self) -> FloatArray:
+        """Return the position."""
+
+    def more(self) -> FloatArray:
+        """Return more."""
+'''
+
+
+def test_what_an_abstract_base_class_promises_need_not_be_said_again():
+    assert promises(BASE) == {"Kind": {"predict"}}
+    assert list(gaps(CHILD, promises(BASE))) == [(6, "Position.more", "no shape")]
+
+
 def test_missing_shapes_and_errors_are_listed():
-    assert list(gaps(MODULE)) == [(10, "no_shape", "no shape"), (13, "no_error", "raises DataError")]
+    assert list(gaps(MODULE, {})) == [(10, "no_shape", "no shape"), (13, "no_error", "raises DataError")]
 
 
 def test_nothing_public_leaves_out_a_shape_or_an_error():

@@ -3,7 +3,6 @@
 import ast
 import re
 
-import pytest
 from snippets import DOCS, ROOT
 
 KEYS = set(re.findall(r'^\| <a id="(\w+)"></a>(?=\1 )', (DOCS / "references.md").read_text(), re.MULTILINE))
@@ -28,12 +27,16 @@ def test_keys_are_unique_and_sorted():
     assert rows == sorted(set(rows))
 
 
-@pytest.mark.parametrize("path", MODULES, ids=[str(path.relative_to(ROOT)) for path in MODULES])
-def test_sources_in_docstrings_are_in_the_references(path):
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
-            for key in cited(ast.get_docstring(node) or ""):
-                assert key in KEYS, f"{path.relative_to(ROOT)}: '{key}' is not a key of docs/references.md"
+def test_sources_in_docstrings_are_in_the_references():
+    unknown, n_cited = [], 0
+    for path in MODULES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+                keys = list(cited(ast.get_docstring(node) or ""))
+                n_cited += len(keys)
+                unknown += [f"{path.relative_to(ROOT)}: {key}" for key in keys if key not in KEYS]
+    assert n_cited > 20
+    assert unknown == []  # each must be a key of docs/references.md
 
 
 def test_links_to_references_have_their_key():

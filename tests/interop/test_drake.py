@@ -8,7 +8,7 @@ import pytest
 import calib
 from calib.export import export
 
-pytest.importorskip("pydrake", reason="Drake is not installed (pip install medrue[interop])")
+pytest.importorskip("pydrake", reason="Drake is not installed (in a checkout: pip install -e '.[interop]')")
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
 from pydrake.systems.analysis import Simulator

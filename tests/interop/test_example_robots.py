@@ -17,6 +17,8 @@ import calib
 from calib.commands.init import command as init
 from calib.data.measurements import Poses
 from calib.export import export
+from calib.model.arm_chain import arm_chain
+from calib.model.urdf_text import read_urdf
 
 SHARE = Path("share") / "example-robot-data" / "robots"
 ARMS = {  # file below robots/: link that carries the measured point
@@ -43,6 +45,12 @@ ARMS = {  # file below robots/: link that carries the measured point
     "xarm_description/urdf/xarm7.urdf": "link_eef",
     "z1_description/urdf/z1.urdf": "gripperMover",
 }
+PARALLEL_AXES = {  # what slides the target along both axes cannot be told from where the base is
+    "asr_twodof_description/urdf/TwoDofs.urdf": "Tip.z",
+    "double_pendulum_description/urdf/double_pendulum.urdf": "link2.x",
+    "double_pendulum_description/urdf/double_pendulum_continuous.urdf": "link2.x",
+    "double_pendulum_description/urdf/double_pendulum_simple.urdf": "link3.x",
+}
 OTHERS = {  # legged, wheeled, flying, hands, humanoids
     "a1", "alex", "alexander", "allegro_hand", "anymal_b_simple", "anymal_c_simple", "b1", "bolt", "borinot",
     "centauro", "g1", "go1", "go2", "hector", "hextilt", "human", "hyq", "icub", "iris", "laikago", "pr2",
@@ -56,24 +64,26 @@ def robots_folder() -> Path:
     try:
         distribution = importlib.metadata.distribution("example-robot-data")
     except importlib.metadata.PackageNotFoundError:
-        pytest.skip("example-robot-data is not installed (pip install medrue[interop])")
+        pytest.skip("example-robot-data is not installed (in a checkout: pip install -e '.[interop]')")
     prefix = next(file for file in distribution.files or () if file.name == "package.xml" and "share" in file.parts)
     return Path(str(distribution.locate_file(prefix))).parent / "robots"
 
 
 def iiwa() -> Path:
     if importlib.util.find_spec("pybullet_data") is None:
-        pytest.skip("PyBullet is not installed (pip install medrue[interop])")
+        pytest.skip("PyBullet is not installed (in a checkout: pip install -e '.[interop]')")
     import pybullet_data
 
     return Path(pybullet_data.getDataPath()) / "kuka_iiwa" / "model.urdf"
 
 
-def described(urdf: Path, target: str, folder: Path) -> calib.Robot:
-    """The robot as `calib init` describes it."""
+def described(urdf: Path, target: str, folder: Path, held: str | None = None) -> calib.Robot:
+    """The robot as `calib init` describes it, with one parameter held if need be."""
     out = folder / "robot_description.yaml"
     result = CliRunner().invoke(init, [str(urdf), "--target", target, "--out", str(out)])
     assert result.exit_code == 0, result.output
+    if held is not None:
+        out.write_text(f"{out.read_text()}\nheld: [{held}]\n")
     return calib.load(out)
 
 
@@ -89,21 +99,22 @@ def random_poses(robot: calib.Robot, count: int, generator: np.random.Generator,
 
 
 def moved(robot: calib.Robot, generator: np.random.Generator) -> calib.Robot:
-    """Each parameter off by half of its expected deviation, at random."""
-    sigma = np.array([parameter.sigma for parameter in robot.parameters])
+    """Each free parameter off by half of its expected deviation, at random."""
+    sigma = np.array([parameter.sigma for parameter in robot.parameters]) * robot.free
     return robot.with_parameters(robot.values + 0.5 * sigma * generator.standard_normal(len(sigma)))
 
 
-def check(urdf: Path, target: str, folder: Path) -> None:
+def check(urdf: Path, target: str, folder: Path, held: str | None = None) -> None:
     generator = np.random.default_rng(20150107)
-    nominal = described(urdf, target, folder)
+    nominal = described(urdf, target, folder, held)
     truth = moved(nominal, generator)
     data = calib.simulate(truth, random_poses(nominal, 80, generator, "measured"), SIGMA, generator)
     held_out = calib.simulate(truth, random_poses(nominal, 40, generator, "held out"), 0.0, generator)
     fit = calib.fit(nominal, data, validation=held_out, sigma=SIGMA)
 
-    errors = np.linalg.norm(fit.robot.positions(held_out.joints) - held_out.positions, axis=2)
-    before = np.linalg.norm(fit.placed.positions(held_out.joints) - held_out.positions, axis=2)
+    seen = held_out.points(nominal)
+    errors = np.linalg.norm(fit.robot.positions(held_out.joints) - seen, axis=2)
+    before = np.linalg.norm(fit.placed.positions(held_out.joints) - seen, axis=2)
     assert errors.mean() < 2 * SIGMA  # more parameters than the data hold well: not below the noise itself
     assert errors.mean() < 0.1 * before.mean()
 
@@ -192,9 +203,31 @@ def same_in_mujoco(robot: calib.Robot, mjcf: Path, q: np.ndarray) -> None:
         assert np.abs(found - robot.positions(row)[0, 0]).max() < 1e-9
 
 
+@pytest.mark.parametrize(
+    ("name", "target", "joints", "fingers"),
+    [
+        ("panda_description/urdf/panda.urdf", "panda_hand_tcp", 7, 2),
+        ("baxter_description/urdf/baxter.urdf", "right_gripper", 7, 2),
+        ("talos_data/robots/talos_full_v2.urdf", "gripper_left_base_link", 9, 7),
+        ("talos_data/robots/talos_left_arm.urdf", "gripper_left_base_link", 6, 1),
+        ("tiago_description/robots/tiago.urdf", "hand_grasping_frame", 8, 36),
+        ("tiago_pro_description/robots/tiago_pro.urdf", "gripper_left_base_link", 8, 6),
+        ("pr2_description/urdf/pr2.urdf", "r_gripper_tool_frame", 8, 6),
+        ("romeo_description/urdf/romeo.urdf", "l_gripper", 8, 12),
+        ("g1_description/urdf/g1_29dof_with_hand_rev_1_0.urdf", "left_hand_palm_link", 10, 7),
+        ("ur_description/urdf/ur5_robot.urdf", "tool0", 6, 0),
+        ("z1_description/urdf/z1.urdf", "gripperStator", 6, 1),
+        ("so_arm_description/urdf/so101.urdf", "gripper_frame_link", 5, 1),
+    ],
+)
+def test_the_arm_is_found_without_its_fingers(name: str, target: str, joints: int, fingers: int) -> None:
+    chain = arm_chain(read_urdf(robots_folder() / name))
+    assert (chain.target, len(chain.joints), len(chain.fingers)) == (target, joints, fingers)
+
+
 @pytest.mark.parametrize("arm", ARMS, ids=lambda arm: Path(arm).stem)
 def test_arm_is_calibrated_exported_and_loaded_again(arm: str, tmp_path: Path) -> None:
-    check(robots_folder() / arm, ARMS[arm], tmp_path)
+    check(robots_folder() / arm, ARMS[arm], tmp_path, PARALLEL_AXES.get(arm))
 
 
 def test_iiwa_is_calibrated_exported_and_loaded_again(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from calib.data.parameter_files import format_parameters
 from calib.errors import InputError
 from calib.export import export
 
-mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed (pip install medrue[interop])")
+mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed (in a checkout: pip install -e '.[interop]')")
 
 SOFTNESS = 1e-5
 """Opening of a loop under gravity that docs/other_tools.md states [m]."""
@@ -72,6 +72,20 @@ def hold(file: Path, robot: calib.Robot, q: np.ndarray, values: dict[str, float]
 
 
 @pytest.mark.parametrize("file", ["robot.xml", "free.xml"])
+def test_the_keyframe_home_is_assembled_and_held_and_nothing_touches_the_floor(case, file: str) -> None:
+    model = mujoco.MjModel.from_xml_path(str(case.folder / file))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    home = dict(zip(case.robot.joint_names, case.robot.home, strict=True))
+    for name, value in home.items():
+        assert data.joint(name).qpos[0] == pytest.approx(value, abs=1e-12)
+        assert data.actuator(name).ctrl[0] == pytest.approx(value, abs=1e-12)
+    mujoco.mj_forward(model, data)
+    assert np.abs(data.efc_pos[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]).max() < 1e-12
+    assert (model.nlight, model.geom("floor").contype[0], model.geom("floor").conaffinity[0]) == (1, 0, 0)
+
+
+@pytest.mark.parametrize("file", ["robot.xml", "free.xml"])
 def test_under_gravity_the_loops_stay_closed_and_the_tool_is_where_calib_predicts(case, file: str, tmp_path) -> None:
     rows = list(range(0, 50, 7))
     stood, tools, opening = [], [], 0.0
@@ -99,7 +113,7 @@ def predict_by_command(robot: calib.Robot, q: np.ndarray, folder: Path) -> np.nd
     arguments = [robot.path, str(folder / "joints.csv"), "--parameters", str(folder / "values.csv"), "--out", str(out)]
     result = CliRunner().invoke(predict, arguments)
     assert result.exit_code == 0, result.output
-    return read_measurements(out, robot).positions[:, 0]
+    return read_measurements(out, robot).points(robot)[:, 0]
 
 
 def test_a_tilted_five_bar_is_strained_by_a_3d_constraint_and_stands_right_with_a_free_slide(tilted, tmp_path) -> None:
@@ -173,4 +187,4 @@ def test_meshes_load(tmp_path) -> None:
     )
     export(calib.load(tmp_path / "arm.urdf"), "mjcf", tmp_path / "out.xml")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "out.xml"))
-    assert (model.nmesh, model.ngeom) == (1, 2)
+    assert (model.nmesh, model.ngeom) == (1, 3)  # the floor is one

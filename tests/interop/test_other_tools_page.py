@@ -46,7 +46,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", SNIPPETS)
 def test_snippet_finds_the_tool_where_calib_does(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if name in NEEDS:
-        pytest.importorskip(NEEDS[name], reason=f"{NEEDS[name]} is not installed (pip install medrue[interop])")
+        pytest.importorskip(
+            NEEDS[name], reason=f"{NEEDS[name]} is not installed (in a checkout: pip install -e '.[interop]')"
+        )
     monkeypatch.chdir(folder)
     found: dict[str, object] = {}
     exec(SNIPPETS[name], found)

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-pybullet = pytest.importorskip("pybullet", reason="PyBullet is not installed (pip install medrue[interop])")
+pybullet = pytest.importorskip(
+    "pybullet", reason="PyBullet is not installed (in a checkout: pip install -e '.[interop]')"
+)
 
 SINGLE_PRECISION = 1e-6
 

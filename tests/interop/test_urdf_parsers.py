@@ -11,7 +11,9 @@ from scipy.spatial.transform import Rotation
 
 
 def test_urdf_parser_py_reads_joints_that_put_every_link_where_pinocchio_does(case) -> None:
-    urdf = pytest.importorskip("urdf_parser_py.urdf", reason="urdf_parser_py is not installed (medrue[interop])")
+    urdf = pytest.importorskip(
+        "urdf_parser_py.urdf", reason="urdf_parser_py is not installed (in a checkout: pip install -e '.[interop]')"
+    )
     robot = urdf.URDF.from_xml_string((case.folder / "robot.urdf").read_bytes())
     assert set(robot.link_map) == set(case.robot.urdf.links)
 

@@ -53,7 +53,7 @@ class Panel {
     }
     place.append(...this.certainty());
     if (!summary.length) {
-      place.append(element("p", {}, this.table.n ? "Predicted positions; nothing was measured here."
+      place.append(element("p", {}, this.table.n ? "Predicted positions; no points were measured here."
         : "No poses: the robot in its home configuration."));
     }
   }
@@ -91,16 +91,17 @@ class Panel {
     const { table, scene } = this;
     const head = document.getElementById("pose-head");
     const readings = table.readings[row];
+    const at = (values, scale = 1e3) => THREE_NUMBERS.map((i) => scale * values[3 * row + i]);
+    const measured = at(table.measured);
+    const seen = measured.every(Number.isFinite);
     head.replaceChildren(element("span", { class: "name" }, `Pose ${table.labels[row]}${table.several ? `, ${table.targets[row]}` : ""}`),
       element("span", { class: "tag" }, table.groups[table.kind(row)].name),
-      ...(readings > 1 ? [element("span", { class: "tag" }, `mean of ${readings} readings`)] : []),
+      ...(readings > 1 && seen ? [element("span", { class: "tag" }, `mean of ${readings} readings`)] : []),
       ...(table.isOutlier(row) ? [element("span", { class: "tag outlier" }, "outlier")] : []));
-    const at = (values, scale = 1e3) => THREE_NUMBERS.map((i) => scale * values[3 * row + i]);
     const sum = (a, b) => a.map((value, i) => value + b[i]);
-    const measured = at(table.measured);
-    const base = measured.every(Number.isFinite) ? measured : [NaN, NaN, NaN];
-    const lines = [["measured", measured, 3, false], ...scene.states.map((name) => [`pred. ${name}`, sum(base, at(table[name])), 3, false])];
-    if (!scene.states.length) lines.push(["predicted", at(table.place), 3, false]);
+    const lines = [["measured", measured, 3, false]];
+    if (seen) lines.push(...scene.states.map((name) => [`pred. ${name}`, sum(measured, at(table[name])), 3, false]));
+    if (!seen || !scene.states.length) lines.push(["predicted", at(table.place), 3, false]);
     for (const name of scene.states) {
       const error = at(table[name]);
       lines.push([`error ${name}`, [...error, Math.hypot(...error)], 4, name === state]);

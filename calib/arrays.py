@@ -1,4 +1,4 @@
-"""Frozen dataclasses whose arrays are frozen too."""
+"""Names of array types, and frozen dataclasses whose arrays are frozen too."""
 
 from __future__ import annotations
 
@@ -7,6 +7,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+FloatArray = NDArray[np.floating[Any]]
+IntArray = NDArray[np.intp]
+BoolArray = NDArray[np.bool_]
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:

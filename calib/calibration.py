@@ -1,0 +1,65 @@
+"""What users hold: a fit that reports on itself and saves itself. Everything below knows only plain functions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from calib.data.measurements import Measurements
+from calib.identification.fit import fit as identify
+from calib.identification.fitted import Fit
+from calib.model.robot import Robot
+from calib.reporting.report_text import text_report
+from calib.reporting.results import save
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration(Fit):
+    """A finished fit for users: see `calib.identification.fitted.Fit` for what it holds."""
+
+    def report(self) -> str:
+        """Return the result as text."""
+        return text_report(self)
+
+    def save(self, folder: Path | str, *, force: bool = False) -> None:
+        """Write the result to a folder; see `calib.reporting.results.save`."""
+        save(self, folder, force=force)
+
+
+def fit(
+    robot: Robot,
+    data: Measurements,
+    *,
+    validation: Measurements | None = None,
+    sigma: float | None = None,
+    loss: str = "none",
+    exclude_outliers: bool = False,
+    starts: int = 1,
+    folds: int = 0,
+    seed: int = 0,
+) -> Calibration:
+    """Calibrate a robot; see `calib.identification.fit.fit` for the method, its arguments and its errors.
+
+    Args:
+        robot: The nominal robot.
+        data: Measurements to identify with.
+        validation: Measurements to judge the result with.
+        sigma: Standard deviation of measured positions per axis [m], in place of what the description states.
+        loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey`.
+        exclude_outliers: Leave outliers out and fit again.
+        starts: Number of starting points.
+        folds: Number of folds for cross-validation by pose; 0 for none.
+        seed: Seed of perturbed starts and folds.
+    """
+    found = identify(
+        robot,
+        data,
+        validation=validation,
+        sigma=sigma,
+        loss=loss,
+        exclude_outliers=exclude_outliers,
+        starts=starts,
+        folds=folds,
+        seed=seed,
+    )
+    return Calibration(**{field.name: getattr(found, field.name) for field in fields(found)})

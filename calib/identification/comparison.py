@@ -1,0 +1,110 @@
+"""Whether a calibration makes poses that were not used better or worse, against chance.
+
+For the same readings k, whitened by the noise that was found, the errors before b_k and after a_k:
+
+    change  T = sum |a_k|^2 - |b_k|^2
+
+A robot that needs no correction has b_k = e_k (noise) and a_k = e_k + B_k d, with d ~ N(0, C) what the fit is off by
+its own noise: the change is then positive, though nothing is wrong. With G = sum B_k^T B_k,
+
+    E T = tr(GC) = m        var of |B d|^2 = 2 tr(GCGC)        var of 2 e^T B d = 4 m
+
+The calibration is `worse`, or `better`, where the change lies above, or below, what this gives with a chance of 0.1 %
+each: the quadratic part as a scaled chi-square of the same mean and variance, the mixed part as normal. In the place of
+e, which nobody knows, stand the errors of the better state, where they are larger than the noise: that is what the
+model leaves out.
+
+When it fails. What the model leaves out is no noise, and follows the poses: where the poses not used are few and alike,
+the chance is larger.
+
+Reference: satterthwaite1946.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from calib.arrays import FloatArray
+from calib.identification.errors_found import ErrorSet
+from calib.identification.fitted import Fit
+from calib.units import ERROR_UNIT, Dimension, error_scale
+
+CHANCE = 1e-3
+"""Chance that a calibration that changes nothing is called better, or worse."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Errors on one set of poses that were not used.
+
+    Attributes:
+        name: What to call these poses.
+        before, after: Root mean square error of the main part of the readings [SI].
+        dimension: What that part measures.
+        better, worse: Whether the calibration made them so, beyond chance.
+    """
+
+    name: str
+    before: float
+    after: float
+    dimension: Dimension
+    better: bool
+    worse: bool
+
+    @property
+    def words(self) -> str:
+        """Both root mean squares in words."""
+        scale, unit = error_scale(self.dimension), ERROR_UNIT[self.dimension]
+        return f"RMS {scale * self.after:.4f} {unit} after, {scale * self.before:.4f} {unit} before"
+
+
+def comparisons(fit: Fit) -> Iterator[Comparison]:
+    """Compare before and after on the validation poses and on poses left out in turns, as far as there are any."""
+    if fit.computed:
+        return
+    if fit.validation is not None:
+        yield _compare(fit, "the validation poses", fit.validation, 1.0)
+    if fit.folds is not None:
+        fewer = fit.folds.count / (fit.folds.count - 1)  # each fold is predicted by a fit of the others
+        yield _compare(fit, "poses left out in turns", fit.folds.errors, fewer)
+
+
+def _compare(fit: Fit, name: str, errors: ErrorSet, covariance: float) -> Comparison:
+    before, rows = fit.whitened(errors)
+    scaled = fit.statistics.covariance / np.outer(fit.unknowns.scales, fit.unknowns.scales)
+    product = rows.jacobian.T @ rows.jacobian @ (covariance * scaled)
+    squares = float(before @ before), float(rows.residuals @ rows.residuals)
+    per_row = max(1.0, min(squares) / rows.layout.n_read)
+    change, expected, spread = squares[1] - squares[0], float(np.trace(product)), _spread(product, per_row)
+    part = errors.main_part
+    return Comparison(
+        name,
+        _rms(errors.errors("before", part.name)),
+        _rms(errors.errors("after", part.name)),
+        part.dimension,
+        better=change < min(0.0, expected - spread),
+        worse=change > expected + spread,
+    )
+
+
+def _spread(product: FloatArray, per_row: float) -> float:
+    """Return how far above its mean T goes with `CHANCE`.
+
+    Args:
+        product: GC, (n_free, n_free).
+        per_row: Mean square of a component of e.
+    """
+    mean, squares = float(np.trace(product)), float(np.sum(product * product.T))
+    if mean <= 0:
+        return 0.0
+    quadratic = squares / mean * float(chi2.isf(CHANCE, mean**2 / squares)) - mean
+    mixed = float(norm.isf(CHANCE)) * 2.0 * float(np.sqrt(per_row * mean))
+    return float(np.hypot(quadratic, mixed))
+
+
+def _rms(errors: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.nansum(errors**2, axis=1))))

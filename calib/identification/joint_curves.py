@@ -1,0 +1,94 @@
+"""What joint terms say together: curves of joint errors with their bands, and what the origins are worth alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.arrays import FloatArray, ReadOnlyArrays
+from calib.identification.fitted import Fit
+from calib.joint_terms.term import Context
+from calib.linearisation.observed import observe
+from calib.units import Dimension
+
+_POINTS = 721
+
+
+@dataclass(frozen=True, eq=False)
+class JointCurve(ReadOnlyArrays):
+    """The error of one joint over its own value, as found.
+
+    Attributes:
+        joint: The joint.
+        dimension: Whether a length or an angle.
+        command: Commanded values over the range measured, (n,) [m or rad].
+        error: Actual minus commanded there, as far as the family says, (n,) [m or rad].
+        std: Standard deviation of that, (n,) [m or rad].
+        rms: Root mean square of the error over the visits that were used [m or rad].
+        rms_std: Root mean square of its standard deviation over these [m or rad].
+    """
+
+    joint: str
+    dimension: Dimension
+    command: FloatArray
+    error: FloatArray
+    std: FloatArray
+    rms: float
+    rms_std: float
+
+
+def joint_curves(fit: Fit) -> tuple[JointCurve, ...]:
+    """Return the curve of each joint term whose coefficients are a family."""
+    robot, data, found = fit.robot, fit.identification.data, []
+    start = robot.coefficients.start
+    for term in robot.terms:
+        index = np.arange(start, start + len(term.parameters))
+        start += len(term.parameters)
+        if not term.parameters[0].family:
+            continue
+        j = robot.joint_names.index(term.joint)
+        q = data.joints[:, j]
+        grid = np.zeros((_POINTS, len(robot.joint_names)))
+        grid[:, j] = np.linspace(q.min(), q.max(), _POINTS)
+        free = np.isin(fit.unknowns.index, index)
+        covariance = fit.statistics.covariance[np.ix_(free, free)]
+        values = robot.values[index]
+        phi = term.columns(grid, j, Context.neutral(_POINTS, len(robot.joint_names)))
+        used = term.columns(data.joints, j, data.conditions)
+        found.append(
+            JointCurve(
+                term.joint,
+                robot.mechanism.dimensions[term.joint],
+                grid[:, j],
+                phi @ values,
+                _std(phi, covariance),
+                float(np.sqrt(np.mean((used @ values) ** 2))),
+                float(np.sqrt(np.mean(_std(used, covariance) ** 2))),
+            )
+        )
+    return tuple(found)
+
+
+def without_terms(fit: Fit) -> tuple[float, float]:
+    """Return root mean square errors of the main part [SI], with the joint terms and of the origins alone.
+
+    Over the visits that were not used, or all if there are no others: what a URDF, which cannot hold terms, is worth.
+    """
+    errors = fit.identification if fit.validation is None else fit.validation
+    data, part = errors.data, errors.main_part
+    values = fit.robot.values.copy()
+    values[fit.robot.coefficients] = 0.0
+    bare = fit.robot.with_parameters(values)
+    found = observe(bare, bare.assemble(data.joints, labels=data.labels, context=data.conditions), data.readings)
+    alone = replace(errors, after={name: one.residuals for name, one in found.items()})
+    return _rms(errors.errors("after", part.name)), _rms(alone.errors("after", part.name))
+
+
+def _rms(errors: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.nansum(errors**2, axis=1))))
+
+
+def _std(phi: FloatArray, covariance: FloatArray) -> FloatArray:
+    result: FloatArray = np.sqrt(np.maximum(np.sum((phi @ covariance) * phi, axis=1), 0.0))
+    return result

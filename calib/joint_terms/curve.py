@@ -1,0 +1,77 @@
+"""Curve: any smooth error over the joint's value: gears, encoders, belts, screws, whatever their orders.
+
+A periodic Gaussian process as a Fourier series. Over a turn (or, for a prismatic joint, over twice its stroke, so that
+the two ends are free of each other),
+
+    dq = sum over k = 1 .. K of a_k sin(k q) + b_k cos(k q),        a_k, b_k ~ N(0, (amplitude / k)^2)
+
+Coefficients fall off with their order as those of a curve with bounded slope do. The amplitude is common to all orders
+of a joint and found by marginal likelihood (`calib.numerics.variance_components`), so that the curve follows what the
+data show and nothing else; where the joint did not move, it stays at zero with the prior's band.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from calib.arrays import FloatArray
+from calib.joint_terms.term import Context, JointTerm, TermSection, coefficient
+from calib.parameter import Parameter
+from calib.sections import Length
+from calib.units import Dimension
+
+DEFAULT: dict[Dimension, float] = {"angle": 3e-4, "length": 5e-5}
+"""First value of the amplitude where nothing is stated [rad, m]."""
+TURN = 2.0 * np.pi
+
+
+class CurveSection(TermSection):
+    """A curve.
+
+    Attributes:
+        orders: K.
+        stroke: Of a prismatic joint [m]; its limits in the URDF if not given.
+        found: Whether the amplitude is found from the data; else it is `sigma`.
+    """
+
+    orders: Annotated[int, Field(gt=0, le=500)] = 60
+    stroke: Annotated[Length, Field(gt=0)] | None = None
+    found: bool = True
+
+
+@dataclass(frozen=True)
+class Curve(JointTerm):
+    """A smooth curve over a turn, or over the stroke of a prismatic joint."""
+
+    section = CurveSection
+    joint: str
+    parameters: tuple[Parameter, ...]
+    orders: int
+    period: float
+
+    @classmethod
+    def of(cls, joint: str, dimension: Dimension, section: CurveSection, sigma: float | None) -> Curve:
+        """Return the term that an entry of a robot description means.
+
+        Raises:
+            ValueError: The entry does not fit the joint.
+        """
+        if dimension == "length" and section.stroke is None:
+            raise ValueError(f"a curve of the prismatic joint '{joint}' needs its `stroke`")
+        amplitude = DEFAULT[dimension] if sigma is None else sigma
+        family = f"{joint}.curve" if section.found else ""
+        parameters = tuple(
+            coefficient(f"{joint}.curve_{kind}{k}", dimension, amplitude / k, family)
+            for k in range(1, section.orders + 1)
+            for kind in ("sin", "cos")
+        )
+        return cls(joint, parameters, section.orders, TURN if section.stroke is None else 2.0 * section.stroke)
+
+    def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
+        """Return sines and cosines, (n, 2 K)."""
+        phase = np.outer(q[:, j], np.arange(1, self.orders + 1)) * (TURN / self.period)
+        return np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(q), -1)

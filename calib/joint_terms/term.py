@@ -1,0 +1,125 @@
+"""What a term of a joint's error is.
+
+Joints do not stand where they are told. The error of joint j is a sum of terms,
+
+    dq_j = sum over terms of c_k phi_k(q, context)
+
+with coefficients c_k that are found like all other parameters, and columns phi_k that depend on what was commanded
+alone. So derivatives are exact, d(anything)/dc_k = d(anything)/d(joint j) phi_k, through closed loops too, and a new
+term is one small file and a line in `calib.joint_terms.terms`.
+
+Every coefficient has the dimension of its joint (an angle or a length): it is the error at phi_k = 1.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from calib.arrays import FloatArray, ReadOnlyArrays
+from calib.parameter import Parameter
+from calib.sections import Quantity, Section
+from calib.units import Dimension
+
+
+class TermSection(Section):
+    """A term of one joint's error, or of every actuated joint's.
+
+    Attributes:
+        joint: Which joint; `all` for every actuated joint.
+        term: Which term.
+        sigma: Expected size of its coefficients (one standard deviation), in the joint's unit.
+    """
+
+    joint: str
+    term: str
+    sigma: Quantity | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Context(ReadOnlyArrays):
+    """Under which conditions commands were given. Where nothing is known of one, it is neutral.
+
+    Attributes:
+        approach: Direction in which each joint moved last, +1, -1, or 0 where not known, (n, n_actuated).
+        time: Since the first visit, (n,) [s]; 0 where not known.
+        temperature: From the mean of the measurements, (n,) [K]; 0 where not known.
+        load: Mass at the tool, (n,) [kg]; 0 where not known.
+        torque: Torque or force of gravity that each actuated joint holds, (n, n_actuated) [N m or N]; 0 where nothing
+            asks for it.
+    """
+
+    approach: FloatArray
+    time: FloatArray
+    temperature: FloatArray
+    load: FloatArray
+    torque: FloatArray
+
+    @staticmethod
+    def neutral(n: int, n_actuated: int) -> Context:
+        """Return a context of which nothing is known."""
+        nothing, none = np.zeros(n), np.zeros((n, n_actuated))
+        return Context(none, nothing, nothing, nothing, none)
+
+    @staticmethod
+    def of(approach: FloatArray, conditions: Mapping[str, FloatArray]) -> Context:
+        """Return the context of visits.
+
+        Args:
+            approach: Direction of approach, (n, n_actuated).
+            conditions: Columns `time` [s], `temperature` [degC], `load` [kg] as far as they are known, (n,).
+        """
+        n = len(approach)
+
+        def known(name: str) -> FloatArray:
+            return np.nan_to_num(conditions.get(name, np.zeros(n)))
+
+        temperature = conditions.get("temperature", np.zeros(n))
+        warmer = np.nan_to_num(temperature - np.nanmean(temperature)) if np.isfinite(temperature).any() else np.zeros(n)
+        return Context(approach, known("time"), warmer, known("load"), np.zeros_like(approach))
+
+
+class JointTerm(ABC):
+    """One term of one joint's error.
+
+    Attributes:
+        section: Keys of its entry in a robot description (class attribute).
+        joint: The joint.
+        parameters: Its coefficients.
+        needs_torque: Whether it asks for `Context.torque` (class attribute).
+    """
+
+    section: ClassVar[type[TermSection]] = TermSection
+    needs_torque: ClassVar[bool] = False
+    joint: str
+    parameters: tuple[Parameter, ...]
+
+    @abstractmethod
+    def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
+        """Return phi of each coefficient, (n, n_coefficients).
+
+        Args:
+            q: Commanded actuated joints, (n, n_actuated) [m or rad].
+            j: Place of the term's joint among them.
+            context: Conditions of the commands.
+        """
+
+
+UNIT: dict[Dimension, str] = {"angle": "mrad", "length": "mm"}
+"""Units of coefficients in tables."""
+
+
+def coefficient(name: str, dimension: Dimension, sigma: float, family: str = "") -> Parameter:
+    """Return the parameter of a coefficient, nominally zero.
+
+    Args:
+        name: Its name.
+        dimension: The joint's.
+        sigma: Expected size [m or rad].
+        family: Name of the coefficients whose common size is found from the data; empty: sigma is as stated.
+    """
+    return Parameter(name, dimension, 0.0, sigma, UNIT[dimension], family=family)

@@ -1,0 +1,139 @@
+"""From commanded to actual joints: the terms of a robot's joint errors, and the one door through which they enter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+
+from calib.arrays import FloatArray
+from calib.errors import DescriptionError, InputError, nearest
+from calib.joint_terms.term import Context, JointTerm, TermSection
+from calib.joint_terms.terms import joint_term
+from calib.model import kinematics
+from calib.model.description import Description
+from calib.model.mechanism import Mechanism
+from calib.model.urdf_text import UrdfJoint, UrdfText
+from calib.units import quantity
+
+
+def build_terms(description: Description, urdf: UrdfText, mechanism: Mechanism, where: str) -> tuple[JointTerm, ...]:
+    """Build the joint terms of a description.
+
+    Raises:
+        DescriptionError: An unknown joint, a sigma of another dimension, or an entry that does not fit its joint.
+    """
+    joints = {joint.name: joint for joint in urdf.joints}
+    terms: list[JointTerm] = []
+    for section in description.terms:
+        names = mechanism.actuated if section.joint == "all" else (section.joint,)
+        for name in names:
+            if name not in mechanism.actuated:
+                raise DescriptionError(
+                    f"{where}: joint term '{section.term}': no actuated joint '{name}'"
+                    f"{nearest(name, (*mechanism.actuated, 'all'))}"
+                )
+            terms.append(_term(section, name, joints[name], mechanism, where))
+    return tuple(terms)
+
+
+def _term(section: TermSection, name: str, joint: UrdfJoint, mechanism: Mechanism, where: str) -> JointTerm:
+    dimension = mechanism.dimensions[name]
+    place = f"{where}: joint term '{section.term}' of '{name}'"
+    try:
+        sigma = None if section.sigma is None else quantity(section.sigma, dimension, f"{place}, sigma")
+        if sigma is not None and sigma <= 0:
+            raise InputError(f"{place}: sigma must be positive; leave the term out to have none")
+        stroke = joint.upper - joint.lower
+        if getattr(section, "stroke", 0) is None and dimension == "length" and np.isfinite(stroke) and stroke > 0:
+            section = section.model_copy(update={"stroke": float(stroke)})
+        return joint_term(name, dimension, section, sigma)
+    except (InputError, ValueError) as error:
+        text = str(error)
+        raise DescriptionError(text if text.startswith(where) else f"{place}: {text}") from None
+
+
+def term_columns(
+    terms: tuple[JointTerm, ...], actuated: tuple[str, ...], q: FloatArray, context: Context
+) -> tuple[FloatArray, ...]:
+    """Return phi of each term, (n, n_coefficients) each, at commands q (n, n_actuated) [m or rad]."""
+    return tuple(term.columns(q, actuated.index(term.joint), context) for term in terms)
+
+
+def joint_errors(
+    terms: tuple[JointTerm, ...], actuated: tuple[str, ...], columns: tuple[FloatArray, ...], values: FloatArray, n: int
+) -> FloatArray:
+    """Return dq of every actuated joint, (n, n_actuated), from the columns and the coefficients (n_coefficients,)."""
+    errors, start = np.zeros((n, len(actuated))), 0
+    for term, phi in zip(terms, columns, strict=True):
+        stop = start + len(term.parameters)
+        errors[:, actuated.index(term.joint)] += phi @ values[start:stop]
+        start = stop
+    return errors
+
+
+def gravity_torque(
+    urdf: UrdfText, mechanism: Mechanism, q: FloatArray, passive: FloatArray, slope: FloatArray, where: str
+) -> FloatArray:
+    """Return the torque of gravity that each actuated joint holds, loops closed, (n, n_actuated) [N m or N].
+
+    With the generalized gravity g of the tree and dp/da of the passive joints, virtual work gives
+
+        tau_a = E_a^T g + (dp/da)^T E_p^T g,          dp/da = -C_p^-1 C_a
+
+    Args:
+        urdf: The URDF with its masses.
+        mechanism: The nominal mechanism.
+        q: Actuated joints, (n, n_actuated).
+        passive: Passive joints there, (n, n_passive).
+        slope: C_p there, (n, n_passive, n_passive).
+        where: What to call the robot in messages.
+
+    Raises:
+        DescriptionError: The URDF has no masses.
+    """
+    model = _with_masses(urdf, mechanism, where)
+    data = model.createData()
+    joints = mechanism.all_joints(q, passive)
+    gravity = np.array([pin.computeGeneralizedGravity(model, data, row).copy() for row in joints])
+    torque: FloatArray = gravity @ mechanism.select_actuated
+    if mechanism.loops and len(q):
+        by_actuated = _closure_by_actuated(mechanism, joints)
+        rate = -np.linalg.solve(slope, by_actuated)
+        torque = torque + np.einsum("npa,np->na", rate, gravity @ mechanism.select_passive)
+    return torque
+
+
+def _closure_by_actuated(mechanism: Mechanism, joints: FloatArray) -> FloatArray:
+    """C_a, (n, n_passive, n_actuated)."""
+    swept = kinematics.sweep(mechanism, joints, mechanism.loops)
+    parts = []
+    for loop in mechanism.loops:
+        columns = mechanism.between(loop)[:, None] * mechanism.select_actuated
+        parts.append(kinematics.joint_derivative(swept, kinematics.twist_map(swept, loop), columns))
+    return np.concatenate(parts, axis=1)
+
+
+def _with_masses(urdf: UrdfText, mechanism: Mechanism, where: str) -> pin.Model:
+    """The mechanism's model with the masses of the URDF."""
+    whole = pin.buildModelFromXML(urdf.source.decode())
+    found: dict[str, pin.Inertia] = {}
+    for frame in whole.frames:
+        if frame.type == pin.FrameType.BODY and frame.inertia.mass > 0:
+            found[frame.name] = frame.inertia
+    if not found:
+        raise DescriptionError(
+            f"{where}: joint term 'compliance' needs masses, and the URDF has none; add <inertial> to its links, or"
+            " leave the term out"
+        )
+    model = mechanism.model.copy()
+    for joint in urdf.joints:
+        if joint.child in found:
+            model.inertias[mechanism.frames[joint.child]] = found[joint.child]
+    return model
+
+
+def with_torque(context: Context, torque: FloatArray) -> Context:
+    """Return a context with the torque of gravity, (n, n_actuated)."""
+    return replace(context, torque=torque)

@@ -1,0 +1,268 @@
+"""How large the noise is: scales of groups of rows, and an error shared by the rows of a visit, from the residuals.
+
+Model. Rows y (whitened by what is stated) of a linear problem with priors, and
+
+    covariance      V = S (I + sum of tau_j^2 h_j h_j^T) S        S = diag(s_g), h_j in units of the scaled rows
+
+with one h_j for the error of each joint. s_g is 1 for groups whose noise is stated; the other s_g and the tau_j are
+found by restricted maximum likelihood: with A = J^T V^-1 J + P and Q = V^-1 - V^-1 J A^-1 J^T V^-1, its stationary
+point has for every component V_i of V
+
+    y^T Q V_i Q y = trace(Q V_i)
+
+so that each component is multiplied by the left side over the right one, again and again (Förstner's iteration). With
+one group this is sigma^2 = |r|^2 / (rows - effective parameters). Components stay positive; one that is not there
+shrinks towards zero.
+
+Shared errors have to earn their place: they are taken only where they raise twice the restricted log-likelihood by more
+than chance does to one data set in a thousand (a chi-square of as many degrees of freedom as there are joints).
+
+When it fails. A group with fewer rows than parameters that it alone determines says nothing about its noise.
+
+Reference: foerstner1979; patterson1971; mackay1992.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.stats import chi2
+
+from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.numerics.information import Information, information, prior_rows
+from calib.numerics.shared_error import SharedError
+from calib.numerics.statistics import require_freedom
+
+CHANCE = 1e-3
+"""Chance that shared errors are found where there are none."""
+EXACT = 1e-9
+"""Noise below this [SI] is rounding: the data were computed, not measured."""
+_ROUNDS = 60
+_SETTLED = 1e-4
+_FAMILY_ROUNDS = 100
+_SMALLEST_FAMILY = 1e-3  # factor below which a family does not fall at once
+_SEEN = 0.05  # coefficients that the data must decide of a family for its size to be found
+_STANDS = 0.01  # relative change of a shared error at which it is found
+
+
+@dataclass(frozen=True, eq=False)
+class Components:
+    """What was found.
+
+    Attributes:
+        scales: s_g, (n_groups,).
+        shared: tau_j, (n_joints,); 0 for none.
+        log_likelihood: Restricted, up to a constant.
+    """
+
+    scales: FloatArray
+    shared: FloatArray
+    log_likelihood: float
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """Rows around a solution, whitened by what is stated.
+
+    Attributes:
+        residuals: y there, (n_rows,).
+        jacobian: By the scaled parameters, (n_rows, n_free).
+        has_prior: Which of these have a prior, (n_free,).
+        deviations: u there, (n_free,).
+        group: Of each row, -1 for one that was not read, (n_rows,).
+        unstated: Which groups' scales are to be found, (n_groups,).
+        family: Family of each parameter, -1 for none, (n_free,); empty where there are none.
+        n_families: Number of families.
+    """
+
+    residuals: FloatArray
+    jacobian: FloatArray
+    has_prior: BoolArray
+    deviations: FloatArray
+    group: IntArray
+    unstated: BoolArray
+    family: IntArray
+    n_families: int = 0
+
+
+def found_scales(model: LinearModel, start: FloatArray) -> Components:
+    """Find the scales without a shared error.
+
+    Only the triangular factor of each group's rows is needed, so that a round costs next to nothing.
+
+    Args:
+        model: The rows.
+        start: Scales to start from, (n_groups,).
+
+    Raises:
+        NotIdentifiableError: No degrees of freedom are left.
+    """
+    both = np.hstack([model.jacobian, model.residuals[:, None]])
+    counts = np.array([int(np.sum(model.group == g)) for g in range(len(start))])
+    factors = [_factor(both[model.group == g]) for g in range(len(start))]
+    scales, step = start.copy(), np.zeros(both.shape[1] - 1)
+    for _ in range(_ROUNDS):
+        stacked = np.vstack([factor / scale for factor, scale in zip(factors, scales, strict=True)])
+        known, step = _solved(model, stacked)
+        change = np.ones(len(start))
+        for g in map(int, np.flatnonzero(model.unstated & (counts > 0))):
+            factor = factors[g] / scales[g]
+            left = factor[:, :-1] @ step + factor[:, -1]
+            freedom = counts[g] - float(np.sum((factor[:, :-1] @ known.root) ** 2))
+            change[g] = np.sqrt(float(left @ left) / max(freedom, 0.5))
+        scales = np.maximum(scales * change, EXACT / 10)
+        if np.all(np.abs(change - 1.0) <= _SETTLED) or np.all((scales < EXACT) | ~model.unstated):
+            break
+    freedom_left = int(np.sum(counts)) - known.rank.rank + float(np.sum(known.root[model.has_prior] ** 2))
+    require_freedom(freedom_left, int(np.sum(counts)))
+    stacked = np.vstack([factor / scale for factor, scale in zip(factors, scales, strict=True)])
+    known, step = _solved(model, stacked)
+    cost = float(np.sum((stacked[:, :-1] @ step + stacked[:, -1]) ** 2)) + _prior_cost(model, step)
+    determinant = 2.0 * float(np.sum(counts * np.log(scales)))
+    return Components(scales, np.zeros(0), -0.5 * (determinant + _log_determinant(known) + cost))
+
+
+def found_with_families(model: LinearModel, start: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Find scales of groups together with the size of the priors of families.
+
+    The coefficients of a family f, u_k ~ N(0, a_f^2) in units of their sigma, are random effects like any other: their
+    variance obeys the same equation, a_f^2 = |u_f|^2 / (n_f - trace of C_ff / a_f^2) with C the posterior covariance.
+    That is marginal likelihood, by MacKay's iteration. Hundreds of columns are worked on through their products, whose
+    size is that of the columns, however many rows there are.
+
+    Args:
+        model: The rows.
+        start: Scales of the groups to start from, (n_groups,).
+
+    Returns:
+        Scales of the groups (n_groups,), and a_f of the families (n_families,).
+    """
+    counts = np.array([int(np.sum(model.group == g)) for g in range(len(start))])
+    products = []
+    for g in range(len(start)):
+        rows, right = model.jacobian[model.group == g], model.residuals[model.group == g]
+        products.append((rows.T @ rows, rows.T @ right, float(right @ right)))
+    scales, sizes = start.copy(), np.ones(model.n_families)
+    members = [model.family == f for f in range(model.n_families)]
+    prior = model.has_prior.astype(float)
+    for _ in range(_FAMILY_ROUNDS):
+        factor = np.append(sizes, 1.0)[model.family]
+        deviations = model.deviations / factor
+        gram = sum(product / scale**2 for (product, _, _), scale in zip(products, scales, strict=True))
+        pull = sum(right / scale**2 for (_, right, _), scale in zip(products, scales, strict=True))
+        matrix = factor[:, None] * gram * factor
+        matrix[np.diag_indices(len(prior))] += prior
+        inverse = np.linalg.inv(matrix)
+        step = -inverse @ (factor * pull + prior * deviations)
+        moved = factor * step
+        change = np.ones(len(start))
+        for g in map(int, np.flatnonzero(model.unstated & (counts > 0))):
+            product, right, square = products[g]
+            left = square + 2.0 * float(moved @ right) + float(moved @ product @ moved)
+            used = float(np.sum(inverse * (factor[:, None] * product * factor))) / scales[g] ** 2
+            change[g] = np.sqrt(max(left, 0.0) / max(counts[g] - used, 0.5)) / scales[g]
+        growth = np.ones(model.n_families)
+        for f, own in enumerate(members):
+            known = int(np.sum(own)) - float(np.sum(np.diag(inverse)[own]))
+            if known > _SEEN:  # else the data say nothing of it: it stays
+                growth[f] = np.sqrt(float(np.sum((deviations + step)[own] ** 2)) / known)
+        scales, sizes = np.maximum(scales * change, EXACT / 10), np.maximum(sizes * growth, _SMALLEST_FAMILY)
+        if np.all(np.abs(growth - 1.0) <= _STANDS) and np.all(np.abs(change - 1.0) <= _STANDS / 10):
+            break
+    return scales, sizes
+
+
+def found_components(model: LinearModel, start: FloatArray, columns: FloatArray, block: IntArray) -> Components:
+    """Find the scales and, where it earns its place, an error shared by the rows of each block.
+
+    Args:
+        model: The rows.
+        start: Scales to start from, (n_groups,).
+        columns: H0: derivative of the rows by the joints, whitened by what is stated, (n_rows, n_joints).
+        block: Of each row, (n_rows,).
+
+    Raises:
+        NotIdentifiableError: No degrees of freedom are left.
+    """
+    without = found_scales(model, start)
+    if np.all(without.scales[model.unstated] < EXACT) and np.any(model.unstated):
+        return without
+    none = Components(without.scales, np.zeros(columns.shape[1]), without.log_likelihood)
+    read = model.group >= 0
+    sizes = np.sqrt(np.mean(columns[read] ** 2, axis=0))
+    level = float(np.sqrt(np.mean(model.residuals[read] ** 2)))
+    if not np.any(sizes > 0) or level == 0:
+        return none
+    start_tau = np.where(sizes > 0, 0.5 * level / np.maximum(sizes, 1e-300) / np.sqrt(np.sum(sizes > 0)), 0.0)
+    found = _with_shared(model, without.scales, start_tau, columns, block)
+    needed = float(chi2.isf(CHANCE, int(np.sum(sizes > 0))))
+    return found if 2.0 * (found.log_likelihood - without.log_likelihood) > needed else none
+
+
+def _with_shared(
+    model: LinearModel, start: FloatArray, tau: FloatArray, columns: FloatArray, block: IntArray
+) -> Components:
+    read = model.group >= 0
+    number = np.where(read, model.group, 0)
+    n_groups = len(start)
+    scales, likelihood = start.copy(), -np.inf
+    for _ in range(_ROUNDS):
+        divisor = np.where(read, scales[number], 1.0)
+        shared = SharedError(columns * tau / divisor[:, None], block)
+        rows, residuals = model.jacobian / divisor[:, None], model.residuals / divisor
+        white = shared.whiten(np.hstack([rows, residuals[:, None]]))
+        known, step = _solved_fast(model, white)
+        cost = float(np.sum((white[:, :-1] @ step + white[:, -1]) ** 2)) + _prior_cost(model, step)
+        determinant = 2.0 * float(np.sum(np.log(divisor[read]))) + shared.log_determinant()
+        likelihood = -0.5 * (determinant + known.log_determinant + cost)
+        left = shared.whiten(white[:, :-1] @ step + white[:, -1])
+        pulled = shared.whiten(white[:, :-1]) @ known.root
+        squares = np.bincount(number[read], left[read] ** 2, n_groups)
+        freedom = np.bincount(number[read], (shared.diagonal() - np.sum(pulled**2, axis=1))[read], n_groups)
+        change = np.where(model.unstated & (freedom > 0.5), np.sqrt(squares / np.maximum(freedom, 0.5)), 1.0)
+        traced = shared.traces() - np.sum(shared.felt(pulled) ** 2, axis=(0, 2))
+        felt = np.sum(shared.felt(left[:, None]) ** 2, axis=(0, 2))
+        growth = np.where((tau > 0) & (traced > 0), np.sqrt(felt / np.maximum(traced, 1e-300)), 1.0)
+        scales, tau = np.maximum(scales * change, EXACT / 10), tau * growth
+        if np.all(np.abs(change - 1.0) <= 10 * _SETTLED) and np.all(np.abs(growth - 1.0) <= _STANDS):
+            break
+    return Components(scales, tau, likelihood)
+
+
+def _factor(rows: FloatArray) -> FloatArray:
+    return rows if len(rows) <= rows.shape[1] else np.asarray(np.linalg.qr(rows, mode="r"))
+
+
+@dataclass(frozen=True, eq=False)
+class _Root:
+    """T with T T^T = (J^T J + P)^-1, and the logarithm of the determinant of J^T J + P."""
+
+    root: FloatArray
+    log_determinant: float
+
+
+def _solved_fast(model: LinearModel, rows: FloatArray) -> tuple[_Root, FloatArray]:
+    """The same as `_solved` by Cholesky's factors, which do for finding noise and cost a tenth."""
+    matrix = rows[:, :-1].T @ rows[:, :-1]
+    matrix[np.diag_indices(len(matrix))] += model.has_prior
+    lower = np.linalg.cholesky(matrix)
+    root = solve_triangular(lower, np.eye(len(matrix)), lower=True).T
+    pull = rows[:, :-1].T @ rows[:, -1] + np.where(model.has_prior, model.deviations, 0.0)
+    return _Root(root, 2.0 * float(np.sum(np.log(np.diag(lower))))), -root @ (root.T @ pull)
+
+
+def _solved(model: LinearModel, rows: FloatArray) -> tuple[Information, FloatArray]:
+    """What whitened rows [J y] and the priors determine, and the step to their minimum."""
+    known = information(rows[:, :-1], prior_rows(model.has_prior))
+    pull = rows[:, :-1].T @ rows[:, -1] + np.where(model.has_prior, model.deviations, 0.0)
+    return known, -known.root @ (known.root.T @ pull)
+
+
+def _prior_cost(model: LinearModel, step: FloatArray) -> float:
+    return float(np.sum((model.deviations + step)[model.has_prior] ** 2))
+
+
+def _log_determinant(known: Information) -> float:
+    return 2.0 * float(np.sum(np.log(known.strengths)))

@@ -1,0 +1,209 @@
+"""First guesses at where a camera and the body that it looks at are fixed.
+
+The camera is fixed to one link by C, the body to another by M, and the robot says how the links lie, L_i, so that point
+X is seen at C^-1 L_i M X. Nothing may be known of C and M. Guesses come from
+
+1. poses of single views (`calib.observation.camera_poses`) and the hand-eye problem (`calib.observation.hand_eye`):
+from
+   a few views at a time, chosen at random, since some poses are the wrong one of several answers;
+2. all points at once: where M is taken for known, turned as it is or as a cube may be turned, C is a resection.
+
+Each guess is then improved by least squares over C and M together, in rays (pixels without distortion), and the best
+few are returned; with them, C alone with M as it is, since another camera may have shown M already. The random choice
+has a fixed seed: one problem has one answer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from calib.arrays import FloatArray, IntArray
+from calib.observation.camera_poses import LEAST_POINTS, cube_rotations, plane_errors, resection, view_poses
+from calib.observation.hand_eye import fixed_poses
+from calib.observation.rotations import cross_matrices
+
+_VIEWS = 25
+_POINTS = 400
+_TRIALS = 60
+_IMPROVED = 8
+_KEPT = 3
+_STEPS = 60
+_SEED = 0
+
+Places = tuple[FloatArray, FloatArray]
+"""C and M, (4, 4) each [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """What a camera saw.
+
+    Attributes:
+        links: L_i of each sighting, (n, 4, 4) [m].
+        points: X in the body's frame, (n, 3) [m].
+        rays: m of `calib.observation.camera`, (n, 2).
+        view: Which of them were seen at one time, (n,), counted from 0.
+    """
+
+    links: FloatArray
+    points: FloatArray
+    rays: FloatArray
+    view: IntArray
+
+    def some(self, chosen: IntArray) -> Sightings:
+        """Return those with these numbers, (n,); views keep their numbers."""
+        return Sightings(self.links[chosen], self.points[chosen], self.rays[chosen], self.view[chosen])
+
+
+def guesses(found: Sightings, now: Places, known: tuple[bool, bool]) -> list[Places]:
+    """Return guesses at the places of camera and body, best first.
+
+    Args:
+        found: What was seen.
+        now: The places as they are.
+        known: Which of them are known.
+    """
+    sample = found.some(np.unique(np.linspace(0, len(found.view) - 1, _POINTS).astype(np.intp)))
+    tried = [now, *_from_views(found, now, known), *_from_points(sample, now, known)]
+    tried.sort(key=lambda places: _typical(sample, places))
+    improved = [_improved(sample, places, known) for places in tried[:_IMPROVED]]
+    improved = [
+        _improved(found, places, known) for places in sorted(improved, key=lambda p: _typical(sample, p))[:_KEPT]
+    ]
+    improved.sort(key=lambda places: _typical(found, places))
+    if any(known):
+        return improved
+    only_camera = sorted(_from_points(sample, now, (False, True)), key=lambda places: _typical(sample, places))
+    return improved + [_improved(found, places, (False, True)) for places in only_camera[:1]]
+
+
+def seen_points(found: Sightings, places: Places) -> FloatArray:
+    """Return the points in the camera's frame, (n, 3) [m]."""
+    return _in_camera(found, places)[0]
+
+
+def _from_views(found: Sightings, now: Places, known: tuple[bool, bool]) -> list[Places]:
+    """Guesses from poses of single views."""
+    counts = np.bincount(found.view)
+    best = np.argsort(-counts, kind="stable")[:_VIEWS]
+    best = best[counts[best] >= LEAST_POINTS]
+    needed = 3 if not any(known) else 1
+    if len(best) < needed:
+        return []
+    number = np.full(len(counts), -1)
+    number[best] = np.arange(len(best))
+    chosen = np.flatnonzero(number[found.view] >= 0)
+    poses, errors = view_poses(found.points[chosen], found.rays[chosen], number[found.view[chosen]], len(best))
+    first = np.array([int(np.flatnonzero(found.view == view)[0]) for view in best])
+    links = found.links[first]
+    solved = np.flatnonzero(np.isfinite(errors))
+    if len(solved) < needed:
+        return []
+    generator = np.random.default_rng(_SEED)
+    result = [fixed_poses(links[solved], poses[solved], now, known)]
+    for _ in range(_TRIALS):
+        some = generator.choice(solved, min(needed + 1, len(solved)), replace=False)
+        result.append(fixed_poses(links[some], poses[some], now, known))
+    return result
+
+
+def _from_points(found: Sightings, now: Places, known: tuple[bool, bool]) -> list[Places]:
+    """Guesses that take the body's place for known, but for how it is turned."""
+    result = []
+    for turn in cube_rotations():
+        body = now[1].copy()
+        if not known[1]:
+            body[:3, :3] = body[:3, :3] @ turn
+        if known[0]:
+            result.append((now[0], body))
+        else:
+            points = np.einsum("kab,bc,kc->ka", found.links, body, _homogeneous(found.points))[:, :3]
+            result += [(np.linalg.inv(pose), body) for pose in resection(points, found.rays)]
+        if known[1]:
+            break
+    return result
+
+
+def _homogeneous(points: FloatArray) -> FloatArray:
+    return np.hstack([points, np.ones((len(points), 1))])
+
+
+def _in_camera(found: Sightings, places: Places) -> tuple[FloatArray, FloatArray]:
+    """Points in the camera's frame (n, 3), and how the body is turned in it (n, 3, 3)."""
+    poses = np.linalg.inv(places[0]) @ found.links @ places[1]
+    return np.einsum("kab,kb->ka", poses[:, :3], _homogeneous(found.points)), poses[:, :3, :3]
+
+
+def _typical(found: Sightings, places: Places) -> float:
+    """Median error of the rays: some may be mistaken."""
+    errors, _ = plane_errors(_in_camera(found, places)[0], found.rays)
+    return float(np.median(np.sum(errors**2, axis=1)))
+
+
+def _improved(found: Sightings, places: Places, known: tuple[bool, bool]) -> Places:
+    """Least squares over the places that are not known; far-off sightings count less."""
+    free = np.repeat(np.logical_not(known), 6)
+    scale = max(np.sqrt(_typical(found, places)), 1e-6)
+
+    def moved(x: FloatArray) -> Places:
+        step = np.zeros(12)
+        step[free] = x
+        return _stepped(places[0], step[:6]), _stepped(places[1], step[6:])
+
+    def errors(x: FloatArray) -> FloatArray:
+        return plane_errors(_in_camera(found, moved(x))[0], found.rays)[0].ravel()
+
+    def jacobian(x: FloatArray) -> FloatArray:
+        at = moved(x)
+        points, turned = _in_camera(found, at)
+        by_point = plane_errors(points, found.rays)[1]
+        n = len(points)
+        by_camera = np.concatenate([-np.tile(np.eye(3), (n, 1, 1)), cross_matrices(points)], axis=2)
+        by_body = np.concatenate([turned, -turned @ cross_matrices(found.points)], axis=2)
+        step = np.zeros(12)
+        step[free] = x
+        by_camera[:, :, 3:] = by_camera[:, :, 3:] @ _right_jacobian(step[3:6])
+        by_camera[:, :, :3] = by_camera[:, :, :3] @ _turn(step[3:6]).T
+        by_body[:, :, 3:] = by_body[:, :, 3:] @ _right_jacobian(step[9:])
+        by_body[:, :, :3] = by_body[:, :, :3] @ _turn(step[9:]).T
+        both = np.concatenate([by_camera, by_body], axis=2)[:, :, free]
+        result: FloatArray = (by_point @ both).reshape(2 * n, -1)
+        return result
+
+    found_x = least_squares(
+        errors,
+        np.zeros(int(free.sum())),
+        jac=jacobian,
+        loss="soft_l1",
+        f_scale=10 * scale,
+        max_nfev=_STEPS,
+        x_scale="jac",
+    )
+    return moved(found_x.x)
+
+
+def _turn(vector: FloatArray) -> FloatArray:
+    result: FloatArray = Rotation.from_rotvec(vector).as_matrix()
+    return result
+
+
+def _stepped(pose: FloatArray, step: FloatArray) -> FloatArray:
+    """A pose moved and turned in its own axes."""
+    change = np.eye(4)
+    change[:3, :3], change[:3, 3] = _turn(step[3:]), step[:3]
+    return pose @ change
+
+
+def _right_jacobian(vector: FloatArray) -> FloatArray:
+    angle = float(np.linalg.norm(vector))
+    cross = cross_matrices(vector[None])[0]
+    if angle < 1e-6:
+        return np.eye(3) - cross / 2.0
+    result: FloatArray = (
+        np.eye(3) - (1.0 - np.cos(angle)) / angle**2 * cross + (angle - np.sin(angle)) / angle**3 * cross @ cross
+    )
+    return result

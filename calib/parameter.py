@@ -1,0 +1,42 @@
+"""One number that may differ from its nominal value: what every floor means by a parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from calib.errors import ParameterError, nearest
+from calib.units import Dimension
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number that may differ from its nominal value.
+
+    Attributes:
+        name: Unique name.
+        dimension: Length or angle.
+        nominal: Value in the description [m or rad].
+        sigma: Expected deviation from nominal, one standard deviation [m or rad]; scales its column, and is its prior.
+        unit: Unit in tables.
+        prior: Whether nominal +- sigma counts as information in a fit. False: the measurements alone decide.
+        placement: Whether it only says where the measurement frame or a target is, which is no error of the robot.
+        family: Parameters of one family share a factor on their sigmas that is found from the data; empty: none.
+    """
+
+    name: str
+    dimension: Dimension
+    nominal: float
+    sigma: float
+    unit: str
+    prior: bool = True
+    placement: bool = False
+    family: str = ""
+
+
+def index_of(parameters: Sequence[Parameter], name: str, where: str = "parameters") -> int:
+    """Return the position of a parameter; an unknown name is a `ParameterError` that names the nearest one."""
+    for index, parameter in enumerate(parameters):
+        if parameter.name == name:
+            return index
+    raise ParameterError(f"{where}: no parameter '{name}'{nearest(name, [p.name for p in parameters])}")

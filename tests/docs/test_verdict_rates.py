@@ -1,0 +1,57 @@
+"""The simulated calibrations behind docs/verdict.md."""
+
+import numpy as np
+import pytest
+from snippets import DOCS
+from verdict_rates import OUTCOMES, Outcome, Run, calibrate, markdown, rows
+from verdict_scenarios import ROBOTS, SCENARIOS, open_lab
+
+HEALTHY = [name for name, scenario in SCENARIOS.items() if scenario.kind == "healthy"]
+GROSS = ["a joint counted the other way", "two joint columns swapped", "an axis of the tracker mirrored"]
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("scenario", HEALTHY)
+def test_a_healthy_calibration_never_fails(robot, scenario):
+    assert calibrate(Run(robot, scenario, 0)).grade in ("PASS", "CHECK")
+
+
+@pytest.mark.parametrize("scenario", GROSS)
+def test_gross_mistakes_never_pass(scenario):
+    assert calibrate(Run("arm", scenario, 0)).grade in ("FAIL", "refused")
+
+
+def test_what_the_model_leaves_out_is_seen():
+    assert calibrate(Run("arm", "the tracker is moved half-way", 0)).grade == "CHECK"
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_every_scenario_makes_measurements_and_the_same_from_the_same_seed(robot, scenario):
+    first, second = (SCENARIOS[scenario].make(open_lab(robot, 5)) for _ in range(2))
+    np.testing.assert_array_equal(first.positions, second.positions)
+    assert len(first.measurements(open_lab(robot, 5).nominal)) > 10
+
+
+def test_rows_count_what_was_said():
+    name, sick = HEALTHY[0], GROSS[0]
+    said = [
+        Outcome(Run("arm", name, 0), "PASS", ("nothing_to_correct",)),
+        Outcome(Run("arm", name, 1), "CHECK", ("a",)),
+    ]
+    table = rows([*said, Outcome(Run("arm", sick, 0), "FAIL", ("b", "c"))])
+    assert table[0] == ["healthy", name, "2", "1", "1", "0", "0", "a 1"]
+    assert table[1][1:3] == ["all healthy", "2"]
+    assert table[2] == ["sick", sick, "1", "0", "0", "1", "0", "b 1, c 1"]
+    assert f"| {sick} | 1 | 0 | 0 | 1 | 0 | b 1, c 1 |" in markdown(table)
+
+
+def test_the_page_has_every_scenario_and_keeps_its_promise():
+    text = (DOCS / "verdict.md").read_text(encoding="utf-8")
+    found = {cells[0].strip(): cells[1:] for cells in (line.strip("| ").split("|") for line in text.splitlines())}
+    assert set(SCENARIOS) <= set(found)
+    runs, *counts = (int(cell) for cell in found["all healthy"][:5])
+    grades = dict(zip(OUTCOMES, counts, strict=True))
+    assert runs == sum(counts) >= 300
+    assert grades["FAIL"] == grades["refused"] == 0
+    assert grades["CHECK"] <= 0.05 * runs

@@ -1,0 +1,78 @@
+"""What tests of kinds of measurement share: derivatives by differences, and a ball that is brought somewhere."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from calib.linearisation.observed import observe
+
+_STEP = 1e-4
+_DIFFERENCES = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
+"""Central differences of fourth order."""
+
+
+def relative_error(found, expected):
+    """Largest difference of a column, relative to that column's largest entry (to 1e-3 for zero columns)."""
+    scale = np.maximum(np.max(np.abs(expected), axis=(0, 1)), 1e-3)
+    return float(np.max(np.abs(found - expected) / scale))
+
+
+def kind_error(one, view, unknowns, readings):
+    """Relative error of `by_twist` and `by_unknown` of one instrument, by moving the frame b and the unknowns."""
+    found = one.compare(view, unknowns, readings)
+    columns = []
+    for component in range(6):
+        column = 0.0
+        for k, weight in _DIFFERENCES.items():
+            xi = k * _STEP * np.eye(6)[component]
+            moved = replace(
+                view,
+                translation=view.translation + xi[:3],
+                rotation=Rotation.from_rotvec(xi[3:]).as_matrix() @ view.rotation,
+            )
+            column = column + weight / _STEP * one.compare(moved, unknowns, readings).residuals
+        columns.append(column)
+    error = relative_error(found.by_twist, np.stack(columns, axis=2))
+    for component in range(len(unknowns)):
+        column = 0.0
+        for k, weight in _DIFFERENCES.items():
+            there = unknowns + k * _STEP * np.eye(len(unknowns))[component]
+            column = column + weight / _STEP * one.compare(view, there, readings).residuals
+        error = max(error, relative_error(found.by_unknown[:, :, [component]], column[:, :, None]))
+    return error
+
+
+def chain_error(robot, q, readings):
+    """Relative error of the derivative of all readings by all parameters, loops closed again for every difference."""
+    found = observe(robot, robot.assemble(q), readings)
+    worst = 0.0
+    for k, parameter in enumerate(robot.parameters):
+        columns = dict.fromkeys(readings, 0.0)
+        for step, weight in _DIFFERENCES.items():
+            values = robot.values + step * _STEP * np.eye(len(robot.values))[k]
+            moved = robot.with_parameters(values)
+            for name, there in observe(moved, moved.assemble(q), readings).items():
+                columns[name] = columns[name] + weight / _STEP * there.residuals
+        for name, column in columns.items():
+            error = relative_error(found[name].jacobian[:, :, [k]], column[:, :, None])
+            assert error <= 1e-6, f"{name}, {parameter.name}: {error}"
+            worst = max(worst, error)
+    return worst
+
+
+def brought(robot, q, points):
+    """Joint values near q (n, k) at which the first target is at points (n, 3) [m]: Newton's method by differences."""
+    q = np.array(q, dtype=float)
+    width = q.shape[1]
+    for _ in range(60):
+        sides = robot.positions(np.concatenate([q + sign * 1e-6 * step for step in np.eye(width) for sign in (1, -1)]))
+        sides = sides[:, 0].reshape(width, 2, len(q), 3)
+        slope = ((sides[:, 0] - sides[:, 1]) / 2e-6).transpose(1, 2, 0)
+        miss = points - robot.positions(q)[:, 0]
+        step = np.einsum("nij,nj->ni", np.linalg.pinv(slope, rcond=1e-3), miss)
+        size = np.linalg.norm(step, axis=1, keepdims=True)
+        q = q + step * np.minimum(1.0, 0.3 / np.maximum(size, 1e-12))
+        if np.max(np.abs(miss)) < 1e-12:
+            break
+    return q, np.max(np.abs(miss), axis=1) < 1e-10

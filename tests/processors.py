@@ -1,0 +1,73 @@
+"""Run the numerical tests with the sums of several processors: `make test-processors`.
+
+OpenBLAS, below numpy and scipy, has kernels for each family of processors. They add in different orders, so results
+differ in the last digit; a decision that hangs on that digit is wrong on some machine. OPENBLAS_CORETYPE chooses the
+kernels of another processor. Those that this one cannot run are skipped, and so are its own, with which `make test`
+runs everything.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+CORE_TYPES = {
+    "Prescott": {"pni"},
+    "Haswell": {"avx2", "fma"},
+    "Zen": {"avx2", "fma"},
+    "SkylakeX": {"avx512f", "avx512dq", "avx512bw", "avx512vl"},
+}
+"""Names of OpenBLAS, and what the processor must be able to do, in the words of /proc/cpuinfo."""
+MODULES = (
+    *("elimination", "identifiability", "least_squares", "losses", "nist", "null_space", "observability", "outliers"),
+    *("placement", "registration", "statistics", "jacobian", "prediction", "assessment", "selection"),
+    *("selection_scores", "selection_bound", "exchange", "refinement", "measurement_order", "loops", "continuation"),
+    *("open_loops", "forward_kinematics", "inverse", "fit", "robust", "suspects", "systematic", "starts"),
+    *("error_before", "validation", "rows", "observed", "shared_error", "variance_components", "repeats"),
+    *("instruments",),
+)
+"""Tests whose expectations rest on linear algebra; about a minute on two cores for each kind of kernels."""
+_ARCHITECTURES = (
+    "import numpy, scipy.linalg, threadpoolctl\n"
+    "print(*sorted({str(library.get('architecture')) for library in threadpoolctl.threadpool_info()}))"
+)
+
+
+def main() -> int:
+    """Run the tests once for each kind of kernels; return 1 if any failed."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("-n", dest="jobs", default="2", help="processes of pytest")
+    jobs = parser.parse_args().jobs
+    cpuinfo = Path("/proc/cpuinfo")
+    able = set(cpuinfo.read_text(encoding="utf-8").split()) if cpuinfo.is_file() else set()
+    files = [str(ROOT / "tests" / f"test_{module}.py") for module in MODULES]
+    seen = {_output([sys.executable, "-c", _ARCHITECTURES], dict(os.environ)): "this processor, for `make test`"}
+    failed = []
+    for name, needed in CORE_TYPES.items():
+        if missing := needed - able:
+            print(f"{name}: skipped, this processor has no {', '.join(sorted(missing))}", flush=True)
+            continue
+        environment = os.environ | {"OPENBLAS_CORETYPE": name, "OPENBLAS_NUM_THREADS": "1"}
+        kernels = _output([sys.executable, "-c", _ARCHITECTURES], environment)
+        if kernels in seen:
+            print(f"{name}: skipped, the same kernels as those of {seen[kernels]}", flush=True)
+            continue
+        seen[kernels] = name
+        print(f"{name}:", flush=True)
+        command = [sys.executable, "-m", "pytest", "-n", jobs, "-p", "no:cacheprovider", *files]
+        if subprocess.run(command, env=environment, cwd=ROOT, check=False).returncode:
+            failed.append(name)
+    print(f"failed with the kernels of {', '.join(failed)}" if failed else "passed with all that could be run")
+    return int(bool(failed))
+
+
+def _output(command: list[str], environment: dict[str, str]) -> str:
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,262 @@
+"""Distances: derivatives, a known truth found again, intervals that hold it, and input that cannot be."""
+
+import numpy as np
+import pytest
+from kind_checks import chain_error, kind_error
+from scipy.spatial.transform import Rotation
+from scipy.stats import binom
+from six_axis_arm import joints, write_six_axis
+
+import calib
+from calib.linearisation.observed import predicted_readings
+from calib.linearisation.registration import register
+from calib.numerics.multilateration import centre, centre_of_sphere, common_offset
+from calib.observation.kind import Readings, View
+from medrue import robot_file
+from medrue.paper_tables import table1
+from medrue.workspace import target_workspace
+
+FREE = """\
+  - {origin: j2, components: [ry], sigma: 5 mrad}
+  - {origin: j3, components: [ry], sigma: 5 mrad}
+  - {origin: j4, components: [rx], sigma: 5 mrad}
+  - {origin: j5, components: [ry], sigma: 5 mrad}
+  - {origin: j2, components: [x], sigma: 2 mm}
+  - {origin: j3, components: [z], sigma: 2 mm}
+  - {origin: j5, components: [x], sigma: 2 mm}
+"""
+YAML = (
+    """\
+urdf: arm.urdf
+name_mot: [j1, j2, j3, j4, j5, j6]
+priors: false
+base: {frame: l0}
+targets: {ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm], position: unknown}}
+instruments:
+  wire: {kind: distance, target: ball, end: {frame: l0, position: unknown}, offset: unknown}
+  beam: {kind: distance, target: ball, end: {frame: l0, xyz: [1, 0, 0], position: unknown}, sigma: 0.02 mm}
+  gauge: {kind: distance, target: ball, end: {frame: l0, xyz: [0.3, -0.9, 0.1]}, offset: 12 mm}
+parametrisation:
+"""
+    + FREE
+)
+TRUTH = {"j2.ry": 0.01, "j3.ry": -0.02, "j4.rx": 0.01, "j5.ry": 0.015, "j2.x": 0.052, "j3.z": 0.602, "j5.x": 0.397}
+TRUTH |= {"ball.x": 0.08, "ball.y": -0.03, "ball.z": 0.15}
+ENDS = {"wire": [-1.4, 0.0, 0.2], "beam": [0.9, 1.3, -0.4], "gauge": [0.3, -0.9, 0.1]}
+OFFSETS = {"wire": 0.25, "beam": 0.0, "gauge": 0.012}
+SIGMA = 2e-5
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    return calib.load(write_six_axis(tmp_path_factory.mktemp("arm"), YAML))
+
+
+def read(truth, q, sigma=0.0, seed=0):
+    """What the three instruments read, by plain numpy."""
+    rng = np.random.default_rng(seed)
+    ball = truth.positions(q)[:, 0]
+    return {
+        name: np.linalg.norm(ball - end, axis=1)[:, None] + OFFSETS[name] + sigma * rng.standard_normal((len(q), 1))
+        for name, end in ENDS.items()
+    }
+
+
+def whole_truth(robot):
+    ends = {f"{name}_end.{axis}": ENDS[name][k] for name in ("wire", "beam") for k, axis in enumerate("xyz")}
+    return {**TRUTH, **ends, "wire.offset": OFFSETS["wire"]}
+
+
+@pytest.mark.parametrize("offset", ["12 mm", "{value: 12 mm, sigma: 1 mm}", "unknown"])
+def test_the_kind_has_exact_derivatives(tmp_path, offset):
+    yaml = YAML.replace("offset: unknown", f"offset: {offset}")
+    one = calib.load(write_six_axis(tmp_path, yaml)).instrument("wire")
+    rng = np.random.default_rng(1)
+    view = View(Rotation.random(20, rng).as_matrix(), rng.normal(size=(20, 3)), np.full(20, np.nan))
+    nothing = np.zeros(20, dtype=int)
+    readings = Readings(nothing, nothing, rng.normal(1.0, 0.3, (20, 1)), None, np.zeros((20, 0)))
+    assert kind_error(one, view, np.full(len(one.unknowns), 0.02), readings) <= 1e-8
+    expected = np.linalg.norm(view.translation, axis=1) + 0.02 * len(one.unknowns) + (0.012 if offset == "12 mm" else 0)
+    np.testing.assert_allclose(one.predict(view, np.full(len(one.unknowns), 0.02), readings.details)[:, 0], expected)
+
+
+def test_the_chain_has_exact_derivatives_on_a_serial_arm(arm):
+    q = joints(6)
+    data = calib.as_measurements(arm, q, read(arm, q))
+    assert chain_error(arm, q, data.readings) <= 1e-6
+
+
+def test_the_chain_has_exact_derivatives_on_a_robot_with_three_loops(tmp_path):
+    yaml = robot_file().read_text().replace("urdf: medrue.urdf", f"urdf: {robot_file().parent / 'medrue.urdf'}")
+    wire = (
+        "instruments: {wire: {kind: distance, target: tool, end: {frame: world, position: unknown}, offset: unknown}}\n"
+    )
+    (tmp_path / "medrue.yaml").write_text(yaml.replace("sigma: 0.04 mm", wire))
+    robot = calib.load(tmp_path / "medrue.yaml")
+    robot = robot.with_parameters(dict(zip(table1().names, table1().actual, strict=True)))
+    q = target_workspace().q[::100]
+    readings = predicted_readings(robot, robot.assemble(q))
+    assert chain_error(robot, q, readings) <= 1e-6
+
+
+def test_the_truth_is_found_from_bad_first_guesses(arm):
+    q = joints(60, seed=3)
+    truth = arm.with_parameters(TRUTH)
+    found = calib.fit(arm, calib.as_measurements(arm, q, read(truth, q))).robot
+    values = dict(zip([p.name for p in found.parameters], found.values, strict=True))
+    for name, value in whole_truth(arm).items():
+        assert abs(values[name] - value) < 1e-7, name
+
+
+def test_a_fixed_point_and_its_offset_are_placed_before_anything_is_fitted(arm):
+    q = joints(30, seed=4)
+    placed = register(arm, calib.as_measurements(arm, q, read(arm, q)))
+    for name, value in whole_truth(arm).items():
+        if "_end" in name or "offset" in name:
+            assert abs(placed.values[[p.name for p in placed.parameters].index(name)] - value) < 1e-9, name
+
+
+def test_the_fixed_point_of_a_planar_robot_stays_on_the_side_where_it_is_believed(tmp_path):
+    folder = robot_file().parents[1] / "docs" / "examples"
+    for side in (1, -1):
+        yaml = (
+            (folder / "five_bar.yaml").read_text().replace("urdf: five_bar.urdf", f"urdf: {folder / 'five_bar.urdf'}")
+        )
+        yaml = yaml.replace("pose: unknown", "pose: known").replace("sigma: 0.02 mm", "")
+        end = f"{{frame: table, xyz: [0, 0, {0.1 * side}], position: unknown}}"
+        yaml += f"instruments: {{wire: {{kind: distance, target: pen, end: {end}}}}}\n"
+        (tmp_path / "five_bar.yaml").write_text(yaml)
+        robot = calib.load(tmp_path / "five_bar.yaml")
+        q = robot.home + np.random.default_rng(5).uniform(-0.4, 0.4, (20, 2))
+        assert chain_error(robot, q[:4], predicted_readings(robot, robot.assemble(q[:4]))) <= 1e-6
+        end = np.array([0.4, -0.3, 0.5 * side])
+        distances = np.linalg.norm(robot.positions(q)[:, 0] - end, axis=1)
+        placed = register(robot, calib.as_measurements(robot, q, {"wire": distances[:, None]}))
+        np.testing.assert_allclose(placed.mechanism.placement("wire_end").translation, end, atol=1e-7)
+
+
+def test_multilateration_in_space_in_a_plane_and_on_a_line():
+    rng = np.random.default_rng(6)
+    points, c = rng.normal(size=(12, 3)), np.array([0.7, -1.1, 2.0])
+    distance = lambda p: np.linalg.norm(p - c, axis=1)  # noqa: E731
+    np.testing.assert_allclose(centre(points, distance(points), np.zeros(3)), c, atol=1e-12)
+    assert abs(common_offset(points, distance(points) + 0.3, np.zeros(3), 0.0) - 0.3) < 1e-12
+    flat = points * [1, 1, 0]
+    np.testing.assert_allclose(centre(flat, distance(flat), np.array([0, 0, 0.1])), c, atol=1e-12)
+    np.testing.assert_allclose(centre(flat, distance(flat), np.array([0, 0, -0.1])), c * [1, 1, -1], atol=1e-12)
+    line = points * [1, 0, 0]
+    found = centre(line, distance(line), np.array([5.0, 0.0, -1.0]))
+    np.testing.assert_allclose(found, [0.7, 0.0, -np.hypot(1.1, 2.0)], atol=1e-12)
+    on_sphere = c + 0.3 * points / np.linalg.norm(points, axis=1)[:, None]
+    found, radius = centre_of_sphere(on_sphere, np.zeros(3))
+    np.testing.assert_allclose([*found, radius], [*c, 0.3], atol=1e-12)
+
+
+def coverage(robot, n, n_poses=40):
+    """Part of n calibrations whose 95 % interval holds the truth, of each free parameter."""
+    true = whole_truth(robot)
+    truth = robot.with_parameters(TRUTH)
+    q = joints(n_poses, seed=7)
+    hits = []
+    for seed in range(n):
+        fit = calib.fit(robot, calib.as_measurements(robot, q, read(truth, q, SIGMA, seed=seed)))
+        missed = fit.robot.values[fit.unknowns.index] - [true[name] for name in fit.free_names]
+        hits.append(np.abs(missed) <= fit.statistics.half_width)
+    return np.mean(hits, axis=0)
+
+
+def test_95_percent_intervals_hold_the_truth(arm):
+    n = 60
+    found = coverage(arm, n)
+    assert np.all(n * found >= binom.ppf(1e-4 / len(found), n, 0.95))
+    assert 0.9 < np.mean(found) < 0.99
+
+
+@pytest.fixture
+def fit_file(tmp_path, run_calib, monkeypatch):
+    """Fit a file of three distances and return what was said and the exit code; edits are (old, new) of either file."""
+    monkeypatch.setattr("calib.reporting.results.entry_points", lambda group: ())
+
+    def fit(in_yaml=(), in_csv=()):
+        robot = calib.load(write_six_axis(tmp_path, YAML))
+        q = joints(30, seed=8)
+        truth = robot.with_parameters(TRUTH)
+        header = ",".join([*(f"j{k} [rad]" for k in range(1, 7)), *(f"{name}_distance [mm]" for name in ENDS)])
+        found = np.hstack([q, *(1e3 * values for values in read(truth, q, SIGMA).values())])
+        lines = [header, *(",".join(repr(float(cell)) for cell in row) for row in found)]
+        text = ("\n".join(lines) + "\n").replace(*(in_csv or ("", "")))
+        (tmp_path / "data.csv").write_text(text)
+        yaml = YAML.replace(*(in_yaml or ("", "")))
+        assert (yaml != YAML) == bool(in_yaml)
+        (tmp_path / "arm.yaml").write_text(yaml)
+        run = run_calib("fit", tmp_path / "arm.yaml", tmp_path / "data.csv", "--out", tmp_path / "out")
+        assert len(run.err.strip().splitlines()) <= 1
+        return run
+
+    return fit
+
+
+def test_a_file_of_distances_is_fitted(fit_file, tmp_path):
+    run = fit_file()
+    assert run.code == 0, run.err
+    assert "wire_distance" not in run.err
+    fitted = calib.load(tmp_path / "arm.yaml").with_parameters(
+        calib.data.parameter_files.read_parameters(
+            tmp_path / "out" / "parameters.csv", calib.load(tmp_path / "arm.yaml")
+        )
+    )
+    values = dict(zip([p.name for p in fitted.parameters], fitted.values, strict=True))
+    assert abs(values["wire.offset"] - OFFSETS["wire"]) < 1e-3
+    assert abs(values["beam_end.y"] - ENDS["beam"][1]) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        (("offset: unknown", "ofset: unknown"), "unknown key 'instruments.wire.ofset'; did you mean 'offset'"),
+        (("end: {frame: l0, position", "end: {position"), "key 'instruments.wire.end.frame' is missing"),
+        (("end: {frame: l0, position", "end: {frame: l9, position"), "no link or joint 'l9'"),
+        (("offset: unknown", "offset: {value: 3 mm}"), "instruments.wire.offset: give {value: ..., sigma: ...}"),
+        (("offset: unknown", "offset: {value: 3 mm, sgma: 1}"), "unknown key 'sgma'; did you mean 'sigma'"),
+        (("offset: unknown", "offset: 3 deg"), "unit 'deg' is for an angle"),
+        (("-0.9, 0.1]}", "-0.9, 0.1], sigma: 1 mm}"), "sigma is for a point whose position is unknown"),
+        (("sigma: 0.02 mm", "sigma: -0.02 mm"), "instruments.beam.sigma: "),
+        (("target: ball, end: {frame: l0, xyz: [1", "target: bal, end: {frame: l0, xyz: [1"), "no target 'bal'"),
+        (("gauge: {kind: distance", "gauge: {kind: distanse"), "unknown kind 'distanse'; did you mean 'distance'"),
+    ],
+)
+def test_descriptions_that_cannot_be(fit_file, edit, said):
+    run = fit_file(in_yaml=edit)
+    assert run.code == 2
+    assert said in run.err
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        (("wire_distance [mm]", "wire_distance [deg]"), "column 'wire_distance': unit 'deg' is for an angle"),
+        (("gauge_distance [mm]", "gauge_distance"), "m is not plausible; write the unit into the header"),
+        (("beam_distance", "wire_distance"), "column"),
+    ],
+)
+def test_files_that_cannot_be(fit_file, edit, said):
+    run = fit_file(in_csv=edit)
+    assert run.code == 2
+    assert said in run.err
+
+
+def test_a_negative_distance_is_named(arm):
+    readings = read(arm, joints(5))
+    readings["gauge"][3] = -0.5
+    columns = {"gauge_distance": readings["gauge"][:, 0]}
+    with pytest.raises(calib.CalibrationError, match="'gauge', reading 4: gauge_distance is -500 mm"):
+        arm.instrument("gauge").values(columns)
+
+
+def test_a_target_at_the_fixed_point_is_an_error(arm):
+    q = joints(5)
+    ball = arm.positions(q)[2, 0]
+    there = arm.with_parameters({f"beam_end.{axis}": ball[k] for k, axis in enumerate("xyz")})
+    data = calib.as_measurements(there, q, read(arm, q))
+    with pytest.raises(calib.CalibrationError, match="instrument 'beam': its target 'ball' is where its distance"):
+        calib.linearisation.observed.observe(there, there.assemble(q), data.readings)

@@ -1,0 +1,401 @@
+"""Pixels: derivatives, cameras found from anywhere, a known truth found again, intervals, and input that cannot be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from kind_checks import chain_error, kind_error
+from scipy.spatial.transform import Rotation
+from scipy.stats import binom
+from six_axis_arm import joints, write_six_axis
+
+import calib
+from calib.data.measurement_files import read_measurements
+from calib.linearisation.candidates import rows_of_poses
+from calib.linearisation.observed import predicted_readings
+from calib.linearisation.registration import register
+from calib.observation.camera import in_front, project, rays
+from calib.observation.kind import Readings, View
+
+_GOLDEN = (1 + 5**0.5) / 2
+_THIRD = np.array([[0.0, s, t * _GOLDEN] for s in (1, -1) for t in (1, -1)])
+BODY = 0.03 * np.concatenate([_THIRD, _THIRD[:, [2, 0, 1]], _THIRD[:, [1, 2, 0]]])
+"""Corners of an icosahedron [m]."""
+NAMES = [f"p{k}" for k in range(len(BODY))]
+POINTS = "{" + ", ".join(f"{n}: [{x!r}, {y!r}, {z!r}]" for n, (x, y, z) in zip(NAMES, BODY.tolist(), strict=True)) + "}"
+CAMERA = np.array([2400, 2410, 1000, 800, -0.1, 0.05, 0.001, -0.0005, 0.01])
+INTRINSICS = "{fx: 2400, fy: 2410, cx: 1000, cy: 800, k1: -0.1, k2: 0.05, p1: 0.001, p2: -0.0005, k3: 0.01}"
+FREE = """\
+  - {origin: j2, components: [ry], sigma: 5 mrad}
+  - {origin: j3, components: [ry], sigma: 5 mrad}
+  - {origin: j3, components: [z], sigma: 2 mm}
+  - {origin: j4, components: [rx], sigma: 5 mrad}
+  - {origin: j5, components: [ry], sigma: 5 mrad}
+  - {origin: j5, components: [x], sigma: 2 mm}
+"""
+TRUTH = {"j2.ry": 0.01, "j3.ry": -0.02, "j3.z": 0.602, "j4.rx": 0.01, "j5.ry": 0.015, "j5.x": 0.397}
+YAML = f"""\
+urdf: arm.urdf
+name_mot: [j1, j2, j3, j4, j5, j6]
+priors: false
+base: {{frame: l0}}
+targets: {{body: {{frame: l6, position: unknown, orientation: unknown}}}}
+instruments:
+  eye: {{kind: pixel, target: body, camera: {{frame: l0}}, intrinsics: {INTRINSICS}, image: [2000, 1600],
+        points: {POINTS}}}
+parametrisation:
+{FREE}"""
+SIGMA = 0.3
+
+
+def image(points):
+    """Where OpenCV puts points in the camera's frame, as its documentation says."""
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = CAMERA
+    x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
+    r = x**2 + y**2
+    bend = 1 + k1 * r + k2 * r**2 + k3 * r**3
+    u = x * bend + 2 * p1 * x * y + p2 * (r + 2 * x**2)
+    v = y * bend + p1 * (r + 2 * y**2) + 2 * p2 * x * y
+    return np.stack([fx * u + cx, fy * v + cy], axis=1)
+
+
+def places(seed):
+    """A camera anywhere around the arm that looks at it, turned anyhow; a body anywhere near the flange."""
+    rng = np.random.default_rng(seed)
+    away = rng.normal(size=3)
+    centre = np.array([0.4, 0, 0.8]) + rng.uniform(-0.2, 0.2, 3)
+    camera, body = np.eye(4), np.eye(4)
+    camera[:3, 3] = centre + away / np.linalg.norm(away) * rng.uniform(1.8, 3)
+    z = centre - camera[:3, 3]
+    x = np.cross(z, rng.normal(size=3))
+    frame = np.stack([x, np.cross(z, x), z], axis=1)
+    camera[:3, :3] = frame / np.linalg.norm(frame, axis=0)
+    body[:3, :3], body[:3, 3] = Rotation.random(None, rng).as_matrix(), rng.uniform(-0.2, 0.2, 3)
+    return camera, body
+
+
+def photographs(truth, q, camera, body, most=12, seed=0):
+    """What the camera sees at poses q: visit, point and pixels without noise; the far side of the body is hidden."""
+    rng, found = np.random.default_rng(seed), []
+    for k, link in enumerate(truth.forward(q, "l6")):
+        pose = np.linalg.inv(camera) @ link @ body
+        points = BODY @ pose[:3, :3].T + pose[:3, 3]
+        seen = (points[:, 2] > 0.2) & (np.einsum("na,na->n", BODY @ pose[:3, :3].T, points) < 0)
+        pixels = image(np.where(seen[:, None], points, [0, 0, 1]))
+        chosen = np.flatnonzero(seen & np.all(np.abs(pixels - [1000, 800]) < [1000, 800], axis=1))
+        chosen = rng.permutation(chosen)[:most]
+        found += [(k, point, *pixels[point]) for point in chosen]
+    return np.array(found)
+
+
+def data_of(robot, q, table, sigma=0.0, seed=0):
+    noise = sigma * np.random.default_rng(seed).standard_normal((len(table), 2))
+    n = len(table)
+    readings = Readings(table[:, 0].astype(int), np.zeros(n, int), table[:, 2:] + noise, None, table[:, 1:2])
+    data = calib.as_measurements(robot, q, {"eye": readings})
+    return data.subset(np.unique(readings.visits))
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    return calib.load(write_six_axis(tmp_path_factory.mktemp("arm"), YAML))
+
+
+def test_a_camera_projects_as_opencv_does_and_back():
+    rng = np.random.default_rng(1)
+    points = np.column_stack([rng.uniform(-0.5, 0.5, (50, 2)), rng.uniform(1, 2, 50)])
+    pixels = project(points, CAMERA)[0]
+    np.testing.assert_allclose(pixels, image(points), atol=1e-9)
+    np.testing.assert_allclose(rays(pixels, CAMERA), points[:, :2] / points[:, 2:], atol=1e-12)
+
+
+def test_points_behind_a_camera_have_finite_pixels_that_lead_back_to_its_front():
+    points = np.random.default_rng(2).normal(size=(500, 3))
+    pixels, by_point, by_number = project(np.vstack([points, np.zeros(3)]), CAMERA)
+    assert np.isfinite(pixels).all()
+    assert np.isfinite(by_point).all()
+    assert np.isfinite(by_number).all()
+    falling = np.stack([np.full(50, 0.3), np.zeros(50), np.linspace(1.0, -1.0, 50)], axis=1)
+    falling /= np.linalg.norm(falling, axis=1, keepdims=True)
+    assert np.all(np.diff((project(falling, CAMERA)[0][:, 0] - 1000) / falling[:, 0]) > 0)
+    assert in_front(np.array([[0, 0, 1.0], [0, 0, -1.0], [1.0, 0, 0]])).tolist() == [True, False, False]
+
+
+@pytest.mark.parametrize("unknown", [False, True])
+def test_the_kind_has_exact_derivatives(tmp_path, unknown):
+    sigmas = ", unknown_intrinsics: {fx: 20, fy: 20, cx: 20, cy: 20, k1: 0.1, k2: 0.1, p1: 0.01, p2: 0.01, k3: 0.1}"
+    yaml = YAML.replace(", image:", f"{sigmas if unknown else ''}, image:")
+    one = calib.load(write_six_axis(tmp_path, yaml)).instrument("eye")
+    rng = np.random.default_rng(3)
+    n = 30
+    places_ = np.column_stack([rng.uniform(-0.4, 0.4, (n, 2)), rng.uniform(1, 2, n)])
+    view = View(Rotation.random(n, rng).as_matrix(), places_, np.full(n, np.nan))
+    nothing = np.zeros(n, dtype=int)
+    readings = Readings(nothing, nothing, rng.uniform(0, 2000, (n, 2)), None, rng.integers(0, 12, (n, 1)).astype(float))
+    unknowns = CAMERA if unknown else np.zeros(0)
+    assert len(one.unknowns) == len(unknowns)
+    assert kind_error(one, view, unknowns, readings) <= 1e-6
+
+
+def standing(robot, camera, body):
+    """The robot with its camera and body there: six numbers each."""
+    values = {}
+    for name, pose in (("eye", camera), ("body", body)):
+        turn = Rotation.from_matrix(pose[:3, :3]).as_rotvec()
+        parts = zip(("x", "y", "z", "rx", "ry", "rz"), (*pose[:3, 3], *turn), strict=True)
+        values |= {f"{name}.{component}": float(value) for component, value in parts}
+    return robot.with_parameters(values)
+
+
+def test_the_chain_has_exact_derivatives_for_a_camera_beside_the_robot(arm):
+    camera, body = places(4)
+    q = joints(12, 4)
+    data = data_of(arm, q, photographs(arm, q, camera, body, most=2))
+    there = standing(arm, camera, body)
+    assert chain_error(there, data.joints, data.readings) <= 1e-6
+    predicted = predicted_readings(there, there.assemble(data.joints), data.readings)["eye"].values
+    np.testing.assert_allclose(predicted, data.readings["eye"].values, atol=1e-7)
+
+
+def test_the_chain_has_exact_derivatives_for_a_camera_on_the_robot(tmp_path):
+    yaml = YAML.replace("camera: {frame: l0}", "camera: {frame: l6, xyz: [0, 0, 0.1], rpy: [0, 0.3, 0]}")
+    yaml = yaml.replace("{frame: l6, position", "{frame: l0, xyz: [0.3, 0.2, 2.5], position").replace(
+        ", image: [2000, 1600]", ""
+    )
+    robot = calib.load(write_six_axis(tmp_path, yaml))
+    q = joints(40, 5) * 0.3
+    readings = predicted_readings(robot, robot.assemble(q))["eye"]
+    seen = np.flatnonzero(np.isfinite(readings.values).all(axis=1))[::20]
+    some = Readings(readings.visits[seen], readings.pairs[seen], readings.values[seen], None, readings.details[seen])
+    assert len(seen) > 5
+    assert chain_error(robot, q, {"eye": some}) <= 1e-6
+
+
+@pytest.mark.parametrize("most", [12, 4, 2])
+def test_cameras_anywhere_are_found_with_an_unknown_body(arm, most):
+    truth = arm.with_parameters(TRUTH)
+    for seed in range(4):
+        camera, body = places(seed)
+        q = joints(60, seed)
+        data = data_of(arm, q, photographs(truth, q, camera, body, most), SIGMA, seed)
+        placed = register(arm, data)
+        found = placed.mechanism.placement("eye").homogeneous
+        assert np.linalg.norm(found[:3, 3] - camera[:3, 3]) < 0.2, seed
+        assert Rotation.from_matrix(found[:3, :3].T @ camera[:3, :3]).magnitude() < 0.1, seed
+
+
+@pytest.mark.parametrize(("pose", "where"), [("known", "unknown"), ("unknown", "known")])
+def test_one_end_is_found_where_the_other_is_known(tmp_path, pose, where):
+    camera, body = places(6)
+    rpy = [Rotation.from_matrix(pose_[:3, :3]).as_euler("xyz").tolist() for pose_ in (camera, body)]
+    yaml = YAML.replace(
+        "camera: {frame: l0}", f"camera: {{frame: l0, xyz: {camera[:3, 3].tolist()}, rpy: {rpy[0]}, pose: {pose}}}"
+    ).replace(
+        "{frame: l6, position: unknown, orientation: unknown}",
+        f"{{frame: l6, xyz: {body[:3, 3].tolist()}, rpy: {rpy[1]}, position: {where}, orientation: {where}}}",
+    )
+    if pose == "unknown":
+        yaml = yaml.replace(f"xyz: {camera[:3, 3].tolist()}, rpy: {rpy[0]}, ", "")
+    else:
+        yaml = yaml.replace(f"xyz: {body[:3, 3].tolist()}, rpy: {rpy[1]}, ", "")
+    robot = calib.load(write_six_axis(tmp_path, yaml))
+    q = joints(30, 6)
+    placed = register(robot, data_of(robot, q, photographs(robot, q, camera, body, 5)))
+    np.testing.assert_allclose(placed.mechanism.placement("eye").homogeneous, camera, atol=1e-6)
+    np.testing.assert_allclose(placed.mechanism.placement("body").homogeneous, body, atol=1e-6)
+
+
+def test_the_truth_is_found_with_intrinsics_that_are_not_known(tmp_path):
+    yaml = YAML.replace("fx: 2400, fy: 2410", "fx: 2380, fy: 2440").replace(
+        ", image:", ", unknown_intrinsics: {fx: 20, fy: 20}, image:"
+    )
+    robot = calib.load(write_six_axis(tmp_path, yaml))
+    camera, body = places(7)
+    q = joints(80, 7)
+    fit = calib.fit(robot, data_of(robot, q, photographs(robot.with_parameters(TRUTH), q, camera, body)))
+    values = dict(zip([p.name for p in robot.parameters], fit.robot.values, strict=True))
+    for name, value in (TRUTH | {"eye.fx": 2400, "eye.fy": 2410}).items():
+        assert abs(values[name] / value - 1) < 1e-5, name
+
+
+def coverage(robot, n):
+    camera, body = places(8)
+    truth = robot.with_parameters(TRUTH)
+    q = joints(60, 8)
+    table, start = photographs(truth, q, camera, body, 6), standing(robot, camera, body)
+    hits = []
+    for seed in range(n):
+        fit = calib.fit(start, data_of(start, q, table, SIGMA, seed))
+        chosen = [k for k, name in enumerate(fit.free_names) if name in TRUTH]
+        missed = fit.robot.values[fit.unknowns.index[chosen]] - [TRUTH[fit.free_names[k]] for k in chosen]
+        hits.append(np.abs(missed) <= fit.statistics.half_width[chosen])
+    return np.mean(hits, axis=0)
+
+
+def without_guesses(monkeypatch):
+    """Start from what the robot has: half of a fit's time goes into guesses, which other tests look at."""
+    monkeypatch.setattr("calib.observation.pixel.guesses", lambda found, now, known: [now])
+
+
+def test_95_percent_intervals_hold_the_truth(arm, monkeypatch):
+    without_guesses(monkeypatch)
+    n = 40
+    found = coverage(arm, n)
+    assert np.all(n * found >= binom.ppf(1e-4 / len(found), n, 0.95))
+    assert 0.9 < np.mean(found) < 0.99
+
+
+def test_what_a_camera_cannot_see_is_no_reading_and_says_nothing(arm):
+    camera, body = places(9)
+    there = standing(arm, camera, body)
+    q = joints(30, 9)
+    simulated = calib.simulate(there, q, 0.0, np.random.default_rng(0)).readings["eye"]
+    assert 0 < len(simulated) < 30 * len(BODY)
+    assert np.all((simulated.values > -1) & (simulated.values < [2000, 1600]))
+    behind = camera.copy()
+    behind[:3, :3] = camera[:3, :3] @ np.diag([1.0, -1.0, -1.0])
+    assert len(calib.simulate(standing(arm, behind, body), q, 0.0, np.random.default_rng(0)).readings["eye"]) == 0
+    blind = standing(arm, behind, body)
+    assert not np.any(rows_of_poses(blind, blind.assemble(q), None).rows)
+
+
+TWO = (
+    YAML.replace("  eye: {kind: pixel,", "  left: {kind: pixel, columns: px,")
+    .replace("parametrisation:", YAML[YAML.index("  eye:") : YAML.index("parametrisation:")] + "parametrisation:")
+    .replace("  eye: {kind: pixel,", "  right: {kind: pixel, columns: px,")
+)
+
+
+def written(folder, header="pose,camera,point,px_u [px],px_v [px]", rows=None):
+    """Files of two cameras: one with joints, one long one with pixels."""
+    robot = calib.load(write_six_axis(folder, TWO))
+    q = joints(60, 10)
+    lines = []
+    for name, seed in (("left", 11), ("right", 12)):
+        camera = places(seed)[0]
+        for visit, point, u, v in photographs(robot, q, camera, places(11)[1], 4):
+            lines.append(f"v{int(visit)},{name},{NAMES[int(point)]},{u:.12g},{v:.12g}")
+    (folder / "joints.csv").write_text(
+        "pose,j1,j2,j3,j4,j5,j6\n" + "".join(f"v{k},{','.join(map(repr, row.tolist()))}\n" for k, row in enumerate(q))
+    )
+    (folder / "pixels.csv").write_text("\n".join([header, *(lines if rows is None else rows)]) + "\n")
+    return robot, [folder / "joints.csv", folder / "pixels.csv"]
+
+
+def test_two_cameras_share_the_columns_of_a_long_file_and_see_one_body(tmp_path):
+    robot, files = written(tmp_path)
+    data = read_measurements(files, robot)
+    assert data.ignored == ()
+    assert min(len(data.readings[name]) for name in ("left", "right")) > 40
+    placed = register(robot, data)
+    np.testing.assert_allclose(placed.mechanism.placement("body").homogeneous, places(11)[1], atol=1e-5)
+    np.testing.assert_allclose(placed.mechanism.placement("left").homogeneous, places(11)[0], atol=1e-5)
+    np.testing.assert_allclose(placed.mechanism.placement("right").homogeneous, places(12)[0], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "said"),
+    [
+        (
+            "pose,camera,point,px_u,px_v",
+            "v0,lft,p1,1,2",
+            "line 2, column 'camera': no camera 'lft'; did you mean 'left'",
+        ),
+        ("pose,camera,point,px_u,px_v", "v0,left,q1,1,2", "line 2, column 'point': 'left' has no point 'q1'"),
+        ("pose,point,px_u,px_v", "v0,p1,1,2", "no column 'camera', which tells left and right apart"),
+        ("pose,camera,px_u,px_v", "v0,left,1,2", "no column 'point'"),
+        ("pose,camera,point,px_u [mm],px_v", "v0,left,p1,1,2", "unit 'mm' is for a length"),
+        ("pose,camera,point,px_u,px_v", "v0,left,p1,1,", "line 2, column 'px_v': is empty"),
+        ("pose,camera,point,px_u,px_v", "w0,left,p1,1,2", "no file with joint values has a pose 'w0'"),
+    ],
+)
+def test_files_that_cannot_be(tmp_path, header, row, said):
+    robot, files = written(tmp_path, header, [row])
+    with pytest.raises(calib.CalibrationError) as caught:
+        read_measurements(files, robot)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        (
+            ("camera: {frame: l0}", "camera: {fram: l0}"),
+            "unknown key 'instruments.eye.camera.fram'; did you mean 'frame'",
+        ),
+        (("camera: {frame: l0}", "camera: {frame: l9}"), "no link or joint 'l9'"),
+        (
+            ("camera: {frame: l0}", "camera: {frame: l0, pose: known, sigma: 1 mm}"),
+            "for a camera whose pose is unknown",
+        ),
+        (("fx: 2400, ", ""), "key 'instruments.eye.intrinsics.fx' is missing"),
+        (("fx: 2400", "fx: -2400"), "instruments.eye.intrinsics.fx: "),
+        (("k1: -0.1", "k4: -0.1"), "unknown key 'instruments.eye.intrinsics.k4'"),
+        ((f"points: {POINTS}", "points: {}"), "instruments.eye: needs points (name: [x, y, z]) or points_file"),
+        ((f"points: {POINTS}", "points_file: no.csv"), "no.csv: cannot be read"),
+        ((f"points: {POINTS}", "points_file: arm.urdf"), "no column 'point'; expected point, x, y, z"),
+        (("target: body", "target: bdy"), "instruments.eye: no target 'bdy'; did you mean 'body'"),
+        (("eye: {kind", "body: {kind"), "two places are called 'body'; rename one"),
+    ],
+)
+def test_descriptions_that_cannot_be(tmp_path, run_calib, edit, said):
+    yaml = YAML.replace(*edit)
+    assert yaml != YAML
+    run = run_calib("check", write_six_axis(tmp_path, yaml))
+    assert run.code == 2
+    assert len(run.err.strip().splitlines()) == 1
+    assert said in run.err
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("point,x [mm],y [mm],z [mm]\na,1,2,3\na,1,2,4\n", "line 3: point 'a' comes twice"),
+        ("point,x,y,z\na,1,2\n", "line 2: 3 cells for 4 columns"),
+        ("point,x,y,z\na,1,2,b\n", "line 2, column 'z': 'b' is not a number"),
+        ("point,x [deg],y,z\na,1,2,3\n", "column 'x': unit 'deg' is for an angle"),
+        ("point,x,y,z\n", "has no points"),
+    ],
+)
+def test_files_of_points_that_cannot_be(tmp_path, text, said):
+    (tmp_path / "points.csv").write_text(text)
+    path = write_six_axis(tmp_path, YAML.replace(f"points: {POINTS}", "points_file: points.csv"))
+    with pytest.raises(calib.CalibrationError) as caught:
+        calib.load(path)
+    assert said in str(caught.value)
+
+
+def test_points_may_come_from_a_file(tmp_path):
+    rows = "".join(f"{name},{x},{y},{z}\n" for name, (x, y, z) in zip(NAMES, 1e3 * BODY, strict=True))
+    (tmp_path / "points.csv").write_text("point,x [mm],y [mm],z [mm]\n" + rows)
+    robot = calib.load(write_six_axis(tmp_path, YAML.replace(f"points: {POINTS}", "points_file: points.csv")))
+    np.testing.assert_allclose(list(robot.instrument("eye").points_of_body.values()), BODY, atol=1e-15)
+
+
+def test_a_camera_that_is_said_to_look_away_is_named(tmp_path):
+    camera, body = places(13)
+    robot = calib.load(
+        write_six_axis(
+            tmp_path,
+            YAML.replace("{frame: l0}, intr", "{frame: l0, pose: known, rpy: [0, 3.1, 0]}, intr").replace(
+                "position: unknown, orientation: unknown", "position: known"
+            ),
+        )
+    )
+    q = joints(20, 13)
+    with pytest.raises(calib.CalibrationError, match=r"camera 'eye': .* lie behind it as it is placed; check where"):
+        register(robot, data_of(robot, q, photographs(robot, q, camera, body)))
+
+
+def test_an_image_that_was_turned_against_its_intrinsics_is_named(arm):
+    camera, body = places(14)
+    q = joints(60, 14)
+    data = data_of(arm, q, photographs(arm, q, camera, body), SIGMA)
+    one, readings = arm.instrument("eye"), data.readings["eye"]
+    assert one.doubts(readings) == ()
+    turned = replace(readings, values=np.stack([readings.values[:, 1], 4000 - readings.values[:, 0]], axis=1))
+    (said,) = one.doubts(turned)
+    assert said.startswith("camera 'eye': ")
+    assert "outside an image of 2000 x 1600 px" in said
+    assert "turned by 90 degrees" in said

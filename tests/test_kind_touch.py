@@ -1,0 +1,415 @@
+"""Touches: derivatives, a known truth found again, intervals that hold it, bad input, and two real robots."""
+
+import numpy as np
+import pytest
+from kind_checks import brought, chain_error, kind_error
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+from scipy.stats import binom
+from six_axis_arm import joints, write_six_axis
+from test_kind_distance import FREE
+
+import calib
+from calib.linearisation.observed import predicted_readings
+from calib.linearisation.registration import register
+from calib.observation.kind import Readings, View
+from medrue import robot_file
+from medrue.paper_tables import table1
+from medrue.workspace import target_workspace
+
+YAML = """\
+urdf: arm.urdf
+name_mot: [j1, j2, j3, j4, j5, j6]
+priors: false
+base: {frame: l0}
+targets: {ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm], position: unknown}}
+instruments:
+  probe: {kind: touch, target: ball, INSTRUMENT}
+parametrisation:
+"""
+SOCKETS = "places: {left: {frame: l0, position: unknown}, right: {frame: l0, xyz: [1, 0, 0], position: unknown}}"
+PLATE = (
+    "artefact: {frame: l0, rpy: [0.2, 0.1, -1], pose: unknown,"
+    " points: {p: [0, 0, 0], q: [90 mm, 0, 0], r: [0, 0.2, 0.1]}}"
+)
+BAR = "artefact: {frame: l0, pose: unknown, points: {p: [0, 0, 0], q: [50 mm, 0, 0]}}"
+LOOSE = PLATE.replace("}}", "}, tolerance: 0.1 mm}")
+SPHERES = (
+    "surface: sphere, radius: 3 mm, places: {left: {frame: l0, position: unknown, radius: 40 mm},"
+    " right: {frame: l0, xyz: [0.4, 0, 0.2], position: unknown, radius: unknown}}"
+)
+BALLS = "surface: sphere, artefact: {frame: l0, pose: unknown, radius: unknown, points: {p: [0, 0, 0], q: [0.3, 0, 0]}}"
+PLANES = (
+    "surface: plane, radius: 3 mm, places: {floor: {frame: l0, position: unknown, orientation: unknown},"
+    " wall: {frame: l0, rpy: [0, 1.2, 0.3], position: unknown, orientation: unknown}}"
+)
+EVERY = {
+    "sockets": SOCKETS, "plate": PLATE, "bar": BAR, "loose plate": LOOSE, "spheres": SPHERES, "balls": BALLS,
+    "planes": PLANES,
+}  # fmt: skip
+TRUTH = {"j2.ry": 0.01, "j3.ry": -0.02, "j4.rx": 0.01, "j5.ry": 0.015, "j2.x": 0.052, "j3.z": 0.602, "j5.x": 0.397}
+BALL = {"ball.x": 0.08, "ball.y": -0.03, "ball.z": 0.15}
+SIGMA = 2e-5
+PLACED = Rotation.from_euler("xyz", [0.3, -0.4, 2.0]).as_matrix(), np.array([0.5, 0.2, 0.6])
+"""Where an artefact stands."""
+
+
+def arm_with(folder, instrument, free=FREE):
+    folder.mkdir(exist_ok=True)
+    return calib.load(write_six_axis(folder, YAML.replace("INSTRUMENT", instrument) + free))
+
+
+@pytest.fixture(scope="module", params=list(EVERY))
+def any_arm(request, tmp_path_factory):
+    return arm_with(tmp_path_factory.mktemp("arm"), EVERY[request.param])
+
+
+def everything(robot, q):
+    """Readings of all that the probe can touch, at every pose, of nothing but zeros."""
+    found = predicted_readings(robot, robot.assemble(q))["probe"]
+    return {"probe": Readings(found.visits, found.pairs, np.zeros_like(found.values), None, found.details)}
+
+
+def test_the_kind_has_exact_derivatives(any_arm):
+    one, rng = any_arm.instrument("probe"), np.random.default_rng(1)
+    pairs, details = (np.tile(part, (10, 1) if part.ndim > 1 else 10) for part in one.looks())
+    n = len(pairs)
+    view = View(Rotation.random(n, rng).as_matrix(), 0.5 + rng.random((n, 3)), np.full(n, np.nan))
+    readings = Readings(np.zeros(n, dtype=int), pairs, np.zeros((n, one.n_rows)), None, details)
+    unknowns = rng.normal(0.02, 0.005, len(one.unknowns))
+    assert kind_error(one, view, unknowns, readings) <= 1e-7
+
+
+def test_the_chain_has_exact_derivatives_on_a_serial_arm(any_arm):
+    values = any_arm.values + np.random.default_rng(2).normal(0, 0.01, len(any_arm.values))
+    robot = any_arm.with_parameters(values)
+    q = joints(4)
+    assert chain_error(robot, q, everything(robot, q)) <= 1e-6
+
+
+def test_the_chain_has_exact_derivatives_on_a_robot_with_three_loops(tmp_path):
+    yaml = robot_file().read_text().replace("urdf: medrue.urdf", f"urdf: {robot_file().parent / 'medrue.urdf'}")
+    probe = "instruments: {probe: {kind: touch, target: tool, " + PLATE.replace("l0", "world") + "}}\n"
+    (tmp_path / "medrue.yaml").write_text(yaml.replace("sigma: 0.04 mm", probe))
+    robot = calib.load(tmp_path / "medrue.yaml")
+    robot = robot.with_parameters(dict(zip(table1().names, table1().actual, strict=True)))
+    q = target_workspace().q[::140]
+    assert chain_error(robot, q, everything(robot, q)) <= 1e-6
+
+
+def test_the_chain_has_exact_derivatives_on_a_five_bar(tmp_path):
+    folder = robot_file().parents[1] / "docs" / "examples"
+    yaml = (folder / "five_bar.yaml").read_text().replace("urdf: five_bar.urdf", f"urdf: {folder / 'five_bar.urdf'}")
+    yaml = yaml.replace("pose: unknown", "pose: known").replace("sigma: 0.02 mm", "")
+    yaml += "instruments: {probe: {kind: touch, target: pen, places: {pin: {frame: table, position: unknown}}}}\n"
+    (tmp_path / "five_bar.yaml").write_text(yaml)
+    robot = calib.load(tmp_path / "five_bar.yaml")
+    q = robot.home + np.random.default_rng(5).uniform(-0.4, 0.4, (5, 2))
+    assert chain_error(robot, q, everything(robot, q)) <= 1e-6
+
+
+def directions(rng, n):
+    """Unit vectors on the upper half of a sphere, (n, 3)."""
+    found = rng.normal(size=(n, 3))
+    found[:, 2] = np.abs(found[:, 2])
+    return found / np.linalg.norm(found, axis=1)[:, None]
+
+
+def touched_points(case, rng, n):
+    """Names of what is touched, where the ball's centre then is (n, 3), and how far a touch may move it (n, 3, k)."""
+    rotation, origin = PLACED
+    every = np.tile(np.eye(3), (n, 1, 1))
+    which = rng.integers(0, 2, n)
+    if case == "sockets":
+        return np.array(["left", "right"])[which], np.array([[0.5, 0.2, 0.6], [0.7, -0.3, 0.4]])[which], every
+    if case in ("plate", "loose plate", "bar"):
+        points = np.array([[0, 0, 0], [0.05 if case == "bar" else 0.09, 0, 0], [0, 0.2, 0.1]])
+        which = rng.integers(0, 2 if case == "bar" else 3, n)
+        return np.array(["p", "q", "r"])[which], points[which] @ rotation.T + origin, every
+    if case in ("spheres", "balls"):
+        u = directions(rng, n)
+        length = np.array([0.043, 0.033])[which] if case == "spheres" else np.full(n, 0.025)
+        centres = np.array([[0.5, 0.2, 0.6], [0.7, -0.3, 0.4]])[which]
+        if case == "balls":
+            centres = np.array([[0, 0, 0], [0.3, 0, 0]])[which] @ rotation.T + origin
+        names = np.array(["left", "right"] if case == "spheres" else ["p", "q"])[which]
+        return names, centres + length[:, None] * u, u[:, :, None]
+    tilts = [Rotation.from_euler("xyz", [0.05, -0.08, 0]), Rotation.from_euler("xyz", [0.1, 1.1, 0.2])]
+    frames = np.array([tilt.as_matrix() for tilt in tilts])[which]
+    spread = rng.uniform(-0.2, 0.2, (n, 3)) * [1, 1, 0] + [0, 0, 0.003]
+    points = np.einsum("nij,nj->ni", frames, spread) + np.array([[0.6, 0.1, 0.3], [0.4, -0.1, 0.6]])[which]
+    return np.array(["floor", "wall"])[which], points, frames[:, :, 2:]
+
+
+def touches(truth, case, n, seed=0, sigma=0.0):
+    """Joint values and words of n touches by a robot, its ball off by the noise where the touch lets it be."""
+    rng = np.random.default_rng(seed)
+    names, points, off = touched_points(case, rng, 2 * n)
+    points = points + sigma * np.einsum("nik,nk->ni", off, rng.standard_normal((len(off), off.shape[2])))
+    q, ok = brought(truth, joints(2 * n, seed=seed + 1000), points)
+    kept = np.flatnonzero(ok)[:n]
+    assert len(kept) == n
+    return q[kept], [str(name) for name in names[kept]]
+
+
+@pytest.mark.parametrize("case", [name for name in EVERY if name != "loose plate"])
+def test_the_truth_is_found_from_bad_first_guesses(tmp_path, case):
+    robot = arm_with(tmp_path, EVERY[case])
+    truth = robot.with_parameters(TRUTH | BALL)
+    q, words = touches(truth, case, 80, seed=3)
+    found = calib.fit(robot, calib.as_measurements(robot, q, {"probe": words})).robot
+    values = dict(zip([p.name for p in found.parameters], found.values, strict=True))
+    for name, value in (TRUTH | BALL).items():
+        assert abs(values[name] - value) < 1e-6, name
+
+
+def test_sockets_and_ball_are_placed_before_anything_is_fitted(tmp_path):
+    robot = arm_with(tmp_path, PLATE)
+    q, words = touches(robot.with_parameters(BALL), "plate", 30, seed=4)
+    placed = register(robot, calib.as_measurements(robot, q, {"probe": words}))
+    ball, plate = placed.mechanism.placement("ball"), placed.mechanism.placement("probe_artefact")
+    np.testing.assert_allclose(ball.translation, list(BALL.values()), atol=1e-4)  # it is held a little where it was
+    np.testing.assert_allclose(plate.translation, PLACED[1], atol=1e-4)
+    np.testing.assert_allclose(plate.rotation, PLACED[0], atol=1e-3)
+
+
+def test_a_bar_turned_half_round_is_found_although_its_turn_about_itself_is_not_free(tmp_path):
+    robot = arm_with(tmp_path, BAR)
+    assert "probe_artefact.rx" not in [p.name for p in robot.parameters]
+    truth = robot.with_parameters({"probe_artefact.x": 0.5, "probe_artefact.z": 0.5, "probe_artefact.rz": np.pi})
+    points = np.array([[0.5, 0, 0.5], [0.45, 0, 0.5]])[np.arange(20) % 2]
+    q, ok = brought(truth, joints(20, seed=5), points)
+    words = np.where(np.arange(20) % 2, "q", "p")
+    placed = register(robot, calib.as_measurements(robot, q[ok], {"probe": words[ok]}))
+    there = placed.mechanism.placement("probe_artefact")
+    np.testing.assert_allclose(there.act(np.array([0.05, 0, 0])), [0.45, 0, 0.5], atol=1e-3)
+
+
+def test_a_link_that_never_turns_keeps_the_ball_where_it_is_believed(tmp_path):
+    robot = arm_with(tmp_path, SOCKETS)
+    q = np.tile(joints(1, seed=6), (5, 1))
+    placed = register(robot, calib.as_measurements(robot, q, {"probe": ["left"] * 5}))
+    np.testing.assert_allclose(placed.mechanism.placement("ball").translation, [0.05, 0.02, 0.1], atol=1e-9)
+    np.testing.assert_allclose(placed.mechanism.placement("left").translation, robot.positions(q[:1])[0, 0], atol=1e-9)
+
+
+def true_values(fit):
+    """True values of the free parameters, (n_free,)."""
+    rotation, origin = PLACED
+    places = dict(zip(("probe_artefact.x", "probe_artefact.y", "probe_artefact.z"), origin, strict=True))
+    nominal = fit.nominal.mechanism.placement("probe_artefact").rotation
+    turned = Rotation.from_matrix(nominal.T @ rotation).as_rotvec()
+    places |= {f"probe_artefact.{axis}": turned[k] for k, axis in enumerate(("rx", "ry", "rz"))}
+    return np.array([(TRUTH | BALL | places)[name] for name in fit.free_names])
+
+
+def coverage(robot, n, n_touches=40):
+    """Part of n calibrations whose 95 % interval holds the truth, of each free parameter."""
+    truth, hits = robot.with_parameters(TRUTH | BALL), []
+    for seed in range(n):
+        q, words = touches(truth, "plate", n_touches, seed=seed, sigma=SIGMA)
+        fit = calib.fit(robot, calib.as_measurements(robot, q, {"probe": words}))
+        missed = fit.robot.values[fit.unknowns.index] - true_values(fit)
+        hits.append(np.abs(missed) <= fit.statistics.half_width)
+    return np.mean(hits, axis=0)
+
+
+def test_95_percent_intervals_hold_the_truth(tmp_path):
+    n = 60
+    found = coverage(arm_with(tmp_path, PLATE), n)
+    assert np.all(n * found >= binom.ppf(1e-4 / len(found), n, 0.95))
+    assert 0.9 < np.mean(found) < 0.99
+
+
+def test_points_within_their_tolerance_are_found(tmp_path):
+    robot = arm_with(tmp_path, LOOSE.replace("tolerance: 0.1 mm}", "tolerance: 1 mm}, sigma: 0.01 mm"))
+    truth = robot.with_parameters(TRUTH | BALL)
+    rotation, origin = PLACED
+    points = np.array([[0, 0, 0], [0.0905, 0, 0], [0.0003, 0.2, 0.1]])
+    which = np.arange(90) % 3
+    q, ok = brought(truth, joints(90, seed=9), points[which] @ rotation.T + origin)
+    words = np.array(["p", "q", "r"])[which]
+    found = calib.fit(robot, calib.as_measurements(robot, q[ok], {"probe": words[ok]})).robot
+    values = dict(zip([p.name for p in found.parameters], found.values, strict=True))
+    apart = points[1:] - points[0]
+    errors = np.array([[values[f"probe.{name}.{axis}"] for axis in "xyz"] for name in "pqr"])
+    seen = np.array([[0.09, 0, 0], [0, 0.2, 0.1]]) + errors[1:] - errors[0]
+    np.testing.assert_allclose(np.linalg.norm(seen, axis=1), np.linalg.norm(apart, axis=1), atol=1e-6)
+
+
+def written(folder, q, words, edit=("", "")):
+    lines = [",".join([*(f"j{k} [rad]" for k in range(1, 7)), "probe"])]
+    lines += [",".join([*(repr(float(cell)) for cell in row), word]) for row, word in zip(q, words, strict=True)]
+    (folder / "data.csv").write_text(("\n".join(lines) + "\n").replace(*edit))
+    return folder / "data.csv"
+
+
+@pytest.fixture
+def fit_file(tmp_path, run_calib, monkeypatch):
+    """Fit a file of touches of a plate; edits are (old, new) of either file."""
+    monkeypatch.setattr("calib.reporting.results.entry_points", lambda group: ())
+
+    def fit(in_yaml=(), in_csv=("", ""), instrument=PLATE):
+        robot = arm_with(tmp_path, instrument)
+        q, words = touches(robot.with_parameters(TRUTH | BALL), "plate", 25, seed=8, sigma=SIGMA)
+        data = written(tmp_path, q, words, in_csv)
+        text = (tmp_path / "arm.yaml").read_text()
+        (tmp_path / "arm.yaml").write_text(text.replace(*(in_yaml or ("", ""))))
+        assert ((tmp_path / "arm.yaml").read_text() != text) == bool(in_yaml)
+        run = run_calib("fit", tmp_path / "arm.yaml", data, "--out", tmp_path / "out")
+        assert len(run.err.strip().splitlines()) <= 1
+        return run
+
+    return fit
+
+
+def test_a_file_of_touches_is_fitted_and_its_residuals_say_what_was_touched(fit_file, tmp_path):
+    run = fit_file(in_csv=("r\n", "\n"))  # touches of r are left out: empty cells
+    assert run.code == 0, run.err
+    assert "exactly 0, 0, 0" not in run.out
+    residuals = (tmp_path / "out" / "residuals.csv").read_text().splitlines()
+    words = [line.split(",")[residuals[0].split(",").index("looked_at_probe")] for line in residuals[1:]]
+    assert set(words) == {"p", "q"}
+
+
+def test_touches_are_written_as_they_are_read(tmp_path):
+    robot = arm_with(tmp_path, PLATE)
+    q, words = touches(robot, "plate", 6, seed=2)
+    words[2] = ""
+    first = calib.read_measurements(written(tmp_path, q, words), robot)
+    (tmp_path / "again.csv").write_text(calib.data.measurement_files.format_measurements(robot, first))
+    again = calib.read_measurements(tmp_path / "again.csv", robot)
+    np.testing.assert_array_equal(again.readings["probe"].details, first.readings["probe"].details)
+    assert len(first) == len(again) == 5
+
+
+def test_simulated_touches_go_into_no_file(tmp_path, run_calib):
+    robot = arm_with(tmp_path, PLATE)
+    data = written(tmp_path, joints(3), ["p", "q", "r"])
+    options = ("--sigma-mm", "0", "--seed", "1", "--out", tmp_path / "out.csv")
+    run = run_calib("simulate", robot.path, data, *options)
+    assert run.code == 2
+    assert "instrument 'probe' reads no numbers" in run.err
+
+
+@pytest.mark.parametrize(
+    ("instrument", "said"),
+    [
+        ("surface: socket", "instruments.probe: give what is touched: either `places` or an `artefact`"),
+        (f"{SOCKETS}, {PLATE}", "either `places` or an `artefact`"),
+        (SOCKETS.replace("left: {", "left: {radius: 3 mm, "), "places.left: radius is for spheres"),
+        (SOCKETS.replace("left: {", "left: {rpy: [0, 0, 1], "), "places.left: rpy and orientation are for planes"),
+        (SPHERES.replace(", radius: 40 mm", ""), "places.left: a sphere needs its radius, or 'radius: unknown'"),
+        (SPHERES.replace("radius: 40 mm", "radius: -40 mm"), "places.left: radius must be positive"),
+        (f"radius: 3 mm, {SOCKETS}", "radius is for planes and spheres; a socket holds the centre of the ball"),
+        (f"surface: plane, {PLATE}", "an artefact has sockets or spheres; give planes as `places`"),
+        (f"surface: hole, {SOCKETS}", "unknown value 'hole'"),
+        (PLATE.replace("q: [90 mm, 0, 0]", "q: [0, 0, 0]"), "the points 'p' and 'q' are at the same place"),
+        (PLATE.replace("pose: unknown", "sigma: 1 mm"), "for an artefact whose pose is unknown"),
+        (SOCKETS.replace("left: {frame: l0, position: unknown}", "left: {frame: l0, sigma: 1 mm}"), "sigma is for a"),
+        (SOCKETS.replace("left:", "ball:"), "two places are called 'ball'; rename one"),
+        (SOCKETS.replace("left: {frame: l0", "left: {frame: l9"), "no link or joint 'l9'"),
+        (SOCKETS.replace("left: {frame: l0, ", "left: {"), "key 'instruments.probe.places.left.frame' is missing"),
+    ],
+)
+def test_descriptions_that_cannot_be(tmp_path, run_calib, instrument, said):
+    write_six_axis(tmp_path, YAML.replace("INSTRUMENT", instrument) + FREE)
+    run = run_calib("check", tmp_path / "arm.yaml")
+    assert run.code == 2
+    assert said in run.err
+    assert len(run.err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        ((",q\n", ",quu\n"), "column 'probe': 'quu' is nothing that 'probe' touches"),
+        (("probe", "prob"), "has no column of any instrument; expected: probe"),
+        (("probe", "j1"), "column"),
+    ],
+)
+def test_files_that_cannot_be(fit_file, edit, said):
+    run = fit_file(in_csv=edit)
+    assert run.code == 2
+    assert said in run.err
+
+
+def test_a_socket_that_was_never_touched_is_named(fit_file):
+    extra = "points: {s: [0, 0, 0.3], "
+    assert fit_file(instrument=PLATE.replace("points: {", extra)).code == 0  # the plate is found by the other points
+    sockets = SOCKETS.replace("places: {", "places: {far: {frame: l0, position: unknown}, ").replace("left", "p")
+    sockets = sockets.replace("right", "q").replace("}}", "}, r: {frame: l0, position: unknown}}")
+    run = fit_file(instrument=sockets)
+    assert run.code == 3
+    assert "far.x" in run.err
+
+
+def test_an_instrument_called_like_a_joint_is_refused(tmp_path, run_calib):
+    write_six_axis(tmp_path, YAML.replace("INSTRUMENT", PLATE).replace("probe:", "j3:") + FREE)
+    run = run_calib("check", tmp_path / "arm.yaml")
+    assert run.code == 2
+    assert "instruments.j3: its column 'j3' is that of a joint" in run.err
+
+
+REAL = {
+    "panda_1": ("panda.urdf", "panda_joint", "panda_link0", "panda_hand_tcp"),
+    "kuka_14": ("iiwa14.urdf", "joint_a", "base_link", "tool0"),
+}
+
+
+def real_description(shared_data, robot, tools):
+    """A ball near the flange, and two sockets 50 mm apart whose tool was put up again for every setup."""
+    urdf, joint, base, flange = REAL[robot]
+    setups = ", ".join(f"{tool}: [{'tool_artefact' if k else ''}]" for k, tool in enumerate(tools))
+    return (
+        f"urdf: {shared_data / 'mukca' / 'urdf' / urdf}\nname_mot: [{', '.join(f'{joint}{k}' for k in range(1, 8))}]\n"
+        f"base: {{frame: {base}}}\ntargets:\n"
+        f"  ball: {{frame: {flange}, xyz: [0, 0, 35 mm], position: unknown, sigma: 10 mm}}\n"
+        "instruments:\n  tool:\n    kind: touch\n    target: ball\n    artefact:\n"
+        f"      frame: {base}\n      pose: unknown\n      points: {{hole_0: [0, 0, 0], hole_1: [50 mm, 0, 0]}}\n"
+        f"setups: {{{setups}}}\nparametrisation:\n"
+        "  - {origin: all, components: [x, y, z], sigma: 1 mm}\n"
+        "  - {origin: all, components: [rx, ry, rz], sigma: 3 mrad}\n"
+    )
+
+
+def real_joints(shared_data, robot, tool):
+    folder = shared_data / "mukca" / robot / tool
+    return [np.loadtxt(folder / f"hole_{k}.csv", delimiter=",") for k in (0, 1)]
+
+
+def from_sockets(robot, holes):
+    """Mean distance of predicted balls from two points 50 mm apart that are laid through them [mm]."""
+    balls = [robot.positions(q)[:, 0] for q in holes]
+
+    def misses(x):
+        line = np.array([np.cos(x[3]) * np.cos(x[4]), np.sin(x[3]) * np.cos(x[4]), np.sin(x[4])])
+        return 1e3 * np.concatenate([balls[0] - x[:3], balls[1] - x[:3] - 0.05 * line]).ravel()
+
+    line = balls[1].mean(axis=0) - balls[0].mean(axis=0)
+    start = [*balls[0].mean(axis=0), np.arctan2(line[1], line[0]), np.arcsin(line[2] / np.linalg.norm(line))]
+    return float(np.mean(np.linalg.norm(misses(least_squares(misses, start).x).reshape(-1, 3), axis=1)))
+
+
+@pytest.mark.parametrize(
+    ("robot", "tools", "held_out", "before", "after"),
+    [
+        ("panda_1", ("front", "right"), "back-high", 7.40, 1.05),
+        ("panda_1", ("front", "back-high"), "right", 8.37, 0.76),
+        ("panda_1", ("right", "back-high"), "front", 9.72, 0.75),
+        ("kuka_14", ("front", "left_back"), "raised_left", 0.72, 0.41),
+        ("kuka_14", ("left_back", "raised_left"), "front", 0.66, 0.16),
+    ],
+)
+def test_real_robots_that_touched_two_sockets(shared_data, tmp_path, robot, tools, held_out, before, after):
+    (tmp_path / "robot.yaml").write_text(real_description(shared_data, robot, tools))
+    nominal = calib.load(tmp_path / "robot.yaml")
+    lines = [",".join(["setup", *(f"{name} [rad]" for name in nominal.joint_names), "tool"])]
+    for tool in tools:
+        for k, holes in enumerate(real_joints(shared_data, robot, tool)):
+            lines += [",".join([tool, *(repr(float(value)) for value in q), f"hole_{k}"]) for q in holes]
+    (tmp_path / "data.csv").write_text("\n".join(lines) + "\n")
+    fit = calib.fit(nominal, calib.read_measurements(tmp_path / "data.csv", nominal))
+    holes = real_joints(shared_data, robot, held_out)
+    assert from_sockets(fit.placed, holes) == pytest.approx(before, abs=0.03)
+    assert from_sockets(fit.robot, holes) == pytest.approx(after, abs=0.02)

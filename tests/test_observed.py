@@ -1,0 +1,131 @@
+"""What instruments read and how it moves, against central differences, through loops and for every place and setup."""
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from small_robots import ARM_YAML, write_arm, write_pose_loop
+
+import calib
+from calib.linearisation.jacobian import linearise
+from calib.linearisation.observed import observe, predicted_readings
+from calib.observation.kind import Readings
+from medrue.workspace import target_workspace
+
+STEP = 1e-6
+DOCS = Path(__file__).parents[1] / "docs" / "examples"
+TWO_SETUPS = (
+    ARM_YAML.replace("frame: ground", "frame: ground, pose: unknown")
+    .replace("30 mm]", "30 mm], position: unknown")
+    .replace("targets:\n", "targets:\n  elbow: {frame: slider, xyz: [0, 0.1, 0]}\n")
+) + (
+    "instruments:\n  one: {kind: position, target: tip}\n  two: {kind: position, target: elbow}\n"
+    "setups: {first: [], second: [base], third: [base, tip]}\n"
+)
+
+
+def arm(folder):
+    robot = calib.load(write_arm(folder, TWO_SETUPS))
+    moved = np.random.default_rng(5).uniform(-0.3, 0.3, len(robot.parameters)) * [p.placement for p in robot.parameters]
+    return robot.with_parameters(robot.values + moved), np.random.default_rng(1).uniform([-2, 0, -2], [2, 1, 2], (7, 3))
+
+
+def five_bar(_):
+    robot = calib.load(DOCS / "five_bar.yaml")
+    return robot.with_parameters({"base.x": 0.5, "base.rz": 0.7}), robot.home + np.linspace(-0.2, 0.2, 5)[:, None]
+
+
+def pose_loop(folder):
+    robot = calib.load(write_pose_loop(folder))
+    return robot, robot.home + np.linspace(-0.1, 0.1, 5)[:, None]
+
+
+def medrue(_):
+    return calib.load(DOCS.parents[1] / "urdf" / "medrue.yaml"), np.array(target_workspace().q)[::140]
+
+
+@pytest.fixture(params=[arm, five_bar, pose_loop, medrue], ids=lambda case: case.__name__)
+def case(request, tmp_path):
+    """A robot, joint values, and readings of all its instruments: out of order, some visits twice, some not at all."""
+    robot, q = request.param(tmp_path)
+    rng = np.random.default_rng(3)
+    readings = {}
+    for one in robot.instruments:
+        visits = rng.permutation(np.r_[1 : len(q), 2, 2])
+        pairs = rng.integers(0, len(robot.pairs(one)), len(visits))
+        values = rng.standard_normal((len(visits), one.n_rows))
+        readings[one.name] = Readings(visits, pairs, values, None, np.zeros((len(visits), 0)))
+    return robot, q, readings
+
+
+def residuals(robot, q, readings):
+    found = observe(robot, robot.assemble(q), readings)
+    return {name: found[name].residuals for name in readings}
+
+
+def test_derivatives_by_parameters_are_those_of_central_differences(case):
+    robot, q, readings = case
+    found = observe(robot, robot.assemble(q), readings)
+    for k in range(len(robot.parameters)):
+        change = STEP * (np.arange(len(robot.parameters)) == k)
+        ahead, behind = (residuals(robot.with_parameters(robot.values + s * change), q, readings) for s in (1, -1))
+        for name in readings:
+            numeric = (ahead[name] - behind[name]) / (2 * STEP)
+            np.testing.assert_allclose(
+                found[name].jacobian[..., k], numeric, atol=2e-8, err_msg=robot.parameters[k].name
+            )
+
+
+def test_derivatives_by_joints_are_those_of_central_differences(case):
+    robot, q, readings = case
+    found = observe(robot, robot.assemble(q), readings, joints=True)
+    for j in range(q.shape[1]):
+        change = STEP * (np.arange(q.shape[1]) == j)
+        ahead, behind = (residuals(robot, q + s * change, readings) for s in (1, -1))
+        for name in readings:
+            numeric = (ahead[name] - behind[name]) / (2 * STEP)
+            np.testing.assert_allclose(found[name].by_joint[..., j], numeric, atol=2e-8, err_msg=robot.joint_names[j])
+
+
+def test_residuals_are_predicted_minus_read_from_the_place_of_the_setup(case):
+    robot, q, readings = case
+    configurations = robot.assemble(q)
+    predicted = predicted_readings(robot, configurations, readings)
+    for name, found in observe(robot, configurations, readings).items():
+        np.testing.assert_allclose(found.residuals, predicted[name].values - readings[name].values, atol=1e-14)
+
+
+def test_in_every_setup_a_target_is_seen_from_where_the_tracker_then_stands(tmp_path):
+    """Against plain matrices: the base and the tip of each setup are places of their own."""
+    robot, q = arm(tmp_path)
+    everywhere = Readings(np.repeat(np.arange(7), 3), np.tile([0, 1, 2], 7), np.zeros((21, 3)), None, np.zeros((21, 0)))
+    readings = predicted_readings(robot, robot.assemble(q), {"one": everywhere})["one"]
+    value = dict(zip((p.name for p in robot.parameters), robot.values, strict=True))
+
+    def place(name):
+        turn = np.array([value.get(f"{name}.{c}", 0.0) for c in ("rx", "ry", "rz")])
+        return pin.SE3(pin.exp3(turn), np.array([value[f"{name}.{c}"] for c in "xyz"])).homogeneous
+
+    bases = ("base", "base@second", "base@third")
+    tips = ("tip", "tip", "tip@third")
+    flange = robot.forward(q, "tool")  # tool seen from the measurement frame of the first setup
+    for pair, (base, tip) in enumerate(zip(bases, tips, strict=True)):
+        chosen = readings.pairs == pair
+        seen = place(base) @ np.linalg.inv(place("base")) @ flange[readings.visits[chosen]] @ place(tip)
+        np.testing.assert_allclose(readings.values[chosen], seen[:, :3, 3], atol=1e-12)
+
+
+def test_without_instruments_readings_are_the_positions_of_the_targets(tmp_path):
+    yaml = ARM_YAML.replace("targets:\n", "targets:\n  elbow: {frame: slider}\n")
+    robot = calib.load(write_arm(tmp_path, yaml))
+    q = np.random.default_rng(1).uniform([-2, 0, -2], [2, 1, 2], (70, 3))  # more than one chunk
+    configurations = robot.assemble(q)
+    found = predicted_readings(robot, configurations)
+    assert list(found) == ["elbow", "tip"]
+    stacked = np.stack([found[name].values for name in found], axis=1)
+    np.testing.assert_allclose(stacked, robot.positions(q), atol=1e-15)
+    linear = linearise(robot, configurations)
+    for k, one in enumerate(observe(robot, configurations, found).values()):
+        np.testing.assert_allclose(one.residuals, 0.0, atol=1e-15)
+        np.testing.assert_allclose(one.jacobian, linear.jacobian[:, k], atol=1e-12)

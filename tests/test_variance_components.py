@@ -1,0 +1,168 @@
+"""Noise found from residuals: restricted maximum likelihood, against a general optimiser and dense matrices."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from calib.errors import NotIdentifiableError
+from calib.numerics.variance_components import LinearModel, found_components, found_scales, found_with_families
+
+N_FREE = 4
+NO_FAMILY = np.full(N_FREE, -1)
+
+
+def model_of(seed, *, priors=(), groups=(40, 30), noise=(0.5, 3.0), shared=(), visits=14, stated=()):
+    """Rows of two groups with this noise, and errors of joints that visits share; also columns and visits."""
+    rng = np.random.default_rng(seed)
+    group = np.repeat(np.arange(len(groups)), groups)
+    n = len(group)
+    jacobian = rng.standard_normal((n, N_FREE))
+    columns = rng.standard_normal((n, len(shared) or 2))
+    block = rng.permutation(np.arange(n) % visits)
+    errors = rng.standard_normal((visits, columns.shape[1])) * (np.array(shared) if shared else 0.0)
+    residuals = np.array(noise)[group] * rng.standard_normal(n) + np.sum(columns * errors[block], axis=1)
+    has_prior = np.isin(np.arange(N_FREE), priors)
+    deviations = np.where(has_prior, rng.standard_normal(N_FREE), 0.0)
+    unstated = ~np.isin(np.arange(len(groups)), stated)
+    return LinearModel(residuals, jacobian, has_prior, deviations, group, unstated, NO_FAMILY), columns, block
+
+
+def deviance(model, scales, tau, columns, block):
+    """Minus twice the restricted log-likelihood, with dense matrices, up to a constant."""
+    read = model.group >= 0
+    same = (block[:, None] == block)[np.ix_(read, read)]
+    c = columns[read] * tau
+    v = np.diag(scales[model.group[read]] ** 2) + np.where(same, c @ c.T, 0.0)
+    j, y = model.jacobian[read], model.residuals[read]
+    inverse = np.linalg.inv(v)
+    a = j.T @ inverse @ j + np.diag(model.has_prior.astype(float))
+    step = -np.linalg.solve(a, j.T @ inverse @ y + np.where(model.has_prior, model.deviations, 0.0))
+    left, u = y + j @ step, (model.deviations + step)[model.has_prior]
+    return np.linalg.slogdet(v)[1] + np.linalg.slogdet(a)[1] + left @ inverse @ left + u @ u
+
+
+def optimum(model, columns, block, *, start, n_shared=0):
+    """Unstated scales, and standard deviations of joints, where the restricted likelihood is largest."""
+    unstated = np.flatnonzero(model.unstated)
+
+    def values(x):
+        scales = np.ones(len(model.unstated))
+        scales[unstated] = np.exp(x[: len(unstated)])
+        tau = np.zeros(columns.shape[1])
+        tau[:n_shared] = np.exp(x[len(unstated) :])
+        return scales, tau
+
+    found = minimize(
+        lambda x: deviance(model, *values(x), columns, block),
+        np.log(start),
+        method="Nelder-Mead",
+        options={"xatol": 1e-6, "fatol": 1e-10, "maxiter": 4000, "maxfev": 4000},
+    )
+    assert found.success
+    return *values(found.x), -0.5 * found.fun
+
+
+@pytest.mark.parametrize("priors", [(), (0, 2), range(N_FREE)], ids=["none", "some", "all"])
+@pytest.mark.parametrize("seed", range(3))
+def test_scales_of_groups_are_where_the_restricted_likelihood_is_largest(seed, priors):
+    model, columns, block = model_of(seed, priors=priors)
+    found = found_scales(model, np.array([1.0, 1.0]))
+    scales, _, likelihood = optimum(model, columns, block, start=[1.0, 1.0])
+    np.testing.assert_allclose(found.scales, scales, rtol=1e-3)
+    assert found.log_likelihood == pytest.approx(likelihood, abs=1e-4)
+
+
+def test_the_start_does_not_matter():
+    model, _, _ = model_of(1)
+    ends = [found_scales(model, np.array(start)).scales for start in ([1e-3, 1e-3], [1.0, 1.0], [50.0, 0.01])]
+    np.testing.assert_allclose(ends[1:], ends[:1] * 2, rtol=1e-3)
+
+
+def test_scales_that_are_stated_stay():
+    model, columns, block = model_of(4, noise=(0.5, 1.0), stated=(1,))
+    found = found_scales(model, np.array([1.0, 1.0]))
+    scales, _, _ = optimum(model, columns, block, start=[1.0])
+    assert found.scales[1] == 1.0
+    assert found.scales[0] == pytest.approx(scales[0], rel=1e-3)
+
+
+def test_one_group_without_priors_has_the_noise_of_the_textbook():
+    model, _, _ = model_of(2, groups=(50,), noise=(0.7,))
+    left = model.residuals - model.jacobian @ np.linalg.lstsq(model.jacobian, model.residuals, rcond=None)[0]
+    found = found_scales(model, np.array([1.0]))
+    assert found.scales[0] == pytest.approx(np.sqrt(left @ left / 46), rel=1e-6)
+
+
+def test_rows_that_were_not_read_take_no_part():
+    model, columns, block = model_of(3, shared=(4.0, 0.0))
+    gaps = np.array([2, 17, 50])
+    group, jacobian, residuals, seen = model.group.copy(), model.jacobian.copy(), model.residuals.copy(), columns.copy()
+    group[gaps], jacobian[gaps], residuals[gaps], seen[gaps] = -1, 0.0, 0.0, 0.0
+    with_gaps = replace(model, residuals=residuals, jacobian=jacobian, group=group)
+    kept = group >= 0
+    without = replace(model, residuals=residuals[kept], jacobian=jacobian[kept], group=group[kept])
+    one = found_components(with_gaps, np.ones(2), seen, block)
+    other = found_components(without, np.ones(2), seen[kept], block[kept])
+    np.testing.assert_allclose(one.scales, other.scales, rtol=1e-9)
+    np.testing.assert_allclose(one.shared, other.shared, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("priors", [(), range(N_FREE)], ids=["none", "all"])
+@pytest.mark.parametrize("seed", range(3))
+def test_shared_errors_are_where_the_restricted_likelihood_is_largest(seed, priors):
+    model, columns, block = model_of(seed, priors=priors, noise=(0.5, 1.0), shared=(2.0, 1.0))
+    found = found_components(model, np.array([1.0, 1.0]), columns, block)
+    scales, tau, likelihood = optimum(model, columns, block, start=[1.0, 1.0, 1.0, 1.0], n_shared=2)
+    np.testing.assert_allclose(found.scales, scales, rtol=0.01)
+    np.testing.assert_allclose(found.shared, tau, rtol=0.03)  # the iteration stops at changes below 1 %
+    assert found.log_likelihood == pytest.approx(likelihood, abs=0.01)
+
+
+def test_where_visits_share_nothing_nothing_is_found():
+    found = []
+    for seed in range(30):
+        model, columns, block = model_of(seed, noise=(0.5, 1.0))
+        found.append(np.any(found_components(model, np.ones(2), columns, block).shared > 0))
+    assert not any(found)  # a chance of 1 in 1000 each
+
+
+def test_too_few_rows_for_any_noise_are_an_error():
+    model, _, _ = model_of(2, groups=(4,), noise=(0.7,))
+    with pytest.raises(NotIdentifiableError, match="degrees of freedom"):
+        found_scales(model, np.array([1.0]))
+
+
+def test_data_without_noise_have_none():
+    model, columns, block = model_of(5, noise=(0.0, 0.0))
+    exact = replace(model, residuals=model.jacobian @ np.ones(N_FREE))
+    found = found_components(exact, np.array([1e-4, 1e-4]), columns, block)
+    assert np.all(found.scales < 1e-8)
+    assert not np.any(found.shared > 0)
+
+
+def with_families(seed):
+    """Twelve coefficients of two families, of sizes 3 and 0.2, beside two parameters of neither."""
+    rng = np.random.default_rng(seed)
+    family = np.array([-1, -1, *[0] * 6, *[1] * 6])
+    jacobian = rng.standard_normal((120, 14)) * np.array([1.0, 1.0, *[0.5] * 6, *[3.0] * 6])
+    u = rng.standard_normal(14) * np.array([1.0, 1.0, 3.0, 0.2])[[0, 1, *[2] * 6, *[3] * 6]]
+    residuals = 0.5 * rng.standard_normal(120) - jacobian @ u
+    one = np.zeros(120, dtype=np.intp)
+    return LinearModel(residuals, jacobian, family >= 0, np.zeros(14), one, np.array([True]), family, n_families=2)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sizes_of_families_are_where_the_marginal_likelihood_is_largest(seed):
+    model = with_families(seed)
+    scales, sizes = found_with_families(model, np.array([1.0]))
+
+    def minus_twice_log(x):
+        factor = np.append(np.exp(x[1:]), 1.0)[model.family]
+        scaled = replace(model, jacobian=model.jacobian * factor, deviations=model.deviations / factor)
+        return deviance(scaled, np.exp(x[:1]), np.zeros(1), np.zeros((120, 1)), np.arange(120))
+
+    found = minimize(minus_twice_log, np.zeros(3), method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-10})
+    assert found.success
+    np.testing.assert_allclose([*scales, *sizes], np.exp(found.x), rtol=0.03)  # it stops at changes below 1 %

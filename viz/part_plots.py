@@ -1,0 +1,161 @@
+"""Figures of the components of errors, of positions and of every other part of readings, each in its unit of errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib import Fit
+from calib.arrays import FloatArray, ReadOnlyArrays
+from calib.identification.errors_found import ErrorSet
+from calib.observation.kind import Part
+from calib.observation.position import POSITION
+from calib.units import ERROR_UNIT, error_scale
+from viz.poses import PoseTable
+from viz.scene import Joint
+from viz.svg import AXES, STATES, Plot, finished, in_lines, new_figure, styled, thinned
+
+
+@dataclass(frozen=True, eq=False)
+class PartErrors(ReadOnlyArrays):
+    """Errors of one part of readings.
+
+    Attributes:
+        part: The part.
+        joints: Actuated joints, (n, n_actuated) [m or rad].
+        before, after: Predicted minus read, before and after calibration, (n, n_axes) [SI]; NaN where not known.
+    """
+
+    part: Part
+    joints: FloatArray
+    before: FloatArray
+    after: FloatArray
+
+    def shown(self, state: str) -> FloatArray:
+        """Return the errors of a state in the part's unit of errors, (n, n_axes)."""
+        errors: FloatArray = error_scale(self.part.dimension) * {"before": self.before, "after": self.after}[state]
+        return errors
+
+    @property
+    def unit(self) -> str:
+        """Unit of errors."""
+        return ERROR_UNIT[self.part.dimension]
+
+    def called(self, name: str, title: str) -> tuple[str, str]:
+        """Return name and title of a figure: those of positions need not say of what they are."""
+        if self.part == POSITION:
+            return name, title
+        return f"{self.part.name}-{name}", f"{self.part.name.capitalize()}: {title[0].lower()}{title[1:]}"
+
+
+def of_positions(table: PoseTable) -> PartErrors:
+    """Return the errors of measured points."""
+    return PartErrors(POSITION, table.joints, table.error("before"), table.error("after"))
+
+
+def part_plots(fit: Fit, joints: tuple[Joint, ...]) -> tuple[Plot, ...]:
+    """Return the figures of all parts that a fit was made from, but positions.
+
+    Args:
+        fit: The fit.
+        joints: Its actuated joints.
+    """
+    sets = [fit.identification, *([] if fit.validation is None else [fit.validation])]
+    parts = dict.fromkeys(part for found in sets for _, part, _ in found.parts() if part.name != POSITION.name)
+    plots: list[Plot] = []
+    for part in parts:
+        errors = _of_part(sets, part)
+        plots += [error_by_axis(errors), residual_by_joint(errors, joints)]
+    return tuple(plots)
+
+
+def _of_part(sets: list[ErrorSet], part: Part) -> PartErrors:
+    pieces = [
+        (
+            found.data.joints[found.data.readings[one.name].visits],
+            found.before[one.name][:, rows],
+            found.after[one.name][:, rows],
+        )
+        for found in sets
+        for one, own, rows in found.parts()
+        if own == part
+    ]
+    joints, before, after = (np.concatenate(piece) for piece in zip(*pieces, strict=True))
+    return PartErrors(part, joints, before, after)
+
+
+@styled
+def error_by_axis(errors: PartErrors) -> Plot:
+    """Signed error components, before and after."""
+    names = errors.part.axes
+    figure, panels = new_figure(1, 2, (8.9, 1.2 + 0.5 * len(names)))
+    for axes, state in zip(panels, STATES, strict=True):
+        columns = [column[np.isfinite(column)] for column in errors.shown(state).T]
+        known = [k for k, column in enumerate(columns) if len(column)]
+        if known:
+            boxes = axes.boxplot(
+                [columns[k] for k in known],
+                positions=[k + 1 for k in known],
+                orientation="horizontal",
+                widths=0.55,
+                patch_artist=True,
+                flierprops={"marker": ".", "markersize": 2.5},
+                medianprops={"color": "black"},
+            )
+            for patch, k in zip(boxes["boxes"], known, strict=True):
+                patch.set(facecolor=_look(k)[0], alpha=0.45)
+        axes.set_yticks(range(1, len(names) + 1), names)
+        axes.axvline(0.0, color="black", linewidth=0.8)
+        axes.invert_yaxis()
+        axes.set(title=f"{state} calibration", xlabel=f"predicted minus measured [{errors.unit}]")
+    return finished(
+        *errors.called("error-by-axis", "Error along each axis"),
+        "Boxes hold the middle half of the poses; a box away from zero is a systematic error. Mind the two scales.",
+        figure,
+    )
+
+
+@styled
+def residual_by_joint(errors: PartErrors, joints: tuple[Joint, ...]) -> Plot:
+    """Residuals after calibration against every actuated joint."""
+    columns = min(3, max(1, len(joints)))
+    rows = -(-len(joints) // columns)
+    figure, panels = new_figure(rows, columns, (8.9, 2.3 * rows + 0.4), sharey=True)
+    drawn, note = thinned(len(errors.after))
+    residuals = errors.shown("after")[drawn]
+    for number, (axes, joint) in enumerate(zip(panels, joints, strict=False)):
+        values = joint.per_si * errors.joints[drawn, number]
+        for axis, (name, component) in enumerate(zip(errors.part.axes, residuals.T, strict=True)):
+            colour, marker = _look(axis)
+            axes.plot(
+                values,
+                component,
+                marker,
+                color=colour,
+                markersize=2.6,
+                alpha=0.6,
+                linestyle="none",
+                markeredgewidth=0,
+                label=name,
+                zorder=2 + axis,
+            )
+        axes.axhline(0.0, color="black", linewidth=0.8)
+        axes.set_xlabel(in_lines(f"{joint.name} [{joint.unit}]"))
+        if number % columns == 0:
+            axes.set_ylabel(f"residual [{errors.unit}]")
+    for axes in panels[len(joints) :]:
+        axes.set_visible(False)
+    if joints:
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, markerscale=2.5)
+    return finished(
+        *errors.called("residual-by-joint", "Residuals against each joint"),
+        "A curve instead of a cloud points at an error of that joint that no parameter describes." + note,
+        figure,
+    )
+
+
+def _look(axis: int) -> tuple[str, str]:
+    """Colour and mark of an axis by its number."""
+    looks = list(AXES.values())
+    return looks[axis % len(looks)]

@@ -1,0 +1,266 @@
+"""Pose tables of fits, result folders and measurements.
+
+Instruments that measure points say where these were, and how far off. Where none of a set does, every pose has a row
+for each target of the robot, with its predicted positions and nothing measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from calib import Fit, Measurements, Robot
+from calib.arrays import FloatArray, IntArray
+from calib.identification.errors_found import ErrorSet
+from calib.identification.judged import Outlier
+from calib.linearisation.observed import predicted_readings
+from calib.linearisation.prediction import PositionUncertainty
+from calib.observation.kind import Instrument
+from viz.poses import EXCLUDED, IDENTIFICATION, MEASURED, VALIDATION, Calibrated, PoseTable, averaged, concatenate
+from viz.saved_readings import Saved
+
+Sigmas = Mapping[str, float]
+"""Noise of one reading of instruments that measure points, per axis, by their names [m]; unknown where left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Set:
+    """Measurements of one group, and how far off the predictions of robots are.
+
+    Attributes:
+        group: Group of the pose table.
+        data: The measurements.
+        placed: The robot before calibration.
+        before, after: Predicted minus measured points of each instrument, by its name, (n, 3) [m].
+        found: Positions that the calibrated robot predicts at each visit; None without one.
+        sigmas: Noise.
+        outliers: Visit and instrument of every reading that is an outlier.
+    """
+
+    group: str
+    data: Measurements
+    placed: Robot
+    before: Mapping[str, FloatArray]
+    after: Mapping[str, FloatArray]
+    found: PositionUncertainty | None
+    sigmas: Sigmas
+    outliers: frozenset[tuple[int, str]] = frozenset()
+
+
+def from_fit(fit: Fit) -> PoseTable:
+    """Return the poses of a fit, identification first, outliers that were left out last."""
+    sets = [of_errors(fit, IDENTIFICATION, fit.identification, fit.identification_uncertainty, fit.outliers)]
+    if fit.validation is not None:
+        sets.append(of_errors(fit, VALIDATION, fit.validation, fit.validation_uncertainty, fit.validation_outliers))
+    if fit.with_all is not None and fit.excluded:
+        visits = np.array(sorted({outlier.pose for outlier in fit.excluded}), dtype=np.intp)
+        data = fit.with_all.identification.data.subset(visits)
+        left_out = _judged(EXCLUDED, data, fit.placed, Calibrated(fit.robot, fit.uncertainty), noise(fit))
+        sets.append(replace(left_out, outlier=np.ones(len(left_out), dtype=bool)))
+    if fit.validation is not None and not _measured_together(fit.identification.data, fit.validation.data):
+        names = (IDENTIFICATION, VALIDATION, IDENTIFICATION)  # left out: of those to identify with
+        sets = [
+            replace(table, series=tuple(f"{path} ({name})" for path in table.series))
+            for table, name in zip(sets, names, strict=False)
+        ]
+    return averaged(concatenate(sets))
+
+
+def of_errors(
+    fit: Fit,
+    group: str,
+    errors: ErrorSet,
+    found: PositionUncertainty | None = None,
+    outliers: tuple[Outlier, ...] = (),
+) -> PoseTable:
+    """Return one row for each reading of a point of a set with its errors.
+
+    Args:
+        fit: The fit that they are of.
+        group: Group of the pose table.
+        errors: The set.
+        found: Positions that the calibrated robot predicts at each visit, if they are wanted.
+        outliers: Readings of the set that are outliers.
+    """
+    before, after = (_position_errors(errors, state) for state in ("before", "after"))
+    marked = frozenset((outlier.pose, outlier.target) for outlier in outliers)
+    return _rows(_Set(group, errors.data, fit.placed, before, after, found, noise(fit), marked))
+
+
+def from_measurements(data: Measurements, nominal: Robot, calibrated: Calibrated | None, sigmas: Sigmas) -> PoseTable:
+    """Return measurements with what a robot predicts for them.
+
+    Args:
+        data: The measurements.
+        nominal: The robot before calibration.
+        calibrated: The robot after it and how sure it is, or None.
+        sigmas: Noise of the instruments.
+
+    Raises:
+        UnreachablePoseError: A pose cannot be assembled.
+    """
+    return averaged(_judged(MEASURED, data, nominal, calibrated, sigmas))
+
+
+def from_saved(saved: Saved, placed: Robot, calibrated: Calibrated) -> PoseTable:
+    """Return the poses that a result folder holds.
+
+    Args:
+        saved: What the folder holds.
+        placed: The robot before calibration.
+        calibrated: The robot after it and how sure it is.
+    """
+    sets = [
+        _rows(
+            _Set(
+                group,
+                errors.data,
+                placed,
+                _position_errors(errors, "before"),
+                _position_errors(errors, "after"),
+                calibrated.predict(errors.data.joints),
+                saved.sigmas,
+                saved.outliers[group],
+            )
+        )
+        for group, errors in saved.sets.items()
+    ]
+    return averaged(concatenate(sets))
+
+
+def noise(fit: Fit) -> Sigmas:
+    """Return the noise of measured points of each instrument, as found."""
+    found = {one.group.name: one.sigma for one in reversed(fit.noise) if one.group.part == "position"}
+    return {one.name: found[one.group] for one in fit.robot.instruments if one.group in found}
+
+
+def _position_errors(errors: ErrorSet, state: str) -> dict[str, FloatArray]:
+    return {
+        one.name: getattr(errors, state)[one.name][:, rows]
+        for one, part, rows in errors.parts()
+        if part.name == "position"
+    }
+
+
+def _judged(group: str, data: Measurements, placed: Robot, calibrated: Calibrated | None, sigmas: Sigmas) -> PoseTable:
+    """Rows of measurements that no fit has judged."""
+    before = _points_off(placed, data)
+    if calibrated is None:
+        unknown = {name: np.full_like(errors, np.nan) for name, errors in before.items()}
+        return _rows(_Set(group, data, placed, before, unknown, None, sigmas))
+    after, found = _points_off(calibrated.robot, data), calibrated.predict(data.joints)
+    return _rows(_Set(group, data, placed, before, after, found, sigmas))
+
+
+def _points_off(robot: Robot, data: Measurements) -> dict[str, FloatArray]:
+    """Predicted minus measured points of each instrument that measures points, (n, 3) [m]."""
+    wanted = {name: found for name, found in data.readings.items() if _measures_points(robot.instrument(name))}
+    if not wanted:
+        return {}
+    predicted = predicted_readings(robot, robot.assemble(data.joints, labels=data.labels), wanted)
+    off: dict[str, FloatArray] = {}
+    for name, found in wanted.items():
+        one = robot.instrument(name)
+        there, here = one.points(predicted[name].values), one.points(found.values)
+        if there is not None and here is not None:
+            off[name] = there - here
+    return off
+
+
+def _measures_points(one: Instrument) -> bool:
+    return any(part.name == "position" for part in one.parts)
+
+
+def _measured_together(first: Measurements, second: Measurements) -> bool:
+    """Whether two sets are parts of one file, so that their places are of one order."""
+    return first.path == second.path and not np.intersect1d(first.places, second.places).size
+
+
+def _rows(found: _Set) -> PoseTable:
+    """One row for each reading of a point, pose by pose; for each visit and target where no points were measured."""
+    parts, visits = [], []
+    for one in found.placed.instruments:
+        if one.name in found.before:
+            table, own = _rows_of(found, one)
+            parts.append(table)
+            visits.append(own)
+    if not any(map(len, parts)):
+        return _predictions(found)
+    order = np.argsort(found.data.pose_numbers[np.concatenate(visits)], kind="stable")
+    return concatenate(parts).subset(order)
+
+
+def _rows_of(found: _Set, one: Instrument) -> tuple[PoseTable, IntArray]:
+    """One row for each reading of an instrument, and the visit of each."""
+    readings = found.data.readings[one.name]
+    points = one.points(readings.values)
+    assert points is not None  # it has a position
+    seen = np.flatnonzero(np.isfinite(points).all(axis=1))
+    visits, pairs, measured = readings.visits[seen], readings.pairs[seen], points[seen]
+    before, after = found.before[one.name][seen], found.after[one.name][seen]
+    names = [one.name] * len(seen)
+    for number, setup in enumerate(found.placed.description.setups):
+        rows = np.flatnonzero(pairs == number)
+        if number > 0 and len(rows):
+            R, p = _in_first_setup(found.placed, one, number)
+            measured[rows] = measured[rows] @ R.T + p
+            before[rows], after[rows] = before[rows] @ R.T, after[rows] @ R.T
+            for row in rows:
+                names[row] = f"{one.name}@{setup}"
+    spread = np.full(measured.shape, np.nan)
+    if found.found is not None:
+        spread = found.found.std[visits, found.placed.target_names.index(one.target)]
+    table = PoseTable(
+        joints=found.data.joints[visits],
+        measured=measured,
+        before=measured + before,
+        after=measured + after,
+        sigma=np.full(len(seen), found.sigmas.get(one.name, np.nan)),
+        spread=spread,
+        outlier=np.array([(visit, one.name) in found.outliers for visit in map(int, visits)], dtype=bool),
+        targets=tuple(names),
+        **_whence(found, visits),
+    )
+    return table, visits
+
+
+def _in_first_setup(robot: Robot, one: Instrument, setup: int) -> tuple[FloatArray, FloatArray]:
+    """Rotation (3, 3) and origin (3,) [m] of the measurement frame of a setup, in that of the first."""
+    first, later = robot.pairs(one)[0], robot.pairs(one)[setup]
+    names = robot.mechanism.origin_names
+    T = robot.mechanism.placement(names[first.a - 1]).inverse() * robot.mechanism.placement(names[later.a - 1])
+    return T.rotation.copy(), T.translation.copy()
+
+
+def _predictions(found: _Set) -> PoseTable:
+    """One row for each visit and target: what is predicted, and nothing measured."""
+    data, targets = found.data, found.placed.target_names
+    visits = np.repeat(np.arange(len(data)), len(targets))
+    unknown = np.full((len(visits), 3), np.nan)
+    marked = {visit for visit, _ in found.outliers}
+    return PoseTable(
+        joints=data.joints[visits],
+        measured=unknown,
+        before=found.placed.positions(data.joints).reshape(-1, 3),
+        after=unknown if found.found is None else found.found.positions.reshape(-1, 3),
+        sigma=unknown[:, 0],
+        spread=unknown if found.found is None else found.found.std.reshape(-1, 3),
+        outlier=np.array([visit in marked for visit in map(int, visits)], dtype=bool),
+        targets=targets * len(data),
+        **_whence(found, visits),
+    )
+
+
+def _whence(found: _Set, visits: IntArray) -> dict[str, Any]:
+    """Where the rows of these visits (n,) come from."""
+    n = len(visits)
+    return {
+        "group": (found.group,) * n,
+        "labels": tuple(found.data.names[visit] for visit in visits),
+        "readings": np.ones(n, dtype=np.intp),
+        "series": (found.data.path,) * n,
+        "place": found.data.places[visits],
+    }

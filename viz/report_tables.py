@@ -1,0 +1,178 @@
+"""The numbers of a report: accuracy part by part, noise, outliers, and where the robot is worst."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calib import Fit
+from calib.arrays import FloatArray
+from calib.identification.errors_found import STATES, ErrorSet, error_table
+from calib.identification.judged import Outlier
+from calib.observation.kind import Part
+from calib.reporting.result_content import error_sets, parameter_rows
+from calib.units import ERROR_UNIT, error_scale
+from viz.pose_sources import of_errors
+from viz.poses import IDENTIFICATION, VALIDATION, PoseTable, averaged
+
+_NAMES = {"cross_validation": "left out in turns"}
+_JUDGED_BY = ("validation", "left out in turns", "identification")
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """One line of an accuracy table; numbers as `calib.identification.errors_found.error_table` gives them."""
+
+    group: str
+    state: str
+    poses: int
+    errors: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class AccuracyTable:
+    """Errors of one part of the readings, in its unit of errors.
+
+    Attributes:
+        part: The part.
+        unit: Unit of all numbers.
+        lines: Each set before and after calibration.
+    """
+
+    part: Part
+    unit: str
+    lines: tuple[Accuracy, ...]
+
+
+@dataclass(frozen=True)
+class NoiseLine:
+    """Noise of one reading as found: of what, in which unit, per what, over how many degrees of freedom."""
+
+    of: str
+    found: float
+    stated: float | None
+    unit: str
+    per: str
+    freedom: float
+
+
+def headline(tables: list[AccuracyTable], part: Part) -> tuple[AccuracyTable, Accuracy, Accuracy]:
+    """Return what counts: the table of a part, and its lines before and after of poses that were not used, if any."""
+    table = next(table for table in tables if table.part == part)
+    by_name = {(line.group, line.state): line for line in table.lines}
+    group = next(name for name in _JUDGED_BY if (name, "after") in by_name)
+    return table, by_name[group, "before"], by_name[group, "after"]
+
+
+def judged_by(fit: Fit) -> ErrorSet:
+    """Return the errors that count, as in `headline`."""
+    sets = {_NAMES.get(name, name): found for name, found in error_sets(fit)}
+    return next(sets[name] for name in _JUDGED_BY if name in sets)
+
+
+def worst(fit: Fit) -> str:
+    """Return where the robot is still worst: the pose with the largest error after calibration, and its place."""
+    found = judged_by(fit)
+    if found.main_part.name != "position":
+        return _worst_reading(found)
+    table = averaged(of_errors(fit, IDENTIFICATION, found))
+    row = int(np.nanargmax(np.linalg.norm(table.error("after"), axis=1)))
+    shown = error_scale("length") * table.measured[row]
+    place = ", ".join(f"{axis} {value:.0f}" for axis, value in zip("xyz", shown, strict=True))
+    point = f", point {table.targets[row]}" if len(set(table.targets)) > 1 else ""
+    return f"pose {table.labels[row]}{point}, at {place} mm".replace("-", "−")
+
+
+def _worst_reading(found: ErrorSet) -> str:
+    """The reading with the largest error of the main part after calibration."""
+    sizes = {
+        one.name: np.nansum(found.after[one.name][:, rows] ** 2, axis=1)
+        for one, part, rows in found.parts()
+        if part.name == found.main_part.name
+    }
+    name = max(sizes, key=lambda key: float(np.max(sizes[key])))
+    visit = int(found.data.readings[name].visits[int(np.argmax(sizes[name]))])
+    return f"pose {found.data.names[visit]}{f', {name}' if len(sizes) > 1 else ''}"
+
+
+def extent(table: PoseTable) -> str:
+    """Return the box [mm] in which points were measured; empty where none were."""
+    fitted = np.isin(np.array(table.group), (IDENTIFICATION, VALIDATION))
+    points: FloatArray = error_scale("length") * table.measured[fitted & np.isfinite(table.measured).all(axis=1)]
+    if not len(points):
+        return ""
+    ranges = zip("xyz", points.min(axis=0), points.max(axis=0), strict=True)
+    return ", ".join(f"{axis} {low:.0f} to {high:.0f}" for axis, low, high in ranges).replace("-", "−") + " mm"
+
+
+def noise_lines(fit: Fit) -> list[NoiseLine]:
+    """Return the noise of each group of rows; what it is of is said where there are several."""
+    several = {(one.group, part.name) for one in fit.nominal.instruments for part in one.parts if len(part.axes) > 1}
+    lines = []
+    for one in fit.noise:
+        scale = error_scale(one.group.dimension)
+        lines.append(
+            NoiseLine(
+                f" of {one.group.name}, {one.group.part}" if len(fit.noise) > 1 else "",
+                scale * one.sigma,
+                None if one.stated is None else scale * one.stated,
+                ERROR_UNIT[one.group.dimension],
+                " per axis" if (one.group.name, one.group.part) in several else "",
+                one.freedom,
+            )
+        )
+    return lines
+
+
+def accuracy(fit: Fit) -> list[AccuracyTable]:
+    """Return a table for each part that was read: each set before and after calibration."""
+    sets: list[tuple[str, ErrorSet, tuple[str, ...]]]
+    sets = [(_NAMES.get(name, name), found, STATES) for name, found in error_sets(fit)]
+    if fit.with_all is not None:
+        sets.append(("with outliers", fit.with_all.identification, STATES[1:]))
+    parts = dict.fromkeys(part for _, found, _ in sets for _, part, _ in found.parts())
+    tables = []
+    for part in parts:
+        lines = []
+        for group, found, states in sets:
+            for state in states:
+                errors = found.errors(state, part.name)
+                if len(errors):
+                    lines.append(Accuracy(group, state, found.data.n_poses, error_table(errors, part)))
+        tables.append(AccuracyTable(part, ERROR_UNIT[part.dimension], tuple(lines)))
+    return tables
+
+
+def unsure(fit: Fit) -> dict[str, list[str]]:
+    """Return the names of parameters that the measurements do not decide, by status."""
+    found: dict[str, list[str]] = {}
+    for row in parameter_rows(fit):
+        if row["status"] not in ("identified", "placed"):
+            found.setdefault(str(row["status"]), []).append(str(row["name"]))
+    return found
+
+
+def left_out(fit: Fit) -> list[dict[str, Any]]:
+    """Return the outliers that were left out of the fit, in the form of `outlier_rows`."""
+    if fit.with_all is None:
+        return []
+    errors = fit.with_all.identification
+    return [
+        {
+            "set": "left out",
+            "pose": errors.data.names[found.pose],
+            "target": found.target,
+            "distance": _distance(errors, found),
+            "size": found.size,
+            "over_noise": found.studentised,
+            "leverage": found.leverage,
+        }
+        for found in fit.excluded
+    ]
+
+
+def _distance(errors: ErrorSet, found: Outlier) -> float:
+    one = next(one for one in errors.instruments if one.name == found.target)
+    return found.distance * error_scale(one.parts[0].dimension)

@@ -1,0 +1,139 @@
+"""What a result folder says about the readings of its fit: `residuals.csv`, with what `result.json` knows of them.
+
+Only instruments that measure points are read back; the others leave their visits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib import Robot
+from calib.arrays import FloatArray, IntArray
+from calib.data.arrays import measurements
+from calib.data.measurements import Poses
+from calib.data.tables import Table, read_table
+from calib.errors import DataError
+from calib.identification.errors_found import STATES, ErrorSet
+from calib.observation.kind import Instrument, Readings
+from calib.reporting.results import read_result
+from calib.units import error_scale
+
+
+@dataclass(frozen=True, eq=False)
+class Saved:
+    """The readings of a result folder.
+
+    Attributes:
+        sets: Readings and errors of each set, by its name; the path of the measurements is that name.
+        sigmas: Noise of one reading of each instrument that measures points, per axis, by its name [m].
+        outliers: Visit and instrument of every reading of each set that is an outlier.
+    """
+
+    sets: Mapping[str, ErrorSet]
+    sigmas: Mapping[str, float]
+    outliers: Mapping[str, frozenset[tuple[int, str]]]
+
+
+def read_saved(folder: Path | str, robot: Robot) -> Saved:
+    """Return the readings that a result folder holds.
+
+    Args:
+        folder: The folder.
+        robot: The robot that it is of.
+
+    Raises:
+        DataError: A file is missing, broken, or belongs to another robot.
+    """
+    path = Path(folder) / "residuals.csv"
+    table, content = read_table(path), read_result(folder)
+    for name in ("set", "pose", "target"):
+        if name not in table.names:
+            raise DataError(f"{path}: no column '{name}'; run the fit again")
+    known = [one.name for one in robot.instruments]
+    stranger = next((name for name in table.text("target") if name not in known), None)
+    if stranger is not None:
+        raise DataError(f"{path}: no instrument of {robot.path} is called '{stranger}'; run the fit again")
+    groups = np.array(table.text("set"))
+    sets = {str(group): _error_set(robot, table, np.flatnonzero(groups == group)) for group in dict.fromkeys(groups)}
+    marked: dict[tuple[str, str], list[str]] = {}
+    for row in content["outliers"]:
+        marked.setdefault((row["set"], row["pose"]), []).append(row["target"])
+    outliers = {
+        group: frozenset(
+            (visit, target) for visit, pose in enumerate(errors.data.names) for target in marked.get((group, pose), ())
+        )
+        for group, errors in sets.items()
+    }
+    return Saved(sets, _sigmas(content), outliers)
+
+
+def _sigmas(content: dict[str, Any]) -> dict[str, float]:
+    return {
+        block["name"]: part["sigma"] / error_scale("length")
+        for block in content.get("instruments", ())
+        for part in block["parts"]
+        if part["name"] == "position" and part["sigma"] is not None
+    }
+
+
+def _error_set(robot: Robot, table: Table, rows: IntArray) -> ErrorSet:
+    """The readings in these rows of the file, with their errors."""
+    joints = [table.column(name, robot.mechanism.dimensions[name])[rows] for name in robot.joint_names]
+    labels, targets = ([table.text(name)[row] for row in rows] for name in ("pose", "target"))
+    cells = [(label, *values) for label, *values in zip(labels, *joints, strict=True)]
+    instruments = tuple(one for one in robot.instruments if any(part.name == "position" for part in one.parts))
+    visits = _visits(cells, targets, {one.name for one in instruments})
+    first = np.unique(visits, return_index=True)[1]
+    names = tuple(labels[row] for row in first)
+    group = table.text("set")[rows[0]]
+    poses = Poses(np.stack(joints, axis=1)[first], tuple(f"pose {name}" for name in names), names, group, ())
+    readings: dict[str, Readings] = {}
+    errors: dict[str, dict[str, FloatArray]] = {state: {} for state in STATES}
+    for one in instruments:
+        own = np.flatnonzero(np.array(targets) == one.name)
+        if len(own):
+            readings[one.name] = _readings(robot, one, table, rows[own], visits[own])
+            for state in STATES:
+                errors[state][one.name] = _errors(one, table, rows[own], state)
+    data = measurements(poses, readings)
+    return ErrorSet(data, instruments, errors["before"], errors["after"], np.full(len(first), np.nan))
+
+
+def _visits(cells: list[tuple[object, ...]], targets: list[str], points: set[str]) -> IntArray:
+    """A number for each row: rows of one visit follow each other, have the same cells, and none of `points` twice."""
+    numbers: list[int] = []
+    seen: set[str] = set()
+    for k, (cell, target) in enumerate(zip(cells, targets, strict=True)):
+        new = k == 0 or cell != cells[k - 1] or target in seen
+        numbers.append(numbers[-1] + new if numbers else 0)
+        seen = (set() if new else seen) | ({target} & points)
+    return np.array(numbers, dtype=np.intp)
+
+
+def _readings(robot: Robot, one: Instrument, table: Table, rows: IntArray, visits: IntArray) -> Readings:
+    columns = {
+        column.name: table.column(f"measured_{column.name.removeprefix(f'{one.name}_')}", column.dimension, gaps=True)
+        for column in one.columns()
+    }
+    values = one.values({name: numbers[rows] for name, numbers in columns.items()})
+    setups = list(robot.description.setups)
+    pairs = np.zeros(len(rows), dtype=np.intp)
+    if setups and "setup" in table.names:
+        pairs = np.array([setups.index(table.text("setup")[row]) for row in rows], dtype=np.intp)
+    return Readings(visits, pairs, values, None, np.zeros((len(rows), 0)))
+
+
+def _errors(one: Instrument, table: Table, rows: IntArray, state: str) -> FloatArray:
+    return np.stack(
+        [
+            table.column(f"error_{state}_{axis}", part.dimension, gaps=True)[rows]
+            for part in one.parts
+            for axis in part.axes
+        ],
+        axis=1,
+    )

@@ -11,12 +11,14 @@ from calib.observation.joint_reading import JointReading
 from calib.observation.kind import Instrument
 from calib.observation.orientation import Orientation
 from calib.observation.pixel import Pixel
+from calib.observation.pose import Pose
 from calib.observation.position import Position
 from calib.observation.touch import Touch
 from calib.sections import Section
 
 KINDS: dict[str, type[Instrument]] = {
     "position": Position,
+    "pose": Pose,
     "orientation": Orientation,
     "joint_reading": JointReading,
     "pixel": Pixel,

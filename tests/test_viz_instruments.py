@@ -1,0 +1,216 @@
+"""What the pages show of instruments that are no point trackers: gaps, poses, several setups, and no points at all."""
+
+import dataclasses
+import re
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+from six_axis_arm import FREE, joints, write_six_axis
+
+import calib
+from calib.data.arrays import as_poses, measurements
+from calib.linearisation.observed import predicted_readings
+from calib.observation.kind import Readings
+from viz.inputs import gather
+from viz.part_plots import part_plots
+from viz.plots import all_plots
+from viz.pose_sources import from_fit
+from viz.report_page import report_page
+from viz.scene import joints_of, scene_of_fit
+from viz.scene_data import scene_data
+
+ARM = """\
+urdf: arm.urdf
+name_mot: [j1, j2, j3, j4, j5, j6]
+base: {frame: l0}
+targets: {ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm]}, second: {frame: l6, xyz: [-60 mm, 0 mm, 80 mm]}}
+parametrisation:
+"""
+POSES = "instruments: {ball: {kind: pose, sigma: 0.05 mm, sigma_angle: 0.2 mrad}}\n"
+NOON = datetime(2026, 1, 2, 12, 0, tzinfo=UTC)
+
+
+def arm(folder, more="", text=ARM):
+    return calib.load(write_six_axis(folder, text + FREE + more))
+
+
+def bent(robot, seed=1):
+    """The robot as it really is: a tenth of what the description expects off."""
+    sigma = np.array([parameter.sigma for parameter in robot.parameters])
+    return robot.with_parameters(robot.values + 0.1 * sigma * np.random.default_rng(seed).standard_normal(len(sigma)))
+
+
+def words(html):
+    return " ".join(re.sub(r"<[^>]+>", " ", re.sub(r"<(svg|style).*?</\1>", " ", html, flags=re.S)).split())
+
+
+def test_a_target_that_was_not_seen_has_no_row(tmp_path):
+    robot = arm(tmp_path)
+    q = joints(40)
+    positions = bent(robot).positions(q) + np.random.default_rng(2).normal(0, 5e-5, (40, 2, 3))
+    positions[::4, 1] = np.nan
+    fit = calib.fit(robot, calib.as_measurements(robot, q, positions))
+    table = from_fit(fit)
+    assert list(zip(table.labels, table.targets, strict=True))[:4] == [
+        ("0", "ball"),
+        ("1", "ball"),
+        ("1", "second"),
+        ("2", "ball"),
+    ]
+    assert len(table) == 70
+    np.testing.assert_allclose(table.measured[2], positions[1, 1])
+    np.testing.assert_allclose(table.after[2], fit.robot.positions(q[:2])[1, 1], atol=1e-10)
+    fit.save(tmp_path / "out")
+    saved = gather(robot, tmp_path / "out").scene.poses
+    assert (saved.labels, saved.targets) == (table.labels, table.targets)
+    np.testing.assert_allclose(saved.after, table.after, atol=1e-9)
+    assert report_page(fit, created=NOON).html.count("<figure") == 5
+
+
+def test_repeats_of_a_pose_are_one_row_with_the_mean_of_their_readings(tmp_path):
+    robot = arm(tmp_path)
+    q = np.repeat(joints(30), 3, axis=0)
+    names = [f"P{k // 3}" for k in range(90)]
+    positions = bent(robot).positions(q) + np.random.default_rng(2).normal(0, 5e-5, (90, 2, 3))
+    positions[4, 0] = np.nan
+    fit = calib.fit(robot, calib.as_measurements(robot, q, positions, names))
+    table = from_fit(fit)
+    assert len(table) == 60
+    assert table.readings.tolist() == [3, 3, 2, 3] + 56 * [3]
+    assert table.place.tolist() == np.repeat(np.arange(30), 2).tolist()
+    np.testing.assert_allclose(table.measured[2], positions[[3, 5], 0].mean(axis=0))
+    np.testing.assert_allclose(table.measured[3], positions[3:6, 1].mean(axis=0))
+    np.testing.assert_allclose(table.sigma, fit.sigma / np.sqrt(table.readings))
+    fit.save(tmp_path / "out")
+    saved = gather(robot, tmp_path / "out").scene.poses
+    for name in ("measured", "before", "after", "sigma", "spread"):
+        np.testing.assert_allclose(getattr(saved, name), getattr(table, name), rtol=1e-6, atol=1e-12)
+    assert (saved.readings.tolist(), saved.place.tolist()) == (table.readings.tolist(), table.place.tolist())
+
+
+@pytest.fixture(scope="module")
+def pose_fit(tmp_path_factory):
+    robot = arm(tmp_path_factory.mktemp("poses"), POSES)
+    data = calib.simulate(bent(robot), joints(60), None, np.random.default_rng(3))
+    return calib.fit(robot, data.subset(np.arange(40)), validation=data.subset(np.arange(40, 60)))
+
+
+def test_poses_are_shown_by_their_positions(pose_fit, tmp_path):
+    table = from_fit(pose_fit)
+    values = pose_fit.identification.data.readings["ball"].values
+    np.testing.assert_allclose(table.measured[:40], values[:, :3])
+    np.testing.assert_allclose(table.error("after")[:40], pose_fit.identification.after["ball"][:, :3], atol=1e-15)
+    np.testing.assert_allclose(table.sigma, pose_fit.sigma)
+    pose_fit.save(tmp_path / "out")
+    saved = gather(pose_fit.nominal, tmp_path / "out").scene.poses
+    np.testing.assert_allclose(saved.measured, table.measured, atol=1e-12)
+    np.testing.assert_allclose(saved.error("after"), table.error("after"), atol=1e-12)
+    np.testing.assert_allclose(saved.sigma, table.sigma)
+
+
+def test_the_report_has_a_table_figures_and_a_noise_for_each_part(pose_fit):
+    html = report_page(pose_fit, created=NOON).html
+    shown = words(html)
+    assert "Position error [mm]; for the axes" in shown
+    assert "Orientation error [mrad]; for the axes" in shown
+    assert all(f">{axis}</th>" in html for axis in ("x", "y", "z", "rx", "ry", "rz"))
+    turned = 1e3 * np.linalg.norm(pose_fit.validation.after["ball"][:, 3:], axis=1)
+    row = re.findall(r"validation \(20\) after ([\d.]+) ([\d.]+)", shown)[1]
+    assert [float(number) for number in row] == pytest.approx([turned.mean(), turned.max()], rel=5e-3)  # as printed
+    assert re.search(r"Noise found of ball, position: 0\.0\d+ mm per axis of one reading \(stated: 0\.0500 mm\)", shown)
+    assert re.search(r"Noise found of ball, orientation: 0\.\d+ mrad .* \(stated: 0\.200 mrad\)", shown)
+    assert "Instruments ball (position, orientation of ball)" in shown
+    assert html.count("<figure") == 7
+    names = re.findall(r'\bid="([^"]+)"', html)
+    assert len(names) == len(set(names))
+
+
+def test_figures_of_a_part_have_its_unit_and_axes(pose_fit):
+    axes, by_joint = part_plots(pose_fit, joints_of(pose_fit.nominal))
+    assert axes.title == "Orientation: error along each axis"
+    assert "predicted minus measured [mrad]" in axes.svg
+    assert ">rx<" in axes.svg.replace(" ", "")
+    assert "residual [mrad]" in by_joint.svg
+
+
+def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(tmp_path):
+    robot = arm(tmp_path, "instruments: {ball: {kind: distance, sigma: 0.05 mm}}\n")
+    data = calib.simulate(bent(robot), joints(120), None, np.random.default_rng(4))
+    fit = calib.fit(robot, data)
+    table = from_fit(fit)
+    assert table.targets == ("ball", "second") * 120
+    assert np.isnan(table.measured).all()
+    assert np.isnan(table.sigma).all()
+    np.testing.assert_allclose(table.before, robot.positions(data.joints).reshape(-1, 3))
+    np.testing.assert_allclose(table.after, fit.robot.positions(data.joints).reshape(-1, 3))
+    assert all_plots(table, joints_of(robot)) == ()
+    scene = scene_of_fit(fit)
+    assert scene.states == ()
+    content = scene_data(scene)
+    assert (content["summary"], content["range"], content["certainty"]["noise"]) == ([], {}, None)
+    html = report_page(fit, created=NOON).html
+    shown = words(html)
+    assert "Mean distance error before and after calibration, 120 poses (identification)" in shown
+    assert "Where it was measured" not in shown
+    assert html.count("<figure") == 2
+    fit.save(tmp_path / "out")
+    saved = gather(robot, tmp_path / "out").scene
+    assert saved.states == ()
+    np.testing.assert_allclose(saved.poses.after, table.after, atol=1e-9)
+    np.testing.assert_allclose(saved.poses.before, table.before, atol=1e-9)
+    alone = gather(robot, None, data).scene
+    assert alone.states == ()
+    assert len(alone.poses) == 240
+
+
+def test_a_tracker_can_validate_what_distances_identified(tmp_path):
+    robot = arm(
+        tmp_path,
+        "instruments: {wire: {kind: distance, target: ball, sigma: 0.05 mm}, ball: {kind: position, sigma: 0.05 mm}}\n",
+    )
+    data = calib.simulate(bent(robot), joints(140), None, np.random.default_rng(4))
+    used, other = data.subset(np.arange(120)), data.subset(np.arange(120, 140))
+    used, other = (
+        dataclasses.replace(part, readings={name: part.readings[name]})
+        for part, name in ((used, "wire"), (other, "ball"))
+    )
+    fit = calib.fit(robot, used, validation=other)
+    table = from_fit(fit)
+    assert (len(table), int(np.isfinite(table.error("after")).all(axis=1).sum())) == (240 + 20, 20)
+    np.testing.assert_allclose(table.error("after")[240:], fit.validation.after["ball"], atol=1e-12)
+    scene = scene_of_fit(fit)
+    assert scene.states == ("before", "after")
+    rows = {row["group"]: row["after"] for row in scene_data(scene)["summary"]}
+    assert rows["identification"] is None
+    assert rows["validation"]["mean"] == pytest.approx(
+        1e3 * np.linalg.norm(fit.validation.after["ball"], axis=1).mean(), rel=1e-9
+    )
+    shown = words(report_page(fit, created=NOON).html)
+    assert "Mean position error before and after calibration, 20 poses (validation)" in shown
+    assert "Distance error [mm] Poses" in shown
+    assert "Noise found: 0.0" in shown
+    fit.save(tmp_path / "out")
+    saved = gather(robot, tmp_path / "out").scene.poses
+    np.testing.assert_allclose(saved.after, table.after, atol=1e-9)
+
+
+def test_points_of_a_later_setup_are_shown_in_the_frame_of_the_first(tmp_path):
+    text = ARM.replace("base: {frame: l0}", "base: {frame: l0, pose: unknown}")
+    robot = arm(tmp_path, "setups: {first: [], second: [base]}\n", text)
+    moved = bent(robot).with_parameters({"base@second.x": 0.4, "base@second.rz": 0.5})
+    q = np.vstack([joints(60), joints(60)])
+    looks = Readings(np.arange(120), np.repeat([0, 1], 60), np.zeros((120, 0)), None, np.zeros((120, 0)))
+    read = predicted_readings(moved, moved.assemble(q), {"ball": looks, "second": looks})
+    fit = calib.fit(robot, measurements(as_poses(robot, q), read))
+    table = from_fit(fit)
+    assert set(table.targets) == {"ball", "second", "ball@second", "second@second"}
+    first, later = (np.array([target == name for target in table.targets]) for name in ("ball", "ball@second"))
+    np.testing.assert_allclose(table.measured[later], table.measured[first], atol=1e-6)
+    np.testing.assert_allclose(table.after[later], table.after[first], atol=1e-6)
+    fit.save(tmp_path / "out")
+    shown = gather(robot, tmp_path / "out")
+    saved = shown.scene.poses
+    assert saved.targets == table.targets
+    np.testing.assert_allclose(saved.measured, table.measured, atol=1e-9)
+    np.testing.assert_allclose(shown.ghost.values, fit.placed.values, atol=1e-6)

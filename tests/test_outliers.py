@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from six_axis_arm import joints, measurements, six_axis_arm
+from six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, six_axis_arm, write_six_axis
 from small_robots import write_arm
 
 import calib
@@ -141,3 +141,16 @@ parametrisation:
     positions[9, 1, 0] += 1e-3
     fit = calib.fit(robot, measurements(robot, q, positions))
     assert [(outlier.pose, outlier.target) for outlier in fit.outliers] == [(9, "side")]
+
+
+def test_an_instrument_whose_noise_is_stated_too_small_does_not_make_outliers_of_its_readings(tmp_path):
+    yaml = YAML.replace("parametrisation:", "instruments:\n  ball: {kind: position, sigma: 0.01 mm}\n"
+        "  other: {kind: position, target: ball, sigma: 0.1 mm}\nparametrisation:")  # fmt: skip
+    robot = calib.load(write_six_axis(tmp_path, NO_PRIORS + yaml + FREE))
+    rng = np.random.default_rng(3)
+    q = joints(80, 4)
+    exact = robot.positions(q)[:, 0]
+    noise = {"ball": 1e-4, "other": 1e-4}  # ten times what is stated of the first
+    read = {name: exact + sigma * rng.standard_normal(exact.shape) for name, sigma in noise.items()}
+    fit = calib.fit(robot, calib.as_measurements(robot, q, read))
+    assert fit.outliers == ()

@@ -66,7 +66,7 @@ def report_page(fit: Fit, *, command: str = "", created: datetime | None = None)
             measured_in=measured_in(fit.nominal),
             remarks=fit_remarks(fit),
             plots=all_plots(table, joints_of(fit.nominal)) + part_plots(fit, joints_of(fit.nominal)),
-            parameters=parameter_rows(fit),
+            parameters=[row for row in parameter_rows(fit) if not row["family"]],
             notes=notes(fit),
             unsure=unsure(fit),
             outliers=left_out(fit) + outlier_rows(fit),

@@ -149,7 +149,7 @@ def unsure(fit: Fit) -> dict[str, list[str]]:
     """Return the names of parameters that the measurements do not decide, by status."""
     found: dict[str, list[str]] = {}
     for row in parameter_rows(fit):
-        if row["status"] not in ("identified", "placed"):
+        if row["status"] not in ("identified", "placed") and not row["family"]:
             found.setdefault(str(row["status"]), []).append(str(row["name"]))
     return found
 

@@ -26,6 +26,7 @@ from calib.numerics.statistics import ChiSquare, Statistics, chi_square
 from calib.numerics.variance_components import EXACT
 from calib.threads import one_blas_thread
 
+_LEAST_FACTOR = 1e-3  # found over assumed noise of a group, over that of all, below which a group has none
 COMPUTED = 1e-7
 """Noise below this [SI], and below a hundredth of what was stated, is what priors leave of data without noise."""
 
@@ -228,7 +229,17 @@ class Fit(ReadOnlyArrays):
     @cached_property
     def studentised(self) -> Studentised:
         """Every reading that was used, judged; see `calib.numerics.outliers`."""
-        return studentised(blocks(self.rows, self.weights), self._root, self.statistics.freedom)
+        found, number = self.statistics.factors.found, self.rows.layout.group
+        # groups whose stated noise is off by different factors are judged by what each of them really has
+        relative = np.maximum(found / max(self._factor, 1e-30), _LEAST_FACTOR)
+        divisor = np.where(number >= 0, relative[number], 1.0)
+        rows = replace(self.rows, residuals=self.rows.residuals / divisor)
+        return studentised(blocks(rows, self.weights), self._root, self.statistics.freedom)
+
+    @property
+    def _factor(self) -> float:
+        """Found over assumed noise, of all groups together."""
+        return float(np.sqrt(np.mean(self.statistics.factors.found**2)))
 
     @cached_property
     def outliers(self) -> tuple[Outlier, ...]:
@@ -274,8 +285,7 @@ class Fit(ReadOnlyArrays):
         known = self.statistics.covariance / np.outer(self.unknowns.scales, self.unknowns.scales)
         values, vectors = np.linalg.eigh(known)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
-        total = float(np.sqrt(np.mean(self.statistics.factors.found**2)))
-        scale = self.studentised.scale / max(total, 1e-30)
+        scale = self.studentised.scale / max(self._factor, 1e-30)
         return studentised(blocks(rows, np.zeros(rows.layout.n_readings)), root, self.statistics.freedom, scale)
 
     @cached_property

@@ -93,7 +93,7 @@ def rows_of_poses(
         sigma: Noise of positions per axis in place of what is stated [m], or None.
         unknowns: The parameters of the columns; the free ones if not given.
     """
-    chosen = Unknowns.of(robot) if unknowns is None else unknowns
+    chosen = Unknowns.chosen_by_poses(robot) if unknowns is None else unknowns
     n = len(configurations.actuated)
     readings = predicted_readings(robot, configurations)
     names = tuple(str(k) for k in range(n))
@@ -158,7 +158,7 @@ def build_candidates(
         UnreachablePoseError: There are such poses, and they are not to be skipped.
     """
     _require_different(poses)
-    n, n_targets, unknowns = len(poses), len(robot.target_names), Unknowns.of(robot)
+    n, n_targets, unknowns = len(poses), len(robot.target_names), Unknowns.chosen_by_poses(robot)
     per_pose = sum(len(one.looks()[0]) * one.n_rows for one in robot.instruments)
     rows = np.zeros((n, per_pose, len(unknowns)))
     positions, position_rows = np.full((n, n_targets, 3), np.nan), np.zeros((n, 3 * n_targets, len(unknowns)))
@@ -203,7 +203,7 @@ def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> tuple[F
     if not isinstance(poses, Measurements):
         part = rows_of_poses(robot, configurations, sigma)
         return part.rows.reshape(-1, part.rows.shape[2]), part.positions, part.position_rows
-    unknowns = Unknowns.of(robot)
+    unknowns = Unknowns.chosen_by_poses(robot)
     whitening = Whitening(robot, poses, sigma)
     observed = observe(robot, configurations, poses.readings)
     found = whitening.rows(observed, whitening.start(), unknowns, unknowns.deviations(robot.values))

@@ -202,6 +202,12 @@ class Unknowns(ReadOnlyArrays):
         factor = np.append(factors, 1.0)[self.family]  # the last for -1
         return replace(self, scales=self.scales * factor)
 
+    @staticmethod
+    def chosen_by_poses(robot: Robot) -> Unknowns:
+        """Return the free parameters that a choice of poses is about: families, which priors shape, are left out."""
+        every = Unknowns.of(robot)
+        return every.only(every.family < 0)
+
     def without_priors(self) -> Unknowns:
         """Return them without their priors."""
         return replace(self, has_prior=np.zeros(len(self), dtype=bool))

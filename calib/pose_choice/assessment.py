@@ -1,6 +1,8 @@
 """What a set of poses determines, and how well: everything that `calib check` tells.
 
-Matrices from the floors below are put together for one robot and one set of poses: rank and gap of all parameters and
+Families of joint terms (curves), whose priors are found from data, are left out of all of this. Matrices from the
+floors
+below are put together for one robot and one set of poses: rank and gap of all parameters and
 of the free ones, groups that move together unseen, which parameters to hold, observability, and, with priors and
 noise, the predicted standard deviation of every parameter, their correlations, and the predicted position error.
 """
@@ -123,19 +125,22 @@ def assess(robot: Robot, poses: Poses, *, task: Poses | None = None, sigma: floa
         UnreachablePoseError: A pose cannot be assembled.
     """
     require_free(robot)
-    parameters, free = robot.parameters, robot.free
+    own = np.array([not p.family for p in robot.parameters])
+    parameters, free = tuple(p for p in robot.parameters if not p.family), robot.free[own]
     noise, assumed = assumed_sigma(robot, sigma)
-    configurations = robot.assemble(poses.joints, labels=poses.labels)
-    everything = Unknowns.of(robot, np.ones(len(parameters), dtype=bool))
+    conditions = poses.conditions if isinstance(poses, Measurements) else None
+    configurations = robot.assemble(poses.joints, labels=poses.labels, context=conditions)
+    everything = Unknowns.of(robot, own)
     columns, rows, width = _columns(robot, poses, configurations, sigma, everything)
     _require_rows(robot, poses, width)
     found = determination(columns / everything.scales, parameters, free)
-    unknowns = Unknowns.of(robot)
+    unknowns = Unknowns.chosen_by_poses(robot)
     lengths = found.lengths * everything.scales  # of the columns scaled by sigma: what rows and priors are divided by
     priors = prior_rows(unknowns.has_prior) / lengths[free]
     unit = columns[:, free] / lengths[free]
     known = information(unit, priors)
-    elimination = eliminate(found.columns, _order(robot))
+    order = [index_of(parameters, name) for name in robot.description.elimination_order]
+    elimination = eliminate(found.columns, order)
     measured = rows_of_measured(robot, Poses(poses.joints, poses.labels, poses.names, poses.path, ()), sigma)
     task_rows = (measured[2] if task is None else rows_of_measured(robot, task, sigma)[2]) / lengths[free]
     errors = known.position_errors(task_rows)
@@ -151,7 +156,7 @@ def assess(robot: Robot, poses: Poses, *, task: Poses | None = None, sigma: floa
         sigma_assumed=assumed,
         determination=found,
         known=known,
-        groups=null_groups(found.columns, _spoken_for(robot, elimination), lengths),
+        groups=null_groups(found.columns, _spoken_for(free, elimination), lengths),
         open_groups=null_groups(found.open_columns, lengths=lengths[free]),
         elimination=elimination,
         scaled=scaled,
@@ -199,11 +204,7 @@ def _require_rows(robot: Robot, poses: Poses, per_pose: int) -> None:
         )
 
 
-def _order(robot: Robot) -> list[int]:
-    return [index_of(robot.parameters, name) for name in robot.description.elimination_order]
-
-
-def _spoken_for(robot: Robot, elimination: Elimination) -> tuple[int, ...]:
+def _spoken_for(free: BoolArray, elimination: Elimination) -> tuple[int, ...]:
     """Parameters to tell groups by: the held ones if there are any, else those that the elimination drops."""
-    held = tuple(int(k) for k in np.flatnonzero(~robot.free))
+    held = tuple(int(k) for k in np.flatnonzero(~free))
     return held or elimination.dropped

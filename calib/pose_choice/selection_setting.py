@@ -131,7 +131,9 @@ def prepare(
     task_rows = found.position_rows[candidates_found.usable]
     if task is not None:
         task_rows = rows_of_measured(robot, as_poses(robot, task), sigma)[2]
-    problem = build_problem(found.rows, done_rows, prior_rows(Unknowns.of(robot).has_prior), n_before, task_rows)
+    problem = build_problem(
+        found.rows, done_rows, prior_rows(Unknowns.chosen_by_poses(robot).has_prior), n_before, task_rows
+    )
     _require_answer(problem, wanted)
     space = Spacing(candidate_points, wanted.minimum_distance, usable)
     return Setting(robot, wanted, candidates_found, problem, space, points, noise, assumed, again, sigma)

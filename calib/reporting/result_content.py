@@ -131,7 +131,8 @@ def correlated(fit: Fit) -> list[dict[str, object]]:
     names = fit.free_names
     with np.errstate(invalid="ignore"):
         pairs = np.argwhere(np.triu(np.abs(found) >= CORRELATED, k=1))
-    rows = [{"a": names[i], "b": names[j], "correlation": float(found[i, j])} for i, j in pairs]
+    own = fit.unknowns.family < 0  # coefficients of one curve belong together anyway
+    rows = [{"a": names[i], "b": names[j], "correlation": float(found[i, j])} for i, j in pairs if own[i] and own[j]]
     return sorted(rows, key=lambda row: -abs(float(str(row["correlation"]))))
 
 

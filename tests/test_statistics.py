@@ -41,7 +41,7 @@ def test_a_straight_line_has_the_uncertainty_of_the_textbook():
     assert found.std[1] == pytest.approx(sigma / np.sqrt(spread))
     assert found.std[0] == pytest.approx(sigma * np.sqrt(1 / 6 + x.mean() ** 2 / spread))
     assert found.correlations()[0, 1] == pytest.approx(-x.mean() / np.sqrt(np.mean(x**2)))
-    assert found.freedom == 4
+    assert found.freedom == pytest.approx(4)
     assert found.half_width[1] == pytest.approx(2.7764451 * found.std[1])  # Student's t, 4 degrees of freedom, 97.5 %
     assert found.effective_parameters == pytest.approx(2)
 

@@ -126,7 +126,7 @@ def beyond_repeatability(found: ErrorSet, n_effective: float) -> tuple[float, fl
     scatter, n_free = repeatability(found)
     several = _repeated(found)
     freedom = 3.0 * len(several) - n_effective
-    if not (np.isfinite(scatter) and scatter > 0 and freedom >= 1):
+    if not (np.isfinite(scatter) and scatter > 0 and freedom >= 1 - 1e-9):
         return float("nan"), 1.0
     squares = sum(len(one.after) * float(np.sum(one.after.mean(axis=0) ** 2)) for one in several)
     ratio = float(np.sqrt(squares / freedom)) / scatter

@@ -18,7 +18,7 @@ from calib.model.robot import Robot
 from calib.numerics.outliers import FALSE_ALARM, HIGH_LEVERAGE
 from calib.words import counted, listed
 
-FEW = 10.0
+FEW = 10.0 - 1e-6  # ten, also where rounding took a little
 """Degrees of freedom below which intervals are very wide."""
 EXCLUDED = 0.1
 """Part of the poses that may be outliers."""
@@ -119,7 +119,7 @@ def _limits(robot: Robot) -> tuple[FloatArray, FloatArray]:
 def too_few_poses(fit: Fit) -> Iterator[Reason]:
     """Count degrees of freedom."""
     rows, used = fit.rows.layout.n_read, fit.statistics.effective_parameters
-    if fit.statistics.freedom < FEW or rows < 2 * used:
+    if fit.statistics.freedom < FEW or rows < 2 * used - 1e-6:
         yield Reason(
             "CHECK",
             "too_few_poses",

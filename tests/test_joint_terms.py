@@ -14,6 +14,7 @@ from calib.linearisation.observed import observe, predicted_readings
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 SHARED = Path(__file__).parents[2] / "shared" / "data"
 UR10 = SHARED / "ur10_tracker"
+FIVE_BAR_JOINT = calib.load(EXAMPLES / "five_bar.yaml").joint_names[0]
 
 
 def with_terms(tmp_path, name, terms):
@@ -57,6 +58,23 @@ def test_harmonics_are_sines_and_cosines_of_their_orders(five_bar):
     q = near_home(robot, 6, 2)
     error = 3e-4 * np.sin(17 * q[:, 1]) - 1e-4 * np.cos(q[:, 1])
     assert np.allclose(robot.assemble(q).actuated[:, 1] - q[:, 1], error, rtol=0, atol=1e-15)
+
+
+def test_of_all_joints_a_period_is_for_the_prismatic_ones_and_a_curve_repeats_after_twice_the_stroke(tmp_path):
+    urdf = Path(__file__).parents[1] / "urdf"
+    text = (urdf / "medrue.yaml").read_text().replace("urdf: ", f"urdf: {urdf}/", 1)
+    (tmp_path / "medrue.yaml").write_text(
+        f"{text}\njoint_terms:\n"
+        "  - {joint: all, term: harmonics, orders: [1], period: 5 mm}\n"
+        "  - {joint: all, term: curve, orders: 3}\n"
+    )
+    robot = calib.load(tmp_path / "medrue.yaml")
+    rail, leg = robot.joint_names[:2]
+    robot = robot.with_parameters({f"{rail}.sin1": 2e-5, f"{rail}.curve_cos3": 3e-5, f"{leg}.sin1": 1e-4})
+    q = robot.home + np.array([[0.0123, 0.05, 0, 0, 0, 0]])
+    error = robot.assemble(q).actuated[0] - q[0]
+    rail_error = 2e-5 * np.sin(2 * np.pi * q[0, 0] / 5e-3) + 3e-5 * np.cos(2 * np.pi * 3 * q[0, 0] / (2 * 0.7))
+    assert np.allclose(error, [rail_error, 1e-4 * np.sin(q[0, 1]), 0, 0, 0, 0], rtol=0, atol=1e-12)
 
 
 def test_backlash_follows_the_direction_of_approach(five_bar):
@@ -143,11 +161,13 @@ def test_terms_are_recovered_from_exact_data_through_the_loop(five_bar):
         ("{joint: all, term: harmonics, orders: [0]}", "greater than 0"),
         ("{joint: all, term: gain, sigma: 1 mm}", "unit 'mm' is for a length"),
         ("{joint: all, term: gain, sigma: 0}", "sigma must be positive"),
+        ("{joint: JOINT, term: harmonics, period: 10 mm}", "`period` is for prismatic joints"),
+        ("{joint: JOINT, term: curve, stroke: 1 m}", "`stroke` is for prismatic joints"),
     ],
 )
 def test_bad_entries_are_named(tmp_path, term, message):
     with pytest.raises(calib.DescriptionError, match=message) as caught:
-        with_terms(tmp_path, "five_bar.yaml", [term])
+        with_terms(tmp_path, "five_bar.yaml", [term.replace("JOINT", FIVE_BAR_JOINT)])
     assert "\n" not in str(caught.value)
 
 

@@ -15,18 +15,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-import numpy as np
 from pydantic import Field
 
 from calib.arrays import FloatArray
+from calib.joint_terms.periodic import AMPLITUDE, period, sines_and_cosines
 from calib.joint_terms.term import Context, JointTerm, TermSection, coefficient
 from calib.parameter import Parameter
 from calib.sections import Length
 from calib.units import Dimension
-
-DEFAULT: dict[Dimension, float] = {"angle": 3e-4, "length": 5e-5}
-"""First value of the amplitude where nothing is stated [rad, m]."""
-TURN = 2.0 * np.pi
 
 
 class CurveSection(TermSection):
@@ -34,13 +30,17 @@ class CurveSection(TermSection):
 
     Attributes:
         orders: K.
-        stroke: Of a prismatic joint [m]; its limits in the URDF if not given.
+        stroke: Of a prismatic joint [m]; what its limits in the URDF allow if not given.
         found: Whether the amplitude is found from the data; else it is `sigma`.
     """
 
     orders: Annotated[int, Field(gt=0, le=500)] = 60
     stroke: Annotated[Length, Field(gt=0)] | None = None
     found: bool = True
+
+    def within(self, stroke: float) -> CurveSection:
+        """Return the entry with the stroke of a prismatic joint [m] where it states none."""
+        return self if self.stroke is not None else self.model_copy(update={"stroke": stroke})
 
 
 @dataclass(frozen=True)
@@ -60,18 +60,16 @@ class Curve(JointTerm):
         Raises:
             ValueError: The entry does not fit the joint.
         """
-        if dimension == "length" and section.stroke is None:
-            raise ValueError(f"a curve of the prismatic joint '{joint}' needs its `stroke`")
-        amplitude = DEFAULT[dimension] if sigma is None else sigma
+        repeats = period(dimension, section, "stroke", section.stroke)
+        amplitude = AMPLITUDE[dimension] if sigma is None else sigma
         family = f"{joint}.curve" if section.found else ""
         parameters = tuple(
             coefficient(f"{joint}.curve_{kind}{k}", dimension, amplitude / k, family)
             for k in range(1, section.orders + 1)
             for kind in ("sin", "cos")
         )
-        return cls(joint, parameters, section.orders, TURN if section.stroke is None else 2.0 * section.stroke)
+        return cls(joint, parameters, section.orders, repeats if dimension == "angle" else 2.0 * repeats)
 
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
         """Return sines and cosines, (n, 2 K)."""
-        phase = np.outer(q[:, j], np.arange(1, self.orders + 1)) * (TURN / self.period)
-        return np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(q), -1)
+        return sines_and_cosines(q[:, j], range(1, self.orders + 1), self.period)

@@ -5,18 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-import numpy as np
 from pydantic import Field
 
 from calib.arrays import FloatArray
+from calib.joint_terms.periodic import AMPLITUDE, period, sines_and_cosines
 from calib.joint_terms.term import Context, JointTerm, TermSection, coefficient
 from calib.parameter import Parameter
 from calib.sections import Length
 from calib.units import Dimension
-
-DEFAULT: dict[Dimension, float] = {"angle": 3e-4, "length": 5e-5}
-"""Expected size of a coefficient where nothing is stated [rad, m]."""
-TURN = 2.0 * np.pi
 
 
 class HarmonicsSection(TermSection):
@@ -48,14 +44,11 @@ class Harmonics(JointTerm):
         Raises:
             ValueError: The entry does not fit the joint.
         """
-        if dimension == "length" and section.period is None:
-            raise ValueError(f"harmonics of the prismatic joint '{joint}' need a `period`, such as the screw's lead")
-        size = DEFAULT[dimension] if sigma is None else sigma
+        repeats = period(dimension, section, "period", section.period)
+        size = AMPLITUDE[dimension] if sigma is None else sigma
         names = [f"{joint}.{kind}{order}" for order in section.orders for kind in ("sin", "cos")]
-        period = TURN if section.period is None else section.period
-        return cls(joint, tuple(coefficient(name, dimension, size) for name in names), section.orders, period)
+        return cls(joint, tuple(coefficient(name, dimension, size) for name in names), section.orders, repeats)
 
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
         """Return sines and cosines, (n, 2 n_orders)."""
-        phase = np.outer(q[:, j], np.array(self.orders)) * (TURN / self.period)
-        return np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(q), -1)
+        return sines_and_cosines(q[:, j], self.orders, self.period)

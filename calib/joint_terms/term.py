@@ -39,6 +39,10 @@ class TermSection(Section):
     term: str
     sigma: Quantity | None = None
 
+    def within(self, stroke: float) -> TermSection:
+        """Return the entry for a prismatic joint with this stroke [m], which says no more unless a term asks for it."""
+        return self
+
 
 @dataclass(frozen=True, eq=False)
 class Context(ReadOnlyArrays):

@@ -46,8 +46,8 @@ def _term(section: TermSection, name: str, joint: UrdfJoint, mechanism: Mechanis
         if sigma is not None and sigma <= 0:
             raise InputError(f"{place}: sigma must be positive; leave the term out to have none")
         stroke = joint.upper - joint.lower
-        if getattr(section, "stroke", 0) is None and dimension == "length" and np.isfinite(stroke) and stroke > 0:
-            section = section.model_copy(update={"stroke": float(stroke)})
+        if dimension == "length" and np.isfinite(stroke) and stroke > 0:
+            section = section.within(float(stroke))
         return joint_term(name, dimension, section, sigma)
     except (InputError, ValueError) as error:
         text = str(error)

@@ -9,7 +9,8 @@ from small_robots import ARM_YAML, write_arm
 import calib
 from calib.linearisation.jacobian import linearise
 from calib.linearisation.observed import observe
-from calib.linearisation.rows import ASSUMED, Unknowns, Whitening
+from calib.linearisation.unknowns import Unknowns
+from calib.linearisation.whitening import ASSUMED, Whitening
 
 TWO = ARM_YAML.replace("targets:\n", "targets:\n  elbow: {frame: slider, xyz: [0, 0.1, 0]}\n")
 SIGMA = 1e-4

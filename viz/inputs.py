@@ -8,7 +8,7 @@ from pathlib import Path
 from calib import Fit, Measurements, Robot
 from calib.errors import InputError
 from calib.linearisation.registration import register
-from calib.linearisation.rows import Whitening
+from calib.linearisation.whitening import Whitening
 from calib.reporting.results import load_calibrated, load_uncertainty, read_result
 from calib.words import counted
 from viz.judgement import of_result, of_verdict

@@ -43,7 +43,8 @@ from calib.identification.suspects import likely_mistake
 from calib.identification.verdict import judge
 from calib.linearisation.observed import observe
 from calib.linearisation.registration import register
-from calib.linearisation.rows import Rows, Scales, Unknowns
+from calib.linearisation.rows import Rows, Scales
+from calib.linearisation.unknowns import Unknowns
 from calib.model.robot import Robot
 from calib.numerics.least_squares import TOLERANCE, Solution
 from calib.numerics.losses import Loss, checked_loss

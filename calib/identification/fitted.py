@@ -17,7 +17,9 @@ from calib.identification.systematic import Pattern, Residuals, Setting, pattern
 from calib.linearisation.determination import Determination
 from calib.linearisation.observed import observe
 from calib.linearisation.prediction import PositionUncertainty, position_uncertainty
-from calib.linearisation.rows import Group, Rows, Scales, Unknowns, Whitening
+from calib.linearisation.rows import Group, Rows, Scales
+from calib.linearisation.unknowns import Unknowns
+from calib.linearisation.whitening import Whitening
 from calib.model.robot import Configurations, Robot
 from calib.numerics.identifiability import Rank
 from calib.numerics.losses import Loss

@@ -20,7 +20,9 @@ from calib.arrays import FloatArray
 from calib.data.measurements import Measurements
 from calib.errors import ComputationError
 from calib.linearisation.observed import Observed, observe
-from calib.linearisation.rows import Rows, Scales, Unknowns, Whitening
+from calib.linearisation.rows import Rows, Scales
+from calib.linearisation.unknowns import Unknowns
+from calib.linearisation.whitening import Whitening
 from calib.model.robot import Configurations, Robot, describe_open
 from calib.numerics.least_squares import TOLERANCE, Solution, minimise
 from calib.numerics.statistics import NoiseOfRows

@@ -45,7 +45,8 @@ from calib.arrays import FloatArray
 from calib.data.measurements import Measurements
 from calib.identification.pose_checks import unmoved_joints
 from calib.linearisation.observed import Observed
-from calib.linearisation.rows import Rows, Scales, Whitening
+from calib.linearisation.rows import Rows, Scales
+from calib.linearisation.whitening import Whitening
 from calib.model.robot import Robot
 from calib.numerics.shared_error import SharedError
 from calib.numerics.variance_components import EXACT

@@ -14,7 +14,8 @@ from calib.data.measurements import Measurements, Poses
 from calib.errors import DataError, InputError, UnreachablePoseError
 from calib.linearisation.jacobian import linearise
 from calib.linearisation.observed import Observed, observe, predicted_readings
-from calib.linearisation.rows import ASSUMED, Unknowns, Whitening, stated_noise
+from calib.linearisation.unknowns import Unknowns
+from calib.linearisation.whitening import ASSUMED, Whitening, stated_noise
 from calib.model.open_loops import why_open
 from calib.model.robot import Configurations, Robot, near_singularity
 from calib.observation.position import Position
@@ -85,7 +86,7 @@ def rows_of_poses(
 ) -> PoseRows:
     """Return whitened rows of all that the instruments can read at assembled poses.
 
-    Noise that nobody states is assumed (`calib.linearisation.rows.ASSUMED`).
+    Noise that nobody states is assumed (`calib.linearisation.whitening.ASSUMED`).
 
     Args:
         robot: The robot, linearised at its present values.

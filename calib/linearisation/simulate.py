@@ -10,7 +10,7 @@ from calib.data.arrays import as_poses, measurements
 from calib.data.measurements import Measurements, Poses
 from calib.errors import DataError
 from calib.linearisation.observed import predicted_readings
-from calib.linearisation.rows import stated_noise
+from calib.linearisation.whitening import stated_noise
 from calib.model.robot import Robot
 from calib.observation.kind import Instrument, Readings
 from calib.units import millimetres

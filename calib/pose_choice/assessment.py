@@ -19,7 +19,8 @@ from calib.errors import DataError
 from calib.linearisation.candidates import assumed_sigma, require_free, rows_of_measured, rows_of_poses
 from calib.linearisation.determination import Determination, determination
 from calib.linearisation.observed import observe
-from calib.linearisation.rows import Unknowns, Whitening
+from calib.linearisation.unknowns import Unknowns
+from calib.linearisation.whitening import Whitening
 from calib.model.robot import Configurations, Robot
 from calib.numerics.elimination import Elimination, eliminate
 from calib.numerics.identifiability import Rank

@@ -24,7 +24,7 @@ from calib.linearisation.candidates import (
     require_free,
     rows_of_measured,
 )
-from calib.linearisation.rows import Unknowns
+from calib.linearisation.unknowns import Unknowns
 from calib.model.robot import Robot
 from calib.numerics.information import prior_rows
 from calib.pose_choice.exchange import Spacing

@@ -69,7 +69,7 @@ def poses_command(out: str, output: Output) -> None:
 
 
 def _simulation_options(function: Callable[..., None]) -> Callable[..., None]:
-    """Options that the study and the experiment share."""
+    """Options that all simulations share."""
     options = (
         click.option("--out", required=True, metavar="DIR", help="Folder to write tables, figures and a page to."),
         click.option("--quick", is_flag=True, help="Few draws: seconds instead of minutes."),
@@ -138,6 +138,22 @@ def experiment_command(
         progress = Silent() if output.quiet else TerminalBars()
         found = run_experiment(load(robot_file()), count, seed, workers, progress, imperfections)
     _finish(experiment_report(found), out, output, shown=("table4", "table5"))
+
+
+@group.command("touch")
+@_simulation_options
+@shared_options(json_output=True)
+def touch_command(out: str, quick: bool, draws: int | None, jobs: int, seed: int, output: Output) -> None:
+    """Calibrate without a tracker: by touched sockets, and by encoders on passive joints. Everything is simulated."""
+    check_folder(out)
+    with Workers(jobs) as workers:  # they start while the rest is loaded
+        from medrue.reports import touch_report
+        from medrue.touch import QUICK, SIZE, run_touch
+
+        size = QUICK if quick else SIZE
+        size = replace(size, noise_draws=draws or size.noise_draws)
+        found = run_touch(load(robot_file()), size, seed, workers, Silent() if output.quiet else TerminalBars())
+    _finish(touch_report(found), out, output, shown=("world", "shape"))
 
 
 def _finish(report: Report, out: str, output: Output, shown: tuple[str, ...]) -> None:

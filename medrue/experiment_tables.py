@@ -16,9 +16,7 @@ from medrue.imperfections import Imperfections
 from medrue.paper_tables import error_table, table1, table3
 from medrue.ranking import Ranking, rank, ranking_table, standard_error
 from medrue.result_tables import Cell, Column, ResultTable
-from medrue.study import summary
-
-STATISTICS = ("mean", "max", "std")
+from medrue.study import STATISTICS, summary
 
 
 def experiment_tables(experiment: Experiment) -> tuple[ResultTable, ...]:

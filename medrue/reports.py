@@ -1,4 +1,4 @@
-"""What `medrue study` and `medrue experiment` put into their folders."""
+"""What `medrue study`, `medrue experiment` and `medrue touch` put into their folders."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ from medrue.plots import (
 )
 from medrue.study import COUNT, Study
 from medrue.study_tables import study_findings, study_tables
+from medrue.touch import WAYS, TouchStudy
+from medrue.touch_tables import touch_findings, touch_tables
 from medrue.workspace import target_workspace
 
 
@@ -128,4 +130,31 @@ def _causes(experiment: Experiment) -> NamedFigure:
         "Root mean square along each axis after calibration, with one cause at a time and with all, over the same"
         f" {counted(len(experiment.draws), 'draw')}.",
         cause_figure(cause_rms(experiment)),
+    )
+
+
+def touch_report(study: TouchStudy) -> Report:
+    """Return the report of the calibrations without a tracker."""
+    return Report(
+        "MedRUE without a tracker: touched sockets, and encoders on passive joints",
+        "No robot was measured. The ball at the tip of the probe is brought into sockets of one artefact, nothing being"
+        " read but the joints; or all seven passive joints have encoders; beside them the tracker of the simulation"
+        " study. Joint values and readings come from the closed form, with the actual parameters and normal noise of"
+        f" 40 µm. Every method measures {COUNT} poses that it chose by the smallest error promised in the target"
+        " workspace.",
+        touch_findings(study),
+        touch_tables(study),
+        (_touch_errors(study),),
+        study.seed,
+    )
+
+
+def _touch_errors(study: TouchStudy) -> NamedFigure:
+    before, after = (study.noise[0, study.names.index(name), WAYS.index("world")] for name in ("before", "touch"))
+    return NamedFigure(
+        "errors",
+        "Position errors before and after calibration by touch",
+        f"Distance from the true position at all {len(before)} poses of the target workspace, first draw of the noise;"
+        " both panels have the same axes.",
+        before_after_figure(before, after, "Simulation: position errors in the target workspace, touched sockets"),
     )

@@ -34,7 +34,7 @@ from calib.pose_choice.assessment import Assessment, assess
 from calib.pose_choice.selection import Selection, select
 from calib.threads import one_blas_thread
 from medrue.error_before import base_placed
-from medrue.paper_tables import table1
+from medrue.paper_tables import PARAMETERS, TOOL_POINT, table1
 from medrue.parallel import Workers
 from medrue.poses import target_poses
 from medrue.progress import Progress
@@ -55,6 +55,8 @@ from medrue.touch_methods import (
 SIZE = StudySize(noise_draws=50, actual_draws=20, noise_per_actual=2)
 QUICK = StudySize(noise_draws=4, actual_draws=2, noise_per_actual=1)
 BEFORE = "before"
+TOOL_KNOWN = "encoders, tool known"
+"""After the encoders, with the tool's true place on the probe: they do not see it, but it can be measured alone."""
 WAYS = ("world", "shape")
 """How predictions are judged; see the module docstring."""
 ARTEFACTS = (
@@ -72,7 +74,7 @@ class TouchTask:
     """One robot that every method measures once.
 
     Attributes:
-        methods: Who measures.
+        methods: Who measures; the encoders last.
         joints: Poses to judge at, (n, 6) [m, rad].
         actual: The robot's parameters, (36,) [m, rad].
         seed: Seed of noise and unknown places.
@@ -95,8 +97,8 @@ class TouchStudy:
         artefacts: Root-mean-square error that the best touches of each of `ARTEFACTS` promise over the 420 poses [m],
             the one that is used first; infinite where its touches do not determine the positions there.
         seen: What the first measurements of each determine, by name.
-        noise: Distances on Table I's robot, (n_draws, 1 + n_methods, 2, 420) [m]: `BEFORE`, then the methods; `WAYS`.
-        by_actual: The same on other robots, (n_robots, n_draws, 1 + n_methods, 2, 420) [m].
+        noise: Distances on Table I's robot, (n_draws, n_names, 2, 420) [m]: of `names`, in `WAYS`.
+        by_actual: The same on other robots, (n_robots, n_draws, n_names, 2, 420) [m].
         seed: Seed of everything random.
     """
 
@@ -111,8 +113,8 @@ class TouchStudy:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """`BEFORE` and the methods, in the order of the distances."""
-        return (BEFORE, *(method.name for method in self.methods))
+        """`BEFORE`, the methods and `TOOL_KNOWN`, in the order of the distances."""
+        return (BEFORE, *(method.name for method in self.methods), TOOL_KNOWN)
 
 
 def run_touch(robot: Robot, size: StudySize, seed: int, workers: Workers, progress: Progress) -> TouchStudy:
@@ -189,15 +191,21 @@ def promised_error(robot: Robot, joints: FloatArray, artefact: Artefact) -> floa
 
 @one_blas_thread
 def touch_draw(task: TouchTask) -> FloatArray:
-    """Return the distances of one robot before and after each method, (1 + n_methods, 2, n) [m]."""
+    """Return the distances of one robot before, after each method, and after the last with the tool known.
+
+    Returns:
+        (2 + n_methods, 2, n) [m].
+    """
     generator = np.random.default_rng(task.seed)
     truth = true_positions(task.joints, task.actual)
-    found = [_judged(task.methods[0].robot, task.joints, truth)]
+    calibrated = task.methods[0].robot
+    found = [_judged(calibrated, task.joints, truth)]
     for method in task.methods:
         data = method.measured(task.actual, generator)
         calibrated = fit(method.robot, data, sigma=SIGMA if isinstance(method, ByTracker) else None).robot
         found.append(_judged(calibrated, task.joints, truth))
-    return np.array(found)
+    tool = {name: float(task.actual[PARAMETERS.index(name)]) for name in TOOL_POINT}
+    return np.array([*found, _judged(calibrated.with_parameters(tool), task.joints, truth)])
 
 
 def _judged(robot: Robot, joints: FloatArray, truth: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from calib.units import millimetres
 from calib.words import counted
 from medrue.result_tables import Cell, Column, ResultTable
 from medrue.study import COUNT, SIGMA, STATISTICS, summary
-from medrue.touch import BEFORE, WAYS, TouchStudy
+from medrue.touch import BEFORE, TOOL_KNOWN, WAYS, TouchStudy
 from medrue.touch_methods import ENCODER_SIGMA, Artefact
 
 AUTHORS: Mapping[str, Mapping[str, float]] = MappingProxyType(
@@ -60,9 +60,9 @@ def error_table(study: TouchStudy, way: str) -> ResultTable:
 
 def method_table(study: TouchStudy) -> ResultTable:
     """What each method reads and sees, and whether its errors are as large as theory says."""
-    names = study.names[1:]
+    names = tuple(method.name for method in study.methods)
     seen = [study.seen[name] for name in names]
-    rms = np.sqrt(np.mean(study.noise[:, 1:, WAYS.index("world")] ** 2, axis=(0, 2)))
+    rms = np.sqrt(np.mean(study.noise[:, 1 : 1 + len(names), WAYS.index("world")] ** 2, axis=(0, 2)))
     promised = [
         None if one.parameters[0].prior else millimetres(study.selections[name].after["task"])
         for name, one in zip(names, seen, strict=True)
@@ -114,7 +114,7 @@ def unseen(seen: Assessment) -> str:
 def touch_findings(study: TouchStudy) -> tuple[str, ...]:
     """Say in words what the tables show."""
     world, shape = (_means(study, way) for way in WAYS)
-    tracker, touch, anywhere, encoders = study.names[1:]
+    tracker, touch, anywhere, encoders = (method.name for method in study.methods)
     blind = study.seen[encoders]
     alone = [blind.parameters[group.members[0]].name for group in blind.groups if len(group.members) == 1]
     printed, last = AUTHORS["mean"], AUTHORS["max"]
@@ -130,7 +130,8 @@ def touch_findings(study: TouchStudy) -> tuple[str, ...]:
         f" world), but the robot's shape: {shape[anywhere][0]:.4f} mm after the best rigid motion,"
         f" {shape[touch][0]:.4f} mm with the artefact in a known place, {shape[tracker][0]:.4f} mm by the tracker.",
         f"Encoders alone take the mean error from {world[BEFORE][0]:.2f} to {world[encoders][0]:.2f} mm in the world,"
-        f" and from {shape[BEFORE][0]:.2f} to {shape[encoders][0]:.2f} mm after the best rigid motion. They see"
+        f" and from {shape[BEFORE][0]:.2f} to {shape[encoders][0]:.2f} mm after the best rigid motion;"
+        f" {shape[TOOL_KNOWN][0]:.2f} mm if the tool's place on the probe is known. They see"
         f" {blind.rank_all.rank} combinations of {len(blind.parameters)} unknowns, and nothing at all of"
         f" {', '.join(alone)}.",
         "Errors in these sentences are means over the draws of the noise on Table I's robot.",
@@ -143,7 +144,7 @@ def _means(study: TouchStudy, way: str) -> dict[str, FloatArray]:
 
 
 def _summaries(distances: FloatArray, way: str) -> FloatArray:
-    """Mean, max, std and rms over the poses in one of `WAYS`, (..., 1 + n_methods, 4) [mm]."""
+    """Mean, max, std and rms over the poses in one of `WAYS`, (..., n_names, 4) [mm]."""
     return np.asarray(millimetres(summary(distances[..., WAYS.index(way), :])))
 
 

@@ -100,7 +100,7 @@ class Touches:
     joints: FloatArray
 
     def some(self, index: IntArray) -> Touches:
-        """Return the touches with these indices."""
+        """Return the touches with these indices, (n,)."""
         return Touches(self.T_world_tool[index], self.socket[index], self.joints[index])
 
 

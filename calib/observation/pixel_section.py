@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationInfo, model_validator
 
 from calib.errors import DescriptionError, InputError
+from calib.files import read_text
 from calib.sections import Angle, Length, Section
 from calib.units import per_si, split_column
 
@@ -127,13 +128,9 @@ def read_points(path: Path) -> dict[str, tuple[float, float, float]]:
 
     Raises:
         DescriptionError: No such file, a column that is missing or has a wrong unit, a cell that is no number, or a
-        name
-            that comes twice.
+            name that comes twice.
     """
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError):
-        raise DescriptionError(f"{path}: cannot be read; give a CSV file with columns point, x, y, z") from None
+    lines = read_text(path, "a CSV file with columns point, x, y, z", DescriptionError).splitlines()
     rows = [(k, row) for k, row in enumerate(csv.reader(lines), 1) if row and not row[0].lstrip().startswith("#")]
     header = [split_column(cell) for cell in rows[0][1]] if rows else []
     names = [name for name, _ in header]

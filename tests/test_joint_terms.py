@@ -97,6 +97,16 @@ def test_a_coupling_follows_the_command_of_the_other_joint(tmp_path):
     assert np.allclose(robot.commands(expected), q, rtol=0, atol=1e-12)
 
 
+def test_a_temperature_counts_from_the_same_reference_in_every_file(tmp_path):
+    robot = with_terms(tmp_path, "five_bar.yaml", [f"{{joint: {FIVE_BAR_JOINT}, term: temperature}}"])
+    robot = robot.with_parameters({f"{FIVE_BAR_JOINT}.temperature": 1e-4})
+    q, approach = near_home(robot, 3, 5), np.zeros((3, 2))
+    for rows in ([0, 1, 2], [1, 2]):  # a subset has another mean
+        context = Context.of(approach[rows], {"temperature": np.array([20.0, 23.0, np.nan])[rows]})
+        error = robot.assemble(q[rows], context=context).actuated[:, 0] - q[rows, 0]
+        assert np.allclose(error, np.array([0.0, 3e-4, 0.0])[rows], rtol=0, atol=1e-15)
+
+
 def test_derivatives_by_coefficients_agree_with_differences_through_the_loop(five_bar):
     rng = np.random.default_rng(4)
     values = five_bar.values.copy()

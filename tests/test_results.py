@@ -39,7 +39,7 @@ def fitted(tmp_path_factory):
     yaml = ARM_YAML + "held: [turn.x]\nsigma: 20 um\n"
     arm = calib.load(write_arm(tmp_path_factory.mktemp("arm"), yaml))
     generator = np.random.default_rng(21)
-    off = np.array([p.sigma * generator.normal() * free for p, free in zip(arm.parameters, arm.free, strict=True)])
+    off = np.array([p.sigma * generator.normal() * free for p, free in zip(arm.parameters, arm.is_free, strict=True)])
     truth = arm.with_parameters(arm.values + off)
     return calib.fit(arm, measured(truth, 30, 22), validation=measured(truth, 12, 23))
 

@@ -66,8 +66,8 @@ def check_measurements(robot: Robot, data: Measurements) -> None:
                 f"{data.labels[found.visits[wrong[0]]]}: readings of '{name}' are not finite; correct them, or"
                 " leave the pose out"
             )
-    unknown = int(sum(use and not p.prior for p, use in zip(robot.parameters, robot.free, strict=True)))
-    if not np.any(robot.free):
+    unknown = int(sum(use and not p.prior for p, use in zip(robot.parameters, robot.is_free, strict=True)))
+    if not np.any(robot.is_free):
         raise DataError(f"{robot.path}: every parameter is held; there is nothing to identify")
     rows = sum(len(found) * robot.instrument(name).n_rows for name, found in data.readings.items())
     if rows <= unknown or len(data) < 3:
@@ -79,7 +79,8 @@ def check_measurements(robot: Robot, data: Measurements) -> None:
             " result)"
         )
     held = any(
-        p.placement and p.dimension == "angle" and not use for p, use in zip(robot.parameters, robot.free, strict=True)
+        p.placement and p.dimension == "angle" and not use
+        for p, use in zip(robot.parameters, robot.is_free, strict=True)
     )
     if robot.description.base.pose == "unknown" and not held:
         _refuse_one_line(robot, data)
@@ -136,7 +137,7 @@ def require_identifiable(problem: Problem, evaluation: Evaluation) -> Determinat
     columns = problem.whitening.flatten({name: one.jacobian for name, one in evaluation.observed.items()})
     columns = columns / problem.whitening.row_scale(problem.whitening.start())[:, None]
     own = [k for k, p in enumerate(robot.parameters) if not p.family]  # families have priors
-    parameters, free = [robot.parameters[k] for k in own], robot.free[own]
+    parameters, free = [robot.parameters[k] for k in own], robot.is_free[own]
     found = determination(columns[:, own], parameters, free)
     if found.missing == 0:
         return found

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
+from calib.data.grouping import pose_labels
 from calib.data.measurements import Measurements
 from calib.identification.fitted import Fit
 from calib.identification.pose_checks import directions_moved, equal_columns, unmoved_joints, zero_visits
 from calib.identification.reasons import Reason
 from calib.identification.repeats import beyond_repeatability
-from calib.identification.validation import pose_labels
 from calib.model.robot import Robot
 from calib.numerics.losses import FALSE_ALARM, HIGH_LEVERAGE
 from calib.words import counted, listed

@@ -11,7 +11,7 @@ HOUR = 3600.0
 
 
 class Drift(OneCoefficient):
-    """dq = c times the hours since the first visit."""
+    """dq = c times the hours, as the file counts time."""
 
     word = "drift"
     expected_angle, expected_length = 1e-4, 2e-5  # per hour
@@ -22,7 +22,7 @@ class Drift(OneCoefficient):
 
 
 class Temperature(OneCoefficient):
-    """dq = c times the kelvins above the mean."""
+    """dq = c times the kelvins above 20 degC."""
 
     word = "temperature"
     expected_angle, expected_length = 1e-4, 2e-5  # per kelvin

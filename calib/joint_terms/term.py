@@ -44,6 +44,10 @@ class TermSection(Section):
         return self
 
 
+REFERENCE_TEMPERATURE = 20.0
+"""At which lengths hold [degC]: a fixed one, so that a coefficient means the same for every file."""
+
+
 @dataclass(frozen=True)
 class Joint:
     """The joint that a term belongs to.
@@ -65,8 +69,8 @@ class Context(ReadOnlyArrays):
 
     Attributes:
         approach: Direction in which each joint moved last, +1, -1, or 0 where not known, (n, n_actuated).
-        time: Since the first visit, (n,) [s]; 0 where not known.
-        temperature: From the mean of the measurements, (n,) [K]; 0 where not known.
+        time: As the file counts it, (n,) [s]; 0 where not known.
+        temperature: Above 20 degC, the reference of ISO 1, (n,) [K]; 0 where not known.
         load: Mass at the tool, (n,) [kg]; 0 where not known.
         torque: Torque or force of gravity that each actuated joint holds, (n, n_actuated) [N m or N]; 0 where nothing
             asks for it.
@@ -97,8 +101,7 @@ class Context(ReadOnlyArrays):
         def known(name: str) -> FloatArray:
             return np.nan_to_num(conditions.get(name, np.zeros(n)))
 
-        temperature = conditions.get("temperature", np.zeros(n))
-        warmer = np.nan_to_num(temperature - np.nanmean(temperature)) if np.isfinite(temperature).any() else np.zeros(n)
+        warmer = np.nan_to_num(conditions.get("temperature", np.full(n, np.nan)) - REFERENCE_TEMPERATURE)
         return Context(approach, known("time"), warmer, known("load"), np.zeros_like(approach))
 
 

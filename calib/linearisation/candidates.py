@@ -9,7 +9,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from calib.arrays import BoolArray, FloatArray
-from calib.data.measurements import Measurements, Poses, measurements
+from calib.data.in_memory import measurements
+from calib.data.measurements import Measurements, Poses
 from calib.errors import DataError, InputError, UnreachablePoseError
 from calib.linearisation.jacobian import linearise
 from calib.linearisation.observed import Observed, observe, predicted_readings
@@ -48,7 +49,7 @@ def require_free(robot: Robot) -> None:
     Raises:
         InputError: All are held.
     """
-    if not np.any(robot.free):
+    if not np.any(robot.is_free):
         raise InputError(f"{robot.path}: held: names every parameter, so there is nothing to identify; free some")
 
 

@@ -40,7 +40,7 @@ class Unknowns(ReadOnlyArrays):
     @staticmethod
     def of(robot: Robot, free: BoolArray | None = None) -> Unknowns:
         """Return the parameters of a robot that are chosen, (n_parameters,): its free ones if not given."""
-        chosen = np.flatnonzero(robot.free if free is None else free)
+        chosen = np.flatnonzero(robot.is_free if free is None else free)
         kept = [robot.parameters[k] for k in chosen]
         families = tuple(dict.fromkeys(p.family for p in kept if p.family))
         return Unknowns(

@@ -190,9 +190,23 @@ class Robot(ReadOnlyArrays):
         return read_only(self.mode.actuated)
 
     @property
-    def free(self) -> BoolArray:
+    def is_free(self) -> BoolArray:
         """Which parameters a fit may change: all but the held ones, (n_parameters,)."""
         return np.array([parameter.name not in self.description.held for parameter in self.parameters])
+
+    def hold(self, *names: str) -> Robot:
+        """Return a robot of which a fit leaves these parameters, too, as they are; an unknown name is an error."""
+        return self._held((*self.description.held, *names), names)
+
+    def free(self, *names: str) -> Robot:
+        """Return a robot of which a fit may change these parameters; an unknown name is a `ParameterError`."""
+        return self._held(tuple(name for name in self.description.held if name not in names), names)
+
+    def _held(self, held: tuple[str, ...], named: tuple[str, ...]) -> Robot:
+        for name in named:
+            index_of(self.parameters, name)
+        changed = self.description.model_copy(update={"held": tuple(dict.fromkeys(held))})
+        return replace(self, description=changed)
 
     def with_parameters(self, values: Mapping[str, float] | ArrayLike) -> Robot:
         """Return a robot with other parameter values.

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from calib.arrays import BoolArray, FloatArray
-from calib.data.measurements import Poses, as_poses
+from calib.data.in_memory import as_poses
+from calib.data.measurements import Poses
 from calib.errors import InputError, NotIdentifiableError, nearest
 from calib.linearisation.candidates import (
     Candidates,

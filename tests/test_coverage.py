@@ -106,7 +106,7 @@ def _coverage(robot, q, elsewhere, n, *, loss="none", gross=0.0, prior=False, se
         fit = calib.fit(robot, measurements(robot, q, exact + noise), loss=loss, sigma=SIGMA if prior else None)
         error = np.abs(fit.robot.values - truth.values)[robot.is_free]
         held.append(error <= fit.statistics.half_width)
-        at = linearise(fit.robot, fit.robot.assemble(elsewhere, passive))  # as fit.uncertainty, without starting afresh
+        at = linearise(fit.robot, fit.robot.assemble(elsewhere, passive))  # as fit.predict, without starting afresh
         std = np.sqrt(
             np.diagonal(carried(at.jacobian[..., robot.is_free], fit.statistics.covariance), axis1=2, axis2=3)
         )

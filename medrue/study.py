@@ -190,8 +190,8 @@ def summary(distances: FloatArray) -> FloatArray:
 
 def error_floors(robot: Robot, joints: FloatArray, sets: tuple[PoseSet, ...], sigma: float) -> FloatArray:
     """Root-mean-square position error over each set's validation poses that theory allows, (n_sets,) [m]."""
-    jacobian = linearise(robot, robot.assemble(joints)).jacobian[:, 0][..., robot.free]
-    jacobian = jacobian * np.array([parameter.sigma for parameter in robot.parameters])[robot.free]
+    jacobian = linearise(robot, robot.assemble(joints)).jacobian[:, 0][..., robot.is_free]
+    jacobian = jacobian * np.array([parameter.sigma for parameter in robot.parameters])[robot.is_free]
     floors = []
     for pose_set in sets:
         used = jacobian[pose_set.chosen].reshape(-1, jacobian.shape[2])
@@ -209,7 +209,7 @@ def drawn_parameters(robot: Robot, seed: np.random.SeedSequence) -> FloatArray:
         seed: Seed of this draw.
     """
     table = table1()
-    reach = np.where(np.array(table.units) == "m", 2e-3, np.radians(1.5)) * robot.free
+    reach = np.where(np.array(table.units) == "m", 2e-3, np.radians(1.5)) * robot.is_free
     drawn: FloatArray = table.nominal + reach * np.random.default_rng(seed).uniform(-1.0, 1.0, len(reach))
     return drawn
 

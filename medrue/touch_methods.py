@@ -31,7 +31,7 @@ import pinocchio as pin
 import yaml
 
 from calib.arrays import FloatArray, IntArray
-from calib.data.arrays import as_measurements
+from calib.data.in_memory import as_measurements
 from calib.data.measurements import Measurements
 from calib.errors import ComputationError
 from calib.model.parameters import Parametrisation

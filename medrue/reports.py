@@ -140,7 +140,7 @@ def touch_report(study: TouchStudy) -> Report:
         "No robot was measured. The ball at the tip of the probe is brought into sockets of one artefact, nothing being"
         " read but the joints; or all seven passive joints have encoders; beside them the tracker of the simulation"
         " study. Joint values and readings come from the closed form, with the actual parameters and normal noise of"
-        f" 40 µm. Every method measures {COUNT} poses that it chose by the smallest error promised in the target"
+        f" 40 µm. Every method measures {COUNT} poses that it chose by the smallest error predicted in the target"
         " workspace.",
         touch_findings(study),
         touch_tables(study),

@@ -94,8 +94,8 @@ class TouchStudy:
         robot: Nominal MedRUE.
         methods: Ways to measure.
         selections: How the poses of each were chosen, by name.
-        artefacts: Root-mean-square error that the best touches of each of `ARTEFACTS` promise over the 420 poses [m],
-            the one that is used first; infinite where its touches do not determine the positions there.
+        artefacts: Root-mean-square error predicted over the 420 poses for the best touches of each of `ARTEFACTS` [m];
+            infinite where they do not determine the positions.
         seen: What the first measurements of each determine, by name.
         noise: Distances on Table I's robot, (n_draws, n_names, 2, 420) [m]: of `names`, in `WAYS`.
         by_actual: The same on other robots, (n_robots, n_draws, n_names, 2, 420) [m].
@@ -133,7 +133,7 @@ def run_touch(robot: Robot, size: StudySize, seed: int, workers: Workers, progre
         artefacts = {ARTEFACT: selections["touch"].after["task"]}
         for artefact in ARTEFACTS[1:]:
             advance(1)
-            artefacts[artefact] = promised_error(robot, joints, artefact)
+            artefacts[artefact] = predicted_error(robot, joints, artefact)
         advance(1)
     noise_seeds, actual_seeds = np.random.SeedSequence(seed).spawn(2)
     tasks = [TouchTask(methods, joints, table1().actual, one) for one in noise_seeds.spawn(size.noise_draws)]
@@ -153,7 +153,7 @@ def run_touch(robot: Robot, size: StudySize, seed: int, workers: Workers, progre
 
 
 def choose_methods(robot: Robot, joints: FloatArray) -> tuple[tuple[Method, ...], dict[str, Selection]]:
-    """Return all methods, each with the poses that promise the smallest errors at `joints`, (n, 6) [m, rad]."""
+    """Return all methods, each with the poses of the smallest predicted errors at `joints`, (n, 6) [m, rad]."""
     possible, encoders = possible_touches(ARTEFACT), encoder_robot()
     positions = select(robot, joints, COUNT, "task", sigma=SIGMA)
     touched = best_touches(robot, joints, possible)
@@ -170,7 +170,7 @@ def choose_methods(robot: Robot, joints: FloatArray) -> tuple[tuple[Method, ...]
 
 
 def best_touches(robot: Robot, joints: FloatArray, possible: Touches) -> Selection:
-    """Choose the touches that promise the smallest errors at `joints`, (n, 6) [m, rad].
+    """Choose the touches with the smallest predicted errors at `joints`, (n, 6) [m, rad].
 
     What a touch of a socket in a known place misses moves with the parameters as the position there does, so that
     touches are chosen as positions are.
@@ -181,8 +181,8 @@ def best_touches(robot: Robot, joints: FloatArray, possible: Touches) -> Selecti
     return select(robot, possible.joints, COUNT, "task", task=joints, sigma=SIGMA)
 
 
-def promised_error(robot: Robot, joints: FloatArray, artefact: Artefact) -> float:
-    """Root-mean-square error at `joints` (n, 6) [m, rad] that the best touches promise [m]; infinite if they cannot."""
+def predicted_error(robot: Robot, joints: FloatArray, artefact: Artefact) -> float:
+    """Root-mean-square error at `joints` (n, 6) [m, rad] predicted for the best touches, or infinite [m]."""
     try:
         return best_touches(robot, joints, possible_touches(artefact)).after["task"]
     except NotIdentifiableError:

@@ -63,7 +63,7 @@ def method_table(study: TouchStudy) -> ResultTable:
     names = tuple(method.name for method in study.methods)
     seen = [study.seen[name] for name in names]
     rms = np.sqrt(np.mean(study.noise[:, 1 : 1 + len(names), WAYS.index("world")] ** 2, axis=(0, 2)))
-    promised = [
+    predicted = [
         None if one.parameters[0].prior else millimetres(study.selections[name].after["task"])
         for name, one in zip(names, seen, strict=True)
     ]
@@ -75,14 +75,14 @@ def method_table(study: TouchStudy) -> ResultTable:
             Column("rows", tuple(one.n_rows for one in seen), 0),
             Column("unknowns", tuple(len(one.parameters) for one in seen), 0),
             Column("rank", tuple(one.rank_all.rank for one in seen), 0),
-            Column("promised rms [mm]", tuple(promised), 4),
+            Column("predicted rms [mm]", tuple(predicted), 4),
             Column("rms over draws [mm]", tuple(float(millimetres(value)) for value in rms), 4),
             Column("cannot see", tuple(unseen(one) for one in seen)),
         ),
         (
             f"simulated; noise: {1e6 * SIGMA:.0f} um on each axis, {1e6 * ENCODER_SIGMA:.0f} urad of encoders that"
             f" turn; {counted(len(study.noise), 'draw')} of it on Table I's robot",
-            "promised: by theory, at nominal parameters, in the world; empty where readings alone do not determine it",
+            "predicted: by theory, at nominal parameters, in the world; empty where readings alone do not determine it",
             "cannot see: parameters without effect, and those of which only a combination has one, at nominal",
         ),
     )
@@ -90,13 +90,13 @@ def method_table(study: TouchStudy) -> ResultTable:
 
 def artefact_table(study: TouchStudy) -> ResultTable:
     """How large the artefact with the sockets must be."""
-    promised = [None if np.isinf(value) else millimetres(value) for value in study.artefacts.values()]
+    predicted = [None if np.isinf(value) else millimetres(value) for value in study.artefacts.values()]
     return ResultTable(
         "artefacts",
-        f"Error that the best {COUNT} touches of an artefact promise in the target workspace",
+        f"Error in the target workspace predicted for the best {COUNT} touches of an artefact",
         (
             Column("sockets of the artefact", tuple(_size(artefact) for artefact in study.artefacts)),
-            Column("promised rms [mm]", tuple(promised), 4),
+            Column("predicted rms [mm]", tuple(predicted), 4),
         ),
         (
             "the first is used; by theory, at nominal parameters, in the world: nothing measured or simulated enters",

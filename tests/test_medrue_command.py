@@ -26,6 +26,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("medrue.study.INDICES", ("O1", "O5"))
     monkeypatch.setattr("medrue.study.QUICK", StudySize(2, 2, 1))
     monkeypatch.setattr("medrue.experiment.QUICK_DRAWS", 2)
+    monkeypatch.setattr("medrue.both_sides.QUICK_COUNTS", (28,))
 
 
 def test_poses_are_those_of_the_closed_form(tmp_path: Path) -> None:
@@ -102,7 +103,8 @@ def test_experiment_writes_every_table_and_figure_and_one_page(tmp_path: Path) -
     assert run.exit_code == 0, run.output
     assert "Table IV" in run.output
     assert "mostly along x" in run.output
-    check_folder(out, {"table3", "table4", "ranking", "table5", "causes"}, {"figure3", "figure7", "figure8", "causes"})
+    tables = {"table3", "table4", "ranking", "table5", "causes", "pose_count", "extended"}
+    check_folder(out, tables, {"figure3", "figure7", "figure8", "causes", "pose_count"})
     page = (out / "index.html").read_text()
     assert "backlash of the rail of 0.8 mm" in page
     assert "@media print" in page

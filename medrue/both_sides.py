@@ -23,6 +23,7 @@ import numpy as np
 
 from calib.arrays import FloatArray, IntArray
 from calib.data.arrays import as_measurements
+from calib.data.measurements import Measurements
 from calib.errors import NotIdentifiableError
 from calib.identification.fit import fit
 from calib.joint_terms.term import Context
@@ -91,6 +92,7 @@ class BothSidesDraw:
     """What calibrations of one simulated robot gave.
 
     Attributes:
+        measured: Positions as read, by side and pose, (2, n, 3) [m].
         after: Errors, predicted minus measured, by way, set, side and pose, (n_ways, n_sets, 2, n, 3) [m]; NaN where
             the readings were too few for the model, or the fit did not converge.
         actual: True values of the extended model's parameters, (n_parameters,) [m, rad].
@@ -98,6 +100,7 @@ class BothSidesDraw:
         std: Their standard deviations as the fit states them, (n_parameters,) [m, rad].
     """
 
+    measured: FloatArray
     after: FloatArray
     actual: FloatArray
     values: FloatArray
@@ -110,12 +113,14 @@ class BothSides:
 
     Attributes:
         extended: The extended model, nominal.
+        joints: Poses, (n, 6) [m, rad].
         sets: Pose sets: the paper's 84 of O1, then one for each number of poses, chosen by O1 of the extended model.
         rail: Smaller errors of the rail.
         draws: Simulated robots, those of the experiment.
     """
 
     extended: Robot
+    joints: FloatArray
     sets: tuple[PoseSet, ...]
     rail: RailErrors
     draws: tuple[BothSidesDraw, ...]
@@ -123,8 +128,14 @@ class BothSides:
     def errors(self, way: Way, s: int) -> FloatArray:
         """Return the errors at the poses that the set `s` leaves, (n_draws, n_rows, 3) [m]."""
         w = WAYS.index(way)
-        others = self.sets[s].others(self.draws[0].after.shape[3])
+        others = self.sets[s].others(len(self.joints))
         return np.array([draw.after[w, s][:, others].reshape(-1, 3) for draw in self.draws])
+
+    def first_measurements(self) -> Measurements:
+        """Return what was read of the first robot, all poses from both sides."""
+        n = len(self.joints)
+        side, pose = np.repeat(np.arange(len(SIDES)), n), np.tile(np.arange(n), len(SIDES))
+        return visited(self.extended, self.joints, self.draws[0].measured, side, pose)
 
 
 def run_both_sides(
@@ -162,7 +173,7 @@ def run_both_sides(
         for draw in workers.in_order(both_sides_draw, tasks):
             draws.append(draw)
             advance(1)
-    return BothSides(extended, tuple(sets), rail, tuple(draws))
+    return BothSides(extended, joints, tuple(sets), rail, tuple(draws))
 
 
 def _choose(task: tuple[Robot, FloatArray, int]) -> IntArray:
@@ -189,9 +200,7 @@ def both_sides_draw(task: BothSidesTask) -> BothSidesDraw:
     for w, way in enumerate(WAYS):
         model = task.extended if way.extended else task.robot
         for s, pose_set in enumerate(task.sets):
-            side, pose = _visits(way, pose_set, either)
-            data = as_measurements(model, task.joints[pose], measured[side, pose])
-            data = replace(data, approach=from_direction(np.array(SIDES)[side]))
+            data = visited(model, task.joints, measured, *_visits(way, pose_set, either))
             try:
                 found = fit(model, data, sigma=SIGMA / np.sqrt(REPEATS))
             except NotIdentifiableError:  # too few readings for so many parameters
@@ -201,7 +210,22 @@ def both_sides_draw(task: BothSidesTask) -> BothSidesDraw:
             after[w, s] = _predicted(found.robot, task.joints, passive) - measured
             if way == EXTENDED and s == 0:
                 values, std = found.robot.values, found.statistics.std
-    return BothSidesDraw(after, truth.robot.values, values, std)
+    return BothSidesDraw(measured, after, truth.robot.values, values, std)
+
+
+def visited(robot: Robot, joints: FloatArray, measured: FloatArray, side: IntArray, pose: IntArray) -> Measurements:
+    """Return visits as measurements; a pose from another side is another pose, for errors are averaged over repeats.
+
+    Args:
+        robot: The model that they are for.
+        joints: Poses, (n, 6) [m, rad].
+        measured: Positions as read, by side and pose, (2, n, 3) [m].
+        side: Index into `SIDES` of each visit, (n_visits,).
+        pose: Pose of each visit, (n_visits,).
+    """
+    names = [f"{k + 1}{'+-'[s]}" for s, k in zip(side, pose, strict=True)]
+    data = as_measurements(robot, joints[pose], measured[side, pose], names)
+    return replace(data, approach=from_direction(np.array(SIDES)[side]))
 
 
 def _visits(way: Way, pose_set: PoseSet, either: IntArray) -> tuple[IntArray, IntArray]:

@@ -222,9 +222,10 @@ def pose_count_figure(counts: tuple[int, ...], errors: Mapping[str, FloatArray],
     axes.set_yscale("log")
     axes.set_xscale("log")
     axes.set_xticks(counts, [str(count) for count in counts])
+    heights = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
+    axes.set_yticks(heights, [f"{height:g}" for height in heights])
     axes.minorticks_off()
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.set(xlabel="poses to identify with", ylabel="mean magnitude of the x error after calibration [mm]")
-    axes.set_title("What remains along x, measured from both sides (simulated)")
+    axes.set(xlabel="poses to identify with", ylabel="mean magnitude of the x error [mm]")
+    axes.set_title("What remains along x after calibration (simulated)")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
     return figure

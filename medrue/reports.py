@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.data.measurement_files import format_measurements
 from calib.words import counted
 from medrue.both_sides import WAYS, BothSides
 from medrue.both_sides_tables import NOISE, mean_x
@@ -21,6 +22,7 @@ from medrue.plots import (
 )
 from medrue.study import COUNT, Study
 from medrue.study_tables import study_findings, study_tables
+from medrue.tracker import REPEATS, SIGMA
 from medrue.workspace import target_workspace
 
 
@@ -92,7 +94,19 @@ def experiment_report(experiment: Experiment) -> Report:
         experiment_tables(experiment),
         (_workspace(), *_experiment_errors(experiment), _causes(experiment), _pose_count(experiment.both_sides)),
         experiment.seed,
+        {"both_sides.csv": _measurement_file(experiment)},
     )
+
+
+def _measurement_file(experiment: Experiment) -> str:
+    """The first robot's measurement from both sides, for `calib fit` and the extended model."""
+    comments = (
+        "simulated measurements of MedRUE; no real robot was measured",
+        f"all poses from both sides: approach_q1 is the direction in which the rail came; seed {experiment.seed}",
+        f"tracker noise {1e6 * SIGMA:.0f} um on each axis, {counted(REPEATS, 'reading')} averaged",
+    )
+    found = experiment.both_sides
+    return format_measurements(found.extended, found.first_measurements(), comments)
 
 
 def _workspace() -> NamedFigure:

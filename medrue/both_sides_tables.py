@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray
+from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.units import PER_SI, millimetres
 from calib.words import counted
 from medrue.both_sides import EXTENDED, PAPER, WAYS, BothSides, Way
@@ -90,15 +90,12 @@ def pose_count_table(found: BothSides) -> ResultTable:
 
 def extended_parameter_table(found: BothSides) -> ResultTable:
     """Parameters of the extended model about which the readings decide, of those that the paper's model lacks."""
-    draw, parameters = found.draws[0], found.extended.parameters
+    draw, parameters, terms = found.draws[0], found.extended.parameters, found.extended.coefficients
     scale = np.array([PER_SI[parameter.dimension][parameter.unit] for parameter in parameters])
     expected = np.array([parameter.sigma for parameter in parameters])
-    shown = [
-        k
-        for k, parameter in enumerate(parameters)
-        if draw.std[k] < _DECIDED * expected[k]
-        and (k >= found.extended.coefficients.start or (parameter.unit == "deg" and not parameter.name.endswith("rx")))
-    ]
+    tilts = tuple(f"{joint.name}.{tilt}" for joint in found.extended.urdf.joints for tilt in ("ry", "rz"))
+    lacking = [k >= terms.start or (p.name in tilts and p.name[:-3] != "base_origin") for k, p in enumerate(parameters)]
+    shown = np.flatnonzero(lacking & (draw.std < _DECIDED * expected))
 
     def column(header: str, values: FloatArray) -> Column:
         return Column(header, tuple(float(value) for value in (values * scale)[shown]), 4)
@@ -126,35 +123,38 @@ def extended_parameter_table(found: BothSides) -> ResultTable:
 def both_sides_findings(found: BothSides) -> tuple[str, ...]:
     """Say in words what the tables show."""
     paper, extended = (millimetres(mean_x(found, way)[:, 0].mean()) for way in (PAPER, EXTENDED))
-    rms = millimetres(component_rms(found, EXTENDED)[0, 0])
+    rms, noise = millimetres(component_rms(found, EXTENDED)[0, 0]), millimetres(NOISE)
     return (
-        f"From both sides at the same 84 poses, {counted(len(found.extended.parameters), 'parameter')} (geometry in all"
-        f" six components, and the screw's lead, turns and backlash) leave a mean x error of {extended:.3f} mm, the"
-        f" paper's model {paper:.3f} mm; the tracker's noise alone is {millimetres(NOISE) * np.sqrt(2 / np.pi):.3f} mm"
-        f" (rms {rms:.3f} and {millimetres(NOISE):.3f} mm).",
+        f"From both sides at the same {len(found.sets[0].chosen)} poses,"
+        f" {counted(len(found.extended.parameters), 'parameter')} (geometry in all six components, and the screw's"
+        f" lead, turns and backlash) leave a mean x error of {extended:.3f} mm, the paper's model {paper:.3f} mm; the"
+        f" tracker's noise alone is {noise * np.sqrt(2 / np.pi):.3f} mm (rms {rms:.3f} and {noise:.3f} mm).",
         _needed(found),
     )
 
 
 def _needed(found: BothSides) -> str:
-    """How many poses each way needs."""
-    counts = [len(pose_set.chosen) for pose_set in found.sets[1:]]
-    goal, noise, most = [], [], []
-    for way in WAYS:
-        mean, rms = mean_x(found, way)[:, 1:].mean(axis=0), component_rms(found, way)[1:, 0]
-        goal.append(f"{way.name} {_first(counts, mean <= GOAL)}")
-        noise.append(f"{way.name} {_first(counts, rms <= NEAR_NOISE * NOISE)}")
-        most.append(f"{way.name} " + ("too few" if np.isnan(mean[-1]) else f"{millimetres(mean[-1]):.3f} mm"))
+    """How many poses each way needs, and which ways do not get there with any number of them."""
+    counts = np.array([len(pose_set.chosen) for pose_set in found.sets[1:]])
+    means = {way.name: mean_x(found, way)[:, 1:].mean(axis=0) for way in WAYS}
+    near = {way.name: component_rms(found, way)[1:, 0] <= NEAR_NOISE * NOISE for way in WAYS}
+    never = [
+        f"{name} ({'too few readings' if np.isnan(mean[-1]) else f'{millimetres(mean[-1]):.3f} mm'})"
+        for name, mean in means.items()
+        if not np.any(mean <= GOAL)
+    ]
     return (
-        f"Poses needed, of {', '.join(map(str, counts))}, for a mean x error of {millimetres(GOAL):g} mm:"
-        f" {'; '.join(goal)}. For an rms x error within {100 * (NEAR_NOISE - 1):.0f} % of the noise:"
-        f" {'; '.join(noise)}. Mean x error with {counts[-1]}: {'; '.join(most)}."
+        f"Poses needed, of the numbers tried, for a mean x error of {millimetres(GOAL):g} mm:"
+        f" {_least(counts, {name: mean <= GOAL for name, mean in means.items()})}; for an rms x error within"
+        f" {100 * (NEAR_NOISE - 1):.0f} % of the noise: {_least(counts, near)}."
+        + (f" Not even {counts[-1]} are enough for {', '.join(never)}." if never else "")
     )
 
 
-def _first(counts: Sequence[int], reached: BoolArray) -> str:
-    """The least number of poses that is enough."""
-    return str(min(np.array(counts)[reached])) if np.any(reached) else "no number of them"
+def _least(counts: IntArray, reached: Mapping[str, BoolArray]) -> str:
+    """The least number of poses that is enough, of every way for which one is."""
+    enough = [f"{counts[which].min()} ({name})" for name, which in reached.items() if np.any(which)]
+    return ", ".join(enough) or f"more than {counts[-1]}"
 
 
 def mean_x(found: BothSides, way: Way) -> FloatArray:

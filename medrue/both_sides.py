@@ -96,7 +96,7 @@ class BothSidesDraw:
         after: Errors, predicted minus measured, by way, set, side and pose, (n_ways, n_sets, 2, n, 3) [m]; NaN where
             the readings were too few for the model, or the fit did not converge.
         actual: True values of the extended model's parameters, (n_parameters,) [m, rad].
-        values: Those that `EXTENDED` found from the first set, (n_parameters,) [m, rad].
+        values: Those that `EXTENDED` found from the first set, (n_parameters,) [m, rad]; NaN where it found none.
         std: Their standard deviations as the fit states them, (n_parameters,) [m, rad].
     """
 
@@ -195,7 +195,7 @@ def both_sides_draw(task: BothSidesTask) -> BothSidesDraw:
     either = generator.integers(len(SIDES), size=n)
     passive = task.robot.assemble(task.joints).passive
     after = np.full((len(WAYS), len(task.sets), *measured.shape), np.nan)
-    values: FloatArray = np.zeros(0)
+    values: FloatArray = np.full(len(task.extended.parameters), np.nan)
     std = values
     for w, way in enumerate(WAYS):
         model = task.extended if way.extended else task.robot

@@ -35,9 +35,8 @@ def error_columns(found: BothSides) -> list[Column]:
         draws = millimetres(summary(np.linalg.norm(found.errors(way, 0), axis=2)))
         cells: list[Cell] = []
         for k in range(len(STATISTICS)):
-            values = draws[:, k]
-            spread = float(standard_error(values))
-            cells += [float(values[0]), float(values.mean()), None if np.isnan(spread) else spread, None]
+            numbers = (draws[0, k], draws[:, k].mean(), standard_error(draws[:, k]))
+            cells += [*map(_cell, numbers), None]
         columns.append(Column(header, tuple(cells)))
     return columns
 
@@ -48,7 +47,7 @@ def component_columns(found: BothSides) -> list[Column]:
     for header, way in (("both sides", PAPER), ("both sides, extended", EXTENDED)):
         for axis, values in zip("xyz", np.abs(found.errors(way, 0)[0].T), strict=True):
             ours = millimetres(summary(values))[: len(STATISTICS)]
-            cells = [cell for value in ours for cell in (float(value), None)]
+            cells = [cell for value in ours for cell in (_cell(value), None)]
             columns.append(Column(f"{header} {axis}", tuple(cells)))
     return columns
 
@@ -122,13 +121,13 @@ def extended_parameter_table(found: BothSides) -> ResultTable:
 
 def both_sides_findings(found: BothSides) -> tuple[str, ...]:
     """Say in words what the tables show."""
-    paper, extended = (millimetres(mean_x(found, way)[:, 0].mean()) for way in (PAPER, EXTENDED))
-    rms, noise = millimetres(component_rms(found, EXTENDED)[0, 0]), millimetres(NOISE)
+    paper, extended = (_length(mean_x(found, way)[:, 0].mean()) for way in (PAPER, EXTENDED))
+    rms, noise = _length(component_rms(found, EXTENDED)[0, 0]), millimetres(NOISE)
     return (
         f"From both sides at the same {len(found.sets[0].chosen)} poses,"
         f" {counted(len(found.extended.parameters), 'parameter')} (geometry in all six components, and the screw's"
-        f" lead, turns and backlash) leave a mean x error of {extended:.3f} mm, the paper's model {paper:.3f} mm; the"
-        f" tracker's noise alone is {noise * np.sqrt(2 / np.pi):.3f} mm (rms {rms:.3f} and {noise:.3f} mm).",
+        f" lead, turns and backlash) leave a mean x error of {extended}, the paper's model {paper}; the"
+        f" tracker's noise alone is {noise * np.sqrt(2 / np.pi):.3f} mm (rms {rms} and {noise:.3f} mm).",
         _needed(found),
     )
 
@@ -138,11 +137,7 @@ def _needed(found: BothSides) -> str:
     counts = np.array([len(pose_set.chosen) for pose_set in found.sets[1:]])
     means = {way.name: mean_x(found, way)[:, 1:].mean(axis=0) for way in WAYS}
     near = {way.name: component_rms(found, way)[1:, 0] <= NEAR_NOISE * NOISE for way in WAYS}
-    never = [
-        f"{name} ({'too few readings' if np.isnan(mean[-1]) else f'{millimetres(mean[-1]):.3f} mm'})"
-        for name, mean in means.items()
-        if not np.any(mean <= GOAL)
-    ]
+    never = [f"{name} ({_length(mean[-1])})" for name, mean in means.items() if not np.any(mean <= GOAL)]
     return (
         f"Poses needed, of the numbers tried, for a mean x error of {millimetres(GOAL):g} mm:"
         f" {_least(counts, {name: mean <= GOAL for name, mean in means.items()})}; for an rms x error within"
@@ -168,4 +163,13 @@ def component_rms(found: BothSides, way: Way) -> FloatArray:
 
 
 def _column(header: str, values: FloatArray) -> Column:
-    return Column(header, tuple(None if np.isnan(value) else float(value) for value in values), 4)
+    return Column(header, tuple(map(_cell, values)), 4)
+
+
+def _cell(value: float) -> float | None:
+    return None if np.isnan(value) else float(value)
+
+
+def _length(value: float) -> str:
+    """A length [m] in words."""
+    return "no answer" if np.isnan(value) else f"{millimetres(value):.3f} mm"

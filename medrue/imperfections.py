@@ -180,7 +180,7 @@ def imperfect_robot(
         turn = pin.exp3(np.array([0.0, about_y, about_z]))
         placements[name] = pin.SE3(placement.rotation @ turn, placement.translation)
     values = geometry(extended, replace(actual, mechanism=actual.mechanism.with_placements(placements)))
-    values |= {"q1.gain": imperfections.lead, "q1.backlash": -imperfections.backlash / 2}
+    values |= {"q1.gain": imperfections.lead, "q1.backlash": 0.0 - imperfections.backlash / 2}
     if rail.periodic:
         phase = generator.uniform(0.0, 2.0 * np.pi)
         values |= {"q1.sin1": rail.periodic * np.cos(phase), "q1.cos1": rail.periodic * np.sin(phase)}

@@ -142,7 +142,7 @@ def test_too_few_readings_for_the_model_leave_the_cell_empty(found: BothSides) -
     text = " ".join(both_sides_findings(found))
     assert "nan" not in text
     assert "Not even 10 are enough for" in text
-    assert "extended, one side (too few readings)" in text
+    assert "extended, one side (no answer)" in text
 
 
 def test_an_installed_or_checked_out_description_that_is_not_there_is_named() -> None:

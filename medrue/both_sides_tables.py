@@ -62,7 +62,7 @@ def pose_count_table(found: BothSides) -> ResultTable:
     names = (f"{len(found.sets[0].chosen)}, the paper's", *(pose_set.name for pose_set in found.sets[1:]))
     columns = [Column("poses", names)]
     for way in WAYS:
-        columns.append(_column(f"{way.name}, mean |x| [mm]", millimetres(mean_x(found, way).mean(axis=0))))
+        columns.append(_column(f"{way.name}, mean x error [mm]", millimetres(mean_x(found, way).mean(axis=0))))
     draws = mean_x(found, EXTENDED)
     if len(draws) > 1:
         columns.append(_column(f"{EXTENDED.name}, its standard error [mm]", millimetres(standard_error(draws))))

@@ -135,8 +135,8 @@ def test_too_few_readings_for_the_model_leave_the_cell_empty(found: BothSides) -
     table = pose_count_table(found)
     content = cells(table)
     assert content["poses"] == ("42, the paper's", "10")
-    assert content["extended, either side, mean |x| [mm]"][1] is None
-    assert content["extended, both sides, mean |x| [mm]"][1] > 0
+    assert content["extended, either side, mean x error [mm]"][1] is None
+    assert content["extended, both sides, mean x error [mm]"][1] > 0
     assert "nan" not in table.csv()
     assert "simulated" in table.csv()
     text = " ".join(both_sides_findings(found))

@@ -1,9 +1,8 @@
 """Kinematic calibration of any robot with a URDF, closed loops included, on Pinocchio."""
 
 from calib.calibration import Calibration, fit
-from calib.data.arrays import as_measurements, as_poses
 from calib.data.measurement_files import read_measurements, read_poses
-from calib.data.measurements import Measurements, Poses
+from calib.data.measurements import Measurements, Poses, as_measurements, as_poses
 from calib.errors import (
     CalibrationError,
     ComputationError,

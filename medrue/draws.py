@@ -17,8 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
-from calib.data.arrays import as_measurements
-from calib.data.measurements import Measurements
+from calib.data.measurements import Measurements, as_measurements
 from calib.errors import NotConvergedError
 from calib.identification.fit import fit
 from calib.linearisation.jacobian import linearise

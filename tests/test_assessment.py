@@ -8,7 +8,7 @@ from six_axis_arm import YAML, joints, write_six_axis
 from small_robots import small_arm, write_arm
 
 import calib
-from calib.data.arrays import as_poses
+from calib.data.measurements import as_poses
 from calib.linearisation.jacobian import linearise
 from calib.numerics.null_space import describe_group
 from calib.numerics.observability import raw_columns

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from calib.linearisation.jacobian import linearise
-from calib.numerics import elementary_vectors
-from calib.numerics.elementary_vectors import shortest_basis
-from calib.numerics.null_space import describe_group, natural_coefficients, null_groups
+from calib.numerics import null_space
+from calib.numerics.null_space import describe_group, natural_coefficients, null_groups, shortest_basis
 from medrue.closed_form import forward
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import target_workspace
@@ -95,7 +94,7 @@ def test_the_basis_is_the_shortest_there_is(seed):
 @pytest.mark.parametrize("seed", range(6))
 def test_linear_programs_find_a_basis_of_elementary_vectors_too(seed, monkeypatch):
     basis = np.linalg.qr(np.random.default_rng(seed).standard_normal((9, 4)))[0]
-    monkeypatch.setattr(elementary_vectors, "_MOST_SUPPORTS", 0)
+    monkeypatch.setattr(null_space, "_MOST_SUPPORTS", 0)
     found = shortest_basis(basis, np.zeros(9, dtype=bool))
     assert np.linalg.matrix_rank(found) == 4
     # in a random subspace every elementary vector has exactly n - k + 1 entries

@@ -207,9 +207,10 @@ def test_saving_twice_gives_the_same_bytes(fitted, folder, tmp_path):
         (None, "holds no result (no result.json); give the folder that `calib fit --out` wrote"),
         ("", "cannot be read"),
         ("{", "cannot be read"),
+        ('{"a":' * 100_000, "cannot be read"),
         ("[1, 2]", "is not a result of format version"),
         ('{"version": 999}', "is not a result of format version"),
-        (b"\xff\xfe\x00", "cannot be read"),
+        (b"\xff\xfe\x00", "is not UTF-8 text"),
         ('{"version": 1, "robot"', "cannot be read"),
     ],
 )

@@ -3,8 +3,8 @@ import pytest
 from six_axis_arm import joints, noisy, six_axis_arm
 
 import calib
-from calib.data.arrays import measurements as from_readings
-from calib.data.arrays import plain_readings
+from calib.data.measurements import measurements as from_readings
+from calib.data.measurements import plain_readings
 from calib.identification.validation import deal, pose_labels, split
 
 RNG = np.random.default_rng(0)

@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, IntArray
-from calib.data.arrays import measurements
-from calib.data.measurements import CONTEXT, Measurements, Poses, check_repeats
+from calib.data.measurements import CONTEXT, Measurements, Poses, check_repeats, measurements
 from calib.data.tables import Table, format_table, read_table
 from calib.errors import DataError, nearest
 from calib.model.robot import Robot

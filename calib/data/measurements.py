@@ -2,21 +2,25 @@
 
 A visit is one row: joint values, and what else is known of that moment (context). Rows with one pose name repeat that
 pose; nothing is averaged. An instrument may have read nothing at a visit, and several may have read at one.
+
+Poses and measurements that are already in memory, checked as those of a file are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
-from calib.errors import DataError
+from calib.errors import DataError, nearest
 from calib.joint_terms.term import Context
 from calib.model.robot import Robot
-from calib.observation.kind import Readings
+from calib.observation.kind import Instrument, Readings
+from calib.observation.position import Position
 from calib.units import DISPLAY_UNIT, PER_SI, Dimension
 
 CONTEXT: dict[str, Dimension] = {"time": "time", "temperature": "temperature", "load": "mass"}
@@ -24,6 +28,7 @@ CONTEXT: dict[str, Dimension] = {"time": "time", "temperature": "temperature", "
 _JOINTS_AGREE: dict[Dimension, float] = {"length": 1e-3, "angle": 2e-3}
 """Largest spread of a joint among repeats of one pose [m, rad]; more means that they are different poses."""
 _MOVED = 1e-4  # change of a joint between two rows that counts as motion [m, rad]
+_SOURCE = "arrays"
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,3 +199,126 @@ def check_repeats(poses: Poses, robot: Robot) -> None:
             f" {spread[pose, joint] * PER_SI[dimension][unit]:.3g} {unit} among the rows of pose"
             f" '{poses.names[row]}'; rows with the same pose value must repeat one pose"
         )
+
+
+def as_poses(robot: Robot, poses: Poses | ArrayLike, names: Sequence[str] | None = None) -> Poses:
+    """Return joint values as `Poses`, naming them by their row where they come without names.
+
+    Args:
+        robot: Whose joints they are.
+        poses: Poses with names, or actuated joints alone, (n_poses, n_actuated) [m or rad].
+        names: Pose names of joint values, n_poses of them.
+
+    Raises:
+        DataError: Wrong shape, values that are not finite, or a wrong number of names.
+    """
+    if isinstance(poses, Poses):
+        return poses
+    joints = robot.joint_vector(poses)
+    if names is not None and len(names) != len(joints):
+        raise DataError(f"names: {len(names)} for {len(joints)} poses; give one for each")
+    called = tuple(str(k) for k in range(len(joints))) if names is None else tuple(str(name) for name in names)
+    return Poses(joints, tuple(f"pose {name}" for name in called), called, _SOURCE, ())
+
+
+def as_measurements(
+    robot: Robot,
+    poses: Poses | ArrayLike,
+    readings: ArrayLike | Mapping[str, ArrayLike | Readings],
+    names: Sequence[str] | None = None,
+) -> Measurements:
+    """Return what was read as `Measurements`; rows with the same pose name repeat that pose.
+
+    Args:
+        robot: Whose joints and instruments they are.
+        poses: Poses with names, or actuated joints alone, (n, n_actuated) [m or rad].
+        readings: What each instrument read, by its name, a row for each pose, (n, n_values) [SI], NaN where it read
+            nothing; or `Readings`, where an instrument reads several things at a pose; of an instrument that reads no
+            numbers: words, as in its column of a file, empty where it read nothing. Where all instruments measure
+            positions: these, (n, n_targets, 3), or (n, 3) for one [m].
+        names: Pose name of each row; without names, every row is a pose of its own.
+
+    Raises:
+        DataError: Wrong shape, values that are not finite, an unknown instrument, or rows of one pose whose joint
+            values differ.
+    """
+    where = as_poses(robot, poses, names)
+    if not isinstance(readings, Mapping):
+        readings = _positions_by_instrument(robot, len(where), readings)
+    found: dict[str, Readings] = {}
+    for name, given in readings.items():
+        if name not in [one.name for one in robot.instruments]:
+            raise DataError(f"no instrument '{name}'{nearest(name, [one.name for one in robot.instruments])}")
+        one = robot.instrument(name)
+        if isinstance(given, Readings):
+            found[name] = given
+            continue
+        if not one.columns():
+            found[name] = _words(one, where, np.asarray(given))
+            continue
+        found[name] = _readings(one, where, np.asarray(given, dtype=float))
+    data = measurements(where, found)
+    check_repeats(data, robot)
+    return data
+
+
+def measurements(poses: Poses, readings: Mapping[str, Readings]) -> Measurements:
+    """Put poses and readings together."""
+    return Measurements(
+        poses.joints,
+        poses.labels,
+        poses.names,
+        poses.path,
+        poses.ignored,
+        readings,
+        comments=poses.comments,
+        context=poses.context,
+    )
+
+
+def plain_readings(values: FloatArray) -> Readings:
+    """Return values (n, n_values) of n visits in a row as readings, without those that are NaN throughout."""
+    seen = np.flatnonzero(~np.all(np.isnan(values), axis=1))
+    return Readings(seen, np.zeros(len(seen), dtype=np.intp), values[seen], None, np.zeros((len(seen), 0)))
+
+
+def _positions_by_instrument(robot: Robot, n: int, given: ArrayLike) -> dict[str, FloatArray]:
+    if not all(isinstance(one, Position) for one in robot.instruments):
+        names = ", ".join(one.name for one in robot.instruments)
+        raise DataError(f"readings: the robot has several kinds of instruments; give them by name ({names})")
+    values = np.asarray(given, dtype=float)
+    n_instruments = len(robot.instruments)
+    if n_instruments == 1 and values.shape == (n, 3):
+        values = values[:, None]
+    if values.shape != (n, n_instruments, 3):
+        raise DataError(
+            f"positions of shape {np.shape(given)}; expected ({n}, {n_instruments}, 3): a row for each pose,"
+            f" the targets in the order {', '.join(one.name for one in robot.instruments)}"
+        )
+    return {one.name: values[:, k] for k, one in enumerate(robot.instruments)}
+
+
+def _words(one: Instrument, poses: Poses, given: ArrayLike) -> Readings:
+    """Readings of an instrument that says in one column of words what it looked at, and reads no numbers."""
+    texts = [str(text).strip() for text in np.atleast_1d(np.asarray(given))]
+    if np.shape(given) != (len(poses),) or not all(isinstance(text, str) for text in np.asarray(given, dtype=object)):
+        raise DataError(f"{one.name}: expected {len(poses)} words, one for each pose; empty where it read nothing")
+    (column,) = one.text_columns()
+    own, pairs, details = one.looked_at({column: texts}, poses.labels)
+    seen = np.flatnonzero(own)
+    return Readings(seen, pairs[seen], np.repeat(one.values({}), len(seen), axis=0), None, details[seen])
+
+
+def _readings(one: Instrument, poses: Poses, values: FloatArray) -> Readings:
+    if one.looks()[1].shape[1]:
+        raise DataError(f"{one.name}: an array does not say what each reading is about; give Readings with its details")
+    width = one.values({column.name: np.zeros(0) for column in one.columns()}).shape[1]
+    if values.shape != (len(poses), width):
+        raise DataError(f"{one.name}: readings of shape {values.shape}; expected ({len(poses)}, {width})")
+    whole = np.all(np.isnan(values), axis=1)
+    bad = np.flatnonzero(~np.isfinite(values).all(axis=1) & ~whole)
+    if len(bad):
+        raise DataError(
+            f"{poses.labels[bad[0]]}: readings of '{one.name}' are not finite; correct them, or leave them out"
+        )
+    return plain_readings(values)

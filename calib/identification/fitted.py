@@ -22,8 +22,7 @@ from calib.linearisation.unknowns import Unknowns
 from calib.linearisation.whitening import Whitening
 from calib.model.robot import Configurations, Robot
 from calib.numerics.identifiability import Rank
-from calib.numerics.losses import Loss
-from calib.numerics.outliers import Studentised, studentised
+from calib.numerics.losses import Loss, Studentised, studentised
 from calib.numerics.statistics import ChiSquare, Statistics, chi_square
 from calib.numerics.variance_components import EXACT
 from calib.threads import one_blas_thread
@@ -230,7 +229,7 @@ class Fit(ReadOnlyArrays):
 
     @cached_property
     def studentised(self) -> Studentised:
-        """Every reading that was used, judged; see `calib.numerics.outliers`."""
+        """Every reading that was used, judged; see `calib.numerics.losses`."""
         found, number = self.statistics.factors.found, self.rows.layout.group
         # groups whose stated noise is off by different factors are judged by what each of them really has
         relative = np.maximum(found / max(self._factor, 1e-30), _LEAST_FACTOR)
@@ -319,7 +318,7 @@ class Fit(ReadOnlyArrays):
 
     @cached_property
     def _root(self) -> FloatArray:
-        """T of `calib.numerics.information` at the solution, with the weights of a robust loss."""
+        """T of `calib.numerics.observability` at the solution, with the weights of a robust loss."""
         rows = self.rows if np.all(self.weights == 1.0) else self.rows.weighted(self.weights)
         return rows.known.root
 

@@ -1,6 +1,13 @@
-"""Splitting measurements into those to identify with and those to validate with, and into folds."""
+"""Splitting measurements into those to identify with and those to validate with, and into folds.
+
+In cross-validation by pose, every pose is predicted once by a fit that did not see it. Poses are dealt into folds at
+random; those with the same joint values (repeats of one pose that the file does not mark as such) go into the same
+fold, because a repeat is no new pose.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -9,7 +16,10 @@ from scipy.spatial import cKDTree
 
 from calib.arrays import FloatArray, IntArray
 from calib.data.measurements import Measurements
-from calib.errors import DataError
+from calib.errors import DataError, InputError
+from calib.identification.errors_found import ErrorSet, Folds
+from calib.identification.fitted import Fit
+from calib.observation.kind import Instrument, Readings
 
 _SAME_JOINTS = 1e-4  # joint values that agree to this are one pose, read back with an encoder's noise [m, rad]
 
@@ -79,3 +89,53 @@ def _shuffled(data: Measurements, seed: int) -> list[IntArray]:
     groups = np.split(by_label, np.cumsum(np.bincount(label))[:-1])
     groups.sort(key=lambda group: int(group[0]))  # in file order, so that without repeats a pose is a pose
     return [groups[k] for k in np.random.default_rng(seed).permutation(len(groups))]
+
+
+def cross_validate(
+    data: Measurements, count: int, seed: int, fit: Callable[[Measurements, Measurements], Fit]
+) -> Folds:
+    """Fit once for each fold, without it.
+
+    Args:
+        data: All measurements.
+        count: Number of folds, 2 or more.
+        seed: Seed of the random choice.
+        fit: Fits the first measurements and predicts the second (as its validation).
+
+    Raises:
+        InputError: More folds than poses, or fewer than 2.
+    """
+    folds = deal(data, count, seed)
+    if count < 2 or min(len(fold) for fold in folds) == 0:
+        raise InputError(f"folds {count}: must be 2 or more, and not more than there are different poses")
+    before = {name: np.empty((len(found), 0)) for name, found in data.readings.items()}
+    after = dict(before)
+    singular: FloatArray = np.empty(len(data))
+    rms, converged = [], True
+    instruments: tuple[Instrument, ...] = ()
+    for held in folds:
+        kept = np.setdiff1d(np.arange(len(data)), held)
+        found = fit(data.subset(kept), data.subset(held))
+        errors = found.validation
+        assert errors is not None
+        instruments = errors.instruments
+        for whole, part in ((before, errors.before), (after, errors.after)):
+            for name, rows in part.items():
+                if whole[name].shape[1] == 0:
+                    whole[name] = np.empty((len(data.readings[name]), rows.shape[1]))
+                whole[name][_readings_at(data.readings[name], held)] = rows
+        singular[held] = errors.singular_value
+        rms.append(float(np.sqrt(np.mean(np.sum(errors.errors("after", errors.parts()[0][1].name) ** 2, axis=1)))))
+        converged &= found.converged
+    return Folds(count, seed, ErrorSet(data, instruments, before, after, singular), tuple(rms), converged)
+
+
+def _readings_at(readings: Readings, visits: IntArray) -> IntArray:
+    """Indices of the readings at these visits, in the order of the visits."""
+    place = np.full(int(readings.visits.max(initial=-1)) + 1, -1)
+    inside = visits[visits < len(place)]
+    place[inside] = np.arange(len(inside))
+    number = place[readings.visits]
+    found = np.flatnonzero(number >= 0)
+    result: IntArray = found[np.argsort(number[found], kind="stable")]
+    return result

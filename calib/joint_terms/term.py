@@ -16,7 +16,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -42,6 +42,21 @@ class TermSection(Section):
     def within(self, stroke: float) -> TermSection:
         """Return the entry for a prismatic joint with this stroke [m], which says no more unless a term asks for it."""
         return self
+
+
+@dataclass(frozen=True)
+class Joint:
+    """The joint that a term belongs to.
+
+    Attributes:
+        name: Its name.
+        dimension: Whether it turns or slides.
+        actuated: Names of all actuated joints, in the order of commands.
+    """
+
+    name: str
+    dimension: Dimension
+    actuated: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +117,20 @@ class JointTerm(ABC):
     joint: str
     parameters: tuple[Parameter, ...]
 
+    @classmethod
+    @abstractmethod
+    def of(cls, joint: Joint, section: Any, sigma: float | None) -> JointTerm:
+        """Return the term that an entry of a robot description means.
+
+        Args:
+            joint: The joint.
+            section: The entry.
+            sigma: Its sigma [m or rad], or None.
+
+        Raises:
+            ValueError: The entry does not fit the joint.
+        """
+
     @abstractmethod
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
         """Return phi of each coefficient, (n, n_coefficients).
@@ -127,3 +156,28 @@ def coefficient(name: str, dimension: Dimension, sigma: float, family: str = "")
         family: Name of the coefficients whose common size is found from the data; empty: sigma is as stated.
     """
     return Parameter(name, dimension, 0.0, sigma, UNIT[dimension], family=family)
+
+
+@dataclass(frozen=True)
+class OneCoefficient(JointTerm):
+    """A term with one coefficient, dq = c phi, named after its joint and the term.
+
+    Attributes:
+        word: Last part of the coefficient's name (class attribute).
+        expected_angle: Expected size of the coefficient of a joint that turns, where nothing is stated [rad] (class
+            attribute).
+        expected_length: The same of one that slides [m] (class attribute).
+    """
+
+    word: ClassVar[str]
+    expected_angle: ClassVar[float]
+    expected_length: ClassVar[float]
+    joint: str
+    parameters: tuple[Parameter, ...]
+
+    @classmethod
+    def of(cls, joint: Joint, section: TermSection, sigma: float | None) -> JointTerm:
+        """Return the term that an entry of a robot description means."""
+        expected = cls.expected_angle if joint.dimension == "angle" else cls.expected_length
+        size = expected if sigma is None else sigma
+        return cls(joint.name, (coefficient(f"{joint.name}.{cls.word}", joint.dimension, size),))

@@ -9,14 +9,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from calib.arrays import BoolArray, FloatArray
-from calib.data.arrays import measurements
-from calib.data.measurements import Measurements, Poses
+from calib.data.measurements import Measurements, Poses, measurements
 from calib.errors import DataError, InputError, UnreachablePoseError
 from calib.linearisation.jacobian import linearise
 from calib.linearisation.observed import Observed, observe, predicted_readings
 from calib.linearisation.unknowns import Unknowns
 from calib.linearisation.whitening import ASSUMED, Whitening, stated_noise
-from calib.model.open_loops import why_open
+from calib.model.loops import why_open
 from calib.model.robot import Configurations, Robot, near_singularity
 from calib.observation.position import Position
 

@@ -78,10 +78,6 @@ class Unknowns(ReadOnlyArrays):
         every = Unknowns.of(robot)
         return every.only(every.family < 0)
 
-    def without_priors(self) -> Unknowns:
-        """Return them without their priors."""
-        return replace(self, has_prior=np.zeros(len(self), dtype=bool))
-
     def deviations(self, values: FloatArray) -> FloatArray:
         """Return u = (p - p_nominal) / s from the values of all parameters, (n_parameters,)."""
         result: FloatArray = (values[self.index] - self.nominal) / self.scales

@@ -22,11 +22,9 @@ from calib.linearisation.observed import observe
 from calib.linearisation.unknowns import Unknowns
 from calib.linearisation.whitening import Whitening
 from calib.model.robot import Configurations, Robot
-from calib.numerics.elimination import Elimination, eliminate
-from calib.numerics.identifiability import Rank
-from calib.numerics.information import Information, information, prior_rows
+from calib.numerics.identifiability import Elimination, Rank, eliminate
 from calib.numerics.null_space import Group, null_groups
-from calib.numerics.observability import TaskIndex, observability_of, task_index
+from calib.numerics.observability import Information, TaskIndex, information, observability_of, prior_rows, task_index
 from calib.parameter import Parameter, index_of
 from calib.pose_choice.pose_count import CountRow, accuracy_by_count
 from calib.threads import one_blas_thread

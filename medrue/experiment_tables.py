@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
 from calib.numerics.rigid import OUTLIER_PROBABILITY
-from calib.units import PER_SI
+from calib.units import PER_SI, millimetres
 from calib.words import counted
 from medrue.both_sides_tables import (
     BOTH_SIDES_NOTE,
@@ -123,7 +123,7 @@ def axis_table(experiment: Experiment) -> ResultTable:
     ]
     for when, errors in zip(("before", "after"), experiment.validation(experiment.draws[0], "O1"), strict=True):
         for axis, values in zip("xyz", np.abs(errors.T), strict=True):
-            ours = dict(zip(STATISTICS, 1e3 * summary(values), strict=False))
+            ours = dict(zip(STATISTICS, millimetres(summary(values)), strict=False))
             cells = [cell for key in STATISTICS for cell in (float(ours[key]), printed[f"{when}_{axis}"][key])]
             columns.append(Column(f"{when} {axis}", tuple(cells)))
     columns += component_columns(experiment.both_sides)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.data.measurement_files import format_measurements
+from calib.units import millimetres
 from calib.words import counted
 from medrue.both_sides import WAYS, BothSides
 from medrue.both_sides_tables import NOISE, mean_x
@@ -103,7 +104,7 @@ def _measurement_file(experiment: Experiment) -> str:
     comments = (
         "simulated measurements of MedRUE; no real robot was measured",
         f"all poses from both sides: approach_q1 is the direction in which the rail came; seed {experiment.seed}",
-        f"tracker noise {1e6 * SIGMA:.0f} um on each axis, {counted(REPEATS, 'reading')} averaged",
+        f"tracker noise {millimetres(SIGMA):g} mm on each axis, {counted(REPEATS, 'reading')} averaged",
     )
     found = experiment.both_sides
     return format_measurements(found.extended, found.first_measurements(), comments)

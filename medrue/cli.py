@@ -121,9 +121,14 @@ def experiment_command(
     tilt_deg: float | None,
     output: Output,
 ) -> None:
-    """Reproduce the paper's experiment on a simulated robot: Tables III to V, Figures 3, 7 and 8."""
+    """Reproduce the paper's experiment on a simulated robot: Tables III to V, Figures 3, 7 and 8.
+
+    Beside the paper's model, one with the robot's full geometry and the errors of its rail is identified from poses
+    that are approached from both sides.
+    """
     check_folder(out)
     with Workers(jobs) as workers:  # they start while the rest is loaded
+        from medrue.both_sides import COUNTS, QUICK_COUNTS
         from medrue.experiment import DRAWS, QUICK_DRAWS, run_experiment
         from medrue.imperfections import Imperfections
         from medrue.reports import experiment_report
@@ -136,7 +141,9 @@ def experiment_command(
         )
         count = draws or (QUICK_DRAWS if quick else DRAWS)
         progress = Silent() if output.quiet else TerminalBars()
-        found = run_experiment(load(robot_file()), count, seed, workers, progress, imperfections)
+        robots = load(robot_file()), load(robot_file("medrue_extended"))
+        counts = QUICK_COUNTS if quick else COUNTS
+        found = run_experiment(*robots, count, seed, workers, progress, imperfections, counts)
     _finish(experiment_report(found), out, output, shown=("table4", "table5"))
 
 

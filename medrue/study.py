@@ -181,6 +181,10 @@ def _choose(task: tuple[Robot, FloatArray, str]) -> Selection:
     return select(robot, joints, COUNT, index, sigma=SIGMA)
 
 
+STATISTICS = ("mean", "max", "std")
+"""What tables show of `summary`."""
+
+
 def summary(distances: FloatArray) -> FloatArray:
     """Mean, max, standard deviation and root mean square along the last axis, (..., n) -> (..., 4)."""
     squares = np.sqrt(np.mean(distances**2, axis=-1))

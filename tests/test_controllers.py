@@ -10,6 +10,8 @@ import pinocchio as pin
 import pytest
 import yaml
 from click.testing import CliRunner
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 from small_robots import ARM_URDF, ARM_YAML, write_arm
 from test_denavit_hartenberg import flange_poses
 from urdf_trees import urdf_of
@@ -190,7 +192,10 @@ def test_zeros_that_no_target_shows_stay_zero(tmp_path: Path) -> None:
 
 
 def test_what_joint_zeros_leave_is_stated() -> None:
-    """The file applied to a Pinocchio model of the nominal URDF, against one of the calibrated, at other poses."""
+    """The file applied to a Pinocchio model of the nominal URDF, against one of the calibrated, at other poses.
+
+    Base and target are unknown here, so that they are placed anew, by a solver of another make.
+    """
     nominal, robot = calib.load(ARM), changed_arm()
     made = joint_offsets(robot)
     offsets = [offset for _, offset in read_offsets(made.content).values()]
@@ -198,8 +203,15 @@ def test_what_joint_zeros_leave_is_stated() -> None:
     q = np.random.default_rng(6).uniform(lower, upper, (N_RANDOM, 6))
     target = robot.mechanism.targets[0]
     point = np.append(robot.mechanism.model.jointPlacements[target.b].translation, 1.0)
-    error = (flange_poses(nominal, q + offsets) - flange_poses(robot, q)) @ point
-    distance = np.linalg.norm(error[:, :3], axis=1)
+    wanted, frames = (flange_poses(robot, q) @ point)[:, :3], flange_poses(nominal, q + offsets)
+
+    def error(x: np.ndarray) -> np.ndarray:
+        points = (frames @ np.add(point, [*x[6:], 0]))[:, :3]
+        return (Rotation.from_rotvec(x[:3]).apply(points) + x[3:6] - wanted).ravel()
+
+    distance = np.linalg.norm(least_squares(error, np.zeros(9)).fun.reshape(-1, 3), axis=1)
+    assert offsets[0] == pytest.approx(0, abs=1e-9)  # the base can do it
+    assert "base and target placed anew" in made.statement
     assert made.left.rms == pytest.approx(np.sqrt(np.mean(distance**2)), rel=0.01)
     assert f"{1000 * made.left.rms:.4g} mm RMS" in made.content.decode()
 

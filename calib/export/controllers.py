@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -18,6 +18,7 @@ from calib.arrays import FloatArray
 from calib.data.dh_files import format_dh
 from calib.data.tables import format_table
 from calib.errors import InputError
+from calib.export.joint_zeros import joint_zeros
 from calib.export.serial_chain import Remainder, SerialChain, judging_poses, remainder, serial_chain
 from calib.export.toolbox import ExactDumper
 from calib.export.urdf import provenance_lines
@@ -35,12 +36,6 @@ _UR_JOINTS = {
     "wrist_2": "wrist_2_joint",
     "wrist_3": "wrist_3_joint",
 }
-_FITTED = 0.25  # part of the judging poses: joint zeros need no more
-_STEP = 1e-5  # of joints, for differences [rad or m]
-_ROUNDS, _SETTLED = 50, 1e-12  # of the fit of joint zeros [m or rad]
-_SMALL = 1e-3  # a change of joint zeros after which their derivatives still hold [m or rad]
-_UNDETERMINED = 1e-7
-"""Relative singular value below which poses say nothing of a combination of joint zeros; differences are exacter."""
 
 
 @dataclass(frozen=True)
@@ -198,27 +193,13 @@ def _product(links: Sequence[pin.SE3]) -> Callable[[FloatArray], FloatArray]:
 
 
 def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFile:
-    """Return a sign and a zero correction for each joint with a motor, and what they alone reach.
-
-    The nominal model, fed with sign * q + offset in place of q, comes nearest to the robot over the judging poses, in
-    least squares of the targets' positions. Base and targets are where the calibration found them. A zero that the
-    targets do not show, such as that of a last joint whose axis meets the only target, is 0. Poses in which one of the
-    two does not close are left out.
-    """
+    """Return a sign and a zero correction for each joint with a motor, and what they alone reach: see `joint_zeros`."""
     q, where = judging_poses(robot)
-    places = {
-        origin: robot.mechanism.placement(origin) for origin in map(robot.mechanism.origin, robot.mechanism.places)
-    }
-    plain = replace(robot, mechanism=robot.nominal.with_placements(places), terms=())
-    wanted = robot.positions(q)
-    actual = robot.actual(q, robot.term_columns(q))
-    signs = np.where(np.sum((q - q.mean(axis=0)) * (actual - actual.mean(axis=0)), axis=0) < 0, -1.0, 1.0)
-    fitted = slice(int(np.ceil(_FITTED * len(q))))
-    offsets = _best_offsets(plain, signs * q[fitted], wanted[fitted], np.mean(actual - signs * q, axis=0))
-    left = _distances(_positions(plain, signs * q + offsets) - wanted, where)
-    before = _distances(_positions(plain, q) - wanted, where)
+    found = joint_zeros(robot, q)
+    left, before = (Remainder.of(distances, where) for distances in (found.left, found.before))
+    anew = ", base and target placed anew" if found.placed else ""
     statement = (
-        f"holds one zero and a sign for each joint: {left.text()}; the nominal model without them has"
+        f"holds one zero and a sign for each joint: {left.text()}{anew}; the nominal model without them has"
         f" {millimetres(before.rms):.4g} mm RMS"
     )
     lines = [
@@ -229,52 +210,14 @@ def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
     ]
     dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
     units = [DISPLAY_UNIT[dimension] for dimension in dimensions]
-    shown = [to_unit(float(v), unit, dim) for v, unit, dim in zip(offsets, units, dimensions, strict=True)]
+    shown = [to_unit(float(v), unit, dim) for v, unit, dim in zip(found.offsets, units, dimensions, strict=True)]
     columns: list[tuple[str, Sequence[object]]] = [
         ("joint", robot.joint_names),
-        ("sign", [f"{sign:.0f}" for sign in signs]),
+        ("sign", [f"{sign:.0f}" for sign in found.signs]),
         ("offset", shown),
         ("unit", units),
     ]
     return ControllerFile(format_table(columns, lines).encode(), statement, left)
-
-
-def _best_offsets(plain: Robot, q: FloatArray, wanted: FloatArray, start: FloatArray) -> FloatArray:
-    """Gauss and Newton's method; combinations that no position shows keep their start."""
-    offsets, slopes = start, np.zeros(0)
-    largest = np.inf
-    for _ in range(_ROUNDS):
-        if largest > _SMALL:
-            slopes = _slopes(plain, q + offsets)
-        residual = (_positions(plain, q + offsets) - wanted).ravel()
-        known = np.isfinite(residual) & np.all(np.isfinite(slopes), axis=1)
-        change = np.linalg.lstsq(slopes[known], -residual[known], rcond=_UNDETERMINED)[0]
-        offsets, largest = offsets + change, float(np.max(np.abs(change)))
-        if largest < _SETTLED:
-            break
-    return offsets
-
-
-def _slopes(robot: Robot, q: FloatArray) -> FloatArray:
-    """Derivative of all coordinates by the joints, from central differences, (n coordinates, n_joints)."""
-    steps = _STEP * np.eye(q.shape[1])
-    ends = [(_positions(robot, q + step), _positions(robot, q - step)) for step in steps]
-    return np.column_stack([(after - before).ravel() for after, before in ends]) / (2 * _STEP)
-
-
-def _positions(robot: Robot, q: FloatArray) -> FloatArray:
-    """Positions of the targets, (n, n_targets, 3); NaN where a loop does not close."""
-    ok = robot.close(q).ok
-    found = np.full((len(q), len(robot.target_names), 3), np.nan)
-    found[ok] = robot.positions(q[ok])
-    return found
-
-
-def _distances(errors: FloatArray, where: str) -> Remainder:
-    distance = np.linalg.norm(errors, axis=-1)
-    distance = distance[np.all(np.isfinite(distance), axis=1)]
-    rms, largest = float(np.sqrt(np.mean(distance**2))), float(np.max(distance))
-    return Remainder(rms, largest, float("nan"), len(distance), where)
 
 
 def xacro_origins(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFile:

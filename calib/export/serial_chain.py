@@ -23,7 +23,7 @@ from calib.model.urdf_text import HELD_TYPES, UrdfJoint, UrdfText
 from calib.units import error_scale, millimetres
 
 _SOBOL = 12  # so many doublings: 4096 poses show an RMS error to 0.1 %
-_WITH_LOOPS = 512
+_WITH_LOOPS = 256
 _EXACT = 1e-9  # [m], [rad]
 
 
@@ -111,6 +111,12 @@ class Remainder:
     n_poses: int
     where: str
 
+    @classmethod
+    def of(cls, distances: FloatArray, where: str, angle: float = np.nan) -> Remainder:
+        """Return what is left from the distances of targets, one row for each pose [m]."""
+        rms, largest = float(np.sqrt(np.mean(distances**2))), float(np.max(distances))
+        return cls(rms, largest, angle, len(distances), where)
+
     @property
     def exact(self) -> bool:
         """Whether nothing is left that anyone could measure."""
@@ -157,4 +163,4 @@ def remainder(robot: Robot, chain: SerialChain, forward: Callable[[FloatArray], 
     distance = np.linalg.norm(((found - wanted) @ point)[:, :3], axis=1)
     turned = np.linalg.norm(found[:, :3, :3] - wanted[:, :3, :3], axis=(1, 2)) / np.sqrt(8)  # sin(angle / 2)
     angle = float(np.max(2 * np.arcsin(np.minimum(turned, 1.0))))
-    return Remainder(float(np.sqrt(np.mean(distance**2))), float(np.max(distance)), angle, len(q), where)
+    return Remainder.of(distance, where, angle)

@@ -113,7 +113,7 @@ class Remainder:
 
     @classmethod
     def of(cls, distances: FloatArray, where: str, angle: float = np.nan) -> Remainder:
-        """Return what is left from the distances of targets, one row for each pose [m]."""
+        """Return what is left, from the distances of targets (n_poses, ...) [m]."""
         rms, largest = float(np.sqrt(np.mean(distances**2))), float(np.max(distances))
         return cls(rms, largest, angle, len(distances), where)
 

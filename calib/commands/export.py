@@ -64,6 +64,7 @@ def command(
     if failed := said_of_failure(output, result, out):
         lines = [*(lines or []), *failed]
     notes: list[str] = []
+    relative = _relative_meshes(model.urdf)  # before anything is written: it may refuse a broken shape
     gaps = export(model, file_format, out, free_slide=free_slide, meshes=meshes, provenance=lines, note=notes.append)
     output.say(f"{model.name}, {parameters or result or 'nominal values'}: written to {out}")
     for text in notes:
@@ -78,7 +79,6 @@ def command(
             output.note(
                 "note: --free-slide leaves nothing to absorb; without it, simulated links and motors are strained"
             )
-    relative = _relative_meshes(model.urdf)
     if relative and not meshes and file_format in ("urdf", "drake", "toolbox"):
         output.note(
             f"note: mesh paths such as '{relative}' start at the folder of the URDF; keep the file beside them, or give"

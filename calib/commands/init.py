@@ -13,8 +13,7 @@ from calib.errors import InputError
 from calib.files import check_file, write_file
 from calib.model.arm_chain import arm_chain
 from calib.model.denavit_hartenberg import CONVENTIONS, LAST_LINK, urdf_text
-from calib.model.plain_urdf import describe
-from calib.model.templates import description_text
+from calib.model.templates import describe, description_text
 from calib.model.urdf_text import UrdfText, parse_urdf, read_urdf
 
 

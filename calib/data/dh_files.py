@@ -16,7 +16,7 @@ from pathlib import Path
 from calib.data.tables import Table, check_plausible, format_table, read_number, read_table
 from calib.errors import DataError, InputError, nearest
 from calib.model.denavit_hartenberg import CONVENTIONS, KINDS, Convention, DhRow, DhTable, Kind
-from calib.units import DISPLAY_UNIT, PER_SI, Dimension, per_si, quantity, to_unit
+from calib.units import DISPLAY_UNIT, PER_SI, Dimension, per_si, quantity
 
 _NUMBERS: dict[str, Dimension] = {"theta": "angle", "d": "length", "a": "length", "alpha": "angle", "beta": "angle"}
 _NEEDED = ("theta", "d", "a", "alpha")
@@ -65,7 +65,7 @@ def format_dh(table: DhTable, comments: Sequence[str] = ()) -> str:
     ]
     for name, dimension in _NUMBERS.items():
         unit = DISPLAY_UNIT[dimension]
-        values = [to_unit(getattr(row, name), unit, dimension) for row in table.rows]
+        values = [getattr(row, name) * PER_SI[dimension][unit] for row in table.rows]
         columns.append((f"{name} [{unit}]", values))
     columns.append(("sign", [f"{row.sign:.0f}" for row in table.rows]))
     for name in ("lower", "upper"):

@@ -21,11 +21,10 @@ from calib.errors import InputError
 from calib.export.joint_zeros import joint_zeros
 from calib.export.serial_chain import Remainder, SerialChain, judging_poses, remainder, serial_chain
 from calib.export.toolbox import ExactDumper
-from calib.export.urdf import provenance_lines
-from calib.export.xml_text import comment, numbers
+from calib.export.urdf import comment, numbers, provenance_lines
 from calib.model.denavit_hartenberg import Convention, DhRow, Kind, dh_table
 from calib.model.robot import Robot
-from calib.units import DISPLAY_UNIT, millimetres, to_unit
+from calib.units import DISPLAY_UNIT, PER_SI, millimetres
 from calib.words import listed
 
 _UR_JOINTS = {
@@ -210,7 +209,7 @@ def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
     ]
     dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
     units = [DISPLAY_UNIT[dimension] for dimension in dimensions]
-    shown = [to_unit(float(v), unit, dim) for v, unit, dim in zip(found.offsets, units, dimensions, strict=True)]
+    shown = [float(v) * PER_SI[dim][unit] for v, unit, dim in zip(found.offsets, units, dimensions, strict=True)]
     columns: list[tuple[str, Sequence[object]]] = [
         ("joint", robot.joint_names),
         ("sign", [f"{sign:.0f}" for sign in found.signs]),

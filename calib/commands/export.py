@@ -7,7 +7,7 @@ from typing import cast
 
 import click
 
-from calib.commands.common import Output, loaded, said_of_failure, shared_options, with_values
+from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
 from calib.export import FORMATS, export
 from calib.export.links import read_links
 from calib.model.urdf_text import UrdfText
@@ -48,8 +48,9 @@ def command(
     out: str,
     output: Output,
 ) -> None:
-    """Write ROBOT (YAML description or URDF), nominal or calibrated, for other programs."""
+    """Write ROBOT (YAML description, URDF or result folder), nominal or calibrated, for other programs."""
     model = with_values(loaded(robot, output), parameters, result)
+    result = folder_of_values(robot, parameters, result)
     lines = _origin_of_values(parameters, result) if provenance else None
     if failed := said_of_failure(output, result, out):
         lines = [*(lines or []), *failed]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from calib.commands.common import Output, loaded, shared_options, sigma_in_metres, with_values
+from calib.commands.common import Output, folder_of_values, loaded, shared_options, sigma_in_metres, with_values
 from calib.commands.pose_files import different_poses, placed, read_pose_file
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
@@ -92,6 +92,7 @@ def command(
         check_folder(plots)
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
     model = with_values(loaded(robot, output), parameters, result)
+    result = folder_of_values(robot, parameters, result)
     poses = read_pose_file(candidates, model)
     done = None if measured is None else read_pose_file(measured, model)
     if parameters is None and result is None:

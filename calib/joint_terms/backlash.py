@@ -19,6 +19,7 @@ DEFAULT: dict[Dimension, float] = {"angle": 2e-4, "length": 5e-5}
 class Backlash(JointTerm):
     """dq = c times the direction of approach, +1 or -1; 0 where it is not known."""
 
+    cause = "backlash"
     joint: str
     parameters: tuple[Parameter, ...]
 

@@ -25,6 +25,7 @@ DEFAULT: dict[Dimension, float] = {"angle": 2e-5, "length": 1e-7}
 class Compliance(JointTerm):
     """dq = c times the torque of gravity that the joint holds."""
 
+    cause = "load (compliance)"
     needs_torque: ClassVar[bool] = True
     joint: str
     parameters: tuple[Parameter, ...]

@@ -47,6 +47,7 @@ class CurveSection(TermSection):
 class Curve(JointTerm):
     """A smooth curve over a turn, or over the stroke of a prismatic joint."""
 
+    cause = "joint curves"
     section = CurveSection
     joint: str
     parameters: tuple[Parameter, ...]

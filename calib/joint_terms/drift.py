@@ -20,6 +20,7 @@ DEFAULT: dict[Dimension, float] = {"angle": 1e-4, "length": 2e-5}
 class Drift(JointTerm):
     """dq = c times the hours since the first visit."""
 
+    cause = "drift"
     joint: str
     parameters: tuple[Parameter, ...]
 
@@ -38,6 +39,7 @@ class Drift(JointTerm):
 class Temperature(JointTerm):
     """dq = c times the kelvins above the mean."""
 
+    cause = "drift"
     joint: str
     parameters: tuple[Parameter, ...]
 

@@ -95,10 +95,12 @@ class JointTerm(ABC):
         joint: The joint.
         parameters: Its coefficients.
         needs_torque: Whether it asks for `Context.torque` (class attribute).
+        cause: Under which name an error budget counts it (class attribute).
     """
 
     section: ClassVar[type[TermSection]] = TermSection
     needs_torque: ClassVar[bool] = False
+    cause: ClassVar[str] = "gain and harmonics"
     joint: str
     parameters: tuple[Parameter, ...]
 

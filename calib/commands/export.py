@@ -8,7 +8,7 @@ from typing import cast
 import click
 
 from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
-from calib.export import FORMATS, export
+from calib.export import FORMATS, JOINT_TABLES, export
 from calib.export.links import read_links
 from calib.model.urdf_text import UrdfText
 from calib.reporting.results import read_result
@@ -25,9 +25,10 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
     "--format",
     "file_format",
     required=True,
-    type=click.Choice(FORMATS),
+    type=click.Choice((*FORMATS, JOINT_TABLES)),
     help="urdf: only edited origins change. mjcf: MuJoCo, Pinocchio, Drake; loops closed. drake: URDF with"
-    " ball constraints. toolbox: robot.yaml of toolbox-parallel-robots, and the URDF beside it.",
+    " ball constraints. toolbox: robot.yaml of toolbox-parallel-robots, and the URDF beside it. joint-tables: a folder"
+    " with what each joint really is when it is told a value, as CSV, Python and C.",
 )
 @click.option(
     "--free-slide",
@@ -35,8 +36,10 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
     help="mjcf, drake: add a free joint for each direction that a closure"
     " leaves free, so that a 3D constraint has nothing to absorb.",
 )
-@click.option("--provenance", is_flag=True, help="urdf, toolbox: say in a comment where the URDF's numbers come from.")
-@click.option("--out", required=True, metavar="FILE", help="File to write.")
+@click.option(
+    "--provenance", is_flag=True, help="urdf, toolbox, joint-tables: say in a comment where the numbers come from."
+)
+@click.option("--out", required=True, metavar="FILE", help="File to write; of joint-tables, the folder.")
 @shared_options(json_output=True)
 def command(
     robot: str,

@@ -9,13 +9,16 @@ from calib.errors import InputError, nearest
 from calib.export.closed_model import closed_model
 from calib.export.drake import drake_bytes
 from calib.export.gap import Gap, loop_gaps
+from calib.export.joint_tables import joint_table_files
 from calib.export.mjcf import mjcf
 from calib.export.toolbox import toolbox_yaml
 from calib.export.urdf import urdf_bytes
-from calib.files import check_file, write_file, write_folder
+from calib.files import check_file, check_folder, write_file, write_folder
 from calib.model.robot import Robot
 
 FORMATS = ("urdf", "mjcf", "drake", "toolbox")
+JOINT_TABLES = "joint-tables"
+"""The format that is a folder of files."""
 
 
 def export(
@@ -33,8 +36,9 @@ def export(
         robot: The robot.
         file_format: `urdf`: the URDF, only edited origins changed. `mjcf`: for MuJoCo, Pinocchio and Drake, loops
             closed. `drake`: URDF with Drake's ball constraints. `toolbox`: robot.yaml for toolbox-parallel-robots, with
-            the URDF beside it under the same name.
-        path: File to write.
+            the URDF beside it under the same name. `joint-tables`: a folder of tables of what joints really are when
+            told a value, with the code that applies them (see `calib.export.joint_tables`).
+        path: File to write, or folder of `joint-tables`.
         free_slide: Formats `mjcf` and `drake`: a free joint for each direction that a closure leaves free.
         provenance: Lines for the comment that says where the numbers come from; formats `urdf` and `toolbox` put no
             comment into the URDF if this is None.
@@ -48,10 +52,14 @@ def export(
             robot's own input, or loops that the format cannot express.
     """
     path = Path(path)
-    if file_format not in FORMATS:
-        raise InputError(f"format '{file_format}': unknown{nearest(file_format, FORMATS)}")
+    if file_format not in (*FORMATS, JOINT_TABLES):
+        raise InputError(f"format '{file_format}': unknown{nearest(file_format, (*FORMATS, JOINT_TABLES))}")
     if free_slide and file_format not in ("mjcf", "drake"):
         raise InputError(f"format '{file_format}' has no variant with free slides; only mjcf and drake have")
+    if file_format == JOINT_TABLES:
+        check_folder(path)
+        write_folder(path, joint_table_files(robot, provenance or (), note))
+        return ()
     files = _contents(robot, file_format, path, free_slide, provenance, note)
     for file in files:
         if file.resolve() in (Path(robot.urdf.path).resolve(), Path(robot.path).resolve()):

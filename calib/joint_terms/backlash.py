@@ -20,6 +20,7 @@ class Backlash(JointTerm):
     """dq = c times the direction of approach, +1 or -1; 0 where it is not known."""
 
     cause = "backlash"
+    depends_on = "the direction of approach"
     joint: str
     parameters: tuple[Parameter, ...]
 

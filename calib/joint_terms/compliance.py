@@ -26,6 +26,7 @@ class Compliance(JointTerm):
     """dq = c times the torque of gravity that the joint holds."""
 
     cause = "load (compliance)"
+    depends_on = "the load"
     needs_torque: ClassVar[bool] = True
     joint: str
     parameters: tuple[Parameter, ...]

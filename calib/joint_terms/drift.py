@@ -21,6 +21,7 @@ class Drift(JointTerm):
     """dq = c times the hours since the first visit."""
 
     cause = "drift"
+    depends_on = "time"
     joint: str
     parameters: tuple[Parameter, ...]
 
@@ -40,6 +41,7 @@ class Temperature(JointTerm):
     """dq = c times the kelvins above the mean."""
 
     cause = "drift"
+    depends_on = "temperature"
     joint: str
     parameters: tuple[Parameter, ...]
 

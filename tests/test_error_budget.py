@@ -180,6 +180,18 @@ def test_a_base_that_was_placed_before_explains_nothing_more(tmp_path):
     assert abs(found[PLACES].mean_square) < 0.02 * fit.budget.before
 
 
+def test_what_an_unknown_base_and_the_first_joint_share_does_not_move_the_split(tmp_path):
+    unknown = ARM_YAML.replace("{frame: ground}", "{frame: ground, pose: unknown}")
+    parts = []
+    for held in ("", "held: [turn.x, turn.y, turn.z, turn.rx, turn.ry, turn.rz]\n"):  # the base can be in their place
+        nominal = arm(tmp_path, "", unknown + held)
+        truth = nominal.with_parameters({"turn.z": 3e-3, "turn.ry": 2e-3, "slide.y": 1e-3, "wrist.rx": 2e-3})
+        fit = calib.fit(nominal, measured(truth, 100, 5), validation=measured(truth, 100, 6))
+        found = shares(fit.budget)
+        parts.append([found[GEOMETRY].mean_square, found[PLACES].mean_square, found[GEOMETRY].std])
+    np.testing.assert_allclose(parts[0], parts[1], rtol=0.05, atol=0.01 * fit.budget.before)
+
+
 def test_the_report_and_the_result_show_the_same_budget(mixed):
     fit, _ = mixed
     table = json.loads(json.dumps(to_dict(fit)))["error_budget"]

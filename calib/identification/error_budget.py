@@ -10,6 +10,11 @@ the mean of what cause k brings over all orders in which the causes can be added
 after another gives other numbers for every order, because causes such as a gain and a length explain partly the same).
 Three Gauss points integrate it. A part is negative where a cause makes these readings worse.
 
+The robot before has its unknown base and targets placed as well as possible. So what these can take up of the change
+J_k d_k of another cause, its projection on the columns of the places, is counted with them: a base that stands lower
+and a first joint that is higher are the same robot, and the split must not depend on which of both was found. Their own
+part is then near zero, because what they could explain is not in the error before.
+
 On readings that were not used (validation), s_k is what the calibration really removes, and e(1) what it leaves. On the
 readings that were used, noise was fitted too: with m rows, leverage h_k of the parameters of cause k (the sum over the
 rows of J_k (K J^T)_k, K the scaled covariance) and s^2 = |e(1)|^2 / (m - sum of h), every s_k is s^2 h_k too large in
@@ -19,11 +24,11 @@ What is left splits into noise and what nobody explains only if the noise is kno
 (which hold the robot's repeatability too), or as stated. Noise that was found from the residuals is all that is left.
 
 Standard deviations are of the choice of poses (from the sums of each pose, which repeats share) and, for causes, of
-their parameters: s_k = (J_k d_k)^T J d has the gradient J_k^T J d (of its own parameters) + J^T J_k d_k.
+their parameters: s_k = (J_k d_k)^T J d has the gradient J_k^T J d (of its own parameters) + J^T J_k d_k; with places,
+J_k projected.
 
-When it fails: with few poses the split of the rest is loose. A base and targets that were placed before have a part
-near zero, because what they could explain is not in the error before; parameters of a named parametrisation all count
-as geometry.
+When it fails: with few poses the split of the rest is loose. Parameters of a named parametrisation all count as
+geometry.
 """
 
 from __future__ import annotations
@@ -46,6 +51,7 @@ from calib.observation.kind import Part
 PLACES, GEOMETRY = "base, targets and instruments", "geometry (joint origins)"
 NOISE, UNEXPLAINED = "noise", "not explained"
 REST = "noise or not explained: cannot be told apart"
+_OPEN = 1e-9  # singular value over the largest, from which on a direction counts
 _ENOUGH_REPEATS = 10.0  # degrees of freedom that repeats need to count as known noise
 _AS_LARGE = 1.1  # left over noise (RMS) up to which the rest is as large as the noise
 _SURE = 0.5  # mean square not explained over that of noise, below which two standard deviations must end
@@ -138,8 +144,7 @@ def error_budget(
     path = _along(before, after, errors, unknowns, members, layout, counted)
     n, width, removed = len(path.before), int(np.sum(counted)), path.removed
     if rows is not None:
-        pulled = (rows.jacobian @ rows.known.root) @ rows.known.root.T * rows.jacobian
-        leverage = members @ np.sum(pulled[counted], axis=0)
+        leverage = _leverage(rows, unknowns, members, counted)
         left = float(np.sum(path.before) - np.sum(removed))
         removed = removed - left / max(width - float(np.sum(leverage)), 1.0) * leverage / n
     rest = path.before - np.sum(removed, axis=1)
@@ -189,21 +194,52 @@ def _along(
     """
     data, way = errors.data, after.values - before.values
     steps = (members * way[unknowns.index]).T
+    places = _cause_of_places(unknowns, members)
     removed, gradient = np.zeros((int(np.sum(counted)), len(members))), np.zeros(members.shape)
     for node, weight in zip(*np.polynomial.legendre.leggauss(3), strict=True):
         robot = before.with_parameters(before.values + (node + 1.0) / 2.0 * way)
         found = observe(robot, robot.assemble(data.joints, labels=data.labels, context=data.conditions), data.readings)
         residuals = _flat({name: one.residuals for name, one in found.items()}, layout)[counted]
         jacobian = _flat({name: one.jacobian[:, :, unknowns.index] for name, one in found.items()}, layout)[counted]
-        moved = jacobian @ steps
+        placing, moved = _span(jacobian[:, unknowns.placement]), jacobian @ steps
+        total = np.sum(moved, axis=1)
+        taken = placing @ (placing.T @ total)
+        moved -= placing @ (placing.T @ moved)
+        moved[:, places] += taken
+        own = members * (jacobian.T @ (total - taken))
+        own[places] += jacobian.T @ taken
         removed -= weight * residuals[:, None] * moved
-        gradient += weight / 2.0 * (members * (jacobian.T @ np.sum(moved, axis=1)) + (jacobian.T @ moved).T)
+        gradient += weight / 2.0 * (own + (jacobian.T @ moved).T)
     of_reading = layout.reading[counted]
     chosen, number = np.unique(of_reading, return_inverse=True)
     squares, sums = np.zeros(len(chosen)), np.zeros((len(chosen), len(members)))
     np.add.at(squares, number, _flat(errors.before, layout)[counted] ** 2)
     np.add.at(sums, number, removed)
     return _Path(squares, sums, gradient, layout.pose[chosen])
+
+
+def _leverage(rows: Rows, unknowns: Unknowns, members: BoolArray, counted: BoolArray) -> FloatArray:
+    """Return h_k of the module docstring, (n_causes,)."""
+    jacobian = rows.jacobian[counted]
+    pulled = (jacobian @ rows.known.root) @ rows.known.root.T
+    placing = _span(jacobian[:, unknowns.placement])
+    taken = placing.T @ jacobian
+    leverage: FloatArray = members @ np.sum((jacobian - placing @ taken) * pulled, axis=0)
+    leverage[_cause_of_places(unknowns, members)] += float(np.sum(taken * (placing.T @ pulled)))
+    return leverage
+
+
+def _cause_of_places(unknowns: Unknowns, members: BoolArray) -> int:
+    """Number of the cause that unknown places belong to; without any, of any cause: nothing is added to it."""
+    return int(np.argmax(members[:, int(np.argmax(unknowns.placement))]))
+
+
+def _span(columns: FloatArray) -> FloatArray:
+    """Return orthonormal directions of what columns (n, k) span, (n, rank)."""
+    length = np.linalg.norm(columns, axis=0)
+    u, s, _ = np.linalg.svd(columns / np.where(length > 0, length, 1.0), full_matrices=False)
+    result: FloatArray = u[:, s > _OPEN * np.max(s, initial=0.0)]
+    return result
 
 
 def _flat(arrays: Mapping[str, FloatArray], layout: Layout) -> FloatArray:

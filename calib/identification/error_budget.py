@@ -137,7 +137,7 @@ def error_budget(
         sigma: Noise of positions that replaces what is stated [m].
     """
     of_parameter = np.array(causes_of(after))[unknowns.index]
-    causes = list(dict.fromkeys(of_parameter))
+    causes = list(dict.fromkeys(of_parameter.tolist()))
     members = np.array([of_parameter == cause for cause in causes])
     layout = Whitening(after, errors.data, sigma).layout
     counted = np.array([group.part == errors.main_part.name for group in layout.groups] + [False])[layout.group]

@@ -44,7 +44,7 @@ class Determinant:
     def of(cls, problem: Problem, gathered: FloatArray) -> Determinant:
         """Return the scores of a choice with this K, (r, r)."""
         inverse = np.linalg.inv(gathered)
-        root = _products(problem.rows, np.linalg.cholesky(inverse))
+        root = _products(problem.rows, _root(inverse))
         return cls(problem, gathered, inverse, np.einsum("icn,kcn->ikn", root, root), 0)
 
     @cached_property
@@ -79,6 +79,15 @@ class Determinant:
     @cached_property
     def _sparing(self) -> Sparing:
         return Sparing.of(self.gathered)
+
+
+def _root(matrix: FloatArray) -> FloatArray:
+    """Return C with C C^T = matrix (r, r), which rounding may have made a little indefinite."""
+    try:
+        return np.asarray(np.linalg.cholesky(matrix))
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(matrix)
+        return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _products(rows: FloatArray, matrix: FloatArray) -> FloatArray:

@@ -283,13 +283,29 @@ def test_touches_are_written_as_they_are_read(tmp_path):
     assert len(first) == len(again) == 5
 
 
-def test_simulated_touches_go_into_no_file(tmp_path, run_calib):
+def test_simulated_touches_are_written_at_contact_and_found_again(tmp_path, run_calib):
     robot = arm_with(tmp_path, PLATE)
-    data = written(tmp_path, joints(3), ["p", "q", "r"])
-    options = ("--sigma-mm", "0", "--seed", "1", "--out", tmp_path / "out.csv")
+    there = "".join(f"probe_artefact.{axis},{1e3 * value},mm\n" for axis, value in zip("xyz", PLACED[1], strict=True))
+    (tmp_path / "truth.csv").write_text("parameter,value,unit\nj5.x,397,mm\nj4.rx,10,mrad\n" + there)
+    placed = dict(zip((f"probe_artefact.{axis}" for axis in "xyz"), PLACED[1], strict=True))
+    truth = robot.with_parameters({"j5.x": 0.397, "j4.rx": 0.01} | placed)
+    plate = truth.mechanism.placement("probe_artefact")
+    which = np.arange(60) % 3
+    points = np.array([plate.act(point) for point in np.array([[0, 0, 0], [0.09, 0, 0], [0, 0.2, 0.1]])[which]])
+    q, ok = brought(robot, joints(60, seed=4), points + np.random.default_rng(5).normal(0, 0.005, (60, 3)))
+    ok &= np.all(np.abs(q) < 2.9, axis=1)  # within the joint limits
+    data = written(tmp_path, q[ok], np.array(["p", "q", "r"])[which[ok]])
+    options = ("--parameters", tmp_path / "truth.csv", "--sigma-mm", "0", "--seed", "1", "--out", tmp_path / "out.csv")
     run = run_calib("simulate", robot.path, data, *options)
-    assert run.code == 2
-    assert "instrument 'probe' reads no numbers" in run.err
+    assert run.code == 0, run.err
+    assert f"Joint values of {np.sum(ok)} visits were changed so that the robot touches" in run.out
+    simulated = calib.read_measurements(tmp_path / "out.csv", robot)
+    np.testing.assert_allclose(truth.positions(simulated.joints)[:, 0], points[ok], atol=1e-9)
+    assert 0 < np.max(np.abs(simulated.joints - q[ok])) < 0.5
+    found = calib.fit(robot, simulated).robot
+    values = dict(zip([p.name for p in found.parameters], found.values, strict=True))
+    assert values["j5.x"] == pytest.approx(0.397, abs=1e-6)
+    assert values["j4.rx"] == pytest.approx(0.01, abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 import numpy as np
 
-from calib.commands.common import Output, loaded, shared_options, sigma_in_metres, with_values
+from calib.commands.common import SIGMA_HELP, Output, loaded, shared_options, sigma_in_metres, with_values
 from calib.commands.pose_files import placed, read_pose_file
 from calib.data.measurement_files import read_poses
 from calib.errors import InputError
@@ -24,9 +24,7 @@ from calib.reporting.assessment_text import text_report, to_dict
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Without DATA: seed of the sample."
 )
 @click.option("--task", metavar="FILE", help="Poses whose accuracy counts (CSV); those of DATA if not given.")
-@click.option(
-    "--sigma-mm", type=float, help="Standard deviation of one reading per axis [mm]; the description's if not given."
-)
+@click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}.")
 @click.option("--parameters", metavar="FILE", help="Parameter values (CSV parameter,value,unit); nominal if not given.")
 @click.option("--result", metavar="DIR", help="Use the calibrated values of this result folder.")
 @click.option("--plots", metavar="DIR", help="Folder for figures: singular values, correlations, accuracy.")

@@ -21,6 +21,11 @@ from calib.model.arm_chain import arm_chain
 from calib.model.robot import Robot, load
 from calib.reporting.results import forced_lines, load_calibrated
 
+SIGMA_HELP = (
+    "Standard deviation of one position reading per axis [mm]; the description's if not given. Of positions only: other"
+    " instruments state theirs in the description"
+)
+"""What --sigma-mm means, in every command that takes it."""
 _REMARKS = 5
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from calib.commands.common import Output, loaded, shared_options, sigma_in_metres, with_values
+from calib.commands.common import SIGMA_HELP, Output, loaded, shared_options, sigma_in_metres, with_values
 from calib.commands.pose_files import different_poses, placed, read_pose_file
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
@@ -55,9 +55,7 @@ from calib.reporting.selection_text import format_poses, text_report, to_dict
 @click.option(
     "--skip-unreachable", is_flag=True, help="List candidates that cannot be assembled, and go on without them."
 )
-@click.option(
-    "--sigma-mm", type=float, help="Standard deviation of one reading per axis [mm]; the description's if not given."
-)
+@click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}.")
 @click.option("--parameters", metavar="FILE", help="Parameter values (CSV parameter,value,unit); nominal if not given.")
 @click.option("--result", metavar="DIR", help="Use the calibrated values of this result folder.")
 @click.option("--plots", metavar="DIR", help="Folder for a figure of the index over the exchanges.")

@@ -221,6 +221,12 @@ def looks_at(robot: Robot, poses: Poses) -> dict[str, Readings]:
     return {one.name: _looks_of(robot, one, poses) for one in robot.instruments}
 
 
+def unsaid_touches(robot: Robot, poses: Poses) -> list[Instrument]:
+    """Return the instruments that touch, and of which poses do not say what."""
+    said = poses.wanted.keys() | (poses.readings.keys() if isinstance(poses, Measurements) else set())
+    return [one for one in robot.instruments if not one.columns() and one.name not in said]
+
+
 def _looks_of(robot: Robot, one: Instrument, poses: Poses) -> Readings:
     if one.name in poses.wanted:
         return poses.wanted[one.name]

@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike
 
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.data.arrays import as_poses, measurements
-from calib.data.measurements import Measurements, Poses, directions_of_motion, rank_in_visit
+from calib.data.measurements import Measurements, Poses, directions_of_motion
 from calib.errors import DataError, UnreachablePoseError
 from calib.joint_terms.term import Context
-from calib.linearisation.observed import looks_at, observe, predicted_readings
+from calib.linearisation.observed import looks_at, observe, predicted_readings, unsaid_touches
 from calib.linearisation.whitening import stated_noise
 from calib.model.robot import Configurations, Robot
 from calib.observation.kind import Instrument, Readings
@@ -107,17 +107,15 @@ def _touches(
     robot: Robot, where: Poses, looks: Mapping[str, Readings], sigma: float | None, rng: np.random.Generator
 ) -> dict[str, Readings]:
     """What is touched at which visit, and by how much each touch misses."""
+    unsaid = next(iter(unsaid_touches(robot, where)), None)
+    if unsaid is not None:
+        raise DataError(
+            f"{where.path}: nothing says what instrument '{unsaid.name}' touches at which pose; add a column"
+            f" '{unsaid.text_columns()[0]}' that names it, empty where nothing is touched"
+        )
     result = {}
-    for one in robot.instruments:
-        if one.columns():
-            continue
+    for one in (one for one in robot.instruments if not one.columns()):
         found = looks[one.name]
-        twice = np.flatnonzero(rank_in_visit(found.visits))
-        if len(twice):
-            raise DataError(
-                f"{where.labels[found.visits[twice[0]]]}: nobody says what '{one.name}' touches there; say it in a"
-                f" column '{one.text_columns()[0]}', empty where nothing is touched"
-            )
         exact = Readings(found.visits, found.pairs, np.zeros((len(found), one.n_rows)), None, found.details)
         result[one.name] = _noisy(one, exact, sigma, rng)
     return result

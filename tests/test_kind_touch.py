@@ -1,5 +1,7 @@
 """Touches: derivatives, a known truth found again, intervals that hold it, bad input, and two real robots."""
 
+import json
+
 import numpy as np
 import pytest
 from kind_checks import brought, chain_error, kind_error
@@ -13,6 +15,7 @@ import calib
 from calib.linearisation.observed import predicted_readings
 from calib.linearisation.registration import register
 from calib.observation.kind import Readings, View
+from calib.pose_choice.pose_sampling import sample_poses
 from medrue import robot_file
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
@@ -365,6 +368,46 @@ def test_an_instrument_called_like_a_joint_is_refused(tmp_path, run_calib):
     run = run_calib("check", tmp_path / "arm.yaml")
     assert run.code == 2
     assert "instruments.j3: its column 'j3' is that of a joint" in run.err
+
+
+LENGTHS = "  - {origin: all, components: [x, y, z], sigma: 2 mm}\n"
+ONE = "places: {hole: {frame: l0, xyz: [0.5, 0.2, 0.6], position: unknown}}"
+STANDING = BAR.replace("pose: unknown", "xyz: [0.5, 0.2, 0.6], pose: unknown")
+
+
+@pytest.mark.parametrize(("instrument", "seen"), [(ONE, False), (STANDING, True)], ids=["one socket", "bar"])
+def test_one_socket_does_not_see_the_scale_of_the_robot_and_a_bar_of_known_length_does(
+    tmp_path, run_calib, instrument, seen
+):
+    """All lengths grow alike, the ball and the socket with them: at contact, one socket stays touched."""
+    robot = arm_with(tmp_path, instrument, LENGTHS)
+    grown = robot.with_parameters(
+        {
+            p.name: 1.01 * value
+            for p, value in zip(robot.parameters, robot.values, strict=True)
+            if p.dimension == "length"
+        }
+    )
+    poses = sample_poses(robot, 60, np.random.default_rng(0))
+    gap = predicted_readings(grown, grown.assemble(poses.joints), poses.wanted)["probe"].values
+    assert np.max(np.abs(gap)) == (pytest.approx(0.0005, abs=1e-4) if seen else pytest.approx(0.0, abs=1e-9))
+    run = run_calib("check", tmp_path / "arm.yaml", "--json", tmp_path / "check.json")
+    assert run.code == 0, run.err
+    assert not run.err
+    open_groups = json.loads((tmp_path / "check.json").read_text())["undetermined"]
+    assert len(open_groups) == (9 if seen else 10)
+    assert any({"j3.z", "j4.x", "ball.z"} <= set(group) for group in open_groups) != seen
+
+
+def test_poses_that_do_not_say_what_they_touch_tell_more_than_touches_can_and_check_says_so(tmp_path, run_calib):
+    arm_with(tmp_path, ONE, LENGTHS)
+    data = written(tmp_path, joints(30), [""] * 30, ("probe", "remark"))
+    run = run_calib("check", tmp_path / "arm.yaml", data)
+    assert run.code == 0
+    assert "give poses at contact, with a column 'probe'" in run.err
+    refused = run_calib("simulate", tmp_path / "arm.yaml", data, "--sigma-mm", "0", "--seed", "1", "--out", data)
+    assert refused.code == 2
+    assert "nothing says what instrument 'probe' touches at which pose" in refused.err
 
 
 REAL = {

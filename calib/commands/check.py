@@ -8,9 +8,11 @@ import numpy as np
 from calib.commands.common import SIGMA_HELP, Output, loaded, shared_options, sigma_in_metres, with_values
 from calib.commands.pose_files import placed, read_pose_file
 from calib.data.measurement_files import read_poses
+from calib.data.measurements import Measurements
 from calib.errors import InputError
 from calib.figures import draw
 from calib.files import check_folder, write_folder
+from calib.linearisation.observed import unsaid_touches
 from calib.pose_choice.assessment import assess
 from calib.pose_choice.pose_sampling import sample_poses
 from calib.reporting.assessment_text import text_report, to_dict
@@ -61,6 +63,12 @@ def command(
         found, source = read_pose_file(data, model), data
         if parameters is None and result is None:
             model = placed(model, found)
+    for one in () if isinstance(found, Measurements) else unsaid_touches(model, found):
+        output.note(
+            f"note: these poses do not touch what '{one.name}' touches, or do not say what: they count as touching"
+            " everything wherever they are, which tells more than touches can (one socket says nothing of the robot's"
+            f" size); give poses at contact, with a column '{one.text_columns()[0]}'"
+        )
     wanted = None if task is None else read_poses(task, model)
     with output.working(f"checking {len(found)} poses"):
         assessment = assess(model, found, task=wanted, sigma=sigma)

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.data.arrays import as_poses, measurements
-from calib.data.measurements import Measurements, Poses, directions_of_motion
+from calib.data.measurements import Measurements, Poses, directions_of_motion, of_visits
 from calib.errors import DataError, UnreachablePoseError
 from calib.joint_terms.term import Context
 from calib.linearisation.observed import looks_at, observe, predicted_readings, unsaid_touches
@@ -29,8 +29,10 @@ from calib.observation.kind import Instrument, Readings
 from calib.units import millimetres
 
 _LONGEST_STEP = 0.2  # of a joint at once [rad, or characteristic lengths]
-_STEPS = 200
-_MET = 1e-10  # miss that is none [m]
+_ROUNDS, _STEPS = 3, 200
+_LEAST_GAIN, _NEARLY = 1e-3, 1e-6  # a step that gains less, further away [m], leads nowhere
+MET = 1e-10
+"""Miss that is none [m]."""
 _FIRST_DAMPING, _LARGEST_DAMPING, _SMALLEST_DAMPING = 1e-3, 1e12, 1e-15
 
 
@@ -68,7 +70,10 @@ def simulate(
     if joint_sigma:
         off = joint_sigma * robot.mechanism.joint_scale * rng.standard_normal(where.joints.shape)
     touches = _touches(robot, where, looks, sigma, rng)
-    commands = _at_contact(robot, where, off, touches) if touches else where.joints
+    commands = where.joints
+    if touches:
+        commands, misses = at_contact(robot, where, touches, off)
+        _require_contact(where, misses)
     configurations = _assembled(robot, where, commands, off)  # says which pose cannot be
     readings = dict[str, Readings]()
     for name, found in predicted_readings(robot, configurations, looks).items():
@@ -121,34 +126,60 @@ def _touches(
     return result
 
 
-def _at_contact(robot: Robot, where: Poses, off: FloatArray, touches: Mapping[str, Readings]) -> FloatArray:
-    """Commands near those given at which every gap is what `touches` say, (n, n_actuated); see the module docstring."""
-    lower, upper = _limits(robot, where)
-    scale, follows = robot.mechanism.joint_scale, _follows(where, touches)
-    commands, damping = where.joints, np.full(len(where), _FIRST_DAMPING)
-    for _ in range(_STEPS):
-        gaps, slopes = _gaps(robot, _assembled(robot, where, commands, off), touches)
-        miss = np.linalg.norm(gaps, axis=1)
-        if np.all(miss < _MET):
-            return commands
-        if np.all(damping[miss >= _MET] > _LARGEST_DAMPING):
+def at_contact(
+    robot: Robot, where: Poses, touches: Mapping[str, Readings], off: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Bring the robot to what it touches; see the module docstring.
+
+    Args:
+        robot: The robot.
+        where: Poses to start from; those that touch nothing stay, or go with a touch that repeats the same pose.
+        touches: What each instrument that touches is to touch, and by how much it shall miss.
+        off: What the joints are off, in their commands unseen, (n, n_actuated) [m or rad]; nothing if not given.
+
+    Returns:
+        Commands, (n, n_actuated) [m or rad]; how far each is from contact, (n,) [m]: less than `MET` where it is there.
+    """
+    errors = np.zeros_like(where.joints) if off is None else off
+    (lower, upper), follows = _limits(robot, where), _follows(where, touches)
+    scale, commands = robot.mechanism.joint_scale, where.joints
+    everyone = np.arange(len(where))
+    for _ in range(_ROUNDS):  # again where a move turned the direction from which the next visit is approached
+        gaps, slopes = _gaps(robot, where, commands, errors, touches, everyone)
+        miss, damping = np.linalg.norm(gaps, axis=1), np.full(len(where), _FIRST_DAMPING)
+        active = np.flatnonzero(miss >= MET)
+        if len(active) == 0:
             break
-        step = _damped_step(gaps, slopes * scale, damping, np.zeros(commands.shape, dtype=bool))
-        held = ((commands <= lower) & (step < 0)) | ((commands >= upper) & (step > 0))
-        step = _damped_step(gaps, slopes * scale, damping, held)
-        trial = np.clip(commands + step * scale, lower, upper)
-        context = Context.of(directions_of_motion(trial), where.context)
-        closes = robot.close(trial + off, columns=robot.term_columns(trial + off, context)).ok
-        trial = np.where(closes[:, None], trial, commands)
-        there, _ = _gaps(robot, _assembled(robot, where, trial, off), touches)
-        better = np.linalg.norm(there, axis=1) < miss
-        damping = np.where(better, np.maximum(damping / 10, _SMALLEST_DAMPING), damping * 8)
-        commands = np.where(better[:, None], trial, commands)[follows]
-    worst, more = int(np.argmax(miss)), int(np.sum(miss >= _MET)) - 1
-    raise UnreachablePoseError(
-        f"{where.labels[worst]}{f' and {more} more' if more else ''}: no joint values near these touch what they"
-        f" should; the best that were found miss by {millimetres(miss[worst]):.3g} mm; start nearer to contact"
-    )
+        for _ in range(_STEPS):
+            here = gaps[active], slopes[active] * scale, damping[active]
+            step = _damped_step(*here, np.zeros((len(active), len(scale)), dtype=bool))
+            at = commands[active]
+            held = ((at <= lower[active]) & (step < 0)) | ((at >= upper[active]) & (step > 0))
+            trial = commands.copy()
+            trial[active] = np.clip(at + _damped_step(*here, held) * scale, lower[active], upper[active])
+            there, slopes_there = _gaps(robot, where, trial, errors, touches, active)
+            left = np.linalg.norm(there, axis=1)
+            better = left < miss[active]
+            gained = active[better]
+            stuck = better & (left > _NEARLY) & (left > (1 - _LEAST_GAIN) * miss[active])
+            commands = np.where(np.isin(everyone, gained)[:, None], trial, commands)
+            gaps[gained], slopes[gained], miss[gained] = there[better], slopes_there[better], left[better]
+            damping[active] = np.where(better, np.maximum(damping[active] / 10, _SMALLEST_DAMPING), damping[active] * 8)
+            active = active[~stuck & (miss[active] >= MET) & (damping[active] < _LARGEST_DAMPING)]
+            if len(active) == 0:
+                break
+        commands = commands[follows]
+    return commands, np.linalg.norm(_gaps(robot, where, commands, errors, touches, everyone)[0], axis=1)
+
+
+def _require_contact(where: Poses, misses: FloatArray) -> None:
+    """Raise `UnreachablePoseError` where some pose misses (n,) [m] what it should touch."""
+    worst, more = int(np.argmax(misses)), int(np.sum(misses >= MET)) - 1
+    if misses[worst] >= MET:
+        raise UnreachablePoseError(
+            f"{where.labels[worst]}{f' and {more} more' if more else ''}: no joint values near these touch what they"
+            f" should; the best that were found miss by {millimetres(misses[worst]):.3g} mm; start nearer to contact"
+        )
 
 
 def _damped_step(gaps: FloatArray, slopes: FloatArray, damping: FloatArray, held: BoolArray) -> FloatArray:
@@ -180,18 +211,34 @@ def _follows(where: Poses, touches: Mapping[str, Readings]) -> IntArray:
 
 
 def _gaps(
-    robot: Robot, configurations: Configurations, touches: Mapping[str, Readings]
+    robot: Robot,
+    where: Poses,
+    commands: FloatArray,
+    off: FloatArray,
+    touches: Mapping[str, Readings],
+    index: IntArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Gaps beyond what is missed by, (n, n_gaps) [m], 0 where fewer, and their derivative by the actuated joints."""
-    observed = observe(robot, configurations, touches, joints=True)
-    n, n_joints = configurations.actuated.shape
+    """Gaps of some visits beyond what is missed by, and their derivative by the actuated joints.
+
+    Returns:
+        (n, n_gaps) [m], 0 where fewer, infinite where the robot cannot be assembled; (n, n_gaps, n_actuated).
+    """
+    context = Context.of(directions_of_motion(commands), where.context)
+    columns = tuple(part[index] for part in robot.term_columns(commands + off, context))
+    q = (commands + off)[index]
+    closed = robot.close(q, columns=columns)
+    ok = np.flatnonzero(closed.ok)
+    configurations = robot.configurations(q[ok], closed.at(ok), tuple(part[ok] for part in columns))
+    here = {name: of_visits(found, index[ok]) for name, found in touches.items()}
+    observed = observe(robot, configurations, here, joints=True)
     width = sum(robot.instrument(name).n_rows for name in touches)
-    gaps, slopes, start = np.zeros((n, width)), np.zeros((n, width, n_joints)), 0
-    for name, found in touches.items():
-        columns = slice(start, start + robot.instrument(name).n_rows)
-        gaps[found.visits, columns] = observed[name].residuals
-        slopes[found.visits, columns] = observed[name].by_joint
-        start = columns.stop
+    gaps, slopes, start = np.zeros((len(index), width)), np.zeros((len(index), width, q.shape[1])), 0
+    gaps[~closed.ok] = np.inf
+    for name, found in here.items():
+        rows = slice(start, start + robot.instrument(name).n_rows)
+        gaps[ok[found.visits], rows] = observed[name].residuals
+        slopes[ok[found.visits], rows] = observed[name].by_joint
+        start = rows.stop
     return gaps, slopes
 
 

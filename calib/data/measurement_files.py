@@ -200,6 +200,9 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
         robot: Whose joints they are.
         used: Columns that something is read from, beside joints and what is known of a visit.
         first: Visits before the first row.
+
+    Raises:
+        DataError: The message names file, line and column.
     """
     joints = np.stack([table.column(name, robot.mechanism.dimensions[name]) for name in robot.joint_names], axis=1)
     named = "pose" in table.names

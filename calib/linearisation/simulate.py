@@ -29,7 +29,7 @@ from calib.observation.kind import Instrument, Readings
 from calib.units import millimetres
 
 _LONGEST_STEP = 0.2  # of a joint at once [rad, or characteristic lengths]
-_ROUNDS, _STEPS = 3, 200
+_ROUNDS, _STEPS = 3, 100
 _LEAST_GAIN, _NEARLY = 1e-3, 1e-6  # a step that gains less, further away [m], leads nowhere
 MET = 1e-10
 """Miss that is none [m]."""
@@ -72,6 +72,7 @@ def simulate(
     touches = _touches(robot, where, looks, sigma, rng)
     commands = where.joints
     if touches:
+        _assembled(robot, where, commands, off)
         commands, misses = at_contact(robot, where, touches, off)
         _require_contact(where, misses)
     configurations = _assembled(robot, where, commands, off)  # says which pose cannot be
@@ -143,11 +144,11 @@ def at_contact(
     errors = np.zeros_like(where.joints) if off is None else off
     (lower, upper), follows = _limits(robot, where), _follows(where, touches)
     scale, commands = robot.mechanism.joint_scale, where.joints
-    everyone = np.arange(len(where))
+    everyone, given_up = np.arange(len(where)), np.zeros(len(where), dtype=bool)
     for _ in range(_ROUNDS):  # again where a move turned the direction from which the next visit is approached
         gaps, slopes = _gaps(robot, where, commands, errors, touches, everyone)
         miss, damping = np.linalg.norm(gaps, axis=1), np.full(len(where), _FIRST_DAMPING)
-        active = np.flatnonzero(miss >= MET)
+        active = np.flatnonzero((miss >= MET) & ~given_up)
         if len(active) == 0:
             break
         for _ in range(_STEPS):
@@ -168,6 +169,7 @@ def at_contact(
             active = active[~stuck & (miss[active] >= MET) & (damping[active] < _LARGEST_DAMPING)]
             if len(active) == 0:
                 break
+        given_up |= miss >= MET
         commands = commands[follows]
     return commands, np.linalg.norm(_gaps(robot, where, commands, errors, touches, everyone)[0], axis=1)
 

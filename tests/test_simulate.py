@@ -128,6 +128,34 @@ def test_joints_that_do_not_come_back_move_all_that_is_read_of_a_visit_alike(tmp
     assert np.sqrt(np.mean(off**2, axis=0)) == pytest.approx(expected, rel=0.07)
 
 
+WIRE = "  wire: {kind: distance, target: tip, end: {frame: world}}\n"
+
+
+@pytest.mark.parametrize(
+    ("more", "options", "words"),
+    [
+        ("", (), "states no noise (sigma) of 'unstated'; state it there, or give --sigma-mm"),
+        (WIRE, (), "of 'unstated', 'wire'; state it there, as --sigma-mm speaks of positions only"),
+        (WIRE, ("--sigma-mm", "0.1"), "of 'wire'; state it there, as --sigma-mm speaks of positions only"),
+        ("", ("--sigma-mm", "-1"), "--sigma-mm -1: must be a number, zero or positive"),
+    ],
+)
+def test_noise_that_nobody_states_is_asked_for_before_anything_is_written(tmp_path, run_calib, more, options, words):
+    write_arm(tmp_path, STATED + more.replace("world", small_arm(tmp_path).description.base.frame))
+    (tmp_path / "q.csv").write_text("turn,slide,wrist\n0.1,0.2,0.3\n")
+    run = run_calib("simulate", "arm.yaml", "q.csv", *options, "--seed", "1", "--out", "m.csv", cwd=tmp_path)
+    assert run.code == 2
+    assert words in run.err
+    assert len(run.err.strip().splitlines()) == 1
+    assert not (tmp_path / "m.csv").exists()
+    assert (
+        run_calib(
+            "simulate", "arm.yaml", "q.csv", "--sigma-mm", "0", "--seed", "1", "--out", "m.csv", cwd=tmp_path
+        ).code
+        == 0
+    )
+
+
 KINDS = {
     "positions": "  t: {kind: position, target: ball, sigma: {range: 0.01 mm, angle: 5 urad}}\n",
     "poses": "  t: {kind: pose, target: ball, rotation: rpy, sigma: 0.01 mm, sigma_angle: 0.02 mrad}\n",

@@ -69,9 +69,7 @@ def _require_noise(robot: Robot, sigma: float | None) -> None:
     if not unstated:
         return
     named = ", ".join(f"'{name}'" for name in unstated)
-    if sigma is None:
-        raise InputError(f"{robot.path}: states no noise (sigma) of {named}; state it there, or give --sigma-mm")
-    raise InputError(
-        f"{robot.path}: states no noise (sigma) of {named}, and --sigma-mm speaks of positions only; state it there, or"
-        " give --sigma-mm 0 for no noise of anything"
-    )
+    remedy = "state it there, or give --sigma-mm"
+    if unstated_noise(robot, 1.0):
+        remedy = "state it there, as --sigma-mm speaks of positions only, or give --sigma-mm 0 for no noise of anything"
+    raise InputError(f"{robot.path}: states no noise (sigma) of {named}; {remedy}")

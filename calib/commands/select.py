@@ -4,8 +4,17 @@ from __future__ import annotations
 
 import click
 
-from calib.commands.common import SIGMA_HELP, Output, loaded, shared_options, sigma_in_metres, with_values
-from calib.commands.pose_files import different_poses, placed, read_pose_file
+from calib.commands.common import (
+    SIGMA_HELP,
+    Output,
+    different_poses,
+    loaded,
+    placed,
+    read_pose_file,
+    shared_options,
+    sigma_in_metres,
+    with_values,
+)
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
 from calib.data.plan_files import read_plan

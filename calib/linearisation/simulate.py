@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.arrays import BoolArray, FloatArray, IntArray
-from calib.data.arrays import as_poses, measurements
+from calib.data.in_memory import as_poses, measurements
 from calib.data.measurements import Measurements, Poses, directions_of_motion, of_visits
 from calib.errors import DataError, UnreachablePoseError
 from calib.joint_terms.term import Context

@@ -260,3 +260,13 @@ def test_a_target_at_the_fixed_point_is_an_error(arm):
     data = calib.as_measurements(there, q, read(arm, q))
     with pytest.raises(calib.CalibrationError, match="instrument 'beam': its target 'ball' is where its distance"):
         calib.linearisation.observed.observe(there, there.assemble(q), data.readings)
+
+
+def test_a_ballbar_does_not_see_where_the_base_stands_and_check_says_so(tmp_path, run_calib):
+    yaml = YAML.replace("base: {frame: l0}", "base: {frame: l0, pose: unknown}")
+    run = run_calib("check", write_six_axis(tmp_path, yaml))
+    assert run.code == 0, run.err
+    open_lines = run.out.split("Hold one of each of these")[1].split("These move together")[0].splitlines()[1:]
+    assert [line.strip() for line in open_lines if line] == [
+        f"base.{axis} has no effect" for axis in ("x", "y", "z", "rx", "ry", "rz")
+    ]

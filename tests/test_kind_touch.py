@@ -1,5 +1,7 @@
 """Touches: derivatives, a known truth found again, intervals that hold it, bad input, and two real robots."""
 
+import json
+
 import numpy as np
 import pytest
 from kind_checks import brought, chain_error, kind_error
@@ -13,6 +15,7 @@ import calib
 from calib.linearisation.observed import predicted_readings
 from calib.linearisation.registration import register
 from calib.observation.kind import Readings, View
+from calib.pose_choice.pose_sampling import sample_poses
 from medrue import robot_file
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
@@ -283,13 +286,29 @@ def test_touches_are_written_as_they_are_read(tmp_path):
     assert len(first) == len(again) == 5
 
 
-def test_simulated_touches_go_into_no_file(tmp_path, run_calib):
+def test_simulated_touches_are_written_at_contact_and_found_again(tmp_path, run_calib):
     robot = arm_with(tmp_path, PLATE)
-    data = written(tmp_path, joints(3), ["p", "q", "r"])
-    options = ("--sigma-mm", "0", "--seed", "1", "--out", tmp_path / "out.csv")
+    there = "".join(f"probe_artefact.{axis},{1e3 * value},mm\n" for axis, value in zip("xyz", PLACED[1], strict=True))
+    (tmp_path / "truth.csv").write_text("parameter,value,unit\nj5.x,397,mm\nj4.rx,10,mrad\n" + there)
+    placed = dict(zip((f"probe_artefact.{axis}" for axis in "xyz"), PLACED[1], strict=True))
+    truth = robot.with_parameters({"j5.x": 0.397, "j4.rx": 0.01} | placed)
+    plate = truth.mechanism.placement("probe_artefact")
+    which = np.arange(60) % 3
+    points = np.array([plate.act(point) for point in np.array([[0, 0, 0], [0.09, 0, 0], [0, 0.2, 0.1]])[which]])
+    q, ok = brought(robot, joints(60, seed=4), points + np.random.default_rng(5).normal(0, 0.005, (60, 3)))
+    ok &= np.all(np.abs(q) < 2.9, axis=1)  # within the joint limits
+    data = written(tmp_path, q[ok], np.array(["p", "q", "r"])[which[ok]])
+    options = ("--parameters", tmp_path / "truth.csv", "--sigma-mm", "0", "--seed", "1", "--out", tmp_path / "out.csv")
     run = run_calib("simulate", robot.path, data, *options)
-    assert run.code == 2
-    assert "instrument 'probe' reads no numbers" in run.err
+    assert run.code == 0, run.err
+    assert f"Joint values of {np.sum(ok)} visits were changed so that the robot touches" in run.out
+    simulated = calib.read_measurements(tmp_path / "out.csv", robot)
+    np.testing.assert_allclose(truth.positions(simulated.joints)[:, 0], points[ok], atol=1e-9)
+    assert 0 < np.max(np.abs(simulated.joints - q[ok])) < 0.5
+    found = calib.fit(robot, simulated).robot
+    values = dict(zip([p.name for p in found.parameters], found.values, strict=True))
+    assert values["j5.x"] == pytest.approx(0.397, abs=1e-6)
+    assert values["j4.rx"] == pytest.approx(0.01, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -349,6 +368,46 @@ def test_an_instrument_called_like_a_joint_is_refused(tmp_path, run_calib):
     run = run_calib("check", tmp_path / "arm.yaml")
     assert run.code == 2
     assert "instruments.j3: its column 'j3' is that of a joint" in run.err
+
+
+LENGTHS = "  - {origin: all, components: [x, y, z], sigma: 2 mm}\n"
+ONE = "places: {hole: {frame: l0, xyz: [0.5, 0.2, 0.6], position: unknown}}"
+STANDING = BAR.replace("pose: unknown", "xyz: [0.5, 0.2, 0.6], pose: unknown")
+
+
+@pytest.mark.parametrize(("instrument", "seen"), [(ONE, False), (STANDING, True)], ids=["one socket", "bar"])
+def test_one_socket_does_not_see_the_scale_of_the_robot_and_a_bar_of_known_length_does(
+    tmp_path, run_calib, instrument, seen
+):
+    """All lengths grow alike, the ball and the socket with them: at contact, one socket stays touched."""
+    robot = arm_with(tmp_path, instrument, LENGTHS)
+    grown = robot.with_parameters(
+        {
+            p.name: 1.01 * value
+            for p, value in zip(robot.parameters, robot.values, strict=True)
+            if p.dimension == "length"
+        }
+    )
+    poses = sample_poses(robot, 60, np.random.default_rng(0))
+    gap = predicted_readings(grown, grown.assemble(poses.joints), poses.wanted)["probe"].values
+    assert np.max(np.abs(gap)) == (pytest.approx(0.0005, abs=1e-4) if seen else pytest.approx(0.0, abs=1e-9))
+    run = run_calib("check", tmp_path / "arm.yaml", "--json", tmp_path / "check.json")
+    assert run.code == 0, run.err
+    assert not run.err
+    open_groups = json.loads((tmp_path / "check.json").read_text())["undetermined"]
+    assert len(open_groups) == (9 if seen else 10)
+    assert any({"j3.z", "j4.x", "ball.z"} <= set(group) for group in open_groups) != seen
+
+
+def test_poses_that_do_not_say_what_they_touch_tell_more_than_touches_can_and_check_says_so(tmp_path, run_calib):
+    arm_with(tmp_path, ONE, LENGTHS)
+    data = written(tmp_path, joints(30), [""] * 30, ("probe", "remark"))
+    run = run_calib("check", tmp_path / "arm.yaml", data)
+    assert run.code == 0
+    assert "give poses at contact, with a column 'probe'" in run.err
+    refused = run_calib("simulate", tmp_path / "arm.yaml", data, "--sigma-mm", "0", "--seed", "1", "--out", data)
+    assert refused.code == 2
+    assert "nothing says what instrument 'probe' touches at which pose" in refused.err
 
 
 REAL = {

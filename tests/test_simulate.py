@@ -2,7 +2,10 @@
 
 import numpy as np
 import pytest
+from kind_checks import brought
+from six_axis_arm import joints, write_six_axis
 from small_robots import ARM_YAML, small_arm, write_arm
+from test_kind_pixel import FREE, INTRINSICS, POINTS
 
 import calib
 from calib.data.tables import read_table
@@ -123,3 +126,113 @@ def test_joints_that_do_not_come_back_move_all_that_is_read_of_a_visit_alike(tmp
     slopes = joint_jacobian(robot, robot.assemble(poses.joints))[:, 0] * robot.mechanism.joint_scale
     expected = 1e-4 * np.sqrt(np.mean(np.sum(slopes**2, axis=2), axis=0))
     assert np.sqrt(np.mean(off**2, axis=0)) == pytest.approx(expected, rel=0.07)
+
+
+WIRE = "  wire: {kind: distance, target: tip, end: {frame: world}}\n"
+
+
+@pytest.mark.parametrize(
+    ("more", "options", "words"),
+    [
+        ("", (), "states no noise (sigma) of 'unstated'; state it there, or give --sigma-mm"),
+        (WIRE, (), "of 'unstated', 'wire'; state it there, as --sigma-mm speaks of positions only"),
+        (WIRE, ("--sigma-mm", "0.1"), "of 'wire'; state it there, as --sigma-mm speaks of positions only"),
+        ("", ("--sigma-mm", "-1"), "--sigma-mm -1: must be a number, zero or positive"),
+    ],
+)
+def test_noise_that_nobody_states_is_asked_for_before_anything_is_written(tmp_path, run_calib, more, options, words):
+    write_arm(tmp_path, STATED + more.replace("world", small_arm(tmp_path).description.base.frame))
+    (tmp_path / "q.csv").write_text("turn,slide,wrist\n0.1,0.2,0.3\n")
+    run = run_calib("simulate", "arm.yaml", "q.csv", *options, "--seed", "1", "--out", "m.csv", cwd=tmp_path)
+    assert run.code == 2
+    assert words in run.err
+    assert len(run.err.strip().splitlines()) == 1
+    assert not (tmp_path / "m.csv").exists()
+    assert (
+        run_calib(
+            "simulate", "arm.yaml", "q.csv", "--sigma-mm", "0", "--seed", "1", "--out", "m.csv", cwd=tmp_path
+        ).code
+        == 0
+    )
+
+
+KINDS = {
+    "positions": "  t: {kind: position, target: ball, sigma: {range: 0.01 mm, angle: 5 urad}}\n",
+    "poses": "  t: {kind: pose, target: ball, rotation: rpy, sigma: 0.01 mm, sigma_angle: 0.02 mrad}\n",
+    "orientations": "  t: {kind: position, target: ball, sigma: 0.01 mm}\n"
+    "  o: {kind: orientation, target: ball, sigma: 0.01 deg}\n",
+    "tilts": "  t: {kind: position, target: ball, sigma: 0.01 mm}\n"
+    "  o: {kind: orientation, axes: gravity, target: ball, sigma: 0.01 deg}\n",
+    "distances": "".join(
+        f"  d{k}: {{kind: distance, target: ball, end: {{frame: l0, xyz: {xyz}, position: unknown}}, offset: unknown,"
+        " sigma: 0.01 mm}\n"
+        for k, xyz in enumerate(("[1, 0, 0]", "[0, 1, 0]", "[1, 1, 1]"))
+    ),
+    "joint readings": "  t: {kind: position, target: ball, sigma: 0.01 mm}\n"
+    "  e: {kind: joint_reading, joint: j4, zero: unknown, sigma: 0.001 deg}\n",
+    "pixels": "".join(
+        f"  {name}: {{kind: pixel, target: ball, camera: {{frame: l0, xyz: {xyz}, rpy: {rpy}}}, columns: pixel, sigma:"
+        f" 0.1, intrinsics: {INTRINSICS}, points: {POINTS}}}\n"
+        for name, xyz, rpy in (("left", "[0.5, 0, 4]", "[3.14, 0, 0]"), ("right", "[4.5, 0, 0.7]", "[-1.57, 0, 1.57]"))
+    ),
+    "planes": "  probe: {kind: touch, surface: plane, radius: 3 mm, target: ball, sigma: 0.01 mm, places: {"
+    "a: {frame: l0, xyz: [0.6, 0.1, 0.3], position: unknown, orientation: unknown},"
+    " b: {frame: l0, xyz: [0.4, -0.1, 0.6], rpy: [0.1, 1.1, 0.2], position: unknown, orientation: unknown}}}\n",
+    "sockets": "  probe: {kind: touch, target: ball, sigma: 0.01 mm, artefact: {frame: l0, xyz: [0.5, 0.2, 0.6],"
+    " rpy: [0.3, -0.4, 2], pose: unknown, points: {a: [0, 0, 0], b: [90 mm, 0, 0], c: [0, 200 mm, 100 mm]}}}\n",
+}
+SETUPS = {
+    "positions": "setups: {first: [], tracker moved: [base], remounted: [ball]}\n",
+    "sockets": "setups: {first: [], turned: [probe_artefact]}\n",
+}
+LATER = {
+    "positions": {"base.x": 1500.0, "base@tracker moved.x": -1100.0, "ball@remounted.z": 90.0},
+    "sockets": {"probe_artefact@turned.z": 40.0},
+}
+"""True values beside `TRUTH` [mm]."""
+
+
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_every_kind_goes_through_a_file_and_the_truth_is_found_again(tmp_path, run_calib, kind):
+    """With setups where there are any; touches start from joint values that do not touch."""
+    pose = ", pose: unknown" if kind == "positions" else ""
+    turned = ", orientation: unknown" if kind in ("poses", "orientations", "tilts", "pixels") else ""
+    target = f"{{frame: l6, xyz: [50 mm, 20 mm, 100 mm], position: unknown{turned}}}"
+    yaml = (
+        f"urdf: arm.urdf\nname_mot: [j1, j2, j3, j4, j5, j6]\npriors: false\nbase: {{frame: l0{pose}}}\n"
+        f"targets: {{ball: {target}}}\ninstruments:\n{KINDS[kind]}{SETUPS.get(kind, '')}parametrisation:\n{FREE}"
+    )
+    robot = calib.load(write_six_axis(tmp_path, yaml))
+    millimetres = LATER.get(kind, {}) | {"j3.z": 602.0, "j5.x": 397.0}
+    lines = ["parameter,value,unit", *(f"{name},{value},mm" for name, value in millimetres.items()), "j4.rx,10,mrad"]
+    (tmp_path / "truth.csv").write_text("\n".join(lines) + "\n")
+    (tmp_path / "q.csv").write_text(plan_of(robot, 60))
+    options = ("--parameters", tmp_path / "truth.csv", "--seed", 2, "--out", tmp_path / "m.csv")
+    run = run_calib("simulate", robot.path, tmp_path / "q.csv", *options)
+    assert run.code == 0, run.err
+    assert "noise as the description states it, seed 2" in read_table(tmp_path / "m.csv").comments[1]
+    fit = calib.fit(robot, calib.read_measurements(tmp_path / "m.csv", robot))
+    truth = {name: value * 1e-3 for name, value in millimetres.items()} | {"j4.rx": 0.01, "j2.ry": 0.0}
+    found = dict(zip(fit.free_names, fit.robot.values[fit.unknowns.index], strict=True))
+    width = dict(zip(fit.free_names, fit.statistics.half_width, strict=True))
+    for name, value in truth.items():
+        assert abs(found[name] - value) < 2 * width[name], name
+    for noise in fit.noise:
+        assert noise.sigma == pytest.approx(noise.stated, rel=0.35)
+
+
+def plan_of(robot, n):
+    """Joint values, in which setup, and what is touched, in turn; starts that are near the sockets, or anywhere."""
+    q, touches = joints(n, 1), [one for one in robot.instruments if not one.columns()]
+    if any(one.surface == "socket" for one in touches):
+        place = robot.mechanism.placement("probe_artefact")
+        points = np.array([place.act(np.array(point)) for point in touches[0].points_of_artefact])
+        q, ok = brought(robot, joints(2 * n, 1), points[np.arange(2 * n) % 3])
+        q = q[ok & np.all(np.abs(q) < 2.5, axis=1)][:n] + np.random.default_rng(3).normal(0, 0.05, (n, 6))
+    setups = list(robot.description.setups)
+    header = [f"{name} [rad]" for name in robot.joint_names] + [one.name for one in touches]
+    rows = [",".join(header + (["setup"] if setups else []))]
+    for k, row in enumerate(q):
+        cells = [*map(repr, row.tolist()), *(one.touched[k % len(one.touched)] for one in touches)]
+        rows.append(",".join(cells + ([setups[k * len(setups) // n]] if setups else [])))
+    return "\n".join(rows) + "\n"

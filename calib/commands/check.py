@@ -6,6 +6,7 @@ import click
 import numpy as np
 
 from calib.commands.common import (
+    SIGMA_HELP,
     Output,
     folder_of_values,
     loaded,
@@ -16,9 +17,11 @@ from calib.commands.common import (
     with_values,
 )
 from calib.data.measurement_files import read_poses
+from calib.data.measurements import Measurements
 from calib.errors import InputError
 from calib.figures import draw
 from calib.files import check_folder, write_folder
+from calib.linearisation.observed import unsaid_touches
 from calib.pose_choice.assessment import assess
 from calib.pose_choice.pose_sampling import sample_poses
 from calib.reporting.assessment_text import text_report, to_dict
@@ -32,9 +35,7 @@ from calib.reporting.assessment_text import text_report, to_dict
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Without DATA: seed of the sample."
 )
 @click.option("--task", metavar="FILE", help="Poses whose accuracy counts (CSV); those of DATA if not given.")
-@click.option(
-    "--sigma-mm", type=float, help="Standard deviation of one reading per axis [mm]; the description's if not given."
-)
+@click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}.")
 @click.option("--parameters", metavar="FILE", help="Parameter values (CSV parameter,value,unit); nominal if not given.")
 @click.option("--result", metavar="DIR", help="Use the calibrated values of this result folder.")
 @click.option("--plots", metavar="DIR", help="Folder for figures: singular values, correlations, accuracy.")
@@ -72,6 +73,12 @@ def command(
         found, source = read_pose_file(data, model), data
         if parameters is None and result is None:
             model = placed(model, found)
+    for one in () if isinstance(found, Measurements) else unsaid_touches(model, found):
+        output.note(
+            f"note: these poses do not touch what '{one.name}' touches, or do not say what: they count as touching"
+            " everything wherever they are, which tells more than touches can (one socket says nothing of the robot's"
+            f" size); give poses at contact, with a column '{one.text_columns()[0]}'"
+        )
     wanted = None if task is None else read_poses(task, model)
     with output.working(f"checking {len(found)} poses"):
         assessment = assess(model, found, task=wanted, sigma=sigma)

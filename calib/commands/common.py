@@ -16,17 +16,25 @@ import click
 import numpy as np
 from rich.console import Console
 
-from calib.data.measurement_files import read_measurements, read_poses
-from calib.data.measurements import Measurements, Poses
+from calib.arrays import BoolArray, IntArray
+from calib.data.measurement_files import read_measurements
+from calib.data.measurements import Measurements, Poses, check_repeats
 from calib.data.parameter_files import read_parameters
+from calib.data.plan_files import INSTRUMENT, read_plan
 from calib.data.tables import Table, read_table
 from calib.errors import CalibrationError, DataError, InputError
 from calib.files import check_file, write_file
 from calib.linearisation.registration import register
 from calib.model.arm_chain import arm_chain
 from calib.model.robot import Robot
+from calib.observation.kind import Readings
 from calib.reporting.results import forced_lines, load, load_calibrated
 
+SIGMA_HELP = (
+    "Standard deviation of one position reading per axis [mm]; the description's if not given. Of positions only: other"
+    " instruments state theirs in the description"
+)
+"""What --sigma-mm means, in every command that takes it."""
 _REMARKS = 5
 
 
@@ -229,7 +237,10 @@ def read_pose_file(path: str, robot: Robot) -> Poses:
     table = read_table(path, robot.description.columns)
     if _measured(table, robot):
         return read_measurements(path, robot)
-    poses = read_poses(path, robot)
+    poses = read_plan(path, robot)
+    if robot.description.instruments and INSTRUMENT in table.names:  # a row for each instrument, if need be
+        check_repeats(poses, robot)
+        return poses
     seen: set[str] = set()
     for label, name in zip(poses.labels, poses.names, strict=True):
         if name in seen:
@@ -249,10 +260,30 @@ def _measured(table: Table, robot: Robot) -> bool:
 
 
 def different_poses(poses: Poses) -> Poses:
-    """Return each pose once, as it was visited first."""
-    first = np.unique(poses.pose_numbers, return_index=True)[1]
+    """Return each pose once, as it was visited first, with all that is to be read there in that setup."""
+    numbers = poses.pose_numbers
+    first = np.unique(numbers, return_index=True)[1]
+    setups = np.zeros(len(poses), dtype=np.intp) if poses.setups is None else poses.setups
+    same_setup = setups == setups[first][numbers]
     labels, names = (tuple(words[k] for k in first) for words in (poses.labels, poses.names))
-    return Poses(poses.joints[first], labels, names, poses.path, poses.ignored, comments=poses.comments)
+    return Poses(
+        poses.joints[first],
+        labels,
+        names,
+        poses.path,
+        poses.ignored,
+        comments=poses.comments,
+        setups=None if poses.setups is None else poses.setups[first],
+        wanted={name: _once(found, numbers, same_setup) for name, found in poses.wanted.items()},
+    )
+
+
+def _once(found: Readings, numbers: IntArray, counts: BoolArray) -> Readings:
+    """What is to be read at poses, of whose visits (n,) these are the numbers, once each; of visits that count."""
+    said = np.column_stack([numbers[found.visits], found.pairs, found.details, counts[found.visits]])
+    kept = np.sort(np.unique(said, axis=0, return_index=True)[1])
+    kept = kept[counts[found.visits[kept]]]
+    return Readings(numbers[found.visits[kept]], found.pairs[kept], found.values[kept], None, found.details[kept])
 
 
 def placed(robot: Robot, *files: Poses | None) -> Robot:

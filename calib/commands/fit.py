@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from calib.commands.common import Output, loaded, shared_options, sigma_in_metres
+from calib.commands.common import SIGMA_HELP, Output, loaded, shared_options, sigma_in_metres
 from calib.data.measurement_files import read_measurements
 from calib.data.measurements import Measurements
 from calib.errors import ComputationError, InputError
@@ -32,8 +32,7 @@ from calib.words import counted
 @click.option(
     "--sigma-mm",
     type=float,
-    help="Standard deviation of one reading per axis [mm]; if neither this nor the"
-    " description states it, it is found from the residuals.",
+    help=f"{SIGMA_HELP}. Where nobody states it, it is found from the residuals.",
 )
 @click.option(
     "--loss",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from calib.commands.common import (
+    SIGMA_HELP,
     Output,
     different_poses,
     folder_of_values,
@@ -17,10 +18,12 @@ from calib.commands.common import (
 )
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
+from calib.data.plan_files import read_plan
 from calib.data.tables import read_table
 from calib.errors import InputError, nearest
 from calib.figures import draw
 from calib.files import check_file, check_folder, write_file, write_folder
+from calib.pose_choice.instrument_choice import ALL, EACH
 from calib.pose_choice.selection import select
 from calib.pose_choice.selection_scores import CHOICES
 from calib.reporting.selection_text import format_poses, text_report, to_dict
@@ -29,7 +32,20 @@ from calib.reporting.selection_text import format_poses, text_report, to_dict
 @click.command("select")
 @click.argument("robot")
 @click.argument("candidates")
-@click.option("--count", type=int, default=84, show_default=True, help="How many poses to choose.")
+@click.option(
+    "--count",
+    default="84",
+    show_default=True,
+    help="How many poses to choose; or how many with each instrument, such as tracker=12,sockets=18.",
+)
+@click.option(
+    "--instruments",
+    metavar="all|each|LIST",
+    default=ALL,
+    show_default=True,
+    help="What reads at a chosen pose: all instruments; each: one of them, chosen too; or of a list, such as"
+    " tracker,sockets+ballbar (those joined by + read together).",
+)
 @click.option(
     "--index",
     type=click.Choice(CHOICES, case_sensitive=False),
@@ -64,9 +80,7 @@ from calib.reporting.selection_text import format_poses, text_report, to_dict
 @click.option(
     "--skip-unreachable", is_flag=True, help="List candidates that cannot be assembled, and go on without them."
 )
-@click.option(
-    "--sigma-mm", type=float, help="Standard deviation of one reading per axis [mm]; the description's if not given."
-)
+@click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}.")
 @click.option("--parameters", metavar="FILE", help="Parameter values (CSV parameter,value,unit); nominal if not given.")
 @click.option("--result", metavar="DIR", help="Use the calibrated values of this result folder.")
 @click.option("--plots", metavar="DIR", help="Folder for a figure of the index over the exchanges.")
@@ -77,7 +91,8 @@ from calib.reporting.selection_text import format_poses, text_report, to_dict
 def command(
     robot: str,
     candidates: str,
-    count: int,
+    count: str,
+    instruments: str,
     index: str,
     measured: str | None,
     task: str | None,
@@ -95,8 +110,13 @@ def command(
     out: str,
     output: Output,
 ) -> None:
-    """Choose the poses from CANDIDATES (CSV) whose measurement determines the parameters of ROBOT best."""
+    """Choose the poses from CANDIDATES (CSV) whose measurement determines the parameters of ROBOT best.
+
+    With several instruments, also which of them reads at which pose: the file that is written says so in a column
+    `instrument`. Something can be touched only at candidates whose column of that instrument says what.
+    """
     check_file(out)
+    wanted = _counts(count)
     if plots is not None:
         check_folder(plots)
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
@@ -106,13 +126,14 @@ def command(
     done = None if measured is None else read_pose_file(measured, model)
     if parameters is None and result is None:
         model = placed(model, done, poses)
-    poses = different_poses(poses)
-    with output.working(f"choosing {count} of {len(poses)} poses"):
+    poses = different_poses(read_plan(candidates, model))
+    with output.working(f"choosing from {len(poses)} poses"):
         selection = select(
             model,
             poses,
-            count,
+            wanted,
             index,
+            instruments=instruments if instruments in (ALL, EACH) else instruments.split(","),
             measured=done,
             task=None if task is None else read_poses(task, model),
             exclude=() if exclude is None else _excluded(exclude, poses),
@@ -131,6 +152,19 @@ def command(
     output.say(text_report(selection, poses))
     output.say(f"Written to {out}" + (f", figure to {plots}" if plots is not None else ""))
     output.json({"robot": model.path} | to_dict(selection, poses))
+
+
+def _counts(text: str) -> int | dict[str, int]:
+    """The number of poses, or that of each instrument."""
+    parts = [part.strip().rpartition("=") for part in text.split(",")]
+    if not all(number.strip().lstrip("-").isdecimal() and bool(name) == bool(sign) for name, sign, number in parts):
+        raise InputError(f"--count {text}: must be a number, or one for each instrument, such as tracker=12,sockets=18")
+    if not parts[0][0] and len(parts) == 1:
+        return int(parts[0][2])
+    counts = {name.strip(): int(number) for name, _, number in parts}
+    if "" in counts or len(counts) < len(parts):
+        raise InputError(f"--count {text}: name each instrument, or each group of them, once")
+    return counts
 
 
 def _excluded(text: str, poses: Poses) -> list[int]:

@@ -89,6 +89,8 @@ def measurements(poses: Poses, readings: Mapping[str, Readings]) -> Measurements
         readings,
         comments=poses.comments,
         context=poses.context,
+        setups=poses.setups,
+        wanted=poses.wanted,
     )
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.data.in_memory import measurements
-from calib.data.measurements import CONTEXT, Measurements, Poses, check_repeats
+from calib.data.measurements import CONTEXT, Measurements, Poses, check_repeats, in_setups, rank_in_visit
 from calib.data.tables import Table, format_table, read_table
 from calib.errors import DataError, nearest
 from calib.model.robot import Robot
@@ -34,7 +34,7 @@ def read_poses(path: Path | str, robot: Robot) -> Poses:
         DataError: The message names file, line and column.
     """
     table = read_table(path, robot.description.columns)
-    return _poses(table, robot, used=set())
+    return poses_of_table(table, robot, used=set())
 
 
 def read_measurements(path: Path | str | Sequence[Path | str], robot: Robot) -> Measurements:
@@ -52,9 +52,11 @@ def read_measurements(path: Path | str | Sequence[Path | str], robot: Robot) -> 
     with_joints = [table for table in tables if len(tables) == 1 or set(robot.joint_names) <= set(table.names)]
     if not with_joints:
         raise DataError(f"{paths[0]}: none of the files has a column for every joint ({', '.join(robot.joint_names)})")
-    used = {column for table in tables for one in _seen_in(robot, table) for column in _columns_of(one, table)}
+    used = {column for table in tables for one in _seen_in(robot, table) for column in columns_in(one, table)}
     firsts = np.cumsum([0, *(len(table.rows) for table in with_joints)])
-    poses = _joined([_poses(table, robot, used, int(k)) for table, k in zip(with_joints, firsts[:-1], strict=True)])
+    poses = _joined(
+        [poses_of_table(table, robot, used, int(k)) for table, k in zip(with_joints, firsts[:-1], strict=True)]
+    )
     approach = _joined_approach(robot, with_joints)
     parts: dict[str, list[Readings]] = {}
     start = 0
@@ -78,30 +80,73 @@ def read_measurements(path: Path | str | Sequence[Path | str], robot: Robot) -> 
 
 
 def format_measurements(robot: Robot, data: Measurements, comments: tuple[str, ...] = ()) -> str:
-    """Return measurements as CSV text in mm and degrees; of several readings of an instrument at a visit, the first.
+    """Return measurements as CSV text in mm and degrees.
+
+    A visit at which an instrument read several things (points of a camera) has a line for each of them, which repeat
+    its joint values.
 
     Raises:
         DataError: Simulated readings of an instrument that reads no numbers.
     """
-    columns = _pose_columns(robot, data) + _approach_columns(robot, data)
+    visits, line_of = _lines(robot, data)
+    columns: dict[str, list[object]] = {
+        header: [cells[k] for k in visits]
+        for header, cells in [*_pose_columns(robot, data), *_conditions(robot, data), *_approach_columns(robot, data)]
+    }
     for one in robot.instruments:
         found = data.readings.get(one.name)
         if found is None:
             continue
         dimensions = {column.name: column.dimension for column in one.columns()}
-        first = dict(zip(found.visits[::-1].tolist(), range(len(found) - 1, -1, -1), strict=True))
-        for name, numbers in one.cells(found.values).items():
-            shown = _shown(numbers, dimensions[name])
-            cells: list[object] = [shown[first[k]] if k in first else "" for k in range(len(data))]
-            columns.append((_header(name, dimensions[name]), cells))
-        for name, words in one.texts(found.pairs, found.details).items():
-            columns.append((name, [words[first[k]] if k in first else "" for k in range(len(data))]))
+        cells: dict[str, Sequence[object]] = {
+            _header(name, dimensions[name]): list(_shown(numbers, dimensions[name]))
+            for name, numbers in one.cells(found.values).items()
+        }
+        if one.label_column is not None:
+            cells[one.label_column] = [one.name] * len(found)
+        for header, shown in (cells | one.texts(found.pairs, found.details)).items():
+            column = columns.setdefault(header, [""] * len(visits))
+            for line, cell in zip(line_of[one.name], shown, strict=True):
+                column[line] = cell
         if not dimensions and np.any(found.values):
             raise DataError(
                 f"instrument '{one.name}' reads no numbers, so that no file can say by how much it missed: what it"
                 " touches must be touched; give joint values at which it is"
             )
-    return format_table(columns, comments)
+    return format_table(list(columns.items()), comments)
+
+
+def _lines(robot: Robot, data: Measurements) -> tuple[IntArray, dict[str, IntArray]]:
+    """The visit of each line of a file, and the line of each reading; what shares columns needs lines of its own."""
+    sharing: dict[str, list[str]] = {}
+    for one in robot.instruments:
+        if one.name in data.readings:
+            sharing.setdefault(f"column {one.label_column}" if one.label_column else one.name, []).append(one.name)
+    place: dict[str, IntArray] = {}
+    for names in sharing.values():
+        places = rank_in_visit(np.concatenate([data.readings[name].visits for name in names]))
+        ends = np.cumsum([len(data.readings[name]) for name in names])[:-1]
+        place |= dict(zip(names, np.split(places, ends), strict=True))
+    count = np.ones(len(data), dtype=np.intp)
+    for name, places in place.items():
+        np.maximum.at(count, data.readings[name].visits, places + 1)
+    first = np.cumsum(count) - count
+    return np.repeat(np.arange(len(data)), count), {
+        name: first[data.readings[name].visits] + places for name, places in place.items()
+    }
+
+
+def _conditions(robot: Robot, data: Measurements) -> list[tuple[str, list[object]]]:
+    """Columns that say in which setup and under which conditions the visits were made."""
+    columns: list[tuple[str, list[object]]] = []
+    names = list(robot.description.setups)
+    if names:
+        setups = np.zeros(len(data), dtype=np.intp) if data.setups is None else data.setups
+        columns.append(("setup", [names[k] for k in setups]))
+    for key, values in data.context.items():
+        cells: list[object] = ["" if np.isnan(value) else value for value in _shown(values, CONTEXT[key])]
+        columns.append((_header(key, CONTEXT[key]), cells))
+    return columns
 
 
 def format_positions(
@@ -161,8 +206,18 @@ def _approach_columns(robot: Robot, data: Measurements) -> list[tuple[str, list[
     ]
 
 
-def _poses(table: Table, robot: Robot, used: set[str], first: int = 0) -> Poses:
-    """The visits of a file; where it does not name its poses, they are counted on from `first`."""
+def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -> Poses:
+    """Return the visits of a table; where it does not name its poses, they are counted on from `first`.
+
+    Args:
+        table: The table.
+        robot: Whose joints they are.
+        used: Columns that something is read from, beside joints and what is known of a visit.
+        first: Visits before the first row.
+
+    Raises:
+        DataError: The message names file, line and column.
+    """
     joints = np.stack([table.column(name, robot.mechanism.dimensions[name]) for name in robot.joint_names], axis=1)
     named = "pose" in table.names
     if named and "" in table.text("pose"):
@@ -175,9 +230,10 @@ def _poses(table: Table, robot: Robot, used: set[str], first: int = 0) -> Poses:
     )
     context = {key: table.column(key, CONTEXT[key], gaps=True) for key in CONTEXT if key in table.names}
     approach = {f"{_APPROACH}{name}" for name in robot.joint_names}
-    used = used | set(robot.joint_names) | {"pose", "setup"} | set(context) | approach
+    used = used | set(robot.joint_names) | {"pose", "setup", "instrument"} | set(context) | approach
     ignored = tuple(name for name in table.names if name not in used)
-    return Poses(joints, labels, names, table.path, ignored, comments=table.comments, context=context)
+    setups = _setups(robot, table) if robot.description.setups and "setup" in table.names else None
+    return Poses(joints, labels, names, table.path, ignored, comments=table.comments, context=context, setups=setups)
 
 
 def _joined(parts: Sequence[Poses]) -> Poses:
@@ -185,6 +241,7 @@ def _joined(parts: Sequence[Poses]) -> Poses:
     if len(parts) == 1:
         return parts[0]
     keys = dict.fromkeys(key for part in parts for key in part.context)
+    setups = [part.setups for part in parts if part.setups is not None]
     return Poses(
         np.concatenate([part.joints for part in parts]),
         tuple(chain.from_iterable(part.labels for part in parts)),
@@ -192,6 +249,7 @@ def _joined(parts: Sequence[Poses]) -> Poses:
         ", ".join(part.path for part in parts),
         tuple(dict.fromkeys(chain.from_iterable(part.ignored for part in parts))),
         comments=tuple(dict.fromkeys(chain.from_iterable(part.comments for part in parts))),
+        setups=np.concatenate(setups) if len(setups) == len(parts) else None,
         context={
             key: np.concatenate([part.context.get(key, np.full(len(part), np.nan)) for part in parts]) for key in keys
         },
@@ -254,7 +312,8 @@ def _std_columns(one: Instrument) -> list[tuple[str, Dimension]]:
     return [(f"{one.name}_std_{axis}", part.dimension) for part in one.parts for axis in part.axes]
 
 
-def _columns_of(one: Instrument, table: Table) -> list[str]:
+def columns_in(one: Instrument, table: Table) -> list[str]:
+    """Return the columns of a table that an instrument reads."""
     names = [column.name for column in one.columns()] + list(one.text_columns())
     names += [] if one.label_column is None else [one.label_column]
     names += [name for name, _ in _std_columns(one)] + list(_correlation_columns(one))
@@ -292,7 +351,7 @@ def _readings(robot: Robot, one: Instrument, table: Table, rows: IntArray) -> Re
     values = one.values({name: column[kept] for name, column in columns.items()})
     if not columns:  # it reads no numbers: one row stands for all
         values = np.repeat(values, len(kept), axis=0)
-    numbers_of_pairs = pairs[mine] + _setups(robot, one, table)[kept]
+    numbers_of_pairs = pairs[mine] + in_setups(robot, one, _setups(robot, table))[kept]
     return Readings(rows[kept], numbers_of_pairs, values, _covariance(one, table, kept), details[mine])
 
 
@@ -315,8 +374,8 @@ def _labelled(robot: Robot, one: Instrument, table: Table) -> BoolArray:
     return np.array([text == one.name for text in texts], dtype=bool)
 
 
-def _setups(robot: Robot, one: Instrument, table: Table) -> IntArray:
-    """What a setup adds to the number of the pair that an instrument looks along, (n_table_rows,)."""
+def _setups(robot: Robot, table: Table) -> IntArray:
+    """The number of the setup of each row, (n_table_rows,)."""
     names = list(robot.description.setups)
     if not names:
         return np.zeros(len(table.rows), dtype=np.intp)
@@ -327,8 +386,7 @@ def _setups(robot: Robot, one: Instrument, table: Table) -> IntArray:
         if text not in names:
             raise DataError(f"{table.path}, line {line}, column 'setup': no setup '{text}'{nearest(text, names)}")
         numbers.append(names.index(text))
-    n_pairs = len(robot.pairs(one)) // len(names)
-    return np.array(numbers, dtype=np.intp) * n_pairs
+    return np.array(numbers, dtype=np.intp)
 
 
 def _covariance(one: Instrument, table: Table, kept: IntArray) -> FloatArray | None:

@@ -17,7 +17,7 @@ from calib.data.grouping import shuffled_poses
 from calib.errors import DataError
 from calib.joint_terms.term import Context
 from calib.model.robot import Robot
-from calib.observation.kind import Readings
+from calib.observation.kind import Instrument, Readings
 from calib.units import DISPLAY_UNIT, PER_SI, Dimension
 
 CONTEXT: dict[str, Dimension] = {"time": "time", "temperature": "temperature", "load": "mass"}
@@ -39,6 +39,9 @@ class Poses(ReadOnlyArrays):
         ignored: Columns of the file that nothing was read from.
         comments: What the file says about itself, line by line.
         context: Conditions of each visit, (n,) [SI] by name, of `CONTEXT`; NaN where not known.
+        setups: Number of the setup of each visit, as the description counts them, (n,); None: the first.
+        wanted: What is to be read at these visits, as far as somebody says, by instrument: visits, pairs and details,
+            no values.
     """
 
     joints: FloatArray
@@ -48,6 +51,8 @@ class Poses(ReadOnlyArrays):
     ignored: tuple[str, ...]
     comments: tuple[str, ...] = field(default=(), kw_only=True)
     context: Mapping[str, FloatArray] = field(default_factory=dict, kw_only=True)
+    setups: IntArray | None = field(default=None, kw_only=True)
+    wanted: Mapping[str, Readings] = field(default_factory=dict, kw_only=True)
 
     def __len__(self) -> int:
         return len(self.joints)
@@ -124,7 +129,9 @@ class Measurements(Poses):
             labels=tuple(self.labels[i] for i in index),
             names=tuple(self.names[i] for i in index),
             context={key: values[index] for key, values in self.context.items()},
-            readings={name: _of_visits(found, index) for name, found in self.readings.items()},
+            setups=None if self.setups is None else self.setups[index],
+            wanted={name: of_visits(found, index) for name, found in self.wanted.items()},
+            readings={name: of_visits(found, index) for name, found in self.readings.items()},
         )
 
     def split(self, fraction: float, *, seed: int = 0) -> tuple[Measurements, Measurements]:
@@ -187,8 +194,8 @@ def with_points(robot: Robot, data: Measurements, points: FloatArray) -> Measure
     return replace(data, readings=readings)
 
 
-def _of_visits(found: Readings, index: IntArray) -> Readings:
-    """The readings of the visits with these indices, in this order; a visit may come twice."""
+def of_visits(found: Readings, index: IntArray) -> Readings:
+    """Return the readings of the visits with these indices (n,), in this order; a visit may come twice."""
     order = np.argsort(found.visits, kind="stable")
     first, last = (np.searchsorted(found.visits[order], index, side=side) for side in ("left", "right"))
     counts = last - first
@@ -200,6 +207,20 @@ def _of_visits(found: Readings, index: IntArray) -> Readings:
         None if found.covariance is None else found.covariance[kept],
         found.details[kept],
     )
+
+
+def in_setups(robot: Robot, one: Instrument, setups: IntArray) -> IntArray:
+    """Return what the setup of each visit (n,) adds to the number of the pair that an instrument looks along, (n,)."""
+    return setups * (len(robot.pairs(one)) // max(1, len(robot.description.setups)))
+
+
+def rank_in_visit(visits: IntArray) -> IntArray:
+    """Return how many readings before it each reading's visit has, (n,) -> (n,)."""
+    order = np.argsort(visits, kind="stable")
+    sorted_visits = visits[order]
+    result = np.empty(len(visits), dtype=np.intp)
+    result[order] = np.arange(len(visits)) - np.searchsorted(sorted_visits, sorted_visits)
+    return result
 
 
 def directions_of_motion(joints: FloatArray) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,14 +10,15 @@ from scipy.spatial import cKDTree
 
 from calib.arrays import BoolArray, FloatArray
 from calib.data.in_memory import measurements
-from calib.data.measurements import Measurements, Poses
+from calib.data.measurements import Measurements, Poses, of_visits, rank_in_visit
 from calib.errors import DataError, InputError, UnreachablePoseError
 from calib.linearisation.jacobian import linearise
-from calib.linearisation.observed import Observed, observe, predicted_readings
+from calib.linearisation.observed import Observed, looks_at, observe, predicted_readings
 from calib.linearisation.unknowns import Unknowns
 from calib.linearisation.whitening import ASSUMED, Whitening, stated_noise
 from calib.model.loops import why_open
 from calib.model.robot import Configurations, Robot, near_singularity
+from calib.observation.kind import Readings
 from calib.observation.position import Position
 
 _PART = 8192
@@ -33,12 +34,17 @@ class PoseRows:
     """What measuring at poses would say, and how positions move there.
 
     Attributes:
-        rows: Whitened rows of all that the instruments can read at each pose, (n, n_rows_per_pose, n_parameters).
+        rows: Whitened rows of all that the instruments are to read at each pose, instrument by instrument, (n,
+            n_rows_per_pose, n_parameters); 0 where one reads less there than elsewhere.
+        read: Which rows are read, (n, n_rows_per_pose).
+        blocks: Rows of each instrument, by name.
         positions: Targets at the robot's present values, (n, n_targets, 3) [m].
         position_rows: Derivative of these by the scaled parameters, (n, 3 n_targets, n_parameters) [m].
     """
 
     rows: FloatArray
+    read: BoolArray
+    blocks: Mapping[str, slice]
     positions: FloatArray
     position_rows: FloatArray
 
@@ -82,9 +88,14 @@ def assumed_sigma(robot: Robot, sigma: float | None) -> tuple[float, bool]:
 
 
 def rows_of_poses(
-    robot: Robot, configurations: Configurations, sigma: float | None, unknowns: Unknowns | None = None
+    robot: Robot,
+    configurations: Configurations,
+    sigma: float | None,
+    unknowns: Unknowns | None = None,
+    looks: Mapping[str, Readings] | None = None,
+    blocks: Mapping[str, slice] | None = None,
 ) -> PoseRows:
-    """Return whitened rows of all that the instruments can read at assembled poses.
+    """Return whitened rows of what the instruments are to read at assembled poses.
 
     Noise that nobody states is assumed (`calib.linearisation.whitening.ASSUMED`).
 
@@ -93,31 +104,56 @@ def rows_of_poses(
         configurations: The poses.
         sigma: Noise of positions per axis in place of what is stated [m], or None.
         unknowns: The parameters of the columns; the free ones if not given.
+        looks: What each instrument is to read, of `calib.linearisation.observed.looks_at`; all that it can in the first
+            setup, if not given.
+        blocks: Where the rows of each instrument shall be; as needed, if not given.
     """
     chosen = Unknowns.chosen_by_poses(robot) if unknowns is None else unknowns
     n = len(configurations.actuated)
-    readings = predicted_readings(robot, configurations)
     names = tuple(str(k) for k in range(n))
-    data = measurements(Poses(configurations.actuated, names, names, "", ()), readings)
+    poses = Poses(configurations.actuated, names, names, "", ())
+    wanted = looks_at(robot, poses) if looks is None else looks
+    places = blocks_of(robot, wanted) if blocks is None else blocks
+    readings = predicted_readings(robot, configurations, wanted)
+    data = measurements(poses, readings)
     observed = observe(robot, configurations, readings)
     positions, by_parameter = _positions(robot, configurations, data, observed)
     position_rows = (by_parameter[..., chosen.index] * chosen.scales).reshape(n, -1, len(chosen))
-    if n == 0:
-        width = sum(len(one.looks()[0]) * one.n_rows for one in robot.instruments)
-        return PoseRows(np.zeros((0, width, len(chosen))), positions, position_rows)
+    width = max((place.stop for place in places.values()), default=0)
+    rows, read = np.zeros((n, width, len(chosen))), np.zeros((n, width), dtype=bool)
+    if data.n_readings == 0:
+        return PoseRows(rows, read, places, positions, position_rows)
     whitening = Whitening(robot, data, sigma)
     found = whitening.rows(observed, whitening.start(), chosen, chosen.deviations(robot.values))
-    layout = whitening.layout
-    parts = [found.jacobian[layout.rows_of(name)].reshape(n, -1, len(chosen)) for name in layout.instruments]
-    rows = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
-    return PoseRows(rows, positions, position_rows)
+    for name in whitening.layout.instruments:
+        visits, n_rows = readings[name].visits, robot.instrument(name).n_rows
+        at = places[name].start + n_rows * rank_in_visit(visits)[:, None] + np.arange(n_rows)
+        part = found.jacobian[whitening.layout.rows_of(name)]
+        rows[visits[:, None], at] = part.reshape(len(visits), n_rows, len(chosen))
+        read[visits[:, None], at] = True
+    return PoseRows(rows, read, places, positions, position_rows)
+
+
+def blocks_of(robot: Robot, looks: Mapping[str, Readings]) -> dict[str, slice]:
+    """Return where in the rows of a pose those of each instrument are, so that there is room at every pose."""
+    result, start = dict[str, slice](), 0
+    for one in robot.instruments:
+        most = int(np.max(np.bincount(looks[one.name].visits), initial=0))
+        result[one.name] = slice(start, start + most * one.n_rows)
+        start += most * one.n_rows
+    return result
 
 
 def _positions(
     robot: Robot, configurations: Configurations, data: Measurements, observed: dict[str, Observed]
 ) -> tuple[FloatArray, FloatArray]:
     """Positions of targets and their derivative, from instruments that measure just these where there are."""
-    seen = {one.target: one.name for one in robot.instruments if isinstance(one, Position)}
+    n = len(configurations.actuated)
+    seen = {
+        one.target: one.name
+        for one in robot.instruments
+        if isinstance(one, Position) and np.array_equal(data.readings[one.name].visits, np.arange(n))
+    }
     if set(seen) == set(robot.target_names):
         names = [seen[target] for target in robot.target_names]
         positions = np.stack([data.readings[name].values for name in names], axis=1)
@@ -160,8 +196,10 @@ def build_candidates(
     """
     _require_different(poses)
     n, n_targets, unknowns = len(poses), len(robot.target_names), Unknowns.chosen_by_poses(robot)
-    per_pose = sum(len(one.looks()[0]) * one.n_rows for one in robot.instruments)
-    rows = np.zeros((n, per_pose, len(unknowns)))
+    looks = looks_at(robot, poses)
+    blocks = blocks_of(robot, looks)
+    per_pose = max(block.stop for block in blocks.values())
+    rows, read = np.zeros((n, per_pose, len(unknowns))), np.zeros((n, per_pose), dtype=bool)
     positions, position_rows = np.full((n, n_targets, 3), np.nan), np.zeros((n, 3 * n_targets, len(unknowns)))
     usable, reasons = np.zeros(n, dtype=bool), list[str]()
     for start in range(0, n, _PART):
@@ -172,8 +210,9 @@ def build_candidates(
         distance[good] = robot.singular_values(robot.configurations(q[good], closed.at(good)))
         good = np.flatnonzero(distance >= robot.description.singularity_limit)
         configurations = robot.configurations(q[good], closed.at(good))
-        part = rows_of_poses(robot, configurations, sigma, unknowns)
-        rows[start + good], positions[start + good] = part.rows, part.positions
+        here = {name: of_visits(found, start + good) for name, found in looks.items()}
+        part = rows_of_poses(robot, configurations, sigma, unknowns, here, blocks)
+        rows[start + good], read[start + good], positions[start + good] = part.rows, part.read, part.positions
         position_rows[start + good] = part.position_rows
         usable[start + good] = True
         if len(good) < len(q):
@@ -181,7 +220,7 @@ def build_candidates(
             reasons += _reasons(robot, q, closed.ok, distance, labels, len(reasons))
     if reasons and not skip_unreachable:
         raise UnreachablePoseError(_listed(reasons) + "; remove these poses, or leave them out with --skip-unreachable")
-    return Candidates(poses.joints, PoseRows(rows, positions, position_rows), usable, tuple(reasons))
+    return Candidates(poses.joints, PoseRows(rows, read, blocks, positions, position_rows), usable, tuple(reasons))
 
 
 def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -202,8 +241,8 @@ def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> tuple[F
     """
     configurations = robot.assemble(poses.joints, labels=poses.labels)
     if not isinstance(poses, Measurements):
-        part = rows_of_poses(robot, configurations, sigma)
-        return part.rows.reshape(-1, part.rows.shape[2]), part.positions, part.position_rows
+        part = rows_of_poses(robot, configurations, sigma, looks=looks_at(robot, poses))
+        return part.rows[part.read], part.positions, part.position_rows
     unknowns = Unknowns.chosen_by_poses(robot)
     whitening = Whitening(robot, poses, sigma)
     observed = observe(robot, configurations, poses.readings)

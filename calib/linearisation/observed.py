@@ -12,11 +12,12 @@ instrument, and joints that it reads, enter directly.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
+from calib.data.measurements import Measurements, Poses, in_setups, of_visits
 from calib.linearisation.jacobian import (
     by_coefficient,
     joint_twists,
@@ -210,6 +211,33 @@ def predicted_readings(
         values = one.predict(view, robot.values[robot.unknowns(name)], found.details)
         result[name] = Readings(found.visits, found.pairs, values, None, found.details)
     return result
+
+
+def looks_at(robot: Robot, poses: Poses) -> dict[str, Readings]:
+    """Return what each instrument is to read at poses, no values: what they say, else all that it can.
+
+    Of measurements: touches that were made. A touch is of the pose, and no pose tells by itself what it touches.
+    """
+    return {one.name: _looks_of(robot, one, poses) for one in robot.instruments}
+
+
+def unsaid_touches(robot: Robot, poses: Poses) -> list[Instrument]:
+    """Return the instruments that touch, and of which poses do not say what."""
+    said = poses.wanted.keys() | (poses.readings.keys() if isinstance(poses, Measurements) else set())
+    return [one for one in robot.instruments if not one.columns() and one.name not in said]
+
+
+def _looks_of(robot: Robot, one: Instrument, poses: Poses) -> Readings:
+    if one.name in poses.wanted:
+        return poses.wanted[one.name]
+    if isinstance(poses, Measurements) and not one.columns():
+        index = np.arange(len(poses))
+        made = of_visits(poses.readings[one.name], index) if one.name in poses.readings else _every_look(one, 0)
+        return Readings(made.visits, made.pairs, np.zeros((len(made), 0)), None, made.details)
+    every = _every_look(one, len(poses))
+    if poses.setups is None:
+        return every
+    return replace(every, pairs=every.pairs + in_setups(robot, one, poses.setups)[every.visits])
 
 
 def _every_look(one: Instrument, n: int) -> Readings:

@@ -1,19 +1,39 @@
-"""Simulated measurements: what the instruments of a robot with known parameters read, plus normal noise."""
+"""Simulated measurements: what the instruments of a robot with known parameters read, plus normal noise.
+
+A touch has no reading that noise could be added to: the robot itself stands where it touches, and what it misses by is
+in its joints. So the joint values of a pose at which something is touched are found: those near the given ones at which
+every gap is the miss that was drawn, by damped Gauss-Newton steps of the actuated joints through the loops,
+
+    minimise  |gap - miss + d(gap)/dq dq|^2 + damping |dq|^2
+
+with less damping after a step that came nearer, more after one that did not, and within the joint limits. Like all
+searches from one start it may end elsewhere than at contact; then the pose is named, and nothing is returned.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arrays import FloatArray
+from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.data.in_memory import as_poses, measurements
-from calib.data.measurements import Measurements, Poses
-from calib.errors import DataError
-from calib.linearisation.observed import predicted_readings
+from calib.data.measurements import Measurements, Poses, directions_of_motion, of_visits
+from calib.errors import DataError, UnreachablePoseError
+from calib.joint_terms.term import Context
+from calib.linearisation.observed import looks_at, observe, predicted_readings, unsaid_touches
 from calib.linearisation.whitening import stated_noise
-from calib.model.robot import Robot
+from calib.model.robot import Configurations, Robot
 from calib.observation.kind import Instrument, Readings
 from calib.units import millimetres
+
+_LONGEST_STEP = 0.2  # of a joint at once [rad, or characteristic lengths]
+_ROUNDS, _STEPS = 3, 100
+_LEAST_GAIN, _NEARLY = 1e-3, 1e-6  # a step that gains less, further away [m], leads nowhere
+MET = 1e-10
+"""Miss that is none [m]."""
+_FIRST_DAMPING, _LARGEST_DAMPING, _SMALLEST_DAMPING = 1e-3, 1e12, 1e-15
 
 
 def simulate(
@@ -26,7 +46,8 @@ def simulate(
 ) -> Measurements:
     """Return simulated measurements of a robot at its current parameter values.
 
-    Every instrument reads all that it can at every pose. Noise that nobody states is none.
+    Instruments read what the poses say (`calib.data.plan_files.read_plan`), or all that they can. Where something is
+    touched, the joint values are changed so that it is. Noise that nobody states is none.
 
     Args:
         robot: The robot that plays the truth.
@@ -38,26 +59,36 @@ def simulate(
             characteristic lengths].
 
     Raises:
-        DataError: Sigma is not a number >= 0.
-        UnreachablePoseError: A pose cannot be assembled.
+        DataError: Sigma is not a number >= 0, or nobody says what is touched at a pose.
+        UnreachablePoseError: A pose cannot be assembled, or no contact was found near it.
     """
     if sigma is not None and not (np.isfinite(sigma) and sigma >= 0):
         raise DataError(f"sigma {sigma:g} m: must be a number, zero or positive")
     where = as_poses(robot, poses)
-    actual = where.joints
+    looks = looks_at(robot, where)
+    off = np.zeros_like(where.joints)
     if joint_sigma:
-        error = joint_sigma * robot.mechanism.joint_scale
-        actual = actual + error * rng.standard_normal(where.joints.shape)
-    configurations = robot.assemble(actual, labels=where.labels)  # says which pose cannot be
-    readings = {
-        name: _noisy(robot.instrument(name), found, sigma, rng)
-        for name, found in predicted_readings(robot, configurations).items()
-    }
+        off = joint_sigma * robot.mechanism.joint_scale * rng.standard_normal(where.joints.shape)
+    touches = _touches(robot, where, looks, sigma, rng)
+    commands = where.joints
+    if touches:
+        _assembled(robot, where, commands, off)
+        commands, misses = at_contact(robot, where, touches, off)
+        _require_contact(where, misses)
+    configurations = _assembled(robot, where, commands, off)  # says which pose cannot be
+    readings = dict[str, Readings]()
+    for name, found in predicted_readings(robot, configurations, looks).items():
+        one = robot.instrument(name)
+        if name not in touches:
+            readings[name] = _noisy(one, found, sigma, rng)
+        elif len(found):
+            zeros = np.zeros((len(found), one.n_rows))
+            readings[name] = Readings(found.visits, found.pairs, zeros, None, found.details)
     noise = "noise as the description states it" if sigma is None else _said(sigma)
     said = (f"simulated measurements of {robot.name}", noise)
     data = measurements(where, readings)
     return Measurements(
-        data.joints,
+        commands,
         data.labels,
         data.names,
         data.path,
@@ -65,11 +96,158 @@ def simulate(
         data.readings,
         comments=said,
         context=data.context,
+        setups=data.setups,
     )
+
+
+def unstated_noise(robot: Robot, sigma: float | None) -> list[str]:
+    """Return the instruments of whose noise neither the description nor `sigma` says anything."""
+    return [one.name for one in robot.instruments if not all(part.stated for part in stated_noise(one, sigma).parts)]
 
 
 def _said(sigma: float) -> str:
     return f"normal noise, sigma {millimetres(sigma):g} mm per axis"
+
+
+def _touches(
+    robot: Robot, where: Poses, looks: Mapping[str, Readings], sigma: float | None, rng: np.random.Generator
+) -> dict[str, Readings]:
+    """What is touched at which visit, and by how much each touch misses."""
+    unsaid = next(iter(unsaid_touches(robot, where)), None)
+    if unsaid is not None:
+        raise DataError(
+            f"{where.path}: nothing says what instrument '{unsaid.name}' touches at which pose; add a column"
+            f" '{unsaid.text_columns()[0]}' that names it, empty where nothing is touched"
+        )
+    result = {}
+    for one in (one for one in robot.instruments if not one.columns()):
+        found = looks[one.name]
+        exact = Readings(found.visits, found.pairs, np.zeros((len(found), one.n_rows)), None, found.details)
+        result[one.name] = _noisy(one, exact, sigma, rng)
+    return result
+
+
+def at_contact(
+    robot: Robot, where: Poses, touches: Mapping[str, Readings], off: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Bring the robot to what it touches; see the module docstring.
+
+    Args:
+        robot: The robot.
+        where: Poses to start from; those that touch nothing stay, or go with a touch that repeats the same pose.
+        touches: What each instrument that touches is to touch, and by how much it shall miss.
+        off: What the joints are off, in their commands unseen, (n, n_actuated) [m or rad]; nothing if not given.
+
+    Returns:
+        Commands, (n, n_actuated) [m or rad]; how far each is from contact, (n,) [m]: less than `MET` where it is there.
+    """
+    errors = np.zeros_like(where.joints) if off is None else off
+    (lower, upper), follows = _limits(robot, where), _follows(where, touches)
+    scale, commands = robot.mechanism.joint_scale, where.joints
+    everyone, given_up = np.arange(len(where)), np.zeros(len(where), dtype=bool)
+    for _ in range(_ROUNDS):  # again where a move turned the direction from which the next visit is approached
+        gaps, slopes = _gaps(robot, where, commands, errors, touches, everyone)
+        miss, damping = np.linalg.norm(gaps, axis=1), np.full(len(where), _FIRST_DAMPING)
+        active = np.flatnonzero((miss >= MET) & ~given_up)
+        if len(active) == 0:
+            break
+        for _ in range(_STEPS):
+            here = gaps[active], slopes[active] * scale, damping[active]
+            step = _damped_step(*here, np.zeros((len(active), len(scale)), dtype=bool))
+            at = commands[active]
+            held = ((at <= lower[active]) & (step < 0)) | ((at >= upper[active]) & (step > 0))
+            trial = commands.copy()
+            trial[active] = np.clip(at + _damped_step(*here, held) * scale, lower[active], upper[active])
+            there, slopes_there = _gaps(robot, where, trial, errors, touches, active)
+            left = np.linalg.norm(there, axis=1)
+            better = left < miss[active]
+            gained = active[better]
+            stuck = better & (left > _NEARLY) & (left > (1 - _LEAST_GAIN) * miss[active])
+            commands = np.where(np.isin(everyone, gained)[:, None], trial, commands)
+            gaps[gained], slopes[gained], miss[gained] = there[better], slopes_there[better], left[better]
+            damping[active] = np.where(better, np.maximum(damping[active] / 10, _SMALLEST_DAMPING), damping[active] * 8)
+            active = active[~stuck & (miss[active] >= MET) & (damping[active] < _LARGEST_DAMPING)]
+            if len(active) == 0:
+                break
+        given_up |= miss >= MET
+        commands = commands[follows]
+    return commands, np.linalg.norm(_gaps(robot, where, commands, errors, touches, everyone)[0], axis=1)
+
+
+def _require_contact(where: Poses, misses: FloatArray) -> None:
+    """Raise `UnreachablePoseError` where some pose misses (n,) [m] what it should touch."""
+    worst, more = int(np.argmax(misses)), int(np.sum(misses >= MET)) - 1
+    if misses[worst] >= MET:
+        raise UnreachablePoseError(
+            f"{where.labels[worst]}{f' and {more} more' if more else ''}: no joint values near these touch what they"
+            f" should; the best that were found miss by {millimetres(misses[worst]):.3g} mm; start nearer to contact"
+        )
+
+
+def _damped_step(gaps: FloatArray, slopes: FloatArray, damping: FloatArray, held: BoolArray) -> FloatArray:
+    """The step of the module docstring of joints that no limit holds, no longer than is allowed, (n, n_actuated)."""
+    free = np.where(held[:, None, :], 0.0, slopes)
+    n_joints = slopes.shape[2]
+    size = np.einsum("nij,nij->n", slopes, slopes) / n_joints + 1e-300
+    normal = free.transpose(0, 2, 1) @ free + (damping * size)[:, None, None] * np.eye(n_joints)
+    step: FloatArray = -np.linalg.solve(normal, free.transpose(0, 2, 1) @ gaps[:, :, None])[:, :, 0]
+    longest = np.max(np.abs(step), axis=1, keepdims=True)
+    return step * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300))
+
+
+def _limits(robot: Robot, where: Poses) -> tuple[FloatArray, FloatArray]:
+    """Where the joints may go, (n, n_actuated) each: within the URDF's limits, or where they stand already."""
+    limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
+    lower, upper = np.array([limits[name] for name in robot.joint_names]).T
+    return np.minimum(lower, where.joints), np.maximum(upper, where.joints)
+
+
+def _follows(where: Poses, touches: Mapping[str, Readings]) -> IntArray:
+    """Whose joint values each visit takes: its own; or, touching nothing, those of a touch that repeats its pose."""
+    touching = np.unique(np.concatenate([found.visits for found in touches.values()]))
+    numbers, result = where.pose_numbers, np.arange(len(where))
+    first = dict(zip(numbers[touching[::-1]].tolist(), touching[::-1].tolist(), strict=True))
+    for k in np.setdiff1d(result, touching):
+        result[k] = first.get(int(numbers[k]), k)
+    return result
+
+
+def _gaps(
+    robot: Robot,
+    where: Poses,
+    commands: FloatArray,
+    off: FloatArray,
+    touches: Mapping[str, Readings],
+    index: IntArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Gaps of some visits beyond what is missed by, and their derivative by the actuated joints.
+
+    Returns:
+        (n, n_gaps) [m], 0 where fewer, infinite where the robot cannot be assembled; (n, n_gaps, n_actuated).
+    """
+    context = Context.of(directions_of_motion(commands), where.context)
+    columns = tuple(part[index] for part in robot.term_columns(commands + off, context))
+    q = (commands + off)[index]
+    closed = robot.close(q, columns=columns)
+    ok = np.flatnonzero(closed.ok)
+    configurations = robot.configurations(q[ok], closed.at(ok), tuple(part[ok] for part in columns))
+    here = {name: of_visits(found, index[ok]) for name, found in touches.items()}
+    observed = observe(robot, configurations, here, joints=True)
+    width = sum(robot.instrument(name).n_rows for name in touches)
+    gaps, slopes, start = np.zeros((len(index), width)), np.zeros((len(index), width, q.shape[1])), 0
+    gaps[~closed.ok] = np.inf
+    for name, found in here.items():
+        rows = slice(start, start + robot.instrument(name).n_rows)
+        gaps[ok[found.visits], rows] = observed[name].residuals
+        slopes[ok[found.visits], rows] = observed[name].by_joint
+        start = rows.stop
+    return gaps, slopes
+
+
+def _assembled(robot: Robot, where: Poses, commands: FloatArray, off: FloatArray) -> Configurations:
+    """The robot at commands (n, n_actuated) that it does not quite follow."""
+    context = Context.of(directions_of_motion(commands), where.context)
+    return robot.assemble(commands + off, labels=where.labels, context=context)
 
 
 def _noisy(one: Instrument, every: Readings, sigma: float | None, rng: np.random.Generator) -> Readings:

@@ -53,7 +53,7 @@ def _check_columns(description: Description, instruments: tuple[Instrument, ...]
             other = owners.setdefault(name, one)
             if other is not one and (one.label_column is None or one.label_column != other.label_column):
                 raise DescriptionError(f"{where}: instruments: two of them have a column '{name}'; rename one")
-            if name in (*description.name_mot, "pose", "setup"):
+            if name in (*description.name_mot, "pose", "setup", "instrument"):
                 whose = "of a joint" if name in description.name_mot else f"of {name}s"
                 raise DescriptionError(
                     f"{where}: instruments.{one.name}: its column '{name}' is that {whose}; rename the instrument"

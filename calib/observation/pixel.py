@@ -105,6 +105,11 @@ class Pixel(Instrument):
             details[k] = names.index(text)
         return [True] * len(where), np.zeros(len(where), dtype=np.intp), details
 
+    def texts(self, pairs: IntArray, details: FloatArray) -> dict[str, list[str]]:
+        """Return which point each reading is about."""
+        names = list(self.points_of_body)
+        return {"point": [names[int(number)] for number in details[:, 0]]}
+
     def looks(self) -> tuple[IntArray, FloatArray]:
         """Return every point."""
         n = len(self.points_of_body)

@@ -18,7 +18,7 @@ from calib.data.measurements import Measurements, Poses
 from calib.errors import DataError
 from calib.linearisation.candidates import assumed_sigma, require_free, rows_of_measured, rows_of_poses
 from calib.linearisation.determination import Determination, determination
-from calib.linearisation.observed import observe
+from calib.linearisation.observed import looks_at, observe
 from calib.linearisation.unknowns import Unknowns
 from calib.linearisation.whitening import Whitening
 from calib.model.robot import Configurations, Robot
@@ -180,14 +180,15 @@ def _columns(
 ) -> tuple[FloatArray, FloatArray, int]:
     """Whitened rows of what is or could be read, those of each pose, and how many rows a visit gives."""
     if not isinstance(poses, Measurements):
-        rows = rows_of_poses(robot, configurations, sigma, everything).rows
-        return rows.reshape(-1, len(everything)), rows, rows.shape[1]
+        found = rows_of_poses(robot, configurations, sigma, everything, looks_at(robot, poses))
+        flat = found.rows[found.read]
+        return flat, found.rows, -(-len(flat) // len(poses))
     whitening = Whitening(robot, poses, sigma)
     observed = observe(robot, configurations, poses.readings)
-    found = whitening.rows(observed, whitening.start(), everything, everything.deviations(robot.values))
+    whitened = whitening.rows(observed, whitening.start(), everything, everything.deviations(robot.values))
     layout = whitening.layout
-    flat = found.jacobian[layout.group >= 0]
-    return flat, _by_pose(found.jacobian, layout.pose[layout.reading]), -(-len(flat) // len(poses))
+    flat = whitened.jacobian[layout.group >= 0]
+    return flat, _by_pose(whitened.jacobian, layout.pose[layout.reading]), -(-len(flat) // len(poses))
 
 
 def _by_pose(rows: FloatArray, pose: IntArray) -> FloatArray:

@@ -38,11 +38,20 @@ class Spacing:
         points: Where each candidate puts the targets, (n_candidates, n) [m].
         distance: Least distance between chosen poses [m]; 0 for none.
         usable: Candidates that may be chosen at all, (n_candidates,).
+        pose: Pose of each candidate; those of one pose need no distance, (n_candidates,). None: each has its own.
+        kind: Candidates are exchanged for those of their kind alone, (n_candidates,). None: for any.
     """
 
     points: FloatArray
     distance: float
     usable: BoolArray
+    pose: IntArray | None = None
+    kind: IntArray | None = None
+
+    def alike(self, candidate: int) -> BoolArray:
+        """Return which candidates are of the kind of one of them, (n_candidates,)."""
+        result: BoolArray = np.ones_like(self.usable) if self.kind is None else self.kind == self.kind[candidate]
+        return result
 
     def allowed(self, chosen: BoolArray) -> BoolArray:
         """Return which candidates may be added to a choice, (n_candidates,)."""
@@ -50,7 +59,10 @@ class Spacing:
         if self.distance > 0 and np.any(chosen):
             candidates = np.flatnonzero(free)
             nearest, _ = cKDTree(self.points[chosen]).query(self.points[candidates])
-            free[candidates[nearest < self.distance]] = False
+            near = nearest < self.distance
+            if self.pose is not None:
+                near &= ~np.isin(self.pose[candidates], self.pose[chosen])
+            free[candidates[near]] = False
         return free
 
     def spread(self, wanted: IntArray, count: int) -> IntArray:
@@ -67,11 +79,17 @@ class Spacing:
         if self.distance == 0:
             return wanted
         rest = np.setdiff1d(np.flatnonzero(self.usable), wanted)
+        pose, kind = (
+            np.arange(len(self.usable)) if self.pose is None else self.pose,
+            np.zeros(len(self.usable), dtype=np.intp) if self.kind is None else self.kind,
+        )
+        room = np.bincount(kind[wanted], minlength=int(np.max(kind)) + 1)
         kept: list[int] = []
         for candidate in (*wanted, *rest):
             gaps = np.linalg.norm(self.points[kept] - self.points[candidate], axis=1)
-            if np.all(gaps >= self.distance):
+            if room[kind[candidate]] and np.all((gaps >= self.distance) | (pose[kept] == pose[candidate])):
                 kept.append(int(candidate))
+                room[kind[candidate]] -= 1
             if len(kept) == count:
                 break
         return np.array(kept, dtype=np.intp)
@@ -96,6 +114,8 @@ class Exchange:
 
 def uniform_start(usable: IntArray, count: int) -> IntArray:
     """Return `count` of the usable candidates (n,), evenly spread over their order, (count,)."""
+    if count == 0:
+        return usable[:0]
     result: IntArray = usable[(2 * np.arange(count) + 1) * len(usable) // (2 * count)]
     return result
 
@@ -139,7 +159,7 @@ def _climb(state: Scores, chosen: BoolArray, spacing: Spacing) -> Exchange:
         added = state.best(allowed, add=True)
         larger = state.moved(added, add=True)
         chosen[added] = True
-        removed = larger.best(chosen, add=False)
+        removed = larger.best(chosen & spacing.alike(added), add=False)
         chosen[removed] = False
         after = larger.moved(removed, add=False) if removed != added else state
         if after.value <= state.value + _RISE * abs(state.value):
@@ -165,7 +185,8 @@ def swap(done: Exchange, spacing: Spacing) -> Exchange:
                 continue
             chosen[removed] = False
             smaller = state.moved(int(removed), add=False)
-            added = smaller.best(spacing.allowed(chosen), add=True)  # the one just removed is allowed, so there is one
+            # the one just removed is allowed, so there is one
+            added = smaller.best(spacing.allowed(chosen) & spacing.alike(int(removed)), add=True)
             after = smaller.moved(added, add=True) if added != removed else state
             if after.value <= state.value + _RISE * abs(state.value):
                 chosen[removed] = True

@@ -36,6 +36,24 @@ def travel(joints: FloatArray, home: FloatArray, order: IntArray) -> float:
     return float(np.sum(np.max(np.abs(np.diff(points[path], axis=0)), axis=1)))
 
 
+def order_in_blocks(joints: FloatArray, home: FloatArray, block: IntArray) -> IntArray:
+    """Return an order of visiting that is short and goes block by block, (n,).
+
+    A block is what is measured before something is changed by hand: an instrument, the place of one.
+
+    Args:
+        joints: Poses, (n, n_actuated) [m or rad].
+        home: Where the path starts, (n_actuated,) [m or rad].
+        block: Number of the block of each pose, (n,); the smallest comes first.
+    """
+    order, start = [], home
+    for number in np.unique(block):
+        own = np.flatnonzero(block == number)
+        order.append(own[shortest_order(joints[own], start)])
+        start = joints[order[-1][-1]]
+    return np.concatenate(order)
+
+
 def shortest_order(joints: FloatArray, home: FloatArray) -> IntArray:
     """Return an order of visiting that is short, (n,).
 

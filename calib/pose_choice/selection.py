@@ -15,7 +15,7 @@ plays no part and the indices are the published ones.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,8 +27,9 @@ from calib.data.measurements import Poses
 from calib.errors import InputError
 from calib.model.robot import Robot
 from calib.numerics.observability import observability_of
-from calib.pose_choice.exchange import Exchange, exchange, swap, uniform_start
-from calib.pose_choice.measurement_order import shortest_order, travel
+from calib.pose_choice.exchange import Exchange, exchange, swap
+from calib.pose_choice.instrument_choice import ALL, groups_of
+from calib.pose_choice.measurement_order import order_in_blocks, travel
 from calib.pose_choice.refinement import refine
 from calib.pose_choice.region import region_of
 from calib.pose_choice.selection_bound import CERTIFIED, log_phi, relax
@@ -46,9 +47,10 @@ __all__ = ["Run", "Selection", "select"]
 def select(
     robot: Robot,
     candidates: Poses | ArrayLike,
-    count: int = 84,
+    count: int | Mapping[str, int] = 84,
     index: str = "O1",
     *,
+    instruments: str | Sequence[str] = ALL,
     measured: Poses | ArrayLike | None = None,
     task: Poses | ArrayLike | None = None,
     exclude: Sequence[int] = (),
@@ -65,8 +67,10 @@ def select(
     Args:
         robot: The robot; its present values are where it is linearised.
         candidates: Poses to choose from, (n, n_actuated) [m or rad], or from a file.
-        count: How many to choose.
+        count: How many to choose; or how many with each instrument, by name (several joined by `+` read together).
         index: What to make best: O1 to O5, or `task`, the predicted position error over the task poses.
+        instruments: `all` read at every chosen pose. `each`: for every chosen pose also one instrument. Or the ones to
+            choose among, several joined by `+` where they read together. A pose may be chosen with several.
         measured: Poses that are measured already; the chosen ones are to complement them.
         task: Poses whose accuracy counts, for the task index; the candidates if not given.
         exclude: Candidates not to choose, by their number.
@@ -88,7 +92,9 @@ def select(
     started = time.perf_counter()
     if seed < 0:
         raise InputError(f"seed {seed}: must be zero or positive")
-    wanted = Wanted(index, count, minimum_distance, off_grid)
+    groups = groups_of(robot, instruments, count)
+    total = sum(count.values()) if isinstance(count, Mapping) else count
+    wanted = Wanted(index, total, minimum_distance, off_grid, groups)
     setting = prepare(robot, candidates, wanted, measured, task, exclude, skip_unreachable, sigma)
     prepared = time.perf_counter()
     rng = np.random.default_rng(seed)
@@ -99,11 +105,13 @@ def select(
         runs, best, efficiency, bound = _certify(setting, runs, best)
     on_grid = index_values(setting.problem, best.chosen, setting.sigma)
     poses = _poses(setting, best, on_grid, rng)
-    order = shortest_order(poses.joints, robot.home)
-    uniform = np.isin(np.arange(len(setting.problem)), uniform_start(np.flatnonzero(setting.space.usable), count))
+    order = order_in_blocks(poses.joints, robot.home, _blocks(setting, poses.chosen))
+    uniform = np.isin(np.arange(len(setting.problem)), setting.uniform())
     return Selection(
         index=wanted.index,
-        chosen=poses.chosen[order],
+        chosen=setting.pairs.pose[poses.chosen[order]],
+        instruments=tuple(groups.names[g] for g in setting.pairs.group[poses.chosen[order]] if groups.chosen),
+        groups=groups.names if groups.chosen else (),
         joints=poses.joints[order],
         positions=poses.positions[order],
         before=index_values(setting.problem, uniform, setting.sigma),
@@ -116,7 +124,7 @@ def select(
         off_grid=off_grid,
         distance=poses.distance,
         runs=runs,
-        travel=(travel(poses.joints, robot.home, np.arange(count)), travel(poses.joints, robot.home, order)),
+        travel=(travel(poses.joints, robot.home, np.arange(total)), travel(poses.joints, robot.home, order)),
         rank=setting.problem.rank,
         rank_of_poses=setting.problem.known.rank,
         sigma=setting.sigma,
@@ -131,7 +139,7 @@ def select(
 
 @dataclass(frozen=True, eq=False)
 class _Poses:
-    """Chosen poses before they are put in order."""
+    """Chosen candidates before they are put in order."""
 
     chosen: IntArray
     joints: FloatArray
@@ -143,11 +151,9 @@ class _Poses:
 
 def _run_all(setting: Setting, kinds: Sequence[str], rng: np.random.Generator) -> tuple[tuple[Run, ...], Exchange]:
     """Run the exchange from each start; return the runs and the best result."""
-    usable = np.flatnonzero(setting.space.usable)
     runs, results = [], []
     for kind in kinds:
-        count = setting.wanted.count
-        start = uniform_start(usable, count) if kind == "uniform" else np.sort(rng.choice(usable, count, replace=False))
+        start = setting.uniform() if kind == "uniform" else setting.random(rng)
         result, run = _run(setting, start, kind)
         results.append(result)
         runs.append(run)
@@ -171,9 +177,10 @@ def _run(setting: Setting, start: IntArray, kind: str) -> tuple[Exchange, Run]:
 def _certify(setting: Setting, runs: tuple[Run, ...], best: Exchange) -> tuple[tuple[Run, ...], Exchange, float, float]:
     """Bound all choices, start once more from the relaxed weights, and compare the best choice with the bound."""
     problem, index, usable = setting.problem, setting.wanted.index, setting.space.usable
-    relaxation = relax(problem, index, best.chosen, usable)
-    largest = np.argsort(-np.where(usable, relaxation.weights, -1.0), kind="stable")[: setting.wanted.count]
-    more, run = _run(setting, np.sort(largest), "relaxed")
+    relaxation = relax(problem, index, best.chosen, usable, setting.space.kind)
+    order = np.argsort(-np.where(usable, relaxation.weights, -1.0), kind="stable")
+    heaviest = np.concatenate([own[:count] for own, count in setting.by_kind(order)])
+    more, run = _run(setting, np.sort(heaviest), "relaxed")
     best = max(best, more, key=lambda one: one.scores.value)
     gathered = problem.gathered(best.chosen.astype(float))
     if index == TASK:
@@ -189,7 +196,8 @@ def _poses(setting: Setting, best: Exchange, on_grid: dict[str, float], rng: np.
     """The chosen candidates, moved off the grid if that is wanted."""
     chosen, found, usable = np.flatnonzero(best.chosen), setting.found, setting.space.usable
     if not setting.wanted.off_grid:
-        joints, positions, rows = (part[chosen] for part in (found.joints, found.found.positions, setting.problem.rows))
+        pose, rows = setting.pairs.pose[chosen], setting.problem.rows[chosen]
+        joints, positions = found.joints[pose], found.found.positions[pose]
         return _Poses(chosen, joints, positions, rows, on_grid, setting.wanted.minimum_distance)
     distance = setting.wanted.minimum_distance or _smallest_gap(setting.space.points[usable])
     region = region_of(
@@ -200,6 +208,13 @@ def _poses(setting: Setting, best: Exchange, on_grid: dict[str, float], rng: np.
     )
     values = values_of_rows(setting.problem, moved.rows, setting.sigma)
     return _Poses(chosen, moved.joints, moved.positions, moved.rows, values, distance)
+
+
+def _blocks(setting: Setting, chosen: IntArray) -> IntArray:
+    """What is measured in one go: candidates of one setup, and in it those of one group of instruments, (n,)."""
+    setups = setting.poses.setups
+    pose, group = setting.pairs.pose[chosen], setting.pairs.group[chosen]
+    return group if setups is None else setups[pose] * len(setting.wanted.groups.members) + group
 
 
 def _raw(setting: Setting, rows: FloatArray) -> dict[str, float]:

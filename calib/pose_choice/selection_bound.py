@@ -17,6 +17,8 @@ A concave function lies below its tangents. At any weights w, with g_k = d(log p
 So each w proves a bound, at the choice itself too; the least one found counts. Nothing has to converge for it to hold.
 (The squares of O3, the smallest eigenvalue, and of O5 are concave too; no bound is computed for them.)
 
+Kinds. Where m_g of each kind g of candidates are to be chosen, each kind has its own sum, and its own largest m_g.
+
 Weights. A primal-dual interior-point method on the weights that are not clear yet: fractional ones and those whose g
 is nearest to the m-th largest, while the others stay at 0 or 1; then g of all candidates decides again which are not
 clear. With the matrices G_kl = B_k K^-1 B_l^T the curvature of log det is -|G_kl|^2, so a step costs one product and
@@ -61,34 +63,46 @@ class Relaxation(ReadOnlyArrays):
         return float(min(1.0, np.exp(0.5 * (log_phi - self.log_bound))))
 
 
-def relax(problem: Problem, index: str, chosen: BoolArray, usable: BoolArray) -> Relaxation:
-    """Bound what any choice of as many poses can reach.
+def relax(
+    problem: Problem, index: str, chosen: BoolArray, usable: BoolArray, kind: IntArray | None = None
+) -> Relaxation:
+    """Bound what any choice of as many poses, and as many of each kind, can reach.
 
     Args:
         problem: The candidates.
         index: `O1` or `task`.
         chosen: A choice to start from, (n_candidates,).
         usable: Candidates that may be chosen, (n_candidates,); all others keep weight 0.
+        kind: Kind of each candidate, (n_candidates,), of which each has its number; None: all are alike.
     """
     weights = chosen.astype(float)
-    count = int(np.sum(chosen))
+    kinds = np.zeros(len(problem), dtype=np.intp) if kind is None else kind
+    counts = np.bincount(kinds[chosen], minlength=int(np.max(kinds)) + 1)
     lowest = np.inf
     for _ in range(_ROUNDS):
         gathered = problem.gathered(weights)
         slope = np.where(usable, _slope(problem, index, gathered, problem.rows), -np.inf)
         used = np.flatnonzero(weights)
-        gap = float(np.sum(np.partition(slope, -count)[-count:]) - slope[used] @ weights[used])
+        gap = float(sum(np.sum(slope[best]) for best in largest(slope, kinds, counts)) - slope[used] @ weights[used])
         lowest = min(lowest, log_phi(problem, index, gathered) + float(np.log1p(max(gap, 0.0))))
-        if gap < _CLOSE_ENOUGH or int(np.sum(usable)) == count:
+        if gap < _CLOSE_ENOUGH or int(np.sum(usable)) == int(np.sum(counts)):
             break
-        unclear = _unclear(slope, weights, count)
+        unclear = _unclear(slope, weights, kinds, counts)
         fixed = weights.copy()
         fixed[unclear] = 0.0
+        left = (counts - np.bincount(kinds, fixed, minlength=len(counts))).astype(float)
         weights = fixed.copy()
-        weights[unclear] = _interior_point(
-            problem, index, unclear, problem.gathered(fixed), count - float(np.sum(fixed))
-        )
+        weights[unclear] = _interior_point(problem, index, unclear, problem.gathered(fixed), kinds[unclear], left)
     return Relaxation(lowest, weights)
+
+
+def largest(slope: FloatArray, kinds: IntArray, counts: IntArray) -> list[IntArray]:
+    """Return the `counts` candidates of each kind whose slope (n_candidates,) is largest, a list by kind."""
+    result = []
+    for number, count in enumerate(counts):
+        own = np.flatnonzero(kinds == number)
+        result.append(own[np.argsort(-slope[own], kind="stable")[:count]])
+    return result
 
 
 def log_phi(problem: Problem, index: str, gathered: FloatArray) -> float:
@@ -116,39 +130,59 @@ def _slope(problem: Problem, index: str, gathered: FloatArray, rows: FloatArray)
     return result
 
 
-def _unclear(slope: FloatArray, weights: FloatArray, count: int) -> IntArray:
+def _unclear(slope: FloatArray, weights: FloatArray, kinds: IntArray, counts: IntArray) -> IntArray:
     """Candidates whose weight the interior-point method shall find, ascending."""
-    level = np.partition(slope, -count)[-count]
+    level = np.array([np.min(slope[best], initial=np.inf) for best in largest(slope, kinds, counts)])[kinds]
     # how much a candidate's slope speaks against its weight; fractional ones are always in
     against = np.where(weights == 0, slope - level, np.where(weights == 1, level - slope, np.inf))
     size = min(_UNCLEAR + int(np.sum((weights > 0) & (weights < 1))), int(np.sum(slope > -np.inf)))
     return np.sort(np.argpartition(-against, size - 1)[:size])
 
 
-def _interior_point(problem: Problem, index: str, unclear: IntArray, fixed: FloatArray, total: float) -> FloatArray:
-    """Maximise log phi over weights of the unclear candidates in [0, 1] with a given sum; clear ones become 0 or 1.
+def _interior_point(
+    problem: Problem, index: str, unclear: IntArray, fixed: FloatArray, kinds: IntArray, totals: FloatArray
+) -> FloatArray:
+    """Maximise log phi over weights of the unclear candidates, as `_inner_weights`.
 
-    Primal-dual: slope - level + lower - upper = 0, w lower = (1 - w) upper = mu -> 0, sum w = total.
+    Kinds that are to have all or none of their candidates have no choice, and are settled before.
     """
-    rows = problem.rows[unclear]
-    n = len(unclear)
-    if not 0 < total < n:
-        return np.full(n, float(total > 0))
-    w = np.full(n, total / n)
+    size = np.bincount(kinds, minlength=len(totals))
+    has_choice = (totals > 0.5) & (totals < size - 0.5)
+    result = (totals > 0.5)[kinds].astype(float)
+    inner = np.flatnonzero(has_choice[kinds])
+    if len(inner):
+        settled = problem.rows[unclear[result * ~has_choice[kinds] > 0]].reshape(-1, problem.rows.shape[2])
+        own = np.cumsum(has_choice)[kinds[inner]] - 1
+        rows = problem.rows[unclear[inner]]
+        result[inner] = _inner_weights(problem, index, rows, fixed + settled.T @ settled, own, totals[has_choice])
+    return result
+
+
+def _inner_weights(
+    problem: Problem, index: str, rows: FloatArray, fixed: FloatArray, own: IntArray, totals: FloatArray
+) -> FloatArray:
+    """Maximise log phi over weights in [0, 1] of candidates with these rows (n, k, r), with a given sum of each kind.
+
+    Primal-dual: slope - level of the kind + lower - upper = 0, w lower = (1 - w) upper = mu -> 0, sums w = totals.
+    """
+    member = (own[:, None] == np.arange(len(totals))).astype(float)  # (n, n_kinds)
+    n = len(rows)
+    w = (totals / np.sum(member, axis=0))[own]
     slope, curvature = _derivatives(problem, index, rows, fixed, w)
-    level = float(np.partition(slope, -max(round(total), 1))[-max(round(total), 1)])
+    best = largest(slope, own, np.maximum(np.round(totals).astype(np.intp), 1))
+    level = np.array([np.min(slope[one]) for one in best])
     floor = 0.1 * float(np.mean(np.abs(slope)))
-    lower, upper = np.maximum(level - slope, 0) + floor, np.maximum(slope - level, 0) + floor
+    lower, upper = np.maximum(level[own] - slope, 0) + floor, np.maximum(slope - level[own], 0) + floor
     for _ in range(_STEPS):
         complementarity = float(w @ lower + (1 - w) @ upper)
         if complementarity < _CLOSE_ENOUGH / 4:
             break
         mu = _CENTRING * complementarity / (2 * n)
         matrix = curvature + np.diag(lower / w + upper / (1 - w))
-        right = slope - level + mu / w - mu / (1 - w)
-        solved = np.linalg.solve(matrix, np.stack([right, np.ones(n)], axis=1))
-        level_step = float((np.sum(solved[:, 0]) + np.sum(w) - total) / np.sum(solved[:, 1]))
-        step = solved[:, 0] - level_step * solved[:, 1]
+        right = slope - level[own] + mu / w - mu / (1 - w)
+        solved = np.linalg.solve(matrix, np.column_stack([right, member]))
+        level_step = np.linalg.solve(member.T @ solved[:, 1:], member.T @ (solved[:, 0] + w) - totals)
+        step = solved[:, 0] - solved[:, 1:] @ level_step
         lower_step = mu / w - lower - lower / w * step
         upper_step = mu / (1 - w) - upper + upper / (1 - w) * step
         length = min(_reach(w, step), _reach(1 - w, -step))
@@ -156,7 +190,9 @@ def _interior_point(problem: Problem, index: str, unclear: IntArray, fixed: Floa
         w = w + length * step
         lower, upper, level = lower + dual * lower_step, upper + dual * upper_step, level + dual * level_step
         slope, curvature = _derivatives(problem, index, rows, fixed, w)
-    return _rounded(w, total)
+    for number, total in enumerate(totals):
+        w[own == number] = _rounded(w[own == number], float(total))
+    return w
 
 
 def _derivatives(

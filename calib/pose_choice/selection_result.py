@@ -31,7 +31,9 @@ class Selection(ReadOnlyArrays):
 
     Attributes:
         index: What was made best: O1 to O5 or `task`.
-        chosen: Which candidates, (count,); where poses left the grid, the ones that they started from.
+        chosen: Which of the poses to choose from, (count,); where poses left the grid, the ones that they started from.
+        instruments: What reads at each, count of them, several joined by `+`; none where all instruments read at all.
+        groups: What was chosen among; none likewise. Exchanges count poses with the first of them, then with the next.
         joints: Poses to measure, (count, n_actuated) [m or rad].
         positions: Where they put the targets, (count, n_targets, 3) [m].
         before: All indices of the uniform choice; the task index in m.
@@ -59,6 +61,8 @@ class Selection(ReadOnlyArrays):
 
     index: str
     chosen: IntArray
+    instruments: tuple[str, ...]
+    groups: tuple[str, ...]
     joints: FloatArray
     positions: FloatArray
     before: dict[str, float]

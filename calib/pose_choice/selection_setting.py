@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from calib.arrays import BoolArray, FloatArray
+from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.data.in_memory import as_poses
 from calib.data.measurements import Poses
 from calib.errors import InputError, NotIdentifiableError, nearest
@@ -24,10 +24,13 @@ from calib.linearisation.candidates import (
     require_free,
     rows_of_measured,
 )
+from calib.linearisation.observed import looks_at
 from calib.linearisation.unknowns import Unknowns
 from calib.model.robot import Robot
 from calib.numerics.observability import prior_rows
-from calib.pose_choice.exchange import Spacing
+from calib.pose_choice.exchange import Spacing, uniform_start
+from calib.pose_choice.instrument_choice import Groups, Pairs, already_read, pairs_of, require_touches_said
+from calib.pose_choice.selection_bound import largest
 from calib.pose_choice.selection_problem import TASK, Problem, build_problem
 from calib.pose_choice.selection_scores import CHOICES
 
@@ -38,15 +41,17 @@ class Wanted:
 
     Attributes:
         index: One of `CHOICES`.
-        count: Number of poses.
+        count: Number of poses, with each group of instruments counted by itself.
         minimum_distance: Least distance between the targets of two poses [m].
         off_grid: Whether poses shall leave the grid.
+        groups: Which instruments are chosen among.
     """
 
     index: str
     count: int
     minimum_distance: float
     off_grid: bool
+    groups: Groups
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +61,10 @@ class Setting:
     Attributes:
         robot: The robot.
         wanted: What was asked for.
-        found: The candidates.
-        problem: The same in whitened coordinates.
+        poses: The poses to choose from.
+        found: The same, assembled.
+        pairs: The candidates: these poses with groups of instruments.
+        problem: The candidates in whitened coordinates.
         space: Which candidates may be chosen.
         measured_points: Points of the poses already measured, (n, 3 n_targets) [m].
         sigma: Noise of one measured position per axis, which is the unit of indices [m].
@@ -68,7 +75,9 @@ class Setting:
 
     robot: Robot
     wanted: Wanted
+    poses: Poses
     found: Candidates
+    pairs: Pairs
     problem: Problem
     space: Spacing
     measured_points: FloatArray
@@ -76,6 +85,23 @@ class Setting:
     sigma_assumed: bool
     already_measured: int
     sigma_given: float | None
+
+    def uniform(self) -> IntArray:
+        """Return candidates evenly spread over their order, as many of each kind as are wanted, (count,)."""
+        usable = np.flatnonzero(self.space.usable)
+        return np.concatenate([uniform_start(own, count) for own, count in self.by_kind(usable)])
+
+    def random(self, rng: np.random.Generator) -> IntArray:
+        """Return candidates at random, as many of each kind as are wanted, ascending, (count,)."""
+        usable = np.flatnonzero(self.space.usable)
+        return np.sort(np.concatenate([rng.choice(own, n, replace=False) for own, n in self.by_kind(usable)]))
+
+    def by_kind(self, candidates: IntArray) -> list[tuple[IntArray, int]]:
+        """Return those of the candidates (n,) that are of each kind, and how many are wanted of it."""
+        counts = self.wanted.groups.counts
+        if counts is None:
+            return [(candidates, self.wanted.count)]
+        return [(candidates[self.pairs.group[candidates] == g], count) for g, count in enumerate(counts)]
 
 
 def prepare(
@@ -113,30 +139,54 @@ def prepare(
     noise, assumed = assumed_sigma(robot, sigma)
     if not (np.isfinite(wanted.minimum_distance) and wanted.minimum_distance >= 0):
         raise InputError(f"minimum distance {wanted.minimum_distance:g} m: must be zero or positive")
+    _require_on_grid(robot, wanted, poses)
+    if wanted.groups.chosen:
+        require_touches_said(robot, wanted.groups, poses)
     candidates_found = build_candidates(robot, poses, sigma, skip_unreachable=skip_unreachable)
     found = candidates_found.found
+    pairs = pairs_of(wanted.groups, found)
     done_rows, n_before, points, again = None, 0, points_of(found.positions[:0]), 0
-    usable = candidates_found.usable & ~_excluded(exclude, len(poses))
+    usable = pairs.possible & (candidates_found.usable & ~_excluded(exclude, len(poses)))[pairs.pose]
+    pose_points = points_of(found.positions)
     if measured is not None:
         done = as_poses(robot, measured)
         done_rows, positions, _ = rows_of_measured(robot, done, sigma)
         n_before, points = done.n_poses, points_of(positions)
-        same = near_measured(poses.joints, done.joints)
-        again = int(np.sum(same))
+        same = already_read(wanted.groups, poses, done)
+        again = int(np.sum(same & pairs.possible))
         usable &= ~same
-    candidate_points = points_of(found.positions)
-    if wanted.minimum_distance > 0 and len(points):
-        usable[usable] = cKDTree(points).query(candidate_points[usable])[0] >= wanted.minimum_distance
-    _require_count(wanted.count, usable, len(poses))
+        if wanted.minimum_distance > 0:
+            seen = near_measured(poses.joints, done.joints)
+            seen[~seen & candidates_found.usable] = (
+                cKDTree(points).query(pose_points[~seen & candidates_found.usable])[0] >= wanted.minimum_distance
+            )
+            usable &= seen[pairs.pose]
+    _require_counts(wanted, usable, pairs)
     task_rows = found.position_rows[candidates_found.usable]
     if task is not None:
         task_rows = rows_of_measured(robot, as_poses(robot, task), sigma)[2]
     problem = build_problem(
-        found.rows, done_rows, prior_rows(Unknowns.chosen_by_poses(robot).has_prior), n_before, task_rows
+        pairs.rows, done_rows, prior_rows(Unknowns.chosen_by_poses(robot).has_prior), n_before, task_rows
     )
-    _require_answer(problem, wanted)
-    space = Spacing(candidate_points, wanted.minimum_distance, usable)
-    return Setting(robot, wanted, candidates_found, problem, space, points, noise, assumed, again, sigma)
+    _require_answer(problem, wanted, pairs, usable)
+    kind = None if wanted.groups.counts is None else pairs.group
+    space = Spacing(pose_points[pairs.pose], wanted.minimum_distance, usable, pairs.pose, kind)
+    return Setting(robot, wanted, poses, candidates_found, pairs, problem, space, points, noise, assumed, again, sigma)
+
+
+def _require_on_grid(robot: Robot, wanted: Wanted, poses: Poses) -> None:
+    """Raise `InputError` where poses shall leave the grid, and it matters at which of its points they are."""
+    if not wanted.off_grid:
+        return
+    if wanted.groups.chosen:
+        raise InputError("off the grid all instruments read at every pose; choose among instruments on the grid")
+    every = looks_at(robot, Poses(poses.joints, poses.labels, poses.names, poses.path, ()))
+    for name, found in looks_at(robot, poses).items():
+        if not np.array_equal(found.visits, every[name].visits) or not np.array_equal(found.pairs, every[name].pairs):
+            raise InputError(
+                f"{poses.path}: says at which poses '{name}' reads what, which poses off the grid cannot; choose on the"
+                " grid"
+            )
 
 
 def points_of(positions: FloatArray) -> FloatArray:
@@ -153,26 +203,41 @@ def _excluded(exclude: Sequence[int], n: int) -> BoolArray:
     return result
 
 
-def _require_count(count: int, usable: BoolArray, n: int) -> None:
-    left = int(np.sum(usable))
-    if count < 1:
-        raise InputError(f"count {count}: choose at least one pose")
-    if count > left:
-        of = "" if left == n else f" (of {n}; the others are excluded, measured already, or cannot be used)"
-        raise InputError(f"count {count} is above the {left} candidates that can be chosen{of}; give more candidates")
+def _require_counts(wanted: Wanted, usable: BoolArray, pairs: Pairs) -> None:
+    """Raise `InputError` where more is wanted than there are candidates, of each kind."""
+    if wanted.count < 1:
+        raise InputError(f"count {wanted.count}: choose at least one pose")
+    counts = wanted.groups.counts
+    kinds = [("", wanted.count, np.ones(len(usable), dtype=bool))]
+    if counts is not None:
+        names = wanted.groups.names
+        kinds = [(f" of {name}", counts[g], pairs.group == g) for g, name in enumerate(names)]
+    for name, count, own in kinds:
+        if count < 0:
+            raise InputError(f"count {count}{name}: must be zero or more")
+        left, n = int(np.sum(usable & own)), int(np.sum(own))
+        if count > left:
+            of = "" if left == n else f" (of {n}; the others are excluded, measured already, or cannot be used)"
+            raise InputError(
+                f"count {count}{name} is above the {left} candidates that can be chosen{of}; give more candidates"
+            )
 
 
-def _require_answer(problem: Problem, wanted: Wanted) -> None:
-    rank, per_pose = problem.known.rank.rank, problem.rows.shape[1]
+def _require_answer(problem: Problem, wanted: Wanted, pairs: Pairs, usable: BoolArray) -> None:
+    rank = problem.known.rank.rank
     if rank == 0:
         raise NotIdentifiableError(
             "the candidates determine no parameter at all; the targets do not depend on any free one"
         )
     missing = rank - int(np.linalg.matrix_rank(problem.before, hermitian=True))
-    if per_pose * wanted.count < missing:
+    kinds = np.zeros(len(usable), dtype=np.intp) if wanted.groups.counts is None else pairs.group
+    counts = np.array(wanted.groups.counts or (wanted.count,))
+    n_read = np.where(usable, pairs.n_read, 0)
+    coordinates = int(sum(np.sum(n_read[best]) for best in largest(n_read, kinds, counts)))
+    if coordinates < missing:
         raise InputError(
-            f"count {wanted.count}: {per_pose * wanted.count} coordinates cannot determine {missing} parameters;"
-            f" choose at least {-(-missing // per_pose)} poses (several times that for a useful result)"
+            f"count {wanted.count}: {coordinates} coordinates cannot determine {missing} parameters;"
+            f" choose at least {-(-missing // int(np.max(n_read)))} poses (several times that for a useful result)"
         )
     if wanted.index == TASK and not np.isfinite(problem.task_floor):
         raise NotIdentifiableError(

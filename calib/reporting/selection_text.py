@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from rich.table import Table as Printed
 
-from calib.data.measurement_files import format_positions
+from calib.data.measurement_files import columns_in, format_positions
 from calib.data.measurements import Poses
+from calib.data.plan_files import INSTRUMENT, TOGETHER
 from calib.data.tables import Table, format_table
 from calib.model.robot import Robot
 from calib.numerics.observability import INDICES
@@ -39,6 +41,7 @@ def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
         "count": len(s),
         "candidates": len(poses),
         "chosen": [poses.names[k] for k in s.chosen],
+        "instruments": list(s.instruments) or None,
         "before": _values(s.before),
         "after": _values(s.after),
         "on_grid": _values(s.on_grid),
@@ -48,7 +51,7 @@ def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
         "efficiency_percent": 100 * s.efficiency if s.efficiency is not None else None,
         "bound": _shown(s.index, s.bound) if certified else None,
         "off_grid": _off_grid(s),
-        "runs": [_run(run, s.index, poses) for run in s.runs],
+        "runs": [_run(run, s, poses) for run in s.runs],
         "travel_joint_ranges": {"candidate_order": s.travel[0], "this_order": s.travel[1]},
         "rank": s.rank.rank,
         "rank_of_poses": s.rank_of_poses.rank,
@@ -75,18 +78,18 @@ def format_poses(robot: Robot, selection: Selection, poses: Poses, table: Table)
         poses: The candidates.
         table: The candidates' file.
     """
-    comment = (
-        f"{len(selection)} of {len(poses)} poses of {poses.path}, chosen by {selection.index}, in order of measurement"
-    )
+    comment = f"{_counted(selection, poses)}, chosen by {selection.index}, in order of measurement"
     if not selection.off_grid:
         headers = [
             name if unit is None else f"{name} [{unit}]" for name, unit in zip(table.names, table.units, strict=True)
         ]
-        named = "pose" in table.names
-        lines_of = _lines_of(table) if named else {name: [k] for k, name in enumerate(poses.names)}
-        lines = [line for k in selection.chosen for line in lines_of[poses.names[k]]]
-        columns = [(header, [table.rows[line][c] for line in lines]) for c, header in enumerate(headers)]
-        if not named:
+        lines = _lines_of(table) if "pose" in table.names else {name: [k] for k, name in enumerate(poses.names)}
+        if selection.groups:
+            columns = _plan(robot, selection, poses, table, headers, lines)
+        else:
+            kept = [line for k in selection.chosen for line in lines[poses.names[k]]]
+            columns = [(header, [table.rows[line][c] for line in kept]) for c, header in enumerate(headers)]
+        if "pose" not in table.names:
             columns.insert(0, ("pose", [poses.names[k] for k in selection.chosen]))
         return format_table(columns, (comment,))
     names = tuple(poses.names[k] for k in selection.chosen)
@@ -97,6 +100,28 @@ def format_poses(robot: Robot, selection: Selection, poses: Poses, table: Table)
     if all(f"{target}_{axis}" in table.names for target in robot.target_names for axis in "xyz"):
         return text
     return _without_positions(text, 1 + len(robot.joint_names))
+
+
+def _plan(
+    robot: Robot,
+    selection: Selection,
+    poses: Poses,
+    table: Table,
+    headers: Sequence[str],
+    lines: Mapping[str, Sequence[int]],
+) -> list[tuple[str, list[object]]]:
+    """Columns of a plan: a row for each pose and what reads there, cells of other instruments empty."""
+    rows: list[list[object]] = []
+    for k, together in zip(selection.chosen, selection.instruments, strict=True):
+        read = [robot.instrument(name) for name in together.split(TOGETHER)]
+        own = {column for one in read for column in columns_in(one, table)}
+        touched = [table.names.index(name) for one in read if not one.columns() for name in one.text_columns()]
+        line = next(line for line in lines[poses.names[k]] if all(table.rows[line][c] for c in touched))
+        others = {column for one in robot.instruments for column in columns_in(one, table)} - own
+        cells = zip(table.names, table.rows[line], strict=True)
+        rows.append([together, *("" if name in others else cell for name, cell in cells)])
+    columns = [(header, [row[c] for row in rows]) for c, header in enumerate([INSTRUMENT, *headers])]
+    return [columns[0], *(column for column in columns[1:] if column[0] != INSTRUMENT)]
 
 
 def _lines_of(table: Table) -> dict[str, list[int]]:
@@ -113,7 +138,7 @@ def _without_positions(text: str, n_columns: int) -> str:
 
 
 def _summary(s: Selection, poses: Poses) -> list[str]:
-    lines = [f"{len(s)} of {len(poses)} poses ({poses.path}), chosen by {s.index}"]
+    lines = [f"{_counted(s, poses)}, chosen by {s.index}"]
     if s.efficiency is not None and s.bound is not None:
         limit = f"{_shown(s.index, s.bound):.5g}" + (" mm" if s.index == TASK else "")
         word = "goes below" if s.index == TASK else "exceeds"
@@ -129,6 +154,15 @@ def _summary(s: Selection, poses: Poses) -> list[str]:
         if off["above_bound_percent"] is not None:
             lines[-1] += f", {off['above_bound_percent']:.2f} % better than any choice from them can be"
     return lines
+
+
+def _counted(s: Selection, poses: Poses) -> str:
+    """How many poses were chosen, and with what."""
+    if not s.groups:
+        return f"{len(s)} of {len(poses)} poses ({poses.path})"
+    with_each = ", ".join(f"{s.instruments.count(group)} with {group}" for group in s.groups)
+    different = len(set(s.chosen.tolist()))
+    return f"{with_each}; {different} different ones of {len(poses)} poses ({poses.path})"
 
 
 def _indices(s: Selection) -> Printed:
@@ -190,15 +224,22 @@ def _off_grid(s: Selection) -> dict[str, float | None] | None:
     return {"better_percent": better(s.on_grid[s.index]), "above_bound_percent": better(s.bound)}
 
 
-def _run(run: Run, index: str, poses: Poses) -> dict[str, object]:
+def _run(run: Run, s: Selection, poses: Poses) -> dict[str, object]:
     return {
         "start": run.start,
-        "history": [_finite(_shown(index, value)) for value in run.history],
+        "history": [_finite(_shown(s.index, value)) for value in run.history],
         "paper_exchanges": run.n_paper,
         "exchanges": [
-            {"added": poses.names[added], "removed": poses.names[removed]} for added, removed in run.exchanges
+            {"added": _candidate(s, poses, added), "removed": _candidate(s, poses, removed)}
+            for added, removed in run.exchanges
         ],
     }
+
+
+def _candidate(s: Selection, poses: Poses, number: int) -> str:
+    """What to call a candidate: its pose, and what reads there where that is chosen too."""
+    group, pose = divmod(number, len(poses))
+    return f"{poses.names[pose]} ({s.groups[group]})" if s.groups else poses.names[pose]
 
 
 def _values(values: dict[str, float]) -> dict[str, float | None]:

@@ -1,0 +1,99 @@
+"""Plans as CSV files: where to measure, with what, in which setup, and what to touch there.
+
+A plan is a file of joint values. `calib select` writes one, `calib simulate` reads one, and with the columns of what
+was read beside, it is a file of measurements.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from calib.arrays import BoolArray, IntArray
+from calib.data.measurement_files import columns_in, poses_of_table
+from calib.data.measurements import Poses, in_setups
+from calib.data.tables import Table, read_table
+from calib.errors import DataError, nearest
+from calib.model.robot import Robot
+from calib.observation.kind import Instrument, Readings
+
+INSTRUMENT = "instrument"
+"""Column that says which instruments are to read."""
+TOGETHER = "+"
+"""What joins the names of instruments that read together."""
+
+
+def read_plan(path: Path | str, robot: Robot) -> Poses:
+    """Read joint values and what is to be read there: by which instruments, in which setup, and what is touched.
+
+    The column `instrument` names one, or several joined by `+`; an empty cell, or no such column, is all of them. What
+    is touched stands in the columns of the instruments that touch; without such a column the file does not say.
+
+    Raises:
+        DataError: The message names file, line and column.
+    """
+    table = read_table(path, robot.description.columns)
+    used = {column for one in robot.instruments for column in columns_in(one, table)}
+    poses = poses_of_table(table, robot, used)
+    reading = _reading(robot, table)
+    wanted = {one.name: _wanted(robot, one, table, reading[one.name], poses.setups) for one in robot.instruments}
+    said = {name: found for name, found in wanted.items() if found is not None}
+    if len(said) == len(robot.instruments) and not any(len(found) for found in said.values()):
+        raise DataError(f"{table.path}: says of no pose that anything is read there")
+    return replace(poses, wanted=said)
+
+
+def _reading(robot: Robot, table: Table) -> dict[str, BoolArray]:
+    """Which rows of a plan each instrument is to read at, (n_table_rows,) by name."""
+    n, names = len(table.rows), [one.name for one in robot.instruments]
+    result = {name: np.ones(n, dtype=bool) for name in names}
+    for k, cell in enumerate(_instrument_cells(robot, table)):
+        read = [name.strip() for name in cell.split(TOGETHER)] if cell else names
+        unknown = next((name for name in read if name not in names), None)
+        if unknown is not None:
+            raise DataError(
+                f"{table.path}, line {table.lines[k]}, column '{INSTRUMENT}': no instrument '{unknown:.60}'"
+                f"{nearest(unknown, names)}"
+            )
+        for name in names:
+            result[name][k] = name in read
+    return result
+
+
+def _instrument_cells(robot: Robot, table: Table) -> tuple[str, ...]:
+    """Cells of the column `instrument`; none without it, or where the description names no instruments."""
+    return tuple(table.text(INSTRUMENT)) if robot.description.instruments and INSTRUMENT in table.names else ()
+
+
+def _wanted(
+    robot: Robot, one: Instrument, table: Table, reading: BoolArray, setups: IntArray | None
+) -> Readings | None:
+    """What an instrument is to read in the rows of a plan; None where it is not said what is touched."""
+    rows = np.flatnonzero(reading)
+    if one.columns():
+        pairs, details = one.looks()
+        n_looks = len(pairs)
+        visits, pairs, details = np.repeat(rows, n_looks), np.tile(pairs, len(rows)), np.tile(details, (len(rows), 1))
+    elif set(one.text_columns()) <= set(table.names):
+        texts = {name: [table.text(name)[k] for k in rows] for name in one.text_columns()}
+        own, pairs, details = one.looked_at(texts, [f"{table.path}, line {table.lines[k]}" for k in rows])
+        mine = np.array(own, dtype=bool)
+        _require_said(robot, one, table, rows[~mine])
+        visits, pairs, details = rows[mine], pairs[mine], details[mine]
+    else:
+        return None
+    shift = np.zeros(len(table.rows), dtype=np.intp) if setups is None else in_setups(robot, one, setups)
+    return Readings(visits, pairs + shift[visits], np.zeros((len(visits), 0)), None, details)
+
+
+def _require_said(robot: Robot, one: Instrument, table: Table, unsaid: IntArray) -> None:
+    """Raise `DataError` where a row names an instrument that touches, and not what."""
+    cells = _instrument_cells(robot, table)
+    bad = next((int(k) for k in unsaid if cells and cells[k]), None)
+    if bad is not None:
+        raise DataError(
+            f"{table.path}, line {table.lines[bad]}, column '{one.text_columns()[0]}': is empty, but '{one.name}' is"
+            " to touch something there; say what"
+        )

@@ -20,8 +20,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.stats import qmc
 
 from calib.arrays import FloatArray
 from calib.errors import InputError
@@ -85,7 +85,9 @@ def poses_near_home(robot: Robot) -> FloatArray:
     lower, upper = np.array([limits[name] for name in robot.joint_names]).T
     lower = np.where(np.isfinite(lower), lower, -default)
     upper = np.where(np.isfinite(upper), upper, default)
-    spread = 2 * qmc.Halton(len(default), scramble=False).random(_POSES + 1)[1:] - 1  # its first point is a corner
+    spread = (
+        2 * scipy.stats.qmc.Halton(len(default), scramble=False).random(_POSES + 1)[1:] - 1
+    )  # its first point is a corner
     around = robot.home + _REACH * (upper - lower) * spread
     inside = np.clip(around, np.minimum(lower, robot.home), np.maximum(upper, robot.home))
     poses = np.vstack([robot.home, inside])

@@ -19,7 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
+import scipy
 
 from calib.arrays import FloatArray
 from calib.errors import ComputationError, NotIdentifiableError
@@ -177,5 +177,5 @@ def _step(rows: Rows, found: FloatArray, sigma: float) -> FloatArray:
     diagonal = np.abs(np.diag(triangle))
     if np.min(diagonal) <= 1e-12 * np.max(diagonal):
         raise NotIdentifiableError(_TOO_FEW_LEFT)
-    step: FloatArray = -solve_triangular(triangle, q.T @ right)
+    step: FloatArray = -scipy.linalg.solve_triangular(triangle, q.T @ right)
     return step

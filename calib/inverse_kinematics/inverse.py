@@ -14,9 +14,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
-from scipy.stats import qmc
 
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.errors import DataError, UnreachablePoseError, nearest
@@ -25,6 +24,7 @@ from calib.inverse_kinematics.reaching import Configured, Reach, actuated_jacobi
 from calib.inverse_kinematics.redundancy import nearer, unwound
 from calib.model import loops
 from calib.model.robot import Robot
+from calib.threads import one_blas_thread
 from calib.units import millimetres
 
 TOLERANCE = 1e-9
@@ -77,6 +77,7 @@ class Solution:
             )
 
 
+@one_blas_thread
 def solve(robot: Robot, goals: Goals, *, near: ArrayLike | None = None) -> Solution:
     """Find joint values that bring a target to its goals.
 
@@ -195,7 +196,9 @@ class _Search:
         count = min(count, len(starts.actuated))
         if len(todo) == 0 or count == 0:
             return
-        nearest_starts = cKDTree(self._features_at(starts)).query(self._features[todo], k=range(1, count + 1))[1]
+        nearest_starts = scipy.spatial.cKDTree(self._features_at(starts)).query(
+            self._features[todo], k=range(1, count + 1)
+        )[1]
         found = descend(self.reach, np.repeat(todo, count), starts.subset(nearest_starts.ravel()))
         best = np.argmin(found.distance.reshape(-1, count), axis=1) + count * np.arange(len(todo))
         better = np.flatnonzero(found.distance[best] < self.best.distance[todo])
@@ -229,7 +232,7 @@ def _spread(robot: Robot, reach: Reach) -> Configured:
     turn = np.pi * reach.scale
     lower = np.where(np.isfinite(reach.lower), reach.lower, robot.home - turn)
     upper = np.where(np.isfinite(reach.upper), reach.upper, robot.home + turn)
-    sample = qmc.Halton(len(lower), scramble=False).random(_SPREAD)
+    sample = scipy.stats.qmc.Halton(len(lower), scramble=False).random(_SPREAD)
     actuated = np.array(lower + sample * (upper - lower), dtype=np.float64)
     closed = loops.close(reach.mechanism, reach.mode, actuated)
     return Configured(actuated[closed.ok], closed.passive[closed.ok], np.full(int(closed.ok.sum()), np.inf))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from calib.arrays import FloatArray
 from calib.model.assembly_mode import AssemblyMode
@@ -34,7 +34,7 @@ def smallest_gap(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray)
         return weight[:, None] * residual(mechanism, actuated[None], passive[None])[1][0]
 
     scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
-    best = least_squares(values, mode.passive, jac=slope, x_scale=scale, max_nfev=200)
+    best = scipy.optimize.least_squares(values, mode.passive, jac=slope, x_scale=scale, max_nfev=200)
     lengths, angles = open_by(mechanism, best.fun[None] / weight)
     return lengths[0], angles[0]
 

@@ -25,7 +25,7 @@ from itertools import combinations, islice
 from math import comb
 
 import numpy as np
-from scipy.optimize import linprog
+import scipy
 
 from calib.arrays import BoolArray, FloatArray
 
@@ -100,7 +100,7 @@ def _programmed(basis: FloatArray, pivot: int, avoided: BoolArray) -> Iterator[F
     weights = np.where(avoided, 1.05, 1.0) + 1e-4 * np.arange(n)
     weighed = weights
     for _ in range(2):
-        solution = linprog(
+        solution = scipy.optimize.linprog(
             np.concatenate([np.zeros(k), weighed]),
             A_ub=np.block([[basis, -np.eye(n)], [-basis, -np.eye(n)]]),
             b_ub=np.zeros(2 * n),

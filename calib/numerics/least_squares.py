@@ -56,7 +56,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import solve_triangular
+import scipy
 
 from calib.arrays import FloatArray
 from calib.errors import ComputationError
@@ -165,7 +165,7 @@ class _Point:
     def newton(self) -> FloatArray:
         """Step f of the module docstring; the shortest one where the rows do not see every direction, (n,)."""
         if self.sees_all:
-            return np.asarray(-solve_triangular(self.triangle, self.projected))
+            return np.asarray(-scipy.linalg.solve_triangular(self.triangle, self.projected))
         return np.asarray(-np.linalg.lstsq(self.triangle, self.projected, rcond=_SINGULAR)[0])
 
     @cached_property
@@ -180,12 +180,12 @@ class _Point:
         points = [*past, self]
         left = self.residuals + self.jacobian @ self.newton
         pulls = np.stack([point.jacobian.T @ left for point in points], axis=1)
-        curved = solve_triangular(self.triangle, np.diff(pulls, axis=1), trans=1)
+        curved = scipy.linalg.solve_triangular(self.triangle, np.diff(pulls, axis=1), trans=1)
         seen = self.triangle @ np.diff([point.x for point in points], axis=0).T + curved
         length = np.linalg.norm(seen, axis=0) + np.finfo(float).tiny
         right = -self.triangle @ self.newton
         coefficients = np.linalg.lstsq(seen / length, right, rcond=_DEPENDENT)[0] / length
-        return np.asarray(self.newton + solve_triangular(self.triangle, curved @ coefficients))
+        return np.asarray(self.newton + scipy.linalg.solve_triangular(self.triangle, curved @ coefficients))
 
     def within(self, radius: float, scale: FloatArray) -> FloatArray:
         """Return the minimum of the linear model within |D d| <= radius, (n,), where Newton's step is longer.

@@ -12,8 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.numerics.elementary_vectors import ZERO, shortest_basis
@@ -50,7 +49,9 @@ def null_groups(
     """
     null = _null_space(scaled_jacobian)
     projector = null @ null.T
-    count, label = connected_components(csr_matrix(np.abs(projector) > ZERO), directed=False)
+    count, label = scipy.sparse.csgraph.connected_components(
+        scipy.sparse.csr_matrix(np.abs(projector) > ZERO), directed=False
+    )
     vectors: list[FloatArray] = []
     for k in range(count):
         columns = np.flatnonzero(label == k)

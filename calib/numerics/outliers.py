@@ -27,7 +27,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as f_distribution
+import scipy
 
 from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.numerics.losses import median_length
@@ -106,5 +106,5 @@ def studentised(blocks: list[Blocks], root: FloatArray, freedom: float, scale: f
     found = float(np.median(size / median_length(widths))) if scale is None else scale
     found = max(found, _NO_NOISE)
     ratio = size / found
-    p_value = np.minimum(1.0, len(ratio) * f_distribution.sf(ratio**2 / widths, widths, max(freedom / 2.0, 1.0)))
+    p_value = np.minimum(1.0, len(ratio) * scipy.special.fdtrc(widths, max(freedom / 2.0, 1.0), ratio**2 / widths))
     return Studentised(ratio, np.concatenate(leverages), np.concatenate(largest), p_value, found)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.numerics.multilateration import centre, centre_of_sphere
@@ -96,7 +96,7 @@ def _turn(u: FloatArray, v: FloatArray, k: int) -> FloatArray:
         axis = axis if np.linalg.norm(axis) > 1e-12 else np.eye(3)[k - 1]
     axis /= np.linalg.norm(axis)
     angle = np.arctan2(axis @ np.cross(u, v), u @ v - (axis @ u) * (axis @ v))
-    result: FloatArray = Rotation.from_rotvec(angle * axis).as_matrix()
+    result: FloatArray = scipy.spatial.transform.Rotation.from_rotvec(angle * axis).as_matrix()
     return result
 
 

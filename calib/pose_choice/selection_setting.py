@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from calib.arrays import BoolArray, FloatArray
 from calib.data.arrays import as_poses
@@ -126,7 +126,7 @@ def prepare(
         usable &= ~same
     candidate_points = points_of(found.positions)
     if wanted.minimum_distance > 0 and len(points):
-        usable[usable] = cKDTree(points).query(candidate_points[usable])[0] >= wanted.minimum_distance
+        usable[usable] = scipy.spatial.cKDTree(points).query(candidate_points[usable])[0] >= wanted.minimum_distance
     _require_count(wanted.count, usable, len(poses))
     task_rows = found.position_rows[candidates_found.usable]
     if task is not None:

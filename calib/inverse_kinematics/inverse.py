@@ -24,7 +24,6 @@ from calib.inverse_kinematics.reaching import Configured, Reach, actuated_jacobi
 from calib.inverse_kinematics.redundancy import nearer, unwound
 from calib.model import loops
 from calib.model.robot import Robot
-from calib.threads import one_blas_thread
 from calib.units import millimetres
 
 TOLERANCE = 1e-9
@@ -77,7 +76,6 @@ class Solution:
             )
 
 
-@one_blas_thread
 def solve(robot: Robot, goals: Goals, *, near: ArrayLike | None = None) -> Solution:
     """Find joint values that bring a target to its goals.
 

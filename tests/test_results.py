@@ -3,6 +3,7 @@
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -271,3 +272,12 @@ def test_a_damaged_covariance_gives_no_uncertainty(fitted, folder, tmp_path, dam
         (tmp_path / "result.json").write_text(json.dumps(result | {"degrees_of_freedom": "many"}))
     with pytest.raises(CalibrationError, match="run the fit again"):
         load_uncertainty(tmp_path, fitted.nominal)
+
+
+def test_without_pages_old_ones_are_removed(fitted, tmp_path, monkeypatch):
+    writer = SimpleNamespace(load=lambda: lambda fit: {"report.html": b"page", "viewer.html": b"page"})
+    monkeypatch.setattr("calib.reporting.results.entry_points", lambda group: (writer,))
+    save(fitted, tmp_path)
+    with_pages = set(tree(tmp_path))
+    save(fitted, tmp_path, pages=False)
+    assert with_pages - set(tree(tmp_path)) == {"report.html", "viewer.html"}

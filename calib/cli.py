@@ -39,6 +39,10 @@ class Commands(click.Group):
         for entry in entry_points(group=COMMANDS, name=cmd_name):
             added: click.Command = entry.load()
             return added
+        for name in self.list_commands(ctx):  # click names the nearest of them
+            known = self.get_command(ctx, name)
+            if known is not None:
+                self.add_command(known, name)
         return None
 
 

@@ -1,9 +1,11 @@
-"""Kinematic calibration of any robot with a URDF, closed loops included, on Pinocchio."""
+"""Kinematic calibration of any robot with a URDF, closed loops included, on Pinocchio.
 
-from calib.calibration import Calibration, fit
-from calib.data.in_memory import as_measurements, as_poses
-from calib.data.measurement_files import read_measurements, read_poses
-from calib.data.measurements import Measurements, Poses
+Names are imported when they are first used, so that a program that needs few of them starts quickly.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from calib.errors import (
     CalibrationError,
     ComputationError,
@@ -16,13 +18,40 @@ from calib.errors import (
     UnreachablePoseError,
     UrdfError,
 )
-from calib.identification.fitted import Fit
-from calib.linearisation.simulate import simulate
-from calib.model.parameters import Origin, Parametrisation, twist_of_edit
-from calib.model.robot import Robot
-from calib.parameter import Parameter
-from calib.pose_choice.selection import Selection, select
-from calib.reporting.results import load
+
+if TYPE_CHECKING:
+    from calib.calibration import Calibration, fit
+    from calib.data.in_memory import as_measurements, as_poses
+    from calib.data.measurement_files import read_measurements, read_poses
+    from calib.data.measurements import Measurements, Poses
+    from calib.identification.fitted import Fit
+    from calib.linearisation.simulate import simulate
+    from calib.model.parameters import Origin, Parametrisation, twist_of_edit
+    from calib.model.robot import Robot
+    from calib.parameter import Parameter
+    from calib.pose_choice.selection import Selection, select
+    from calib.reporting.results import load
+
+_HOMES = {
+    "Calibration": "calib.calibration",
+    "Fit": "calib.identification.fitted",
+    "Measurements": "calib.data.measurements",
+    "Origin": "calib.model.parameters",
+    "Parameter": "calib.parameter",
+    "Parametrisation": "calib.model.parameters",
+    "Poses": "calib.data.measurements",
+    "Robot": "calib.model.robot",
+    "Selection": "calib.pose_choice.selection",
+    "as_measurements": "calib.data.in_memory",
+    "as_poses": "calib.data.in_memory",
+    "fit": "calib.calibration",
+    "load": "calib.reporting.results",
+    "read_measurements": "calib.data.measurement_files",
+    "read_poses": "calib.data.measurement_files",
+    "select": "calib.pose_choice.selection",
+    "simulate": "calib.linearisation.simulate",
+    "twist_of_edit": "calib.model.parameters",
+}
 
 __all__ = [
     "Calibration",
@@ -54,3 +83,14 @@ __all__ = [
     "simulate",
     "twist_of_edit",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'calib' has no attribute '{name}'")
+    found = globals()[name] = getattr(import_module(_HOMES[name]), name)
+    return found
+
+
+def __dir__() -> list[str]:
+    return __all__

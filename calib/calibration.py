@@ -47,9 +47,9 @@ class Calibration(Fit):
         """Return the result as text."""
         return text_report(self)
 
-    def save(self, folder: Path | str, *, force: bool = False) -> None:
+    def save(self, folder: Path | str, *, force: bool = False, pages: bool = True) -> None:
         """Write the result to a folder; see `calib.reporting.results.save`."""
-        save(self, folder, force=force)
+        save(self, folder, force=force, pages=pages)
 
 
 def fit(

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from calib.commands.common import Output, run_program, shared_options
+from calib.commands.common import Output, shared_options
+from calib.commands.program import run_program
 from calib.data.measurement_files import format_positions
 from calib.files import check_file, check_folder, write_file, write_folder
 from calib.model.robot import load

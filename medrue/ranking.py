@@ -15,8 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import kendalltau
-from scipy.stats import t as student_t
+import scipy
 
 from calib.arrays import BoolArray, FloatArray
 from calib.words import counted
@@ -93,7 +92,7 @@ def rank(names: tuple[str, ...], errors: FloatArray) -> Ranking:
     differences = errors[:, None, order] - errors[:, order, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         steps = differences.mean(axis=0) / standard_error(differences)
-        luck = 2 * student_t.sf(np.abs(steps), n - 1) if n > 1 else np.full(steps.shape, np.nan)
+        luck = 2 * scipy.special.stdtr(n - 1, -np.abs(steps)) if n > 1 else np.full(steps.shape, np.nan)
     return Ranking(tuple(names[k] for k in order), means[order], n, steps, _sure(luck) & (steps > 0))
 
 
@@ -154,7 +153,7 @@ def standard_error(draws: FloatArray) -> FloatArray:
 def agreement(first: dict[str, float], second: dict[str, float]) -> float:
     """Kendall's tau of two lists of errors by name: 1 for the same order, 0 for none, -1 for the reverse."""
     names = sorted(set(first) & set(second))
-    return float(kendalltau([first[name] for name in names], [second[name] for name in names]).statistic)
+    return float(scipy.stats.kendalltau([first[name] for name in names], [second[name] for name in names]).statistic)
 
 
 def _enumerated(names: list[str]) -> str:

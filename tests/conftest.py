@@ -30,7 +30,7 @@ RunCalib = Callable[..., Run]
 
 def _in_process(*arguments: object, cwd: Path | None = None) -> Run:
     from calib.cli import group  # here, so that tests of the library need no command line
-    from calib.commands.common import run_program
+    from calib.commands.program import run_program
 
     out, err, code = io.StringIO(), io.StringIO(), 0
     with contextlib.ExitStack() as stack:

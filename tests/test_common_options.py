@@ -7,7 +7,8 @@ import sys
 import click
 import pytest
 
-from calib.commands.common import run_program, shared_options, sigma_in_metres, with_values
+from calib.commands.common import shared_options, sigma_in_metres, with_values
+from calib.commands.program import run_program
 from calib.errors import ComputationError, InputError, NotConvergedError
 
 

@@ -1,7 +1,9 @@
 """The fit as a whole: noise stated or found, repeats, loss, folds, and what a failed one leaves behind."""
 
 import json
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from calib.identification.fitted import Convergence
 from calib.reporting.results import load_calibrated, read_result, save
 
 SIGMA = 4e-5
+EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 
 
 @pytest.fixture(scope="module")
@@ -216,3 +219,13 @@ def test_the_command_exits_with_3_and_says_why(arm, tmp_path, run_calib):
     assert (tmp_path / "out" / "calibrated.urdf").exists()
     assert run_calib("predict", arm.path, tmp_path / "data.csv", "--result", tmp_path / "out",
                      "--out", tmp_path / "p.csv").code == 0  # fmt: skip
+
+
+@pytest.mark.parametrize("sigma", [1e-3, 4.26e-5, 7e-6, 1e-6])
+def test_stating_a_small_noise_keeps_a_fit_of_real_measurements_converged(shared_data, tmp_path, sigma):
+    for source in (shared_data / "motoman_right" / "robot.urdf", EXAMPLES / "motoman_right.yaml"):
+        shutil.copy(source, tmp_path)
+    motoman = calib.load(tmp_path / "motoman_right.yaml")
+    fit = calib.fit(motoman, calib.read_measurements(shared_data / "motoman_right" / "train.csv", motoman), sigma=sigma)
+    assert fit.converged
+    assert fit.convergence.step_left < 1e-3  # standard deviations; it stops at 1e-5 to 1e-8

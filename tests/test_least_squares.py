@@ -43,7 +43,30 @@ def test_a_start_without_residuals_is_an_error():
 
 
 def test_running_out_of_evaluations_is_not_convergence():
-    found = minimise(rosenbrock, slope, np.array([-1.2, 1.0]), max_evaluations=3)
+    found = minimise(rosenbrock, slope, np.array([-1.2, 1.0]), max_evaluations=2)
     assert not found.converged
-    assert found.evaluations == 3
+    assert found.evaluations == 2
     assert found.message == "the limit of evaluations was reached"
+
+
+BEND, OFFSET = 1.0, 0.8
+
+
+def test_curvature_of_residuals_that_stay_does_not_spoil_convergence():
+    """r = (u - 1, b u^2 + d): where plain Gauss-Newton steps move away from the minimum, which a cubic's root gives."""
+    roots = np.roots([2 * BEND**2, 0, 1 + 2 * BEND * OFFSET, -1])  # half the derivative of |r|^2
+    at = float(roots[np.abs(roots.imag) < 1e-12].real[0])
+
+    def residuals(u):
+        return np.array([u[0] - 1, BEND * u[0] ** 2 + OFFSET])
+
+    def jacobian(u):
+        return np.array([[1.0], [2 * BEND * u[0]]])
+
+    near = np.array([at + 1e-3])
+    plain = near - np.linalg.lstsq(jacobian(near), residuals(near), rcond=None)[0]
+    assert abs(plain[0] - at) > 1e-3
+    found = minimise(residuals, jacobian, np.zeros(1))
+    assert found.converged
+    assert found.x[0] == pytest.approx(at, abs=1e-6)
+    assert found.evaluations <= 10  # 35 with a trust region around plain steps

@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -446,3 +447,12 @@ def test_every_command_takes_a_folder_as_the_robot_and_means_the_same_as_with_re
     assert run.code in (0, 3), run.err
     before = read_result(tmp_path / "again")["errors"]["identification"]["before"]
     assert before["max"] < 1e-3  # mm: the digits of the file; before is the calibrated robot
+
+
+def test_without_pages_old_ones_are_removed(fitted, tmp_path, monkeypatch):
+    writer = SimpleNamespace(load=lambda: lambda fit: {"report.html": b"page", "viewer.html": b"page"})
+    monkeypatch.setattr("calib.reporting.results.entry_points", lambda group: (writer,))
+    save(fitted, tmp_path)
+    with_pages = set(tree(tmp_path))
+    save(fitted, tmp_path, pages=False)
+    assert with_pages - set(tree(tmp_path)) == {"report.html", "viewer.html"}

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
+import scipy
 
 from calib.arrays import BoolArray, FloatArray
 from calib.units import PER_SI
@@ -166,7 +166,7 @@ def normal_plot(table: PoseTable) -> Plot:
         known = np.sort(values[np.isfinite(values)])
         if not len(known):
             continue
-        quantiles = norm.ppf((np.arange(len(known)) + 0.5) / len(known))
+        quantiles = scipy.special.ndtri((np.arange(len(known)) + 0.5) / len(known))
         shown, note = thinned(len(known))
         axes.plot(
             quantiles[shown],

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
+import scipy
 
 from calib import Fit, Robot
 from calib.arrays import FloatArray
@@ -234,8 +234,8 @@ def _view(
 def _outline(points: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
     """Return the corners of the convex hull, or of the box where all points lie in a plane."""
     try:
-        corners: FloatArray = points[ConvexHull(points).vertices]
-    except (QhullError, ValueError):
+        corners: FloatArray = points[scipy.spatial.ConvexHull(points).vertices]
+    except (scipy.spatial.QhullError, ValueError):
         corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
     return corners
 

@@ -6,6 +6,7 @@ import base64
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from calib.arrays import FloatArray
@@ -140,13 +141,11 @@ def colours() -> NDArray[np.uint8]:
 
 def point_radius(scene: Scene) -> float:
     """Return a radius [m] at which points are easy to see and rarely hide each other."""
-    from scipy.spatial import cKDTree
-
     size = float(np.linalg.norm(scene.view.high - scene.view.low))
     points = np.unique(np.round(_places(scene), 6), axis=0)
     if len(points) < 2:
         return _POINT_RADIUS[1] * size
-    gaps = cKDTree(points).query(points, k=2)[0][:, 1]
+    gaps = scipy.spatial.cKDTree(points).query(points, k=2)[0][:, 1]
     return float(np.clip(0.42 * np.median(gaps), _POINT_RADIUS[0] * size, _POINT_RADIUS[1] * size))
 
 

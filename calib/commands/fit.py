@@ -51,6 +51,7 @@ from calib.words import counted
     help="Seed of the random choice of held-out poses, folds and starting points.",
 )
 @click.option("--force", is_flag=True, help="Export calibrated.urdf even if the verdict is FAIL; it says so inside.")
+@click.option("--no-pages", is_flag=True, help="Write no report.html and no viewer.html, which take most of the time.")
 @click.option("--out", required=True, metavar="DIR", help="Folder for the result.")
 @shared_options(json_output=True)
 def command(
@@ -64,6 +65,7 @@ def command(
     starts: int,
     seed: int,
     force: bool,
+    no_pages: bool,
     out: str,
     output: Output,
 ) -> None:
@@ -92,7 +94,7 @@ def command(
             seed=seed,
         )
     failed = result.verdict.grade == "FAIL"
-    save(result, out, force=force)
+    save(result, out, force=force, pages=not no_pages)
     output.say(text_report(result))
     output.say(f"Written to {Path(out)}")
     output.json(to_dict(result, forced=failed and force))

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+import scipy
 
 from calib.arrays import FloatArray, IntArray
 
@@ -18,9 +16,11 @@ def pose_labels(joints: FloatArray) -> IntArray:
     Repeats agree to 0.1 mm and 0.1 mrad in every joint, or are linked by others that do.
     """
     cells, cell = np.unique(np.round(joints / _SAME_JOINTS), axis=0, return_inverse=True)
-    linked = cKDTree(cells).query_pairs(1.5, p=np.inf, output_type="ndarray")  # the same cell or a neighbour
-    graph = coo_array((np.ones(len(linked)), (linked[:, 0], linked[:, 1])), shape=(len(cells), len(cells)))
-    label: IntArray = connected_components(graph, directed=False)[1][cell.reshape(-1)]
+    linked = scipy.spatial.cKDTree(cells).query_pairs(
+        1.5, p=np.inf, output_type="ndarray"
+    )  # the same cell or a neighbour
+    graph = scipy.sparse.coo_array((np.ones(len(linked)), (linked[:, 0], linked[:, 1])), shape=(len(cells), len(cells)))
+    label: IntArray = scipy.sparse.csgraph.connected_components(graph, directed=False)[1][cell.reshape(-1)]
     return label
 
 
@@ -35,8 +35,8 @@ def shuffled_poses(joints: FloatArray, by_name: IntArray, seed: int) -> list[Int
     by_joints = pose_labels(joints)
     n = int(by_joints.max(initial=-1)) + 1
     size = n + int(by_name.max(initial=-1)) + 1
-    graph = coo_array((np.ones(len(joints)), (by_joints, n + by_name)), shape=(size, size))
-    label: IntArray = connected_components(graph, directed=False)[1][by_joints]
+    graph = scipy.sparse.coo_array((np.ones(len(joints)), (by_joints, n + by_name)), shape=(size, size))
+    label: IntArray = scipy.sparse.csgraph.connected_components(graph, directed=False)[1][by_joints]
     label = np.unique(label, return_inverse=True)[1].reshape(-1)
     by_label = np.argsort(label, kind="stable")
     groups = np.split(by_label, np.cumsum(np.bincount(label))[:-1])

@@ -20,8 +20,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.stats import qmc
 
 from calib.arrays import FloatArray
 from calib.errors import InputError
@@ -85,7 +85,9 @@ def poses_near_home(robot: Robot, count: int = _POSES) -> FloatArray:
         count: How many to try.
     """
     lower, upper = joint_ranges(robot)
-    spread = 2 * qmc.Halton(len(lower), scramble=False).random(count + 1)[1:] - 1  # its first point is a corner
+    spread = (
+        2 * scipy.stats.qmc.Halton(len(lower), scramble=False).random(count + 1)[1:] - 1
+    )  # its first point is a corner
     around = robot.home + _REACH * (upper - lower) * spread
     inside = np.clip(around, np.minimum(lower, robot.home), np.maximum(upper, robot.home))
     poses = np.vstack([robot.home, inside])

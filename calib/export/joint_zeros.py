@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg import orth
+import scipy
 
 from calib.arrays import FloatArray
 from calib.model import kinematics
@@ -95,7 +95,7 @@ def _nearest(
 
 def _step(by_zeros: FloatArray, by_places: FloatArray, wanted: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Least squares of by_zeros x + by_places y = wanted, with x = 0 wherever y can do it: (x, y)."""
-    basis = orth(by_places) if by_places.size else np.zeros((len(wanted), 0))
+    basis = scipy.linalg.orth(by_places) if by_places.size else np.zeros((len(wanted), 0))
     alone = by_zeros - basis @ (basis.T @ by_zeros)
     left, sizes, right = np.linalg.svd(alone, full_matrices=False)
     shown = sizes > _UNDETERMINED * np.linalg.norm(by_zeros)  # of the zeros as they are, not of what is left of them

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from scipy.stats import qmc
+import scipy
 
 from calib.arrays import FloatArray
 from calib.errors import InputError
@@ -142,7 +142,9 @@ def judging_poses(robot: Robot) -> tuple[FloatArray, str]:
     if robot.mechanism.loops:
         return poses_near_home(robot, _WITH_LOOPS), "near home"
     lower, upper = joint_ranges(robot)
-    return lower + (upper - lower) * qmc.Sobol(len(lower), scramble=False).random_base2(_SOBOL), "over the joint ranges"
+    return lower + (upper - lower) * scipy.stats.qmc.Sobol(len(lower), scramble=False).random_base2(
+        _SOBOL
+    ), "over the joint ranges"
 
 
 def remainder(robot: Robot, chain: SerialChain, forward: Callable[[FloatArray], FloatArray]) -> Remainder:

@@ -26,7 +26,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2, norm
+import scipy
 
 from calib.arrays import FloatArray
 from calib.identification.errors_found import ErrorSet
@@ -101,8 +101,8 @@ def _spread(product: FloatArray, per_row: float) -> float:
     mean, squares = float(np.trace(product)), float(np.sum(product * product.T))
     if mean <= 0:
         return 0.0
-    quadratic = squares / mean * float(chi2.isf(CHANCE, mean**2 / squares)) - mean
-    mixed = float(norm.isf(CHANCE)) * 2.0 * float(np.sqrt(per_row * mean))
+    quadratic = squares / mean * float(scipy.special.chdtri(mean**2 / squares, CHANCE)) - mean
+    mixed = -float(scipy.special.ndtri(CHANCE)) * 2.0 * float(np.sqrt(per_row * mean))
     return float(np.hypot(quadratic, mixed))
 
 

@@ -52,7 +52,7 @@ from calib.threads import one_blas_thread
 
 __all__ = ["ErrorSet", "Fit", "fit"]
 
-_LOOSE = 1e-2  # tolerance of the solver where another solve follows
+_LOOSE = 1e-3  # tolerance of the solver where another solve follows
 _PLACED = 1e-6  # the same for the state before: its errors then hold to a millionth
 _NOISE_ROUNDS = 20
 _NOISE_STANDS = 0.01  # relative change of scales below which they are found

@@ -18,7 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as f_distribution
+import scipy
 
 from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.identification.errors_found import ErrorSet
@@ -130,4 +130,4 @@ def beyond_repeatability(found: ErrorSet, n_effective: float) -> tuple[float, fl
         return float("nan"), 1.0
     squares = sum(len(one.after) * float(np.sum(one.after.mean(axis=0) ** 2)) for one in several)
     ratio = float(np.sqrt(squares / freedom)) / scatter
-    return ratio, float(f_distribution.sf(ratio**2, freedom, n_free))
+    return ratio, float(scipy.special.fdtrc(freedom, n_free, ratio**2))

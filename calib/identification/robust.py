@@ -24,7 +24,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
+import scipy
 
 from calib.arrays import FloatArray
 from calib.data.measurements import Measurements
@@ -186,7 +186,7 @@ def _step(rows: Rows, found: FloatArray, sigma: float) -> FloatArray:
     diagonal = np.abs(np.diag(triangle))
     if np.min(diagonal) <= 1e-12 * np.max(diagonal):
         raise NotIdentifiableError(_TOO_FEW_LEFT)
-    step: FloatArray = -solve_triangular(triangle, q.T @ right)
+    step: FloatArray = -scipy.linalg.solve_triangular(triangle, q.T @ right)
     return step
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pinocchio as pin
-from scipy.stats import f as f_distribution
+import scipy
 
 from calib.arrays import FloatArray
 from calib.errors import DataError
@@ -249,7 +249,7 @@ def _chance_of_gain(fit: Fit) -> float:
     k = fit.statistics.effective_parameters - int(np.sum(fit.unknowns.placement))
     if k < 0.5 or after <= 0:
         return 0.0
-    return float(f_distribution.sf((before - after) / k, k, fit.statistics.freedom))
+    return float(scipy.special.fdtrc(k, fit.statistics.freedom, max((before - after) / k, 0.0)))
 
 
 def systematic(fit: Fit) -> Iterator[Reason]:

@@ -38,8 +38,8 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.polynomial import legendre
-from scipy.stats import f as f_distribution
 
 from calib.arrays import FloatArray
 from calib.data.measurements import Measurements
@@ -239,7 +239,7 @@ def _test(residuals: Residuals, effect: FloatArray) -> tuple[float, float, float
     gain = float(np.sum(score**2 / values[seen]))
     total = float(residual @ residual)
     rest = max(total - gain, 1e-12 * total) / (residuals.freedom - k)
-    p_value = float(f_distribution.sf(gain / k / rest, k, residuals.freedom - k))
+    p_value = float(scipy.special.fdtrc(k, residuals.freedom - k, max(gain / k / rest, 0.0)))
     amount = float("nan")
     if effect.shape[1] == 1:
         amount = float(score[0] * vectors[0, 0] / values[0] / size[0])

@@ -14,9 +14,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
-from scipy.stats import qmc
 
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.errors import DataError, UnreachablePoseError, nearest
@@ -195,7 +194,9 @@ class _Search:
         count = min(count, len(starts.actuated))
         if len(todo) == 0 or count == 0:
             return
-        nearest_starts = cKDTree(self._features_at(starts)).query(self._features[todo], k=range(1, count + 1))[1]
+        nearest_starts = scipy.spatial.cKDTree(self._features_at(starts)).query(
+            self._features[todo], k=range(1, count + 1)
+        )[1]
         found = descend(self.reach, np.repeat(todo, count), starts.subset(nearest_starts.ravel()))
         best = np.argmin(found.distance.reshape(-1, count), axis=1) + count * np.arange(len(todo))
         better = np.flatnonzero(found.distance[best] < self.best.distance[todo])
@@ -229,7 +230,7 @@ def _spread(robot: Robot, reach: Reach) -> Configured:
     turn = np.pi * reach.scale
     lower = np.where(np.isfinite(reach.lower), reach.lower, robot.home - turn)
     upper = np.where(np.isfinite(reach.upper), reach.upper, robot.home + turn)
-    sample = qmc.Halton(len(lower), scramble=False).random(_SPREAD)
+    sample = scipy.stats.qmc.Halton(len(lower), scramble=False).random(_SPREAD)
     actuated = np.array(lower + sample * (upper - lower), dtype=np.float64)
     closed = loops.close(reach.mechanism, reach.mode, actuated)
     return Configured(actuated[closed.ok], closed.passive[closed.ok], np.full(int(closed.ok.sum()), np.inf))

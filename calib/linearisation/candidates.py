@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from calib.arrays import BoolArray, FloatArray
 from calib.data.in_memory import measurements
@@ -254,7 +254,7 @@ def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> tuple[F
 
 def near_measured(candidates: FloatArray, measured: FloatArray) -> BoolArray:
     """Return which candidates (n, n_actuated) are poses that were measured already, (n,)."""
-    gaps, _ = cKDTree(measured).query(candidates, p=np.inf)
+    gaps, _ = scipy.spatial.cKDTree(measured).query(candidates, p=np.inf)
     result: BoolArray = gaps < _MEASURED_AGAIN
     return result
 

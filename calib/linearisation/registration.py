@@ -13,7 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import pinocchio as pin
-from scipy.spatial.transform import Rotation
+import scipy
 
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.data.measurements import Measurements
@@ -223,7 +223,11 @@ def _orientations(robot: Robot, data: Measurements, seen: BoolArray, frames: _Fr
         chosen = seen[found.visits] & np.isfinite(turned).all(axis=(1, 2))
         carriers = _carriers(robot, data, found.visits[chosen], [frames.pairs[one.target]])[0][:, :3, :3]
         base = robot.mechanism.placement(frames.base(robot)).rotation
-        mean = Rotation.from_matrix(carriers.transpose(0, 2, 1) @ base @ turned[chosen]).mean().as_matrix()
+        mean = (
+            scipy.spatial.transform.Rotation.from_matrix(carriers.transpose(0, 2, 1) @ base @ turned[chosen])
+            .mean()
+            .as_matrix()
+        )
         origin = frames.origin(robot, one.target)
         nominal = robot.nominal.placement(origin).rotation
         values |= _named(origin, ANGLE_COMPONENTS, pin.log3(nominal.T @ mean))

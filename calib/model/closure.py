@@ -11,8 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components, maximum_bipartite_matching
+import scipy
 
 from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.model import kinematics
@@ -106,9 +105,13 @@ def blocks(pattern: BoolArray) -> tuple[tuple[IntArray, ...], tuple[IntArray, ..
     Returns:
         Row indices and column indices of each block.
     """
-    column_of_row = maximum_bipartite_matching(csr_matrix(pattern), perm_type="column")
+    column_of_row = scipy.sparse.csgraph.maximum_bipartite_matching(
+        scipy.sparse.csr_matrix(pattern), perm_type="column"
+    )
     matched = pattern[:, column_of_row]
-    count, label = connected_components(csr_matrix(matched), directed=True, connection="strong")
+    count, label = scipy.sparse.csgraph.connected_components(
+        scipy.sparse.csr_matrix(matched), directed=True, connection="strong"
+    )
     rows = tuple(np.flatnonzero(label == k) for k in range(count))
     columns = tuple(np.sort(column_of_row[label == k]) for k in range(count))
     return rows, columns

@@ -24,7 +24,7 @@ cannot be closed.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.model.closure import AssemblyMode, residual
@@ -212,7 +212,7 @@ def _nearest(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Solve poses from known ones, the nearest first; another way round where the straight line is blocked."""
     found, scale = _Found(len(actuated), len(mechanism.passive)), mechanism.joint_scale
-    tree = cKDTree(known[0] / scale) if len(known[0]) else None
+    tree = scipy.spatial.cKDTree(known[0] / scale) if len(known[0]) else None
     for neighbour in range(min(neighbours, len(known[0]))):
         todo = np.flatnonzero(~found.ok)
         if tree is None or len(todo) == 0:
@@ -224,12 +224,10 @@ def _nearest(
 
 def _stepping_stones(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> FloatArray:
     """Joint values spread over the box of home and these poses and a bit beyond, (n, n_actuated) [m or rad]."""
-    from scipy.stats import qmc  # costs 0.4 s to import, and is rarely needed
-
     corners = np.vstack([mode.actuated[None], actuated])
     low, high = corners.min(axis=0), corners.max(axis=0)
     beyond = 0.1 * mechanism.joint_scale
-    sample = qmc.Halton(corners.shape[1], scramble=False).random(_STONES)
+    sample = scipy.stats.qmc.Halton(corners.shape[1], scramble=False).random(_STONES)
     stones: FloatArray = low - beyond + sample * (high - low + 2 * beyond)
     return stones
 

@@ -120,7 +120,14 @@ def twist_map(swept: Sweep, pair: RelativeFrame) -> FloatArray:
         return _pose_map(swept, a, b)[:, pair.rows]
     rows = swept.rotation[:, a].transpose(0, 2, 1)[:, pair.rows]
     # r^T (v + w x p) = r^T v + (p x r)^T w
-    return np.concatenate([rows, np.cross(swept.translation[:, b][:, None, :], rows)], axis=2)
+    return np.concatenate([rows, _moments(swept.translation[:, b], rows)], axis=2)
+
+
+def _moments(points: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return p x r for points p (n, 3) and rows r (n, k, 3); `np.cross` takes twice as long."""
+    x, y, z = (points[:, axis, None] for axis in range(3))
+    u, v, w = rows[:, :, 0], rows[:, :, 1], rows[:, :, 2]
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=2)
 
 
 def _pose_map(swept: Sweep, a: int, b: int) -> FloatArray:
@@ -144,7 +151,7 @@ def motion_map(swept: Sweep, pair: RelativeFrame, *, angular: bool) -> FloatArra
     """
     a, b = swept.index[pair.a], swept.index[pair.b]
     axes = swept.rotation[:, a].transpose(0, 2, 1)
-    linear = np.concatenate([axes, np.cross(swept.translation[:, b][:, None, :], axes)], axis=2)
+    linear = np.concatenate([axes, _moments(swept.translation[:, b], axes)], axis=2)
     if not angular:
         return linear
     turning = np.concatenate([np.zeros_like(axes), axes], axis=2)

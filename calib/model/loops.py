@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.model.closure import AssemblyMode, gap_text, open_by, residual
@@ -119,7 +119,7 @@ def smallest_gap(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray)
         return weight[:, None] * residual(mechanism, actuated[None], passive[None])[1][0]
 
     scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
-    best = least_squares(values, mode.passive, jac=slope, x_scale=scale, max_nfev=200)
+    best = scipy.optimize.least_squares(values, mode.passive, jac=slope, x_scale=scale, max_nfev=200)
     lengths, angles = open_by(mechanism, best.fun[None] / weight)
     return lengths[0], angles[0]
 

@@ -59,10 +59,7 @@ from functools import lru_cache
 from typing import Literal, get_args
 
 import numpy as np
-from scipy.integrate import quad
-from scipy.optimize import brentq
-from scipy.stats import chi
-from scipy.stats import f as f_distribution
+import scipy
 
 from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.errors import InputError, nearest
@@ -95,12 +92,12 @@ def constant(loss: Loss, k: int) -> float:
     """Return c of the module docstring for readings of k rows."""
     if loss == "none":
         return np.inf
-    return float(brentq(lambda c: efficiency(loss, c, k) - EFFICIENCY, *_BRACKET, xtol=1e-10))
+    return float(scipy.optimize.brentq(lambda c: efficiency(loss, c, k) - EFFICIENCY, *_BRACKET, xtol=1e-10))
 
 
 def median_length(widths: IntArray) -> FloatArray:
     """Return the median length of normal residuals of these numbers of rows, (n_readings,)."""
-    result: FloatArray = _by_width(lambda k: float(chi(k).median()), widths)
+    result: FloatArray = _by_width(lambda k: float(np.sqrt(2.0 * scipy.special.gammaincinv(0.5 * k, 0.5))), widths)
     return result
 
 
@@ -212,10 +209,15 @@ def _normal_moments(loss: Loss, k: int) -> tuple[float, float]:
 
 def _mean(function: Callable[[float], float], kink: float, k: int) -> float:
     """Mean over the chi distribution with k degrees of freedom; the integrand may have a kink."""
-    density = chi(k).pdf
+
+    def density(d: float) -> float:
+        return float(
+            d ** (k - 1) * np.exp(-0.5 * d**2 - (0.5 * k - 1.0) * np.log(2.0) - scipy.special.gammaln(0.5 * k))
+        )
+
     middle = min(kink, 15.0)
-    inner, _ = quad(lambda d: function(d) * density(d), 0.0, middle)
-    outer, _ = quad(lambda d: function(d) * density(d), middle, max(30.0, 2.0 * middle))
+    inner, _ = scipy.integrate.quad(lambda d: function(d) * density(d), 0.0, middle)
+    outer, _ = scipy.integrate.quad(lambda d: function(d) * density(d), middle, max(30.0, 2.0 * middle))
     return float(inner + outer)
 
 
@@ -285,5 +287,5 @@ def studentised(blocks: list[Blocks], root: FloatArray, freedom: float, scale: f
     found = float(np.median(size / median_length(widths))) if scale is None else scale
     found = max(found, _NO_NOISE)
     ratio = size / found
-    p_value = np.minimum(1.0, len(ratio) * f_distribution.sf(ratio**2 / widths, widths, max(freedom / 2.0, 1.0)))
+    p_value = np.minimum(1.0, len(ratio) * scipy.special.fdtrc(widths, max(freedom / 2.0, 1.0), ratio**2 / widths))
     return Studentised(ratio, np.concatenate(leverages), np.concatenate(largest), p_value, found)

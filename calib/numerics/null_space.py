@@ -32,9 +32,7 @@ from itertools import combinations, islice
 from math import comb
 
 import numpy as np
-from scipy.optimize import linprog
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.numerics.identifiability import numerical_rank, reduced
@@ -75,7 +73,9 @@ def null_groups(
     """
     null = _null_space(scaled_jacobian)
     projector = null @ null.T
-    count, label = connected_components(csr_matrix(np.abs(projector) > ZERO), directed=False)
+    count, label = scipy.sparse.csgraph.connected_components(
+        scipy.sparse.csr_matrix(np.abs(projector) > ZERO), directed=False
+    )
     vectors: list[FloatArray] = []
     for k in range(count):
         columns = np.flatnonzero(label == k)
@@ -203,7 +203,7 @@ def _programmed(basis: FloatArray, pivot: int, avoided: BoolArray) -> Iterator[F
     weights = np.where(avoided, 1.05, 1.0) + 1e-4 * np.arange(n)
     weighed = weights
     for _ in range(2):
-        solution = linprog(
+        solution = scipy.optimize.linprog(
             np.concatenate([np.zeros(k), weighed]),
             A_ub=np.block([[basis, -np.eye(n)], [-basis, -np.eye(n)]]),
             b_ub=np.zeros(2 * n),

@@ -27,8 +27,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from calib.arrays import BoolArray, FloatArray
 from calib.errors import DataError
@@ -210,7 +210,9 @@ def _best_rotation(system: _System, noise: float, guess: FloatArray) -> FloatArr
     rows = np.vstack(
         [np.column_stack([searched.F, searched.f]), turn * np.column_stack([np.eye(9), guess.ravel()])],
     )
-    rotation = _descend(reduced(rows), np.concatenate([[guess], Rotation.create_group("I").as_matrix()]))
+    rotation = _descend(
+        reduced(rows), np.concatenate([[guess], scipy.spatial.transform.Rotation.create_group("I").as_matrix()])
+    )
     exact = _reduced(system, noise)
     least = _OPEN * system.weight * _SMALLEST
     for _ in range(_LAST_STEPS):
@@ -233,7 +235,7 @@ def _descend(rows: FloatArray, starts: FloatArray) -> FloatArray:
         size = np.trace(square, axis1=1, axis2=2)
         square += ((damping + 1e-16) * size + 1e-300)[:, None, None] * np.eye(3)
         steps = -np.linalg.solve(square, np.einsum("nrk,nr->nk", slope, errors)[..., None])[..., 0]
-        tried = rotations @ Rotation.from_rotvec(steps).as_matrix()
+        tried = rotations @ scipy.spatial.transform.Rotation.from_rotvec(steps).as_matrix()
         there = tried.reshape(-1, 9) @ F.T - f
         better = np.sum(there**2, axis=1) < np.sum(errors**2, axis=1)
         rotations = np.where(better[:, None, None], tried, rotations)

@@ -38,9 +38,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
-from scipy.stats import f as f_distribution
 
 from calib.arrays import FloatArray
 from calib.errors import DataError
@@ -165,10 +164,10 @@ def _surprise(
         drop, count = float(np.sum((vectors.T @ r)[seen] ** 2 / values[seen])), int(seen.sum())
         left = freedom - count
         if count and sigma is not None:
-            surprise[k] = drop / max(sigma, exact) ** 2 / chi2.isf(probability, count)
+            surprise[k] = drop / max(sigma, exact) ** 2 / scipy.special.chdtri(count, probability)
         elif count and left > 0:
             rest = max(total - drop, exact**2) / left
-            surprise[k] = drop / count / rest / f_distribution.isf(probability, count, left)
+            surprise[k] = drop / count / rest / scipy.special.fdtri(count, left, 1.0 - probability)
     return surprise
 
 

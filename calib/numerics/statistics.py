@@ -38,8 +38,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import t as student_t
+import scipy
 
 from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.numerics.observability import Information
@@ -126,7 +125,7 @@ class Statistics(ReadOnlyArrays):
     @property
     def coverage_factor(self) -> float:
         """How many standard deviations make half a 95 % interval."""
-        return float(student_t.ppf(0.975, self.freedom))
+        return float(scipy.special.stdtrit(self.freedom, 0.975))
 
     def correlations(self) -> FloatArray:
         """Return the correlation coefficients of the free parameters, (n_free, n_free); NaN where nothing scatters."""
@@ -176,7 +175,9 @@ class ChiSquare:
 def chi_square(factor: float, freedom: float) -> ChiSquare:
     """Compare a found noise with the stated one, of which it is `factor`."""
     value = freedom * factor**2
-    return ChiSquare(value, freedom, float(chi2.sf(value, freedom)), float(chi2.cdf(value, freedom)))
+    return ChiSquare(
+        value, freedom, float(scipy.special.chdtrc(freedom, value)), float(scipy.special.chdtr(freedom, value))
+    )
 
 
 def prior_shares(known: Information, has_prior: BoolArray) -> FloatArray:
@@ -259,6 +260,6 @@ def statistics(
     std: FloatArray = np.sqrt(np.diag(covariance))
     decided = np.where(has_prior, np.clip(1.0 - np.diag(scaled_covariance), 0.0, 1.0), 1.0)
     freedom = factors.total_freedom
-    half_width = float(student_t.ppf(0.975, freedom)) * std
+    half_width = float(scipy.special.stdtrit(freedom, 0.975)) * std
     n_effective = float(len(share) - np.trace(share))
     return Statistics(factors, freedom, covariance, std, half_width, decided, n_effective, root)

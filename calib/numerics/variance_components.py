@@ -33,8 +33,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
-from scipy.stats import chi2
+import scipy
 
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.errors import NotIdentifiableError
@@ -267,7 +266,7 @@ def found_components(model: LinearModel, start: FloatArray, columns: FloatArray,
         return none
     start_tau = np.where(sizes > 0, 0.5 * level / np.maximum(sizes, 1e-300) / np.sqrt(np.sum(sizes > 0)), 0.0)
     found = _with_shared(model, without.scales, start_tau, columns, block)
-    needed = float(chi2.isf(CHANCE, int(np.sum(sizes > 0))))
+    needed = float(scipy.special.chdtri(int(np.sum(sizes > 0)), CHANCE))
     return found if 2.0 * (found.log_likelihood - without.log_likelihood) > needed else none
 
 
@@ -318,7 +317,7 @@ def _solved_fast(model: LinearModel, rows: FloatArray) -> tuple[_Root, FloatArra
     matrix = rows[:, :-1].T @ rows[:, :-1]
     matrix[np.diag_indices(len(matrix))] += model.has_prior
     lower = np.linalg.cholesky(matrix)
-    root = solve_triangular(lower, np.eye(len(matrix)), lower=True).T
+    root = scipy.linalg.solve_triangular(lower, np.eye(len(matrix)), lower=True).T
     pull = rows[:, :-1].T @ rows[:, -1] + np.where(model.has_prior, model.deviations, 0.0)
     return _Root(root, 2.0 * float(np.sum(np.log(np.diag(lower))))), -root @ (root.T @ pull)
 

@@ -32,7 +32,7 @@ References: hartley2004, chapter 7.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.numerics.rigid import cross_matrices
@@ -139,7 +139,7 @@ def _distorted(plane: FloatArray, numbers: FloatArray) -> tuple[FloatArray, Floa
 
 def cube_rotations() -> FloatArray:
     """Return the 24 rotations of a cube, (24, 3, 3)."""
-    result: FloatArray = Rotation.create_group("O").as_matrix()
+    result: FloatArray = scipy.spatial.transform.Rotation.create_group("O").as_matrix()
     return result
 
 
@@ -217,7 +217,7 @@ def _settled(poses: FloatArray, body: FloatArray, seen: FloatArray, there: BoolA
         added = damping[:, None] * diagonal + 1e-12 * np.max(diagonal, axis=1, keepdims=True) + 1e-300
         step = -np.linalg.solve(square + added[:, :, None] * np.eye(6), pull)[:, :, 0]
         tried = poses.copy()
-        tried[:, :3, :3] = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ poses[:, :3, :3]
+        tried[:, :3, :3] = scipy.spatial.transform.Rotation.from_rotvec(step[:, 3:]).as_matrix() @ poses[:, :3, :3]
         tried[:, :3, 3] += step[:, :3]
         new_errors, new_by_pose = _errors(tried, body, seen, there)
         new_cost = np.sum(new_errors**2, axis=1)

@@ -18,8 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
+import scipy
 
 from calib.arrays import FloatArray, IntArray
 from calib.numerics.rigid import cross_matrices
@@ -174,7 +173,7 @@ def _improved(found: Sightings, places: Places, known: tuple[bool, bool]) -> Pla
         result: FloatArray = (by_point @ both).reshape(2 * n, -1)
         return result
 
-    found_x = least_squares(
+    found_x = scipy.optimize.least_squares(
         errors,
         np.zeros(int(free.sum())),
         jac=jacobian,
@@ -187,7 +186,7 @@ def _improved(found: Sightings, places: Places, known: tuple[bool, bool]) -> Pla
 
 
 def _turn(vector: FloatArray) -> FloatArray:
-    result: FloatArray = Rotation.from_rotvec(vector).as_matrix()
+    result: FloatArray = scipy.spatial.transform.Rotation.from_rotvec(vector).as_matrix()
     return result
 
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from calib.arrays import FloatArray
 from calib.errors import DataError
@@ -60,7 +60,7 @@ def read_rotations(name: str, form: Form, numbers: FloatArray) -> FloatArray:
 
 def written_rotations(form: Form, vectors: FloatArray) -> FloatArray:
     """Return rotation vectors (n, 3) [rad] as numbers (n, k) in this form: the way back."""
-    rotations = Rotation.from_rotvec(vectors.copy())
+    rotations = scipy.spatial.transform.Rotation.from_rotvec(vectors.copy())
     if form == "quaternion":
         return np.asarray(rotations.as_quat(canonical=True))
     if form == "matrix":
@@ -79,7 +79,10 @@ def rotation_errors(rotations: FloatArray, vectors: FloatArray) -> tuple[FloatAr
     """
     if len(vectors) == 0:
         return np.zeros((0, 3)), np.zeros((0, 3, 3))
-    turned = (Rotation.from_matrix(rotations.copy()) * Rotation.from_rotvec(vectors.copy()).inv()).as_rotvec()
+    turned = (
+        scipy.spatial.transform.Rotation.from_matrix(rotations.copy())
+        * scipy.spatial.transform.Rotation.from_rotvec(vectors.copy()).inv()
+    ).as_rotvec()
     return turned, inverse_left_jacobian(turned)
 
 
@@ -87,37 +90,39 @@ def rotation_vectors(rotations: FloatArray) -> FloatArray:
     """Return rotation matrices (n, 3, 3) as rotation vectors, (n, 3) [rad]."""
     if len(rotations) == 0:
         return np.zeros((0, 3))
-    result: FloatArray = Rotation.from_matrix(rotations.copy()).as_rotvec()
+    result: FloatArray = scipy.spatial.transform.Rotation.from_matrix(rotations.copy()).as_rotvec()
     return result
 
 
 def rotation_matrices(vectors: FloatArray) -> FloatArray:
     """Return rotation vectors (n, 3) [rad] as rotation matrices, (n, 3, 3)."""
-    result: FloatArray = Rotation.from_rotvec(vectors.copy()).as_matrix()
+    result: FloatArray = scipy.spatial.transform.Rotation.from_rotvec(vectors.copy()).as_matrix()
     return result
 
 
 def turned_by(vectors: FloatArray, change: FloatArray) -> FloatArray:
     """Return rotation vectors (n, 3) turned by small errors in the axes of the measurement frame, (n, 3) [rad]."""
-    turned = Rotation.from_rotvec(change.copy()) * Rotation.from_rotvec(vectors.copy())
+    turned = scipy.spatial.transform.Rotation.from_rotvec(change.copy()) * scipy.spatial.transform.Rotation.from_rotvec(
+        vectors.copy()
+    )
     result: FloatArray = turned.as_rotvec()
     return result
 
 
-def _rotations(name: str, form: Form, numbers: FloatArray) -> Rotation:
+def _rotations(name: str, form: Form, numbers: FloatArray) -> scipy.spatial.transform.Rotation:
     if form == "quaternion":
         length = np.linalg.norm(numbers, axis=1)
         _check(name, form, np.abs(length - 1.0), "a quaternion of length 1")
-        return Rotation.from_quat(numbers)
+        return scipy.spatial.transform.Rotation.from_quat(numbers)
     if form == "matrix":
         matrices = numbers.reshape(-1, 3, 3)
         off = matrices @ matrices.transpose(0, 2, 1) - np.eye(3)
         wrong = np.max(np.abs(off), axis=(1, 2)) + (np.linalg.det(matrices) < 0)
         _check(name, form, wrong, "a rotation matrix")
-        return Rotation.from_matrix(matrices)
+        return scipy.spatial.transform.Rotation.from_matrix(matrices)
     if form == "rotation_vector":
-        return Rotation.from_rotvec(numbers)
-    return Rotation.from_euler(_EULER[form], numbers)
+        return scipy.spatial.transform.Rotation.from_rotvec(numbers)
+    return scipy.spatial.transform.Rotation.from_euler(_EULER[form], numbers)
 
 
 def _check(name: str, form: Form, off: FloatArray, what: str) -> None:

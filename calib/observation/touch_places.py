@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.numerics.rigid import best_transform, centre, centre_of_sphere
@@ -243,7 +243,7 @@ def _turn(u: FloatArray, v: FloatArray, k: int) -> FloatArray:
         axis = axis if np.linalg.norm(axis) > 1e-12 else np.eye(3)[k - 1]
     axis /= np.linalg.norm(axis)
     angle = np.arctan2(axis @ np.cross(u, v), u @ v - (axis @ u) * (axis @ v))
-    result: FloatArray = Rotation.from_rotvec(angle * axis).as_matrix()
+    result: FloatArray = scipy.spatial.transform.Rotation.from_rotvec(angle * axis).as_matrix()
     return result
 
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.errors import NotIdentifiableError
@@ -58,7 +58,7 @@ class Spacing:
         free = self.usable & ~chosen
         if self.distance > 0 and np.any(chosen):
             candidates = np.flatnonzero(free)
-            nearest, _ = cKDTree(self.points[chosen]).query(self.points[candidates])
+            nearest, _ = scipy.spatial.cKDTree(self.points[chosen]).query(self.points[candidates])
             near = nearest < self.distance
             if self.pose is not None:
                 near &= ~np.isin(self.pose[candidates], self.pose[chosen])

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from calib.arrays import BoolArray, FloatArray
 from calib.model.robot import Robot
@@ -40,8 +40,8 @@ class Region:
     low_point: FloatArray
     high_point: FloatArray
     scale: FloatArray
-    joints: cKDTree
-    points: cKDTree
+    joints: scipy.spatial.cKDTree
+    points: scipy.spatial.cKDTree
     joint_reach: float
     point_reach: float
     distance: float
@@ -99,7 +99,7 @@ def region_of(
     lower = np.array([limits[name][0] for name in robot.joint_names])
     upper = np.array([limits[name][1] for name in robot.joint_names])
     points, scale = positions.reshape(len(positions), -1), robot.mechanism.joint_scale
-    joint_tree, point_tree = cKDTree(joints / scale), cKDTree(points)
+    joint_tree, point_tree = scipy.spatial.cKDTree(joints / scale), scipy.spatial.cKDTree(points)
     return Region(
         np.maximum(lower, np.min(joints, axis=0)),
         np.minimum(upper, np.max(joints, axis=0)),
@@ -115,7 +115,7 @@ def region_of(
     )
 
 
-def _spacing(tree: cKDTree) -> float:
+def _spacing(tree: scipy.spatial.cKDTree) -> float:
     """How far candidates are from their nearest neighbours; 0 for one alone."""
     if tree.n < 2:
         return 0.0

@@ -19,8 +19,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from calib.arrays import FloatArray, IntArray
 from calib.data.measurements import Poses
@@ -232,7 +232,7 @@ def _measured_only(setting: Setting) -> dict[str, float] | None:
 
 
 def _smallest_gap(points: FloatArray) -> float:
-    return float(np.min(cKDTree(points).query(points, k=[2])[0])) if len(points) > 1 else 0.0
+    return float(np.min(scipy.spatial.cKDTree(points).query(points, k=[2])[0])) if len(points) > 1 else 0.0
 
 
 def _start_kinds(random_start: bool, starts: int) -> list[str]:

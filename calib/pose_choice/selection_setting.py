@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.data.in_memory import as_poses
@@ -157,9 +157,9 @@ def prepare(
         usable &= ~same
         if wanted.minimum_distance > 0:
             seen = near_measured(poses.joints, done.joints)
-            seen[~seen & candidates_found.usable] = (
-                cKDTree(points).query(pose_points[~seen & candidates_found.usable])[0] >= wanted.minimum_distance
-            )
+            others = ~seen & candidates_found.usable
+            distance, _ = scipy.spatial.cKDTree(points).query(pose_points[others])
+            seen[others] = distance >= wanted.minimum_distance
             usable &= seen[pairs.pose]
     _require_counts(wanted, usable, pairs)
     task_rows = found.position_rows[candidates_found.usable]

@@ -20,7 +20,7 @@ from typing import Any
 from xml.sax.saxutils import escape, unescape
 
 import numpy as np
-from scipy.stats import t as student_t
+import scipy
 
 from calib.arrays import BoolArray, FloatArray
 from calib.data.parameter_files import format_parameters, read_parameters
@@ -60,7 +60,7 @@ _NO_TERMS = ("a URDF cannot hold joint terms (curves, backlash, ...): they are i
 _OF_GOOD_FITS = (_URDF, "report.html", "viewer.html")  # an old one must not stay beside a new result
 
 
-def save(fit: Fit, folder: Path | str, *, force: bool = False) -> None:
+def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: bool = True) -> None:
     """Write the files of the module docstring, calibrated.urdf, residuals.csv, and pages of report writers.
 
     A failed fit gets no calibrated.urdf, and one that was in the folder is removed; pages are written unless the
@@ -70,6 +70,7 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False) -> None:
         fit: The fit.
         folder: Where to; files of other names in it stay.
         force: Export a failed fit all the same; its files say so.
+        pages: Whether to write the pages of report writers too; old ones are removed where not.
 
     Raises:
         InputError: The folder cannot be written; what was there is untouched.
@@ -93,7 +94,8 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False) -> None:
         files[_URDF] = urdf_bytes(fit.robot, _NO_TERMS) if fit.robot.terms else fit.robot.calibrated_urdf()
     elif force:
         files[_URDF] = _forced_urdf(fit)
-    for entry in entry_points(group=REPORTS) if fit.assembles else ():  # no pictures of what cannot be assembled
+    wanted = pages and fit.assembles  # no pictures of what cannot be assembled
+    for entry in entry_points(group=REPORTS) if wanted else ():
         write: Callable[[Fit], dict[str, bytes]] = entry.load()
         files.update(write(fit))
     write_folder(folder, files, obsolete=sorted(set(_OF_GOOD_FITS) - set(files)))
@@ -227,7 +229,7 @@ def load_uncertainty(folder: Path | str, robot: Robot) -> LoadedUncertainty:
     if not np.all(np.isfinite(covariance)) or not isinstance(freedom, (int, float)) or not 0 < freedom < np.inf:
         raise DataError(f"{folder}: its covariance or degrees of freedom are not numbers; run the fit again")
     free = np.array([p.name in names for p in robot.parameters])
-    return LoadedUncertainty(free, covariance, float(student_t.ppf(0.975, freedom)))
+    return LoadedUncertainty(free, covariance, float(scipy.special.stdtrit(freedom, 0.975)))
 
 
 def read_result(folder: Path | str) -> dict[str, Any]:

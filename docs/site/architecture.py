@@ -88,7 +88,7 @@ def room_of(module: str) -> Room:
 
 
 def imported(path: Path) -> set[str]:
-    """Modules of `calib` that a file imports anywhere in it."""
+    """Modules of `calib` that a file imports anywhere in it, or names in a string to import them when needed."""
     names: set[str] = set()
     known = modules()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -97,6 +97,8 @@ def imported(path: Path) -> set[str]:
             for alias in node.names:
                 full = f"{base}.{alias.name}" if base else alias.name
                 names.add(full if full in known else base)
+        elif isinstance(node, ast.Constant) and str(node.value).startswith("calib."):
+            names |= {str(node.value).removeprefix("calib.")} & set(known)
     return names - {""}
 
 

@@ -35,7 +35,9 @@ def commands() -> Iterator[tuple[str, click.Command, click.Context]]:
             **({"terminal_width": WIDTH, "max_content_width": WIDTH} | program.context_settings),
         )
         yield str(program.name), program, context
-        for name, command in program.commands.items():
+        for name in program.list_commands(context):
+            command = program.get_command(context, name)
+            assert command is not None  # its name is on the list
             yield (
                 f"{program.name} {name}",
                 command,

@@ -1,8 +1,15 @@
 """The picture of the architecture is that of the code."""
 
+import ast
+import importlib
+import subprocess
+import sys
+
 import architecture
 import pytest
 from architecture import ROOMS, imported, modules, room_of
+
+import calib
 
 CONTRIBUTING = (architecture.ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 
@@ -23,6 +30,27 @@ def test_a_room_imports_only_from_itself_and_from_lower_floors(room):
         for other in imported(path):
             from_room = room_of(other)
             assert from_room is room or from_room.floor < room.floor, f"{name} ({room.name}) imports {other}"
+
+
+def test_imports_at_first_use_are_seen():
+    assert "commands.fit" in imported(modules()["cli"])
+
+
+def test_names_at_the_front_door_are_those_that_type_checkers_see():
+    assert sorted(calib.__all__) == calib.__all__
+    for name in calib.__all__:
+        assert getattr(calib, name).__name__ == name
+    seen = ast.parse((architecture.ROOT / "calib" / "__init__.py").read_text(encoding="utf-8"))
+    for node in ast.walk(seen):
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("calib."):
+            for alias in node.names:
+                assert getattr(importlib.import_module(str(node.module)), alias.name) is getattr(calib, alias.name)
+
+
+def test_starting_the_program_loads_no_science():
+    check = "import sys, calib.cli; print([m for m in ('numpy', 'scipy', 'pinocchio', 'pydantic') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, cwd=architecture.ROOT)
+    assert (done.stdout, done.stderr) == ("[]\n", "")
 
 
 def test_no_modules_import_each_other_in_a_circle():

@@ -1,0 +1,92 @@
+"""How many evaluations a fit takes as the stated noise shrinks from 1 mm to 1 um, for every robot of the tests.
+
+    python tests/benchmarks/evaluations.py [--data FOLDER]
+
+FOLDER holds the measurements of others: motoman_right (docs/examples/motoman_right.yaml), and ur10_tracker (as in
+docs/benchmarks.md, 300 random rows, positions). Without it, only robots that ship with the project are fitted. A number
+is the evaluations of the last solve of a fit; * says that the fit is not converged.
+"""
+
+import argparse
+import shutil
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from motoman_choice import load as motoman
+
+import calib
+from calib.identification.problem import Problem
+from medrue import robot_file
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
+SIGMAS = np.array([1000, 300, 100, 42.6, 10, 7, 3, 1]) * 1e-6
+UR10 = """\
+urdf: robot.urdf
+name_mot: [shoulder_pan_joint, shoulder_lift_joint, elbow_joint, wrist_1_joint, wrist_2_joint, wrist_3_joint]
+base: {frame: base_link, pose: unknown}
+targets:
+  sensor: {frame: flange, position: unknown}
+parametrisation:
+- {origin: all, components: [x, y, z], sigma: 1 mm}
+- {origin: all, components: [rx, ry, rz], sigma: 3 mrad}
+columns: {x: sensor_x, y: sensor_y, z: sensor_z}
+"""
+
+
+class Counted(Problem):
+    """A problem that remembers how long its last solve took."""
+
+    evaluations = 0
+
+    def solve(self, *given, **options):
+        """Solve, and count."""
+        robot, solution = super().solve(*given, **options)
+        Counted.evaluations = solution.evaluations
+        return robot, solution
+
+
+def example(name, every=1):
+    """A robot of the documentation and its simulated measurements."""
+    robot = calib.load(robot_file() if name == "medrue" else EXAMPLES / f"{name}.yaml")
+    data = calib.read_measurements(EXAMPLES / f"{name}_simulated.csv", robot)
+    return robot, data.subset(np.arange(0, len(data), every))
+
+
+def ur10(folder, rows=300):
+    """The UR10 and some rows of its file, positions alone."""
+    with tempfile.TemporaryDirectory() as together:
+        shutil.copy(folder / "robot.urdf", together)
+        (Path(together) / "ur10.yaml").write_text(UR10)
+        robot = calib.load(Path(together) / "ur10.yaml")
+        header, *lines = (folder / "grid.csv").read_text().splitlines()
+        names = header.split(",")
+        kept = [k for k, name in enumerate(names) if name.split()[0] in (*robot.joint_names, "x", "y", "z")]
+        chosen = np.sort(np.random.default_rng(0).choice(len(lines), rows, replace=False))
+        table = [[row.split(",")[k] for k in kept] for row in (header, *(lines[k] for k in chosen))]
+        path = Path(together) / "rows.csv"
+        path.write_text("\n".join(",".join(cells) for cells in table) + "\n")
+        return robot, calib.read_measurements(path, robot)
+
+
+def main():
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path)
+    options = parser.parse_args()
+    problems = {"arm": example("arm"), "five-bar": example("five_bar"), "MedRUE": example("medrue", every=5)}
+    if options.data:
+        problems["Motoman"] = motoman(options.data / "motoman_right")[:2]
+        problems["UR10"] = ur10(options.data / "ur10_tracker")
+    calib.identification.fit.Problem = Counted
+    print("| stated [mm] |" + "".join(f" {1e3 * sigma:g} |" for sigma in SIGMAS) + "\n|---|" + "---:|" * len(SIGMAS))
+    for name, (robot, data) in problems.items():
+        row = f"| {name} |"
+        for sigma in SIGMAS:
+            fit = calib.fit(robot, data, sigma=float(sigma))
+            row += f" {Counted.evaluations}{'' if fit.converged else ' *'} |"
+        print(row, flush=True)
+
+
+if __name__ == "__main__":
+    main()

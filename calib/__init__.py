@@ -17,6 +17,8 @@ from calib.errors import (
     UrdfError,
 )
 from calib.identification.fitted import Fit
+from calib.inverse_kinematics.compensation import Compensation, compensate
+from calib.inverse_kinematics.goals import Goals
 from calib.linearisation.simulate import simulate
 from calib.model.parameters import Origin, Parametrisation, twist_of_edit
 from calib.model.robot import Robot, load
@@ -26,10 +28,12 @@ from calib.pose_choice.selection import Selection, select
 __all__ = [
     "Calibration",
     "CalibrationError",
+    "Compensation",
     "ComputationError",
     "DataError",
     "DescriptionError",
     "Fit",
+    "Goals",
     "InputError",
     "Measurements",
     "NotConvergedError",
@@ -45,6 +49,7 @@ __all__ = [
     "UrdfError",
     "as_measurements",
     "as_poses",
+    "compensate",
     "fit",
     "load",
     "read_measurements",

@@ -16,6 +16,7 @@ from calib.errors import (
     UnreachablePoseError,
     UrdfError,
 )
+from calib.identification.acceptance import Acceptance, verify
 from calib.identification.fitted import Fit
 from calib.inverse_kinematics.compensation import Compensation, compensate
 from calib.inverse_kinematics.goals import Goals
@@ -26,6 +27,7 @@ from calib.parameter import Parameter
 from calib.pose_choice.selection import Selection, select
 
 __all__ = [
+    "Acceptance",
     "Calibration",
     "CalibrationError",
     "Compensation",
@@ -57,4 +59,5 @@ __all__ = [
     "select",
     "simulate",
     "twist_of_edit",
+    "verify",
 ]

@@ -6,7 +6,7 @@ from importlib.metadata import entry_points
 
 import click
 
-from calib.commands import check, compensate, export, fit, init, predict, select, simulate, solve
+from calib.commands import check, compensate, export, fit, init, predict, select, simulate, solve, verify
 from calib.commands.common import run_program
 from calib.version import VERSION
 
@@ -20,7 +20,7 @@ def group() -> None:
     """Kinematic calibration of any robot with a URDF, closed loops included."""
 
 
-for _module in (init, check, select, simulate, fit, predict, solve, compensate, export):
+for _module in (init, check, select, simulate, fit, predict, solve, compensate, verify, export):
     group.add_command(_module.command)
 for _entry in entry_points(group=COMMANDS):
     group.add_command(_entry.load())

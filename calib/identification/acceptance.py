@@ -212,7 +212,7 @@ def visible_changes(
     scale = {c.name: c.scale for c in candidates(promise.robot)}
     found = _System.of(promise, data, same_setup).changes()[0]
     nothing = [replace(one, value=np.nan, z=np.nan) for one in found]
-    return tuple(sorted(nothing, key=lambda one: one.visible / scale[one.name]))
+    return tuple(sorted(nothing, key=lambda one: _six_digits(one.visible / scale[one.name])))
 
 
 def poses_needed(
@@ -456,8 +456,13 @@ class _System:
             )
             for j, k in enumerate(seen)
         ]
-        found.sort(key=lambda change: (-abs(change.z), change.visible))
+        found.sort(key=lambda change: -_six_digits(abs(change.z)))  # parallel columns stay in their order
         return tuple(found), len(distinct)
+
+
+def _six_digits(value: float) -> float:
+    """So much of a number that rounding decides about no order."""
+    return float(f"{value:.6g}")
 
 
 def _without_outliers(system: _System) -> tuple[_System, list[int]]:

@@ -14,6 +14,7 @@ from calib.data.measurement_files import format_measurements
 from calib.data.measurements import Measurements, Poses
 from calib.identification.acceptance import Promise, poses_needed, verify, visible_changes
 from calib.identification.repeats import CONDITIONS, conditions, iso_figures
+from calib.reporting.acceptance_text import text_report
 from calib.reporting.results import load_promise
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
@@ -188,6 +189,8 @@ def test_iso_figures_are_there_where_their_cycles_are(arm):
     for one in figures:
         if one.name == "RP":  # noise alike on three axes: mean 1.596, deviation 0.673 of the Maxwell distribution
             assert one.figure.low95 < (1.596 + 3 * 0.673) * SIGMA < one.figure.high95
+    assert plain.placed == 9  # base 6, reflector 3: of the means of 15 coordinates
+    assert "takes 9 degrees of freedom out of AP" in text_report(plain, figures, missing)
     sides = np.repeat([[1.0], [-1.0]], 75, axis=0) * np.ones((1, 6))
     time = np.linspace(0, 9 * 3600, 150)
     stated = tuple(f"{key}: as usual" for key in CONDITIONS)

@@ -127,6 +127,7 @@ class Acceptance:
         p_drift: Chance of so large a single change then.
         p_rest: Chance of the rest, once the largest change is taken out.
         freedom: m of the module docstring.
+        placed: How many degrees of freedom placing base and targets took.
         changes: Every candidate, the most significant first.
         alike: Candidates that explain the readings as well as the first, itself included.
         outliers: Labels of readings that were left out.
@@ -142,6 +143,7 @@ class Acceptance:
     p_drift: float
     p_rest: float
     freedom: int
+    placed: int
     changes: tuple[Change, ...]
     alike: tuple[str, ...]
     outliers: tuple[str, ...]
@@ -187,6 +189,7 @@ def verify(promise: Promise | Fit, data: Measurements, *, same_setup: bool = Fal
         p_drift,
         p_rest,
         system.freedom,
+        system.placed,
         changes,
         alike,
         tuple(data.labels[system.visit[k]] for k in left_out),
@@ -407,7 +410,12 @@ class _System:
     @property
     def freedom(self) -> int:
         """The m of the module docstring."""
-        return int(np.sum(self.counts)) - self._basis[1]
+        return int(np.sum(self.counts)) - self.placed
+
+    @property
+    def placed(self) -> int:
+        """Rank of the columns of the places beside the known unknowns."""
+        return self._basis[1]
 
     @cached_property
     def square(self) -> float:

@@ -43,7 +43,8 @@ def text_report(found: Acceptance, figures: Sequence[IsoFigure], missing: Sequen
             "ISO 9283 with 95 % intervals; commanded is what the calibrated robot predicts",
             _iso_table(figures),
         ]
-    parts += [f"ISO 9283: {line}" for line in missing]
+    lines = [_said_of_placing(found), *missing] if figures and found.placed else missing
+    parts += [f"ISO 9283: {line}" for line in lines]
     stated = conditions(data.comments)
     parts += [f"{key}: {stated[key]}" for key in CONDITIONS if key in stated]
     return plain_text(parts, width).rstrip()
@@ -63,6 +64,7 @@ def to_dict(found: Acceptance, figures: Sequence[IsoFigure], missing: Sequence[s
         "n_poses": data.n_poses,
         "n_readings": data.n_readings,
         "degrees_of_freedom": found.freedom,
+        "placed": found.placed,
         "ratio": found.ratio,
         "ratio_low95": found.low95,
         "ratio_high95": found.high95,
@@ -136,6 +138,13 @@ def _drift(found: Acceptance) -> list[str]:
     if others:
         lines.append(f"These readings cannot tell it from a change of {listed(others)}")
     return lines
+
+
+def _said_of_placing(found: Acceptance) -> str:
+    return (
+        f"base and targets were placed by these readings, which takes {found.placed} degrees of freedom out of AP;"
+        " --same-setup leaves them in"
+    )
 
 
 def _changes(changes: Sequence[Change]) -> Table:

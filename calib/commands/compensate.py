@@ -14,9 +14,10 @@ from calib.commands.solve import in_display_units
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
 from calib.data.tables import format_table, read_table
-from calib.errors import DataError, UnreachablePoseError
+from calib.errors import DataError, InputError, UnreachablePoseError
 from calib.files import check_file, write_file
 from calib.inverse_kinematics.compensation import KEEP, Compensation, compensate
+from calib.inverse_kinematics.correction_grid import correction_grid
 from calib.inverse_kinematics.goals import Goals, read_goals
 from calib.model.robot import Robot
 from calib.reporting.results import load_calibrated, load_uncertainty, read_result
@@ -35,11 +36,23 @@ _FIGURES = ("before", "expected", "low95", "high95")
     type=click.Choice(KEEP),
     help="What of a program of joints is kept; the full pose where the joints can reach any, else the position.",
 )
+@click.option(
+    "--grid",
+    metavar="NX,NY,NZ",
+    help="Write a table of corrections instead, at so many nodes over the box of PROGRAM's positions.",
+)
 @click.option("--skip-unreachable", is_flag=True, help="Write rows that cannot be compensated too: empty, and marked.")
 @click.option("--out", required=True, metavar="FILE", help="CSV file to write: the compensated program.")
 @shared_options(json_output=True)
 def command(
-    robot: str, program: str, result: str, keep: str | None, skip_unreachable: bool, out: str, output: Output
+    robot: str,
+    program: str,
+    result: str,
+    keep: str | None,
+    grid: str | None,
+    skip_unreachable: bool,
+    out: str,
+    output: Output,
 ) -> None:
     """Change PROGRAM (CSV), written for the nominal ROBOT, so that the calibrated one does what was meant.
 
@@ -53,6 +66,9 @@ def command(
     nominal = loaded(robot, output)
     calibrated = load_calibrated(result, nominal)
     rows = _read(program, nominal, output)
+    if grid is not None:
+        _write_grid(calibrated, rows, grid, result, out, output)
+        return
     with output.working(f"compensating {len(rows)} rows"):
         found = compensate(
             calibrated, rows, keep=keep, uncertainty=partial(load_uncertainty(result, nominal).at, calibrated)
@@ -80,6 +96,41 @@ def command(
         }
     )
     output.say(_said(found, summary, held_out, out))
+
+
+def _write_grid(calibrated: Robot, program: Poses | Goals, grid: str, result: str, out: str, output: Output) -> None:
+    """Write the table of corrections, and say how wrong interpolation in it is."""
+    if not isinstance(program, Goals):
+        raise InputError("--grid: PROGRAM has joints; give positions with one orientation")
+    try:
+        nx, ny, nz = (int(part) for part in grid.split(","))
+    except ValueError:
+        raise InputError(f"--grid '{grid}': write three numbers of nodes, such as 5,5,3") from None
+    with output.working("compensating the grid"):
+        found = correction_grid(calibrated, program, (nx, ny, nz))
+    name, degrees = found.target, PER_SI["angle"]["deg"]
+    columns: list[tuple[str, list[object]]] = []
+    for k, axis in enumerate("xyz"):
+        columns.append((f"{name}_{axis} [mm]", _cells(millimetres(found.nodes[:, k]))))
+    for k, axis in enumerate("xyz"):
+        columns.append((f"add_{axis} [mm]", _cells(millimetres(found.shift[:, k]))))
+    for k, axis in enumerate("xyz") if program.rotations is not None else ():
+        columns.append((f"turn_{axis} [deg]", _cells(found.turn[:, k] * degrees)))
+    off, angle = millimetres(found.position_errors), found.angle_errors * degrees
+    wrong = (
+        f"linear interpolation is off by {np.sqrt(np.mean(off**2)):.4f} mm (rms), {np.max(off):.4f} mm and"
+        f" {np.max(angle):.4f} deg at worst"
+    )
+    comments = (f"corrections from {result}; {wrong}", *said_of_failure(output, result, out))
+    write_file(out, format_table(columns, comments))
+    output.json(
+        {
+            "n_nodes": len(found.nodes),
+            "interpolation_mm": {"rms": float(np.sqrt(np.mean(off**2))), "max": float(np.max(off))},
+            "interpolation_deg": {"max": float(np.max(angle))},
+        }
+    )
+    output.say(f"{counted(len(found.nodes), 'node')} written to {out}; {wrong}, at {len(off)} points between them")
 
 
 def _read(path: str, robot: Robot, output: Output) -> Poses | Goals:

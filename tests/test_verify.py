@@ -12,7 +12,8 @@ import calib
 from calib.commands.verify import command
 from calib.data.measurement_files import format_measurements
 from calib.data.measurements import Measurements, Poses
-from calib.identification.acceptance import Promise, poses_needed, verify, visible_changes
+from calib.identification.acceptance import poses_needed, verify, visible_changes
+from calib.identification.promise import Promise
 from calib.identification.repeats import CONDITIONS, conditions, iso_figures
 from calib.reporting.acceptance_text import text_report
 from calib.reporting.results import load_promise

@@ -8,7 +8,8 @@ import numpy as np
 from calib.commands.common import Output, loaded, shared_options
 from calib.data.measurement_files import read_measurements, read_poses
 from calib.errors import DataError, InputError, nearest
-from calib.identification.acceptance import POWER, Promise, candidates, poses_needed, verify, visible_changes
+from calib.identification.acceptance import poses_needed, verify, visible_changes
+from calib.identification.promise import POWER, Promise, candidates
 from calib.identification.repeats import iso_figures
 from calib.model.robot import Robot
 from calib.reporting.acceptance_text import changes_as_data, plan_report, text_report, to_dict

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from rich.table import Table
 
-from calib.identification.acceptance import FALSE_ALARM, POWER, Acceptance, Change
+from calib.identification.acceptance import Acceptance
 from calib.identification.errors_found import error_table
+from calib.identification.promise import FALSE_ALARM, POWER, Change
 from calib.identification.repeats import CONDITIONS, IsoFigure, conditions
 from calib.reporting.plain_text import plain_text
 from calib.units import DISPLAY_UNIT, ERROR_UNIT, PER_SI, Dimension, error_scale, millimetres

@@ -24,8 +24,8 @@ from calib.data.tables import read_table
 from calib.errors import ComputationError, DataError
 from calib.export.urdf import urdf_bytes
 from calib.files import write_folder
-from calib.identification.acceptance import Promise
 from calib.identification.fitted import Fit
+from calib.identification.promise import Promise
 from calib.identification.reasons import Verdict
 from calib.linearisation.prediction import PositionUncertainty, position_uncertainty
 from calib.model.robot import Robot

@@ -68,9 +68,9 @@ def test_intervals_of_repeatability_cover_the_true_one(axes):
     many = np.linalg.norm(axes * rng.standard_normal((10**6, 3)), axis=1)
     truth = many.mean() + 3 * many.std()
     share = covered(
-        lambda: axes * rng.standard_normal((30, 3)), lambda e: iso9283.pose_repeatability(e, other), truth, 150
+        lambda: axes * rng.standard_normal((30, 3)), lambda e: iso9283.pose_repeatability(e, other), truth, 80
     )
-    assert share > 0.89  # 150 draws: +- 0.036
+    assert share > 0.86  # 80 draws: +- 0.05
 
 
 def test_intervals_of_angles_and_distances_cover():

@@ -39,7 +39,7 @@ from calib.arrays import FloatArray
 CYCLES = 30
 """Cycles of each pose that the standard asks for."""
 _TAIL = 0.025
-_DRAWS = 2000
+_DRAWS = 1500
 
 
 @dataclass(frozen=True)

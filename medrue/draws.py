@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
-from calib.data.arrays import as_measurements
+from calib.data.in_memory import as_measurements
 from calib.data.measurements import Measurements
 from calib.errors import NotConvergedError
 from calib.identification.fit import fit
@@ -162,7 +162,7 @@ class Calibrator:
     """
 
     def __init__(self, task: Task, pose_set: PoseSet, start: Robot, nearby: FloatArray) -> None:
-        self._chosen, self._joints, self._free = pose_set.chosen, task.joints, task.robot.free
+        self._chosen, self._joints, self._free = pose_set.chosen, task.joints, task.robot.is_free
         self._scales = np.array([parameter.sigma for parameter in task.robot.parameters])[self._free]
         self._start, self._passive = start, nearby
         self._first = linearise(start, self._assembled(start, self._chosen))

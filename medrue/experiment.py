@@ -160,7 +160,7 @@ def experiment_draw(task: ExperimentTask) -> ExperimentDraw:
         after.append(result.robot.positions(task.joints)[:, 0] - readings.positions)
         values.append(result.robot.values)
         spread = np.zeros(len(result.robot.values))
-        spread[task.robot.free] = result.statistics.std
+        spread[task.robot.is_free] = result.statistics.std
         std.append(spread)
     before = task.robot.positions(task.joints)[:, 0] - readings.positions
     return ExperimentDraw(

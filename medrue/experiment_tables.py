@@ -36,7 +36,7 @@ def parameter_table(experiment: Experiment) -> ResultTable:
     """Table III: the parameters that the 84 poses of O1 identify."""
     parameters = experiment.robot.parameters
     scale = np.array([PER_SI[parameter.dimension][parameter.unit] for parameter in parameters])
-    draw, free = experiment.draws[0], experiment.robot.free
+    draw, free = experiment.draws[0], experiment.robot.is_free
 
     def column(header: str, values: FloatArray) -> Column:
         return Column(header, tuple(None if np.isnan(value) else float(value) for value in values * scale))

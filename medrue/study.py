@@ -188,8 +188,8 @@ def summary(distances: FloatArray) -> FloatArray:
 
 def error_floors(robot: Robot, joints: FloatArray, sets: tuple[PoseSet, ...], sigma: float) -> FloatArray:
     """Root-mean-square position error over each set's validation poses that theory allows, (n_sets,) [m]."""
-    jacobian = linearise(robot, robot.assemble(joints)).jacobian[:, 0][..., robot.free]
-    jacobian = jacobian * np.array([parameter.sigma for parameter in robot.parameters])[robot.free]
+    jacobian = linearise(robot, robot.assemble(joints)).jacobian[:, 0][..., robot.is_free]
+    jacobian = jacobian * np.array([parameter.sigma for parameter in robot.parameters])[robot.is_free]
     floors = []
     for pose_set in sets:
         used = jacobian[pose_set.chosen].reshape(-1, jacobian.shape[2])
@@ -204,7 +204,7 @@ def _other_robots(
 ) -> list[Task]:
     """Robots with actual parameters drawn as the paper's: within +-2 mm and +-1.5 deg, the redundant ones nominal."""
     table = table1()
-    reach = np.where(np.array(table.units) == "m", 2e-3, np.radians(1.5)) * robot.free
+    reach = np.where(np.array(table.units) == "m", 2e-3, np.radians(1.5)) * robot.is_free
     tasks = []
     for child in seeds.spawn(size.actual_draws):
         own, noise = child.spawn(2)

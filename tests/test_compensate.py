@@ -68,7 +68,7 @@ def test_medrue_runs_a_compensated_program_at_the_error_of_its_calibration():
     noise = 4e-5 * np.random.default_rng(1).standard_normal((84, 3))
     fit = calib.fit(robot, calib.as_measurements(robot, used, forward(used, actual).p_world_tool + noise))
     held_out = rms(np.linalg.norm(fit.robot.positions(program)[:, 0] - forward(program, actual).p_world_tool, axis=1))
-    found = compensate(fit.robot, program, uncertainty=fit.uncertainty)
+    found = compensate(fit.robot, program, predict=fit.predict)
     meant, did = forward(program, nominal), forward(found.q, actual)  # shares no code with the engine
     error = np.linalg.norm(did.p_world_tool - meant.p_world_tool, axis=1)
     before = np.linalg.norm(forward(program, actual).p_world_tool - meant.p_world_tool, axis=1)
@@ -89,7 +89,7 @@ def test_an_arm_of_unknown_base_and_reflector_is_as_good_as_its_calibration():
     program[:, [1, 2, 4]] += [0.6, 0.3, 1.1]  # away from the singular poses of shoulder, elbow and wrist
     measured = truth.positions(q)[:, 0] + 3e-5 * rng.standard_normal((90, 3))
     fit = calib.fit(robot, calib.as_measurements(robot, q, measured))
-    found = compensate(fit.robot, program, uncertainty=fit.uncertainty)
+    found = compensate(fit.robot, program, predict=fit.predict)
     nominal = robot.with_parameters(
         {p.name: v for p, v in zip(robot.parameters, nearest_to_nominal(fit.robot).values, strict=True) if p.placement}
     )

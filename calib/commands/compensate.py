@@ -71,7 +71,7 @@ def command(
         return
     with output.working(f"compensating {len(rows)} rows"):
         found = compensate(
-            calibrated, rows, keep=keep, uncertainty=partial(load_uncertainty(result, nominal).at, calibrated)
+            calibrated, rows, keep=keep, predict=partial(load_uncertainty(result, nominal).at, calibrated)
         )
     if not skip_unreachable or not np.any(found.ok):
         _require_all(found)

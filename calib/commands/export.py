@@ -54,6 +54,7 @@ def command(
     if failed := said_of_failure(output, result, out):
         lines = [*(lines or []), *failed]
     notes: list[str] = []
+    relative = _relative_meshes(model.urdf)  # before anything is written: it may refuse a broken shape
     gaps = export(model, file_format, out, free_slide=free_slide, provenance=lines, note=notes.append)
     output.say(f"{model.name}, {parameters or result or 'nominal values'}: written to {out}")
     for text in notes:
@@ -65,7 +66,6 @@ def command(
             output.note(
                 "note: --free-slide leaves nothing to absorb; without it, simulated links and motors are strained"
             )
-    relative = _relative_meshes(model.urdf)
     if relative and file_format in ("urdf", "drake", "toolbox"):
         output.note(f"note: mesh paths such as '{relative}' start at the folder of the URDF; keep the file beside them")
     output.json(

@@ -11,8 +11,7 @@ from calib.commands.common import Output, shared_options
 from calib.errors import InputError
 from calib.files import check_file, write_file
 from calib.model.arm_chain import arm_chain
-from calib.model.plain_urdf import describe
-from calib.model.templates import description_text
+from calib.model.templates import describe, description_text
 from calib.model.urdf_text import read_urdf
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, IntArray
-from calib.data.arrays import measurements
+from calib.data.in_memory import measurements
 from calib.data.measurements import CONTEXT, Measurements, Poses, check_repeats
 from calib.data.tables import Table, format_table, read_table
 from calib.errors import DataError, nearest

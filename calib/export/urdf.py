@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
-from calib.export.xml_text import comment
 from calib.model.robot import Robot
 from calib.model.urdf_text import UrdfText, apply_edits, parse_urdf
 from calib.units import PER_SI
@@ -57,3 +56,14 @@ def with_inserted(urdf: UrdfText, text: str, at: int) -> bytes:
     """Return the file with text inserted at a byte: in ASCII, with the line ends that the file has."""
     line_end = b"\r\n" if b"\r\n" in urdf.source else b"\n"
     return apply_edits(urdf.source, [(at, at, text.encode("ascii", "xmlcharrefreplace").replace(b"\n", line_end))])
+
+
+def numbers(values: Iterable[float]) -> str:
+    """Return the shortest decimals that read back to the same floats, separated by spaces."""
+    return " ".join(repr(float(value)) if value != 0 else "0" for value in values)
+
+
+def comment(lines: Sequence[str]) -> str:
+    """Return an XML comment, one line each; ASCII, so that it fits every encoding."""
+    text = "\n".join(lines).encode("ascii", "backslashreplace").decode()
+    return "<!-- " + re.sub(r"-(?=-|$)", "- ", text) + "\n-->"

@@ -39,7 +39,7 @@ from scipy.stats import f as f_distribution
 from scipy.stats import t as student_t
 
 from calib.arrays import FloatArray
-from calib.data.arrays import as_poses
+from calib.data.in_memory import as_poses
 from calib.data.measurements import Measurements, Poses
 from calib.errors import DataError, nearest
 from calib.identification.errors_found import ErrorSet

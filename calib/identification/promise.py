@@ -105,7 +105,7 @@ class Candidate:
 
 def candidates(robot: Robot) -> list[Candidate]:
     """Return what can change: parameters of the robot's origins, and zeros of its joints."""
-    free = np.flatnonzero(robot.free)
+    free = np.flatnonzero(robot.is_free)
     found = [
         Candidate(p.name, p.dimension, k, False, p.sigma)
         for k, p in enumerate(robot.parameters[i] for i in free)
@@ -338,7 +338,7 @@ def _promised(
         own: Which of the free parameters are not placed anew, (n_free,).
         root: A root of their covariance, (n_own, k) [m or rad].
     """
-    free, slopes, square, n = np.flatnonzero(robot.free), [], 0.0, 0
+    free, slopes, square, n = np.flatnonzero(robot.is_free), [], 0.0, 0
     for name, found in observed.items():
         one = robot.instrument(name)
         rows = [r for r, k in enumerate(one.part_of_row) if one.parts[k].name == "position"]

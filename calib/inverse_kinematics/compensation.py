@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.data.arrays import as_poses
+from calib.data.in_memory import as_poses
 from calib.data.measurements import Poses, directions_of_motion
 from calib.errors import InputError, nearest
 from calib.inverse_kinematics.goals import Goals
@@ -152,7 +152,7 @@ def compensate(
     program: Poses | Goals | ArrayLike,
     *,
     keep: str | None = None,
-    uncertainty: Callable[[FloatArray], PositionUncertainty] | None = None,
+    predict: Callable[[FloatArray], PositionUncertainty] | None = None,
 ) -> Compensation:
     """Change a program for the nominal robot into one with which the calibrated robot does what was meant.
 
@@ -161,7 +161,7 @@ def compensate(
         program: Joints of the nominal robot, as `Poses` or (n, n_actuated) [m or rad]; or where it was told to bring a
             target, in the measurement frame as the nominal description has it.
         keep: What of a program of joints is kept, of `KEEP`; if not given, the pose where the joints can reach any.
-        uncertainty: Predicts positions at given joints, such as `Fit.uncertainty`.
+        predict: Predicts positions at given joints, such as `Fit.predict`.
 
     Raises:
         InputError: `keep` is none of `KEEP`, or is given for goals, which say themselves what they ask for.
@@ -174,8 +174,8 @@ def compensate(
     robot = nearest_to_nominal(robot)
     meant = as_meant(robot)
     if isinstance(program, Goals):
-        return _compensated(robot, _of_goals(meant, program), uncertainty)
-    return _compensated(robot, _of_joints(meant, as_poses(robot, program), keep), uncertainty)
+        return _compensated(robot, _of_goals(meant, program), predict)
+    return _compensated(robot, _of_joints(meant, as_poses(robot, program), keep), predict)
 
 
 def as_meant(robot: Robot) -> Robot:
@@ -246,7 +246,7 @@ def _on_one_branch(robot: Robot, reach: Reach, q: FloatArray, ok: BoolArray) -> 
 
 
 def _compensated(
-    robot: Robot, asked: _Asked, uncertainty: Callable[[FloatArray], PositionUncertainty] | None
+    robot: Robot, asked: _Asked, predict: Callable[[FloatArray], PositionUncertainty] | None
 ) -> Compensation:
     """Solve all rows that can be."""
     reach, n = problem(robot, asked.goals), len(asked.goals)
@@ -268,8 +268,8 @@ def _compensated(
     reasons[rows] = _reasons(robot, replace(reach, goals=asked.goals.subset(rows)), found, commands, program[rows])
     good = np.flatnonzero(reasons[rows] == "")
     q[rows[good]] = commands[good]
-    if uncertainty is not None and len(good):
-        known, t = uncertainty(commands[good]), robot.target_names.index(reach.target.name)
+    if predict is not None and len(good):
+        known, t = predict(commands[good]), robot.target_names.index(reach.target.name)
         expected[:, rows[good]] = known.distance[:, t], *known.distance95[:, :, t]
     return Compensation(
         asked.goals.names,

@@ -8,18 +8,19 @@ from pydantic import Discriminator, Tag
 
 from calib.joint_terms.backlash import Backlash
 from calib.joint_terms.compliance import Compliance
+from calib.joint_terms.coupling import Coupling
 from calib.joint_terms.curve import Curve
 from calib.joint_terms.drift import Drift, Temperature
 from calib.joint_terms.gain import Gain
 from calib.joint_terms.harmonics import Harmonics
 from calib.joint_terms.term import JointTerm, TermSection
-from calib.units import Dimension
 
 TERMS: dict[str, type[JointTerm]] = {
     "gain": Gain,
     "harmonics": Harmonics,
     "curve": Curve,
     "backlash": Backlash,
+    "coupling": Coupling,
     "drift": Drift,
     "temperature": Temperature,
     "compliance": Compliance,
@@ -36,18 +37,3 @@ else:
     _tagged = tuple(Annotated[kind.section, Tag(name)] for name, kind in TERMS.items())
     AnyTerm = Annotated[Union[_tagged], Discriminator(_term_of)]  # noqa: UP007  # a tuple, known only when it runs
     """The entry of a joint term in a robot description."""
-
-
-def joint_term(joint: str, dimension: Dimension, section: TermSection, sigma: float | None) -> JointTerm:
-    """Return the term that an entry of a robot description means.
-
-    Args:
-        joint: The joint.
-        dimension: Its dimension.
-        section: The entry.
-        sigma: Its sigma [m or rad], or None.
-
-    Raises:
-        ValueError: The entry does not fit the joint.
-    """
-    return TERMS[section.term].of(joint, dimension, section, sigma)  # type: ignore[attr-defined]

@@ -40,7 +40,7 @@ def nearest_to_nominal(robot: Robot) -> Robot:
         robot: A calibrated robot; one whose base and targets are known comes back as it is.
     """
     parameters = robot.parameters[: robot.n_origin_parameters]
-    free = np.flatnonzero(robot.free[: len(parameters)])
+    free = np.flatnonzero(robot.is_free[: len(parameters)])
     own = np.array([not parameters[k].placement for k in free], dtype=bool)
     if np.all(own):
         return robot

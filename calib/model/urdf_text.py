@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.errors import UrdfError, nearest
+from calib.files import read_bytes
 from calib.model.urdf_reader import HELD_TYPES, MOVING_TYPES, NUMBER, Span, Triple, UrdfJoint, UrdfReader
 
 __all__ = ["HELD_TYPES", "MOVING_TYPES", "Triple", "UrdfJoint", "UrdfText", "parse_urdf", "read_urdf"]
@@ -109,13 +110,7 @@ def read_urdf(path: Path | str) -> UrdfText:
     Raises:
         UrdfError: The file is missing or unreadable, is not XML, or its joints do not form one tree.
     """
-    try:
-        source = Path(path).read_bytes()
-    except FileNotFoundError:
-        raise UrdfError(f"{path}: no such file; give the path of a URDF") from None
-    except OSError as error:
-        raise UrdfError(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
-    return parse_urdf(source, str(path))
+    return parse_urdf(read_bytes(path, "the path of a URDF", UrdfError), str(path))
 
 
 def parse_urdf(source: bytes, path: str = "<urdf>") -> UrdfText:

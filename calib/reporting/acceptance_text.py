@@ -11,9 +11,8 @@ from calib.identification.acceptance import Acceptance
 from calib.identification.errors_found import error_table
 from calib.identification.promise import FALSE_ALARM, POWER, Change
 from calib.identification.repeats import CONDITIONS, IsoFigure, conditions
-from calib.reporting.plain_text import plain_text
 from calib.units import DISPLAY_UNIT, ERROR_UNIT, PER_SI, Dimension, error_scale, millimetres
-from calib.words import counted, listed
+from calib.words import counted, listed, plain_text
 
 _SHOWN = 8
 _SAID = {

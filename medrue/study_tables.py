@@ -10,9 +10,7 @@ from calib.words import counted
 from medrue.paper_tables import error_table, table1
 from medrue.ranking import LEGEND, Ranking, agreement, rank, ranking_table, standard_error
 from medrue.result_tables import Column, ResultTable
-from medrue.study import COUNT, SIGMA, Study
-
-STATISTICS = ("mean", "max", "std")
+from medrue.study import COUNT, SIGMA, STATISTICS, Study
 
 
 def study_tables(study: Study) -> tuple[ResultTable, ...]:

@@ -99,7 +99,7 @@ def closed_model(robot: Robot, *, free_slide: bool = False) -> ClosedModel:
     urdf = parse_urdf(robot.calibrated_urdf(), robot.urdf.path)
     home = home_values(robot)
     gaps = loop_gaps(robot)
-    ends = [(_link(urdf, a), _link(urdf, b)) for a, b in robot.description.closed_loop]
+    ends = [(link_of(urdf, a), link_of(urdf, b)) for a, b in robot.description.closed_loop]
     if free_slide:
         urdf, ends, home = _with_free_joints(robot, urdf, ends, home)
         gaps = ()
@@ -172,8 +172,12 @@ def tie_lines(model: ClosedModel) -> list[str]:
     ]
 
 
-def _link(urdf: UrdfText, frame: str) -> str:
-    """The link that a frame of the description is: a joint's name stands for its child."""
+def link_of(urdf: UrdfText, frame: str) -> str:
+    """Return the link that a frame of the description is: a joint's name stands for its child.
+
+    Raises:
+        InputError: There is neither a link nor a joint of that name.
+    """
     if frame in urdf.links:
         return frame
     child = next((joint.child for joint in urdf.joints if joint.name == frame), None)
@@ -189,7 +193,7 @@ def _markers(robot: Robot) -> tuple[Marker, ...]:
         (f"target_{target.name}", description.targets[target.name].frame, target.b) for target in mechanism.targets
     ]
     return tuple(
-        Marker(name, _link(robot.urdf, frame), mechanism.model.jointPlacements[index].copy())
+        Marker(name, link_of(robot.urdf, frame), mechanism.model.jointPlacements[index].copy())
         for name, frame, index in places
     )
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterable, Sequence
+from xml.sax.saxutils import quoteattr
 
 from calib.model.robot import Robot
 from calib.model.urdf_text import UrdfText, apply_edits, parse_urdf
@@ -16,6 +17,7 @@ from calib.units import PER_SI
 from calib.version import PROGRAM
 
 _MARK = "calib: calibrated origins"
+_MESH = re.compile(rb"""<mesh\b[^>]*?\sfilename\s*=\s*["'](?=[^"'])(?!/|[^"']*://)""")
 _EARLIER = re.compile(rb"\r?\n?<!-- " + _MARK.encode() + rb".*?-->", re.DOTALL)
 
 
@@ -36,10 +38,17 @@ def urdf_bytes(robot: Robot, provenance: Sequence[str] | None = None) -> bytes:
     return with_inserted(urdf, "\n" + comment(lines), at=urdf.root_span[1])
 
 
+def with_mesh_prefix(source: bytes, prefix: str) -> bytes:
+    """Return URDF bytes in which this stands before every mesh path that is relative to the URDF."""
+    start = quoteattr(prefix.rstrip("/") + "/")[1:-1].encode("ascii", "xmlcharrefreplace")
+    return _MESH.sub(lambda found: found.group() + start, source)
+
+
 def provenance_lines(robot: Robot) -> list[str]:
     """Return what a file was made from: program, nominal file with its checksum, and every value that was changed."""
     digest = hashlib.sha256(robot.urdf.source).hexdigest()
-    lines = [f"written by {PROGRAM} from {robot.urdf.path}", f"sha256 of that file: {digest}"]
+    hashed = "the URDF that xacro makes of it" if robot.urdf.path.endswith(".xacro") else "that file"
+    lines = [f"written by {PROGRAM} from {robot.urdf.path}", f"sha256 of {hashed}: {digest}"]
     changed = []
     for parameter, value in zip(robot.parameters, robot.values, strict=True):
         if value != parameter.nominal:

@@ -342,9 +342,19 @@ class Robot(ReadOnlyArrays):
         transforms = kinematics.relative_pose(swept, pair)
         return transforms[0] if np.ndim(q) == 1 else transforms
 
-    def positions(self, q: ArrayLike) -> FloatArray:
-        """Positions of all targets in the measurement frame, loops closed, (n, n_targets, 3) [m]."""
-        configurations = self.assemble(q)
+    def positions(self, q: ArrayLike, context: Context | None = None, seed: FloatArray | None = None) -> FloatArray:
+        """Positions of all targets in the measurement frame, loops closed, (n, n_targets, 3) [m].
+
+        Args:
+            q: Actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
+            context: Under which conditions the commands were given; joint terms may depend on it.
+            seed: See `assemble`.
+
+        Raises:
+            DataError: Joint values of the wrong shape.
+            UnreachablePoseError: A loop cannot be closed.
+        """
+        configurations = self.assemble(q, seed, context=context)
         joints = self.mechanism.all_joints(configurations.actuated, configurations.passive)
         swept = kinematics.sweep(self.mechanism, joints, self.mechanism.targets)
         return np.stack([kinematics.value(swept, target) for target in self.mechanism.targets], axis=1)

@@ -105,12 +105,30 @@ class UrdfText:
 
 
 def read_urdf(path: Path | str) -> UrdfText:
-    """Read and check a URDF file.
+    """Read and check a URDF file, or a xacro file (`.xacro`), which is expanded first.
 
     Raises:
-        UrdfError: The file is missing or unreadable, is not XML, or its joints do not form one tree.
+        UrdfError: The file is missing or unreadable, is not XML, or its joints do not form one tree; or it is a xacro
+            file that cannot be expanded.
     """
-    return parse_urdf(read_bytes(path, "the path of a URDF", UrdfError), str(path))
+    source = read_bytes(path, "the path of a URDF", UrdfError)
+    return parse_urdf(_expanded(path) if Path(path).suffix == ".xacro" else source, str(path))
+
+
+def _expanded(path: Path | str) -> bytes:
+    """The URDF that a xacro file stands for, with the package xacro, which not everybody has."""
+    try:
+        import xacro
+    except ImportError:
+        raise UrdfError(
+            f"{path}: is a xacro file, and the package that expands them is not installed: pip install xacro; or expand"
+            f" it elsewhere: xacro {path} > robot.urdf"
+        ) from None
+    try:
+        expanded: bytes = xacro.process_file(str(path)).toprettyxml(indent="  ", encoding="utf-8")
+    except Exception as error:  # of xacro, of the XML parser, of expressions in the file
+        raise UrdfError(f"{path}: xacro cannot expand it ({type(error).__name__}: {error})") from None
+    return expanded
 
 
 def parse_urdf(source: bytes, path: str = "<urdf>") -> UrdfText:

@@ -22,9 +22,10 @@ from calib.inverse_kinematics.compensation import Compensation, compensate
 from calib.inverse_kinematics.goals import Goals
 from calib.linearisation.simulate import simulate
 from calib.model.parameters import Origin, Parametrisation, twist_of_edit
-from calib.model.robot import Robot, load
+from calib.model.robot import Robot
 from calib.parameter import Parameter
 from calib.pose_choice.selection import Selection, select
+from calib.reporting.results import load
 
 __all__ = [
     "Acceptance",

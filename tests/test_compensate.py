@@ -362,6 +362,21 @@ def test_wrong_programs_are_refused_in_one_line(tmp_path, calibrated, text, opti
     assert not (tmp_path / "out.csv").exists()
 
 
+def test_a_result_folder_is_a_robot_and_something_else_needs_one(tmp_path, calibrated):
+    text = f"{NAMES},reflector_ax,reflector_ay,reflector_az\n0.5,0.1,0.6,0,0.2,1\n"
+    files = []
+    for robot, options in ((EXAMPLES / "arm.yaml", ["--result", str(calibrated)]), (calibrated, [])):
+        (tmp_path / "program.csv").write_text(text)
+        out = tmp_path / f"{len(files)}.csv"
+        found = CliRunner().invoke(command, [str(robot), str(tmp_path / "program.csv"), "--out", str(out), *options])
+        assert found.exit_code == 0, found.output
+        files.append(out.read_text())
+    assert files[0] == files[1]
+    found = CliRunner().invoke(command, [str(EXAMPLES / "arm.yaml"), str(tmp_path / "program.csv"), "--out", "x.csv"])
+    assert found.exit_code == 2
+    assert "is no result folder; give that as ROBOT, or with --result DIR" in found.output
+
+
 @pytest.mark.parametrize("what", ["missing", "of another robot", "failed", "without covariance"])
 def test_wrong_results_are_refused(tmp_path, calibrated, what):
     folder, robot, code = tmp_path / "result", EXAMPLES / "arm.yaml", 2

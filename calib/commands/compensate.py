@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.arrays import FloatArray
-from calib.commands.common import Output, loaded, said_of_failure, shared_options
+from calib.commands.common import Output, loaded, result_folder, said_of_failure, shared_options
 from calib.commands.solve import in_display_units
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
@@ -30,7 +30,7 @@ _FIGURES = ("before", "expected", "low95", "high95")
 @click.command("compensate")
 @click.argument("robot")
 @click.argument("program")
-@click.option("--result", required=True, metavar="DIR", help="Result folder of `calib fit`: the calibrated robot.")
+@click.option("--result", metavar="DIR", help="Result folder of `calib fit`, if ROBOT is none: the calibrated robot.")
 @click.option(
     "--keep",
     type=click.Choice(KEEP),
@@ -47,7 +47,7 @@ _FIGURES = ("before", "expected", "low95", "high95")
 def command(
     robot: str,
     program: str,
-    result: str,
+    result: str | None,
     keep: str | None,
     grid: str | None,
     skip_unreachable: bool,
@@ -63,6 +63,7 @@ def command(
     calibration found them.
     """
     check_file(out)
+    result = result_folder(robot, result)
     nominal = loaded(robot, output)
     calibrated = load_calibrated(result, nominal)
     rows = _read(program, nominal, output)

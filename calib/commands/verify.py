@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 import numpy as np
 
-from calib.commands.common import Output, loaded, shared_options
+from calib.commands.common import Output, loaded, result_folder, shared_options
 from calib.data.measurement_files import read_measurements, read_poses
 from calib.errors import DataError, InputError, nearest
 from calib.identification.acceptance import poses_needed, verify, visible_changes
@@ -23,7 +23,7 @@ _NOT_AS_PROMISED = 3
 @click.command("verify")
 @click.argument("robot")
 @click.argument("data", nargs=-1, required=True)
-@click.option("--result", required=True, metavar="DIR", help="Result folder of `calib fit`: the calibrated robot.")
+@click.option("--result", metavar="DIR", help="Result folder of `calib fit`, if ROBOT is none: the calibrated robot.")
 @click.option(
     "--same-setup",
     is_flag=True,
@@ -38,7 +38,7 @@ _NOT_AS_PROMISED = 3
 def command(
     robot: str,
     data: tuple[str, ...],
-    result: str,
+    result: str | None,
     same_setup: bool,
     plan: bool,
     change: str | None,
@@ -52,6 +52,7 @@ def command(
     """
     if change and not plan:
         raise InputError("--change: goes with --plan; what has changed is found from the measurements")
+    result = result_folder(robot, result)
     model = loaded(robot, output)
     promise = load_promise(result, model)
     if plan:

@@ -98,16 +98,17 @@ class Compensation(ReadOnlyArrays):
         """Return a phrase for every row that has no command."""
         return [f"{label} {why}" for label, why in zip(self.labels, self.reasons, strict=True) if why]
 
-    def told(self, nominal: Robot) -> tuple[FloatArray, FloatArray]:
+    def told(self, robot: Robot) -> tuple[FloatArray, FloatArray]:
         """Return where a controller that knows the nominal robot must be told to bring the target.
 
         Args:
-            nominal: The robot as its description has it.
+            robot: The robot; its nominal values count.
 
         Returns:
             Positions (n, 3) [m] in the measurement frame of the description and rotations (n, 3, 3); NaN where there is
             no command.
         """
+        nominal = robot.with_parameters([parameter.nominal for parameter in robot.parameters])
         positions, rotations = np.full((len(self.q), 3), np.nan), np.full((len(self.q), 3, 3), np.nan)
         rows = np.flatnonzero(self.ok)
         closed = nominal.close(self.q[rows])

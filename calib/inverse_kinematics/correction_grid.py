@@ -128,8 +128,7 @@ def _corrections(robot: Robot, target: str, positions: FloatArray, rotation: Flo
         raise UnreachablePoseError(
             f"{counted(len(misses), 'point')} of the grid cannot be reached: {listed(misses, '; ', 3)}; make it smaller"
         )
-    nominal = robot.with_parameters([parameter.nominal for parameter in robot.parameters])
-    told, turned = found.told(nominal)
+    told, turned = found.told(robot)
     turns = np.zeros((len(positions), 3))
     if rotation is not None:
         turns = np.array([pin.log3(one @ rotation.T) for one in turned])

@@ -24,7 +24,10 @@ if TYPE_CHECKING:
     from calib.data.in_memory import as_measurements, as_poses
     from calib.data.measurement_files import read_measurements, read_poses
     from calib.data.measurements import Measurements, Poses
+    from calib.identification.acceptance import Acceptance, verify
     from calib.identification.fitted import Fit
+    from calib.inverse_kinematics.compensation import Compensation, compensate
+    from calib.inverse_kinematics.goals import Goals
     from calib.linearisation.simulate import simulate
     from calib.model.parameters import Origin, Parametrisation, twist_of_edit
     from calib.model.robot import Robot
@@ -33,8 +36,11 @@ if TYPE_CHECKING:
     from calib.reporting.results import load
 
 _HOMES = {
+    "Acceptance": "calib.identification.acceptance",
     "Calibration": "calib.calibration",
+    "Compensation": "calib.inverse_kinematics.compensation",
     "Fit": "calib.identification.fitted",
+    "Goals": "calib.inverse_kinematics.goals",
     "Measurements": "calib.data.measurements",
     "Origin": "calib.model.parameters",
     "Parameter": "calib.parameter",
@@ -44,6 +50,7 @@ _HOMES = {
     "Selection": "calib.pose_choice.selection",
     "as_measurements": "calib.data.in_memory",
     "as_poses": "calib.data.in_memory",
+    "compensate": "calib.inverse_kinematics.compensation",
     "fit": "calib.calibration",
     "load": "calib.reporting.results",
     "read_measurements": "calib.data.measurement_files",
@@ -51,15 +58,19 @@ _HOMES = {
     "select": "calib.pose_choice.selection",
     "simulate": "calib.linearisation.simulate",
     "twist_of_edit": "calib.model.parameters",
+    "verify": "calib.identification.acceptance",
 }
 
 __all__ = [
+    "Acceptance",
     "Calibration",
     "CalibrationError",
+    "Compensation",
     "ComputationError",
     "DataError",
     "DescriptionError",
     "Fit",
+    "Goals",
     "InputError",
     "Measurements",
     "NotConvergedError",
@@ -75,6 +86,7 @@ __all__ = [
     "UrdfError",
     "as_measurements",
     "as_poses",
+    "compensate",
     "fit",
     "load",
     "read_measurements",
@@ -82,6 +94,7 @@ __all__ = [
     "select",
     "simulate",
     "twist_of_edit",
+    "verify",
 ]
 
 

@@ -20,6 +20,8 @@ _MODULES = {
     "fit": "calib.commands.fit",
     "predict": "calib.commands.predict",
     "solve": "calib.commands.solve",
+    "compensate": "calib.commands.compensate",
+    "verify": "calib.commands.verify",
     "export": "calib.commands.export",
 }
 

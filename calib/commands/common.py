@@ -177,6 +177,14 @@ def folder_of_values(robot: str, parameters: str | None, result: str | None) -> 
     return robot if result is None and parameters is None and Path(robot).is_dir() else result
 
 
+def result_folder(robot: str, result: str | None) -> str:
+    """Return the result folder of a command that needs one: --result, or ROBOT; neither is an `InputError`."""
+    folder = folder_of_values(robot, None, result)
+    if folder is None:
+        raise InputError(f"{robot}: is no result folder; give that as ROBOT, or with --result DIR")
+    return folder
+
+
 def with_values(robot: Robot, parameters: str | None, result: str | None) -> Robot:
     """Return the robot with the values of a parameter file or of a result folder, if one is given.
 

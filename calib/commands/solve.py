@@ -77,7 +77,7 @@ def _table(robot: Robot, goals: Goals, solution: Solution, comments: tuple[str, 
     """CSV text of the targets that are reached."""
     reached = np.flatnonzero(solution.ok)
     columns: list[tuple[str, list[object]]] = [("pose", [goals.names[k] for k in reached])]
-    for name, values in _in_display_units(robot, solution.q[reached]).items():
+    for name, values in in_display_units(robot, solution.q[reached]).items():
         columns.append((name, list(values)))
     for axis, values in zip("xyz", millimetres(solution.positions[reached].T), strict=True):
         columns.append((f"{goals.target}_{axis} [mm]", list(values)))
@@ -86,7 +86,7 @@ def _table(robot: Robot, goals: Goals, solution: Solution, comments: tuple[str, 
 
 def _rows(robot: Robot, goals: Goals, solution: Solution) -> list[dict[str, object]]:
     """One entry for each target; joints are null where it is out of reach."""
-    joints = _in_display_units(robot, solution.q)
+    joints = in_display_units(robot, solution.q)
     return [
         {
             "pose": name,
@@ -99,8 +99,8 @@ def _rows(robot: Robot, goals: Goals, solution: Solution) -> list[dict[str, obje
     ]
 
 
-def _in_display_units(robot: Robot, q: FloatArray) -> dict[str, FloatArray]:
-    """Joint columns `name [unit]` and their values, (n,) each."""
+def in_display_units(robot: Robot, q: FloatArray) -> dict[str, FloatArray]:
+    """Return joint columns `name [unit]` and their values, (n,) each."""
     columns: dict[str, FloatArray] = {}
     for j, name in enumerate(robot.joint_names):
         dimension = robot.mechanism.dimensions[name]

@@ -1,28 +1,56 @@
-"""What repeated readings of a pose say: accuracy and repeatability in the manner of ISO 9283.
-
-For a pose with n readings and e_j what reading j is off the prediction for its own joint values, e their mean, and
-l_j = |e_j - e|:
-
-    pose accuracy          AP = |e|
-    pose repeatability     RP = mean(l) + 3 std(l)           (std with n - 1)
+"""What repeated readings of a pose say: the figures of ISO 9283.
 
 ISO 9283 asks for 30 readings of five poses, approached anew each time, and takes the commanded position where this
-takes the position that the model predicts; what the joints say that they moved between two readings is no scatter. With
-fewer readings the numbers are the same, only less sure; readings taken without moving the robot show the tracker alone.
+takes the one that the model predicts for the reading's own joint values; what the joints say that they moved between
+two readings is no scatter. With fewer readings the numbers are the same, only less sure; readings taken without moving
+the robot show the instrument alone. `calib.numerics.iso9283` has the equations.
 
-Reference: iso9283, sections 7.2.1 and 7.2.2.
+Reference: iso9283, section 7.2.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import scipy
 
 from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.identification.errors_found import ErrorSet
+from calib.numerics import iso9283
+from calib.numerics.iso9283 import CYCLES, Figure
 from calib.units import millimetres
+
+CONDITIONS = ("load", "speed", "temperature", "warm-up", "instrument", "certificate", "operator")
+"""Conditions of a test that a file states in comments, such as `# load: 5 kg`."""
+_FIVE = 5  # poses of the standard
+_BLOCK = 10  # cycles of a block of the drift test
+_HOURS = 8.0  # that the drift test takes
+_SECONDS = 3600.0
+
+
+@dataclass(frozen=True)
+class IsoFigure:
+    """One figure of ISO 9283.
+
+    Attributes:
+        name: `AP`, `RP`, `vAP`, `AD`, `RD`, `dAP` or `dRP`; of orientations with the axis, such as `AP_rx`.
+        poses: The pose, or the two poses of a distance.
+        cycles: How many there were, of the pose with fewest.
+        figure: Value and interval [m or rad].
+    """
+
+    name: str
+    poses: str
+    cycles: int
+    figure: Figure
+
+    @property
+    def is_angle(self) -> bool:
+        """Whether it is an angle."""
+        return "_" in self.name
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,18 +86,21 @@ class Repeats(ReadOnlyArrays):
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """Position errors of one instrument, pose by pose."""
+    """Errors of one instrument at one pose, reading by reading."""
 
+    instrument: str
     pose: int
+    readings: IntArray
+    visits: IntArray
     before: FloatArray
     after: FloatArray
 
 
-def _repeated(found: ErrorSet) -> list[Scatter]:
-    """Position errors (n, 3) of every point that was read more than once at a pose."""
+def _repeated(found: ErrorSet, wanted: str = "position") -> list[Scatter]:
+    """Errors (n, 3) of a part of every reading at a pose that was read more than once along one pair."""
     result = []
     for one, part, rows in found.parts():
-        if part.name != "position":
+        if part.name != wanted:
             continue
         readings = found.data.readings[one.name]
         keys = np.stack([found.data.pose_numbers[readings.visits], readings.pairs], axis=1)
@@ -78,7 +109,8 @@ def _repeated(found: ErrorSet) -> list[Scatter]:
         for group in np.split(order, np.cumsum(count)[:-1]):
             if len(group) > 1:
                 before, after = found.before[one.name][group], found.after[one.name][group]
-                result.append(Scatter(int(keys[group[0], 0]), before[:, rows], after[:, rows]))
+                pose = int(keys[group[0], 0])
+                result.append(Scatter(one.name, pose, group, readings.visits[group], before[:, rows], after[:, rows]))
     return result
 
 
@@ -89,8 +121,7 @@ def repeats(found: ErrorSet) -> Repeats | None:
         return None
     spread = []
     for one in several:
-        distance = np.linalg.norm(one.after - one.after.mean(axis=0), axis=1)
-        spread.append(distance.mean() + 3.0 * distance.std(ddof=1))
+        spread.append(iso9283.repeatability(one.after))
     return Repeats(
         np.array([one.pose for one in several], dtype=np.intp),
         np.array([len(one.after) for one in several], dtype=np.intp),
@@ -131,3 +162,127 @@ def beyond_repeatability(found: ErrorSet, n_effective: float) -> tuple[float, fl
     squares = sum(len(one.after) * float(np.sum(one.after.mean(axis=0) ** 2)) for one in several)
     ratio = float(np.sqrt(squares / freedom)) / scatter
     return ratio, float(scipy.special.fdtrc(freedom, n_free, ratio**2))
+
+
+def conditions(comments: Sequence[str]) -> dict[str, str]:
+    """Return what comment lines `key: value` of a file say of the test, by key of `CONDITIONS`."""
+    found = {}
+    for line in comments:
+        key, _, value = line.partition(":")
+        if key.strip().lower() in CONDITIONS and value.strip():
+            found[key.strip().lower()] = value.strip()
+    return found
+
+
+def iso_figures(found: ErrorSet, rng: np.random.Generator) -> tuple[list[IsoFigure], list[str]]:
+    """Return the figures of ISO 9283 that the cycles allow, and what is missing for those that the standard asks for.
+
+    Args:
+        found: Errors after calibration, prediction minus read.
+        rng: Source of the draws that make intervals.
+    """
+    names = dict(zip(found.data.pose_numbers.tolist(), found.data.names, strict=True))
+    several = _repeated(found)
+    figures: list[IsoFigure] = []
+    for one in several:
+        label, n = names[one.pose], len(one.after)
+        figures.append(IsoFigure("AP", label, n, iso9283.pose_accuracy(-one.after)))
+        figures.append(IsoFigure("RP", label, n, iso9283.pose_repeatability(-one.after, rng)))
+    turned = _repeated(found, "orientation")
+    for one in turned:
+        for k, axis in enumerate(("rx", "ry", "rz")):
+            label, n = names[one.pose], len(one.after)
+            figures.append(IsoFigure(f"AP_{axis}", label, n, iso9283.mean_of(-one.after[:, k])))
+            figures.append(IsoFigure(f"RP_{axis}", label, n, iso9283.three_deviations(one.after[:, k])))
+    figures += _distances(found, several, names)
+    figures += _directions(found, several, names)
+    figures += _drifts(found, several, names, rng)
+    return figures, _missing(found, several, turned, figures)
+
+
+def _distances(found: ErrorSet, several: list[Scatter], names: Mapping[int, str]) -> list[IsoFigure]:
+    """AD and RD of the two poses of one instrument that are furthest apart, cycle by cycle."""
+    best: tuple[float, Scatter, Scatter, FloatArray] | None = None
+    commanded = [_commanded(found, one) for one in several]
+    for (a, one), (b, other) in combinations(enumerate(several), 2):
+        apart: FloatArray = commanded[b] - commanded[a]
+        if one.instrument == other.instrument and (best is None or np.linalg.norm(apart) > best[0]):
+            best = float(np.linalg.norm(apart)), one, other, apart
+    if best is None or best[0] == 0:
+        return []
+    _, one, other, apart = best
+    n = min(len(one.after), len(other.after))
+    off = iso9283.distances(-one.after[:n], -other.after[:n], apart)
+    label = f"{names[one.pose]} to {names[other.pose]}"
+    return [
+        IsoFigure("AD", label, n, iso9283.mean_of(off)),
+        IsoFigure("RD", label, n, iso9283.three_deviations(off)),
+    ]
+
+
+def _commanded(found: ErrorSet, one: Scatter) -> FloatArray:
+    """Mean position that was predicted, (3,) [m]."""
+    instrument = next(i for i in found.instruments if i.name == one.instrument)
+    read = instrument.points(found.data.readings[one.instrument].values[one.readings])
+    if read is None:
+        raise TypeError(f"'{one.instrument}' reads positions, but shows no points")
+    return np.asarray((read + one.after).mean(axis=0))
+
+
+def _directions(found: ErrorSet, several: list[Scatter], names: Mapping[int, str]) -> list[IsoFigure]:
+    """The vAP of every pose that was reached from several directions, where the file says from which."""
+    if found.data.approach is None:
+        return []
+    result = []
+    for one in several:
+        _, number = np.unique(found.data.approach[one.visits], axis=0, return_inverse=True)
+        groups = [-one.after[number.reshape(-1) == k] for k in range(int(number.max()) + 1)]
+        groups = [group for group in groups if len(group) > 1]
+        if len(groups) > 1:
+            n = min(len(group) for group in groups)
+            result.append(IsoFigure("vAP", names[one.pose], n, iso9283.direction_variation(groups)))
+    return result
+
+
+def _drifts(
+    found: ErrorSet, several: list[Scatter], names: Mapping[int, str], rng: np.random.Generator
+) -> list[IsoFigure]:
+    """Both dAP and dRP of every pose with several blocks of cycles, where the file has a time."""
+    time, result = found.data.context.get("time"), []
+    if time is None or not np.all(np.isfinite(time)):
+        return []
+    for one in several:
+        n_blocks = len(one.after) // _BLOCK
+        if n_blocks > 1:
+            order = np.argsort(time[one.visits], kind="stable")[: n_blocks * _BLOCK]
+            figures = iso9283.drift(np.split(-one.after[order], n_blocks), rng)
+            for name, figure in zip(("dAP", "dRP"), figures, strict=True):
+                result.append(IsoFigure(name, names[one.pose], _BLOCK, figure))
+    return result
+
+
+def _missing(found: ErrorSet, several: list[Scatter], turned: list[Scatter], figures: list[IsoFigure]) -> list[str]:
+    """Say what the standard asks for and the data do not have."""
+    cycles = [len(one.after) for one in several]
+    result = []
+    if not several:
+        return ["no pose was read more than once: no AP, RP, AD, RD; give rows that repeat a pose the same name"]
+    if len(several) != _FIVE:
+        result.append(f"{len(several)} repeated poses where ISO 9283 has five")
+    if min(cycles) < CYCLES:
+        result.append(f"{min(cycles)} cycles of a pose where ISO 9283 has {CYCLES}")
+    if not turned:
+        result.append("no orientation was read: no AP and RP of angles")
+    present = {figure.name for figure in figures}
+    if "vAP" not in present:
+        result.append("no vAP: it takes cycles from several directions, told apart by columns approach_<joint>")
+    time = found.data.context.get("time")
+    if "dAP" not in present:
+        result.append(f"no drift: it takes a column time, and {2 * _BLOCK} cycles or more of a pose over {_HOURS:g} h")
+    elif time is not None and np.ptp(time) < _HOURS * _SECONDS:
+        result.append(f"drift over {np.ptp(time) / _SECONDS:.1f} h where ISO 9283 has {_HOURS:g} h")
+    stated = conditions(found.data.comments)
+    unstated = [key for key in CONDITIONS if key not in stated]
+    if unstated:
+        result.append(f"conditions not stated: {', '.join(unstated)} (a comment line such as '# load: 5 kg')")
+    return result

@@ -64,7 +64,7 @@ class Goals:
         values = np.array(getattr(self, what), dtype=float)
         if values.shape != shape:
             raise DataError(f"goals: {what} of shape {values.shape}; expected {shape}")
-        finite = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+        finite = np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
         if not finite.all():
             raise DataError(f"{self.labels[int(np.argmin(finite))]}: {what} are not finite")
         object.__setattr__(self, what, values)

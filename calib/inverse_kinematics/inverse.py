@@ -55,9 +55,10 @@ class Solution:
 
     def misses(self) -> list[str]:
         """Return a phrase for every goal that is not reached."""
-        return [f"{self.labels[k]} {self._miss(k)}" for k in map(int, np.flatnonzero(~self.ok))]
+        return [f"{self.labels[k]} {self.miss(k)}" for k in map(int, np.flatnonzero(~self.ok))]
 
-    def _miss(self, k: int) -> str:
+    def miss(self, k: int) -> str:
+        """Return by how much goal k is missed, in words."""
         length, angle = float(self.miss_position[k]), float(self.miss_angle[k])
         if length <= TOLERANCE and angle <= TOLERANCE:
             return "can be reached, but no way leads there from home in its assembly mode"
@@ -88,7 +89,7 @@ def solve(robot: Robot, goals: Goals, *, near: ArrayLike | None = None) -> Solut
     Raises:
         DataError: Unknown target, or `near` of the wrong shape.
     """
-    reach = _problem(robot, goals)
+    reach = problem(robot, goals)
     wanted = robot.home if near is None else robot.joint_vector(near)
     if np.ndim(wanted) == 2 and len(wanted) not in (1, len(goals)):
         raise DataError(f"near: {len(wanted)} rows for {len(goals)} goals; give one row, or one for each")
@@ -106,7 +107,8 @@ def solve(robot: Robot, goals: Goals, *, near: ArrayLike | None = None) -> Solut
     return Solution(commands, ok, miss, angle, positions, goals.labels)
 
 
-def _problem(robot: Robot, goals: Goals) -> Reach:
+def problem(robot: Robot, goals: Goals) -> Reach:
+    """Return goals of a robot with the limits of its joints; a target that it does not have is a `DataError`."""
     target = robot.mechanism.targets[0]
     if goals.target:
         named = {pair.name: pair for pair in robot.mechanism.targets}

@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.linearisation.jacobian import linearise
@@ -48,6 +49,20 @@ class PositionUncertainty(ReadOnlyArrays):
         """Root mean square distance between true and predicted position, (n_poses, n_targets) [m]."""
         result: FloatArray = np.sqrt(np.sum(self.std**2, axis=2))
         return result
+
+    @property
+    def distance95(self) -> FloatArray:
+        """Low and high 95 % limits of the distance between true and predicted position, (2, n_poses, n_targets) [m].
+
+        The square of the distance is a sum of squares of normal numbers with the eigenvalues of the covariance C as
+        weights: nearly g chi^2_h with the same mean and variance, g = tr(C^2) / tr(C), h = tr(C)^2 / tr(C^2);
+        where one direction outweighs the others, 97 of 100 lie between them.
+        """
+        trace = np.maximum(np.trace(self.covariance, axis1=2, axis2=3), 1e-300)
+        squares = np.maximum(np.sum(self.covariance**2, axis=(2, 3)), 1e-300 * trace)
+        limits = [scipy.stats.chi2.ppf(tail, trace**2 / squares) * squares / trace for tail in (0.025, 0.975)]
+        low, high = np.sqrt(limits)
+        return np.stack([low, high * self.coverage_factor / scipy.stats.norm.ppf(0.975)])
 
     @property
     def worst(self) -> int:

@@ -227,6 +227,7 @@ def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
                     "name": part.name,
                     "unit": ERROR_UNIT[part.dimension],
                     "sigma": None if noise is None else scale * noise.sigma,
+                    "sigma_own": None if noise is None else scale * noise.own,
                     "sigma_stated": None if noise is None or noise.stated is None else scale * noise.stated,
                     "degrees_of_freedom": None if noise is None else noise.freedom,
                     "errors": {

@@ -30,6 +30,7 @@ from calib.export.links import find_mesh
 from calib.export.urdf import urdf_bytes
 from calib.files import read_text, write_folder
 from calib.identification.fitted import Fit
+from calib.identification.promise import Promise
 from calib.identification.reasons import Verdict
 from calib.linearisation.prediction import PositionUncertainty, position_uncertainty
 from calib.model import robot as described
@@ -37,12 +38,13 @@ from calib.model.description import description_yaml
 from calib.model.robot import Robot
 from calib.model.urdf_text import UrdfText, apply_edits
 from calib.reporting.result_content import FORMAT_VERSION, covariance_table, parameter_rows, residual_table, to_dict
-from calib.units import PER_SI
+from calib.units import PER_SI, error_scale
 
 __all__ = [
     "forced_lines",
     "load",
     "load_calibrated",
+    "load_promise",
     "load_uncertainty",
     "parameter_rows",
     "read_result",
@@ -230,6 +232,38 @@ def load_uncertainty(folder: Path | str, robot: Robot) -> LoadedUncertainty:
         raise DataError(f"{folder}: its covariance or degrees of freedom are not numbers; run the fit again")
     free = np.array([p.name in names for p in robot.parameters])
     return LoadedUncertainty(free, covariance, float(scipy.special.stdtrit(freedom, 0.975)))
+
+
+def load_promise(folder: Path | str, robot: Robot) -> Promise:
+    """Return what the calibration in a result folder promises of its robot.
+
+    Args:
+        folder: Of `save`.
+        robot: The nominal robot.
+
+    Raises:
+        DataError: The folder holds no result, one of another robot, or one without the noise of each instrument.
+        ComputationError: The result failed, and was not forced.
+    """
+    calibrated, known, content = load_calibrated(folder, robot), load_uncertainty(folder, robot), read_result(folder)
+    sigma: dict[tuple[str, str], float] = {}
+    try:
+        for block in content["instruments"]:
+            one = robot.instrument(block["name"])
+            dimensions = {part.name: part.dimension for part in one.parts}
+            for part in block["parts"]:
+                if part["sigma_own"] is not None:
+                    scale = error_scale(dimensions[part["name"]])
+                    sigma[one.group, part["name"]] = float(part["sigma_own"]) / scale
+        shared = {
+            row["joint"]: float(row["sigma"]) / error_scale(robot.mechanism.dimensions[row["joint"]])
+            for row in content["shared_sigma"]
+        }
+        freedom = float(content["degrees_of_freedom"])
+    except (KeyError, TypeError, ValueError):
+        raise DataError(f"{folder}: does not say the noise of each instrument; run the fit again") from None
+    errors = np.array([shared.get(name, 0.0) for name in robot.joint_names])
+    return Promise(calibrated, known.covariance, freedom, sigma, errors)
 
 
 def read_result(folder: Path | str) -> dict[str, Any]:

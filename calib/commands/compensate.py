@@ -1,0 +1,243 @@
+"""`calib compensate`: a program for the nominal robot, changed so that the calibrated one does what was meant."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import click
+import numpy as np
+import pinocchio as pin
+
+from calib.arrays import FloatArray
+from calib.commands.common import Output, loaded, result_folder, said_of_failure, shared_options
+from calib.commands.solve import in_display_units
+from calib.data.measurement_files import read_poses
+from calib.data.measurements import Poses
+from calib.data.tables import format_table, read_table
+from calib.errors import DataError, InputError, UnreachablePoseError
+from calib.files import check_file, write_file
+from calib.inverse_kinematics.compensation import KEEP, Compensation, compensate
+from calib.inverse_kinematics.correction_grid import correction_grid
+from calib.inverse_kinematics.goals import Goals, read_goals
+from calib.model.robot import Robot
+from calib.reporting.results import load_calibrated, load_uncertainty, read_result
+from calib.units import PER_SI, millimetres
+from calib.words import counted
+
+_FIGURES = ("before", "expected", "low95", "high95")
+
+
+@click.command("compensate")
+@click.argument("robot")
+@click.argument("program")
+@click.option("--result", metavar="DIR", help="Result folder of `calib fit`, if ROBOT is none: the calibrated robot.")
+@click.option(
+    "--keep",
+    type=click.Choice(KEEP),
+    help="What of a program of joints is kept; the full pose where the joints can reach any, else the position.",
+)
+@click.option(
+    "--grid",
+    metavar="NX,NY,NZ",
+    help="Write a table of corrections instead, at so many nodes over the box of PROGRAM's positions.",
+)
+@click.option("--skip-unreachable", is_flag=True, help="Write rows that cannot be compensated too: empty, and marked.")
+@click.option("--out", required=True, metavar="FILE", help="CSV file to write: the compensated program.")
+@shared_options(json_output=True)
+def command(
+    robot: str,
+    program: str,
+    result: str | None,
+    keep: str | None,
+    grid: str | None,
+    skip_unreachable: bool,
+    out: str,
+    output: Output,
+) -> None:
+    """Change PROGRAM (CSV), written for the nominal ROBOT, so that the calibrated one does what was meant.
+
+    PROGRAM has a column for every joint; or positions, poses or positions with an axis of a target, as `calib solve`
+    reads them, in the measurement frame of the description. What is written has the joint values to command, for
+    poses also the poses to command where a controller with the nominal model turns them into joints itself, and of
+    every row how far the tool is off before and after. The base and targets that were unknown are where the
+    calibration found them.
+    """
+    check_file(out)
+    result = result_folder(robot, result)
+    nominal = loaded(robot, output)
+    calibrated = load_calibrated(result, nominal)
+    rows = _read(program, nominal, output)
+    if grid is not None:
+        _write_grid(calibrated, rows, grid, result, out, output)
+        return
+    with output.working(f"compensating {len(rows)} rows"):
+        found = compensate(
+            calibrated, rows, keep=keep, predict=partial(load_uncertainty(result, nominal).at, calibrated)
+        )
+    if not skip_unreachable or not np.any(found.ok):
+        _require_all(found)
+    for miss in found.misses():
+        output.note(f"{miss}; left empty")
+    output.remarks(found.jumps())
+    comments = (
+        f"{program} for {nominal.name}, compensated with {result}; kept: {found.keep}",
+        *said_of_failure(output, result, out),
+    )
+    write_file(out, format_table(_columns(nominal, rows, found), comments))
+    summary, held_out, n = _summary(found), _held_out(result), len(rows)
+    output.json(
+        {
+            "robot": nominal.path,
+            "kept": found.keep,
+            "n_rows": n,
+            "n_unreachable": n - int(np.sum(found.ok)),
+            **summary,
+            "held_out_rms_mm": held_out,
+            "rows": _rows(nominal, found),
+        }
+    )
+    output.say(_said(found, summary, held_out, out))
+
+
+def _write_grid(calibrated: Robot, program: Poses | Goals, grid: str, result: str, out: str, output: Output) -> None:
+    """Write the table of corrections, and say how wrong interpolation in it is."""
+    if not isinstance(program, Goals):
+        raise InputError("--grid: PROGRAM has joints; give positions with one orientation")
+    try:
+        nx, ny, nz = (int(part) for part in grid.split(","))
+    except ValueError:
+        raise InputError(f"--grid '{grid}': write three numbers of nodes, such as 5,5,3") from None
+    with output.working("compensating the grid"):
+        found = correction_grid(calibrated, program, (nx, ny, nz))
+    name, degrees = found.target, PER_SI["angle"]["deg"]
+    columns: list[tuple[str, list[object]]] = []
+    for k, axis in enumerate("xyz"):
+        columns.append((f"{name}_{axis} [mm]", _cells(millimetres(found.nodes[:, k]))))
+    for k, axis in enumerate("xyz"):
+        columns.append((f"add_{axis} [mm]", _cells(millimetres(found.shift[:, k]))))
+    for k, axis in enumerate("xyz") if program.rotations is not None else ():
+        columns.append((f"turn_{axis} [deg]", _cells(found.turn[:, k] * degrees)))
+    off, angle = millimetres(found.position_errors), found.angle_errors * degrees
+    wrong = (
+        f"linear interpolation is off by {np.sqrt(np.mean(off**2)):.4f} mm (rms), {np.max(off):.4f} mm and"
+        f" {np.max(angle):.4f} deg at worst"
+    )
+    comments = (f"corrections from {result}; {wrong}", *said_of_failure(output, result, out))
+    write_file(out, format_table(columns, comments))
+    output.json(
+        {
+            "n_nodes": len(found.nodes),
+            "interpolation_mm": {"rms": float(np.sqrt(np.mean(off**2))), "max": float(np.max(off))},
+            "interpolation_deg": {"max": float(np.max(angle))},
+        }
+    )
+    output.say(f"{counted(len(found.nodes), 'node')} written to {out}; {wrong}, at {len(off)} points between them")
+
+
+def _read(path: str, robot: Robot, output: Output) -> Poses | Goals:
+    """The program; joint values count where there are both."""
+    names = read_table(path, robot.description.columns).names
+    present = [name for name in robot.joint_names if name in names]
+    if not present:
+        return read_goals(path, robot)
+    targets = [name for name in names if any(name == f"{t}_{axis}" for t in robot.target_names for axis in "xyz")]
+    if targets and len(present) < len(robot.joint_names):
+        missing = next(name for name in robot.joint_names if name not in names)
+        raise DataError(
+            f"{path}: has columns of joints and of targets, but none for joint '{missing}'; give all joints, or none"
+        )
+    if targets:
+        output.note(f"note: {path} has joints and target columns; the joints are the program")
+    return read_poses(path, robot)
+
+
+def _require_all(found: Compensation) -> None:
+    """Raise `UnreachablePoseError` that names the rows without a command."""
+    misses = found.misses()
+    if misses:
+        more = f" (and {len(misses) - 5} more)" if len(misses) > 5 else ""
+        raise UnreachablePoseError(
+            f"{counted(len(misses), 'row')} of {len(found.names)} cannot be compensated: {'; '.join(misses[:5])}{more};"
+            " change these rows, or mark them with --skip-unreachable"
+        )
+
+
+def _columns(robot: Robot, program: Poses | Goals, found: Compensation) -> list[tuple[str, list[object]]]:
+    """Columns of the file; cells without a command are empty."""
+    columns: list[tuple[str, list[object]]] = [("pose", list(found.names))]
+    for name, values in in_display_units(robot, found.q).items():
+        columns.append((name, _cells(values)))
+    if isinstance(program, Goals):
+        for name, values in _poses_to_command(robot, program, found).items():
+            columns.append((name, _cells(values)))
+    for figure in _FIGURES:
+        columns.append((f"{figure} [mm]", _cells(millimetres(getattr(found, figure)))))
+    columns.append(("status", [why or "ok" for why in found.reasons]))
+    return columns
+
+
+def _poses_to_command(robot: Robot, program: Goals, found: Compensation) -> dict[str, FloatArray]:
+    """What a controller with the nominal model must be told, in the program's columns."""
+    positions, rotations = found.told(robot)
+    name = found.target
+    shown = {f"{name}_{axis} [mm]": millimetres(positions[:, k]) for k, axis in enumerate("xyz")}
+    if program.rotations is not None:
+        angles = _rpy(rotations) * PER_SI["angle"]["deg"]
+        shown |= {f"{name}_r{axis} [deg]": angles[:, k] for k, axis in enumerate("xyz")}
+    if program.directions is not None:
+        shown |= {f"{name}_a{axis}": rotations[:, k, 2] for k, axis in enumerate("xyz")}
+    return shown
+
+
+def _rpy(rotations: FloatArray) -> FloatArray:
+    """Roll, pitch, yaw about fixed axes, (n, 3) [rad]; NaN where the rotation is."""
+    return np.array([np.full(3, np.nan) if np.isnan(R).any() else pin.rpy.matrixToRpy(R) for R in rotations])
+
+
+def _cells(values: FloatArray) -> list[object]:
+    return [float(f"{value:.15g}") if np.isfinite(value) else "" for value in values]
+
+
+def _summary(found: Compensation) -> dict[str, dict[str, float]]:
+    """Root mean square and largest error of all rows, before and after [mm]."""
+    shown = {figure: millimetres(getattr(found, figure)[found.ok]) for figure in _FIGURES[:2]}
+    return {
+        f"{figure}_mm": {"rms": float(np.sqrt(np.mean(values**2))), "max": float(np.max(values))}
+        for figure, values in shown.items()
+    }
+
+
+def _rows(robot: Robot, found: Compensation) -> list[dict[str, object]]:
+    """One entry for each row; null where there is no number."""
+    joints = in_display_units(robot, found.q)
+    return [
+        {
+            "pose": name,
+            "status": found.reasons[k] or "ok",
+            "joints": {joint: float(values[k]) for joint, values in joints.items()} if found.ok[k] else None,
+            **{f"{figure}_mm": _number(millimetres(float(getattr(found, figure)[k]))) for figure in _FIGURES},
+        }
+        for k, name in enumerate(found.names)
+    ]
+
+
+def _number(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _held_out(folder: str) -> float | None:
+    """Root mean square error of measurements that the fit had not seen [mm]; None where it was not given any."""
+    errors = read_result(folder).get("errors", {}).get("validation")
+    return None if errors is None else errors["after"].get("rms")
+
+
+def _said(found: Compensation, summary: dict[str, dict[str, float]], held_out: float | None, out: str) -> str:
+    before, expected = summary["before_mm"], summary["expected_mm"]
+    text = (
+        f"{int(np.sum(found.ok))} of {counted(len(found.names), 'row')} compensated ({found.keep} kept), written to"
+        f" {out}\nThe tool was off by {before['rms']:.4f} mm (rms); expected now: {expected['rms']:.4f} mm,"
+        f" {expected['max']:.4f} mm at worst, from the noise of the measurements alone"
+    )
+    if held_out is None:
+        return text
+    return f"{text}\nMeasurements that the fit had not seen were off by {held_out:.4f} mm (rms), with their own noise"

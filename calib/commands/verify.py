@@ -1,0 +1,105 @@
+"""`calib verify`: new measurements judge a calibrated robot."""
+
+from __future__ import annotations
+
+import click
+import numpy as np
+
+from calib.commands.common import Output, loaded, result_folder, shared_options
+from calib.data.measurement_files import read_measurements, read_poses
+from calib.errors import DataError, InputError, nearest
+from calib.identification.acceptance import poses_needed, verify, visible_changes
+from calib.identification.promise import POWER, Promise, candidates
+from calib.identification.repeats import iso_figures
+from calib.model.robot import Robot
+from calib.reporting.acceptance_text import changes_as_data, plan_report, text_report, to_dict
+from calib.reporting.results import load_promise
+from calib.units import quantity
+from calib.words import counted
+
+_NOT_AS_PROMISED = 3
+
+
+@click.command("verify")
+@click.argument("robot")
+@click.argument("data", nargs=-1, required=True)
+@click.option("--result", metavar="DIR", help="Result folder of `calib fit`, if ROBOT is none: the calibrated robot.")
+@click.option(
+    "--same-setup",
+    is_flag=True,
+    help="Unknown base and targets are where the calibration found them; else placed anew.",
+)
+@click.option("--plan", is_flag=True, help="DATA has joint values only: say what measuring there would show.")
+@click.option(
+    "--change", metavar="NAME=SIZE", help="With --plan: how many poses show this change, such as 'joint_2.z=0.2 mm'."
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of drawn intervals.")
+@shared_options(json_output=True)
+def command(
+    robot: str,
+    data: tuple[str, ...],
+    result: str | None,
+    same_setup: bool,
+    plan: bool,
+    change: str | None,
+    seed: int,
+    output: Output,
+) -> None:
+    """Judge the calibrated ROBOT by measurements DATA (CSV) that its calibration has not seen.
+
+    Says whether they agree with what was promised, whether one parameter or joint zero has drifted, or whether a new
+    calibration is due (exit code 3 unless they agree); and the figures of ISO 9283 that repeated poses allow.
+    """
+    if change and not plan:
+        raise InputError("--change: goes with --plan; what has changed is found from the measurements")
+    result = result_folder(robot, result)
+    model = loaded(robot, output)
+    promise = load_promise(result, model)
+    if plan:
+        _plan(promise, data, change, same_setup, output)
+        return
+    measured = read_measurements(data, model)
+    with output.working(f"judging {counted(measured.n_readings, 'reading')}"):
+        found = verify(promise, measured, same_setup=same_setup)
+        figures, missing = iso_figures(found.errors, np.random.default_rng(seed))
+    output.json({"robot": model.path, "seed": seed, **to_dict(found, figures, missing)})
+    output.say(text_report(found, figures, missing))
+    if found.verdict != "agrees":
+        raise click.exceptions.Exit(_NOT_AS_PROMISED)
+
+
+def _plan(promise: Promise, data: tuple[str, ...], change: str | None, same_setup: bool, output: Output) -> None:
+    """Say which changes measurements at the poses of a file would show."""
+    if len(data) > 1:
+        raise InputError(f"--plan: {len(data)} files; give one with joint values")
+    poses = read_poses(data[0], promise.robot)
+    name, size = _change(promise.robot, change) if change else ("", 0.0)
+    found = visible_changes(promise, poses, same_setup=same_setup)
+    content: dict[str, object] = {"n_poses": len(poses), "power": POWER, "changes": changes_as_data(found)}
+    lines = [plan_report(found, data[0], len(poses))]
+    if change:
+        needed = poses_needed(promise, poses, name, size, same_setup=same_setup)
+        content |= {"change": name, "poses_needed": needed}
+        lines.append(
+            f"All {len(poses)} poses are too few to show {change} with a chance of {POWER:.0%}; add poses"
+            if needed is None
+            else f"The first {counted(needed, 'pose')} show {change} with a chance of {POWER:.0%}"
+        )
+    output.json(content)
+    output.say("\n".join(lines))
+
+
+def _change(robot: Robot, text: str) -> tuple[str, float]:
+    """Name and size [m or rad] of NAME=SIZE."""
+    name, equals, size = (part.strip() for part in text.partition("="))
+    if not (name and equals and size):
+        raise InputError(
+            f"--change '{text}': write NAME=SIZE, such as 'joint_2.z=0.2 mm' or 'zero of joint_3=0.1 mrad'"
+        )
+    known = {one.name: one.dimension for one in candidates(robot)}
+    if name not in known:
+        raise DataError(f"--change: no change '{name}' can be looked for{nearest(name, known)}")
+    found = quantity(size, known[name], f"--change {name}")
+    if found == 0:
+        raise DataError(f"--change '{text}': is no change; give a size other than zero")
+    return name, found

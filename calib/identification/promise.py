@@ -1,0 +1,355 @@
+"""What a calibration promises of new readings: the least-squares problem of `calib.identification.acceptance`.
+
+Symbols are those of that module: r residuals, J L what is known only so well, P base and targets, Q = |e|^2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import scipy
+
+from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.data.measurements import Measurements
+from calib.errors import DataError
+from calib.identification.errors_found import ErrorSet
+from calib.identification.fitted import Fit
+from calib.linearisation.observed import Observed, observe
+from calib.linearisation.registration import register
+from calib.linearisation.unknowns import Unknowns
+from calib.linearisation.whitening import Whitening
+from calib.model.robot import Robot
+from calib.numerics.identifiability import RANK_TOLERANCE, unit_columns
+from calib.units import Dimension
+
+FALSE_ALARM = 0.01
+"""Chance that a robot that is as promised is not found so."""
+POWER = 0.9
+"""Chance with which a change is to be seen."""
+_OUTLIERS = 0.05  # largest part of the readings that is left out
+_PARALLEL = 1.0 - 1e-6  # cosine of columns that are one
+_JOINT_STEP = 1e-3  # unit in which joint zeros are looked at [rad, or characteristic lengths]
+
+
+@dataclass(frozen=True, eq=False)
+class Promise:
+    """What a calibration says of its robot.
+
+    Attributes:
+        robot: The calibrated robot.
+        covariance: Of its free parameters, (n_free, n_free) [m, rad].
+        freedom: Degrees of freedom that the noise was found with.
+        sigma: Noise of one component by group and part of the instruments, without what visits share [SI].
+        shared: Error of each joint that all rows of a visit share, (n_actuated,) [m or rad]; zeros for none.
+    """
+
+    robot: Robot
+    covariance: FloatArray
+    freedom: float
+    sigma: Mapping[tuple[str, str], float]
+    shared: FloatArray
+
+    @staticmethod
+    def of(fit: Fit) -> Promise:
+        """Return what a fit promises."""
+        sigma = {(one.group.name, one.group.part): one.own for one in fit.noise}
+        shared = np.array([fit.shared_sigma.get(name, 0.0) for name in fit.robot.joint_names])
+        return Promise(fit.robot, fit.statistics.covariance, fit.statistics.freedom, sigma, shared)
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of one parameter or of one joint's zero, looked for in the readings.
+
+    Attributes:
+        name: The parameter, or `zero of JOINT`.
+        dimension: What it measures.
+        value: How far it has changed [m or rad]; NaN where nothing was read.
+        std: Standard deviation of that [m or rad].
+        z: Their ratio.
+        visible: Smallest change that is seen with the chance `POWER` [m or rad].
+    """
+
+    name: str
+    dimension: Dimension
+    value: float
+    std: float
+    z: float
+    visible: float
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What can change.
+
+    Attributes:
+        name: The parameter, or `zero of JOINT`.
+        dimension: What it measures.
+        index: Its place among the free parameters, or among the actuated joints.
+        is_joint: Which of these.
+        scale: Unit in which it is looked at [m or rad].
+    """
+
+    name: str
+    dimension: Dimension
+    index: int
+    is_joint: bool
+    scale: float
+
+
+def candidates(robot: Robot) -> list[Candidate]:
+    """Return what can change: parameters of the robot's origins, and zeros of its joints."""
+    free = np.flatnonzero(robot.is_free)
+    found = [
+        Candidate(p.name, p.dimension, k, False, p.sigma)
+        for k, p in enumerate(robot.parameters[i] for i in free)
+        if not p.placement and not p.family and free[k] < robot.n_origin_parameters
+    ]
+    mechanism = robot.mechanism
+    return found + [
+        Candidate(f"zero of {name}", mechanism.dimensions[name], j, True, _JOINT_STEP * float(scale))
+        for j, (name, scale) in enumerate(zip(robot.joint_names, mechanism.joint_scale, strict=True))
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """The least-squares problem.
+
+    Attributes:
+        promise: What is judged.
+        columns: Of the known unknowns J L and of the places P, whitened, (n_rows, k) and (n_rows, p).
+        wanted: Columns of the candidates, (n_rows, n_candidates).
+        residuals: r, (n_rows,).
+        reading: Reading of each row, (n_rows,).
+        visit: Visit of each reading, (n_readings,).
+        counts: Which rows were read, (n_rows,).
+        errors: As of `Acceptance`.
+        promised: As of `Acceptance`.
+    """
+
+    promise: Promise
+    columns: tuple[FloatArray, FloatArray]
+    wanted: FloatArray
+    residuals: FloatArray
+    reading: IntArray
+    visit: IntArray
+    counts: BoolArray
+    errors: ErrorSet = field(repr=False)
+    promised: float
+
+    @staticmethod
+    def of(promise: Promise, data: Measurements, same_setup: bool) -> System:
+        """Set it up.
+
+        Raises:
+            DataError: Too few readings.
+        """
+        robot = promise.robot if same_setup else register(promise.robot, data)
+        configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
+        observed = observe(robot, configurations, data.readings, joints=True)
+        whitening, unknowns = Whitening(robot, data), Unknowns.of(robot)
+        scales = whitening.start({name: one.residuals for name, one in observed.items()})
+        for g, group in enumerate(whitening.groups):
+            if (group.name, group.part) in promise.sigma:
+                scales[g] = max(promise.sigma[group.name, group.part], 1e-30) / group.typical
+        rows = whitening.rows(observed, scales, unknowns, unknowns.deviations(robot.values))
+        joints = whitening.joint_columns(observed) / whitening.row_scale(scales)[:, None]
+        if np.any(promise.shared > 0):
+            shared = whitening.shared_error(observed, scales, promise.shared)
+            rows, joints = rows.whitened(shared), np.asarray(shared.whiten(joints))
+        own = np.ones(len(unknowns), dtype=bool) if same_setup else ~unknowns.placement
+        covariance = promise.covariance / np.outer(unknowns.scales, unknowns.scales)
+        values, vectors = np.linalg.eigh(covariance[np.ix_(own, own)])
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        known = np.asarray(rows.jacobian[:, own] @ root)
+        wanted = _wanted(robot, np.hstack([rows.jacobian, joints]), len(unknowns))
+        layout = whitening.layout
+        errors = {name: one.residuals for name, one in observed.items()}
+        return System(
+            promise,
+            (known, rows.jacobian[:, ~own]),
+            wanted,
+            rows.residuals,
+            layout.reading,
+            layout.visit,
+            layout.group >= 0,
+            ErrorSet(data, robot.instruments, errors, errors, robot.singular_values(configurations)),
+            _promised(promise, robot, observed, own, root * unknowns.scales[own, None]),
+        ).checked(data)
+
+    def checked(self, data: Measurements) -> System:
+        """Return it; with nothing left to judge by, raise `DataError`."""
+        if self.freedom < 1:
+            raise DataError(
+                f"{data.path}: {int(np.sum(self.counts))} measured coordinates only place base and targets; measure"
+                " more poses"
+            )
+        return self
+
+    def without(self, readings: IntArray) -> System:
+        """Return it without some readings, (n,)."""
+        kept = ~np.isin(self.reading, readings)
+        return System(
+            self.promise,
+            (self.columns[0] * kept[:, None], self.columns[1] * kept[:, None]),
+            self.wanted * kept[:, None],
+            self.residuals * kept,
+            self.reading,
+            self.visit,
+            self.counts & kept,
+            self.errors,
+            self.promised,
+        )
+
+    @cached_property
+    def _basis(self) -> tuple[FloatArray, int]:
+        """Orthonormal columns that span X, and the rank of what the places add."""
+        known, places = self.columns
+        k = known.shape[1]
+        unit = unit_columns(places)[0] if places.shape[1] else places
+        spanned = np.vstack([np.hstack([known, unit]), np.hstack([np.eye(k), np.zeros((k, unit.shape[1]))])])
+        left, values, _ = np.linalg.svd(
+            spanned / np.maximum(np.linalg.norm(spanned, axis=0), 1e-300), full_matrices=False
+        )
+        rank = int(np.sum(values > RANK_TOLERANCE * values[0])) if len(values) else 0
+        return left[:, :rank], rank - k
+
+    def _left(self, rows: FloatArray) -> FloatArray:
+        """What of [rows; 0] is orthogonal to X, (n_rows + k, ...)."""
+        basis, _ = self._basis
+        padded = np.concatenate([rows, np.zeros((len(basis) - len(rows), *rows.shape[1:]))])
+        return np.asarray(padded - basis @ (basis.T @ padded))
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom m."""
+        return int(np.sum(self.counts)) - self.placed
+
+    @property
+    def placed(self) -> int:
+        """Rank of the columns of the places beside the known unknowns."""
+        return self._basis[1]
+
+    @cached_property
+    def square(self) -> float:
+        """Q, the sum of squares that is chi-square with `freedom`."""
+        return float(np.sum(self._left(self.residuals) ** 2))
+
+    def worst(self) -> tuple[int, float]:
+        """Return the reading that lies furthest off, and the chance of that among so many."""
+        basis, left = self._basis[0], self._left(self.residuals)
+        best, smallest = -1, 1.0
+        order = np.flatnonzero(self.counts)
+        for reading in np.unique(self.reading[order]):
+            own = order[self.reading[order] == reading]
+            spread = np.eye(len(own)) - basis[own] @ basis[own].T
+            values, vectors = np.linalg.eigh(spread)
+            seen = values > 1e-6
+            square = float(np.sum((vectors.T @ left[own])[seen] ** 2 / values[seen]))
+            n = int(np.sum(seen))
+            chance = float(scipy.stats.f.sf(square / n, n, self.promise.freedom)) if n else 1.0
+            if chance < smallest:
+                best, smallest = int(reading), chance
+        return best, min(1.0, smallest * len(np.unique(self.reading[order])))
+
+    def changes(self) -> tuple[tuple[Change, ...], int]:
+        """Return candidates that the readings see, the most significant (or visible) first, and how many differ."""
+        left, every = self._left(self.wanted), candidates(self.promise.robot)
+        size, whole = np.linalg.norm(left, axis=0), np.linalg.norm(self.wanted, axis=0)
+        seen = np.flatnonzero(size > 1e-6 * np.maximum(whole, 1e-300))
+        if len(seen) == 0:
+            return (), 0
+        unit = left[:, seen] / size[seen]
+        distinct: list[int] = []
+        for j in range(len(seen)):
+            if all(abs(unit[:, j] @ unit[:, i]) < _PARALLEL for i in distinct):
+                distinct.append(j)
+        z = unit[: len(self.residuals)].T @ self.residuals
+        needed = _noncentrality(FALSE_ALARM / 2 / len(distinct), self.promise.freedom)
+        found = [
+            Change(
+                every[k].name,
+                every[k].dimension,
+                float(-z[j] / size[k] * every[k].scale),  # the residual is prediction minus read
+                float(every[k].scale / size[k]),
+                float(-z[j]),
+                float(needed * every[k].scale / size[k]),
+            )
+            for j, k in enumerate(seen)
+        ]
+        found.sort(key=lambda change: -six_digits(abs(change.z)))  # parallel columns stay in their order
+        return tuple(found), len(distinct)
+
+
+def _wanted(robot: Robot, every: FloatArray, n_free: int) -> FloatArray:
+    """Columns of the candidates, (n_rows, n_candidates), from those of all free parameters and joints."""
+    return np.stack(
+        [
+            c.scale * every[:, n_free + c.index] if c.is_joint else every[:, c.index]  # parameters are scaled already
+            for c in candidates(robot)
+        ],
+        axis=1,
+    )
+
+
+def six_digits(value: float) -> float:
+    """So much of a number that rounding decides about no order."""
+    return float(f"{value:.6g}")
+
+
+def without_outliers(system: System) -> tuple[System, list[int]]:
+    """Leave out readings that lie further off than noise explains, one by one, as long as they are few."""
+    left_out: list[int] = []
+    most = int(_OUTLIERS * len(system.visit))
+    whole = system
+    while len(left_out) < most:
+        reading, chance = system.worst()
+        if chance >= FALSE_ALARM / 2:
+            return system, left_out
+        left_out.append(reading)
+        system = whole.without(np.array(left_out))
+    if left_out and system.worst()[1] < FALSE_ALARM / 2:
+        return whole, []  # so many are no outliers
+    return system, left_out
+
+
+def _noncentrality(level: float, freedom: float) -> float:
+    """The noncentrality with which Student's t is beyond its two-sided level with the chance `POWER`."""
+    limit = float(scipy.stats.t.isf(level / 2, freedom))
+    return float(scipy.optimize.brentq(lambda d: scipy.stats.nct.sf(limit, freedom, d) - POWER, 0.0, limit + 10.0))
+
+
+def _promised(
+    promise: Promise, robot: Robot, observed: Mapping[str, Observed], own: BoolArray, root: FloatArray
+) -> float:
+    """Root mean square distance of measured from predicted positions as promised [m].
+
+    Args:
+        promise: Says noise and shared errors.
+        robot: The robot where the readings see it.
+        observed: With derivatives by parameters and joints.
+        own: Which of the free parameters are not placed anew, (n_free,).
+        root: A root of their covariance, (n_own, k) [m or rad].
+    """
+    free, slopes, square, n = np.flatnonzero(robot.is_free), [], 0.0, 0
+    for name, found in observed.items():
+        one = robot.instrument(name)
+        rows = [r for r, k in enumerate(one.part_of_row) if one.parts[k].name == "position"]
+        if rows:
+            n += len(found.jacobian)
+            slopes.append(found.jacobian[:, rows][:, :, free].reshape(-1, len(free)))
+            square += len(rows) * len(found.jacobian) * promise.sigma.get((one.group, "position"), np.nan) ** 2
+            square += float(np.sum((found.by_joint[:, rows] * promise.shared) ** 2))
+    if not n:
+        return float("nan")
+    slope = np.concatenate(slopes)
+    placed = np.linalg.svd(unit_columns(slope[:, ~own])[0], full_matrices=False)
+    basis = placed[0][:, placed[1] > RANK_TOLERANCE]
+    spread = slope[:, own] @ root
+    spread -= basis @ (basis.T @ spread)
+    square *= 1.0 - basis.shape[1] / len(slope)  # what placing them takes up
+    return float(np.sqrt((square + np.sum(spread**2)) / n))

@@ -1,0 +1,335 @@
+"""Programs that were written for the nominal robot, changed so that the calibrated one does what was meant.
+
+What is meant. Told q, the nominal robot would bring the target to T(q) of its base. The compensated command q' is where
+the calibrated robot stands there:
+
+    T_calibrated(q') = T_nominal(q),      q' near q
+
+Whose frames. Where the base or a target is called unknown, its place belongs to the set-up, not to the robot: both
+sides of the equation have it where the calibration found it, so that a tracker that stands elsewhere, or a reflector
+that sits elsewhere, moves no command. What only trades against such a place stays nominal
+(`calib.linearisation.gauge`). A base or tool that is called known, and whose origins are parameters, is part of the
+robot: it is corrected.
+
+How much is kept. The full pose, where the joints can reach it; of a robot with less freedom the position, and the
+orientation as near as the joints then allow. Where joints have freedom to spare, they stay near the program's.
+
+How. Each row starts at its own nominal joints and follows the loops from there (`reaching.descend`), so that the branch
+of the inverse kinematics and the assembly mode are the program's. Goals given as poses are solved for the nominal robot
+first; a row that landed on another branch than the one before it is tried again from there. Nothing is clipped: a row
+that needs a joint past its limit, or lies out of reach, is not answered, and says why.
+
+When it fails. Next to a singular pose of the robot a small correction of the tool can need a large one of the joints;
+`jumps` names rows at which the compensated program goes further than the program itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.data.in_memory import as_poses
+from calib.data.measurements import Poses, directions_of_motion
+from calib.errors import InputError, nearest
+from calib.inverse_kinematics.goals import Goals
+from calib.inverse_kinematics.inverse import TOLERANCE, problem, solve
+from calib.inverse_kinematics.reaching import Configured, Reach, actuated_jacobian, descend
+from calib.inverse_kinematics.redundancy import nearer
+from calib.joint_terms.term import Context
+from calib.linearisation.gauge import nearest_to_nominal
+from calib.linearisation.prediction import PositionUncertainty
+from calib.model.robot import Robot
+from calib.units import DISPLAY_UNIT, PER_SI, millimetres
+
+KEEP = ("pose", "axis", "position")
+"""What of the program is kept: the full pose, position and z axis of the target, or its position."""
+_JUMP = 0.1  # more than the program itself goes between two rows [rad, or characteristic lengths]
+_FURTHER = 0.5  # step between rows that may be a change of branch [rad, or characteristic lengths]
+_ROUNDS = 200
+_SINGULAR = 1e-6  # of the largest singular value
+_BEYOND = 1e-9  # past a limit by more than rounding [m or rad]
+_STATED = {"full pose": "pose", "position and axis": "axis", "position": "position"}
+
+
+@dataclass(frozen=True, eq=False)
+class Compensation(ReadOnlyArrays):
+    """A compensated program.
+
+    Attributes:
+        names: Pose name of each row.
+        labels: What to call each in messages.
+        target: The target that it is about.
+        keep: What was kept, of `KEEP`.
+        program: Joints with which the nominal robot does what is meant, (n, n_actuated) [m or rad]; NaN where none.
+        q: Compensated commands, (n, n_actuated) [m or rad]; NaN where there are none.
+        reasons: Why there are none; empty where there are.
+        meant: Where the target is meant to be in the measurement frame, (n, 3) [m]; NaN where that is not known.
+        before: How far the calibrated robot is off there without compensation, (n,) [m]; NaN where not known.
+        expected: Root mean square distance that is left, from the uncertainty of the parameters, (n,) [m]; NaN where
+            there is no command, or no uncertainty was given.
+        low95, high95: The distance lies between them in 95 of 100 cases, (n,) [m].
+        scale: What one radian of each joint is compared with, (n_actuated,).
+    """
+
+    names: tuple[str, ...]
+    labels: tuple[str, ...]
+    target: str
+    keep: str
+    program: FloatArray
+    q: FloatArray
+    reasons: tuple[str, ...]
+    meant: FloatArray
+    before: FloatArray
+    expected: FloatArray
+    low95: FloatArray
+    high95: FloatArray
+    scale: FloatArray
+
+    @property
+    def ok(self) -> BoolArray:
+        """Which rows have a command, (n,)."""
+        return np.asarray(np.isfinite(self.q).all(axis=1))
+
+    def misses(self) -> list[str]:
+        """Return a phrase for every row that has no command."""
+        return [f"{label} {why}" for label, why in zip(self.labels, self.reasons, strict=True) if why]
+
+    def told(self, robot: Robot) -> tuple[FloatArray, FloatArray]:
+        """Return where a controller that knows the nominal robot must be told to bring the target.
+
+        Args:
+            robot: The robot; its nominal values count.
+
+        Returns:
+            Positions (n, 3) [m] in the measurement frame of the description and rotations (n, 3, 3); NaN where there is
+            no command.
+        """
+        nominal = robot.with_parameters([parameter.nominal for parameter in robot.parameters])
+        positions, rotations = np.full((len(self.q), 3), np.nan), np.full((len(self.q), 3, 3), np.nan)
+        rows = np.flatnonzero(self.ok)
+        closed = nominal.close(self.q[rows])
+        rows, target = rows[closed.ok], nominal.mechanism.targets[nominal.target_names.index(self.target)]
+        found = actuated_jacobian(nominal.mechanism, target, self.q[rows], closed.passive[closed.ok])
+        positions[rows], rotations[rows] = found[:2]
+        return positions, rotations
+
+    def jumps(self) -> list[str]:
+        """Return a remark on every row to which some joint goes much further than in the program."""
+        steps = [np.max(np.abs(np.diff(q / self.scale, axis=0)), axis=1, initial=0.0) for q in (self.program, self.q)]
+        with np.errstate(invalid="ignore"):
+            rows = np.flatnonzero(steps[1] > steps[0] + _JUMP) + 1
+        return [
+            f"{self.labels[k]}: a joint goes {steps[1][k - 1]:.2f} rad from the row before, in the program"
+            f" {steps[0][k - 1]:.2f}; the robot is near a singular pose there"
+            for k in map(int, rows)
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """What a program asks of the calibrated robot.
+
+    Attributes:
+        goals: Where its target is to be.
+        joints: Joints with which the nominal robot is there, (n, n_actuated) [m or rad].
+        reasons: Why there are none; empty where there are.
+        keep: Of `KEEP`.
+        nearly: What to be near, where less than the pose is kept.
+    """
+
+    goals: Goals
+    joints: FloatArray
+    reasons: tuple[str, ...]
+    keep: str
+    nearly: Goals | None = None
+
+
+def compensate(
+    robot: Robot,
+    program: Poses | Goals | ArrayLike,
+    *,
+    keep: str | None = None,
+    predict: Callable[[FloatArray], PositionUncertainty] | None = None,
+) -> Compensation:
+    """Change a program for the nominal robot into one with which the calibrated robot does what was meant.
+
+    Args:
+        robot: The calibrated robot.
+        program: Joints of the nominal robot, as `Poses` or (n, n_actuated) [m or rad]; or where it was told to bring a
+            target, in the measurement frame as the nominal description has it.
+        keep: What of a program of joints is kept, of `KEEP`; if not given, the pose where the joints can reach any.
+        predict: Predicts positions at given joints, such as `Fit.predict`.
+
+    Raises:
+        InputError: `keep` is none of `KEEP`, or is given for goals, which say themselves what they ask for.
+        DataError: Goals of an unknown target, or joint values of the wrong shape.
+    """
+    if keep is not None and keep not in KEEP:
+        raise InputError(f"keep '{keep}'{nearest(keep, KEEP)}")
+    if keep is not None and isinstance(program, Goals):
+        raise InputError("keep: a program of poses or positions says itself what it asks for; leave it out")
+    robot = nearest_to_nominal(robot)
+    meant = as_meant(robot)
+    if isinstance(program, Goals):
+        return _compensated(robot, _of_goals(meant, program), predict)
+    return _compensated(robot, _of_joints(meant, as_poses(robot, program), keep), predict)
+
+
+def as_meant(robot: Robot) -> Robot:
+    """Return the robot that programs were written for: nominal, but its unknown base and targets where they are."""
+    return robot.with_parameters({p.name: p.nominal for p in robot.parameters if not p.placement})
+
+
+def _of_joints(meant: Robot, program: Poses, keep: str | None) -> _Asked:
+    """What joints of the nominal robot ask for."""
+    joints = meant.joint_vector(program.joints)
+    closed = meant.close(joints)
+    mechanism, target, n = meant.mechanism, meant.mechanism.targets[0], len(joints)
+    positions, rotations = np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1))
+    found = actuated_jacobian(mechanism, target, joints[closed.ok], closed.passive[closed.ok])
+    positions[closed.ok], rotations[closed.ok], jacobian = found
+    if keep is None:
+        keep = "pose" if _moves_freely(jacobian * mechanism.joint_scale, mechanism.length) else "position"
+    pose = Goals(positions, rotations, names=program.names, labels=program.labels, target=target.name)
+    goals = pose if keep == "pose" else replace(pose, rotations=None)
+    if keep == "axis":
+        goals = replace(goals, directions=rotations[:, :, 2])
+    reasons = tuple("" if good else "cannot be assembled by the nominal robot" for good in closed.ok)
+    return _Asked(goals, joints, reasons, keep, None if keep == "pose" else pose)
+
+
+def _moves_freely(jacobian: FloatArray, length: float) -> bool:
+    """Whether some pose lets the target move in all six directions, from (n, 6, n_actuated) of scaled joints."""
+    if len(jacobian) == 0 or jacobian.shape[2] < 6:
+        return False
+    values = np.linalg.svd(jacobian / np.repeat([length, 1.0], 3)[:, None], compute_uv=False)
+    return bool(np.any(values[:, 5] > _SINGULAR * values[:, 0]))
+
+
+def _of_goals(meant: Robot, program: Goals) -> _Asked:
+    """What goals ask for, and the joints with which the nominal robot reaches them."""
+    base = meant.mechanism.origin_names[meant.mechanism.targets[0].a - 1]
+    # from the measurement frame as the description has it to where the calibration found it
+    moved = meant.mechanism.placement(base).inverse() * meant.nominal.placement(base)
+    goals = replace(
+        program,
+        positions=program.positions @ moved.rotation.T + moved.translation,
+        rotations=None if program.rotations is None else moved.rotation @ program.rotations,
+        directions=None if program.directions is None else program.directions @ moved.rotation.T,
+    )
+    solution = solve(meant, goals)
+    reasons = tuple("" if good else f"by the nominal robot {solution.miss(k)}" for k, good in enumerate(solution.ok))
+    joints = _on_one_branch(meant, problem(meant, goals), solution.q, solution.ok)
+    return _Asked(goals, joints, reasons, _STATED[program.asks_for])
+
+
+def _on_one_branch(robot: Robot, reach: Reach, q: FloatArray, ok: BoolArray) -> FloatArray:
+    """Solutions (n, n_actuated) without changes of branch between neighbouring rows, as far as that can be."""
+    q, tried = q.copy(), np.zeros(len(q), dtype=bool)
+    for _ in range(_ROUNDS):
+        step = np.max(np.abs(np.diff(q / reach.scale, axis=0)), axis=1, initial=0.0)
+        rows = np.flatnonzero((step > _FURTHER) & ok[1:] & ok[:-1] & ~tried[1:]) + 1
+        if len(rows) == 0:
+            break
+        rows = rows[np.diff(rows, prepend=-2) > 1]  # those that follow one of them come after it
+        tried[rows] = True
+        start = robot.assemble(q[rows - 1])
+        found = descend(reach, rows, Configured(start.actuated, start.passive, np.full(len(rows), np.inf)))
+        shorter = np.max(np.abs(found.actuated - q[rows - 1]) / reach.scale, axis=1) < step[rows - 1]
+        better = shorter & _reached(reach, found)
+        q[rows[better]] = found.actuated[better]
+        tried[np.minimum(rows[better] + 1, len(q) - 1)] = False
+    return q
+
+
+def _compensated(
+    robot: Robot, asked: _Asked, predict: Callable[[FloatArray], PositionUncertainty] | None
+) -> Compensation:
+    """Solve all rows that can be."""
+    reach, n = problem(robot, asked.goals), len(asked.goals)
+    meant = np.where(np.array(asked.reasons)[:, None] == "", asked.goals.positions, np.nan)
+    program = np.where(np.isfinite(meant[:, :1]), asked.joints, np.nan)
+    approach = directions_of_motion(asked.joints)
+    columns = robot.term_columns(asked.joints, Context.of(approach, {}))
+    closed = robot.close(asked.joints, columns=columns)
+    reasons = np.array(asked.reasons, dtype=object)
+    reasons[(reasons == "") & ~closed.ok] = "cannot be assembled by the calibrated robot at the program's own joints"
+    rows = np.flatnonzero(reasons == "")
+    start = Configured(robot.actual(asked.joints, columns), closed.passive, np.full(n, np.inf)).subset(rows)
+    before, q, expected = np.full(n, np.nan), np.full(asked.joints.shape, np.nan), np.full((3, n), np.nan)
+    at = actuated_jacobian(robot.mechanism, reach.target, start.actuated, start.passive)[0]
+    before[rows] = np.linalg.norm(at - meant[rows], axis=1)
+    near = start if asked.nearly is None else descend(problem(robot, asked.nearly), rows, start)
+    found = _past_limits(reach, rows, start, nearer(reach, rows, descend(reach, rows, near), near.actuated))
+    commands = robot.commands(found.actuated, Context.of(approach[rows], {}))
+    reasons[rows] = _reasons(robot, replace(reach, goals=asked.goals.subset(rows)), found, commands, program[rows])
+    good = np.flatnonzero(reasons[rows] == "")
+    q[rows[good]] = commands[good]
+    if predict is not None and len(good):
+        known, t = predict(commands[good]), robot.target_names.index(reach.target.name)
+        expected[:, rows[good]] = known.distance[:, t], *known.distance95[:, :, t]
+    return Compensation(
+        asked.goals.names,
+        asked.goals.labels,
+        reach.target.name,
+        asked.keep,
+        program,
+        q,
+        tuple(reasons),
+        meant,
+        before,
+        expected[0],
+        expected[1],
+        expected[2],
+        robot.mechanism.joint_scale,
+    )
+
+
+def _past_limits(reach: Reach, rows: IntArray, start: Configured, found: Configured) -> Configured:
+    """Take what would reach the goals if the actuated joints had no limits, where nothing within them does."""
+    nothing = np.full(len(reach.lower), np.inf)
+    missed = np.flatnonzero(~_reached(reach, found))
+    free = descend(replace(reach, lower=-nothing, upper=nothing), rows[missed], start.subset(missed))
+    won = _reached(reach, free)
+    actuated, passive, distance = found.actuated.copy(), found.passive.copy(), found.distance.copy()
+    actuated[missed[won]], passive[missed[won]] = free.actuated[won], free.passive[won]
+    distance[missed[won]] = free.distance[won]
+    return Configured(actuated, passive, distance)
+
+
+def _reached(reach: Reach, found: Configured) -> BoolArray:
+    """Which goals are reached, (n,)."""
+    result: BoolArray = found.distance <= TOLERANCE * min(1.0, reach.mechanism.length)
+    return result
+
+
+def _reasons(robot: Robot, reach: Reach, found: Configured, commands: FloatArray, program: FloatArray) -> list[str]:
+    """Say of every goal why its command (n, n_actuated) is none; empty where it is one."""
+    _, miss, angle = reach.misses(found.actuated, found.passive)
+    closed = robot.close(commands).ok  # the loops were followed from elsewhere
+    result = []
+    for k, reached in enumerate(_reached(reach, found)):
+        why = _beyond(reach, program[k], "in the program") or (_beyond(reach, commands[k], "needed") if reached else "")
+        if not (why or reached):
+            degrees = f" and {np.degrees(angle[k]):.3f} deg" if angle[k] > TOLERANCE else ""
+            why = f"is out of reach by {millimetres(float(miss[k])):.3f} mm{degrees}"
+        result.append(why or ("" if closed[k] else "is reached on no way from home in its assembly mode"))
+    return result
+
+
+def _beyond(reach: Reach, q: FloatArray, what: str) -> str:
+    """Say which joint of q (n_actuated,) is past its limit by most; empty where none is."""
+    past = np.maximum(q - reach.upper, reach.lower - q) / reach.scale
+    j = int(np.argmax(past))
+    if past[j] <= _BEYOND:
+        return ""
+    name = reach.mechanism.actuated[j]
+    dimension = reach.mechanism.dimensions[name]
+    unit = DISPLAY_UNIT[dimension]
+    limit = reach.upper[j] if q[j] > reach.upper[j] else reach.lower[j]
+    value, bound = (x * PER_SI[dimension][unit] for x in (q[j], limit))
+    return f"is past the limit of joint '{name}': {value:.3f} {unit} {what}, {bound:.3f} {unit} allowed"

@@ -1,0 +1,404 @@
+"""A compensated program makes the real robot do what was meant; what cannot be is said; no other frame leaks in."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from six_axis_arm import write_six_axis
+
+import calib
+from calib.commands.compensate import command
+from calib.inverse_kinematics.compensation import as_meant, compensate
+from calib.inverse_kinematics.inverse import solve
+from calib.inverse_kinematics.reaching import actuated_jacobian
+from calib.linearisation.gauge import nearest_to_nominal
+from calib.linearisation.prediction import PositionUncertainty
+from medrue import robot_file
+from medrue.closed_form import forward
+from medrue.paper_tables import table1
+from medrue.workspace import target_workspace
+
+EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
+SCARA = """<robot name="scara"><link name="l0"/><link name="l1"/><link name="l2"/><link name="l3"/><link name="hand"/>
+<joint name="a" type="revolute"><parent link="l0"/><child link="l1"/><origin xyz="0 0 0.3"/><axis xyz="0 0 1"/>
+<limit lower="-2.5" upper="2.5" effort="1" velocity="1"/></joint>
+<joint name="b" type="revolute"><parent link="l1"/><child link="l2"/><origin xyz="0.3 0 0"/><axis xyz="0 0 1"/>
+<limit lower="0.1" upper="2.5" effort="1" velocity="1"/></joint>
+<joint name="c" type="prismatic"><parent link="l2"/><child link="l3"/><origin xyz="0.25 0 0"/><axis xyz="0 0 -1"/>
+<limit lower="0" upper="0.2" effort="1" velocity="1"/></joint>
+<joint name="d" type="revolute"><parent link="l3"/><child link="hand"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>"""
+
+
+def rms(distances):
+    return float(np.sqrt(np.mean(np.square(distances))))
+
+
+def turned(rotations, others):
+    """Angles between rotations (n, 3, 3) [rad]."""
+    traces = np.trace(rotations.swapaxes(1, 2) @ others, axis1=1, axis2=2)
+    return np.arccos(np.clip((traces - 1) / 2, -1, 1))
+
+
+def six_axis(folder, extra=""):
+    yaml = (
+        "urdf: arm.urdf\nname_mot: [j1, j2, j3, j4, j5, j6]\nbase: {frame: l0}\n"
+        "targets:\n  ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm]}\nparametrisation:\n"
+        "  - {origin: all, components: [x, y, z], sigma: 1 mm}\n"
+        "  - {origin: all, components: [rx, ry, rz], sigma: 2 mrad}\n" + extra
+    )
+    return calib.load(write_six_axis(folder, yaml))
+
+
+def perturbed(robot, seed, share=1.0):
+    """The robot with own parameters drawn from their sigmas."""
+    rng = np.random.default_rng(seed)
+    drawn = {p.name: p.nominal + share * p.sigma * rng.standard_normal() for p in robot.parameters if not p.placement}
+    return robot.with_parameters(drawn)
+
+
+def test_medrue_runs_a_compensated_program_at_the_error_of_its_calibration():
+    robot, workspace = calib.load(robot_file()), target_workspace()
+    nominal, actual = table1().nominal, table1().actual
+    rows = np.random.default_rng(0).permutation(len(workspace.q))
+    used, program = workspace.q[rows[:84]], workspace.q[rows[84:]]
+    noise = 4e-5 * np.random.default_rng(1).standard_normal((84, 3))
+    fit = calib.fit(robot, calib.as_measurements(robot, used, forward(used, actual).p_world_tool + noise))
+    held_out = rms(np.linalg.norm(fit.robot.positions(program)[:, 0] - forward(program, actual).p_world_tool, axis=1))
+    found = compensate(fit.robot, program, predict=fit.predict)
+    meant, did = forward(program, nominal), forward(found.q, actual)  # shares no code with the engine
+    error = np.linalg.norm(did.p_world_tool - meant.p_world_tool, axis=1)
+    before = np.linalg.norm(forward(program, actual).p_world_tool - meant.p_world_tool, axis=1)
+    assert found.ok.all()
+    assert found.keep == "pose"
+    assert rms(error) < 1.1 * held_out  # 0.019 mm; other rows of the same workspace
+    assert rms(before) > 500 * held_out
+    assert rms(found.before) == pytest.approx(rms(before), rel=1e-3)
+    assert turned(did.R_world_tool, meant.R_world_tool).max() < 3e-3  # the reflector alone was measured
+    assert rms(found.expected) == pytest.approx(rms(error), rel=1.0)
+
+
+def test_an_arm_of_unknown_base_and_reflector_is_as_good_as_its_calibration():
+    robot = calib.load(EXAMPLES / "arm.yaml")
+    truth = perturbed(robot, 1).with_parameters({"base.x": 2.1, "base.rz": 2.0, "reflector.y": -0.003})
+    rng = np.random.default_rng(2)
+    q, program = rng.uniform(-1.2, 1.2, (90, 6)), rng.uniform(-0.8, 0.8, (336, 6))
+    program[:, [1, 2, 4]] += [0.6, 0.3, 1.1]  # away from the singular poses of shoulder, elbow and wrist
+    measured = truth.positions(q)[:, 0] + 3e-5 * rng.standard_normal((90, 3))
+    fit = calib.fit(robot, calib.as_measurements(robot, q, measured))
+    found = compensate(fit.robot, program, predict=fit.predict)
+    nominal = robot.with_parameters(
+        {p.name: v for p, v in zip(robot.parameters, nearest_to_nominal(fit.robot).values, strict=True) if p.placement}
+    )
+    meant = nominal.positions(program)[:, 0]
+    held_out = rms(np.linalg.norm(truth.positions(program) - fit.robot.positions(program), axis=2))
+    error = np.linalg.norm(truth.positions(found.q)[:, 0] - meant, axis=1)
+    assert rms(error) < 1.1 * held_out
+    assert rms(np.linalg.norm(truth.positions(program)[:, 0] - meant, axis=1)) > 30 * held_out
+    inside = np.mean((error > found.low95) & (error < found.high95))
+    assert inside > 0.85  # one calibration: its errors are the same for all rows
+
+
+def test_a_reflector_and_a_tracker_somewhere_else_move_no_command():
+    """The robot itself is nominal; priors leave part of the reflector's place in the last origin."""
+    robot = calib.load(EXAMPLES / "arm.yaml")
+    truth = robot.with_parameters({"base.x": 2.1, "base.rz": 2.0, "reflector.x": 0.03, "reflector.y": -0.008})
+    q = np.random.default_rng(3).uniform(-1.2, 1.2, (60, 6))
+    fitted = calib.fit(robot, calib.as_measurements(robot, q, truth.positions(q))).robot
+    left = fitted.values - np.array([p.nominal for p in robot.parameters])
+    own = np.array([not p.placement for p in robot.parameters])
+    assert np.abs(left[own]).max() > 2e-4  # what would be corrected, were it taken for the robot's
+    cleaned = nearest_to_nominal(fitted)
+    assert np.abs((cleaned.values - np.array([p.nominal for p in robot.parameters]))[own]).max() < 2e-6
+    assert np.abs(cleaned.positions(q) - fitted.positions(q)).max() < 1e-12
+    program = q[:20] * [1, 1, 0.5, 1, 0.3, 1] + np.array([0, 0, 0.8, 0, 1.0, 0])
+    assert np.abs(compensate(fitted, program).q - program).max() < 2e-5
+
+
+def test_a_robot_whose_base_and_targets_are_known_has_nothing_to_trade(tmp_path):
+    robot = perturbed(six_axis(tmp_path), 4)
+    assert nearest_to_nominal(robot) is robot
+
+
+def test_joint_terms_limits_and_full_poses_are_kept(tmp_path):
+    terms = "  - {joint: j2, term: gain, sigma: 2.0e-3}\n"
+    terms += "  - {joint: all, term: harmonics, orders: [1, 7], sigma: 0.5 mrad}\n"
+    terms += "  - {joint: j3, term: backlash, sigma: 0.2 mrad}\n"
+    nominal = six_axis(tmp_path, terms)
+    truth = perturbed(nominal, 5)
+    program = np.random.default_rng(6).uniform(-0.8, 0.8, (40, 6))
+    program[:, 4] += 1.2
+    found = compensate(truth, program)
+    assert found.ok.all()
+    context = calib.as_measurements(
+        nominal, program, np.zeros((40, 3))
+    ).conditions  # it is approached as the program is
+    did = truth.assemble(found.q, context=context)
+    chain = truth.mechanism.targets[0]
+    position, rotation, _ = actuated_jacobian(truth.mechanism, chain, did.actuated, did.passive)
+    meant = nominal.forward(program)  # of the target's link l6 or the target itself: positions are compared below
+    assert np.abs(position - nominal.positions(program)[:, 0]).max() < 1e-9
+    assert np.abs(rotation - meant[:, :3, :3]).max() < 1e-8
+
+
+def test_an_arm_of_seven_joints_stays_near_the_program(tmp_path):
+    urdf = (write_six_axis(tmp_path).parent / "arm.urdf").read_text()
+    urdf = urdf.replace(
+        "</robot>",
+        '<link name="l7"/><joint name="j7" type="revolute"><parent link="l6"/><child link="l7"/>'
+        '<origin xyz="0.1 0 0"/><axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="1" velocity="1"/>'
+        "</joint></robot>",
+    )
+    (tmp_path / "seven.urdf").write_text(urdf)
+    nominal = calib.load(tmp_path / "seven.urdf")
+    truth = nearest_to_nominal(perturbed(nominal, 7, share=0.2))
+    program = np.random.default_rng(8).uniform(-0.5, 0.5, (30, 7))
+    program[:, 4] += 1.0
+    found = compensate(truth, program)
+    assert found.ok.all()
+    assert np.abs(truth.forward(found.q) - as_meant(truth).forward(program)).max() < 1e-8
+    for k in range(3):  # no other joints that do it are nearer: the way left has no part along the null space
+        step = 1e-6
+        columns = []
+        for j in range(7):
+            moved = found.q[k] + step * np.eye(7)[j]
+            T, T0 = truth.forward(moved), truth.forward(found.q[k])
+            spin = (T[:3, :3] @ T0[:3, :3].T - np.eye(3)) / step
+            columns.append([*(T[:3, 3] - T0[:3, 3]) / step, spin[2, 1], spin[0, 2], spin[1, 0]])
+        null = np.linalg.svd(np.array(columns).T)[2][6]
+        assert abs(null @ (program[k] - found.q[k])) < 1e-5
+
+
+def test_a_scara_keeps_the_position_and_most_of_the_orientation(tmp_path):
+    (tmp_path / "scara.urdf").write_text(SCARA)
+    nominal = calib.load(tmp_path / "scara.urdf")
+    truth = nominal.with_parameters({"a.rz": 0.02, "c.x": 0.253, "b.rx": 0.002})
+    truth = nearest_to_nominal(truth)
+    meant = as_meant(truth)
+    rng = np.random.default_rng(9)
+    program = rng.uniform([-1.5, 0.5, 0.03, -1.0], [1.5, 2.0, 0.15, 1.0], (25, 4))
+    found = compensate(truth, program)
+    assert found.keep == "position"
+    assert found.ok.all()
+    wanted, did, naive = meant.forward(program), truth.forward(found.q), truth.forward(program)
+    assert np.abs(did[:, :3, 3] - wanted[:, :3, 3]).max() < 1e-9
+    after, before = (turned(T[:, :3, :3], wanted[:, :3, :3]) for T in (did, naive))
+    assert (after <= before + 1e-9).all()
+    assert after.max() < 2.5e-3  # the tilt of 2 mrad that four joints cannot take out
+
+
+def test_goals_are_on_one_branch_and_tell_a_nominal_controller_what_to_be_told(tmp_path):
+    nominal = six_axis(tmp_path)
+    truth = perturbed(nominal, 10)
+    way = np.linspace(0, 1, 60)[:, None]
+    joints = (1 - way) * [0.2, -0.4, 0.6, 0.3, 0.9, 0.1] + way * [-0.5, 0.2, 0.9, -0.6, 1.4, 1.0]
+    T = nominal.forward(joints)
+    T[:, :3, 3] = nominal.positions(joints)[:, 0]
+    program = calib.Goals(T[:, :3, 3], T[:, :3, :3], target="ball")
+    found = compensate(truth, program)
+    assert found.ok.all()
+    assert np.abs(truth.positions(found.q)[:, 0] - T[:, :3, 3]).max() < 1e-9
+    assert np.abs(np.diff(found.q, axis=0)).max() < 0.1
+    positions, rotations = found.told(nominal)
+    again = solve(nominal, calib.Goals(positions, rotations, target="ball"), near=found.q)
+    assert np.abs(nominal.positions(again.q)[:, 0] - nominal.positions(found.q)[:, 0]).max() < 1e-9
+    assert np.abs(positions - nominal.positions(found.q)[:, 0]).max() < 1e-12
+
+
+def test_a_base_that_the_description_has_elsewhere_moves_goals_with_it():
+    """The program is written in the description's frame; the tracker's own frame is another one."""
+    robot = calib.load(EXAMPLES / "arm.yaml")
+    truth = perturbed(robot, 11, 0.3).with_parameters({"base.x": 2.1, "base.ry": 0.3, "base.rz": 2.0})
+    truth = nearest_to_nominal(truth)
+    q = np.array([[0.3, 0.2, 0.4, 0.1, 0.9, 0.2], [0.1, 0.3, 0.5, 0.1, 0.8, 0.3]])
+    in_base = robot.positions(q)[:, 0]  # the description has the measurement frame in the base
+    found = compensate(truth, calib.Goals(in_base))
+    base = as_meant(truth).forward(q, "base_link")
+    expected = np.einsum("nij,nj->ni", base[:, :3, :3], in_base) + base[:, :3, 3]
+    assert np.abs(found.meant - expected).max() < 1e-7
+    assert np.abs(truth.positions(found.q)[:, 0] - expected).max() < 1e-7
+
+
+def test_what_cannot_be_is_not_clipped_but_said(tmp_path):
+    robot = perturbed(six_axis(tmp_path), 12)
+    program = np.array(
+        [[0.1, 0.2, 0.3, 0.4, 0.8, 0.1], [0.1, 0.2, 0.3, 3.2, 0.8, 0.1], [2.9999, 0.2, 0.3, 0.4, 0.8, 0.1]]
+    )
+    robot = robot.with_parameters({"j1.rz": -5e-3})
+    found = compensate(robot, program)
+    assert found.ok.tolist() == [True, False, False]
+    assert np.isnan(found.q[1:]).all()
+    assert "joint 'j4': 183.346 deg in the program, 171.887 deg allowed" in found.reasons[1]
+    assert "joint 'j1': 17" in found.reasons[2]
+    assert "deg needed" in found.reasons[2]
+    assert len(found.misses()) == 2
+
+
+def test_out_of_reach_is_said_with_the_distance(tmp_path):
+    """Stretched out, the nominal arm reaches 0.6 + 0.6 and the real one 3 mm less."""
+    nominal = six_axis(tmp_path)
+    short = nominal.with_parameters({"j3.z": 0.597})
+    straight = [0.0, 0.3, -float(np.arctan2(0.6, 0.05)), 0.0, 0.02, 0.0]
+    found = compensate(short, np.array([straight, [0.1, 0.3, 0.4, 0.1, 0.7, 0.0]]))
+    assert found.ok.tolist() == [False, True]
+    assert re.match(r"is out of reach by [23]\.\d+ mm", found.reasons[0])
+    far = compensate(short, calib.Goals(np.array([[5.0, 0.0, 0.5]])))
+    assert "by the nominal robot misses by" in far.reasons[0]
+
+
+def test_poses_that_do_not_close_are_listed():
+    robot = calib.load(robot_file())
+    q = np.array([target_workspace().q[0], target_workspace().q[0]])
+    q[1, 1] += 2.0
+    found = compensate(robot, q)
+    assert found.ok.tolist() == [True, False]
+    assert "cannot be assembled" in found.reasons[1]
+    assert np.isnan(found.before[1])
+
+
+def test_distances_lie_within_their_limits_as_often_as_stated():
+    """Against draws from the covariance, round, flat and long."""
+    rng = np.random.default_rng(13)
+    for axes in ([1.0, 1.0, 1.0], [1.0, 1.0, 1e-3], [1.0, 0.2, 0.1], [1.0, 0.0, 0.0]):
+        turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+        covariance = 1e-10 * turn @ np.diag(np.square(axes)) @ turn.T
+        known = PositionUncertainty(np.zeros((1, 1, 3)), covariance[None, None], 1.959964)
+        low, high = known.distance95[:, 0, 0]
+        drawn = np.linalg.norm(1e-5 * rng.standard_normal((20000, 3)) * axes, axis=1)
+        assert np.mean((drawn > low) & (drawn < high)) == pytest.approx(0.96, abs=0.02)  # two moments are matched
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [({"keep": "posture"}, "keep 'posture'"), ({"program": np.zeros((2, 5))}, "expected \\(n, 6\\)")],
+)
+def test_wrong_arguments_are_refused(tmp_path, arguments, message):
+    robot = six_axis(tmp_path)
+    with pytest.raises(calib.CalibrationError, match=message):
+        compensate(robot, **{"program": np.zeros((2, 6)), **arguments})
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory):
+    """A result folder of the arm of the examples."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calib.reporting.results.entry_points", lambda group: ())  # pages have tests of their own
+        robot = calib.load(EXAMPLES / "arm.yaml")
+        data = calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
+        folder = tmp_path_factory.mktemp("result") / "arm"
+        calib.fit(robot, data).save(folder)
+    return folder
+
+
+JOINTS = ",".join(f"joint_{k}" for k in range(1, 7))
+NAMES = "reflector_x,reflector_y,reflector_z"
+
+
+def run(folder, text, *options, robot=EXAMPLES / "arm.yaml", result=None):
+    (folder / "program.csv").write_text(text)
+    arguments = [str(robot), str(folder / "program.csv"), "--result", str(result), "--out", str(folder / "out.csv")]
+    return CliRunner().invoke(command, [*arguments, *options])
+
+
+def test_command_writes_a_program_with_marks_and_figures(tmp_path, calibrated):
+    text = f"pose,{JOINTS}\nA,0.1,0.2,0.3,0.1,0.8,0.1\nB,0.1,0.2,2.6,0.1,0.8,0.1\n"
+    refused = run(tmp_path, text, result=calibrated)
+    assert refused.exit_code == 2
+    assert "line 3 (pose B) is past the limit of joint 'joint_3'" in refused.output
+    assert not (tmp_path / "out.csv").exists()
+    target = tmp_path / "out.json"
+    found = run(tmp_path, text, "--skip-unreachable", "--json", str(target), result=calibrated)
+    assert found.exit_code == 0, found.output
+    lines = (tmp_path / "out.csv").read_text().splitlines()
+    assert lines[1].endswith("before [mm],expected [mm],low95 [mm],high95 [mm],status")
+    assert lines[2].endswith(",ok")
+    assert lines[3].startswith("B,,,,,,,")
+    content = json.loads(target.read_text())
+    assert (content["n_rows"], content["n_unreachable"], content["kept"]) == (2, 1, "pose")
+    assert content["rows"][1]["joints"] is None
+    robot = calib.load(EXAMPLES / "arm.yaml")
+    with pytest.raises(calib.DataError, match="is empty"):  # nobody runs the marked row by mistake
+        calib.read_poses(tmp_path / "out.csv", robot)
+
+
+def test_command_gives_poses_for_controllers_that_take_them(tmp_path, calibrated):
+    text = f"{NAMES},reflector_ax,reflector_ay,reflector_az\n0.5,0.1,0.6,0,0.2,1\n"
+    assert run(tmp_path, text, "--quiet", result=calibrated).exit_code == 0
+    header, row = (tmp_path / "out.csv").read_text().splitlines()[1:3]
+    cells = dict(zip(header.split(","), row.split(","), strict=True))
+    q = np.radians([float(cells[f"joint_{k} [deg]"]) for k in range(1, 7)])
+    robot = calib.load(EXAMPLES / "arm.yaml")
+    told = [float(cells[f"reflector_{axis} [mm]"]) / 1e3 for axis in "xyz"]
+    assert np.abs(robot.positions(q)[0, 0] - told).max() < 1e-9
+    assert 1e-4 < np.abs(np.array(told) - [0.5, 0.1, 0.6]).max() < 5e-3
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "code", "message"),
+    [
+        ("a,b\n1,2\n", (), 2, "no position columns"),
+        (f"{JOINTS}\n", (), 2, "no rows"),
+        ("", (), 2, "is empty"),
+        (f"{JOINTS}\n0,0,0,0,0,x\n", (), 2, "line 2, column 'joint_6'"),
+        (f"{JOINTS}\n0,0,0,0,0,\n", (), 2, "column 'joint_6': is empty"),
+        (f"{JOINTS}\n0,0,0,0,0,nan\n", (), 2, "is not finite"),
+        ("joint_1,joint_2\n0,0\n", (), 2, "no column 'joint_3'"),
+        (f"joint_1,{NAMES}\n0,1,1,1\n", (), 2, "none for joint 'joint_2'; give all joints, or none"),
+        (f"{JOINTS} [mm]\n0,0,0,0,0,0\n", (), 2, "column 'joint_6'"),
+        (f"{NAMES}\n0.5,0.1,0.6\n", ("--keep", "pose"), 2, "leave it out"),
+        (f"{NAMES}\n9,0,0\n", (), 2, "1 row of 1 cannot be compensated"),
+        (f"{NAMES}\n9,0,0\n", ("--skip-unreachable",), 2, "1 row of 1 cannot be compensated"),
+        (f"{NAMES},reflector_rx\n0.5,0.1,0.6,0\n", (), 2, "no column 'reflector_ry'"),
+        (f"{JOINTS}\n0,0,0,0,0,0\n", ("--keep", "all"), 2, "'all' is not one of"),
+    ],
+)
+def test_wrong_programs_are_refused_in_one_line(tmp_path, calibrated, text, options, code, message):
+    found = run(tmp_path, text, *options, result=calibrated)
+    assert found.exit_code == code
+    assert message in found.output
+    assert not (tmp_path / "out.csv").exists()
+
+
+def test_a_result_folder_is_a_robot_and_something_else_needs_one(tmp_path, calibrated):
+    text = f"{NAMES},reflector_ax,reflector_ay,reflector_az\n0.5,0.1,0.6,0,0.2,1\n"
+    files = []
+    for robot, options in ((EXAMPLES / "arm.yaml", ["--result", str(calibrated)]), (calibrated, [])):
+        (tmp_path / "program.csv").write_text(text)
+        out = tmp_path / f"{len(files)}.csv"
+        found = CliRunner().invoke(command, [str(robot), str(tmp_path / "program.csv"), "--out", str(out), *options])
+        assert found.exit_code == 0, found.output
+        files.append(out.read_text())
+    assert files[0] == files[1]
+    found = CliRunner().invoke(command, [str(EXAMPLES / "arm.yaml"), str(tmp_path / "program.csv"), "--out", "x.csv"])
+    assert found.exit_code == 2
+    assert "is no result folder; give that as ROBOT, or with --result DIR" in found.output
+
+
+@pytest.mark.parametrize("what", ["missing", "of another robot", "failed", "without covariance"])
+def test_wrong_results_are_refused(tmp_path, calibrated, what):
+    folder, robot, code = tmp_path / "result", EXAMPLES / "arm.yaml", 2
+    if what != "missing":
+        folder.mkdir()
+        for file in calibrated.iterdir():
+            (folder / file.name).write_bytes(file.read_bytes())
+    if what == "of another robot":
+        robot = write_six_axis(tmp_path)
+    if what == "failed":
+        code = 3
+        content = json.loads((folder / "result.json").read_text())
+        content["verdict"] = {"grade": "FAIL", "forced": False, "reasons": ["it was wrong"]}
+        (folder / "result.json").write_text(json.dumps(content))
+    if what == "without covariance":
+        (folder / "covariance.csv").unlink()
+    joints = "j1,j2,j3,j4,j5,j6" if what == "of another robot" else JOINTS
+    found = run(tmp_path, f"{joints}\n0,0,0.3,0,0.5,0\n", robot=robot, result=folder)
+    message = {
+        "missing": "holds no result",
+        "of another robot": "result of another robot",
+        "failed": "it was wrong",
+        "without covariance": "no such file; run the fit again",
+    }[what]
+    assert (found.exit_code, message in found.output) == (code, True), found.output

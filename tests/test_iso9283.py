@@ -1,0 +1,89 @@
+"""The figures of ISO 9283 against a calculation by hand, and their intervals against draws."""
+
+import numpy as np
+import pytest
+
+from calib.numerics import iso9283
+
+RNG = np.random.default_rng
+FOUR = np.array([[1.0, 0.0, 0.0], [3.0, 0.0, 0.0], [2.0, 1.0, 0.0], [2.0, -1.0, 0.0]])
+"""Four cycles, errors in mm; their mean is (2, 0, 0), each is 1 away from it."""
+
+
+def test_pose_accuracy_and_repeatability_by_hand():
+    assert iso9283.pose_accuracy(FOUR).value == pytest.approx(2.0)
+    assert iso9283.repeatability(FOUR) == pytest.approx(1.0)  # all at one distance: no deviation
+    uneven = np.array([[0.0, 0, 0], [0, 0, 0], [3, 0, 0]])
+    # mean (1, 0, 0); distances 1, 1, 2: mean 4/3, deviation root of (2 (1/3)^2 + (2/3)^2) / 2 = root of 1/3
+    assert iso9283.repeatability(uneven) == pytest.approx(4 / 3 + 3 * np.sqrt(1 / 3))
+    assert iso9283.pose_repeatability(uneven, RNG(0)).value == pytest.approx(4 / 3 + 3 * np.sqrt(1 / 3))
+
+
+def test_angles_by_hand():
+    angles = np.array([1.0, 2.0, 3.0, 6.0])  # mean 3, squares about it 4 + 1 + 0 + 9
+    assert iso9283.mean_of(angles).value == pytest.approx(3.0)
+    assert iso9283.three_deviations(angles).value == pytest.approx(3 * np.sqrt(14 / 3))
+
+
+def test_distances_by_hand():
+    first, second = np.zeros((2, 3)), np.array([[3.0, 0.0, 0.0], [-1.0, 3.0, 0.0]])
+    commanded = np.array([5.0, 0.0, 0.0])  # attained: 8; (4, 3, 0) is 5
+    off = iso9283.distances(first, second, commanded)
+    assert off == pytest.approx([3.0, 0.0])
+    assert iso9283.mean_of(off).value == pytest.approx(1.5)
+    assert iso9283.three_deviations(off).value == pytest.approx(3 * np.sqrt(2 * 1.5**2))
+
+
+def test_directions_and_drift_by_hand():
+    groups = [FOUR, FOUR + np.array([0, 3, 0]), FOUR + np.array([4, 0, 0])]
+    assert iso9283.direction_variation(groups).value == pytest.approx(5.0)  # (0, 3, 0) to (4, 0, 0)
+    accuracy, scatter = iso9283.drift([FOUR, FOUR * 2, FOUR + np.array([1, 0, 0])], RNG(0))
+    assert accuracy.value == pytest.approx(2.0)  # 2, then 4, then 3
+    assert scatter.value == pytest.approx(1.0)  # 1, then 2, then 1
+
+
+def test_no_scatter_is_exact():
+    still = np.tile([3.0, 4.0, 0.0], (5, 1))
+    for figure in (iso9283.pose_accuracy(still), iso9283.pose_repeatability(still, RNG(0))):
+        assert figure.low95 == figure.value == figure.high95
+
+
+def covered(draw, figure, truth, n=1000):
+    found = [figure(draw()) for _ in range(n)]
+    return np.mean([one.low95 <= truth <= one.high95 for one in found])
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.3, 2.0])
+@pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (1.0, 0.3, 0.3)])
+def test_intervals_of_accuracy_cover_the_true_length(offset, axes):
+    rng = RNG(int(10 * offset) + 1)
+    mean = offset * np.array([1.0, 2.0, 2.0]) / 3.0
+    share = covered(lambda: mean + axes * rng.standard_normal((30, 3)), iso9283.pose_accuracy, offset)
+    assert share > 0.93  # 1000 draws: +- 0.014; small offsets are covered more often
+
+
+@pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (1.0, 0.2, 0.1)])
+def test_intervals_of_repeatability_cover_the_true_one(axes):
+    rng, other = RNG(5), RNG(6)
+    many = np.linalg.norm(axes * rng.standard_normal((10**6, 3)), axis=1)
+    truth = many.mean() + 3 * many.std()
+    share = covered(
+        lambda: axes * rng.standard_normal((30, 3)), lambda e: iso9283.pose_repeatability(e, other), truth, 80
+    )
+    assert share > 0.86  # 80 draws: +- 0.05
+
+
+def test_intervals_of_angles_and_distances_cover():
+    rng = RNG(7)
+    assert covered(lambda: 0.5 + rng.standard_normal(30), iso9283.mean_of, 0.5) == pytest.approx(0.95, abs=0.02)
+    assert covered(lambda: rng.standard_normal(30), iso9283.three_deviations, 3.0) == pytest.approx(0.95, abs=0.02)
+
+
+def test_intervals_of_several_directions_cover():
+    rng = RNG(8)
+    offsets = np.array([[0.0, 0, 0], [1.0, 0, 0], [0, 0.5, 0]])
+    truth = np.hypot(1.0, 0.5)
+    share = covered(
+        lambda: [offset + rng.standard_normal((30, 3)) for offset in offsets], iso9283.direction_variation, truth, 200
+    )
+    assert share > 0.93

@@ -1,0 +1,280 @@
+"""New measurements judge a calibrated robot: rightly, as often as promised, and planned beforehand."""
+
+import json
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import calib
+from calib.commands.verify import command
+from calib.data.measurement_files import format_measurements
+from calib.data.measurements import Measurements, Poses
+from calib.identification.acceptance import poses_needed, verify, visible_changes
+from calib.identification.promise import Promise
+from calib.identification.repeats import CONDITIONS, conditions, iso_figures
+from calib.reporting.acceptance_text import text_report
+from calib.reporting.results import load_promise
+
+EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
+SIGMA = 3e-5
+MOVED = {"base.x": 1.7, "base.ry": 0.2, "base.rz": -1.0, "reflector.z": 0.052}
+
+
+def value(robot, name):
+    return float(robot.values[[p.name for p in robot.parameters].index(name)])
+
+
+def measured(robot, q, rng, sigma=SIGMA, names=None):
+    return calib.as_measurements(robot, q, robot.positions(q) + sigma * rng.standard_normal((len(q), 1, 3)), names)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    """The arm of the examples, its truth, and a fit."""
+    robot = calib.load(EXAMPLES / "arm.yaml")
+    rng = np.random.default_rng(1)
+    drawn = {p.name: p.nominal + p.sigma * rng.standard_normal() for p in robot.parameters if not p.placement}
+    truth = robot.with_parameters(drawn | {"base.x": 2.1, "base.rz": 2.0, "reflector.y": -0.003})
+    q = rng.uniform(-1.2, 1.2, (80, 6))
+    return robot, truth, calib.fit(robot, measured(truth, q, rng))
+
+
+@pytest.fixture(scope="module")
+def folder(arm, tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calib.reporting.results.entry_points", lambda group: ())  # pages have tests of their own
+        path = tmp_path_factory.mktemp("result") / "arm"
+        arm[2].save(path)
+    return path
+
+
+def test_a_robot_as_calibrated_agrees_whoever_moved_the_tracker(arm):
+    _, truth, fit = arm
+    rng, moved = np.random.default_rng(2), truth.with_parameters(MOVED)
+    found = [verify(fit, measured(moved, rng.uniform(-1.2, 1.2, (15, 6)), rng)) for _ in range(40)]
+    assert Counter(one.verdict for one in found)["agrees"] >= 38  # false alarms: 1 in 100
+    inside = np.mean([one.low95 < one.ratio < one.high95 for one in found])
+    assert inside > 0.85  # one calibration: its errors are the same for all
+    promised = np.mean([one.promised for one in found])
+    did = np.mean([1e-3 * one.errors.table()["after"]["rms"] for one in found])
+    assert promised == pytest.approx(did, rel=0.15)
+
+
+def test_in_the_same_setup_the_places_count_too(arm):
+    _, truth, fit = arm
+    rng = np.random.default_rng(3)
+    q = rng.uniform(-1.2, 1.2, (15, 6))
+    assert verify(fit, measured(truth, q, rng), same_setup=True).verdict == "agrees"
+    moved = truth.with_parameters({"base.x": 2.1005})
+    assert verify(fit, measured(moved, q, rng), same_setup=True).verdict != "agrees"
+    assert verify(fit, measured(moved, q, rng)).verdict == "agrees"
+
+
+@pytest.mark.parametrize(("name", "size"), [("joint_3.ry", 4e-4), ("joint_5.z", -3e-4), ("joint_2.x", 4e-4)])
+def test_a_drift_is_found_with_its_size(arm, name, size):
+    _, truth, fit = arm
+    rng = np.random.default_rng(4)
+    changed = truth.with_parameters({**MOVED, name: value(truth, name) + size})
+    found = verify(fit, measured(changed, rng.uniform(-1.2, 1.2, (30, 6)), rng))
+    assert found.verdict == "drifted"
+    assert name in found.alike
+    one = next(change for change in found.changes if change.name == name)
+    assert one.value == pytest.approx(size, abs=4 * one.std)
+    assert abs(size) > 4 * one.std
+
+
+def test_a_joint_zero_that_no_parameter_stands_for_is_found(arm):
+    _, truth, fit = arm
+    rng = np.random.default_rng(5)
+    q = rng.uniform(-1.2, 1.2, (30, 6))
+    off = q + np.array([0, 0, 0, 0, 8e-4, 0])
+    positions = truth.positions(off) + SIGMA * rng.standard_normal((30, 1, 3))
+    found = verify(fit, calib.as_measurements(truth, q, positions))
+    assert found.verdict == "drifted"
+    assert "zero of joint_5" in found.alike
+
+
+def test_several_changes_ask_for_a_new_calibration(arm):
+    _, truth, fit = arm
+    rng = np.random.default_rng(6)
+    changes = {"joint_5.z": 4e-4, "joint_2.x": 4e-4, "joint_3.rx": 8e-4}
+    changed = truth.with_parameters({name: value(truth, name) + size for name, size in changes.items()})
+    assert verify(fit, measured(changed, rng.uniform(-1.2, 1.2, (30, 6)), rng)).verdict == "calibrate again"
+
+
+def test_more_noise_is_no_matter_of_calibration(arm):
+    _, truth, fit = arm
+    rng = np.random.default_rng(7)
+    q = np.tile(rng.uniform(-1.2, 1.2, (8, 6)), (10, 1))
+    names = [str(k % 8) for k in range(80)]
+    assert verify(fit, measured(truth, q, rng, 2 * SIGMA, names)).verdict == "noisier"
+
+
+def test_a_slip_of_one_reading_is_named_and_left_out(arm):
+    _, truth, fit = arm
+    rng = np.random.default_rng(8)
+    q = rng.uniform(-1.2, 1.2, (40, 6))
+    positions = truth.positions(q) + SIGMA * rng.standard_normal((40, 1, 3))
+    positions[7, 0] += [0.0, 1e-3, 0.0]
+    found = verify(fit, calib.as_measurements(truth, q, positions))
+    assert found.verdict == "agrees"
+    assert found.outliers == ("pose 7",)
+
+
+def test_a_change_that_is_visible_is_seen_in_nine_of_ten(arm):
+    _, truth, fit = arm
+    rng = np.random.default_rng(9)
+    q = rng.uniform(-1.2, 1.2, (20, 6))
+    one = next(change for change in visible_changes(fit, q) if change.name == "joint_5.z")
+    changed = truth.with_parameters({"joint_5.z": value(truth, "joint_5.z") + one.visible})
+    z = [next(c.z for c in verify(fit, measured(changed, q, rng)).changes if c.name == "joint_5.z") for _ in range(40)]
+    # one calibration: its own error of the parameter is the same each time, and part of std
+    own = value(fit.robot, "joint_5.z") - value(truth, "joint_5.z")
+    assert np.mean(z) == pytest.approx((one.visible - own) / one.std, abs=1.5)
+    assert one.visible / one.std == pytest.approx(5.1, abs=0.4)  # 3.8 for the level over 40 candidates, 1.28 for 90 %
+
+
+def test_fewer_poses_are_needed_for_larger_changes(arm):
+    _, _, fit = arm
+    q = np.random.default_rng(10).uniform(-1.2, 1.2, (60, 6))
+    small, large = (poses_needed(fit, q, "zero of joint_3", size) for size in (1.2e-4, 3e-4))
+    assert small is not None
+    assert large is not None
+    assert large < small
+    found = {n: visible_changes(fit, q[:n]) for n in (small - 1, small)}
+    seen = {n: next(c.visible for c in changes if c.name == "zero of joint_3") for n, changes in found.items()}
+    assert seen[small] <= 1.2e-4 < seen[small - 1]
+    assert poses_needed(fit, q[:4], "zero of joint_3", 1e-6) is None
+
+
+def test_a_result_folder_promises_what_its_fit_did(arm, folder):
+    robot, _, fit = arm
+    read, own = load_promise(folder, robot), Promise.of(fit)
+    assert np.allclose(read.covariance, own.covariance, rtol=1e-12)
+    assert np.allclose(read.robot.values, own.robot.values, rtol=0, atol=1e-12)
+    assert read.freedom == pytest.approx(own.freedom)
+    assert read.sigma.keys() == own.sigma.keys()
+    assert list(read.sigma.values()) == pytest.approx(list(own.sigma.values()))
+
+
+def iso_data(robot, q, approach=None, time=None, comments=()):
+    """Thirty cycles of the poses q, in turn, from two sides, an hour apart."""
+    n = len(q)
+    names = tuple(f"P{k + 1}" for _ in range(30) for k in range(n))
+    poses = Poses(np.tile(q, (30, 1)), tuple(f"row {k}" for k in range(30 * n)), names, "x", (), comments=comments)
+    data = measured(robot, poses.joints, np.random.default_rng(11), names=names)
+    return Measurements(
+        data.joints,
+        data.labels,
+        data.names,
+        data.path,
+        data.ignored,
+        data.readings,
+        approach=approach,
+        comments=comments,
+        context={} if time is None else {"time": time},
+    )
+
+
+def test_iso_figures_are_there_where_their_cycles_are(arm):
+    _, truth, fit = arm
+    q = np.random.default_rng(12).uniform(-0.8, 0.8, (5, 6))
+    plain = verify(fit, iso_data(truth, q))
+    figures, missing = iso_figures(plain.errors, np.random.default_rng(0))
+    assert Counter(one.name for one in figures) == {"AP": 5, "RP": 5, "AD": 1, "RD": 1}
+    for word in ("orientation", "vAP", "drift", "conditions not stated: load, speed"):
+        assert any(word in line for line in missing)
+    for one in figures:
+        if one.name == "RP":  # noise alike on three axes: mean 1.596, deviation 0.673 of the Maxwell distribution
+            assert one.figure.low95 < (1.596 + 3 * 0.673) * SIGMA < one.figure.high95
+    assert plain.placed == 9  # base 6, reflector 3: of the means of 15 coordinates
+    assert "takes 9 degrees of freedom out of AP" in text_report(plain, figures, missing)
+    sides = np.repeat([[1.0], [-1.0]], 75, axis=0) * np.ones((1, 6))
+    time = np.linspace(0, 9 * 3600, 150)
+    stated = tuple(f"{key}: as usual" for key in CONDITIONS)
+    full = verify(fit, iso_data(truth, q, sides, time, stated))
+    figures, missing = iso_figures(full.errors, np.random.default_rng(0))
+    assert {"vAP", "dAP", "dRP"} <= {one.name for one in figures}
+    assert [line for line in missing if "orientation" not in line] == []
+
+
+def test_conditions_are_read_from_comments():
+    assert conditions(("Load: 5 kg", "speed:", "by: me", "warm-up : 2 h")) == {"load": "5 kg", "warm-up": "2 h"}
+
+
+def run(tmp_path, data, folder, *options, robot=EXAMPLES / "arm.yaml"):
+    path = tmp_path / "data.csv"
+    path.write_text(data)
+    return CliRunner().invoke(command, [str(robot), str(path), "--result", str(folder), *options])
+
+
+def test_command_says_and_writes_the_verdict(arm, folder, tmp_path):
+    _, truth, _ = arm
+    rng = np.random.default_rng(13)
+    q = rng.uniform(-1.2, 1.2, (25, 6))
+    good = run(
+        tmp_path, format_measurements(truth, measured(truth, q, rng)), folder, "--json", str(tmp_path / "v.json")
+    )
+    assert good.exit_code == 0, good.output
+    assert good.stdout.startswith("AGREES")
+    assert "no pose was read more than once" in good.stdout
+    content = json.loads((tmp_path / "v.json").read_text())
+    assert (content["verdict"], content["n_poses"]) == ("agrees", 25)
+    changed = truth.with_parameters({"joint_3.ry": value(truth, "joint_3.ry") + 5e-4})
+    bad = run(tmp_path, format_measurements(truth, measured(changed, q, rng)), folder)
+    assert bad.exit_code == 3
+    assert bad.stdout.startswith("DRIFTED")
+    assert "cannot tell it from a change of" in bad.stdout
+
+
+def test_command_plans_before_anything_is_measured(folder, tmp_path):
+    q = np.random.default_rng(14).uniform(-1, 1, (20, 6))
+    text = ",".join(f"joint_{k}" for k in range(1, 7)) + "\n" + "\n".join(",".join(map(str, row)) for row in q)
+    target = tmp_path / "plan.json"
+    found = run(tmp_path, text, folder, "--plan", "--change", "joint_3.ry=0.02 deg", "--json", str(target))
+    assert found.exit_code == 0, found.output
+    content = json.loads(target.read_text())
+    assert 3 < content["poses_needed"] <= 20
+    assert "show joint_3.ry=0.02 deg with a chance of 90%" in found.stdout
+
+
+JOINTS = ",".join(f"joint_{k}" for k in range(1, 7))
+ONE = f"{JOINTS}\n0,0,0.3,0,0.5,0\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "message"),
+    [
+        (ONE, (), "no column"),
+        (f"{JOINTS},reflector_x,reflector_y,reflector_z\n0,0,0.3,0,0.5,0,1,x,1\n", (), "column 'reflector_y'"),
+        (f"{JOINTS},reflector_x,reflector_y,reflector_z\n0,0,0.3,0,0.5,0,1,1,1\n", (), "measure more poses"),
+        (ONE, ("--change", "joint_3.ry=1 deg"), "goes with --plan"),
+        (ONE, ("--plan", "--change", "joint_3.ry"), "write NAME=SIZE"),
+        (ONE, ("--plan", "--change", "joint_3.ry="), "write NAME=SIZE"),
+        (ONE, ("--plan", "--change", "joint_9.ry=1 deg"), "no change 'joint_9.ry'"),
+        (ONE, ("--plan", "--change", "joint_3.ry=1 mm"), "joint_3.ry"),
+        (ONE, ("--plan", "--change", "joint_3.ry=0 deg"), "is no change"),
+        (ONE, ("--plan", "--change", "base.x=1 mm"), "no change 'base.x'"),
+        ("a,b\n1,2\n", ("--plan",), "no column 'joint_1'"),
+    ],
+)
+def test_wrong_input_is_refused_in_one_line(folder, tmp_path, text, options, message):
+    found = run(tmp_path, text, folder, *options)
+    assert found.exit_code == 2, found.output
+    assert message in found.output
+
+
+def test_a_result_without_the_noise_of_its_instruments_is_refused(folder, tmp_path):
+    other = tmp_path / "old"
+    other.mkdir()
+    for file in folder.iterdir():
+        (other / file.name).write_bytes(file.read_bytes())
+    content = json.loads((other / "result.json").read_text())
+    del content["instruments"][0]["parts"][0]["sigma_own"]
+    (other / "result.json").write_text(json.dumps(content))
+    found = run(tmp_path, ONE, other, "--plan")
+    assert found.exit_code == 2
+    assert "does not say the noise of each instrument; run the fit again" in found.output

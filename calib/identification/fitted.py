@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.identification.candidate_terms import TermChoice
 from calib.identification.errors_found import ErrorSet, Folds
 from calib.identification.judged import Outlier, blocks, outliers_of
 from calib.identification.reasons import Verdict
@@ -99,6 +100,7 @@ class Fit(ReadOnlyArrays):
         folds: Cross-validation, if it was asked for.
         excluded: Outliers that were left out, as they were in `with_all`.
         with_all: The fit of all visits, where outliers were left out of this one.
+        terms: Which joint terms were asked for, if any were, and what choosing them found.
         seed: Seed of every random choice.
         judge: What gives the verdict when it is asked for.
     """
@@ -127,6 +129,7 @@ class Fit(ReadOnlyArrays):
     folds: Folds | None = None
     excluded: tuple[Outlier, ...] = ()
     with_all: Fit | None = None
+    terms: TermChoice | None = None
     seed: int = 0
 
     @property

@@ -68,7 +68,13 @@ def pose_labels(joints: FloatArray) -> IntArray:
 
 
 def _shuffled(data: Measurements, seed: int) -> list[IntArray]:
-    """Return groups of visits with the same pose name or the same joint values in random order."""
+    """Return groups of visits that repeat one pose, in random order."""
+    groups = _groups(data)
+    return [groups[k] for k in np.random.default_rng(seed).permutation(len(groups))]
+
+
+def _groups(data: Measurements) -> list[IntArray]:
+    """Return groups of visits with the same pose name or the same joint values, in file order."""
     by_joints, by_name = pose_labels(data.joints), data.pose_numbers
     n = int(by_joints.max(initial=-1)) + 1
     size = n + data.n_poses
@@ -78,4 +84,48 @@ def _shuffled(data: Measurements, seed: int) -> list[IntArray]:
     by_label = np.argsort(label, kind="stable")
     groups = np.split(by_label, np.cumsum(np.bincount(label))[:-1])
     groups.sort(key=lambda group: int(group[0]))  # in file order, so that without repeats a pose is a pose
-    return [groups[k] for k in np.random.default_rng(seed).permutation(len(groups))]
+    return groups
+
+
+def boxes(data: Measurements, count: int) -> list[IntArray]:
+    """Cut joint space into boxes of about equally many poses, always across the joint that spreads widest.
+
+    Args:
+        data: All measurements.
+        count: Number of boxes.
+
+    Returns:
+        Indices of each box, ascending; repeats of one pose stay together.
+    """
+    groups = _groups(data)
+    centres = np.array([data.joints[group].mean(axis=0) for group in groups])
+    spread = np.ptp(centres, axis=0)
+    centres = centres / np.where(spread > 0, spread, 1.0)
+
+    def cut(part: IntArray, into: int) -> list[IntArray]:
+        if into == 1:
+            return [part]
+        # rounded, so that of joints that spread alike the first is cut on every processor
+        joint = int(np.argmax(np.round(np.ptp(centres[part], axis=0), 6)))
+        order = part[np.argsort(np.round(centres[part, joint], 9), kind="stable")]
+        left = into // 2
+        middle = len(order) * left // into
+        return cut(order[:middle], left) + cut(order[middle:], into - left)
+
+    found = cut(np.arange(len(groups)), count)
+    return [np.sort(np.concatenate([groups[k] for k in part])) for part in found if len(part)]
+
+
+def stretches(data: Measurements, count: int) -> list[IntArray]:
+    """Cut the measurements into stretches of their order, of about equally many poses.
+
+    Args:
+        data: All measurements.
+        count: Number of stretches.
+
+    Returns:
+        Indices of each stretch, ascending; repeats of one pose stay together.
+    """
+    groups = sorted(_groups(data), key=lambda group: int(data.places[group].min()))
+    parts = np.array_split(np.arange(len(groups)), count)
+    return [np.sort(np.concatenate([groups[k] for k in part])) for part in parts if len(part)]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Union
 
-from pydantic import Discriminator, Tag
+from pydantic import Discriminator, Tag, TypeAdapter
 
+from calib.errors import InputError, nearest
 from calib.joint_terms.backlash import Backlash
 from calib.joint_terms.compliance import Compliance
 from calib.joint_terms.curve import Curve
@@ -36,6 +37,33 @@ else:
     _tagged = tuple(Annotated[kind.section, Tag(name)] for name, kind in TERMS.items())
     AnyTerm = Annotated[Union[_tagged], Discriminator(_term_of)]  # noqa: UP007  # a tuple, known only when it runs
     """The entry of a joint term in a robot description."""
+
+
+def listed_terms(text: str) -> tuple[TermSection, ...]:
+    """Return the entries that a list such as `curve,backlash` or `curve,elbow=backlash` means.
+
+    Args:
+        text: Names of terms, for every joint, or `JOINT=TERM`; commas between.
+
+    Raises:
+        InputError: No such term.
+    """
+    found = []
+    for item in text.split(","):
+        joint, _, term = (part.strip() for part in item.rpartition("="))
+        if term not in TERMS:
+            raise InputError(f"terms '{text}': no term '{term}'{nearest(term, TERMS)}")
+        found.append(TERMS[term].section(joint=joint or "all", term=term))
+    return tuple(found)
+
+
+def stored_terms(entries: object) -> tuple[TermSection, ...]:
+    """Return the entries that a result stores.
+
+    Raises:
+        ValueError: They are no entries of terms.
+    """
+    return TypeAdapter(tuple[AnyTerm, ...]).validate_python(entries)
 
 
 def joint_term(joint: str, dimension: Dimension, section: TermSection, sigma: float | None) -> JointTerm:

@@ -95,7 +95,7 @@ def boxes(data: Measurements, count: int) -> list[IntArray]:
         count: Number of boxes.
 
     Returns:
-        Indices of each box, ascending; repeats of one pose stay together.
+        Indices of each box, ascending, (n_in_box,) each; repeats of one pose stay together.
     """
     groups = _groups(data)
     centres = np.array([data.joints[group].mean(axis=0) for group in groups])
@@ -124,7 +124,7 @@ def stretches(data: Measurements, count: int) -> list[IntArray]:
         count: Number of stretches.
 
     Returns:
-        Indices of each stretch, ascending; repeats of one pose stay together.
+        Indices of each stretch, ascending, (n_in_stretch,) each; repeats of one pose stay together.
     """
     groups = sorted(_groups(data), key=lambda group: int(data.places[group].min()))
     parts = np.array_split(np.arange(len(groups)), count)

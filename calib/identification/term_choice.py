@@ -99,7 +99,8 @@ def choose_terms(fit: Fit) -> TermChoice:
     chosen, brought = search.chosen()
     added = [section for one in search.tried if one.term in brought for section in search.entries(one, chosen)]
     sections = (*fit.robot.description.terms, *added)
-    return TermChoice("auto", sections, tuple(search.told(one, chosen, brought) for one in found))
+    told = sorted((search.told(one, chosen, brought) for one in found), key=lambda one: not one.added)
+    return TermChoice("auto", sections, tuple(told))
 
 
 @dataclass(frozen=True, eq=False)

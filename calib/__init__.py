@@ -1,7 +1,7 @@
 """Kinematic calibration of any robot with a URDF, closed loops included, on Pinocchio."""
 
 from calib.calibration import Calibration, fit
-from calib.data.arrays import as_measurements, as_poses
+from calib.data.in_memory import as_measurements, as_poses
 from calib.data.measurement_files import read_measurements, read_poses
 from calib.data.measurements import Measurements, Poses
 from calib.errors import (

@@ -2,20 +2,46 @@
 
 from __future__ import annotations
 
+import html
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 from calib.data.measurements import Measurements
+from calib.identification.errors_found import error_table
+from calib.identification.estimates import table_html
 from calib.identification.fit import fit as identify
 from calib.identification.fitted import Fit
 from calib.model.robot import Robot
-from calib.reporting.report_text import text_report
+from calib.reporting.report_text import text_report, verdict_lines
+from calib.reporting.result_content import error_sets
 from calib.reporting.results import save
+from calib.units import ERROR_UNIT
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Calibration(Fit):
     """A finished fit for users: see `calib.identification.fitted.Fit` for what it holds."""
+
+    def __str__(self) -> str:
+        return self.report()
+
+    def _repr_html_(self) -> str:
+        told = "".join(f"<p>{html.escape(line)}</p>" for line in verdict_lines(self.verdict))
+        errors: list[dict[str, object]] = [
+            {
+                "rows": label,
+                "state": state,
+                "instrument": one.name,
+                "part": part.name,
+                "unit": ERROR_UNIT[part.dimension],
+            }
+            | {key: value for key, value in error_table(values[:, rows], part).items() if isinstance(value, float)}
+            for label, found in error_sets(self)
+            for state, residuals in (("before", found.before), ("after", found.after))
+            for one, part, rows in found.parts()
+            for values in (residuals[one.name],)
+        ]
+        return f"<h3>{html.escape(self.nominal.name)}</h3>{told}{table_html(errors)}{self.parameters._repr_html_()}"
 
     def report(self) -> str:
         """Return the result as text."""

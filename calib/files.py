@@ -1,4 +1,4 @@
-"""Writing files so that an existing one is never half overwritten: write beside, then rename."""
+"""Files: read up to a size that memory holds; written beside and then renamed, so that none is half overwritten."""
 
 from __future__ import annotations
 
@@ -10,9 +10,42 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from calib.errors import InputError
+from calib.errors import CalibrationError, InputError
 
 _STREAM_FOLDERS = (Path("/dev"), Path("/dev/fd"))
+_LARGEST = 2**28  # bytes: a million rows and more, and less than memory
+
+
+def read_bytes(path: Path | str, wanted: str, error: type[CalibrationError]) -> bytes:
+    """Return what a file holds.
+
+    Args:
+        path: The file; also a pipe.
+        wanted: What it should be, such as `a CSV file`.
+        error: What to raise.
+
+    Raises:
+        CalibrationError: Of the given type: missing, unreadable, or larger than 256 MB.
+    """
+    try:
+        with Path(path).open("rb") as stream:
+            content = stream.read(_LARGEST + 1)
+    except FileNotFoundError:
+        raise error(f"{path}: no such file; give {wanted}") from None
+    except OSError as problem:
+        raise error(f"{path}: cannot be read ({(problem.strerror or str(problem)).lower()})") from None
+    if len(content) > _LARGEST:
+        raise error(f"{path}: is larger than {_LARGEST >> 20} MB; is this {wanted}?")
+    return content
+
+
+def read_text(path: Path | str, wanted: str, error: type[CalibrationError]) -> str:
+    """Return the text of a file, without the mark that some editors put first; see `read_bytes`."""
+    try:
+        text = read_bytes(path, wanted, error).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise error(f"{path}: is not UTF-8 text; give {wanted} in UTF-8") from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def write_file(path: Path | str, content: bytes | str) -> None:

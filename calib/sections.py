@@ -1,18 +1,25 @@
-"""What the sections of a robot description are made of: components of an origin, quantities with units."""
+"""What the sections of a robot description are made of: components of an origin, quantities with units.
+
+Own lengths of instruments, such as the radius of a sphere: known, expected near a value, or unknown.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainValidator
 
-from calib.errors import InputError
+from calib.errors import InputError, nearest
+from calib.parameter import Parameter
 from calib.units import Dimension, quantity
 
 Component = Literal["x", "y", "z", "rx", "ry", "rz"]
 LENGTH_COMPONENTS: tuple[Component, ...] = ("x", "y", "z")
 ANGLE_COMPONENTS: tuple[Component, ...] = ("rx", "ry", "rz")
 COMPONENTS = LENGTH_COMPONENTS + ANGLE_COMPONENTS
+_SCALE = 0.01  # by which an unknown length without any expectation is scaled [m]
+_KEYS = ("value", "sigma")
 
 
 def _reader(dimension: Dimension) -> BeforeValidator:
@@ -41,3 +48,59 @@ class Section(BaseModel):
     """A mapping of keys in a robot description; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+@dataclass(frozen=True)
+class OwnLength:
+    """A length that belongs to an instrument.
+
+    Attributes:
+        value: What it is, or is expected to be [m].
+        unknown: Whether the measurements must find it.
+        sigma: How far an unknown one may be from `value`, one standard deviation [m]; None: the value says nothing.
+    """
+
+    value: float = 0.0
+    unknown: bool = False
+    sigma: float | None = None
+
+    def parameters(self, name: str, start: float | None = None) -> tuple[Parameter, ...]:
+        """Return it as an unknown of an instrument; nothing if it is known.
+
+        Args:
+            name: Of the parameter.
+            start: Nominal value where nothing is expected [m].
+        """
+        if not self.unknown:
+            return ()
+        nominal = self.value if self.sigma is not None or start is None else start
+        sigma = _SCALE if self.sigma is None else self.sigma
+        return (Parameter(name, "length", nominal, sigma, "mm", self.sigma is not None, True),)
+
+
+KNOWN_ZERO = OwnLength()
+
+
+def _read(value: Any) -> OwnLength:
+    try:
+        if isinstance(value, OwnLength):
+            return value
+        if value == "unknown":
+            return OwnLength(unknown=True)
+        if not isinstance(value, dict):
+            return OwnLength(quantity(value, "length", "value"))
+        strange = next((str(key) for key in value if key not in _KEYS), None)
+        if strange is not None:
+            raise ValueError(f"unknown key '{strange}'{nearest(strange, _KEYS)}")
+        if set(value) != set(_KEYS):
+            raise ValueError("give {value: ..., sigma: ...}; a number alone is known, and 'unknown' says nothing of it")
+        sigma = quantity(value["sigma"], "length", "sigma")
+        if sigma <= 0:
+            raise ValueError("sigma must be positive; a number alone is known")
+        return OwnLength(quantity(value["value"], "length", "value"), True, sigma)
+    except InputError as error:
+        raise ValueError(str(error).removeprefix("value: ")) from None
+
+
+LengthOrUnknown = Annotated[OwnLength, PlainValidator(_read)]
+"""`12 mm`: known; `{value: 12 mm, sigma: 0.1 mm}`: expected there, and found; `unknown`: found."""

@@ -39,6 +39,7 @@ ERROR_UNIT: dict[Dimension, str] = DISPLAY_UNIT | {"angle": "mrad"}
 """Units of errors."""
 _QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-zµ]*)\s*$")
 _COLUMN = re.compile(r"^\s*(?P<name>.*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*$", re.DOTALL)
+_SMALLEST, _LARGEST = 1e-50, 1e9  # [SI]: fourth powers stay finite
 
 
 def per_si(unit: str | None, dimension: Dimension, where: str) -> float:
@@ -76,7 +77,8 @@ def quantity(value: object, dimension: Dimension, where: str) -> float:
     0.178
 
     Raises:
-        InputError: It is not a finite number with an optional unit of this dimension.
+        InputError: It is not a finite number with an optional unit of this dimension, or one whose square no
+            computation would survive.
     """
     number, unit = math.nan, None
     if isinstance(value, int) and not isinstance(value, bool):
@@ -88,7 +90,11 @@ def quantity(value: object, dimension: Dimension, where: str) -> float:
     if not math.isfinite(number):
         example = "0.04 mm" if dimension == "length" else "1.5 deg"
         raise InputError(f"{where}: {value!r:.60} is not a finite number with a unit, such as '{example}'")
-    return number / per_si(unit, dimension, where)
+    si = number / per_si(unit, dimension, where)
+    if si != 0 and not _SMALLEST <= abs(si) <= _LARGEST:
+        size = "large" if abs(si) > 1 else "small"
+        raise InputError(f"{where}: {value!r:.60} is too {size} to mean anything; correct it")
+    return si
 
 
 def split_column(header: str) -> tuple[str, str | None]:
@@ -102,15 +108,6 @@ def split_column(header: str) -> tuple[str, str | None]:
     match = _COLUMN.match(header)
     assert match is not None  # the pattern takes any text
     return match.group("name"), match.group("unit")
-
-
-def to_unit(value: float, unit: str, dimension: Dimension) -> float:
-    """Convert an SI value to `unit`.
-
-    >>> to_unit(0.178, "mm", "length")
-    178.0
-    """
-    return value * PER_SI[dimension][unit]
 
 
 def error_scale(dimension: Dimension) -> float:

@@ -9,6 +9,7 @@ from typing import Any
 import yaml
 
 from calib.errors import DescriptionError
+from calib.files import read_text
 
 _MERGE = "tag:yaml.org,2002:merge"
 
@@ -40,14 +41,9 @@ def read_yaml(path: Path | str) -> object:
     Raises:
         DescriptionError: Missing or unreadable file, or broken YAML; the message names the line.
     """
+    text = read_text(path, "a robot description (YAML) or a URDF", DescriptionError)
     try:
-        return yaml.load(Path(path).read_text(encoding="utf-8-sig"), Loader=_UniqueKeyLoader)
-    except FileNotFoundError:
-        raise DescriptionError(f"{path}: no such file; give a robot description (YAML) or a URDF") from None
-    except OSError as error:
-        raise DescriptionError(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
-    except UnicodeDecodeError:
-        raise DescriptionError(f"{path}: is not UTF-8 text; save the robot description in UTF-8") from None
+        return yaml.load(text, Loader=_UniqueKeyLoader)
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: such as a date that does not exist
         mark = getattr(error, "problem_mark", None)
         line = f", line {mark.line + 1}" if mark else ""

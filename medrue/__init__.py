@@ -3,11 +3,15 @@
 from pathlib import Path
 
 
-def robot_file() -> Path:
-    """Path of the robot description `medrue.yaml`, which names the URDF beside it.
+def robot_file(name: str = "medrue") -> Path:
+    """Path of a robot description, which names the URDF beside it.
 
     An installed package carries the folder `urdf` inside itself; in a source checkout it lies beside the
     package.
+
+    Args:
+        name: `medrue`, with the paper's 36 parameters, or `medrue_extended`, with all of its geometry and the errors
+            of its rail.
 
     Returns:
         Path of an existing file.
@@ -16,7 +20,7 @@ def robot_file() -> Path:
         FileNotFoundError: The installation lacks its data.
     """
     package = Path(__file__).resolve().parent
-    candidates = [package / "urdf" / "medrue.yaml", package.parent / "urdf" / "medrue.yaml"]
+    candidates = [folder / "urdf" / f"{name}.yaml" for folder in (package, package.parent)]
     for candidate in candidates:
         if candidate.is_file():
             return candidate

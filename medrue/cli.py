@@ -69,7 +69,7 @@ def poses_command(out: str, output: Output) -> None:
 
 
 def _simulation_options(function: Callable[..., None]) -> Callable[..., None]:
-    """Options that the study and the experiment share."""
+    """Options that all simulations share."""
     options = (
         click.option("--out", required=True, metavar="DIR", help="Folder to write tables, figures and a page to."),
         click.option("--quick", is_flag=True, help="Few draws: seconds instead of minutes."),
@@ -121,9 +121,14 @@ def experiment_command(
     tilt_deg: float | None,
     output: Output,
 ) -> None:
-    """Reproduce the paper's experiment on a simulated robot: Tables III to V, Figures 3, 7 and 8."""
+    """Reproduce the paper's experiment on a simulated robot: Tables III to V, Figures 3, 7 and 8.
+
+    Beside the paper's model, one with the robot's full geometry and the errors of its rail is identified from poses
+    that are approached from both sides.
+    """
     check_folder(out)
     with Workers(jobs) as workers:  # they start while the rest is loaded
+        from medrue.both_sides import COUNTS, QUICK_COUNTS
         from medrue.experiment import DRAWS, QUICK_DRAWS, run_experiment
         from medrue.imperfections import Imperfections
         from medrue.reports import experiment_report
@@ -136,8 +141,26 @@ def experiment_command(
         )
         count = draws or (QUICK_DRAWS if quick else DRAWS)
         progress = Silent() if output.quiet else TerminalBars()
-        found = run_experiment(load(robot_file()), count, seed, workers, progress, imperfections)
+        robots = load(robot_file()), load(robot_file("medrue_extended"))
+        counts = QUICK_COUNTS if quick else COUNTS
+        found = run_experiment(*robots, count, seed, workers, progress, imperfections, counts)
     _finish(experiment_report(found), out, output, shown=("table4", "table5"))
+
+
+@group.command("touch")
+@_simulation_options
+@shared_options(json_output=True)
+def touch_command(out: str, quick: bool, draws: int | None, jobs: int, seed: int, output: Output) -> None:
+    """Calibrate without a tracker: by touched sockets, and by encoders on passive joints. Everything is simulated."""
+    check_folder(out)
+    with Workers(jobs) as workers:  # they start while the rest is loaded
+        from medrue.reports import touch_report
+        from medrue.touch import QUICK, SIZE, run_touch
+
+        size = QUICK if quick else SIZE
+        size = replace(size, noise_draws=draws or size.noise_draws)
+        found = run_touch(load(robot_file()), size, seed, workers, Silent() if output.quiet else TerminalBars())
+    _finish(touch_report(found), out, output, shown=("world", "shape"))
 
 
 def _finish(report: Report, out: str, output: Output, shown: tuple[str, ...]) -> None:

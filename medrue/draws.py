@@ -17,12 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
-from calib.data.arrays import as_measurements
+from calib.data.in_memory import as_measurements
 from calib.data.measurements import Measurements
 from calib.errors import NotConvergedError
 from calib.identification.fit import fit
 from calib.linearisation.jacobian import linearise
-from calib.model import kinematics
 from calib.model.robot import Configurations, Robot
 from calib.threads import one_blas_thread
 from medrue.parallel import Workers
@@ -162,7 +161,7 @@ class Calibrator:
     """
 
     def __init__(self, task: Task, pose_set: PoseSet, start: Robot, nearby: FloatArray) -> None:
-        self._chosen, self._joints, self._free = pose_set.chosen, task.joints, task.robot.free
+        self._chosen, self._joints, self._free = pose_set.chosen, task.joints, task.robot.is_free
         self._scales = np.array([parameter.sigma for parameter in task.robot.parameters])[self._free]
         self._start, self._passive = start, nearby
         self._first = linearise(start, self._assembled(start, self._chosen))
@@ -188,10 +187,7 @@ class Calibrator:
 
     def predict(self, robot: Robot) -> FloatArray:
         """Return the positions of the tool at all candidates, (n, 3) [m]."""
-        configurations = self._assembled(robot, np.arange(len(self._joints)))
-        joints = robot.mechanism.all_joints(configurations.actuated, configurations.passive)
-        target = robot.mechanism.targets[0]
-        return kinematics.value(kinematics.sweep(robot.mechanism, joints, (target,)), target)
+        return robot.positions(self._joints, seed=self._passive)[:, 0]
 
     def _assembled(self, robot: Robot, index: IntArray) -> Configurations:
         return robot.assemble(self._joints[index], self._passive[index])

@@ -7,7 +7,7 @@ poses chosen by each index identify 28 parameters, the 336 others validate. An e
 from the measured position, as in an experiment.
 
 Beyond the paper: the same over many draws of the imperfections and the noise, and with each cause alone, which shows
-where the remaining error comes from.
+where the remaining error comes from; and the same robots measured and modelled better (`medrue.both_sides`).
 """
 
 from __future__ import annotations
@@ -21,20 +21,15 @@ from calib.arrays import FloatArray
 from calib.identification.fit import fit
 from calib.model.robot import Robot
 from calib.threads import one_blas_thread
+from medrue.both_sides import COUNTS, BothSides, run_both_sides
 from medrue.draws import PoseSet, measurements
-from medrue.imperfections import Imperfections, imperfect_robot
+from medrue.imperfections import Imperfections, approach_in_order, imperfect_robot
 from medrue.paper_tables import table3
 from medrue.parallel import Workers
 from medrue.poses import target_poses
 from medrue.progress import Progress
 from medrue.study import choose_sets
-from medrue.tracker import measure
-
-SIGMA = 4e-5
-"""Noise of one tracker reading on each axis: the paper's tracker is good to +-40 um [m]."""
-REPEATS = 5
-"""Readings of each pose, averaged."""
-
+from medrue.tracker import REPEATS, SIGMA, measure
 
 DRAWS = 20
 """Simulated experiments: robots with other imperfections and other noise."""
@@ -47,6 +42,7 @@ class ExperimentTask:
 
     Attributes:
         robot: Nominal MedRUE.
+        extended: The extended model, nominal; the truth is made of it.
         joints: Poses, (n, 6) [m, rad].
         sets: Pose sets to identify with.
         imperfections: Sizes of what the parameters leave out.
@@ -54,6 +50,7 @@ class ExperimentTask:
     """
 
     robot: Robot
+    extended: Robot
     joints: FloatArray
     sets: tuple[PoseSet, ...]
     imperfections: Imperfections
@@ -94,6 +91,7 @@ class Experiment:
         imperfections: Sizes of what the parameters leave out.
         draws: Simulated experiments; the first is the one that the tables show.
         causes: The same draws with one cause alone, from the set of O1, by name.
+        both_sides: The same robots, measured from both sides and calibrated with the extended model too.
         seed: Seed of everything random.
     """
 
@@ -103,6 +101,7 @@ class Experiment:
     imperfections: Imperfections
     draws: tuple[ExperimentDraw, ...]
     causes: Mapping[str, tuple[ExperimentDraw, ...]]
+    both_sides: BothSides
     seed: int
 
     @property
@@ -118,32 +117,42 @@ class Experiment:
 
 
 def run_experiment(
-    robot: Robot, draws: int, seed: int, workers: Workers, progress: Progress, imperfections: Imperfections
+    robot: Robot,
+    extended: Robot,
+    draws: int,
+    seed: int,
+    workers: Workers,
+    progress: Progress,
+    imperfections: Imperfections,
+    counts: tuple[int, ...] = COUNTS,
 ) -> Experiment:
     """Run the simulated experiment.
 
     Args:
         robot: MedRUE with nominal parameters.
+        extended: The extended model with nominal parameters.
         draws: How many experiments to simulate, with all causes and with each alone.
         seed: Seed; the same one gives the same numbers, whoever works.
         workers: Who does the draws.
         progress: Told how far the work is.
         imperfections: Sizes of what the parameters leave out.
+        counts: Numbers of poses to measure from both sides.
     """
     joints = target_poses(robot).poses.joints
     with progress.stage("choosing poses", 6) as advance:
         _, sets = choose_sets(robot, joints, workers, advance)
     seeds = np.random.SeedSequence(seed).spawn(draws)
-    tasks = [ExperimentTask(robot, joints, sets, imperfections, one) for one in seeds]
+    tasks = [ExperimentTask(robot, extended, joints, sets, imperfections, one) for one in seeds]
     for alone in imperfections.causes.values():
-        tasks += [ExperimentTask(robot, joints, sets[:1], alone, one) for one in seeds]
+        tasks += [ExperimentTask(robot, extended, joints, sets[:1], alone, one) for one in seeds]
     found = []
     with progress.stage("simulated experiments", len(tasks)) as advance:
         for draw in workers.in_order(experiment_draw, tasks):
             found.append(draw)
             advance(1)
     causes = {name: tuple(found[k * draws : (k + 1) * draws]) for k, name in enumerate(imperfections.causes, start=1)}
-    return Experiment(robot, joints, sets, imperfections, tuple(found[:draws]), causes, seed)
+    both_sides = run_both_sides(robot, extended, joints, sets[0], counts, imperfections, seeds, workers, progress)
+    return Experiment(robot, joints, sets, imperfections, tuple(found[:draws]), causes, both_sides, seed)
 
 
 @one_blas_thread
@@ -151,8 +160,10 @@ def experiment_draw(task: ExperimentTask) -> ExperimentDraw:
     """Build one imperfect robot, measure it, and calibrate from every set of poses."""
     generator = np.random.default_rng(task.seed)
     actual = task.robot.with_parameters(table3().identified)
-    truth = imperfect_robot(actual, task.imperfections, len(task.joints), generator)
-    readings = measure(truth.positions(task.joints), SIGMA, REPEATS, generator)
+    truth = imperfect_robot(task.extended, actual, task.imperfections, generator)
+    order = generator.permutation(len(task.joints))
+    approach = approach_in_order(task.joints[:, 0], order, float(task.robot.home[0]))
+    readings = measure(truth.positions(task.joints, approach), SIGMA, REPEATS, generator)
     after, values, std = [], [], []
     for pose_set in task.sets:
         data = measurements(task.robot, task.joints, readings.positions, pose_set.chosen)
@@ -160,7 +171,7 @@ def experiment_draw(task: ExperimentTask) -> ExperimentDraw:
         after.append(result.robot.positions(task.joints)[:, 0] - readings.positions)
         values.append(result.robot.values)
         spread = np.zeros(len(result.robot.values))
-        spread[task.robot.free] = result.statistics.std
+        spread[task.robot.is_free] = result.statistics.std
         std.append(spread)
     before = task.robot.positions(task.joints)[:, 0] - readings.positions
     return ExperimentDraw(

@@ -8,17 +8,23 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
 from calib.numerics.rigid import OUTLIER_PROBABILITY
-from calib.units import PER_SI
+from calib.units import PER_SI, millimetres
 from calib.words import counted
+from medrue.both_sides_tables import (
+    BOTH_SIDES_NOTE,
+    both_sides_findings,
+    both_sides_tables,
+    component_columns,
+    error_columns,
+)
 from medrue.error_before import base_placed
-from medrue.experiment import REPEATS, SIGMA, Experiment, ExperimentDraw
+from medrue.experiment import Experiment, ExperimentDraw
 from medrue.imperfections import Imperfections
 from medrue.paper_tables import error_table, table1, table3
 from medrue.ranking import Ranking, rank, ranking_table, standard_error
 from medrue.result_tables import Cell, Column, ResultTable
-from medrue.study import summary
-
-STATISTICS = ("mean", "max", "std")
+from medrue.study import STATISTICS, summary
+from medrue.tracker import REPEATS, SIGMA
 
 
 def experiment_tables(experiment: Experiment) -> tuple[ResultTable, ...]:
@@ -29,6 +35,7 @@ def experiment_tables(experiment: Experiment) -> tuple[ResultTable, ...]:
         ranking_table({"mean error": experiment_ranking(experiment)}, "mm"),
         axis_table(experiment),
         cause_table(experiment),
+        *both_sides_tables(experiment.both_sides),
     )
 
 
@@ -36,7 +43,7 @@ def parameter_table(experiment: Experiment) -> ResultTable:
     """Table III: the parameters that the 84 poses of O1 identify."""
     parameters = experiment.robot.parameters
     scale = np.array([PER_SI[parameter.dimension][parameter.unit] for parameter in parameters])
-    draw, free = experiment.draws[0], experiment.robot.free
+    draw, free = experiment.draws[0], experiment.robot.is_free
 
     def column(header: str, values: FloatArray) -> Column:
         return Column(header, tuple(None if np.isnan(value) else float(value) for value in values * scale))
@@ -86,6 +93,7 @@ def index_table(experiment: Experiment) -> ResultTable:
     columns = [Column("error [mm]", tuple(row[0] for row in rows)), Column("before", tuple(row[1] for row in rows))]
     for s, name in enumerate(experiment.names):
         columns.append(Column(name, tuple(None if np.isnan(row[2][s]) else float(row[2][s]) for row in rows)))
+    columns += error_columns(experiment.both_sides)
     return ResultTable(
         "table4",
         "Table IV: position errors in the simulated experiment, by the index that chose the 84 poses",
@@ -94,6 +102,7 @@ def index_table(experiment: Experiment) -> ResultTable:
             f"simulated; distance from the measured position at the 336 other poses; seed {experiment.seed}",
             "before: the nominal robot at the validation poses of O1; the first draw is the single one",
             "a draw has other tilts of the axes, another order of the poses and other noise",
+            BOTH_SIDES_NOTE,
         ),
     )
 
@@ -113,15 +122,19 @@ def axis_table(experiment: Experiment) -> ResultTable:
         )
     ]
     for when, errors in zip(("before", "after"), experiment.validation(experiment.draws[0], "O1"), strict=True):
-        for axis, values in zip("xyz", np.abs(errors.T) * 1e3, strict=True):
-            ours = {"mean": values.mean(), "max": values.max(), "std": values.std(ddof=1)}
+        for axis, values in zip("xyz", np.abs(errors.T), strict=True):
+            ours = dict(zip(STATISTICS, millimetres(summary(values)), strict=False))
             cells = [cell for key in STATISTICS for cell in (float(ours[key]), printed[f"{when}_{axis}"][key])]
             columns.append(Column(f"{when} {axis}", tuple(cells)))
+    columns += component_columns(experiment.both_sides)
     return ResultTable(
         "table5",
         "Table V: position errors along each axis in the simulated experiment, poses of O1",
         tuple(columns),
-        (f"simulated; magnitudes of the components at the 336 validation poses; seed {experiment.seed}",),
+        (
+            f"simulated; magnitudes of the components at the 336 validation poses; seed {experiment.seed}",
+            BOTH_SIDES_NOTE,
+        ),
     )
 
 
@@ -171,6 +184,7 @@ def experiment_findings(experiment: Experiment) -> tuple[str, ...]:
         f" {100 * (ranking.means[-1] / ranking.means[0] - 1):.0f} % above the least; in the paper"
         f" {100 * (max(paper) / min(paper) - 1):.0f} %, from one experiment.",
         _measuring_finding(experiment),
+        *both_sides_findings(experiment.both_sides),
     )
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import version
 
@@ -54,6 +54,7 @@ class Report:
         tables: Tables.
         figures: Figures.
         seed: Seed of everything random.
+        data: Further files by name.
     """
 
     title: str
@@ -62,6 +63,7 @@ class Report:
     tables: Sequence[ResultTable]
     figures: Sequence[NamedFigure]
     seed: int
+    data: Mapping[str, str] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, object]:
         """Return findings and tables as plain data for JSON."""
@@ -82,6 +84,7 @@ class Report:
             files[f"{table.name}.json"] = _json(content)
         for figure in self.figures:
             files |= figure.files
+        files |= {name: text.encode() for name, text in self.data.items()}
         files["index.html"] = self.page().encode()
         return files
 
@@ -95,6 +98,7 @@ class Report:
             tables=self.tables,
             figures=self.figures,
             seed=self.seed,
+            data=tuple(self.data),
             program=f"medrue {version('medrue')}",
         )
 

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from calib.arrays import FloatArray
 from calib.pose_choice.selection import Selection
+from calib.units import millimetres
 from medrue.workspace import Workspace
 from viz.svg import styled, svg_file
 
@@ -201,4 +202,30 @@ def cause_figure(causes: Mapping[str, FloatArray]) -> Figure:
     axes.set_title("What the paper's model leaves (simulated)")
     axes.grid(visible=False, axis="x")
     axes.legend(title="axis")
+    return figure
+
+
+@styled
+def pose_count_figure(counts: tuple[int, ...], errors: Mapping[str, FloatArray], noise: float) -> Figure:
+    """Mean error along x after calibration over the number of poses, by the way to calibrate.
+
+    Args:
+        counts: Numbers of poses.
+        errors: Mean magnitude for each of them, (n_counts,) [m], by way; NaN where it cannot be.
+        noise: What the instrument's noise alone gives [m].
+    """
+    figure = Figure(figsize=(7, 4.2), layout="constrained")
+    axes = figure.add_subplot()
+    for (name, values), colour, marker in zip(errors.items(), (ORANGE, BLUE, GREEN, PURPLE), "os^D", strict=True):
+        axes.plot(counts, millimetres(values), f"{marker}-", color=colour, markersize=4, label=name)
+    axes.axhline(millimetres(noise), color=GREY, linestyle="--", label="the tracker's noise alone")
+    axes.set_yscale("log")
+    axes.set_xscale("log")
+    axes.set_xticks(counts, [str(count) for count in counts])
+    heights = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
+    axes.set_yticks(heights, [f"{height:g}" for height in heights])
+    axes.minorticks_off()
+    axes.set(xlabel="poses to identify with", ylabel="mean magnitude of the x error [mm]")
+    axes.set_title("What remains along x after calibration (simulated)")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
     return figure

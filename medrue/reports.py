@@ -1,10 +1,14 @@
-"""What `medrue study` and `medrue experiment` put into their folders."""
+"""What `medrue study`, `medrue experiment` and `medrue touch` put into their folders."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from calib.data.measurement_files import format_measurements
+from calib.units import millimetres
 from calib.words import counted
+from medrue.both_sides import WAYS, BothSides
+from medrue.both_sides_tables import NOISE, mean_x
 from medrue.experiment import Experiment
 from medrue.experiment_tables import cause_rms, experiment_findings, experiment_tables
 from medrue.pages import NamedFigure, Report
@@ -13,11 +17,16 @@ from medrue.plots import (
     before_after_figure,
     cause_figure,
     exchange_figure,
+    pose_count_figure,
     spread_figure,
     workspace_figure,
 )
 from medrue.study import COUNT, Study
 from medrue.study_tables import study_findings, study_tables
+from medrue.touch import WAYS as TOUCH_WAYS
+from medrue.touch import TouchStudy
+from medrue.touch_tables import touch_findings, touch_tables
+from medrue.tracker import REPEATS, SIGMA
 from medrue.workspace import target_workspace
 
 
@@ -81,12 +90,27 @@ def experiment_report(experiment: Experiment) -> Report:
         " (Table III), and of what it blames for the error that remains, backlash of the rail that depends on the"
         " direction of approach, an error of the screw's lead, and links slightly out of perpendicular:"
         f" {experiment.imperfections}. A simulated tracker (40 µm, five readings averaged) stands in a frame of its own"
-        " and finds the world from three nests.",
+        " and finds the world from three nests. A second measurement of the same robots approaches every pose from both"
+        f" sides; its rail has, more than that, {experiment.both_sides.rail}. From it an extended model is identified:"
+        " all six components of every origin, with priors, and the lead, the turns and the backlash of the screw. The"
+        " truth is that model with other values, but for wear and bend, which it does not have.",
         experiment_findings(experiment),
         experiment_tables(experiment),
-        (_workspace(), *_experiment_errors(experiment), _causes(experiment)),
+        (_workspace(), *_experiment_errors(experiment), _causes(experiment), _pose_count(experiment.both_sides)),
         experiment.seed,
+        {"both_sides.csv": _measurement_file(experiment)},
     )
+
+
+def _measurement_file(experiment: Experiment) -> str:
+    """The first robot's measurement from both sides, for `calib fit` and the extended model."""
+    comments = (
+        "simulated measurements of MedRUE; no real robot was measured",
+        f"all poses from both sides: approach_q1 is the direction in which the rail came; seed {experiment.seed}",
+        f"tracker noise {millimetres(SIGMA):g} mm on each axis, {counted(REPEATS, 'reading')} averaged",
+    )
+    found = experiment.both_sides
+    return format_measurements(found.extended, found.first_measurements(), comments)
 
 
 def _workspace() -> NamedFigure:
@@ -128,4 +152,46 @@ def _causes(experiment: Experiment) -> NamedFigure:
         "Root mean square along each axis after calibration, with one cause at a time and with all, over the same"
         f" {counted(len(experiment.draws), 'draw')}.",
         cause_figure(cause_rms(experiment)),
+    )
+
+
+def touch_report(study: TouchStudy) -> Report:
+    """Return the report of the calibrations without a tracker."""
+    return Report(
+        "MedRUE without a tracker: touched sockets, and encoders on passive joints",
+        "No robot was measured. The ball at the tip of the probe is brought into sockets of one artefact, nothing being"
+        " read but the joints; or all seven passive joints have encoders; beside them the tracker of the simulation"
+        " study. Joint values and readings come from the closed form, with the actual parameters and normal noise of"
+        f" 40 µm. Every method measures {COUNT} poses that it chose by the smallest error predicted in the target"
+        " workspace.",
+        touch_findings(study),
+        touch_tables(study),
+        (_touch_errors(study),),
+        study.seed,
+    )
+
+
+def _touch_errors(study: TouchStudy) -> NamedFigure:
+    before, after = (study.noise[0, study.names.index(name), TOUCH_WAYS.index("world")] for name in ("before", "touch"))
+    return NamedFigure(
+        "errors",
+        "Position errors before and after calibration by touch",
+        f"Distance from the true position at all {len(before)} poses of the target workspace, first draw of the noise;"
+        " both panels have the same axes.",
+        before_after_figure(before, after, "Simulation: position errors in the target workspace, touched sockets"),
+    )
+
+
+def _pose_count(found: BothSides) -> NamedFigure:
+    draws = counted(len(found.draws), "draw")
+    return NamedFigure(
+        "pose_count",
+        "How many poses the extended model needs",
+        f"Mean over {draws} at all other poses, approached from both sides. Either side: each pose is visited once,"
+        " from a side that chance decides; one side: always in the positive direction.",
+        pose_count_figure(
+            tuple(len(pose_set.chosen) for pose_set in found.sets[1:]),
+            {way.name: mean_x(found, way)[:, 1:].mean(axis=0) for way in WAYS},
+            float(NOISE * np.sqrt(2 / np.pi)),
+        ),
     )

@@ -37,6 +37,8 @@ COUNT = 84
 """Poses to identify with."""
 SIGMA = 4e-5
 """Measurement noise on each axis: the paper's +-120 um are three standard deviations [m]."""
+STATISTICS = ("mean", "max", "std")
+"""What Tables II, IV and V print of errors, in the order of `summary`."""
 
 
 @dataclass(frozen=True)
@@ -179,6 +181,10 @@ def _choose(task: tuple[Robot, FloatArray, str]) -> Selection:
     return select(robot, joints, COUNT, index, sigma=SIGMA)
 
 
+STATISTICS = ("mean", "max", "std")
+"""What tables show of `summary`."""
+
+
 def summary(distances: FloatArray) -> FloatArray:
     """Mean, max, standard deviation and root mean square along the last axis, (..., n) -> (..., 4)."""
     squares = np.sqrt(np.mean(distances**2, axis=-1))
@@ -188,8 +194,8 @@ def summary(distances: FloatArray) -> FloatArray:
 
 def error_floors(robot: Robot, joints: FloatArray, sets: tuple[PoseSet, ...], sigma: float) -> FloatArray:
     """Root-mean-square position error over each set's validation poses that theory allows, (n_sets,) [m]."""
-    jacobian = linearise(robot, robot.assemble(joints)).jacobian[:, 0][..., robot.free]
-    jacobian = jacobian * np.array([parameter.sigma for parameter in robot.parameters])[robot.free]
+    jacobian = linearise(robot, robot.assemble(joints)).jacobian[:, 0][..., robot.is_free]
+    jacobian = jacobian * np.array([parameter.sigma for parameter in robot.parameters])[robot.is_free]
     floors = []
     for pose_set in sets:
         used = jacobian[pose_set.chosen].reshape(-1, jacobian.shape[2])
@@ -199,16 +205,26 @@ def error_floors(robot: Robot, joints: FloatArray, sets: tuple[PoseSet, ...], si
     return np.array(floors)
 
 
+def drawn_parameters(robot: Robot, seed: np.random.SeedSequence) -> FloatArray:
+    """Actual parameters drawn as the paper's: within +-2 mm and +-1.5 deg, the redundant ones nominal, (36,) [m, rad].
+
+    Args:
+        robot: The nominal robot.
+        seed: Seed of this draw.
+    """
+    table = table1()
+    reach = np.where(np.array(table.units) == "m", 2e-3, np.radians(1.5)) * robot.is_free
+    drawn: FloatArray = table.nominal + reach * np.random.default_rng(seed).uniform(-1.0, 1.0, len(reach))
+    return drawn
+
+
 def _other_robots(
     robot: Robot, joints: FloatArray, sets: tuple[PoseSet, ...], seeds: np.random.SeedSequence, size: StudySize
 ) -> list[Task]:
-    """Robots with actual parameters drawn as the paper's: within +-2 mm and +-1.5 deg, the redundant ones nominal."""
-    table = table1()
-    reach = np.where(np.array(table.units) == "m", 2e-3, np.radians(1.5)) * robot.free
+    """Draws of the noise on other robots."""
     tasks = []
     for child in seeds.spawn(size.actual_draws):
         own, noise = child.spawn(2)
-        actual = table.nominal + reach * np.random.default_rng(own).uniform(-1.0, 1.0, len(reach))
         draws = tuple(noise.spawn(size.noise_per_actual))
-        tasks.append(Task(robot, joints, true_positions(joints, actual), sets, SIGMA, draws))
+        tasks.append(Task(robot, joints, true_positions(joints, drawn_parameters(robot, own)), sets, SIGMA, draws))
     return tasks

@@ -10,9 +10,7 @@ from calib.words import counted
 from medrue.paper_tables import error_table, table1
 from medrue.ranking import LEGEND, Ranking, agreement, rank, ranking_table, standard_error
 from medrue.result_tables import Column, ResultTable
-from medrue.study import COUNT, SIGMA, Study
-
-STATISTICS = ("mean", "max", "std")
+from medrue.study import COUNT, SIGMA, STATISTICS, Study
 
 
 def study_tables(study: Study) -> tuple[ResultTable, ...]:
@@ -31,7 +29,7 @@ def parameter_table(study: Study) -> ResultTable:
     paper = table1()
     units = [parameter.unit for parameter in study.robot.parameters]
     scale = np.array([PER_SI[parameter.dimension][parameter.unit] for parameter in study.robot.parameters])
-    free = study.robot.free
+    free = study.robot.is_free
     std = np.full(len(scale), np.nan)
     std[free] = _predicted_std(study)
     scatter = np.where(free, study.outcome.values[:, 0].std(axis=0, ddof=1), np.nan)
@@ -167,7 +165,7 @@ def _exact_finding(study: Study) -> str:
     units = np.array([PER_SI[parameter.dimension][parameter.unit] for parameter in study.robot.parameters])
     exact = float(np.max(np.abs((study.exact.robot.values - table1().actual) * units)))
     return (
-        f"Without noise, {int(study.robot.free.sum())} parameters come back to within {exact:.1e} (mm or deg); in the"
+        f"Without noise, {study.robot.is_free.sum()} parameters come back to within {exact:.1e} (mm or deg); in the"
         " paper to its three printed decimals."
     )
 

@@ -10,6 +10,10 @@ import pinocchio as pin
 from calib.arrays import FloatArray
 from calib.numerics.nests import WorldFrame, world_from_nests
 
+SIGMA = 4e-5
+"""Noise of one reading on each axis: the paper's tracker is good to +-40 um [m]."""
+REPEATS = 5
+"""Readings of each pose, averaged."""
 NESTS = np.array([[0.0, 0.0, 0.0], [0.9, 0.0, 0.0], [0.0, 0.0, 0.5]])
 """Nests on the robot's frame, in the world [m]."""
 NEST_NAMES = ("nest at the origin", "nest along x", "nest along z")

@@ -8,7 +8,7 @@ from six_axis_arm import YAML, joints, write_six_axis
 from small_robots import small_arm, write_arm
 
 import calib
-from calib.data.arrays import as_poses
+from calib.data.in_memory import as_poses
 from calib.linearisation.jacobian import linearise
 from calib.numerics.null_space import describe_group
 from calib.numerics.observability import raw_columns
@@ -40,8 +40,8 @@ def test_medrue_is_determined_by_28_of_36(found):
 
 
 def test_observability_on_scaled_and_on_raw_columns(medrue, found):
-    jacobian = linearise(medrue, medrue.assemble(Q[::3])).jacobian[..., medrue.free]
-    free = [p for p, use in zip(medrue.parameters, medrue.free, strict=True) if use]
+    jacobian = linearise(medrue, medrue.assemble(Q[::3])).jacobian[..., medrue.is_free]
+    free = [p for p, use in zip(medrue.parameters, medrue.is_free, strict=True) if use]
     raw = np.linalg.svd(raw_columns(jacobian, free).reshape(-1, 28), compute_uv=False)
     assert found.raw["O2"] == pytest.approx(raw[-1] / raw[0], rel=1e-9)
     assert found.raw["O1"] == pytest.approx(np.exp(np.mean(np.log(raw))) / np.sqrt(140), rel=1e-9)
@@ -51,7 +51,7 @@ def test_observability_on_scaled_and_on_raw_columns(medrue, found):
 
 
 def test_uncertainty_is_the_spread_of_the_normal_equations(medrue, found):
-    jacobian = linearise(medrue, medrue.assemble(Q[::3])).jacobian[..., medrue.free].reshape(-1, 28)
+    jacobian = linearise(medrue, medrue.assemble(Q[::3])).jacobian[..., medrue.is_free].reshape(-1, 28)
     covariance = 4e-5**2 * np.linalg.inv(jacobian.T @ jacobian)
     np.testing.assert_allclose(found.std, np.sqrt(np.diag(covariance)), rtol=1e-6)
     rms = np.sqrt(np.trace(jacobian @ covariance @ jacobian.T) / 140)

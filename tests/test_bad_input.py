@@ -88,8 +88,8 @@ BAD_DATA = {
     "empty file": ("", "data.csv: is empty; expected a header line and rows of numbers"),
     "comments only": ("# nothing\n", "data.csv: is empty; expected a header line and rows of numbers"),
     "header only": (ROWS[0] + "\n", "data.csv: has a header but no rows"),
-    "binary": (bytes(range(256)) * 4, "data.csv: is not UTF-8 text; save it as CSV in UTF-8"),
-    "UTF-16": (DATA.encode("utf-16"), "data.csv: is not UTF-8 text; save it as CSV in UTF-8"),
+    "binary": (bytes(range(256)) * 4, "data.csv: is not UTF-8 text; give a CSV file in UTF-8"),
+    "UTF-16": (DATA.encode("utf-16"), "data.csv: is not UTF-8 text; give a CSV file in UTF-8"),
     "open quote": (data(line3='"0,0,0,1,2,3'), "data.csv, line 3: is not CSV"),
     "repeats that differ": (
         "pose,turn,slide,wrist,tip_x,tip_y,tip_z\na,0,0,0,1,1,1\nb,0,0,0,1,1,1\na,0.1,0,0,1,1,1\n",
@@ -150,6 +150,7 @@ BAD_ROBOTS = {
     "sigma": (ARM_YAML + "sigma: -0.1 mm\n", "arm.yaml: sigma: should be greater than 0 (given: '-0.1 mm')"),
     "missing URDF": (ARM_YAML.replace("arm.urdf", "leg.urdf"), "leg.urdf: no such file; give the path of a URDF"),
     "UTF-16 YAML": (ARM_YAML.encode("utf-16"), "arm.yaml: is not UTF-8 text"),
+    "overflow": (ARM_YAML + "sigma: 1e300 mm\n", "arm.yaml: sigma: '1e300 mm' is too large to mean anything"),
     "nothing but a list": ("- a\n", "arm.yaml: is not a mapping of keys to values"),
 }  # fmt: skip
 
@@ -165,6 +166,7 @@ def test_a_bad_description_is_refused(folder, refused, content, message):
         assert message in refused(command)
 
 
+LINK = '<link name="upper"/>'
 BAD_URDFS = {
     "broken XML": (ARM_URDF.replace("</robot>", ""), "arm.urdf, line 20: not valid XML (no element found)"),
     "not XML": ("joints: none\n", "arm.urdf, line 1: not valid XML (syntax error)"),
@@ -183,6 +185,15 @@ BAD_URDFS = {
     "nan": (ARM_URDF.replace("0.25 0 0", "nan 0 0"), "joint 'slide', xyz: 'nan' is not a number"),
     "no axis": (ARM_URDF.replace("1 0 0", "0 0 0"), "joint 'slide': the axis has no direction"),
     "xacro": (ARM_URDF.replace("0.25 0 0", "${length} 0 0"), "run xacro on the file first"),
+    "overflow": (ARM_URDF.replace("0.25 0 0", "1e200 0 0"), "joint 'slide', xyz: '1e200 0 0' is beyond 1e9"),
+    "a shape of nan": (
+        ARM_URDF.replace(LINK, f'{LINK[:-2]}><visual><geometry><box size="nan 1 1"/></geometry></visual></link>'),
+        "<box> of link 'upper' has size=\"nan 1 1\"",
+    ),
+    "links without end": (
+        ARM_URDF.replace(LINK, LINK + "".join(f'<link name="l{k}"/>' for k in range(300))),
+        "links, more than 300; cut the file down to the arm",
+    ),
 }  # fmt: skip
 
 
@@ -192,6 +203,12 @@ def test_a_bad_urdf_is_refused(folder, refused, content, message):
     (folder / "arm.urdf").write_bytes(content if isinstance(content, bytes) else content.encode())
     for command in (FIT, "init arm.urdf --out new.yaml", "predict arm.urdf data.csv --out new.csv"):
         assert message in refused(command)
+
+
+def test_a_shape_that_says_nothing_is_refused_before_anything_is_written(folder, refused):
+    shape = '<visual><geometry><box size="a b c"/></geometry></visual></link>'
+    (folder / "arm.urdf").write_text(ARM_URDF.replace(LINK, f"{LINK[:-2]}>{shape}"))
+    assert "'a b c' is not 3 numbers" in refused("export arm.yaml --format urdf --out new.urdf")
 
 
 def test_a_home_that_does_not_close_is_refused(folder, refused):
@@ -235,6 +252,7 @@ BAD_OPTIONS = {
     "parameters and result": (f"{PREDICT} --parameters p.csv --result out", "--parameters and --result exclude each"),
     "json place": (f"{FIT} --json no/where.json", "no/where.json: cannot be written (no such file or directory)"),
     "no result": (f"{PREDICT} --result elsewhere", "elsewhere: holds no result (no result.json)"),
+    "file without end": ("predict arm.yaml /dev/zero --out old.csv", "/dev/zero: is larger than 256 MB"),
     "broken result": (f"{PREDICT} --result out", "is not a result of format version"),
 }  # fmt: skip
 

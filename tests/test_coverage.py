@@ -104,10 +104,12 @@ def _coverage(robot, q, elsewhere, n, *, loss="none", gross=0.0, prior=False, se
         wrong = rng.choice(len(q), round(gross * len(q)), replace=False)
         noise[wrong] += GROSS * rng.standard_normal(noise[wrong].shape)
         fit = calib.fit(robot, measurements(robot, q, exact + noise), loss=loss, sigma=SIGMA if prior else None)
-        error = np.abs(fit.robot.values - truth.values)[robot.free]
+        error = np.abs(fit.robot.values - truth.values)[robot.is_free]
         held.append(error <= fit.statistics.half_width)
-        at = linearise(fit.robot, fit.robot.assemble(elsewhere, passive))  # as fit.uncertainty, without starting afresh
-        std = np.sqrt(np.diagonal(carried(at.jacobian[..., robot.free], fit.statistics.covariance), axis1=2, axis2=3))
+        at = linearise(fit.robot, fit.robot.assemble(elsewhere, passive))  # as fit.predict, without starting afresh
+        std = np.sqrt(
+            np.diagonal(carried(at.jacobian[..., robot.is_free], fit.statistics.covariance), axis1=2, axis2=3)
+        )
         predicted.append(np.abs(at.positions - there) <= fit.statistics.coverage_factor * std)
         sigma.append(fit.sigma / SIGMA)
         outliers += bool(fit.outliers)

@@ -133,7 +133,7 @@ def test_files_that_cannot_be_read_are_errors(tmp_path):
     (tmp_path / "folder.yaml").mkdir()
     assert complaint(tmp_path / "folder.yaml") == "cannot be read (is a directory)"
     path.write_bytes(ARM_YAML.encode("utf-16"))
-    assert complaint(path) == "is not UTF-8 text; save the robot description in UTF-8"
+    assert complaint(path) == "is not UTF-8 text; give a robot description (YAML) or a URDF in UTF-8"
 
 
 def test_a_missing_urdf_is_an_error_that_names_it(tmp_path):

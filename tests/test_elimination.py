@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from calib.linearisation.jacobian import linearise
-from calib.numerics.elimination import TIE, eliminate
-from calib.numerics.identifiability import numerical_rank
+from calib.numerics.identifiability import TIE, eliminate, numerical_rank
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import target_workspace
 

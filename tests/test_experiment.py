@@ -11,12 +11,15 @@ from calib import load
 from calib.model.robot import Robot
 from calib.pose_choice.selection import select
 from medrue import robot_file
+from medrue.both_sides import run_both_sides
 from medrue.closed_form import forward
 from medrue.draws import PoseSet
 from medrue.experiment import Experiment, ExperimentTask, experiment_draw
 from medrue.experiment_tables import cause_rms, experiment_findings, experiment_tables
-from medrue.imperfections import TILTED_JOINTS, Imperfections, ImperfectRobot, imperfect_robot
+from medrue.imperfections import TILTED_JOINTS, Imperfections, ImperfectRobot, approach_in_order, imperfect_robot
 from medrue.paper_tables import error_table, table3
+from medrue.parallel import Workers
+from medrue.progress import Silent
 from medrue.tracker import NESTS, PLACE, measure
 from medrue.workspace import target_workspace
 
@@ -29,59 +32,75 @@ def robot() -> Robot:
 
 
 @pytest.fixture(scope="module")
+def extended() -> Robot:
+    return load(robot_file("medrue_extended"))
+
+
+@pytest.fixture(scope="module")
 def actual(robot: Robot) -> Robot:
     return robot.with_parameters(table3().identified)
 
 
+def truth_of(extended: Robot, actual: Robot, imperfections: Imperfections, seed: int = 1) -> ImperfectRobot:
+    return imperfect_robot(extended, actual, imperfections, np.random.default_rng(seed))
+
+
 @pytest.fixture(scope="module")
-def experiment(robot: Robot) -> Experiment:
-    """Two draws, poses of O1 and uniform ones."""
+def experiment(robot: Robot, extended: Robot) -> Experiment:
+    """Two draws, poses of O1 and uniform ones; of the first one also from both sides, and there with 28 poses."""
     joints = np.array(target_workspace().q)
     chosen = np.sort(select(robot, joints, 84, "O1").chosen)
     sets = (PoseSet("O1", chosen), PoseSet("uniform", np.arange(2, 420, 5)))
     seeds = np.random.SeedSequence(3).spawn(2)
     usual = Imperfections()
-    draws = tuple(experiment_draw(ExperimentTask(robot, joints, sets, usual, seed)) for seed in seeds)
+    draws = tuple(experiment_draw(ExperimentTask(robot, extended, joints, sets, usual, seed)) for seed in seeds)
     causes = {
-        name: tuple(experiment_draw(ExperimentTask(robot, joints, sets[:1], alone, seed)) for seed in seeds)
+        name: tuple(experiment_draw(ExperimentTask(robot, extended, joints, sets[:1], alone, seed)) for seed in seeds)
         for name, alone in usual.causes.items()
     }
-    return Experiment(robot, joints, sets, usual, draws, causes, 3)
+    both_sides = run_both_sides(robot, extended, joints, sets[0], (28,), usual, seeds[:1], Workers(1), Silent())
+    return Experiment(robot, joints, sets, usual, draws, causes, both_sides, 3)
 
 
-def test_without_imperfections_the_truth_is_the_closed_form_with_table_3(actual: Robot) -> None:
+def test_without_imperfections_the_truth_is_the_closed_form_with_table_3(extended: Robot, actual: Robot) -> None:
     joints = np.array(target_workspace().q[::7])
-    truth = imperfect_robot(actual, NONE, len(joints), np.random.default_rng(1))
-    assert np.abs(truth.positions(joints) - forward(joints, table3().identified).p_world_tool).max() < 1e-12
+    truth = truth_of(extended, actual, NONE)
+    exact = forward(joints, table3().identified).p_world_tool
+    for side in (1.0, -1.0):
+        assert np.abs(truth.positions(joints, np.full(len(joints), side)) - exact).max() < 1e-12
 
 
-def test_backlash_moves_the_tool_along_the_rail_by_half_of_it_against_the_approach(actual: Robot) -> None:
-    joints = np.array(target_workspace().q[:3])
-    joints[:, 0] = (0.2, 0.3, 0.1)
+def test_the_approach_follows_from_the_order_of_the_visits() -> None:
     order = np.array([2, 0, 1])  # from home at 0.343: down to 0.1, up to 0.2, up to 0.3
-    exact = ImperfectRobot(actual, NONE, order).positions(joints)
-    late = ImperfectRobot(actual, Imperfections(1e-3, 0.0, 0.0), order).positions(joints)
+    assert approach_in_order(np.array([0.2, 0.3, 0.1]), order, 0.343).tolist() == [1, 1, -1]
+
+
+def test_backlash_moves_the_tool_along_the_rail_by_half_of_it_against_the_approach(
+    extended: Robot, actual: Robot
+) -> None:
+    joints, approach = np.array(target_workspace().q[:3]), np.array([1.0, 1.0, -1.0])
+    exact = truth_of(extended, actual, NONE).positions(joints, approach)
+    late = truth_of(extended, actual, Imperfections(1e-3, 0.0, 0.0)).positions(joints, approach)
     along = pin.rpy.rpyToMatrix(*table3().identified[-6:-3])[:, 0]  # x_B in the world
     assert np.abs((late - exact) - np.outer([-0.5e-3, -0.5e-3, 0.5e-3], along)).max() < 1e-12
 
 
-def test_lead_error_grows_with_the_travel(actual: Robot) -> None:
-    joints = np.tile(target_workspace().q[0], (2, 1))
+def test_lead_error_grows_with_the_travel(extended: Robot, actual: Robot) -> None:
+    joints, approach = np.tile(target_workspace().q[0], (2, 1)), np.ones(2)
     joints[:, 0] = (0.1, 0.4)
-    order = np.arange(2)
-    exact = ImperfectRobot(actual, NONE, order).positions(joints)
-    wrong = ImperfectRobot(actual, Imperfections(0.0, 50e-6 / 0.3, 0.0), order).positions(joints)
+    exact = truth_of(extended, actual, NONE).positions(joints, approach)
+    wrong = truth_of(extended, actual, Imperfections(0.0, 50e-6 / 0.3, 0.0)).positions(joints, approach)
     assert np.linalg.norm(np.diff(wrong - exact, axis=0)) == pytest.approx(50e-6, rel=1e-6)
 
 
-def test_tilts_turn_the_eight_axes_and_move_the_tool_mostly_along_the_rail(actual: Robot) -> None:
-    joints = np.array(target_workspace().q)
-    exact = imperfect_robot(actual, NONE, 420, np.random.default_rng(1)).positions(joints)
-    truth = imperfect_robot(actual, Imperfections(0.0, 0.0, 1e-3), 420, np.random.default_rng(1))
+def test_tilts_turn_the_eight_axes_and_move_the_tool_mostly_along_the_rail(extended: Robot, actual: Robot) -> None:
+    joints, approach = np.array(target_workspace().q), np.ones(420)
+    exact = truth_of(extended, actual, NONE).positions(joints, approach)
+    truth = truth_of(extended, actual, Imperfections(0.0, 0.0, 1e-3))
     for name in TILTED_JOINTS:
         turn = actual.mechanism.placement(name).rotation.T @ truth.robot.mechanism.placement(name).rotation
         assert 0 < np.arccos(turn[0, 0]) < 5e-3
-    moved = np.sqrt(np.mean((truth.positions(joints) - exact) ** 2, axis=0))
+    moved = np.sqrt(np.mean((truth.positions(joints, approach) - exact) ** 2, axis=0))
     assert moved[0] > 2 * max(moved[1:])
 
 
@@ -147,7 +166,7 @@ def test_all_causes_together_leave_more_than_the_largest_of_them(experiment: Exp
 
 def test_tables_stand_beside_the_papers_and_are_called_simulated(experiment: Experiment) -> None:
     tables = {table.name: table for table in experiment_tables(experiment)}
-    assert set(tables) == {"table3", "table4", "ranking", "table5", "causes"}
+    assert set(tables) == {"table3", "table4", "ranking", "table5", "causes", "pose_count", "extended"}
     fifth = {column.header: column.values for column in tables["table5"].columns}
     assert fifth["after x"][fifth["error [mm]"].index("mean, paper")] == 0.340
     third = {column.header: column.values for column in tables["table3"].columns}
@@ -184,11 +203,18 @@ def test_sentences_follow_the_numbers(experiment: Experiment) -> None:
 def test_the_same_seed_gives_the_same_experiment(experiment: Experiment) -> None:
     seed = np.random.SeedSequence(3).spawn(2)[0]
     again = experiment_draw(
-        ExperimentTask(experiment.robot, experiment.joints, experiment.sets, experiment.imperfections, seed)
+        ExperimentTask(
+            experiment.robot,
+            experiment.both_sides.extended,
+            experiment.joints,
+            experiment.sets,
+            experiment.imperfections,
+            seed,
+        )
     )
     assert np.array_equal(again.after, experiment.draws[0].after)
     other = replace(experiment.imperfections, backlash=0.0)
-    assert not np.array_equal(
-        experiment_draw(ExperimentTask(experiment.robot, experiment.joints, experiment.sets[:1], other, seed)).after[0],
-        again.after[0],
+    task = ExperimentTask(
+        experiment.robot, experiment.both_sides.extended, experiment.joints, experiment.sets[:1], other, seed
     )
+    assert not np.array_equal(experiment_draw(task).after[0], again.after[0])

@@ -11,7 +11,7 @@ from calib.identification.fit import fit
 from calib.linearisation.candidates import assumed_sigma
 from calib.linearisation.jacobian import linearise
 from calib.numerics.identifiability import RANK_TOLERANCE, numerical_rank, reduced
-from calib.numerics.information import information, prior_rows
+from calib.numerics.observability import information, prior_rows
 from medrue.closed_form import forward
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import target_workspace

@@ -86,6 +86,27 @@ def test_backlash_follows_the_direction_of_approach(five_bar):
     assert np.allclose(found[:, 0] - q[:, 0], [1e-4, -1e-4, 0.0], rtol=0, atol=1e-15)
 
 
+def test_a_coupling_follows_the_command_of_the_other_joint(tmp_path):
+    first, second = calib.load(EXAMPLES / "five_bar.yaml").joint_names
+    robot = with_terms(tmp_path, "five_bar.yaml", [f"{{joint: {second}, term: coupling, driven_by: {first}}}"])
+    assert robot.parameters[-1].name == f"{second}.by_{first}"
+    robot = robot.with_parameters({f"{second}.by_{first}": 2e-3})
+    q = near_home(robot, 4, 4)
+    expected = q + np.column_stack([np.zeros(4), 2e-3 * q[:, 0]])
+    assert np.allclose(robot.assemble(q).actuated, expected, rtol=0, atol=1e-15)
+    assert np.allclose(robot.commands(expected), q, rtol=0, atol=1e-12)
+
+
+def test_a_temperature_counts_from_the_same_reference_in_every_file(tmp_path):
+    robot = with_terms(tmp_path, "five_bar.yaml", [f"{{joint: {FIVE_BAR_JOINT}, term: temperature}}"])
+    robot = robot.with_parameters({f"{FIVE_BAR_JOINT}.temperature": 1e-4})
+    q, approach = near_home(robot, 3, 5), np.zeros((3, 2))
+    for rows in ([0, 1, 2], [1, 2]):  # a subset has another mean
+        context = Context.of(approach[rows], {"temperature": np.array([20.0, 23.0, np.nan])[rows]})
+        error = robot.assemble(q[rows], context=context).actuated[:, 0] - q[rows, 0]
+        assert np.allclose(error, np.array([0.0, 3e-4, 0.0])[rows], rtol=0, atol=1e-15)
+
+
 def test_derivatives_by_coefficients_agree_with_differences_through_the_loop(five_bar):
     rng = np.random.default_rng(4)
     values = five_bar.values.copy()
@@ -162,6 +183,9 @@ def test_terms_are_recovered_from_exact_data_through_the_loop(five_bar):
         ("{joint: all, term: gain, sigma: 1 mm}", "unit 'mm' is for a length"),
         ("{joint: all, term: gain, sigma: 0}", "sigma must be positive"),
         ("{joint: JOINT, term: harmonics, period: 10 mm}", "`period` is for prismatic joints"),
+        ("{joint: JOINT, term: coupling, driven_by: nowhere}", "driven_by: no actuated joint 'nowhere'"),
+        ("{joint: all, term: coupling, driven_by: JOINT}", "driven by itself has a `gain`"),
+        ("{joint: JOINT, term: coupling}", "driven_by"),
         ("{joint: JOINT, term: curve, stroke: 1 m}", "`stroke` is for prismatic joints"),
     ],
 )

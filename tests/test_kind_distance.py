@@ -10,7 +10,7 @@ from six_axis_arm import joints, write_six_axis
 import calib
 from calib.linearisation.observed import predicted_readings
 from calib.linearisation.registration import register
-from calib.numerics.multilateration import centre, centre_of_sphere, common_offset
+from calib.numerics.rigid import centre, centre_of_sphere, common_offset
 from calib.observation.kind import Readings, View
 from medrue import robot_file
 from medrue.paper_tables import table1

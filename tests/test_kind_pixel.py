@@ -333,7 +333,7 @@ def test_files_that_cannot_be(tmp_path, header, row, said):
         (("fx: 2400", "fx: -2400"), "instruments.eye.intrinsics.fx: "),
         (("k1: -0.1", "k4: -0.1"), "unknown key 'instruments.eye.intrinsics.k4'"),
         ((f"points: {POINTS}", "points: {}"), "instruments.eye: needs points (name: [x, y, z]) or points_file"),
-        ((f"points: {POINTS}", "points_file: no.csv"), "no.csv: cannot be read"),
+        ((f"points: {POINTS}", "points_file: no.csv"), "no.csv: no such file"),
         ((f"points: {POINTS}", "points_file: arm.urdf"), "no column 'point'; expected point, x, y, z"),
         (("target: body", "target: bdy"), "instruments.eye: no target 'bdy'; did you mean 'body'"),
         (("eye: {kind", "body: {kind"), "two places are called 'body'; rename one"),

@@ -164,7 +164,7 @@ def test_orientations_make_parameters_surer(tmp_path):
     std = [dict(zip(fit.free_names, fit.statistics.std, strict=True)) for fit in (whole, half)]
     assert all(std[0][name] <= std[1][name] * (1 + 1e-9) for name in names)
     other = joints(100, 12)
-    assert np.mean(half.uncertainty(other).distance) > 1.05 * np.mean(whole.uncertainty(other).distance)
+    assert np.mean(half.predict(other).distance) > 1.05 * np.mean(whole.predict(other).distance)
 
 
 def test_intervals_hold_the_truth_with_anisotropic_noise_and_with_errors_shared_by_a_visit(tmp_path):
@@ -183,7 +183,7 @@ def test_intervals_hold_the_truth_with_anisotropic_noise_and_with_errors_shared_
             data = calib.simulate(truth, q, None, rng, joint_sigma=tau)
             fit = calib.fit(robot, data)
             other = rng.uniform(-1.5, 1.5, (1, 6))
-            found = fit.uncertainty(other)
+            found = fit.predict(other)
             error = np.abs(found.positions - truth.positions(other))
             inside += int(np.sum(error <= found.coverage_factor * found.std))
         held[name] = inside

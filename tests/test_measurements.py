@@ -1,5 +1,7 @@
 """Measurements: columns by name, units, rows that stay rows, gaps, several files, and mistakes refused at the door."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_robots import ARM_YAML, small_arm, write_arm
@@ -319,6 +321,16 @@ def test_measurements_with_gaps_and_repeats_read_back(tmp_path, read):
     for name, found in data.readings.items():
         assert again.readings[name].visits.tolist() == found.visits.tolist()
         np.testing.assert_allclose(again.readings[name].values, found.values, rtol=1e-15)
+
+
+@pytest.mark.parametrize("directions", [[1, -1], [0, 0]])
+def test_directions_of_approach_read_back(arm, read, directions):
+    data = read(HEADER + "a,0,0,0,1,0,0\nb,1,0,0,2,0,0\n")
+    assert "approach" not in format_measurements(arm, data)  # the order of the rows says it
+    given = np.zeros((2, 3))
+    given[:, 1] = directions
+    again = read(format_measurements(arm, replace(data, approach=given)))
+    assert again.approach_directions.tolist() == given.tolist()
 
 
 def test_points_may_be_replaced(arm, read):

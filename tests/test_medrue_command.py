@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+from calib import load, read_measurements
+from medrue import robot_file
 from medrue.cli import group
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
@@ -26,6 +28,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("medrue.study.INDICES", ("O1", "O5"))
     monkeypatch.setattr("medrue.study.QUICK", StudySize(2, 2, 1))
     monkeypatch.setattr("medrue.experiment.QUICK_DRAWS", 2)
+    monkeypatch.setattr("medrue.both_sides.QUICK_COUNTS", (28,))
 
 
 def test_poses_are_those_of_the_closed_form(tmp_path: Path) -> None:
@@ -62,9 +65,9 @@ class Checker(HTMLParser):
         self.links += [value for name, value in attributes if name == "href" and value]
 
 
-def check_folder(folder: Path, tables: set[str], figures: set[str]) -> None:
+def check_folder(folder: Path, tables: set[str], figures: set[str], data: tuple[str, ...] = ()) -> None:
     expected = {f"{name}.{kind}" for name in tables for kind in ("csv", "json")}
-    expected |= {f"{name}.{kind}" for name in figures for kind in ("png", "svg")} | {"index.html"}
+    expected |= {f"{name}.{kind}" for name in figures for kind in ("png", "svg")} | {"index.html", *data}
     assert {path.name for path in folder.iterdir()} == expected
     for name in figures:
         assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
@@ -102,10 +105,16 @@ def test_experiment_writes_every_table_and_figure_and_one_page(tmp_path: Path) -
     assert run.exit_code == 0, run.output
     assert "Table IV" in run.output
     assert "mostly along x" in run.output
-    check_folder(out, {"table3", "table4", "ranking", "table5", "causes"}, {"figure3", "figure7", "figure8", "causes"})
+    tables = {"table3", "table4", "ranking", "table5", "causes", "pose_count", "extended"}
+    check_folder(out, tables, {"figure3", "figure7", "figure8", "causes", "pose_count"}, ("both_sides.csv",))
     page = (out / "index.html").read_text()
     assert "backlash of the rail of 0.8 mm" in page
     assert "@media print" in page
+    extended = load(robot_file("medrue_extended"))
+    data = read_measurements(out / "both_sides.csv", extended)
+    assert len(data) == len(set(data.names)) == 840
+    assert np.abs(data.approach_directions.sum(axis=0)).tolist() == [0.0] * 6  # each pose from both sides
+    assert np.all(np.abs(data.approach_directions[:, 0]) == 1.0)
 
 
 @pytest.mark.parametrize(
@@ -117,6 +126,11 @@ def test_experiment_writes_every_table_and_figure_and_one_page(tmp_path: Path) -
         (("study", "--out", "{}/x", "--jobs", "0"), "--jobs"),
         (("study", "--out", "{}/x", "--seed", "-1"), "--seed"),
         (("study", "--out", "{}/x", "--draws", "1"), "--draws"),
+        (("touch",), "--out"),
+        (("touch", "--out", "{}/file"), "not a folder"),
+        (("touch", "--out", "{}/x", "--jobs", "none"), "--jobs"),
+        (("touch", "--out", "{}/x", "--seed", "1.5"), "--seed"),
+        (("touch", "--out", "{}/x", "--draws", "1"), "--draws"),
         (("experiment", "--out", "{}/x", "--backlash-mm", "-1"), "--backlash-mm"),
         (("experiment", "--out", "{}/x", "--backlash-mm", "nan"), "--backlash-mm"),
         (("experiment", "--out", "{}/x", "--backlash-mm", "inf"), "--backlash-mm"),

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.numerics.information import information
 from calib.numerics.least_squares import minimise
+from calib.numerics.observability import information
 from calib.numerics.statistics import found_factors, statistics
 
 

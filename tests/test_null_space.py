@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from calib.linearisation.jacobian import linearise
-from calib.numerics import elementary_vectors
-from calib.numerics.elementary_vectors import shortest_basis
-from calib.numerics.null_space import describe_group, natural_coefficients, null_groups
+from calib.numerics import null_space
+from calib.numerics.null_space import describe_group, natural_coefficients, null_groups, shortest_basis
 from medrue.closed_form import forward
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import target_workspace
@@ -95,7 +94,7 @@ def test_the_basis_is_the_shortest_there_is(seed):
 @pytest.mark.parametrize("seed", range(6))
 def test_linear_programs_find_a_basis_of_elementary_vectors_too(seed, monkeypatch):
     basis = np.linalg.qr(np.random.default_rng(seed).standard_normal((9, 4)))[0]
-    monkeypatch.setattr(elementary_vectors, "_MOST_SUPPORTS", 0)
+    monkeypatch.setattr(null_space, "_MOST_SUPPORTS", 0)
     found = shortest_basis(basis, np.zeros(9, dtype=bool))
     assert np.linalg.matrix_rank(found) == 4
     # in a random subspace every elementary vector has exactly n - k + 1 entries
@@ -106,7 +105,7 @@ def test_linear_programs_find_a_basis_of_elementary_vectors_too(seed, monkeypatc
 def groups(medrue):
     q = target_workspace().q
     rows = linearise(medrue, medrue.assemble(q)).jacobian * [p.sigma for p in medrue.parameters]
-    return null_groups(rows.reshape(-1, 36), dropped=np.flatnonzero(~medrue.free))
+    return null_groups(rows.reshape(-1, 36), dropped=np.flatnonzero(~medrue.is_free))
 
 
 def test_medrues_groups_are_the_papers(medrue, groups):
@@ -144,7 +143,7 @@ def test_the_turn_about_x_moves_nothing_in_the_closed_form(medrue, groups):
 def test_groups_do_not_hang_on_rounding(medrue, groups):
     q = np.round(target_workspace().q, 9)
     rows = linearise(medrue, medrue.assemble(q)).jacobian * [p.sigma for p in medrue.parameters]
-    again = null_groups(rows.reshape(-1, 36), dropped=np.flatnonzero(~medrue.free))
+    again = null_groups(rows.reshape(-1, 36), dropped=np.flatnonzero(~medrue.is_free))
     assert [group.members for group in again] == [group.members for group in groups]
 
 

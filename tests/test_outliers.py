@@ -4,7 +4,7 @@ from six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, six_axis_a
 from small_robots import write_arm
 
 import calib
-from calib.numerics.outliers import Blocks, studentised
+from calib.numerics.losses import Blocks, studentised
 
 SIGMA = 4e-5
 RNG = np.random.default_rng(11)

@@ -129,7 +129,10 @@ def test_all_means_the_origins_that_move_a_target_or_a_loop(tmp_path):
 
 def test_held_parameters_are_not_free(tmp_path):
     robot = calib.load(write_arm(tmp_path, ARM_YAML + "held: [turn.x, wrist.rz]\n"))
-    assert [p.name for p, free in zip(robot.parameters, robot.free, strict=True) if not free] == ["turn.x", "wrist.rz"]
+    assert [p.name for p, free in zip(robot.parameters, robot.is_free, strict=True) if not free] == [
+        "turn.x",
+        "wrist.rz",
+    ]
 
 
 def test_nominal_values_give_back_the_nominal_urdf_byte_for_byte(tmp_path, medrue):

@@ -1,7 +1,6 @@
 from rich.table import Table
 
-from calib.reporting.plain_text import plain_text
-from calib.words import counted, listed
+from calib.words import counted, listed, plain_text
 
 
 def test_brackets_and_colons_are_no_markup():

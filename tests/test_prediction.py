@@ -25,7 +25,7 @@ def fit(tmp_path_factory):
 
 def test_the_covariance_is_that_of_drawn_parameters(fit):
     q = joints(4, seed=5)
-    found = fit.uncertainty(q)
+    found = fit.predict(q)
     rng = np.random.default_rng(2)
     drawn = rng.multivariate_normal(np.zeros(fit.free.sum()), fit.statistics.covariance, size=3000)
     positions = []
@@ -41,11 +41,11 @@ def test_the_covariance_is_that_of_drawn_parameters(fit):
 
 def test_positions_are_those_of_the_calibrated_robot(fit):
     q = joints(4, seed=5)
-    np.testing.assert_array_equal(fit.uncertainty(q).positions, fit.robot.positions(q))
+    np.testing.assert_array_equal(fit.predict(q).positions, fit.robot.positions(q))
 
 
 def test_the_summary_names_mean_rms_largest_and_the_worst_pose(fit):
-    found = fit.uncertainty(np.vstack([joints(10, seed=5), 2.9 * np.ones((1, 6))]))
+    found = fit.predict(np.vstack([joints(10, seed=5), 2.9 * np.ones((1, 6))]))
     distance = 1e3 * np.sqrt(np.trace(found.covariance[:, 0], axis1=1, axis2=2))
     assert found.worst == int(np.argmax(distance))
     summary = found.summary()
@@ -64,7 +64,7 @@ def test_the_uncertainty_comes_back_from_the_result_folder(fit, tmp_path):
     calibrated = load_calibrated(tmp_path / "out", fit.nominal)
     q = joints(4, seed=5)
     again = load_uncertainty(tmp_path / "out", fit.nominal).at(calibrated, q)
-    np.testing.assert_allclose(again.covariance, fit.uncertainty(q).covariance, rtol=1e-9)
+    np.testing.assert_allclose(again.covariance, fit.predict(q).covariance, rtol=1e-9)
     assert again.coverage_factor == pytest.approx(fit.statistics.coverage_factor)
 
 
@@ -80,12 +80,12 @@ def test_predict_writes_a_standard_deviation_for_each_coordinate(fit, tmp_path, 
     )
     assert run.code == 0, run.err
     table = list(csv.DictReader(line for line in out.read_text().splitlines() if not line.startswith("#")))
-    std = 1e3 * fit.uncertainty(q).std[:, 0]
+    std = 1e3 * fit.predict(q).std[:, 0]
     for axis, name in enumerate("xyz"):
         written = [float(row[f"ball_std_{name} [mm]"]) for row in table]
         np.testing.assert_allclose(written, std[:, axis], rtol=1e-9)
     content = json.loads((tmp_path / "p.json").read_text())
-    assert content["position_uncertainty"]["max"] == pytest.approx(fit.uncertainty(q).summary()["max"])
+    assert content["position_uncertainty"]["max"] == pytest.approx(fit.predict(q).summary()["max"])
     assert "at worst (pose" in run.out
 
 

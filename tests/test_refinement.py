@@ -66,7 +66,7 @@ def test_any_index_can_be_refined(tmp_path, index):
 
 def test_a_region_of_one_point_leaves_the_poses_where_they_are(medrue):
     q = Q[::30]
-    rows = np.random.default_rng(0).standard_normal((len(q), 3, int(np.sum(medrue.free))))
+    rows = np.random.default_rng(0).standard_normal((len(q), 3, int(np.sum(medrue.is_free))))
     problem = build_problem(rows)
     positions = medrue.positions(q)
     region = region_of(medrue, q[:1], positions[:1])

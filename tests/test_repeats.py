@@ -121,7 +121,7 @@ def test_many_repeats_do_not_make_sure_of_what_the_model_leaves_out(arm, tmp_pat
     fit = calib.fit(arm, measured(arm, tmp_path, scatter=1e-5, between=5e-5))
     once = calib.fit(arm, fit.identification.data.subset(np.arange(0, 180, 3)))
     assert np.median(fit.statistics.std / once.statistics.std) > 0.9  # and not 1 / sqrt(3)
-    error = np.abs(fit.robot.values - arm.values)[arm.free]
+    error = np.abs(fit.robot.values - arm.values)[arm.is_free]
     assert np.mean(error <= fit.statistics.half_width) > 0.8
 
 

@@ -39,7 +39,7 @@ def fitted(tmp_path_factory):
     yaml = ARM_YAML + "held: [turn.x]\nsigma: 20 um\n"
     arm = calib.load(write_arm(tmp_path_factory.mktemp("arm"), yaml))
     generator = np.random.default_rng(21)
-    off = np.array([p.sigma * generator.normal() * free for p, free in zip(arm.parameters, arm.free, strict=True)])
+    off = np.array([p.sigma * generator.normal() * free for p, free in zip(arm.parameters, arm.is_free, strict=True)])
     truth = arm.with_parameters(arm.values + off)
     return calib.fit(arm, measured(truth, 30, 22), validation=measured(truth, 12, 23))
 
@@ -207,9 +207,10 @@ def test_saving_twice_gives_the_same_bytes(fitted, folder, tmp_path):
         (None, "holds no result (no result.json); give the folder that `calib fit --out` wrote"),
         ("", "cannot be read"),
         ("{", "cannot be read"),
+        ('{"a":' * 100_000, "cannot be read"),
         ("[1, 2]", "is not a result of format version"),
         ('{"version": 999}', "is not a result of format version"),
-        (b"\xff\xfe\x00", "cannot be read"),
+        (b"\xff\xfe\x00", "is not UTF-8 text"),
         ('{"version": 1, "robot"', "cannot be read"),
     ],
 )

@@ -60,7 +60,7 @@ def test_without_outliers_a_robust_fit_is_nearly_the_plain_one(arm):
     q = joints(60)
     clean = measurements(arm, q, arm.positions(q) + SIGMA * np.random.default_rng(4).standard_normal((60, 1, 3)))
     plain, robust = calib.fit(arm, clean), calib.fit(arm, clean, loss="tukey")
-    apart = np.abs(plain.robot.values - robust.robot.values)[arm.free] / plain.statistics.std
+    apart = np.abs(plain.robot.values - robust.robot.values)[arm.is_free] / plain.statistics.std
     assert np.max(apart) < 1.0
     assert np.mean(robust.statistics.std / plain.statistics.std) == pytest.approx(1 / np.sqrt(0.95), abs=0.08)
 
@@ -79,7 +79,7 @@ def test_huber_minimises_its_cost(arm, data):
     rng = np.random.default_rng(8)
     for _ in range(20):
         step = np.zeros(len(arm.parameters))
-        step[arm.free] = 0.3 * fit.statistics.std * rng.standard_normal(arm.free.sum())
+        step[arm.is_free] = 0.3 * fit.statistics.std * rng.standard_normal(arm.is_free.sum())
         assert cost(fit.robot.with_parameters(fit.robot.values + step)) > here
 
 

@@ -23,7 +23,7 @@ def by_o1(medrue):
 def singular_values(robot, q):
     """Of the Jacobian by parameters in units of their sigma [m]."""
     jacobian = linearise(robot, robot.assemble(q)).jacobian * [p.sigma for p in robot.parameters]
-    rows = jacobian[..., robot.free]
+    rows = jacobian[..., robot.is_free]
     return np.linalg.svd(rows.reshape(-1, rows.shape[-1]), compute_uv=False)
 
 
@@ -44,8 +44,8 @@ def test_the_chosen_poses_have_the_indices_that_are_told(medrue, by_o1):
     np.testing.assert_allclose(by_o1.positions, medrue.positions(by_o1.joints), atol=1e-12)
     expected = observability(singular_values(medrue, by_o1.joints), 84)
     assert {name: by_o1.after[name] for name in expected} == pytest.approx(expected, rel=1e-9)
-    free = [p for p, use in zip(medrue.parameters, medrue.free, strict=True) if use]
-    jacobian = linearise(medrue, medrue.assemble(by_o1.joints)).jacobian[..., medrue.free]
+    free = [p for p, use in zip(medrue.parameters, medrue.is_free, strict=True) if use]
+    jacobian = linearise(medrue, medrue.assemble(by_o1.joints)).jacobian[..., medrue.is_free]
     raw = np.linalg.svd(raw_columns(jacobian, free).reshape(-1, 28), compute_uv=False)
     assert by_o1.raw == pytest.approx(observability(raw, 84), rel=1e-9)
     uniform = observability(singular_values(medrue, Q[2::5]), 84)

@@ -27,7 +27,7 @@ def load_script(name):
 
 def test_o1_identifies_better_than_a_uniform_choice_by_far_more_than_its_standard_error(medrue):
     """Linearised fits with paired noise; `medrue study` does it with 200 real fits of each set and all indices."""
-    rows = linearise(medrue, medrue.assemble(Q)).jacobian[:, 0][:, :, medrue.free]
+    rows = linearise(medrue, medrue.assemble(Q)).jacobian[:, 0][:, :, medrue.is_free]
     noise = SIGMA * np.random.default_rng(11).standard_normal((400, 420, 3))
     squares = []
     for index in (np.arange(2, 420, 5), select(medrue, Q, 84, "O1").chosen):

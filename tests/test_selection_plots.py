@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.data.arrays import as_poses
+from calib.data.in_memory import as_poses
 from calib.figures import draw
 from calib.pose_choice.assessment import assess
 from calib.pose_choice.selection import select

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from calib.errors import NotIdentifiableError
-from calib.numerics.information import information, prior_rows
+from calib.numerics.observability import information, prior_rows
 from calib.numerics.statistics import Factors, chi_square, effective_parameters, found_factors, statistics, status
 
 RNG = np.random.default_rng(7)

@@ -56,14 +56,14 @@ def test_a_draw_ends_in_the_minimum_that_fit_finds(task: Task) -> None:
     start = task.robot.with_parameters(table1().actual)
     calibrator = Calibrator(task, task.sets[0], start, start.assemble(task.joints).passive)
     found = fit(task.robot, measurements(task.robot, task.joints, noisy, task.sets[0].chosen), sigma=SIGMA)
-    difference = (calibrator.calibrate(noisy).values - found.robot.values)[task.robot.free]
+    difference = (calibrator.calibrate(noisy).values - found.robot.values)[task.robot.is_free]
     assert np.abs(difference / found.statistics.std).max() < 1e-3  # of a standard deviation
 
 
 def test_predicted_covariance_agrees_with_the_scatter_over_draws(task: Task, outcome: Outcome) -> None:
     """The Mahalanobis distances of all draws add up to a chi-square of 28 degrees of freedom each."""
     actual = task.robot.with_parameters(table1().actual)
-    free = task.robot.free
+    free = task.robot.is_free
     for s, pose_set in enumerate(task.sets):
         jacobian = linearise(actual, actual.assemble(task.joints[pose_set.chosen])).jacobian[:, 0][..., free]
         deviations = (outcome.values[:, s] - table1().actual)[:, free]

@@ -77,9 +77,9 @@ def test_quoted_cells_are_read_also_behind_a_blank(table_of):
             "line 2: 4 cells for 2 columns; write decimals with a point, or separate columns by semicolons",
         ),
         ('a,b\n1,"2\n3",4\n', "line 2: is not CSV (unexpected end of data)"),
-        (b"\xff\xfea\x00,\x00", "is not UTF-8 text; save it as CSV in UTF-8"),
-        ("a,b\n1,2\n".encode("utf-16"), "is not UTF-8 text; save it as CSV in UTF-8"),
-        (bytes(range(128, 256)), "is not UTF-8 text; save it as CSV in UTF-8"),
+        (b"\xff\xfea\x00,\x00", "is not UTF-8 text; give a CSV file in UTF-8"),
+        ("a,b\n1,2\n".encode("utf-16"), "is not UTF-8 text; give a CSV file in UTF-8"),
+        (bytes(range(128, 256)), "is not UTF-8 text; give a CSV file in UTF-8"),
     ],
 )
 def test_a_file_that_is_no_table_is_an_error_that_says_where(table_of, tmp_path, content, message):

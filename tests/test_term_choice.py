@@ -79,7 +79,7 @@ def coverage(robot, terms, n, seed):
         own = [k for k, i in enumerate(fit.unknowns.index) if i >= fit.robot.coefficients.start]
         found = fit.robot.values[fit.unknowns.index]
         inside += [abs(found[k] - known[fit.free_names[k]]) <= wide[k] for k in own]
-        predicted = fit.uncertainty(elsewhere)
+        predicted = fit.predict(elsewhere)
         errors = np.abs(predicted.positions - true.positions(elsewhere))
         moves = predicted.std > 1e-9  # the pen of the five-bar stays in its plane, whatever the parameters
         held += list((errors <= predicted.coverage_factor * predicted.std)[moves])
@@ -211,7 +211,7 @@ def test_beyond_the_range_measured_predictions_widen_and_the_verdict_says_so(cur
     fit = calib.fit(robot, data, validation=far, terms="joint_2=curve")
     inside = data.joints[:5]
     bare = calib.fit(robot, data)
-    widened = fit.uncertainty(far.joints).distance.mean() / fit.uncertainty(inside).distance.mean()
+    widened = fit.predict(far.joints).distance.mean() / fit.predict(inside).distance.mean()
     assert widened > 3 * bare.uncertainty(far.joints).distance.mean() / bare.uncertainty(inside).distance.mean()
     assert "beyond_curves" in [reason.code for reason in fit.verdict.reasons]
     near = calib.fit(robot, data, validation=data.subset(np.arange(20)), terms="joint_2=curve")
@@ -246,6 +246,7 @@ def test_none_leaves_out_what_the_description_has(curved):
         ("gian", "no term 'gian'; did you mean 'gain'?"),
         ("", "no term ''"),
         ("gain,", "no term ''"),
+        ("coupling", "'coupling' needs more than a joint"),
         ("nowhere=gain", "no actuated joint 'nowhere'"),
         ("gain,gain", "a parameter name is used twice"),
     ],

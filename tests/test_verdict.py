@@ -24,10 +24,10 @@ def arm(tmp_path_factory):
 def truth(arm):
     """The arm with errors of half its parameters' sigma."""
     values = arm.values.copy()
-    values[arm.free] += (
+    values[arm.is_free] += (
         0.5
-        * np.random.default_rng(6).standard_normal(arm.free.sum())
-        * [p.sigma for p, use in zip(arm.parameters, arm.free, strict=True) if use]
+        * np.random.default_rng(6).standard_normal(arm.is_free.sum())
+        * [p.sigma for p, use in zip(arm.parameters, arm.is_free, strict=True) if use]
     )
     return arm.with_parameters(values)
 

@@ -9,7 +9,7 @@ import pytest
 from six_axis_arm import FREE, joints, write_six_axis
 
 import calib
-from calib.data.arrays import as_poses, measurements
+from calib.data.in_memory import as_poses, measurements
 from calib.linearisation.observed import predicted_readings
 from calib.observation.kind import Readings
 from viz.inputs import gather

@@ -93,7 +93,7 @@ def test_residuals_over_an_unknown_sigma_are_unknown():
 
 
 def from_folder(folder, fit):
-    return from_saved(read_saved(folder, fit.robot), fit.placed, Calibrated(fit.robot, fit.uncertainty))
+    return from_saved(read_saved(folder, fit.robot), fit.placed, Calibrated(fit.robot, fit.predict))
 
 
 def test_a_result_folder_gives_the_same_table(tmp_path):

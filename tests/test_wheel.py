@@ -54,7 +54,7 @@ def test_the_wheel_holds_every_file_of_the_packages_and_the_robot(wheel):
         if path.is_file() and "__pycache__" not in path.parts
     }
     assert expected <= names
-    assert {"medrue/urdf/medrue.urdf", "medrue/urdf/medrue.yaml"} <= names
+    assert {f"medrue/urdf/{name}" for name in ("medrue.urdf", "medrue.yaml", "medrue_extended.yaml")} <= names
     assert not {name for name in names if name.startswith(("tests", "docs", "urdf"))}
 
 

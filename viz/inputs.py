@@ -64,7 +64,7 @@ def _from_fit(robot: Robot, fit: Fit, data: Measurements | None) -> Shown:
         raise InputError(f"the result is of another robot than {robot.path}; give the robot that was fitted")
     if data is None:
         return Shown(scene_of_fit(fit), fit.robot, fit.placed)
-    calibrated = Calibrated(fit.robot, fit.uncertainty)
+    calibrated = Calibrated(fit.robot, fit.predict)
     table = from_measurements(data, fit.placed, calibrated, noise(fit))
     scene = build_scene(fit.placed, fit.robot, table, verdict=of_verdict(fit.verdict), comments=remarks(data.comments))
     return Shown(scene, fit.robot, fit.placed)

@@ -14,7 +14,7 @@ import numpy as np
 
 from calib import Robot
 from calib.arrays import FloatArray, IntArray
-from calib.data.arrays import measurements
+from calib.data.in_memory import measurements
 from calib.data.measurements import Poses
 from calib.data.tables import Table, read_table
 from calib.errors import DataError

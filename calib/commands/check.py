@@ -5,8 +5,7 @@ from __future__ import annotations
 import click
 import numpy as np
 
-from calib.commands.common import Output, loaded, shared_options, sigma_in_metres, with_values
-from calib.commands.pose_files import placed, read_pose_file
+from calib.commands.common import Output, loaded, placed, read_pose_file, shared_options, sigma_in_metres, with_values
 from calib.data.measurement_files import read_poses
 from calib.errors import InputError
 from calib.figures import draw

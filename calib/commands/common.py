@@ -1,4 +1,4 @@
-"""What all commands share: options, one-line errors with exit codes, JSON output, a progress display."""
+"""What all commands share: options, one-line errors with exit codes, JSON output, progress, files of poses."""
 
 from __future__ import annotations
 
@@ -12,11 +12,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import click
+import numpy as np
 from rich.console import Console
 
+from calib.data.measurement_files import read_measurements, read_poses
+from calib.data.measurements import Measurements, Poses
 from calib.data.parameter_files import read_parameters
-from calib.errors import CalibrationError, InputError
+from calib.data.tables import Table, read_table
+from calib.errors import CalibrationError, DataError, InputError
 from calib.files import check_file, write_file
+from calib.linearisation.registration import register
 from calib.model.arm_chain import arm_chain
 from calib.model.robot import Robot, load
 from calib.reporting.results import forced_lines, load_calibrated
@@ -207,3 +212,49 @@ def with_values(robot: Robot, parameters: str | None, result: str | None) -> Rob
     if parameters:
         return robot.with_parameters(read_parameters(parameters, robot))
     return load_calibrated(result, robot) if result else robot
+
+
+def read_pose_file(path: str, robot: Robot) -> Poses:
+    """Read poses; as `Measurements` where some instrument read in every row: these may repeat a pose.
+
+    Raises:
+        DataError: The file is not valid, or poses that are not measured have the same name.
+    """
+    table = read_table(path, robot.description.columns)
+    if _measured(table, robot):
+        return read_measurements(path, robot)
+    poses = read_poses(path, robot)
+    seen: set[str] = set()
+    for label, name in zip(poses.labels, poses.names, strict=True):
+        if name in seen:
+            raise DataError(f"{label}: pose '{name}' is given twice; names of poses must be unique")
+        seen.add(name)
+    return poses
+
+
+def _measured(table: Table, robot: Robot) -> bool:
+    """Whether every row has all cells of some instrument."""
+    measured = np.zeros(len(table.rows), dtype=bool)
+    for one in robot.instruments:
+        names = [*(column.name for column in one.columns()), *one.text_columns()]
+        if names and set(names) <= set(table.names):
+            measured |= np.all([[bool(cell) for cell in table.text(name)] for name in names], axis=0)
+    return bool(np.all(measured))
+
+
+def different_poses(poses: Poses) -> Poses:
+    """Return each pose once, as it was visited first."""
+    first = np.unique(poses.pose_numbers, return_index=True)[1]
+    labels, names = (tuple(words[k] for k in first) for words in (poses.labels, poses.names))
+    return Poses(poses.joints[first], labels, names, poses.path, poses.ignored, comments=poses.comments)
+
+
+def placed(robot: Robot, *files: Poses | None) -> Robot:
+    """Place a base or targets that are not known beforehand, by the first file with measured positions, if any.
+
+    Where the targets are decides what poses can tell about them.
+    """
+    if not any(parameter.placement for parameter in robot.parameters):
+        return robot
+    data = next((poses for poses in files if isinstance(poses, Measurements)), None)
+    return robot if data is None else register(robot, data)

@@ -8,7 +8,7 @@ from typing import cast
 import click
 
 from calib.commands.common import Output, loaded, said_of_failure, shared_options, with_values
-from calib.export import FORMATS, export
+from calib.export import CONTROLLERS, FORMATS, export
 from calib.export.links import read_links
 from calib.model.urdf_text import UrdfText
 from calib.reporting.results import read_result
@@ -27,13 +27,22 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
     required=True,
     type=click.Choice(FORMATS),
     help="urdf: only edited origins change. mjcf: MuJoCo, Pinocchio, Drake; loops closed. drake: URDF with"
-    " ball constraints. toolbox: robot.yaml of toolbox-parallel-robots, and the URDF beside it.",
+    " ball constraints. toolbox: robot.yaml of toolbox-parallel-robots, and the URDF beside it. dh, mdh:"
+    " Denavit-Hartenberg table, standard or modified. ur-kinematics: for Universal Robots' ROS description."
+    " joint-offsets: sign and zero of each joint. xacro: joint origins as properties. The last five say which error"
+    " they leave.",
 )
 @click.option(
     "--free-slide",
     is_flag=True,
     help="mjcf, drake: add a free joint for each direction that a closure"
     " leaves free, so that a 3D constraint has nothing to absorb.",
+)
+@click.option(
+    "--meshes",
+    metavar="PREFIX",
+    help="urdf, drake, toolbox: put this before relative mesh paths, such as package://my_robot or /home/me/robot, so"
+    " that the file may lie anywhere.",
 )
 @click.option("--provenance", is_flag=True, help="urdf, toolbox: say in a comment where the URDF's numbers come from.")
 @click.option("--out", required=True, metavar="FILE", help="File to write.")
@@ -44,6 +53,7 @@ def command(
     result: str | None,
     file_format: str,
     free_slide: bool,
+    meshes: str | None,
     provenance: bool,
     out: str,
     output: Output,
@@ -54,10 +64,14 @@ def command(
     if failed := said_of_failure(output, result, out):
         lines = [*(lines or []), *failed]
     notes: list[str] = []
-    gaps = export(model, file_format, out, free_slide=free_slide, provenance=lines, note=notes.append)
+    relative = _relative_meshes(model.urdf)  # before anything is written: it may refuse a broken shape
+    gaps = export(model, file_format, out, free_slide=free_slide, meshes=meshes, provenance=lines, note=notes.append)
     output.say(f"{model.name}, {parameters or result or 'nominal values'}: written to {out}")
     for text in notes:
-        output.note(f"note: {text}")
+        if file_format in CONTROLLERS:
+            output.say(text)
+        else:
+            output.note(f"note: {text}")
     if file_format != "urdf":
         for gap in gaps:
             output.say(gap.text())
@@ -65,15 +79,18 @@ def command(
             output.note(
                 "note: --free-slide leaves nothing to absorb; without it, simulated links and motors are strained"
             )
-    relative = _relative_meshes(model.urdf)
-    if relative and file_format in ("urdf", "drake", "toolbox"):
-        output.note(f"note: mesh paths such as '{relative}' start at the folder of the URDF; keep the file beside them")
+    if relative and not meshes and file_format in ("urdf", "drake", "toolbox"):
+        output.note(
+            f"note: mesh paths such as '{relative}' start at the folder of the URDF; keep the file beside them, or give"
+            " --meshes"
+        )
     output.json(
         {
             "robot": model.path,
             "format": file_format,
             "file": out,
             "gaps": [asdict(gap) | {"unit": gap.unit} for gap in gaps],
+            "notes": notes,
         }
     )
 

@@ -12,7 +12,6 @@ from calib.data.measurements import Measurements
 from calib.errors import ComputationError, InputError
 from calib.files import check_folder
 from calib.identification.fit import fit
-from calib.identification.validation import split
 from calib.model.robot import Robot
 from calib.numerics.losses import LOSSES
 from calib.reporting.report_text import text_report
@@ -119,4 +118,4 @@ def _hold_out(robot: Robot, data: Measurements, validate: str, seed: int) -> tup
         if not Path(validate).exists():
             raise InputError(f"--validate {validate}: is neither a file nor a fraction such as 0.2") from None
         return data, read_measurements(validate, robot)
-    return split(data, fraction, seed)
+    return data.split(fraction, seed=seed)

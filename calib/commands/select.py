@@ -4,8 +4,16 @@ from __future__ import annotations
 
 import click
 
-from calib.commands.common import Output, loaded, shared_options, sigma_in_metres, with_values
-from calib.commands.pose_files import different_poses, placed, read_pose_file
+from calib.commands.common import (
+    Output,
+    different_poses,
+    loaded,
+    placed,
+    read_pose_file,
+    shared_options,
+    sigma_in_metres,
+    with_values,
+)
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
 from calib.data.tables import read_table

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, IntArray
-from calib.data.arrays import measurements
+from calib.data.in_memory import measurements
 from calib.data.measurements import CONTEXT, Measurements, Poses, check_repeats
 from calib.data.tables import Table, format_table, read_table
 from calib.errors import DataError, nearest
@@ -83,7 +83,7 @@ def format_measurements(robot: Robot, data: Measurements, comments: tuple[str, .
     Raises:
         DataError: Simulated readings of an instrument that reads no numbers.
     """
-    columns = _pose_columns(robot, data)
+    columns = _pose_columns(robot, data) + _approach_columns(robot, data)
     for one in robot.instruments:
         found = data.readings.get(one.name)
         if found is None:
@@ -146,6 +146,19 @@ def _pose_columns(robot: Robot, poses: Poses) -> list[tuple[str, list[object]]]:
         cells: list[object] = [float(f"{value:.15g}") for value in _shown(poses.joints[:, j], dimension)]
         columns.append((_header(name, dimension), cells))
     return columns
+
+
+def _approach_columns(robot: Robot, data: Measurements) -> list[tuple[str, list[object]]]:
+    """Directions of approach where they are given, of the joints of which any is known; a column says that they are."""
+    if data.approach is None:
+        return []
+    known = np.any(data.approach != 0, axis=0)
+    shown = known if np.any(known) else ~known
+    return [
+        (f"{_APPROACH}{name}", [int(direction) for direction in data.approach[:, j]])
+        for j, name in enumerate(robot.joint_names)
+        if shown[j]
+    ]
 
 
 def _poses(table: Table, robot: Robot, used: set[str], first: int = 0) -> Poses:

@@ -6,13 +6,14 @@ pose; nothing is averaged. An instrument may have read nothing at a visit, and s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.data.grouping import shuffled_poses
 from calib.errors import DataError
 from calib.joint_terms.term import Context
 from calib.model.robot import Robot
@@ -26,7 +27,7 @@ _JOINTS_AGREE: dict[Dimension, float] = {"length": 1e-3, "angle": 2e-3}
 _MOVED = 1e-4  # change of a joint between two rows that counts as motion [m, rad]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Poses(ReadOnlyArrays):
     """Joint values of a list of visits.
 
@@ -51,6 +52,9 @@ class Poses(ReadOnlyArrays):
     def __len__(self) -> int:
         return len(self.joints)
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} from {self.path}: {len(self)} rows, {self.n_poses} poses>"
+
     @cached_property
     def pose_numbers(self) -> IntArray:
         """A number for each visit, the same for those of one pose name, counted as they first appear, (n,)."""
@@ -63,7 +67,7 @@ class Poses(ReadOnlyArrays):
         return int(self.pose_numbers.max(initial=-1)) + 1
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Measurements(Poses):
     """Visits with what was read.
 
@@ -105,6 +109,17 @@ class Measurements(Poses):
         """`order`, the rows as they stand where it is not given, (n,)."""
         return np.arange(len(self)) if self.order is None else self.order
 
+    def __getitem__(self, which: slice | BoolArray | IntArray | Sequence[int] | int) -> Measurements:
+        """Return some of the visits: a slice, a mask (n,), or indices, as of an array.
+
+        Raises:
+            DataError: A mask of another length, or an index that is no visit.
+        """
+        try:
+            return self.subset(np.atleast_1d(np.arange(len(self))[which]))
+        except IndexError as error:
+            raise DataError(f"{self.path}: {error}; it has {len(self)} rows") from None
+
     def subset(self, index: IntArray) -> Measurements:
         """Return the visits with these indices (n,), in this order, with their readings."""
         index = np.asarray(index, dtype=np.intp)
@@ -119,6 +134,33 @@ class Measurements(Poses):
             context={key: values[index] for key, values in self.context.items()},
             readings={name: _of_visits(found, index) for name, found in self.readings.items()},
         )
+
+    def split(self, fraction: float, *, seed: int = 0) -> tuple[Measurements, Measurements]:
+        """Hold out a random part of the poses for validation; repeats of one pose stay together.
+
+        Args:
+            fraction: Part of the poses to hold out, between 0 and 1.
+            seed: Seed of the random choice.
+
+        Returns:
+            Measurements to identify with, and to validate with, both in file order.
+
+        Raises:
+            DataError: The fraction leaves one of them empty.
+        """
+        n_held = round(fraction * len(self)) if 0 < fraction < 1 else 0
+        chosen: list[int] = []
+        for group in shuffled_poses(self.joints, self.pose_numbers, seed):
+            if len(chosen) >= n_held:
+                break
+            chosen.extend(int(k) for k in group)
+        held: IntArray = np.array(chosen, dtype=np.intp)
+        if not 0 < len(held) < len(self):
+            raise DataError(
+                f"{self.path}: holding out {fraction:g} of {len(self)} poses leaves nothing to"
+                f" {'validate' if len(held) == 0 else 'identify'} with; give a fraction between 0 and 1, or a file"
+            )
+        return self.subset(np.setdiff1d(np.arange(len(self)), held)), self.subset(np.sort(held))
 
     def points(self, robot: Robot) -> FloatArray:
         """Return where each target was seen in the measurement frame, (n, n_targets, 3) [m]; NaN where it was not.

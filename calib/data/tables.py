@@ -18,6 +18,7 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.errors import DataError, InputError, nearest
+from calib.files import read_text
 from calib.units import Dimension, per_si, split_column
 
 _LARGEST = 1e6  # [m or rad]
@@ -180,14 +181,7 @@ def read_table(path: Path | str, renamed: Mapping[str, str] | None = None) -> Ta
     Raises:
         DataError: Missing or unreadable file, no header or rows, duplicate columns, rows of the wrong length.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such file; give a CSV file") from None
-    except UnicodeDecodeError:
-        raise DataError(f"{path}: is not UTF-8 text; save it as CSV in UTF-8") from None
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
+    text = read_text(path, "a CSV file", DataError)
     comments, kept, numbers = [], [], []
     for number, line in enumerate(text.split("\n"), start=1):
         if line.lstrip().startswith("#"):

@@ -2,13 +2,14 @@
 
 from calib.export.closed_model import ClosedModel, closed_model
 from calib.export.drake import drake_bytes
-from calib.export.formats import FORMATS, export
+from calib.export.formats import CONTROLLERS, FORMATS, export
 from calib.export.gap import Gap, loop_gaps
 from calib.export.mjcf import Mjcf, mjcf
 from calib.export.toolbox import calibrated_description, toolbox_yaml
 from calib.export.urdf import urdf_bytes
 
 __all__ = [
+    "CONTROLLERS",
     "FORMATS",
     "ClosedModel",
     "Gap",

@@ -2,10 +2,16 @@
 
 A tie says that two links meet: in a point, or as whole frames. Everything is computed from the numbers in the text of
 the calibrated URDF, so a robot that was exported and loaded again gives the same model to the last bit.
+
+Servos of the exported motors are as stiff as a simulator can be asked to hold. A position servo that holds a load sags
+by load / stiffness. The stiffness here follows from the inertia that a motor feels, so that every robot, light or
+heavy, sags by the gravity that acts on it over (2 pi f)^2: at 100 Hz, about 0.03 mm where gravity acts fully along the
+motion.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from xml.sax.saxutils import quoteattr
 
@@ -14,14 +20,18 @@ import pinocchio as pin
 
 from calib.errors import InputError
 from calib.export.gap import Gap, free_joints, loop_gaps, require_small
-from calib.export.servo import motor_inertia
+from calib.export.links import possible_inertia, read_links
 from calib.export.urdf import with_inserted
+from calib.model.closure import residual
 from calib.model.robot import Robot
 from calib.model.urdf_text import HELD_TYPES, UrdfText, parse_urdf
 
 _FREE_MASS, _FREE_INERTIA = 1e-3, 1e-6
 """Mass [kg] and moments of inertia [kg m^2] of the links between free joints: small, but what simulators can handle."""
 _SLIDE_LIMIT = 1.0  # of an added slide [m]
+SERVO_FREQUENCY = 100.0
+"""Undamped frequency of the position servos at home, with critical damping [Hz]."""
+_LEAST_INERTIA = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +99,7 @@ def closed_model(robot: Robot, *, free_slide: bool = False) -> ClosedModel:
     urdf = parse_urdf(robot.calibrated_urdf(), robot.urdf.path)
     home = home_values(robot)
     gaps = loop_gaps(robot)
-    ends = [(_link(urdf, a), _link(urdf, b)) for a, b in robot.description.closed_loop]
+    ends = [(link_of(urdf, a), link_of(urdf, b)) for a, b in robot.description.closed_loop]
     if free_slide:
         urdf, ends, home = _with_free_joints(robot, urdf, ends, home)
         gaps = ()
@@ -162,8 +172,12 @@ def tie_lines(model: ClosedModel) -> list[str]:
     ]
 
 
-def _link(urdf: UrdfText, frame: str) -> str:
-    """The link that a frame of the description is: a joint's name stands for its child."""
+def link_of(urdf: UrdfText, frame: str) -> str:
+    """Return the link that a frame of the description is: a joint's name stands for its child.
+
+    Raises:
+        InputError: There is neither a link nor a joint of that name.
+    """
     if frame in urdf.links:
         return frame
     child = next((joint.child for joint in urdf.joints if joint.name == frame), None)
@@ -179,7 +193,7 @@ def _markers(robot: Robot) -> tuple[Marker, ...]:
         (f"target_{target.name}", description.targets[target.name].frame, target.b) for target in mechanism.targets
     ]
     return tuple(
-        Marker(name, _link(robot.urdf, frame), mechanism.model.jointPlacements[index].copy())
+        Marker(name, link_of(robot.urdf, frame), mechanism.model.jointPlacements[index].copy())
         for name, frame, index in places
     )
 
@@ -219,3 +233,31 @@ def _free_joint(name: str, parent: str, axis: str, slides: bool) -> str:
         f"  <link name={child}>\n"
         f'    <inertial><mass value="{_FREE_MASS}"/><inertia {moments}/></inertial>\n  </link>'
     )
+
+
+def motor_inertia(robot: Robot, urdf: UrdfText) -> tuple[float, ...]:
+    """Return the inertia that each motor feels at home, the loops closed and the other motors at rest [kg or kg m^2].
+
+    With dq = E da for the motors' rates da (passive joints follow through the loops), it is the diagonal of E^T M E.
+    """
+    mechanism = robot.mechanism
+    model = mechanism.model.copy()
+    for name, link in read_links(urdf).items():
+        if link.inertial is not None and link.inertial.mass > 0 and mechanism.frames.get(name, 0) > 0:
+            body = pin.Inertia(link.inertial.mass, link.inertial.centre, possible_inertia(link.inertial.inertia))
+            model.appendBodyToJoint(mechanism.frames[name], body, pin.SE3.Identity())
+    found = robot.assemble(robot.home)
+    joints = mechanism.all_joints(found.actuated, found.passive)[0]
+    rates = mechanism.select_actuated
+    if mechanism.passive:
+        _, by_passive, by_actuated = residual(mechanism, found.actuated, found.passive)
+        rates = rates - mechanism.select_passive @ np.linalg.solve(by_passive[0], by_actuated[0])
+    mass = pin.crba(model, model.createData(), joints)
+    mass = np.triu(mass) + np.triu(mass, 1).T
+    return tuple(float(value) for value in np.diag(rates.T @ mass @ rates))
+
+
+def servo_gains(inertia: float) -> tuple[float, float]:
+    """Return stiffness and damping of a critically damped servo [N/m, N s/m or N m, N m s], six digits each."""
+    rate, inertia = 2 * math.pi * SERVO_FREQUENCY, max(inertia, _LEAST_INERTIA)
+    return float(f"{rate**2 * inertia:.6g}"), float(f"{2 * rate * inertia:.6g}")

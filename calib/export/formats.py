@@ -7,15 +7,25 @@ from pathlib import Path
 
 from calib.errors import InputError, nearest
 from calib.export.closed_model import closed_model
+from calib.export.controllers import ControllerFile, dh_file, joint_offsets, ur_kinematics, xacro_origins
 from calib.export.drake import drake_bytes
 from calib.export.gap import Gap, loop_gaps
 from calib.export.mjcf import mjcf
 from calib.export.toolbox import toolbox_yaml
-from calib.export.urdf import urdf_bytes
+from calib.export.urdf import urdf_bytes, with_mesh_prefix
 from calib.files import check_file, write_file, write_folder
 from calib.model.robot import Robot
 
-FORMATS = ("urdf", "mjcf", "drake", "toolbox")
+CONTROLLERS: dict[str, Callable[[Robot, Sequence[str]], ControllerFile]] = {
+    "dh": lambda robot, lines: dh_file(robot, "standard", lines),
+    "mdh": lambda robot, lines: dh_file(robot, "modified", lines),
+    "ur-kinematics": ur_kinematics,
+    "joint-offsets": joint_offsets,
+    "xacro": xacro_origins,
+}
+"""Formats for controllers and ROS, of which each says what it holds and which error it leaves."""
+_WITH_URDF = ("urdf", "drake", "toolbox")
+FORMATS = ("urdf", "mjcf", "drake", "toolbox", *CONTROLLERS)
 
 
 def export(
@@ -24,6 +34,7 @@ def export(
     path: Path | str,
     *,
     free_slide: bool = False,
+    meshes: str | None = None,
     provenance: Sequence[str] | None = None,
     note: Callable[[str], None] = lambda text: None,
 ) -> tuple[Gap, ...]:
@@ -33,12 +44,17 @@ def export(
         robot: The robot.
         file_format: `urdf`: the URDF, only edited origins changed. `mjcf`: for MuJoCo, Pinocchio and Drake, loops
             closed. `drake`: URDF with Drake's ball constraints. `toolbox`: robot.yaml for toolbox-parallel-robots, with
-            the URDF beside it under the same name.
+            the URDF beside it under the same name. `dh`, `mdh`: Denavit-Hartenberg tables, standard and modified.
+            `ur-kinematics`: for Universal Robots' ROS description. `joint-offsets`: a sign and a zero for each joint.
+            `xacro`: joint origins as properties.
         path: File to write.
         free_slide: Formats `mjcf` and `drake`: a free joint for each direction that a closure leaves free.
+        meshes: Formats that hold a URDF (`urdf`, `drake`, `toolbox`): what to put before relative mesh paths, such as
+            `package://my_robot`, so that they do not depend on where the file lies.
         provenance: Lines for the comment that says where the numbers come from; formats `urdf` and `toolbox` put no
             comment into the URDF if this is None.
-        note: Called with each thing that the user should know, such as a mesh that had to be left out.
+        note: Called with each thing that the user should know, such as a mesh that had to be left out, or what a format
+            for controllers holds and which error it leaves.
 
     Returns:
         What 3D constraints would have to absorb, for each direction that a closure leaves free.
@@ -52,14 +68,17 @@ def export(
         raise InputError(f"format '{file_format}': unknown{nearest(file_format, FORMATS)}")
     if free_slide and file_format not in ("mjcf", "drake"):
         raise InputError(f"format '{file_format}' has no variant with free slides; only mjcf and drake have")
+    if meshes and file_format not in _WITH_URDF:
+        raise InputError(f"format '{file_format}' has no mesh paths to change; only {', '.join(_WITH_URDF)} have")
     files = _contents(robot, file_format, path, free_slide, provenance, note)
     for file in files:
         if file.resolve() in (Path(robot.urdf.path).resolve(), Path(robot.path).resolve()):
             raise InputError(f"{file}: is the robot's own input; choose another file, so that nominal is not lost")
         check_file(file)
     for file, content in files.items():
-        write_file(file, content)
-    return () if free_slide else loop_gaps(robot)
+        is_yaml = file_format == "toolbox" and file == path
+        write_file(file, with_mesh_prefix(content, meshes) if meshes and not is_yaml else content)
+    return () if free_slide or file_format in CONTROLLERS else loop_gaps(robot)
 
 
 def _contents(
@@ -72,6 +91,10 @@ def _contents(
 ) -> dict[Path, bytes]:
     if file_format == "urdf":
         return {path: urdf_bytes(robot, provenance)}
+    if file_format in CONTROLLERS:
+        made = CONTROLLERS[file_format](robot, provenance or ())
+        note(made.statement)
+        return {path: made.content}
     if file_format == "mjcf":
         written = mjcf(closed_model(robot, free_slide=free_slide), path, provenance or ())
         for text in written.notes:

@@ -75,21 +75,32 @@ class Gap:
         )
 
 
-def poses_near_home(robot: Robot) -> FloatArray:
+def poses_near_home(robot: Robot, count: int = _POSES) -> FloatArray:
     """Return assembled poses within a tenth of each joint's range around home, home first, (n, n_actuated) [m or rad].
 
     The points are evenly spread (Halton sequence, no random numbers); those that cannot be assembled are left out.
+
+    Args:
+        robot: The robot.
+        count: How many to try.
     """
-    limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
-    default = np.array([_UNLIMITED[robot.mechanism.dimensions[name]] for name in robot.joint_names])
-    lower, upper = np.array([limits[name] for name in robot.joint_names]).T
-    lower = np.where(np.isfinite(lower), lower, -default)
-    upper = np.where(np.isfinite(upper), upper, default)
-    spread = 2 * qmc.Halton(len(default), scramble=False).random(_POSES + 1)[1:] - 1  # its first point is a corner
+    lower, upper = joint_ranges(robot)
+    spread = 2 * qmc.Halton(len(lower), scramble=False).random(count + 1)[1:] - 1  # its first point is a corner
     around = robot.home + _REACH * (upper - lower) * spread
     inside = np.clip(around, np.minimum(lower, robot.home), np.maximum(upper, robot.home))
     poses = np.vstack([robot.home, inside])
     return poses[robot.close(poses).ok]
+
+
+def joint_ranges(robot: Robot) -> tuple[FloatArray, FloatArray]:
+    """Return lower and upper limits of the actuated joints, (n_actuated,) each [m or rad].
+
+    Where a joint has none, they are half a turn or 1 m both ways.
+    """
+    limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
+    default = np.array([_UNLIMITED[robot.mechanism.dimensions[name]] for name in robot.joint_names])
+    lower, upper = np.array([limits[name] for name in robot.joint_names]).T
+    return np.where(np.isfinite(lower), lower, -default), np.where(np.isfinite(upper), upper, default)
 
 
 def free_directions(robot: Robot, loop: int) -> tuple[Component, ...]:

@@ -74,7 +74,9 @@ def toolbox_yaml(robot: Robot, urdf_name: str, provenance: Sequence[str] = ()) -
     for key in ("closed_loop", "type"):  # the toolbox wants them in every file
         content.setdefault(key, [])
     header = "".join(f"# {line}\n" for line in lines)
-    text = yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=10**6, default_flow_style=None)
+    text = yaml.dump(
+        content, Dumper=ExactDumper, sort_keys=False, allow_unicode=True, width=10**6, default_flow_style=None
+    )
     return (header + text).encode("utf-8")
 
 
@@ -83,7 +85,7 @@ def _moved(robot: Robot, index: int) -> bool:
     return not np.array_equal(before.homogeneous, after.homogeneous)
 
 
-class _Dumper(yaml.SafeDumper):
+class ExactDumper(yaml.SafeDumper):
     """YAML with floats that read back exactly, also in programs that want a point before the exponent."""
 
 
@@ -94,4 +96,4 @@ def _float(dumper: yaml.SafeDumper, value: float) -> yaml.ScalarNode:
     return dumper.represent_scalar("tag:yaml.org,2002:float", text)
 
 
-_Dumper.add_representer(float, _float)
+ExactDumper.add_representer(float, _float)

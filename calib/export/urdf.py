@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from xml.sax.saxutils import quoteattr
 
-from calib.export.xml_text import comment
 from calib.model.robot import Robot
 from calib.model.urdf_text import UrdfText, apply_edits, parse_urdf
 from calib.units import PER_SI
 from calib.version import PROGRAM
 
 _MARK = "calib: calibrated origins"
+_MESH = re.compile(rb"""<mesh\b[^>]*?\sfilename\s*=\s*["'](?=[^"'])(?!/|[^"']*://)""")
 _EARLIER = re.compile(rb"\r?\n?<!-- " + _MARK.encode() + rb".*?-->", re.DOTALL)
 
 
@@ -37,10 +38,17 @@ def urdf_bytes(robot: Robot, provenance: Sequence[str] | None = None) -> bytes:
     return with_inserted(urdf, "\n" + comment(lines), at=urdf.root_span[1])
 
 
+def with_mesh_prefix(source: bytes, prefix: str) -> bytes:
+    """Return URDF bytes in which this stands before every mesh path that is relative to the URDF."""
+    start = quoteattr(prefix.rstrip("/") + "/")[1:-1].encode("ascii", "xmlcharrefreplace")
+    return _MESH.sub(lambda found: found.group() + start, source)
+
+
 def provenance_lines(robot: Robot) -> list[str]:
     """Return what a file was made from: program, nominal file with its checksum, and every value that was changed."""
     digest = hashlib.sha256(robot.urdf.source).hexdigest()
-    lines = [f"written by {PROGRAM} from {robot.urdf.path}", f"sha256 of that file: {digest}"]
+    hashed = "the URDF that xacro makes of it" if robot.urdf.path.endswith(".xacro") else "that file"
+    lines = [f"written by {PROGRAM} from {robot.urdf.path}", f"sha256 of {hashed}: {digest}"]
     changed = []
     for parameter, value in zip(robot.parameters, robot.values, strict=True):
         if value != parameter.nominal:
@@ -57,3 +65,14 @@ def with_inserted(urdf: UrdfText, text: str, at: int) -> bytes:
     """Return the file with text inserted at a byte: in ASCII, with the line ends that the file has."""
     line_end = b"\r\n" if b"\r\n" in urdf.source else b"\n"
     return apply_edits(urdf.source, [(at, at, text.encode("ascii", "xmlcharrefreplace").replace(b"\n", line_end))])
+
+
+def numbers(values: Iterable[float]) -> str:
+    """Return the shortest decimals that read back to the same floats, separated by spaces."""
+    return " ".join(repr(float(value)) if value != 0 else "0" for value in values)
+
+
+def comment(lines: Sequence[str]) -> str:
+    """Return an XML comment, one line each; ASCII, so that it fits every encoding."""
+    text = "\n".join(lines).encode("ascii", "backslashreplace").decode()
+    return "<!-- " + re.sub(r"-(?=-|$)", "- ", text) + "\n-->"

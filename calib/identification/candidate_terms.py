@@ -114,6 +114,8 @@ def _candidate(name: str, robot: Robot, data: Measurements) -> Candidate:
         column = "time" if name == "drift" else name
         if np.ptp(context.time if name == "drift" else context.temperature) == 0:
             return Candidate(name, refused=f"the data have no column '{column}' that changes")
+    if name == "coupling":
+        return Candidate(name, refused="which joint drives which, only a description can state")
     joints = [joint for joint in robot.joint_names if _shows(name, joint, robot, data)]
     if not joints:
         return Candidate(name, refused=_nothing_shows(name, robot))

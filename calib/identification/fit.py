@@ -8,9 +8,8 @@ with r the residuals of all readings of a visit and V the covariance of their no
 `calib.numerics.least_squares`.
 
 Order of work: (1) close every pose at nominal, or name those that cannot be; (2) where measurement frames or targets
-are
-not known, they are placed alone, near where they are expected if a sigma says so: this is the honest state `before`;
-(3) all free parameters together, from several starts if asked for; (4) with a robust loss, again with weights
+are not known, they are placed alone, near where they are expected if a sigma says so: this is the honest state
+`before`; (3) all free parameters together, from several starts if asked for; (4) with a robust loss, again with weights
 (`calib.identification.robust`); (5) rank, statistics and error tables at the solution; (6) if asked for, outliers are
 left out and all is done again, and poses are left out in turns for cross-validation.
 
@@ -33,15 +32,13 @@ from calib.data.measurements import Measurements
 from calib.errors import ComputationError, DataError, InputError, NotConvergedError, UnreachablePoseError
 from calib.identification.candidate_terms import TermChoice, missing_terms
 from calib.identification.errors_found import ErrorSet
-from calib.identification.exclusion import without_outliers
 from calib.identification.fitted import Convergence, Fit
-from calib.identification.folds import cross_validate
-from calib.identification.pose_checks import check_measurements, require_identifiable
+from calib.identification.pose_checks import check_measurements, likely_mistake, require_identifiable
 from calib.identification.problem import Evaluation, Problem
-from calib.identification.robust import solve_robust
+from calib.identification.robust import solve_robust, without_outliers
 from calib.identification.starts import Starts, explore
-from calib.identification.suspects import likely_mistake
 from calib.identification.term_choice import choose_terms
+from calib.identification.validation import cross_validate
 from calib.identification.verdict import judge
 from calib.joint_terms.terms import listed_terms
 from calib.linearisation.observed import observe

@@ -11,6 +11,7 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.identification.candidate_terms import TermChoice
 from calib.identification.errors_found import ErrorSet, Folds
+from calib.identification.estimates import Covariance, Estimates, estimates
 from calib.identification.judged import Outlier, blocks, outliers_of
 from calib.identification.reasons import Verdict
 from calib.identification.starts import Starts
@@ -23,8 +24,7 @@ from calib.linearisation.unknowns import Unknowns
 from calib.linearisation.whitening import Whitening
 from calib.model.robot import Configurations, Robot
 from calib.numerics.identifiability import Rank
-from calib.numerics.losses import Loss
-from calib.numerics.outliers import Studentised, studentised
+from calib.numerics.losses import Loss, Studentised, studentised
 from calib.numerics.statistics import ChiSquare, Statistics, chi_square
 from calib.numerics.variance_components import EXACT
 from calib.threads import one_blas_thread
@@ -72,7 +72,7 @@ class FoundNoise:
     freedom: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Fit(ReadOnlyArrays):
     """A finished identification.
 
@@ -132,6 +132,12 @@ class Fit(ReadOnlyArrays):
     terms: TermChoice | None = None
     seed: int = 0
 
+    def __repr__(self) -> str:
+        return (
+            f"<{type(self).__name__} of '{self.nominal.name}': {self.verdict.grade}, {self.identification.data.n_poses}"
+            f" poses, {len(self.unknowns)} free parameters>"
+        )
+
     @property
     def converged(self) -> bool:
         """Whether the iteration reached a minimum."""
@@ -151,6 +157,21 @@ class Fit(ReadOnlyArrays):
     def free(self) -> BoolArray:
         """Which parameters were free, (n_parameters,)."""
         return np.isin(np.arange(len(self.nominal.parameters)), self.unknowns.index)
+
+    @cached_property
+    def parameters(self) -> Estimates:
+        """What was found of each parameter, by name [m or rad]."""
+        return estimates(self.nominal.parameters, self.robot.values, self.free, self.statistics)
+
+    @property
+    def covariance(self) -> Covariance:
+        """Covariance of the free parameters, by name."""
+        return Covariance(self.free_names, self.statistics.covariance)
+
+    @property
+    def residuals(self) -> dict[str, FloatArray]:
+        """Predicted minus read after calibration, of each instrument, (n_readings, n_rows) [SI]."""
+        return dict(self.identification.after)
 
     @property
     def free_names(self) -> tuple[str, ...]:
@@ -216,7 +237,7 @@ class Fit(ReadOnlyArrays):
         """Whether the calibrated robot can be assembled at all its poses, starting from its home configuration."""
         return bool(np.all(self.robot.close(self.configurations.actuated).ok))
 
-    def uncertainty(self, q: FloatArray) -> PositionUncertainty:
+    def predict(self, q: FloatArray) -> PositionUncertainty:
         """Predict positions at actuated joints q (n, n_actuated) [m or rad], with their covariance."""
         found = self.statistics
         return position_uncertainty(self.robot, self.unknowns.index, found.covariance, found.coverage_factor, q)
@@ -224,16 +245,16 @@ class Fit(ReadOnlyArrays):
     @cached_property
     def identification_uncertainty(self) -> PositionUncertainty:
         """Predicted positions of the visits that were used, with their covariance."""
-        return self.uncertainty(self.identification.data.joints)
+        return self.predict(self.identification.data.joints)
 
     @cached_property
     def validation_uncertainty(self) -> PositionUncertainty | None:
         """Predicted positions of the visits that were not used, with their covariance."""
-        return None if self.validation is None else self.uncertainty(self.validation.data.joints)
+        return None if self.validation is None else self.predict(self.validation.data.joints)
 
     @cached_property
     def studentised(self) -> Studentised:
-        """Every reading that was used, judged; see `calib.numerics.outliers`."""
+        """Every reading that was used, judged; see `calib.numerics.losses`."""
         found, number = self.statistics.factors.found, self.rows.layout.group
         # groups whose stated noise is off by different factors are judged by what each of them really has
         relative = np.maximum(found / max(self._factor, 1e-30), _LEAST_FACTOR)
@@ -322,7 +343,7 @@ class Fit(ReadOnlyArrays):
 
     @cached_property
     def _root(self) -> FloatArray:
-        """T of `calib.numerics.information` at the solution, with the weights of a robust loss."""
+        """T of `calib.numerics.observability` at the solution, with the weights of a robust loss."""
         rows = self.rows if np.all(self.weights == 1.0) else self.rows.weighted(self.weights)
         return rows.known.root
 

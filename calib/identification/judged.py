@@ -9,7 +9,7 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.identification.errors_found import ErrorSet
 from calib.linearisation.rows import Layout, Rows
-from calib.numerics.outliers import Blocks, Studentised
+from calib.numerics.losses import Blocks, Studentised
 from calib.observation.kind import Instrument
 from calib.units import ERROR_UNIT, error_scale
 
@@ -26,7 +26,7 @@ class Outlier:
         distance: Length of the error of its first part, predicted to read [SI].
         size: The errors of its parts in words.
         studentised: T over its scale.
-        leverage: See `calib.numerics.outliers`.
+        leverage: See `calib.numerics.losses`.
         p_value: Chance of such a reading among good measurements of this number.
     """
 

@@ -12,23 +12,31 @@ Cauchy and Tukey have several minima. They start from Huber's solution, which on
 scale (the MM principle), so that the alternation cannot run away with a shrinking scale.
 
 Reference: maronna2019, chapter 5.
+
+Outliers that are to be left out are found with a robust loss, so that they cannot hide behind each other. A pose goes
+as a whole, even where only one of its targets is off. After each fit the rest is judged again, up to five times: what a
+gross error hid may show then. Both results stay: that of all poses, and that without outliers.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
 from calib.arrays import FloatArray
+from calib.data.measurements import Measurements
 from calib.errors import ComputationError, NotIdentifiableError
+from calib.identification.fitted import Fit
+from calib.identification.judged import Outlier
 from calib.identification.problem import Evaluation, Problem
 from calib.linearisation.rows import Rows
 from calib.model.robot import Robot
-from calib.numerics.information import information, prior_rows
 from calib.numerics.least_squares import Solution
 from calib.numerics.losses import Loss, median_length, robust_factors, scale_of, weights_of
+from calib.numerics.observability import information, prior_rows
 from calib.numerics.statistics import Factors, effective_parameters
 from calib.numerics.variance_components import EXACT
 
@@ -40,6 +48,7 @@ _TOO_FEW_LEFT = (
     "the poses that the robust loss still believes do not determine the parameters: too many measurements disagree with"
     " each other; check them, or fit with --loss none"
 )
+_EXCLUSION_ROUNDS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,3 +188,28 @@ def _step(rows: Rows, found: FloatArray, sigma: float) -> FloatArray:
         raise NotIdentifiableError(_TOO_FEW_LEFT)
     step: FloatArray = -solve_triangular(triangle, q.T @ right)
     return step
+
+
+def without_outliers(first: Fit, robust: Callable[[], Fit], again: Callable[[Measurements], Fit]) -> Fit:
+    """Return the fit without outliers; `first` itself if there are none.
+
+    Args:
+        first: The fit of all poses.
+        robust: Fits all poses with a robust loss.
+        again: Fits some of the poses as asked.
+    """
+    data = first.identification.data
+    kept = np.arange(len(data))
+    excluded: list[Outlier] = []
+    current = first
+    found = (first if first.loss == "tukey" else robust()).outliers
+    for _ in range(_EXCLUSION_ROUNDS):
+        if not found:
+            break
+        excluded += [replace(outlier, pose=int(kept[outlier.pose])) for outlier in found]
+        kept = np.delete(kept, sorted({outlier.pose for outlier in found}))
+        current = again(data.subset(kept))
+        found = current.outliers
+    if current is first:
+        return first
+    return replace(current, excluded=tuple(excluded), with_all=first)

@@ -7,16 +7,15 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
-from calib.data.dead_readings import equal_columns, zero_visits
+from calib.data.grouping import pose_labels
 from calib.data.measurements import Measurements
 from calib.identification.fitted import Fit
 from calib.identification.joint_curves import beyond_learned
-from calib.identification.pose_checks import directions_moved, unmoved_joints
+from calib.identification.pose_checks import directions_moved, equal_columns, unmoved_joints, zero_visits
 from calib.identification.reasons import Reason
 from calib.identification.repeats import beyond_repeatability
-from calib.identification.validation import pose_labels
 from calib.model.robot import Robot
-from calib.numerics.outliers import FALSE_ALARM, HIGH_LEVERAGE
+from calib.numerics.losses import FALSE_ALARM, HIGH_LEVERAGE
 from calib.words import counted, listed
 
 FEW = 10.0 - 1e-6  # ten, also where rounding took a little

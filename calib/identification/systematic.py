@@ -48,8 +48,7 @@ from calib.linearisation.observed import Observed
 from calib.linearisation.rows import Rows, Scales
 from calib.linearisation.whitening import Whitening
 from calib.model.robot import Robot
-from calib.numerics.shared_error import SharedError
-from calib.numerics.variance_components import EXACT
+from calib.numerics.variance_components import EXACT, SharedError
 from calib.observation.kind import Instrument
 from calib.units import DISPLAY_UNIT, ERROR_UNIT, PER_SI, Dimension, error_scale, millimetres
 
@@ -92,7 +91,7 @@ class Residuals:
 
     Attributes:
         rows: Its whitened rows, with the weights of a robust loss.
-        root: T of `calib.numerics.information`, (n_free, rank).
+        root: T of `calib.numerics.observability`, (n_free, rank).
         freedom: Degrees of freedom.
         factor: Found over assumed noise.
     """

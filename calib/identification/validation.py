@@ -1,46 +1,22 @@
-"""Splitting measurements into those to identify with and those to validate with, and into folds."""
+"""Cross-validation by pose: every pose is predicted once by a fit that did not see it.
+
+Poses are dealt into folds at random; those with the same joint values (repeats of one pose that the file does not mark
+as such) go into the same fold, because a repeat is no new pose. Or they are cut into blocks of neighbours.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from calib.arrays import FloatArray, IntArray
+from calib.data.grouping import repeated_poses, shuffled_poses
 from calib.data.measurements import Measurements
-from calib.errors import DataError
-
-_SAME_JOINTS = 1e-4  # joint values that agree to this are one pose, read back with an encoder's noise [m, rad]
-
-
-def split(data: Measurements, fraction: float, seed: int = 0) -> tuple[Measurements, Measurements]:
-    """Hold out a random part of the poses for validation; repeats of one pose stay together.
-
-    Args:
-        data: All measurements.
-        fraction: Part of the poses to hold out, between 0 and 1.
-        seed: Seed of the random choice.
-
-    Returns:
-        Measurements to identify with, and to validate with, both in file order.
-
-    Raises:
-        DataError: The fraction leaves one of them empty.
-    """
-    n_held = round(fraction * len(data)) if 0 < fraction < 1 else 0
-    chosen: list[int] = []
-    for group in _shuffled(data, seed):
-        if len(chosen) >= n_held:
-            break
-        chosen.extend(int(k) for k in group)
-    held: IntArray = np.array(chosen, dtype=np.intp)
-    if not 0 < len(held) < len(data):
-        raise DataError(
-            f"{data.path}: holding out {fraction:g} of {len(data)} poses leaves nothing to"
-            f" {'validate' if len(held) == 0 else 'identify'} with; give a fraction between 0 and 1, or a file"
-        )
-    return data.subset(np.setdiff1d(np.arange(len(data)), held)), data.subset(np.sort(held))
+from calib.errors import InputError
+from calib.identification.errors_found import ErrorSet, Folds
+from calib.identification.fitted import Fit
+from calib.observation.kind import Instrument, Readings
 
 
 def deal(data: Measurements, count: int, seed: int = 0) -> list[IntArray]:
@@ -50,41 +26,59 @@ def deal(data: Measurements, count: int, seed: int = 0) -> list[IntArray]:
         Indices of each fold, ascending, (n_in_fold,) each; empty where there are fewer different poses than folds.
     """
     folds: list[list[int]] = [[] for _ in range(max(count, 1))]
-    for group in _shuffled(data, seed):
+    for group in shuffled_poses(data.joints, data.pose_numbers, seed):
         min(folds, key=len).extend(int(k) for k in group)
     return [np.sort(np.array(fold, dtype=np.intp)) for fold in folds]
 
 
-def pose_labels(joints: FloatArray) -> IntArray:
-    """Return a number for each row of joint values (n, n_actuated); rows that repeat one pose have the same.
+def cross_validate(
+    data: Measurements, count: int, seed: int, fit: Callable[[Measurements, Measurements], Fit]
+) -> Folds:
+    """Fit once for each fold, without it.
 
-    Repeats agree to 0.1 mm and 0.1 mrad in every joint, or are linked by others that do.
+    Args:
+        data: All measurements.
+        count: Number of folds, 2 or more.
+        seed: Seed of the random choice.
+        fit: Fits the first measurements and predicts the second (as its validation).
+
+    Raises:
+        InputError: More folds than poses, or fewer than 2.
     """
-    cells, cell = np.unique(np.round(joints / _SAME_JOINTS), axis=0, return_inverse=True)
-    linked = cKDTree(cells).query_pairs(1.5, p=np.inf, output_type="ndarray")  # the same cell or a neighbour
-    graph = coo_array((np.ones(len(linked)), (linked[:, 0], linked[:, 1])), shape=(len(cells), len(cells)))
-    label: IntArray = connected_components(graph, directed=False)[1][cell.reshape(-1)]
-    return label
+    folds = deal(data, count, seed)
+    if count < 2 or min(len(fold) for fold in folds) == 0:
+        raise InputError(f"folds {count}: must be 2 or more, and not more than there are different poses")
+    before = {name: np.empty((len(found), 0)) for name, found in data.readings.items()}
+    after = dict(before)
+    singular: FloatArray = np.empty(len(data))
+    rms, converged = [], True
+    instruments: tuple[Instrument, ...] = ()
+    for held in folds:
+        kept = np.setdiff1d(np.arange(len(data)), held)
+        found = fit(data.subset(kept), data.subset(held))
+        errors = found.validation
+        assert errors is not None
+        instruments = errors.instruments
+        for whole, part in ((before, errors.before), (after, errors.after)):
+            for name, rows in part.items():
+                if whole[name].shape[1] == 0:
+                    whole[name] = np.empty((len(data.readings[name]), rows.shape[1]))
+                whole[name][_readings_at(data.readings[name], held)] = rows
+        singular[held] = errors.singular_value
+        rms.append(float(np.sqrt(np.mean(np.sum(errors.errors("after", errors.parts()[0][1].name) ** 2, axis=1)))))
+        converged &= found.converged
+    return Folds(count, seed, ErrorSet(data, instruments, before, after, singular), tuple(rms), converged)
 
 
-def _shuffled(data: Measurements, seed: int) -> list[IntArray]:
-    """Return groups of visits that repeat one pose, in random order."""
-    groups = _groups(data)
-    return [groups[k] for k in np.random.default_rng(seed).permutation(len(groups))]
-
-
-def _groups(data: Measurements) -> list[IntArray]:
-    """Return groups of visits with the same pose name or the same joint values, in file order."""
-    by_joints, by_name = pose_labels(data.joints), data.pose_numbers
-    n = int(by_joints.max(initial=-1)) + 1
-    size = n + data.n_poses
-    graph = coo_array((np.ones(len(data)), (by_joints, n + by_name)), shape=(size, size))
-    label: IntArray = connected_components(graph, directed=False)[1][by_joints]
-    label = np.unique(label, return_inverse=True)[1].reshape(-1)
-    by_label = np.argsort(label, kind="stable")
-    groups = np.split(by_label, np.cumsum(np.bincount(label))[:-1])
-    groups.sort(key=lambda group: int(group[0]))  # in file order, so that without repeats a pose is a pose
-    return groups
+def _readings_at(readings: Readings, visits: IntArray) -> IntArray:
+    """Indices of the readings at these visits, in the order of the visits."""
+    place = np.full(int(readings.visits.max(initial=-1)) + 1, -1)
+    inside = visits[visits < len(place)]
+    place[inside] = np.arange(len(inside))
+    number = place[readings.visits]
+    found = np.flatnonzero(number >= 0)
+    result: IntArray = found[np.argsort(number[found], kind="stable")]
+    return result
 
 
 def boxes(data: Measurements, count: int) -> list[IntArray]:
@@ -97,7 +91,7 @@ def boxes(data: Measurements, count: int) -> list[IntArray]:
     Returns:
         Indices of each box, ascending, (n_in_box,) each; repeats of one pose stay together.
     """
-    groups = _groups(data)
+    groups = repeated_poses(data.joints, data.pose_numbers)
     centres = np.array([data.joints[group].mean(axis=0) for group in groups])
     spread = np.ptp(centres, axis=0)
     centres = centres / np.where(spread > 0, spread, 1.0)
@@ -126,6 +120,6 @@ def stretches(data: Measurements, count: int) -> list[IntArray]:
     Returns:
         Indices of each stretch, ascending, (n_in_stretch,) each; repeats of one pose stay together.
     """
-    groups = sorted(_groups(data), key=lambda group: int(data.places[group].min()))
+    groups = sorted(repeated_poses(data.joints, data.pose_numbers), key=lambda group: int(data.places[group].min()))
     parts = np.array_split(np.arange(len(groups)), count)
     return [np.sort(np.concatenate([groups[k] for k in part])) for part in parts if len(part)]

@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterator
 
 from calib.identification import rules_data, rules_model, rules_parameters
 from calib.identification.fitted import Fit
+from calib.identification.pose_checks import likely_mistake
 from calib.identification.reasons import Reason, Verdict
-from calib.identification.suspects import likely_mistake
 
 _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_data.dead_readings,

@@ -32,10 +32,9 @@ import pinocchio as pin
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.inverse_kinematics.goals import Goals
 from calib.model import kinematics, loops
-from calib.model.assembly_mode import AssemblyMode
-from calib.model.closure import residual
+from calib.model.closure import AssemblyMode, residual
+from calib.model.continuation import newton
 from calib.model.mechanism import Mechanism, RelativeFrame
-from calib.model.newton import newton
 
 _CONVERGED = 2e-13  # norm of e where rounding takes over [m]
 LARGEST_STEP = 0.5  # of any joint [rad, or characteristic lengths]

@@ -7,33 +7,18 @@ into the URDF).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
-
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.joint_terms.term import Context, JointTerm, TermSection, coefficient
-from calib.parameter import Parameter
-from calib.units import Dimension
-
-DEFAULT: dict[Dimension, float] = {"angle": 2e-5, "length": 1e-7}
-"""Expected compliance where nothing is stated [rad / (N m), m / N]."""
+from calib.joint_terms.term import Context, OneCoefficient
 
 
-@dataclass(frozen=True)
-class Compliance(JointTerm):
+class Compliance(OneCoefficient):
     """dq = c times the torque of gravity that the joint holds."""
 
-    needs_torque: ClassVar[bool] = True
-    joint: str
-    parameters: tuple[Parameter, ...]
-
-    @classmethod
-    def of(cls, joint: str, dimension: Dimension, section: TermSection, sigma: float | None) -> Compliance:
-        """Return the term that an entry of a robot description means."""
-        size = DEFAULT[dimension] if sigma is None else sigma
-        return cls(joint, (coefficient(f"{joint}.compliance", dimension, size),))
+    word = "compliance"
+    expected_angle, expected_length = 2e-5, 1e-7  # [rad / (N m), m / N]
+    needs_torque = True
 
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
         """Return the torque, (n, 1)."""

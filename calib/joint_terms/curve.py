@@ -19,10 +19,9 @@ from pydantic import Field
 
 from calib.arrays import FloatArray
 from calib.joint_terms.periodic import AMPLITUDE, period, sines_and_cosines
-from calib.joint_terms.term import Context, JointTerm, TermSection, coefficient
+from calib.joint_terms.term import Context, Joint, JointTerm, TermSection, coefficient
 from calib.parameter import Parameter
 from calib.sections import Length
-from calib.units import Dimension
 
 
 class CurveSection(TermSection):
@@ -54,21 +53,21 @@ class Curve(JointTerm):
     period: float
 
     @classmethod
-    def of(cls, joint: str, dimension: Dimension, section: CurveSection, sigma: float | None) -> Curve:
+    def of(cls, joint: Joint, section: CurveSection, sigma: float | None) -> Curve:
         """Return the term that an entry of a robot description means.
 
         Raises:
             ValueError: The entry does not fit the joint.
         """
-        repeats = period(dimension, section, "stroke", section.stroke)
-        amplitude = AMPLITUDE[dimension] if sigma is None else sigma
-        family = f"{joint}.curve" if section.found else ""
+        repeats = period(joint.dimension, section, "stroke", section.stroke)
+        amplitude = AMPLITUDE[joint.dimension] if sigma is None else sigma
+        family = f"{joint.name}.curve" if section.found else ""
         parameters = tuple(
-            coefficient(f"{joint}.curve_{kind}{k}", dimension, amplitude / k, family)
+            coefficient(f"{joint.name}.curve_{kind}{k}", joint.dimension, amplitude / k, family)
             for k in range(1, section.orders + 1)
             for kind in ("sin", "cos")
         )
-        return cls(joint, parameters, section.orders, repeats if dimension == "angle" else 2.0 * repeats)
+        return cls(joint.name, parameters, section.orders, repeats if joint.dimension == "angle" else 2.0 * repeats)
 
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
         """Return sines and cosines, (n, 2 K)."""

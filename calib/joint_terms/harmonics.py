@@ -9,10 +9,9 @@ from pydantic import Field
 
 from calib.arrays import FloatArray
 from calib.joint_terms.periodic import AMPLITUDE, period, sines_and_cosines
-from calib.joint_terms.term import Context, JointTerm, TermSection, coefficient
+from calib.joint_terms.term import Context, Joint, JointTerm, TermSection, coefficient
 from calib.parameter import Parameter
 from calib.sections import Length
-from calib.units import Dimension
 
 
 class HarmonicsSection(TermSection):
@@ -38,16 +37,18 @@ class Harmonics(JointTerm):
     period: float
 
     @classmethod
-    def of(cls, joint: str, dimension: Dimension, section: HarmonicsSection, sigma: float | None) -> Harmonics:
+    def of(cls, joint: Joint, section: HarmonicsSection, sigma: float | None) -> Harmonics:
         """Return the term that an entry of a robot description means.
 
         Raises:
             ValueError: The entry does not fit the joint.
         """
-        repeats = period(dimension, section, "period", section.period)
-        size = AMPLITUDE[dimension] if sigma is None else sigma
-        names = [f"{joint}.{kind}{order}" for order in section.orders for kind in ("sin", "cos")]
-        return cls(joint, tuple(coefficient(name, dimension, size) for name in names), section.orders, repeats)
+        repeats = period(joint.dimension, section, "period", section.period)
+        size = AMPLITUDE[joint.dimension] if sigma is None else sigma
+        names = [f"{joint.name}.{kind}{order}" for order in section.orders for kind in ("sin", "cos")]
+        return cls(
+            joint.name, tuple(coefficient(name, joint.dimension, size) for name in names), section.orders, repeats
+        )
 
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
         """Return sines and cosines, (n, 2 n_orders)."""

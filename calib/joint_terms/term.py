@@ -16,7 +16,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -44,14 +44,33 @@ class TermSection(Section):
         return self
 
 
+REFERENCE_TEMPERATURE = 20.0
+"""At which lengths hold [degC]: a fixed one, so that a coefficient means the same for every file."""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """The joint that a term belongs to.
+
+    Attributes:
+        name: Its name.
+        dimension: Whether it turns or slides.
+        actuated: Names of all actuated joints, in the order of commands.
+    """
+
+    name: str
+    dimension: Dimension
+    actuated: tuple[str, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Context(ReadOnlyArrays):
     """Under which conditions commands were given. Where nothing is known of one, it is neutral.
 
     Attributes:
         approach: Direction in which each joint moved last, +1, -1, or 0 where not known, (n, n_actuated).
-        time: Since the first visit, (n,) [s]; 0 where not known.
-        temperature: From the mean of the measurements, (n,) [K]; 0 where not known.
+        time: As the file counts it, (n,) [s]; 0 where not known.
+        temperature: Above 20 degC, the reference of ISO 1, (n,) [K]; 0 where not known.
         load: Mass at the tool, (n,) [kg]; 0 where not known.
         torque: Torque or force of gravity that each actuated joint holds, (n, n_actuated) [N m or N]; 0 where nothing
             asks for it.
@@ -82,8 +101,7 @@ class Context(ReadOnlyArrays):
         def known(name: str) -> FloatArray:
             return np.nan_to_num(conditions.get(name, np.zeros(n)))
 
-        temperature = conditions.get("temperature", np.zeros(n))
-        warmer = np.nan_to_num(temperature - np.nanmean(temperature)) if np.isfinite(temperature).any() else np.zeros(n)
+        warmer = np.nan_to_num(conditions.get("temperature", np.full(n, np.nan)) - REFERENCE_TEMPERATURE)
         return Context(approach, known("time"), warmer, known("load"), np.zeros_like(approach))
 
 
@@ -101,6 +119,20 @@ class JointTerm(ABC):
     needs_torque: ClassVar[bool] = False
     joint: str
     parameters: tuple[Parameter, ...]
+
+    @classmethod
+    @abstractmethod
+    def of(cls, joint: Joint, section: Any, sigma: float | None) -> JointTerm:
+        """Return the term that an entry of a robot description means.
+
+        Args:
+            joint: The joint.
+            section: The entry.
+            sigma: Its sigma [m or rad], or None.
+
+        Raises:
+            ValueError: The entry does not fit the joint.
+        """
 
     @abstractmethod
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
@@ -127,3 +159,28 @@ def coefficient(name: str, dimension: Dimension, sigma: float, family: str = "")
         family: Name of the coefficients whose common size is found from the data; empty: sigma is as stated.
     """
     return Parameter(name, dimension, 0.0, sigma, UNIT[dimension], family=family)
+
+
+@dataclass(frozen=True)
+class OneCoefficient(JointTerm):
+    """A term with one coefficient, dq = c phi, named after its joint and the term.
+
+    Attributes:
+        word: Last part of the coefficient's name (class attribute).
+        expected_angle: Expected size of the coefficient of a joint that turns, where nothing is stated [rad] (class
+            attribute).
+        expected_length: The same of one that slides [m] (class attribute).
+    """
+
+    word: ClassVar[str]
+    expected_angle: ClassVar[float]
+    expected_length: ClassVar[float]
+    joint: str
+    parameters: tuple[Parameter, ...]
+
+    @classmethod
+    def of(cls, joint: Joint, section: TermSection, sigma: float | None) -> JointTerm:
+        """Return the term that an entry of a robot description means."""
+        expected = cls.expected_angle if joint.dimension == "angle" else cls.expected_length
+        size = expected if sigma is None else sigma
+        return cls(joint.name, (coefficient(f"{joint.name}.{cls.word}", joint.dimension, size),))

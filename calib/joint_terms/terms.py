@@ -4,23 +4,24 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Union
 
-from pydantic import Discriminator, Tag, TypeAdapter
+from pydantic import Discriminator, Tag, TypeAdapter, ValidationError
 
 from calib.errors import InputError, nearest
 from calib.joint_terms.backlash import Backlash
 from calib.joint_terms.compliance import Compliance
+from calib.joint_terms.coupling import Coupling
 from calib.joint_terms.curve import Curve
 from calib.joint_terms.drift import Drift, Temperature
 from calib.joint_terms.gain import Gain
 from calib.joint_terms.harmonics import Harmonics
 from calib.joint_terms.term import JointTerm, TermSection
-from calib.units import Dimension
 
 TERMS: dict[str, type[JointTerm]] = {
     "gain": Gain,
     "harmonics": Harmonics,
     "curve": Curve,
     "backlash": Backlash,
+    "coupling": Coupling,
     "drift": Drift,
     "temperature": Temperature,
     "compliance": Compliance,
@@ -46,14 +47,19 @@ def listed_terms(text: str) -> tuple[TermSection, ...]:
         text: Names of terms, for every joint, or `JOINT=TERM`; commas between.
 
     Raises:
-        InputError: No such term.
+        InputError: No such term, or one that only a description can state.
     """
     found = []
     for item in text.split(","):
         joint, _, term = (part.strip() for part in item.rpartition("="))
         if term not in TERMS:
             raise InputError(f"terms '{text}': no term '{term}'{nearest(term, TERMS)}")
-        found.append(TERMS[term].section(joint=joint or "all", term=term))
+        try:
+            found.append(TERMS[term].section(joint=joint or "all", term=term))
+        except ValidationError:
+            raise InputError(
+                f"terms '{text}': '{term}' needs more than a joint; list it in the robot description"
+            ) from None
     return tuple(found)
 
 
@@ -64,18 +70,3 @@ def stored_terms(entries: object) -> tuple[TermSection, ...]:
         ValueError: They are no entries of terms.
     """
     return TypeAdapter(tuple[AnyTerm, ...]).validate_python(entries)
-
-
-def joint_term(joint: str, dimension: Dimension, section: TermSection, sigma: float | None) -> JointTerm:
-    """Return the term that an entry of a robot description means.
-
-    Args:
-        joint: The joint.
-        dimension: Its dimension.
-        section: The entry.
-        sigma: Its sigma [m or rad], or None.
-
-    Raises:
-        ValueError: The entry does not fit the joint.
-    """
-    return TERMS[section.term].of(joint, dimension, section, sigma)  # type: ignore[attr-defined]

@@ -9,14 +9,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from calib.arrays import BoolArray, FloatArray
-from calib.data.arrays import measurements
+from calib.data.in_memory import measurements
 from calib.data.measurements import Measurements, Poses
 from calib.errors import DataError, InputError, UnreachablePoseError
 from calib.linearisation.jacobian import linearise
 from calib.linearisation.observed import Observed, observe, predicted_readings
 from calib.linearisation.unknowns import Unknowns
 from calib.linearisation.whitening import ASSUMED, Whitening, stated_noise
-from calib.model.open_loops import why_open
+from calib.model.loops import why_open
 from calib.model.robot import Configurations, Robot, near_singularity
 from calib.observation.position import Position
 
@@ -49,7 +49,7 @@ def require_free(robot: Robot) -> None:
     Raises:
         InputError: All are held.
     """
-    if not np.any(robot.free):
+    if not np.any(robot.is_free):
         raise InputError(f"{robot.path}: held: names every parameter, so there is nothing to identify; free some")
 
 

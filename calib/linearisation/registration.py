@@ -190,7 +190,7 @@ def _guessed(robot: Robot, data: Measurements, one: Instrument, placed: list[str
 def _open_components(robot: Robot, place: str) -> tuple[Component, ...]:
     """Components of a place that a fit may change."""
     origin = robot.mechanism.origin(place)
-    free = {p.name for p, use in zip(robot.parameters, robot.free, strict=True) if use and p.placement}
+    free = {p.name for p, use in zip(robot.parameters, robot.is_free, strict=True) if use and p.placement}
     return tuple(component for component in COMPONENTS if f"{origin}.{component}" in free)
 
 

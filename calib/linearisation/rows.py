@@ -28,8 +28,8 @@ from functools import cached_property
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.numerics.information import Information, information, prior_rows
-from calib.numerics.shared_error import SharedError
+from calib.numerics.observability import Information, information, prior_rows
+from calib.numerics.variance_components import SharedError
 from calib.units import Dimension
 
 

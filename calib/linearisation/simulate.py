@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.arrays import FloatArray
-from calib.data.arrays import as_poses, measurements
+from calib.data.in_memory import as_poses, measurements
 from calib.data.measurements import Measurements, Poses
 from calib.errors import DataError
 from calib.linearisation.observed import predicted_readings

@@ -40,7 +40,7 @@ class Unknowns(ReadOnlyArrays):
     @staticmethod
     def of(robot: Robot, free: BoolArray | None = None) -> Unknowns:
         """Return the parameters of a robot that are chosen, (n_parameters,): its free ones if not given."""
-        chosen = np.flatnonzero(robot.free if free is None else free)
+        chosen = np.flatnonzero(robot.is_free if free is None else free)
         kept = [robot.parameters[k] for k in chosen]
         families = tuple(dict.fromkeys(p.family for p in kept if p.family))
         return Unknowns(
@@ -77,10 +77,6 @@ class Unknowns(ReadOnlyArrays):
         """Return the free parameters that a choice of poses is about: families, which priors shape, are left out."""
         every = Unknowns.of(robot)
         return every.only(every.family < 0)
-
-    def without_priors(self) -> Unknowns:
-        """Return them without their priors."""
-        return replace(self, has_prior=np.zeros(len(self), dtype=bool))
 
     def deviations(self, values: FloatArray) -> FloatArray:
         """Return u = (p - p_nominal) / s from the values of all parameters, (n_parameters,)."""

@@ -13,7 +13,7 @@ from calib.linearisation.observed import Observed
 from calib.linearisation.rows import Group, Layout, Rows
 from calib.linearisation.unknowns import Unknowns
 from calib.model.robot import Robot
-from calib.numerics.shared_error import SharedError
+from calib.numerics.variance_components import SharedError
 from calib.observation.kind import Instrument, Part, Readings
 from calib.observation.noise import Noise, PartNoise
 from calib.units import Dimension

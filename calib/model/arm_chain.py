@@ -91,22 +91,30 @@ class _Tree:
         body: For each link, the name of the moving joint that carries it; empty for the root's body.
         carried: Link that each joint carries.
         distance: Length of the way to each link [m].
+        furthest: Length of the longest way that leads over each link [m].
     """
 
     def __init__(self, urdf: UrdfText) -> None:
         self.urdf = urdf
         parent = {joint.child: joint for joint in urdf.joints}
-        self.way: dict[str, list[UrdfJoint]] = {}
-        for link in urdf.links:
-            way: list[UrdfJoint] = []
-            end = link
-            while end in parent:
-                way.insert(0, parent[end])
-                end = parent[end].parent
-            self.way[link] = way
-        self.body = {link: ([""] + [joint.name for joint in _moving(way)])[-1] for link, way in self.way.items()}
+        self.way: dict[str, list[UrdfJoint]] = {link: [] for link in urdf.links if link not in parent}
+        self.distance: dict[str, float] = dict.fromkeys(self.way, 0.0)
+        standing: dict[str, list[UrdfJoint]] = {}
+        for joint in urdf.joints:
+            standing.setdefault(joint.parent, []).append(joint)
+        outwards = list(self.way)
+        for link in outwards:  # grows while it is read
+            for joint in standing.get(link, ()):
+                self.way[joint.child] = [*self.way[link], joint]
+                self.distance[joint.child] = self.distance[link] + math.hypot(*joint.xyz)
+                outwards.append(joint.child)
+        self.furthest = dict(self.distance)
+        for link in reversed(outwards):
+            if link in parent:
+                carrier = parent[link].parent
+                self.furthest[carrier] = max(self.furthest[carrier], self.furthest[link])
+        self.body = {link: ([""] + [joint.name for joint in _moving(self.way[link])])[-1] for link in urdf.links}
         self.carried = {joint.name: joint.child for joint in urdf.joints}
-        self.distance = {link: sum(math.hypot(*joint.xyz) for joint in way) for link, way in self.way.items()}
 
     def chain(self, target: str) -> ArmChain:
         """The chain to a link."""
@@ -125,13 +133,14 @@ class _Tree:
         ]
         ends = sorted((self._end(body) for body in bodies), key=lambda link: -len(_motors(self.way[link])))
         chain = self.chain(ends[0])
-        left = [joint for joint in _moving(self.urdf.joints) if joint not in self.way[chain.target]]
+        kept = {joint.name for joint in self.way[chain.target]}
+        left = [joint for joint in _moving(self.urdf.joints) if joint.name not in kept]
         fingers = [joint for joint in left if self.body[chain.target] in self._before(self.body[joint.parent])]
         tips = [joint.child for joint in fingers if not self._on(joint.name)]
         return replace(
             chain,
             fingers=tuple(joint.name for joint in fingers),
-            branches=tuple(joint.name for joint in left if joint not in fingers),
+            branches=tuple(joint.name for joint in left if all(joint is not finger for finger in fingers)),
             others=(*(link for link in ends[1:] if _motors(self.way[link])), *tips),
         )
 
@@ -181,8 +190,7 @@ class _Tree:
         return bool(_FINGER.search(link)) or any(j.mimic and j.type in HELD_TYPES for j in self.way[link])
 
     def _reach(self, joint: UrdfJoint) -> float:
-        below = [self.distance[link] for link, way in self.way.items() if joint in way]
-        return max(below) - self.distance[joint.parent]
+        return self.furthest[joint.child] - self.distance[joint.parent]
 
     def _arm_length(self, joints: list[UrdfJoint]) -> float:
         """Way from the first moving joint to where these hang."""

@@ -6,10 +6,9 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.errors import DescriptionError
-from calib.model.assembly_mode import AssemblyMode, block_signs, blocks
-from calib.model.closure import gap_text, open_by, residual, scaled, singular_values
+from calib.model.closure import AssemblyMode, block_signs, blocks, gap_text, open_by, residual, scaled, singular_values
+from calib.model.continuation import closing_tolerance, newton
 from calib.model.mechanism import Mechanism
-from calib.model.newton import closing_tolerance, newton
 from calib.units import millimetres
 
 _OPEN_HOME = 0.05  # characteristic lengths, or rad: as much as a calibrated URDF differs from its drawing

@@ -9,8 +9,8 @@ import pinocchio as pin
 
 from calib.arrays import FloatArray
 from calib.errors import DescriptionError, InputError, nearest
-from calib.joint_terms.term import Context, JointTerm, TermSection
-from calib.joint_terms.terms import joint_term
+from calib.joint_terms.term import Context, Joint, JointTerm, TermSection
+from calib.joint_terms.terms import TERMS
 from calib.model import kinematics
 from calib.model.description import Description
 from calib.model.mechanism import Mechanism
@@ -48,7 +48,7 @@ def _term(section: TermSection, name: str, joint: UrdfJoint, mechanism: Mechanis
         stroke = joint.upper - joint.lower
         if dimension == "length" and np.isfinite(stroke) and stroke > 0:
             section = section.within(float(stroke))
-        return joint_term(name, dimension, section, sigma)
+        return TERMS[section.term].of(Joint(name, dimension, mechanism.actuated), section, sigma)
     except (InputError, ValueError) as error:
         text = str(error)
         raise DescriptionError(text if text.startswith(where) else f"{place}: {text}") from None

@@ -16,18 +16,17 @@ from calib.errors import DataError, DescriptionError, InputError, ParameterError
 from calib.joint_terms.term import Context, JointTerm, TermSection
 from calib.model import kinematics, loops
 from calib.model.arm_chain import arm_chain
-from calib.model.assembly_mode import AssemblyMode
 from calib.model.closed_home import closed_home
-from calib.model.closure import singular_values
+from calib.model.closure import AssemblyMode, singular_values
 from calib.model.description import Description, read_description
 from calib.model.instruments import instruments_of, pair_names, places_of
 from calib.model.joint_errors import build_terms, gravity_torque, joint_errors, term_columns, with_torque
+from calib.model.loops import why_open
 from calib.model.mechanism import Mechanism, RelativeFrame, view
 from calib.model.mechanism_builder import build_mechanism, home_values
-from calib.model.open_loops import why_open
 from calib.model.parameters import Origin, Parametrisation
 from calib.model.parametrisation import build_parametrisation
-from calib.model.plain_urdf import describe
+from calib.model.templates import describe
 from calib.model.urdf_text import Triple, UrdfText, read_urdf
 from calib.observation.kind import Instrument, Place
 from calib.parameter import Parameter, index_of
@@ -191,9 +190,23 @@ class Robot(ReadOnlyArrays):
         return read_only(self.mode.actuated)
 
     @property
-    def free(self) -> BoolArray:
+    def is_free(self) -> BoolArray:
         """Which parameters a fit may change: all but the held ones, (n_parameters,)."""
         return np.array([parameter.name not in self.description.held for parameter in self.parameters])
+
+    def hold(self, *names: str) -> Robot:
+        """Return a robot of which a fit leaves these parameters, too, as they are; an unknown name is an error."""
+        return self._held((*self.description.held, *names), names)
+
+    def free(self, *names: str) -> Robot:
+        """Return a robot of which a fit may change these parameters; an unknown name is a `ParameterError`."""
+        return self._held(tuple(name for name in self.description.held if name not in names), names)
+
+    def _held(self, held: tuple[str, ...], named: tuple[str, ...]) -> Robot:
+        for name in named:
+            index_of(self.parameters, name)
+        changed = self.description.model_copy(update={"held": tuple(dict.fromkeys(held))})
+        return replace(self, description=changed)
 
     def with_parameters(self, values: Mapping[str, float] | ArrayLike) -> Robot:
         """Return a robot with other parameter values.
@@ -342,9 +355,19 @@ class Robot(ReadOnlyArrays):
         transforms = kinematics.relative_pose(swept, pair)
         return transforms[0] if np.ndim(q) == 1 else transforms
 
-    def positions(self, q: ArrayLike) -> FloatArray:
-        """Positions of all targets in the measurement frame, loops closed, (n, n_targets, 3) [m]."""
-        configurations = self.assemble(q)
+    def positions(self, q: ArrayLike, context: Context | None = None, seed: FloatArray | None = None) -> FloatArray:
+        """Positions of all targets in the measurement frame, loops closed, (n, n_targets, 3) [m].
+
+        Args:
+            q: Actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
+            context: Under which conditions the commands were given; joint terms may depend on it.
+            seed: See `assemble`.
+
+        Raises:
+            DataError: Joint values of the wrong shape.
+            UnreachablePoseError: A loop cannot be closed.
+        """
+        configurations = self.assemble(q, seed, context=context)
         joints = self.mechanism.all_joints(configurations.actuated, configurations.passive)
         swept = kinematics.sweep(self.mechanism, joints, self.mechanism.targets)
         return np.stack([kinematics.value(swept, target) for target in self.mechanism.targets], axis=1)

@@ -1,4 +1,4 @@
-"""The text of a robot description to start from, with comments that say what to change."""
+"""What a URDF without a robot description stands for, and the commented text of a description to start from."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import textwrap
 
 import yaml
 
-from calib.model.description import Description
+from calib.model.arm_chain import ArmChain
+from calib.model.description import BaseSection, Description, TargetSection
 from calib.model.parametrisation import default_sections
 from calib.model.urdf_text import HELD_TYPES, UrdfText
 
@@ -49,6 +50,25 @@ parametrisation:
 # Columns of foreign files, and what they stand for.
 # columns: {{x1: "{target}_x [m]", j1: "{example} [deg]"}}
 """
+
+
+def describe(chain: ArmChain, urdf_path: str) -> Description:
+    """Return the description that a plain URDF stands for.
+
+    The base is the link that the first moving joint stands on, not the root: where an unknown base is, a fixed joint
+    between the two says nothing.
+
+    Args:
+        chain: Its arm, or the chain to the link that carries the measured point.
+        urdf_path: How the description names the URDF.
+    """
+    return Description(
+        urdf=urdf_path,
+        name_mot=chain.joints,
+        base=BaseSection(frame=chain.base, pose="unknown"),
+        targets={chain.target: TargetSection(frame=chain.target, position="unknown")},
+        parametrisation=default_sections(),
+    )
 
 
 def description_text(urdf: UrdfText, description: Description, remark: str = "") -> str:

@@ -24,6 +24,11 @@ MOVING_TYPES = ("revolute", "continuous", "prismatic")
 HELD_TYPES = ("fixed", "floating", "planar")
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _TAG = re.compile(rb"""<[^\s/>"']+(?:[^"'>]|"[^"]*"|'[^']*')*>""")
+MOST_LINKS = 300
+MOST_MOVING = 100
+_LARGEST = 1e9  # of an origin [m or rad]: squares and products of such numbers stay finite
+_SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh", "origin", "mass", "inertia")
+_NO_NUMBERS = ("name", "filename")
 _SPACE = " \t\r\n"  # XML's; str.split() would also take the no-break space, which other programs refuse
 
 
@@ -129,7 +134,24 @@ class UrdfReader:
             self._start_joint(attributes)
         elif depth == 2 and self._joint:
             self._joint_child(tag, attributes)
+        elif depth >= 2 and self._stack[1] == "link" and tag in _SHAPES:
+            self._check_finite(tag, attributes)
         self._stack.append(tag)
+
+    def _check_finite(self, tag: str, attributes: dict[str, str]) -> None:
+        """Refuse shapes and masses that no program can draw or move; what else they say is not used here."""
+        for key, text in attributes.items():
+            for part in () if key in _NO_NUMBERS else text.split():
+                try:
+                    finite = abs(float(part)) < _LARGEST or key.startswith(("i", "value"))
+                except ValueError:
+                    continue  # a xacro leftover, for instance, which stays in the file
+                if not finite or not math.isfinite(float(part)):
+                    line = self._parser.CurrentLineNumber
+                    raise UrdfError(
+                        f"{self.path}, line {line}: <{tag}> of link '{self.links[-1]}' has {key}=\"{text}\";"
+                        " every number must be finite, and none beyond 1e9 m: correct it"
+                    )
 
     def _start_joint(self, attributes: dict[str, str]) -> None:
         name = self._required(attributes, "name", "<joint>")
@@ -226,11 +248,17 @@ class UrdfReader:
         numbers = tuple(self._number(part, where) for part in parts)
         if len(numbers) != 3:
             raise UrdfError(f"{self.path}, {where}: '{text}' is not three numbers separated by spaces")
+        if max(map(abs, numbers)) > _LARGEST:
+            raise UrdfError(f"{self.path}, {where}: '{text}' is beyond 1e9, more than any robot needs; correct it")
         return numbers
 
 
 def check_tree(path: str, links: list[str], joints: list[UrdfJoint]) -> None:
     """Raise `UrdfError` unless links and joints have unique names and form exactly one tree."""
+    moving = sum(joint.type in MOVING_TYPES for joint in joints)
+    for count, most, what in ((len(links), MOST_LINKS, "links"), (moving, MOST_MOVING, "joints that move")):
+        if count > most:
+            raise UrdfError(f"{path}: has {count} {what}, more than {most}; cut the file down to the arm")
     if not links:
         raise UrdfError(f"{path}: has no links; is this a URDF (run xacro first if it is a xacro file)?")
     for kind, given in (("link", links), ("joint", [joint.name for joint in joints])):

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.errors import UrdfError, nearest
+from calib.files import read_bytes
 from calib.model.urdf_reader import HELD_TYPES, MOVING_TYPES, NUMBER, Span, Triple, UrdfJoint, UrdfReader
 
 __all__ = ["HELD_TYPES", "MOVING_TYPES", "Triple", "UrdfJoint", "UrdfText", "parse_urdf", "read_urdf"]
@@ -104,18 +105,30 @@ class UrdfText:
 
 
 def read_urdf(path: Path | str) -> UrdfText:
-    """Read and check a URDF file.
+    """Read and check a URDF file, or a xacro file (`.xacro`), which is expanded first.
 
     Raises:
-        UrdfError: The file is missing or unreadable, is not XML, or its joints do not form one tree.
+        UrdfError: The file is missing or unreadable, is not XML, or its joints do not form one tree; or it is a xacro
+            file that cannot be expanded.
     """
+    source = read_bytes(path, "the path of a URDF", UrdfError)
+    return parse_urdf(_expanded(path) if Path(path).suffix == ".xacro" else source, str(path))
+
+
+def _expanded(path: Path | str) -> bytes:
+    """The URDF that a xacro file stands for, with the package xacro, which not everybody has."""
     try:
-        source = Path(path).read_bytes()
-    except FileNotFoundError:
-        raise UrdfError(f"{path}: no such file; give the path of a URDF") from None
-    except OSError as error:
-        raise UrdfError(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
-    return parse_urdf(source, str(path))
+        import xacro
+    except ImportError:
+        raise UrdfError(
+            f"{path}: is a xacro file, and the package that expands them is not installed: pip install xacro; or expand"
+            f" it elsewhere: xacro {path} > robot.urdf"
+        ) from None
+    try:
+        expanded: bytes = xacro.process_file(str(path)).toprettyxml(indent="  ", encoding="utf-8")
+    except Exception as error:  # of xacro, of the XML parser, of expressions in the file
+        raise UrdfError(f"{path}: xacro cannot expand it ({type(error).__name__}: {error})") from None
+    return expanded
 
 
 def parse_urdf(source: bytes, path: str = "<urdf>") -> UrdfText:

@@ -3,7 +3,7 @@
 Unknowns u = (p - p_nominal) / s with scales s (the parameters' sigma). Whitened data rows J u ~ N(r, f^2), each with
 the noise that the fit assumed, f being by how much that was off (1 where it was found from the residuals, about 1 where
 it was stated well), and for parameters that have a prior u ~ N(0, 1). With P = 1 for a prior, else 0, and
-T T^T = (J^T J + P)^-1 (`calib.numerics.information`):
+T T^T = (J^T J + P)^-1 (`calib.numerics.observability`):
 
     S = T^T P T                              the share that the priors have in each direction
     effective parameters                     n_eff = trace(I - S)       (the number of free ones without any prior)
@@ -42,9 +42,8 @@ from scipy.stats import chi2
 from scipy.stats import t as student_t
 
 from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.errors import NotIdentifiableError
-from calib.numerics.information import Information
-from calib.numerics.shared_error import SharedError
+from calib.numerics.observability import Information
+from calib.numerics.variance_components import SharedError, require_freedom
 
 DECIDED_BY_DATA = 0.9
 """Share of a parameter's expected variance that the data must remove for `identified`; up to 1 - this, `prior`."""
@@ -225,15 +224,6 @@ def found_factors(
     total = float(np.sum(squares) / np.sum(freedom))
     found = np.sqrt(np.where(freedom > _ENOUGH, squares / np.maximum(freedom, _ENOUGH), total))
     return Factors(found, freedom, found)
-
-
-def require_freedom(freedom: float, n_rows: int) -> None:
-    """Raise `NotIdentifiableError` unless at least one degree of freedom is left of n_rows coordinates."""
-    if freedom < 1 - 1e-9:
-        raise NotIdentifiableError(
-            f"{n_rows} measured coordinates leave {max(freedom, 0.0):.1f} degrees of freedom; without at"
-            " least one, no uncertainty can be stated: measure more poses"
-        )
 
 
 def statistics(

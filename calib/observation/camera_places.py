@@ -3,7 +3,7 @@
 The camera is fixed to one link by C, the body to another by M, and the robot says how the links lie, L_i, so that point
 X is seen at C^-1 L_i M X. Nothing may be known of C and M. Guesses come from
 
-1. poses of single views (`calib.observation.camera_poses`) and the hand-eye problem (`calib.observation.hand_eye`):
+1. poses of single views (`calib.observation.camera`) and the hand-eye problem (`calib.observation.hand_eye`):
 from
    a few views at a time, chosen at random, since some poses are the wrong one of several answers;
 2. all points at once: where M is taken for known, turned as it is or as a cube may be turned, C is a resection.
@@ -22,9 +22,9 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from calib.arrays import FloatArray, IntArray
-from calib.observation.camera_poses import LEAST_POINTS, cube_rotations, plane_errors, resection, view_poses
+from calib.numerics.rigid import cross_matrices
+from calib.observation.camera import LEAST_POINTS, cube_rotations, plane_errors, resection, view_poses
 from calib.observation.hand_eye import fixed_poses
-from calib.observation.rotations import cross_matrices
 
 _VIEWS = 25
 _POINTS = 400

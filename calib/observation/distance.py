@@ -4,7 +4,7 @@
 
 The offset is a constant of the instrument: a dead path, or the zero of a wire. Several instruments of this kind at
 different points make multilateration. Where the fixed point is follows from its distances
-(`calib.numerics.multilateration`).
+(`calib.numerics.rigid`).
 
 When it fails. A distance of nothing has no derivative: the target must not be where the instrument is. A target that
 stays in one plane does not tell on which side of it the fixed point is; the side of the first value is kept.
@@ -21,12 +21,11 @@ from pydantic import Field, model_validator
 
 from calib.arrays import FloatArray
 from calib.errors import ComputationError, DataError
-from calib.numerics.multilateration import centre, common_offset
+from calib.numerics.rigid import centre, common_offset
 from calib.observation.kind import Column, Comparison, Guess, Instrument, Part, Place, Readings, Scene, View
-from calib.observation.lengths import KNOWN_ZERO, LengthOrUnknown, OwnLength
 from calib.observation.noise import Noise, PartNoise
 from calib.parameter import Parameter
-from calib.sections import LENGTH_COMPONENTS, Length, Section
+from calib.sections import KNOWN_ZERO, LENGTH_COMPONENTS, Length, LengthOrUnknown, OwnLength, Section
 from calib.units import millimetres
 
 DISTANCE = Part("distance", ("distance",), "length")

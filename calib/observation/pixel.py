@@ -18,12 +18,12 @@ import numpy as np
 
 from calib.arrays import FloatArray, IntArray
 from calib.errors import DataError, nearest
+from calib.numerics.rigid import cross_matrices
 from calib.observation.camera import NAMES, in_front, project, rays
 from calib.observation.camera_places import Sightings, guesses, seen_points
 from calib.observation.kind import Column, Comparison, Guess, Instrument, Part, Place, Readings, Scene, View
 from calib.observation.noise import Noise, PartNoise
 from calib.observation.pixel_section import PixelSection
-from calib.observation.rotations import cross_matrices
 from calib.parameter import Parameter
 from calib.sections import COMPONENTS, Component, Section
 from calib.units import DISPLAY_UNIT, Dimension

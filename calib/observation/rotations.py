@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.arrays import FloatArray
 from calib.errors import DataError
+from calib.numerics.rigid import cross_matrices
 from calib.observation.kind import Column, Part
 from calib.units import Dimension
 
@@ -137,11 +138,3 @@ def inverse_left_jacobian(vectors: FloatArray) -> FloatArray:
     cross = cross_matrices(vectors)
     result: FloatArray = np.eye(3) - cross / 2.0 + factor[:, None, None] * (cross @ cross)
     return result
-
-
-def cross_matrices(vectors: FloatArray) -> FloatArray:
-    """Return [v]x of vectors, (n, 3) -> (n, 3, 3)."""
-    cross = np.zeros((len(vectors), 3, 3))
-    cross[:, [2, 0, 1], [1, 2, 0]] = vectors
-    cross[:, [1, 2, 0], [2, 0, 1]] = -vectors
-    return cross

@@ -28,12 +28,11 @@ from calib.arrays import FloatArray, IntArray
 from calib.errors import DataError, nearest
 from calib.observation.distance import distances
 from calib.observation.kind import Column, Comparison, Guess, Instrument, Part, Place, Readings, Scene, View
-from calib.observation.lengths import OwnLength
 from calib.observation.noise import Noise, PartNoise
 from calib.observation.touch_places import first_touches
 from calib.observation.touch_sections import Surface, TouchSection
 from calib.parameter import Parameter
-from calib.sections import LENGTH_COMPONENTS, Section
+from calib.sections import LENGTH_COMPONENTS, OwnLength, Section
 
 _PARTS: dict[Surface, Part] = {
     "socket": Part("contact", LENGTH_COMPONENTS, "length"),

@@ -8,8 +8,16 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from calib.observation.kind import Place
-from calib.observation.lengths import LengthOrUnknown, OwnLength
-from calib.sections import ANGLE_COMPONENTS, LENGTH_COMPONENTS, Angle, Component, Length, Section
+from calib.sections import (
+    ANGLE_COMPONENTS,
+    LENGTH_COMPONENTS,
+    Angle,
+    Component,
+    Length,
+    LengthOrUnknown,
+    OwnLength,
+    Section,
+)
 
 Surface = Literal["socket", "plane", "sphere"]
 _PositiveLength = Annotated[Length, Field(gt=0)]

@@ -22,14 +22,13 @@ from calib.linearisation.observed import observe
 from calib.linearisation.unknowns import Unknowns
 from calib.linearisation.whitening import Whitening
 from calib.model.robot import Configurations, Robot
-from calib.numerics.elimination import Elimination, eliminate
-from calib.numerics.identifiability import Rank
-from calib.numerics.information import Information, information, prior_rows
+from calib.numerics.identifiability import Elimination, Rank, eliminate
 from calib.numerics.null_space import Group, null_groups
-from calib.numerics.observability import TaskIndex, observability_of, task_index
+from calib.numerics.observability import Information, TaskIndex, information, observability_of, prior_rows, task_index
 from calib.parameter import Parameter, index_of
 from calib.pose_choice.pose_count import CountRow, accuracy_by_count
 from calib.threads import one_blas_thread
+from calib.units import millimetres
 
 CORRELATION_LIMIT = 0.95
 """Correlations above this are reported: the two values trade against each other."""
@@ -37,7 +36,7 @@ HARDLY = 0.5
 """A parameter whose standard deviation stays above this part of its prior sigma is hardly better known than before."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Assessment(ReadOnlyArrays):
     """What a set of poses determines.
 
@@ -78,6 +77,12 @@ class Assessment(ReadOnlyArrays):
     position_errors: FloatArray
     by_count: tuple[CountRow, ...]
     near_singular: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return (
+            f"<Assessment of {self.n_poses} poses: {self.determination.free.rank} of {int(np.sum(self.free))} free"
+            f" parameters determined, predicted error {millimetres(self.accuracy.rms):.3g} mm RMS>"
+        )
 
     @property
     def rank_all(self) -> Rank:
@@ -127,7 +132,7 @@ def assess(robot: Robot, poses: Poses, *, task: Poses | None = None, sigma: floa
     """
     require_free(robot)
     own = np.array([not p.family for p in robot.parameters])
-    parameters, free = tuple(p for p in robot.parameters if not p.family), robot.free[own]
+    parameters, free = tuple(p for p in robot.parameters if not p.family), robot.is_free[own]
     noise, assumed = assumed_sigma(robot, sigma)
     conditions = poses.conditions if isinstance(poses, Measurements) else None
     configurations = robot.assemble(poses.joints, labels=poses.labels, context=conditions)
@@ -197,7 +202,7 @@ def _by_pose(rows: FloatArray, pose: IntArray) -> FloatArray:
 
 def _require_rows(robot: Robot, poses: Poses, per_pose: int) -> None:
     """Raise where the poses cannot determine the free parameters, whatever they are."""
-    needed = sum(use and not p.prior for p, use in zip(robot.parameters, robot.free, strict=True))
+    needed = sum(use and not p.prior for p, use in zip(robot.parameters, robot.is_free, strict=True))
     if per_pose * len(poses) < needed:
         raise DataError(
             f"{poses.path}: {len(poses)} poses give {per_pose * len(poses)} coordinates for {needed} free parameters"

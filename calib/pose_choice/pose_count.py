@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.numerics.information import information
-from calib.numerics.observability import TaskIndex, task_index
+from calib.numerics.observability import TaskIndex, information, task_index
 from calib.pose_choice.exchange import Spacing, exchange, uniform_start
 from calib.pose_choice.selection_problem import TASK, build_problem
 

@@ -25,7 +25,7 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.linearisation.candidates import rows_of_poses
 from calib.model.closure import residual
-from calib.model.newton import closing_tolerance
+from calib.model.continuation import closing_tolerance
 from calib.model.robot import Robot
 from calib.pose_choice.region import Region
 from calib.pose_choice.selection_problem import Problem

@@ -206,7 +206,7 @@ def _raw(setting: Setting, rows: FloatArray) -> dict[str, float]:
     """O1 to O5 of whitened rows, (n_poses, 3 n_targets, r), on raw columns."""
     known, robot = setting.problem.known, setting.robot
     scaled = setting.sigma * (rows * known.strengths) @ known.directions.T
-    kept = [p for p, free in zip(robot.parameters, robot.free, strict=True) if free and not p.family]
+    kept = [p for p, free in zip(robot.parameters, robot.is_free, strict=True) if free and not p.family]
     return observability_of(scaled, kept, len(rows))[1]
 
 

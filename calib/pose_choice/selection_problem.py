@@ -39,7 +39,7 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
 from calib.numerics.identifiability import Rank, reduced
-from calib.numerics.information import OUTSIDE, Information, information
+from calib.numerics.observability import OUTSIDE, Information, information
 
 TASK = "task"
 """Name of the task index where an index is chosen."""

@@ -25,7 +25,7 @@ class Run:
     n_paper: int
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Selection(ReadOnlyArrays):
     """Chosen poses, in the order of measurement.
 
@@ -84,3 +84,7 @@ class Selection(ReadOnlyArrays):
 
     def __len__(self) -> int:
         return len(self.joints)
+
+    def __repr__(self) -> str:
+        before, after = self.before[self.index], self.after[self.index]
+        return f"<Selection of {len(self)} poses by {self.index}: {before:.4g} before, {after:.4g} after>"

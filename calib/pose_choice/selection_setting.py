@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from calib.arrays import BoolArray, FloatArray
-from calib.data.arrays import as_poses
+from calib.data.in_memory import as_poses
 from calib.data.measurements import Poses
 from calib.errors import InputError, NotIdentifiableError, nearest
 from calib.linearisation.candidates import (
@@ -26,7 +26,7 @@ from calib.linearisation.candidates import (
 )
 from calib.linearisation.unknowns import Unknowns
 from calib.model.robot import Robot
-from calib.numerics.information import prior_rows
+from calib.numerics.observability import prior_rows
 from calib.pose_choice.exchange import Spacing
 from calib.pose_choice.selection_problem import TASK, Problem, build_problem
 from calib.pose_choice.selection_scores import CHOICES

@@ -10,9 +10,8 @@ from rich.table import Table
 from calib.numerics.null_space import describe_group, natural_coefficients
 from calib.numerics.observability import INDICES, TaskIndex
 from calib.pose_choice.assessment import CORRELATION_LIMIT, HARDLY, Assessment
-from calib.reporting.plain_text import plain_text
 from calib.units import PER_SI, millimetres
-from calib.words import counted, sentence
+from calib.words import counted, plain_text, sentence
 
 _SHOWN = 12
 _SINGLE = 5  # parameters without effect that get a line of their own

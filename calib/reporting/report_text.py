@@ -11,10 +11,9 @@ from calib.identification.joint_curves import joint_curves, without_terms
 from calib.identification.reasons import Verdict
 from calib.identification.repeats import repeatability, repeats
 from calib.observation.kind import Part
-from calib.reporting.plain_text import plain_text
 from calib.reporting.result_content import correlated, error_sets, parameter_rows
 from calib.units import DISPLAY_UNIT, ERROR_UNIT, PER_SI, error_scale, millimetres
-from calib.words import counted, listed, sentence
+from calib.words import counted, listed, plain_text, sentence
 
 
 def text_report(fit: Fit, width: int = 120) -> str:

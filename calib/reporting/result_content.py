@@ -15,7 +15,6 @@ from calib.identification.joint_curves import joint_curves
 from calib.identification.judged import Outlier
 from calib.identification.repeats import repeatability, repeats
 from calib.linearisation.prediction import PositionUncertainty
-from calib.numerics.statistics import status
 from calib.observation.kind import Instrument
 from calib.units import DISPLAY_UNIT, ERROR_UNIT, PER_SI, Dimension, error_scale
 from calib.version import PROGRAM
@@ -104,27 +103,7 @@ def error_sets(fit: Fit) -> list[tuple[str, ErrorSet]]:
 
 def parameter_rows(fit: Fit) -> list[dict[str, object]]:
     """Return one row per parameter, in its display unit; uncertainties of held parameters are NaN."""
-    rows: list[dict[str, object]] = []
-    found = fit.statistics
-    uncertainty = iter(zip(found.std, found.half_width, found.data_share, strict=True))
-    for parameter, value, free in zip(fit.nominal.parameters, fit.robot.values, fit.free, strict=True):
-        scale = PER_SI[parameter.dimension][parameter.unit]
-        std, half, share = next(uncertainty) if free else (math.nan, math.nan, math.nan)
-        kind = status(share, std / parameter.sigma, prior=parameter.prior, placement=parameter.placement)
-        rows.append(
-            {
-                "name": parameter.name,
-                "unit": parameter.unit,
-                "nominal": parameter.nominal * scale,
-                "value": float(value) * scale,
-                "std": float(std) * scale,
-                "low95": float(value - half) * scale,
-                "high95": float(value + half) * scale,
-                "status": kind if free else "held",
-                "family": parameter.family,
-            }
-        )
-    return rows
+    return [one.row() | {"family": one.family} for one in fit.parameters.values()]
 
 
 def correlated(fit: Fit) -> list[dict[str, object]]:

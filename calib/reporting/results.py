@@ -24,7 +24,7 @@ from calib.data.parameter_files import format_parameters, read_parameters
 from calib.data.tables import read_table
 from calib.errors import ComputationError, DataError, DescriptionError
 from calib.export.urdf import urdf_bytes
-from calib.files import write_folder
+from calib.files import read_text, write_folder
 from calib.identification.fitted import Fit
 from calib.identification.joint_curves import beyond_learned
 from calib.identification.reasons import Verdict
@@ -232,14 +232,12 @@ def read_result(folder: Path | str) -> dict[str, Any]:
         DataError: Missing, broken, or of another version.
     """
     path = Path(folder) / "result.json"
+    if not path.exists():
+        raise DataError(f"{folder}: holds no result (no result.json); give the folder that `calib fit --out` wrote")
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise DataError(
-            f"{folder}: holds no result (no result.json); give the folder that `calib fit --out` wrote"
-        ) from None
-    except (OSError, ValueError) as error:
-        raise DataError(f"{path}: cannot be read ({error})") from None
+        content = json.loads(read_text(path, "a result that `calib fit` wrote", DataError))
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{path}: cannot be read ({error}); run the fit again") from None
     if not isinstance(content, dict) or content.get("version") != FORMAT_VERSION:
         raise DataError(f"{path}: is not a result of format version {FORMAT_VERSION}; run the fit again")
     rows = content.get("parameters")

@@ -15,9 +15,8 @@ from calib.numerics.observability import INDICES
 from calib.pose_choice.selection import Run, Selection
 from calib.pose_choice.selection_bound import CERTIFIED
 from calib.pose_choice.selection_problem import TASK
-from calib.reporting.plain_text import plain_text
 from calib.units import millimetres
-from calib.words import counted
+from calib.words import counted, plain_text
 
 
 def text_report(selection: Selection, poses: Poses, width: int = 110) -> str:

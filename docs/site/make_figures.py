@@ -18,7 +18,6 @@ from matplotlib.figure import Figure
 
 import calib
 from calib.arrays import FloatArray
-from calib.identification.validation import split
 from calib.linearisation.jacobian import linearise
 from calib.model.kinematics import sweep
 from calib.model.mechanism import RelativeFrame
@@ -76,7 +75,7 @@ def errors_before_after() -> Figure:
     """Position errors of the first calibration on the start page, on poses that it has not seen."""
     robot = calib.load(ROOT / "urdf" / "medrue.yaml")
     data = calib.read_measurements(EXAMPLES / "medrue_simulated.csv", robot)
-    used, others = split(data, 0.8)
+    used, others = data.split(0.8)
     fit = calib.fit(robot, used, validation=others)
     assert fit.validation is not None
     figure = Figure(figsize=(8, 2.8), layout="constrained")

@@ -1,9 +1,10 @@
-"""Put the results of `medrue poses`, `medrue study` and `medrue experiment` into the page docs/paper.md.
+"""Put the results of `medrue poses`, `study`, `experiment` and `touch` into the page docs/paper.md.
 
     medrue poses --out out/poses.csv --json out/poses.json
     medrue study --out out/study
     medrue experiment --out out/experiment
-    python docs/site/make_paper_page.py out/poses.json out/study out/experiment
+    medrue touch --out out/touch
+    python docs/site/make_paper_page.py out/poses.json out/study out/experiment out/touch
 
 The page has places `<!-- begin study/table2.csv -->` ... `<!-- end -->`; what is between them is replaced. A CSV
 becomes a table, `findings` the list of what a study shows, `poses.json` a table of where the poses are. Figures of the
@@ -100,7 +101,7 @@ def _cell(text: str) -> str:
 
 def main() -> None:
     """Run the command line."""
-    sources = dict(zip(("poses", "study", "experiment"), map(Path, sys.argv[1:]), strict=True))
+    sources = dict(zip(("poses", "study", "experiment", "touch"), map(Path, sys.argv[1:]), strict=True))
     page = filled(PAGE.read_text(encoding="utf-8"), sources)
     PAGE.write_text(page, encoding="utf-8")
     FIGURES.mkdir(parents=True, exist_ok=True)

@@ -26,7 +26,6 @@ import calib
 from calib.data.tables import format_table
 from calib.errors import CalibrationError
 from calib.files import write_file
-from calib.identification.validation import split
 from calib.model.instruments import instruments_of
 
 PAGE = EXAMPLES.parent / "verdict.md"
@@ -73,7 +72,7 @@ def calibrate(run: Run) -> Outcome:
     try:
         data, validation = scenario.make(lab).measurements(lab.nominal), None
         if scenario.validate:
-            data, validation = split(data, scenario.validate, run.seed)
+            data, validation = data.split(scenario.validate, seed=run.seed)
         robot = lab.nominal if scenario.stated else _without_noise(lab.nominal)
         verdict = calib.fit(robot, data, validation=validation).verdict
     except CalibrationError as error:

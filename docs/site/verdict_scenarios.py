@@ -16,7 +16,7 @@ from make_examples import ARM_BASE, EXAMPLES
 from numpy.typing import NDArray
 
 import calib
-from calib.data.arrays import as_measurements
+from calib.data.in_memory import as_measurements
 from calib.data.measurements import Measurements, directions_of_motion
 from medrue import robot_file
 from medrue.workspace import target_workspace

@@ -17,7 +17,7 @@ import numpy as np
 import calib
 from calib.linearisation.candidates import rows_of_poses
 from calib.linearisation.unknowns import Unknowns
-from calib.numerics.information import information, prior_rows
+from calib.numerics.observability import information, prior_rows
 from calib.pose_choice.selection import select
 from calib.threads import one_blas_thread
 

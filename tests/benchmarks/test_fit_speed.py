@@ -1,4 +1,8 @@
-"""How long a whole fit takes: MedRUE, 84 poses from the nominal parameters, plain and with a robust loss."""
+"""How long a whole fit takes: MedRUE, 84 poses from the nominal parameters, plain and with a robust loss; and 420 poses
+with the extended model.
+"""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,6 +10,7 @@ import pytest
 import calib
 from medrue import robot_file
 from medrue.closed_form import forward
+from medrue.imperfections import Imperfections, from_direction, imperfect_robot
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
 
@@ -33,3 +38,14 @@ def test_verdict_of_84_poses(benchmark, problem):
         return fit.verdict
 
     assert benchmark(judged).grade in ("PASS", "CHECK")
+
+
+def test_fit_of_the_extended_model(benchmark):
+    robot, q = calib.load(robot_file("medrue_extended")), np.array(target_workspace().q)
+    actual = calib.load(robot_file()).with_parameters(table1().actual)
+    truth = imperfect_robot(robot, actual, Imperfections(), np.random.default_rng(1))
+    approach = np.random.default_rng(2).choice([-1.0, 1.0], len(q))
+    positions = truth.positions(q, approach)
+    data = calib.as_measurements(robot, q, positions + 4e-5 * np.random.default_rng(3).standard_normal(positions.shape))
+    fit = benchmark(calib.fit, robot, replace(data, approach=from_direction(approach)))
+    assert fit.converged

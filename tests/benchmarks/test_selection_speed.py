@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.data.arrays import as_poses
+from calib.data.in_memory import as_poses
 from calib.pose_choice.assessment import assess
 from calib.pose_choice.selection import select
 from medrue import robot_file

@@ -1,0 +1,55 @@
+"""Which rows repeat one pose: those of one name, and those whose joint values agree."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from calib.arrays import FloatArray, IntArray
+
+_SAME_JOINTS = 1e-4  # joint values that agree to this are one pose, read back with an encoder's noise [m, rad]
+
+
+def pose_labels(joints: FloatArray) -> IntArray:
+    """Return a number for each row of joint values (n, n_actuated); rows that repeat one pose have the same.
+
+    Repeats agree to 0.1 mm and 0.1 mrad in every joint, or are linked by others that do.
+    """
+    cells, cell = np.unique(np.round(joints / _SAME_JOINTS), axis=0, return_inverse=True)
+    linked = cKDTree(cells).query_pairs(1.5, p=np.inf, output_type="ndarray")  # the same cell or a neighbour
+    graph = coo_array((np.ones(len(linked)), (linked[:, 0], linked[:, 1])), shape=(len(cells), len(cells)))
+    label: IntArray = connected_components(graph, directed=False)[1][cell.reshape(-1)]
+    return label
+
+
+def repeated_poses(joints: FloatArray, by_name: IntArray) -> list[IntArray]:
+    """Return groups of rows that repeat one pose, by its name or by its joint values, in the order of the rows.
+
+    Args:
+        joints: Joint values, (n, n_actuated) [m or rad].
+        by_name: A number for each row, the same for those of one pose name, (n,).
+    """
+    by_joints = pose_labels(joints)
+    n = int(by_joints.max(initial=-1)) + 1
+    size = n + int(by_name.max(initial=-1)) + 1
+    graph = coo_array((np.ones(len(joints)), (by_joints, n + by_name)), shape=(size, size))
+    label: IntArray = connected_components(graph, directed=False)[1][by_joints]
+    label = np.unique(label, return_inverse=True)[1].reshape(-1)
+    by_label = np.argsort(label, kind="stable")
+    groups = np.split(by_label, np.cumsum(np.bincount(label))[:-1])
+    groups.sort(key=lambda group: int(group[0]))  # so that without repeats a pose is a pose
+    return groups
+
+
+def shuffled_poses(joints: FloatArray, by_name: IntArray, seed: int) -> list[IntArray]:
+    """Return the groups of `repeated_poses` in random order.
+
+    Args:
+        joints: Joint values, (n, n_actuated) [m or rad].
+        by_name: A number for each row, the same for those of one pose name, (n,).
+        seed: Seed of the order.
+    """
+    groups = repeated_poses(joints, by_name)
+    return [groups[k] for k in np.random.default_rng(seed).permutation(len(groups))]

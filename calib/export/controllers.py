@@ -1,0 +1,250 @@
+"""What controllers and ROS hold: Denavit-Hartenberg tables, joint zeros, Universal Robots' kinematics, xacro origins.
+
+Most of them hold less than the calibrated robot. Each file says, in its comment, what it holds and which error is left
+at the target, judged by the robot itself with all that it has: loops, terms of joint errors, tool.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+import yaml
+
+from calib.arrays import FloatArray
+from calib.data.dh_files import format_dh
+from calib.data.tables import format_table
+from calib.errors import InputError
+from calib.export.joint_zeros import joint_zeros
+from calib.export.serial_chain import Remainder, SerialChain, judging_poses, remainder, serial_chain
+from calib.export.toolbox import ExactDumper
+from calib.export.urdf import comment, numbers, provenance_lines
+from calib.model.denavit_hartenberg import Convention, DhRow, Kind, dh_table
+from calib.model.robot import Robot
+from calib.units import DISPLAY_UNIT, PER_SI, millimetres
+from calib.words import listed
+
+_UR_JOINTS = {
+    "shoulder": "shoulder_pan_joint",
+    "upper_arm": "shoulder_lift_joint",
+    "forearm": "elbow_joint",
+    "wrist_1": "wrist_1_joint",
+    "wrist_2": "wrist_2_joint",
+    "wrist_3": "wrist_3_joint",
+}
+
+
+@dataclass(frozen=True)
+class ControllerFile:
+    """A file for a controller.
+
+    Attributes:
+        content: Its bytes.
+        statement: What it holds, and what it leaves.
+        left: What it leaves; None where nothing was compared.
+    """
+
+    content: bytes
+    statement: str
+    left: Remainder | None
+
+
+def dh_file(robot: Robot, convention: Convention, provenance: Sequence[str] = ()) -> ControllerFile:
+    """Return the Denavit-Hartenberg table of a robot's chain as CSV.
+
+    Raises:
+        InputError: The robot is no chain of joints with motors.
+    """
+    chain = serial_chain(robot, robot.mechanism)
+    turns = [_z_to(joint.axis) for joint in chain.joints]
+    before = [pin.SE3.Identity(), *turns]
+    after = [*turns, pin.SE3.Identity()]
+    links = [a.inverse() * link * b for a, link, b in zip(before, chain.links, after, strict=True)]
+    table = dh_table(links, [_dh_row(robot, joint.name) for joint in chain.joints], convention)
+    left = remainder(robot, chain, table.poses)
+    statement = f"{_chain_text(robot, chain)}: {left.text()}"
+    along, across = "Rot z(theta) Trans z(d)", "Trans x(a) Rot x(alpha) Rot y(beta)"
+    product = f"{along} {across}" if convention == "standard" else f"{across} {along}"
+    lines = [
+        f"the pose of {chain.tip} in {chain.base} is the product of the rows in their order, each {product};",
+        "sign * q adds to theta of revolute joints and to d of prismatic ones; base and tool do not move",
+    ]
+    if any(row.beta for row in table.rows):
+        lines.append(
+            "beta is Hayati's angle between nearly parallel axes; a controller without it cannot hold the table"
+        )
+    lines += [statement, _tool_text(chain), *provenance_lines(robot), *provenance]
+    return ControllerFile(format_dh(table, lines).encode(), statement, left)
+
+
+def _z_to(axis: Sequence[float]) -> pin.SE3:
+    """A turn that takes z to a unit axis; none for z itself, and for the other axes of the frame the shortest."""
+    quaternion = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), np.array(axis))
+    return pin.SE3(quaternion.toRotationMatrix(), np.zeros(3))
+
+
+def _dh_row(robot: Robot, name: str) -> DhRow:
+    joint = next(joint for joint in robot.urdf.joints if joint.name == name)
+    kind: Kind = "prismatic" if joint.type == "prismatic" else "revolute"
+    return DhRow(name, kind, lower=joint.lower, upper=joint.upper)
+
+
+def _chain_text(robot: Robot, chain: SerialChain) -> str:
+    held = f"holds the {len(chain.joints)} joints from {chain.base} to {chain.tip}"
+    missing = [name for name in robot.joint_names if name not in [joint.name for joint in chain.joints]]
+    if missing:
+        held += f", not {listed(missing)} beside them"
+    return held + _terms_text(robot)
+
+
+def _terms_text(robot: Robot) -> str:
+    joints = list(dict.fromkeys(term.joint for term in robot.terms))
+    return f", no terms of joint errors (of {listed(joints)})" if joints else ""
+
+
+def _tool_text(chain: SerialChain) -> str:
+    xyz = " ".join(f"{millimetres(float(value)):.6f}" for value in chain.point.translation)
+    return f"the target is at {xyz} mm in {chain.tip}; it is not in this file"
+
+
+def ur_kinematics(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFile:
+    """Return the kinematics YAML of `ur_description`, Universal Robots' ROS description.
+
+    It holds the six joint origins, from `base_link_inertia` on, or from where the shoulder stands. What a calibration
+    found of the fixed joints before goes into the first of them. Of what it found behind wrist_3, only a turn about and
+    a shift along the last axis have a place, in the last of them.
+
+    Raises:
+        InputError: The robot is not one that `ur_description` made.
+    """
+    chain, nominal = (serial_chain(robot, mechanism) for mechanism in (robot.mechanism, robot.nominal))
+    _check_ur(robot, chain)
+    mount = _mount(robot, nominal)
+    tail, found = nominal.links[-1], chain.links[-1]
+    turned = found.rotation @ tail.rotation.T
+    theta = float(np.arctan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1]))
+    shift = np.array([0.0, 0.0, float(found.translation[2] - tail.translation[2])])
+    last = chain.links[-2] * pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, theta), shift)
+    origins = [mount.inverse() * chain.links[0], *chain.links[1:-2], last]
+    left = remainder(robot, chain, _product([mount * origins[0], *origins[1:], tail]))
+    statement = f"holds the six joint origins, nothing behind wrist_3{_terms_text(robot)}: {left.text()}"
+    lines = [
+        "calib: kinematics for ur_description (argument kinematics_params of ur.urdf.xacro)",
+        statement,
+        _tool_text(chain),
+        "hash: the driver compares it with the controller's, and says that they differ: these are not factory values",
+        *provenance_lines(robot),
+        *provenance,
+    ]
+    keys = ("x", "y", "z", "roll", "pitch", "yaw")
+    content: dict[str, object] = {
+        name: dict(zip(keys, _xyz_rpy(origin), strict=True)) for name, origin in zip(_UR_JOINTS, origins, strict=True)
+    }
+    text = yaml.dump({"kinematics": {**content, "hash": "measured_by_calib"}}, Dumper=ExactDumper, sort_keys=False)
+    return ControllerFile(("".join(f"# {line}\n" for line in lines) + text).encode(), statement, left)
+
+
+def _xyz_rpy(origin: pin.SE3) -> list[float]:
+    values = (*origin.translation, *pin.rpy.matrixToRpy(origin.rotation))
+    return [float(value) + 0.0 for value in values]  # no -0.0
+
+
+def _check_ur(robot: Robot, chain: SerialChain) -> None:
+    """Raise `InputError` unless the chain is that of ur_description: six joints about z, no fixed joints between."""
+    names = [joint.name for joint in chain.joints]
+    prefix = names[0].removesuffix(_UR_JOINTS["shoulder"])
+    wanted = [prefix + name for name in _UR_JOINTS.values()]
+    hint = "make the URDF with 'xacro ur.urdf.xacro ur_type:=... name:=ur' of ur_description, and calibrate that"
+    if names != wanted:
+        raise InputError(
+            f"{robot.urdf.path}: format 'ur-kinematics' needs the joints {', '.join(wanted)}, not"
+            f" {', '.join(names)}; {hint}"
+        )
+    for k, joint in enumerate(chain.joints):
+        if joint.axis != (0.0, 0.0, 1.0):
+            raise InputError(f"{robot.urdf.path}, joint '{joint.name}': its axis is not 0 0 1; {hint}")
+        if k and joint.parent != chain.joints[k - 1].child:
+            raise InputError(f"{robot.urdf.path}, joint '{joint.name}': does not hang on the joint before it; {hint}")
+
+
+def _mount(robot: Robot, nominal: SerialChain) -> pin.SE3:
+    """Where the link that the shoulder stands on is in the base, nominal."""
+    shoulder = nominal.joints[0]
+    return nominal.links[0] * robot.nominal.placement(shoulder.name).inverse()
+
+
+def _product(links: Sequence[pin.SE3]) -> Callable[[FloatArray], FloatArray]:
+    """Poses (n, 4, 4) of a chain of joints about z between these links, at joint values (n, n_joints)."""
+
+    def forward(q: FloatArray) -> FloatArray:
+        poses = []
+        for row in q:
+            pose = links[0]
+            for angle, link in zip(row, links[1:], strict=True):
+                pose = pose * pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, float(angle)), np.zeros(3)) * link
+            poses.append(pose.homogeneous)
+        return np.array(poses)
+
+    return forward
+
+
+def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFile:
+    """Return a sign and a zero correction for each joint with a motor, and what they alone reach: see `joint_zeros`."""
+    q, where = judging_poses(robot)
+    found = joint_zeros(robot, q)
+    left, before = (Remainder.of(distances, where) for distances in (found.left, found.before))
+    anew = ", base and target placed anew" if found.placed else ""
+    statement = (
+        f"holds one zero and a sign for each joint: {left.text()}{anew}; the nominal model without them has"
+        f" {millimetres(before.rms):.4g} mm RMS"
+    )
+    lines = [
+        f"calib: joint zeros of {robot.name}: a joint is at sign * q + offset where the controller says q",
+        statement,
+        *provenance_lines(robot),
+        *provenance,
+    ]
+    dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
+    units = [DISPLAY_UNIT[dimension] for dimension in dimensions]
+    shown = [float(v) * PER_SI[dim][unit] for v, unit, dim in zip(found.offsets, units, dimensions, strict=True)]
+    columns: list[tuple[str, Sequence[object]]] = [
+        ("joint", robot.joint_names),
+        ("sign", [f"{sign:.0f}" for sign in found.signs]),
+        ("offset", shown),
+        ("unit", units),
+    ]
+    return ControllerFile(format_table(columns, lines).encode(), statement, left)
+
+
+def xacro_origins(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFile:
+    """Return a xacro file with properties `JOINT_xyz` and `JOINT_rpy` for every joint of the URDF.
+
+    Raises:
+        InputError: Two joints would get the same properties.
+    """
+    lines, owner = [], dict[str, str]()
+    for joint in robot.urdf.joints:
+        name = re.sub(r"\W", "_", joint.name, flags=re.ASCII)
+        if owner.setdefault(name, joint.name) != joint.name:
+            raise InputError(
+                f"{robot.urdf.path}: joints '{owner[name]}' and '{joint.name}' would both be xacro properties"
+                f" {name}_xyz; rename one"
+            )
+        same = robot.mechanism.placement(joint.name) == robot.nominal.placement(joint.name)
+        placement = robot.mechanism.placement(joint.name)
+        xyz, rpy = (joint.xyz, joint.rpy) if same else (placement.translation, pin.rpy.matrixToRpy(placement.rotation))
+        lines.append(f'  <xacro:property name="{name}_xyz" value="{numbers(xyz)}"/>')
+        lines.append(f'  <xacro:property name="{name}_rpy" value="{numbers(rpy)}"/>')
+    statement = f"holds every joint origin exactly{_terms_text(robot)}; no base or target position"
+    head = comment(["calib: joint origins for a xacro to include", statement, *provenance_lines(robot), *provenance])
+    text = [
+        '<?xml version="1.0"?>',
+        '<robot xmlns:xacro="http://www.ros.org/wiki/xacro">',
+        head,
+        *lines,
+        "</robot>",
+    ]
+    return ControllerFile(("\n".join(text) + "\n").encode("ascii"), statement, None)

@@ -1,0 +1,56 @@
+"""Coupling: a joint that moves with another one, as by a belt, a tendon, or a motor that sits on the other's link."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.errors import nearest
+from calib.joint_terms.term import Context, Joint, JointTerm, TermSection, coefficient
+from calib.parameter import Parameter
+from calib.units import Dimension
+
+EXPECTED: dict[Dimension, float] = {"angle": 1e-3, "length": 1e-3}
+"""Expected error per radian or metre of the other joint, where nothing is stated [rad, m]."""
+
+
+class CouplingSection(TermSection):
+    """A coupling.
+
+    Attributes:
+        driven_by: The other joint.
+    """
+
+    driven_by: str
+
+
+@dataclass(frozen=True)
+class Coupling(JointTerm):
+    """dq = c times the command of another joint, in radians or metres."""
+
+    section = CouplingSection
+    joint: str
+    parameters: tuple[Parameter, ...]
+    other: int
+
+    @classmethod
+    def of(cls, joint: Joint, section: CouplingSection, sigma: float | None) -> Coupling:
+        """Return the term that an entry of a robot description means.
+
+        Raises:
+            ValueError: There is no such other joint.
+        """
+        other = section.driven_by
+        if other not in joint.actuated:
+            raise ValueError(f"driven_by: no actuated joint '{other}'{nearest(other, joint.actuated)}")
+        if other == joint.name:
+            raise ValueError("a joint that is driven by itself has a `gain`")
+        size = EXPECTED[joint.dimension] if sigma is None else sigma
+        name = f"{joint.name}.by_{other}"
+        return cls(joint.name, (coefficient(name, joint.dimension, size),), joint.actuated.index(other))
+
+    def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
+        """Return the other joint's command, (n, 1)."""
+        return np.asarray(q[:, self.other : self.other + 1])

@@ -1,0 +1,243 @@
+"""The experiment again as one would do it today: every pose from both sides, and a model of what was left out.
+
+The same simulated robots as in `medrue.experiment`, draw by draw, whose rails have the smaller errors of
+`medrue.imperfections.RailErrors` too, two of which no model has. The tracker reads every pose twice: after the rail
+came in the positive direction, and after it came in the negative one. From such readings of n poses are identified,
+with the same noise,
+
+* the paper's model,
+* the extended model (`urdf/medrue_extended.yaml`), which is told the direction of approach, and, to see what that
+  needs, the extended model from one direction alone, and from either direction at random, one for each pose.
+
+All of them are judged at the other poses, from both sides. Poses are chosen by O1 of the extended model at its nominal
+parameters, which is all that is known before measuring; one set is the 84 poses of the paper's protocol.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from calib.arrays import FloatArray, IntArray
+from calib.data.measurements import Measurements, as_measurements
+from calib.errors import NotIdentifiableError
+from calib.identification.fit import fit
+from calib.joint_terms.term import Context
+from calib.model.robot import Robot
+from calib.pose_choice.selection import select
+from calib.threads import one_blas_thread
+from medrue.draws import PoseSet
+from medrue.imperfections import Imperfections, RailErrors, from_direction, imperfect_robot
+from medrue.paper_tables import table3
+from medrue.parallel import Workers
+from medrue.progress import Progress
+from medrue.tracker import REPEATS, SIGMA, measure
+
+COUNTS = (10, 14, 21, 28, 42, 63, 84, 126)
+"""Numbers of poses to identify with."""
+QUICK_COUNTS = (28, 84)
+SIDES = (1.0, -1.0)
+"""Directions of approach."""
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way to calibrate.
+
+    Attributes:
+        name: What to call it.
+        extended: Whether with the extended model; else with the paper's.
+        sides: Directions from which each pose is approached: both, the positive one, or either at random.
+    """
+
+    name: str
+    extended: bool
+    sides: Literal["both", "one", "either"]
+
+
+PAPER = Way("paper's model, both sides", False, "both")
+EXTENDED = Way("extended, both sides", True, "both")
+WAYS = (PAPER, EXTENDED, Way("extended, either side", True, "either"), Way("extended, one side", True, "one"))
+
+
+@dataclass(frozen=True, eq=False)
+class BothSidesTask:
+    """One simulated robot, measured from both sides.
+
+    Attributes:
+        robot: Nominal MedRUE with the paper's parameters.
+        extended: The extended model, nominal.
+        joints: Poses, (n, 6) [m, rad].
+        sets: Pose sets to identify with.
+        imperfections: Sizes of what the paper's parameters leave out.
+        rail: Smaller errors of the rail.
+        seed: Seed of this draw, the same as in `medrue.experiment.ExperimentTask`.
+    """
+
+    robot: Robot
+    extended: Robot
+    joints: FloatArray
+    sets: tuple[PoseSet, ...]
+    imperfections: Imperfections
+    rail: RailErrors
+    seed: np.random.SeedSequence
+
+
+@dataclass(frozen=True, eq=False)
+class BothSidesDraw:
+    """What calibrations of one simulated robot gave.
+
+    Attributes:
+        measured: Positions as read, by side and pose, (2, n, 3) [m].
+        after: Errors, predicted minus measured, by way, set, side and pose, (n_ways, n_sets, 2, n, 3) [m]; NaN where
+            the readings were too few for the model, or the fit did not converge.
+        actual: True values of the extended model's parameters, (n_parameters,) [m, rad].
+        values: Those that `EXTENDED` found from the first set, (n_parameters,) [m, rad]; NaN where it found none.
+        std: Their standard deviations as the fit states them, (n_parameters,) [m, rad].
+    """
+
+    measured: FloatArray
+    after: FloatArray
+    actual: FloatArray
+    values: FloatArray
+    std: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class BothSides:
+    """Everything that the measurement from both sides found.
+
+    Attributes:
+        extended: The extended model, nominal.
+        joints: Poses, (n, 6) [m, rad].
+        sets: Pose sets: the paper's 84 of O1, then one for each number of poses, chosen by O1 of the extended model.
+        rail: Smaller errors of the rail.
+        draws: Simulated robots, those of the experiment.
+    """
+
+    extended: Robot
+    joints: FloatArray
+    sets: tuple[PoseSet, ...]
+    rail: RailErrors
+    draws: tuple[BothSidesDraw, ...]
+
+    def errors(self, way: Way, s: int) -> FloatArray:
+        """Return the errors at the poses that the set `s` leaves, (n_draws, n_rows, 3) [m]."""
+        w = WAYS.index(way)
+        others = self.sets[s].others(len(self.joints))
+        return np.array([draw.after[w, s][:, others].reshape(-1, 3) for draw in self.draws])
+
+    def first_measurements(self) -> Measurements:
+        """Return what was read of the first robot, all poses from both sides."""
+        n = len(self.joints)
+        side, pose = np.repeat(np.arange(len(SIDES)), n), np.tile(np.arange(n), len(SIDES))
+        return visited(self.extended, self.joints, self.draws[0].measured, side, pose)
+
+
+def run_both_sides(
+    robot: Robot,
+    extended: Robot,
+    joints: FloatArray,
+    first: PoseSet,
+    counts: tuple[int, ...],
+    imperfections: Imperfections,
+    seeds: Sequence[np.random.SeedSequence],
+    workers: Workers,
+    progress: Progress,
+) -> BothSides:
+    """Measure and calibrate the robots of the experiment from both sides.
+
+    Args:
+        robot: MedRUE with the paper's parameters, nominal.
+        extended: The extended model, nominal.
+        joints: Poses, (n, 6) [m, rad].
+        first: The paper's set of poses.
+        counts: Numbers of poses.
+        imperfections: Sizes of what the paper's parameters leave out.
+        seeds: Of the experiment's draws.
+        workers: Who does the draws.
+        progress: Told how far the work is.
+    """
+    sets, rail = [first], RailErrors()
+    with progress.stage("choosing poses for the extended model", len(counts)) as advance:
+        for chosen in workers.in_order(_choose, [(extended, joints, count) for count in counts]):
+            sets.append(PoseSet(f"{len(chosen)}", chosen))
+            advance(1)
+    tasks = [BothSidesTask(robot, extended, joints, tuple(sets), imperfections, rail, seed) for seed in seeds]
+    draws = []
+    with progress.stage("measurements from both sides", len(tasks)) as advance:
+        for draw in workers.in_order(both_sides_draw, tasks):
+            draws.append(draw)
+            advance(1)
+    return BothSides(extended, joints, tuple(sets), rail, tuple(draws))
+
+
+def _choose(task: tuple[Robot, FloatArray, int]) -> IntArray:
+    robot, joints, count = task
+    return np.sort(select(robot, joints, count, "O1", sigma=SIGMA).chosen)
+
+
+@one_blas_thread
+def both_sides_draw(task: BothSidesTask) -> BothSidesDraw:
+    """Build one imperfect robot, measure it from both sides, and calibrate it in every way from every set of poses."""
+    actual = task.robot.with_parameters(table3().identified)
+    truth = imperfect_robot(
+        task.extended, actual, task.imperfections, np.random.default_rng(task.seed), task.rail
+    )  # the tilts are the first numbers of that generator, as in the experiment
+    generator = np.random.default_rng(np.random.SeedSequence(task.seed.entropy, spawn_key=(*task.seed.spawn_key, 0)))
+    n = len(task.joints)
+    points = np.concatenate([truth.positions(task.joints, np.full(n, side)) for side in SIDES])
+    measured = measure(points, SIGMA, REPEATS, generator).positions.reshape(len(SIDES), n, 3)
+    either = generator.integers(len(SIDES), size=n)
+    passive = task.robot.assemble(task.joints).passive
+    after = np.full((len(WAYS), len(task.sets), *measured.shape), np.nan)
+    values: FloatArray = np.full(len(task.extended.parameters), np.nan)
+    std = values
+    for w, way in enumerate(WAYS):
+        model = task.extended if way.extended else task.robot
+        for s, pose_set in enumerate(task.sets):
+            data = visited(model, task.joints, measured, *_visits(way, pose_set, either))
+            try:
+                found = fit(model, data, sigma=SIGMA / np.sqrt(REPEATS))
+            except NotIdentifiableError:  # too few readings for so many parameters
+                continue
+            if not found.converged:
+                continue
+            after[w, s] = _predicted(found.robot, task.joints, passive) - measured
+            if way == EXTENDED and s == 0:
+                values, std = found.robot.values, found.statistics.std
+    return BothSidesDraw(measured, after, truth.robot.values, values, std)
+
+
+def visited(robot: Robot, joints: FloatArray, measured: FloatArray, side: IntArray, pose: IntArray) -> Measurements:
+    """Return visits as measurements; a pose from another side is another pose, for errors are averaged over repeats.
+
+    Args:
+        robot: The model that they are for.
+        joints: Poses, (n, 6) [m, rad].
+        measured: Positions as read, by side and pose, (2, n, 3) [m].
+        side: Index into `SIDES` of each visit, (n_visits,).
+        pose: Pose of each visit, (n_visits,).
+    """
+    names = [f"{k + 1}{'+-'[s]}" for s, k in zip(side, pose, strict=True)]
+    data = as_measurements(robot, joints[pose], measured[side, pose], names)
+    return replace(data, approach=from_direction(np.array(SIDES)[side]))
+
+
+def _visits(way: Way, pose_set: PoseSet, either: IntArray) -> tuple[IntArray, IntArray]:
+    """Sides and poses of the visits from which a way identifies, (n,) each."""
+    pose = pose_set.chosen
+    if way.sides == "both":
+        return np.repeat(np.arange(len(SIDES)), len(pose)), np.tile(pose, len(SIDES))
+    return (either[pose] if way.sides == "either" else np.zeros(len(pose), dtype=np.intp)), pose
+
+
+def _predicted(robot: Robot, joints: FloatArray, passive: FloatArray) -> FloatArray:
+    """Positions of the tool from each side, (2, n, 3) [m], starting from the passive joints of the nominal robot."""
+    if not robot.terms:
+        return np.array([robot.positions(joints, seed=passive)[:, 0]] * len(SIDES))
+    directions = [Context.of(from_direction(np.full(len(joints), side)), {}) for side in SIDES]
+    return np.array([robot.positions(joints, direction, passive)[:, 0] for direction in directions])

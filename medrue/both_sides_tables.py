@@ -1,0 +1,175 @@
+"""Tables of the measurement from both sides, and what they say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.units import PER_SI, millimetres
+from calib.words import counted
+from medrue.both_sides import EXTENDED, PAPER, WAYS, BothSides, Way
+from medrue.ranking import standard_error
+from medrue.result_tables import Cell, Column, ResultTable
+from medrue.study import STATISTICS, summary
+from medrue.tracker import REPEATS, SIGMA
+
+NOISE = SIGMA / np.sqrt(REPEATS)
+"""Noise of a coordinate that the tracker reads, its readings averaged [m]."""
+GOAL = 6e-5
+"""Mean x error that the extended model is to reach [m]."""
+NEAR_NOISE = 1.2
+"""Root mean square error over the noise's below which an error counts as noise."""
+BOTH_SIDES_NOTE = (
+    "both sides: the same 84 poses of O1, and the others, approached from both sides, and two small errors of the rail"
+    " that no model has; first with the paper's model, then with the extended one"
+)
+_DECIDED = 0.5  # part of a parameter's expected error below which the data decide about it
+
+
+def error_columns(found: BothSides) -> list[Column]:
+    """Return Table IV's columns of the paper's poses, approached from both sides."""
+    columns = []
+    for header, way in (("O1, both sides", PAPER), ("O1, both sides, extended", EXTENDED)):
+        draws = millimetres(summary(np.linalg.norm(found.errors(way, 0), axis=2)))
+        cells: list[Cell] = []
+        for k in range(len(STATISTICS)):
+            numbers = (draws[0, k], draws[:, k].mean(), standard_error(draws[:, k]))
+            cells += [*map(_cell, numbers), None]
+        columns.append(Column(header, tuple(cells)))
+    return columns
+
+
+def component_columns(found: BothSides) -> list[Column]:
+    """Return Table V's columns of the first draw, approached from both sides."""
+    columns = []
+    for header, way in (("both sides", PAPER), ("both sides, extended", EXTENDED)):
+        for axis, values in zip("xyz", np.abs(found.errors(way, 0)[0].T), strict=True):
+            ours = millimetres(summary(values))[: len(STATISTICS)]
+            cells = [cell for value in ours for cell in (_cell(value), None)]
+            columns.append(Column(f"{header} {axis}", tuple(cells)))
+    return columns
+
+
+def both_sides_tables(found: BothSides) -> tuple[ResultTable, ...]:
+    """Return the tables of the measurement from both sides alone."""
+    return pose_count_table(found), extended_parameter_table(found)
+
+
+def pose_count_table(found: BothSides) -> ResultTable:
+    """Error along x that remains, by the number of poses and the way to calibrate."""
+    names = (f"{len(found.sets[0].chosen)}, the paper's", *(pose_set.name for pose_set in found.sets[1:]))
+    columns = [Column("poses", names)]
+    for way in WAYS:
+        columns.append(_column(f"{way.name}, mean x error [mm]", millimetres(mean_x(found, way).mean(axis=0))))
+    draws = mean_x(found, EXTENDED)
+    if len(draws) > 1:
+        columns.append(_column(f"{EXTENDED.name}, its standard error [mm]", millimetres(standard_error(draws))))
+    columns += [
+        _column(f"{EXTENDED.name}, rms {axis} [mm]", millimetres(component_rms(found, EXTENDED)[:, k]))
+        for k, axis in enumerate("xyz")
+    ]
+    columns.append(_column(f"{EXTENDED.name}, rms x over the noise's", component_rms(found, EXTENDED)[:, 0] / NOISE))
+    return ResultTable(
+        "pose_count",
+        "What remains along x after calibration, by the number of poses",
+        tuple(columns),
+        (
+            "poses chosen by O1 of the extended model; the paper's: by O1 of its own model",
+            f"simulated; {counted(len(found.draws), 'draw')}; at all other poses from both sides, with the tracker's"
+            f" noise, which alone has an rms of {millimetres(NOISE):.4f} mm and a mean magnitude of"
+            f" {millimetres(NOISE) * np.sqrt(2 / np.pi):.4f} mm",
+            "both sides: two visits of each pose; either side: one visit, from a side that chance decides; one side:"
+            " one visit, in the positive direction; empty: too few readings for the model",
+            f"{found.rail}; the last two are in no model",
+        ),
+    )
+
+
+def extended_parameter_table(found: BothSides) -> ResultTable:
+    """Parameters of the extended model about which the readings decide, of those that the paper's model lacks."""
+    draw, parameters, terms = found.draws[0], found.extended.parameters, found.extended.coefficients
+    scale = np.array([PER_SI[parameter.dimension][parameter.unit] for parameter in parameters])
+    expected = np.array([parameter.sigma for parameter in parameters])
+    tilts = tuple(f"{joint.name}.{tilt}" for joint in found.extended.urdf.joints for tilt in ("ry", "rz"))
+    lacking = [k >= terms.start or (p.name in tilts and p.name[:-3] != "base_origin") for k, p in enumerate(parameters)]
+    shown = np.flatnonzero(lacking & (draw.std < _DECIDED * expected))
+
+    def column(header: str, values: FloatArray) -> Column:
+        return Column(header, tuple(float(value) for value in (values * scale)[shown]), 4)
+
+    return ResultTable(
+        "extended",
+        "Tilts and errors of the rail that the extended model finds from the 84 poses of O1, from both sides",
+        (
+            Column("parameter", tuple(parameters[k].name for k in shown)),
+            Column("unit", tuple(parameters[k].unit for k in shown)),
+            column("expected error", expected),
+            column("actual", draw.actual),
+            column("identified", draw.values),
+            column("std", draw.std),
+        ),
+        (
+            "simulated; first draw; only those whose std is less than half of the expected error: the others rest on"
+            " their priors",
+            "the actual backlash is half of that at the rail's ends; on average over the stroke it is"
+            f" {200 / np.pi * found.rail.wear:.1f} % larger, which is what a model without wear can find",
+        ),
+    )
+
+
+def both_sides_findings(found: BothSides) -> tuple[str, ...]:
+    """Say in words what the tables show."""
+    paper, extended = (_length(mean_x(found, way)[:, 0].mean()) for way in (PAPER, EXTENDED))
+    rms, noise = _length(component_rms(found, EXTENDED)[0, 0]), millimetres(NOISE)
+    return (
+        f"From both sides at the same {len(found.sets[0].chosen)} poses,"
+        f" {counted(len(found.extended.parameters), 'parameter')} (geometry in all six components, and the screw's"
+        f" lead, turns and backlash) leave a mean x error of {extended}, the paper's model {paper}; the"
+        f" tracker's noise alone is {noise * np.sqrt(2 / np.pi):.3f} mm (rms {rms} and {noise:.3f} mm).",
+        _needed(found),
+    )
+
+
+def _needed(found: BothSides) -> str:
+    """How many poses each way needs, and which ways do not get there with any number of them."""
+    counts = np.array([len(pose_set.chosen) for pose_set in found.sets[1:]])
+    means = {way.name: mean_x(found, way)[:, 1:].mean(axis=0) for way in WAYS}
+    near = {way.name: component_rms(found, way)[1:, 0] <= NEAR_NOISE * NOISE for way in WAYS}
+    never = [f"{name} ({_length(mean[-1])})" for name, mean in means.items() if not np.any(mean <= GOAL)]
+    return (
+        f"Poses needed, of the numbers tried, for a mean x error of {millimetres(GOAL):g} mm:"
+        f" {_least(counts, {name: mean <= GOAL for name, mean in means.items()})}; for an rms x error within"
+        f" {100 * (NEAR_NOISE - 1):.0f} % of the noise: {_least(counts, near)}."
+        + (f" Not even {counts[-1]} are enough for {', '.join(never)}." if never else "")
+    )
+
+
+def _least(counts: IntArray, reached: Mapping[str, BoolArray]) -> str:
+    """The least number of poses that is enough, of every way for which one is."""
+    enough = [f"{counts[which].min()} ({name})" for name, which in reached.items() if np.any(which)]
+    return ", ".join(enough) or f"more than {counts[-1]}"
+
+
+def mean_x(found: BothSides, way: Way) -> FloatArray:
+    """Return the mean magnitude of the error along x, (n_draws, n_sets) [m]; NaN where a way cannot be."""
+    return np.array([np.abs(found.errors(way, s)[:, :, 0]).mean(axis=1) for s in range(len(found.sets))]).T
+
+
+def component_rms(found: BothSides, way: Way) -> FloatArray:
+    """Return the root mean square error along each axis over all draws, (n_sets, 3) [m]; NaN where a way cannot be."""
+    return np.array([np.sqrt(np.mean(found.errors(way, s) ** 2, axis=(0, 1))) for s in range(len(found.sets))])
+
+
+def _column(header: str, values: FloatArray) -> Column:
+    return Column(header, tuple(map(_cell, values)), 4)
+
+
+def _cell(value: float) -> float | None:
+    return None if np.isnan(value) else float(value)
+
+
+def _length(value: float) -> str:
+    """A length [m] in words."""
+    return "no answer" if np.isnan(value) else f"{millimetres(value):.3f} mm"

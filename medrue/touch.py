@@ -1,0 +1,220 @@
+"""MedRUE calibrated without a tracker: by touch, and by encoders on its passive joints, beside the tracker.
+
+The paper's authors later calibrated MedRUE in simulation by touch alone, with a force-torque sensor. Here it is done in
+kind: their way of touching, their noise and their poses are others. All methods (`medrue.touch_methods`) measure 84
+poses, chosen by the smallest error that they predict over the 420 poses of the target workspace. All are judged as in
+the study's Table II, but at all 420 poses: the distance of the calibrated robot's prediction from the true position.
+
+Two questions are kept apart. `world`: how far the prediction is off in the world. `shape`: how far it is off after the
+best rigid motion of all predictions onto the true positions, which is what a method can know that does not see where
+the base stands.
+
+What a method cannot see stays near nominal: parameters are then expected within their sigmas (2 mm and 1.5 deg), and a
+fit weighs that as it weighs readings. Tracker and touched sockets of the world need no such help: the paper's eight
+redundant parameters are held.
+
+Everything is simulated: the paper's robot (Table I) with many draws of the noise, and other robots, drawn as the
+paper's.
+
+Reference: joubair2016.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.errors import NotIdentifiableError
+from calib.identification.fit import fit
+from calib.model.robot import Robot
+from calib.pose_choice.assessment import Assessment, assess
+from calib.pose_choice.selection import Selection, select
+from calib.threads import one_blas_thread
+from medrue.error_before import base_placed
+from medrue.paper_tables import PARAMETERS, TOOL_POINT, table1
+from medrue.parallel import Workers
+from medrue.poses import target_poses
+from medrue.progress import Progress
+from medrue.study import COUNT, SIGMA, StudySize, drawn_parameters, true_positions
+from medrue.touch_methods import (
+    ARTEFACT,
+    Artefact,
+    ByEncoders,
+    ByTouch,
+    ByTracker,
+    Method,
+    Touches,
+    encoder_robot,
+    possible_touches,
+    touching_robot,
+)
+
+SIZE = StudySize(noise_draws=50, actual_draws=20, noise_per_actual=2)
+QUICK = StudySize(noise_draws=4, actual_draws=2, noise_per_actual=1)
+BEFORE = "before"
+TOOL_KNOWN = "encoders, tool known"
+"""After the encoders, with the tool's true place on the probe: they do not see it, but it can be measured alone."""
+WAYS = ("world", "shape")
+"""How predictions are judged; see the module docstring."""
+ARTEFACTS = (
+    ARTEFACT,
+    Artefact((-np.radians(70.0), np.radians(70.0)), (1 / 8, 7 / 8)),
+    Artefact((-np.radians(45.0), 0.0, np.radians(45.0)), (1 / 4, 1 / 2, 3 / 4)),
+    Artefact((-np.radians(30.0), 0.0, np.radians(30.0)), (3 / 8, 1 / 2, 5 / 8)),
+    Artefact((0.0,), (1 / 2,)),
+)
+"""Pieces to compare beforehand: all but the first are smaller or have fewer sockets."""
+
+
+@dataclass(frozen=True, eq=False)
+class TouchTask:
+    """One robot that every method measures once.
+
+    Attributes:
+        methods: Who measures; the encoders last.
+        joints: Poses to judge at, (n, 6) [m, rad].
+        actual: The robot's parameters, (36,) [m, rad].
+        seed: Seed of noise and unknown places.
+    """
+
+    methods: tuple[Method, ...]
+    joints: FloatArray
+    actual: FloatArray
+    seed: np.random.SeedSequence
+
+
+@dataclass(frozen=True, eq=False)
+class TouchStudy:
+    """Everything that was found.
+
+    Attributes:
+        robot: Nominal MedRUE.
+        methods: Ways to measure.
+        selections: How the poses of each were chosen, by name.
+        artefacts: Root-mean-square error predicted over the 420 poses for the best touches of each of `ARTEFACTS` [m];
+            infinite where they do not determine the positions.
+        seen: What the first measurements of each determine, by name.
+        noise: Distances on Table I's robot, (n_draws, n_names, 2, 420) [m]: of `names`, in `WAYS`.
+        by_actual: The same on other robots, (n_robots, n_draws, n_names, 2, 420) [m].
+        seed: Seed of everything random.
+    """
+
+    robot: Robot
+    methods: tuple[Method, ...]
+    selections: Mapping[str, Selection]
+    artefacts: Mapping[Artefact, float]
+    seen: Mapping[str, Assessment]
+    noise: FloatArray
+    by_actual: FloatArray
+    seed: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """`BEFORE`, the methods and `TOOL_KNOWN`, in the order of the distances."""
+        return (BEFORE, *(method.name for method in self.methods), TOOL_KNOWN)
+
+
+def run_touch(robot: Robot, size: StudySize, seed: int, workers: Workers, progress: Progress) -> TouchStudy:
+    """Calibrate simulated robots in every way.
+
+    Args:
+        robot: MedRUE with nominal parameters.
+        size: How much to simulate.
+        seed: Seed; the same one gives the same numbers, whoever works.
+        workers: Who does the draws.
+        progress: Told how far the work is.
+    """
+    joints = target_poses(robot).poses.joints
+    with progress.stage("choosing poses", len(ARTEFACTS)) as advance:
+        methods, selections = choose_methods(robot, joints)
+        artefacts = {ARTEFACT: selections["touch"].after["task"]}
+        for artefact in ARTEFACTS[1:]:
+            advance(1)
+            artefacts[artefact] = predicted_error(robot, joints, artefact)
+        advance(1)
+    noise_seeds, actual_seeds = np.random.SeedSequence(seed).spawn(2)
+    tasks = [TouchTask(methods, joints, table1().actual, one) for one in noise_seeds.spawn(size.noise_draws)]
+    for child in actual_seeds.spawn(size.actual_draws):
+        own, noise = child.spawn(2)
+        actual = drawn_parameters(robot, own)
+        tasks += [TouchTask(methods, joints, actual, one) for one in noise.spawn(size.noise_per_actual)]
+    found = []
+    with progress.stage("simulated calibrations", len(tasks) * len(methods)) as advance:
+        for distances in workers.in_order(touch_draw, tasks):
+            found.append(distances)
+            advance(len(methods))
+    first, others = np.array(found[: size.noise_draws]), np.array(found[size.noise_draws :])
+    by_actual = others.reshape(size.actual_draws, size.noise_per_actual, *others.shape[1:])
+    seen = {method.name: _seen(method) for method in methods}
+    return TouchStudy(robot, methods, selections, artefacts, seen, first, by_actual, seed)
+
+
+def choose_methods(robot: Robot, joints: FloatArray) -> tuple[tuple[Method, ...], dict[str, Selection]]:
+    """Return all methods, each with the poses of the smallest predicted errors at `joints`, (n, 6) [m, rad]."""
+    possible, encoders = possible_touches(ARTEFACT), encoder_robot()
+    positions = select(robot, joints, COUNT, "task", sigma=SIGMA)
+    touched = best_touches(robot, joints, possible)
+    read = select(encoders, joints, COUNT, "task")
+    touches = possible.some(touched.chosen)
+    methods: tuple[Method, ...] = (
+        ByTracker("tracker", robot, joints[positions.chosen]),
+        ByTouch("touch", touching_robot(anywhere=False), touches, anywhere=False),
+        ByTouch("touch, artefact anywhere", touching_robot(anywhere=True), touches, anywhere=True),
+        ByEncoders("encoders", encoders, joints[read.chosen]),
+    )
+    chosen = (positions, touched, touched, read)
+    return methods, {method.name: selection for method, selection in zip(methods, chosen, strict=True)}
+
+
+def best_touches(robot: Robot, joints: FloatArray, possible: Touches) -> Selection:
+    """Choose the touches with the smallest predicted errors at `joints`, (n, 6) [m, rad].
+
+    What a touch of a socket in a known place misses moves with the parameters as the position there does, so that
+    touches are chosen as positions are.
+
+    Raises:
+        NotIdentifiableError: No touches determine the positions.
+    """
+    return select(robot, possible.joints, COUNT, "task", task=joints, sigma=SIGMA)
+
+
+def predicted_error(robot: Robot, joints: FloatArray, artefact: Artefact) -> float:
+    """Root-mean-square error at `joints` (n, 6) [m, rad] predicted for the best touches, or infinite [m]."""
+    try:
+        return best_touches(robot, joints, possible_touches(artefact)).after["task"]
+    except NotIdentifiableError:
+        return float("inf")
+
+
+@one_blas_thread
+def touch_draw(task: TouchTask) -> FloatArray:
+    """Return the distances of one robot before, after each method, and after the last with the tool known.
+
+    Returns:
+        (2 + n_methods, 2, n) [m].
+    """
+    generator = np.random.default_rng(task.seed)
+    truth = true_positions(task.joints, task.actual)
+    calibrated = task.methods[0].robot
+    found = [_judged(calibrated, task.joints, truth)]
+    for method in task.methods:
+        data = method.measured(task.actual, generator)
+        calibrated = fit(method.robot, data, sigma=SIGMA if isinstance(method, ByTracker) else None).robot
+        found.append(_judged(calibrated, task.joints, truth))
+    tool = {name: float(task.actual[PARAMETERS.index(name)]) for name in TOOL_POINT}
+    return np.array([*found, _judged(calibrated.with_parameters(tool), task.joints, truth)])
+
+
+def _judged(robot: Robot, joints: FloatArray, truth: FloatArray) -> FloatArray:
+    """Distances from the true positions (n, 3) [m] in the world, and after the best rigid motion, (2, n) [m]."""
+    predicted = robot.positions(joints)[:, 0]
+    return np.linalg.norm([predicted - truth, base_placed(predicted, truth)], axis=2)
+
+
+def _seen(method: Method) -> Assessment:
+    """What the readings of a method determine, at nominal parameters."""
+    data = method.measured(table1().nominal, np.random.default_rng(0))
+    return assess(method.robot, data)

@@ -19,9 +19,10 @@ from calib.errors import (
 from calib.identification.fitted import Fit
 from calib.linearisation.simulate import simulate
 from calib.model.parameters import Origin, Parametrisation, twist_of_edit
-from calib.model.robot import Robot, load
+from calib.model.robot import Robot
 from calib.parameter import Parameter
 from calib.pose_choice.selection import Selection, select
+from calib.reporting.results import load
 
 __all__ = [
     "Calibration",

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainValidator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, PlainValidator
 
 from calib.errors import InputError, nearest
 from calib.parameter import Parameter
@@ -102,5 +102,11 @@ def _read(value: Any) -> OwnLength:
         raise ValueError(str(error).removeprefix("value: ")) from None
 
 
-LengthOrUnknown = Annotated[OwnLength, PlainValidator(_read)]
+def _written(length: OwnLength) -> float | str | dict[str, float]:
+    if not length.unknown:
+        return length.value
+    return "unknown" if length.sigma is None else {"value": length.value, "sigma": length.sigma}
+
+
+LengthOrUnknown = Annotated[OwnLength, PlainValidator(_read), PlainSerializer(_written)]
 """`12 mm`: known; `{value: 12 mm, sigma: 0.1 mm}`: expected there, and found; `unknown`: found."""

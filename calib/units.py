@@ -39,7 +39,7 @@ ERROR_UNIT: dict[Dimension, str] = DISPLAY_UNIT | {"angle": "mrad"}
 """Units of errors."""
 _QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-zµ]*)\s*$")
 _COLUMN = re.compile(r"^\s*(?P<name>.*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*$", re.DOTALL)
-_SMALLEST, _LARGEST = 1e-50, 1e9  # [SI]: fourth powers stay finite
+_SMALLEST, _LARGEST = 1e-30, 1e9  # [SI]
 
 
 def per_si(unit: str | None, dimension: Dimension, where: str) -> float:

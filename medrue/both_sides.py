@@ -22,7 +22,8 @@ from typing import Literal
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
-from calib.data.measurements import Measurements, as_measurements
+from calib.data.in_memory import as_measurements
+from calib.data.measurements import Measurements
 from calib.errors import NotIdentifiableError
 from calib.identification.fit import fit
 from calib.joint_terms.term import Context

@@ -161,7 +161,15 @@ def test_an_old_calibrated_robot_does_not_stay_beside_a_failed_result(good, fail
     (tmp_path / "out" / "notes.txt").write_text("mine")
     save(failed, tmp_path / "out")
     left = {path.name for path in (tmp_path / "out").iterdir()}
-    assert left == {"result.json", "parameters.csv", "covariance.csv", "residuals.csv", "notes.txt"}
+    assert left == {
+        "result.json",
+        "parameters.csv",
+        "covariance.csv",
+        "residuals.csv",
+        "notes.txt",
+        "nominal.yaml",
+        "nominal.urdf",
+    }
 
 
 def test_result_json_has_the_verdict_and_what_it_rests_on(arm, tmp_path):

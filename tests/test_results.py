@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,40 @@ from small_robots import ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallel
 
 import calib
 from calib.data.tables import read_table
-from calib.errors import CalibrationError, DataError, InputError
+from calib.errors import CalibrationError, ComputationError, DataError, InputError
+from calib.model.description import description_yaml, read_description
 from calib.reporting.results import load_calibrated, load_uncertainty, read_result, save
 
 CONTRACT = ("version", "robot", "converged", "message", "seconds", "n_poses", "n_rows", "n_parameters", "rank",
             "redundant", "sigma", "observability", "parameters", "errors")  # fmt: skip
 SIGMA = 20e-6
+ROOT = Path(__file__).parents[1]
+TERMS = "[{joint: all, term: gain}, {joint: JOINT, term: harmonics, orders: [1, 3]}, {joint: JOINT, term: backlash}]"
+EVERYTHING = """\
+urdf: arm.urdf
+name_mot: [turn, slide, wrist]
+base: {frame: ground, xyz: [1 mm, 0.1, 0], rpy: [0, 90 deg, 0], pose: unknown}
+targets:
+  tip: {frame: tool, xyz: [10 mm, 20 mm, 30 mm], position: unknown, sigma: 3 mm}
+  "on": {frame: tool, orientation: unknown, sigma_angle: 3 mrad}
+instruments:
+  tracker: {kind: position, target: tip, sigma: {range: 10 um, angle: 0.01 mrad}}
+  camera: {kind: pose, target: "on", rotation: quaternion, sigma: [1 mm, 2 mm, 0.003], sigma_angle: 1e-3}
+  eye: {kind: pixel, target: "on", camera: {frame: ground}, intrinsics: {fx: 1e3, fy: 1000, cx: 5, cy: 6},
+    points_file: points.csv, unknown_intrinsics: {fx: 2}}
+  ball: {kind: touch, target: tip, surface: sphere, radius: 2 mm, places: {
+    a: {frame: ground, radius: unknown}, b: {frame: ground, radius: 3 mm},
+    c: {frame: ground, position: unknown, radius: {value: 4 mm, sigma: 0.1 mm}}}}
+  wrist_reader: {kind: joint_reading, joint: wrist}
+setups: {first: [], second: [base, tip]}
+parametrisation:
+  - {origin: all, components: [x, y], sigma: 2 mm}
+  - {joint: all, term: curve, orders: 7, stroke: 1 m}
+  - {joint: slide, term: harmonics, period: 5 mm, sigma: 10 um}
+held: [turn.x]
+priors: false
+columns: {"T": "turn [deg]"}
+"""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -272,3 +301,148 @@ def test_a_damaged_covariance_gives_no_uncertainty(fitted, folder, tmp_path, dam
         (tmp_path / "result.json").write_text(json.dumps(result | {"degrees_of_freedom": "many"}))
     with pytest.raises(CalibrationError, match="run the fit again"):
         load_uncertainty(tmp_path, fitted.nominal)
+
+
+@pytest.mark.parametrize("name", ["arm", "five_bar", "motoman_right", "medrue", "everything"])
+def test_a_description_is_written_so_that_it_reads_back_the_same(tmp_path, name):
+    path = ROOT / "docs" / "examples" / f"{name}.yaml"
+    if name == "medrue":
+        path = ROOT / "urdf" / "medrue.yaml"
+    if name == "everything":
+        (tmp_path / "points.csv").write_text("point,x [mm],y,z\np1,1,2,3\np2,0.1,0,1e-5\n")
+        (path := tmp_path / "all.yaml").write_text(EVERYTHING)
+    before = read_description(path)
+    (tmp_path / "elsewhere").mkdir()
+    written = tmp_path / "elsewhere" / "again.yaml"
+    written.write_text(description_yaml(before), encoding="utf-8")
+    after = read_description(written)
+    assert after == before
+    assert str(after.model_dump()) == str(before.model_dump())  # to the last digit
+    assert description_yaml(after) == description_yaml(before)
+
+
+def saved_robot(folder, name):
+    """A folder with a fit of a robot with joint terms; returns its calibrated robot and poses."""
+    generator = np.random.default_rng(5)
+    if name == "medrue":
+        text = (ROOT / "urdf" / "medrue.yaml").read_text().replace("urdf: ", f"urdf: {ROOT / 'urdf'}/", 1)
+        text += "\njoint_terms: " + TERMS.replace("all", "q2").replace("JOINT", "q3")
+    else:
+        examples = ROOT / "docs" / "examples"
+        text = (examples / f"{name}.yaml").read_text().replace("urdf: ", f"urdf: {examples}/", 1)
+        text = text.replace("parametrisation:\n", "parametrisation:\n  - {joint: all, term: gain}\n", 1)
+        text += "\njoint_terms: " + TERMS[1:].replace("{joint: all, term: gain}, ", "[").replace(
+            "JOINT", "joint_2" if name == "arm" else "left_motor"
+        )
+    (folder / f"{name}.yaml").write_text(text)
+    nominal = calib.load(folder / f"{name}.yaml")
+    reach = generator.uniform(-0.08, 0.08, (90, len(nominal.joint_names)))
+    poses = calib.as_poses(nominal, nominal.home + reach * np.where(np.arange(len(reach[0])) == 0, 0.5, 1.0))
+    truth = nominal.with_parameters(nominal.values + [p.sigma * generator.normal() for p in nominal.parameters])
+    fit = calib.fit(nominal, calib.simulate(truth, poses, SIGMA, generator))
+    fit.save(folder / "out", force=True)
+    return fit, poses.joints
+
+
+@pytest.mark.parametrize("name", ["arm", "five_bar", "medrue"])
+def test_a_folder_that_was_moved_loads_as_the_calibrated_robot(tmp_path, name):
+    fit, q = saved_robot(tmp_path, name)
+    assert np.all(fit.robot.values[fit.robot.coefficients][:2] != 0.0)
+    shutil.move(tmp_path / "out", tmp_path / "moved")
+    (tmp_path / f"{name}.yaml").unlink()
+    robot = calib.load(tmp_path / "moved")
+    assert robot.path == str(tmp_path / "moved")
+    frames = [None, *robot.urdf.links]
+    for frame in frames:
+        assert np.abs(robot.forward(q, frame) - fit.robot.forward(q, frame)).max() < 1e-12
+    assert robot.parameters == fit.nominal.parameters
+
+
+def test_a_plain_urdf_and_its_meshes_are_in_the_folder(tmp_path):
+    write_arm(tmp_path)
+    text = (tmp_path / "arm.urdf").read_text()
+    mesh = '<link name="hand"><visual><geometry><mesh filename="shapes/a &amp; b.stl"/></geometry></visual></link>'
+    (tmp_path / "arm.urdf").write_text(text.replace('<link name="hand"/>', mesh))
+    (tmp_path / "shapes").mkdir()
+    (tmp_path / "shapes" / "a & b.stl").write_bytes(b"solid")
+    arm = calib.load(tmp_path / "arm.urdf")
+    fit = calib.fit(arm, measured(arm, 40, 1), sigma=SIGMA)
+    fit.save(tmp_path / "out" / "deep", force=True)
+    robot = calib.load(tmp_path / "out" / "deep")
+    q = fit.identification.data.joints
+    assert np.abs(robot.positions(q) - fit.robot.positions(q)).max() < 1e-12
+    again = (tmp_path / "out" / "deep" / "nominal.urdf").read_text()
+    assert str(tmp_path / "shapes" / "a &amp; b.stl") in again
+    assert again.replace(f"{tmp_path}/", "") == (tmp_path / "arm.urdf").read_text()
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        ("result.json", "holds no result"),
+        ("nominal.yaml", "has no nominal.yaml, and so gives no robot; run the fit again"),
+        ("nominal.urdf", "has no nominal.urdf, and so gives no robot; run the fit again"),
+        ("parameters.csv", "parameters.csv: no such file"),
+        ("another robot", "nominal.yaml: was changed after the fit"),
+        ("another urdf", "nominal.urdf: was changed after the fit"),
+        ("failed", "the fit failed and gives no calibrated robot"),
+    ],
+)
+def test_a_folder_that_gives_no_robot_is_one_clear_line(fitted, folder, tmp_path, run_calib, damage, message):
+    out = tmp_path / "out"
+    shutil.copytree(folder, out)
+    if (out / damage).is_file():
+        (out / damage).unlink()
+    elif damage == "another robot":
+        (out / "nominal.yaml").write_text((out / "nominal.yaml").read_text().replace("[x, y, z]", "[x, y]"))
+    elif damage == "another urdf":
+        (out / "nominal.urdf").write_text((out / "nominal.urdf").read_text().replace("1e-1", "2e-1"))
+    else:
+        result = json.loads((out / "result.json").read_text())
+        result["verdict"] = {"grade": "FAIL", "reasons": ["no reason"]}
+        (out / "result.json").write_text(json.dumps(result))
+    with pytest.raises(CalibrationError) as caught:
+        calib.load(out)
+    assert message in str(caught.value)
+    assert isinstance(caught.value, ComputationError if damage == "failed" else CalibrationError)
+    (tmp_path / "q.csv").write_text("turn,slide,wrist\n0.3,0.2,-0.4\n")
+    run = run_calib("predict", out, "q.csv", "--out", "p.csv", cwd=tmp_path)
+    assert (run.code, run.err.count("\n")) == (3 if damage == "failed" else 2, 1)
+    assert message in run.err
+
+
+def test_every_command_takes_a_folder_as_the_robot_and_means_the_same_as_with_result(
+    fitted, folder, run_calib, tmp_path
+):
+    generator = np.random.default_rng(8)
+    q = generator.uniform([-1.5, 0, -1.5], [1.5, 0.5, 1.5], (40, 3))
+    rows = [",".join(f"{value:.6f}" for value in row) for row in q]
+    (tmp_path / "q.csv").write_text("\n".join(["turn,slide,wrist", *rows]) + "\n")
+    p = fitted.robot.positions(q[:3])[:, 0]
+    (tmp_path / "t.csv").write_text(
+        "tip_x,tip_y,tip_z\n" + "\n".join(",".join(map(repr, map(float, row))) for row in p)
+    )
+    shutil.copytree(folder, tmp_path / "done")
+    for command, *rest in (
+        ("predict", "q.csv", "--out", "OUT"),
+        ("solve", "t.csv", "--out", "OUT"),
+        ("select", "q.csv", "--count", "12", "--out", "OUT"),
+        ("export", "--format", "urdf", "--provenance", "--out", "OUT"),
+        ("check", "q.csv", "--json", "OUT"),
+    ):
+        contents = []
+        for k, (robot, *values) in enumerate([("done",), (fitted.nominal.path, "--result", "done")]):
+            out = f"{command}_{k}"
+            run = run_calib(command, robot, *[out if word == "OUT" else word for word in rest], *values, cwd=tmp_path)
+            assert run.code == 0, run.err
+            text = (tmp_path / out).read_text()
+            text = text.replace("done/nominal.urdf", fitted.nominal.urdf.path).replace('"robot": "done"', "robot")
+            contents.append(text.replace(f'"robot": "{fitted.nominal.path}"', "robot"))
+        assert contents[0] == contents[1]
+    run = run_calib("simulate", "done", "q.csv", "--sigma-mm", "0", "--seed", "1", "--out", "m.csv", cwd=tmp_path)
+    assert run.code == 0, run.err
+    assert "truth: done" in (tmp_path / "m.csv").read_text()
+    run = run_calib("fit", "done", "m.csv", "--sigma-mm", "0.02", "--out", "again", cwd=tmp_path)
+    assert run.code in (0, 3), run.err
+    before = read_result(tmp_path / "again")["errors"]["identification"]["before"]
+    assert before["max"] < 1e-3  # mm: the digits of the file; before is the calibrated robot

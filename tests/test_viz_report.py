@@ -44,13 +44,14 @@ def test_every_section_is_there(html):
     for heading in (
         "What was calibrated, with what",
         "Accuracy before and after",
+        "What is left?",
         "Parameters",
         "What could not be identified",
         "Outliers",
         "Where this comes from",
     ):
         assert heading in html
-    assert html.count("<figure") == 5
+    assert html.count("<figure") == 6
 
 
 def test_without_validation_the_report_says_so():
@@ -131,7 +132,7 @@ def test_everything_from_files_is_escaped(fit):
 def test_tables_have_headers_and_the_page_a_language(html):
     assert '<html lang="en">' in html
     assert html.count("<th scope=") > 40
-    assert html.count('role="img" aria-label=') == 5
+    assert html.count('role="img" aria-label=') == 6
 
 
 def test_the_same_fit_gives_the_same_report(fit):

@@ -10,7 +10,7 @@ from types import FrameType
 
 import click
 
-from calib.commands.common import Output, loaded, shared_options
+from calib.commands.common import Output, folder_of_values, loaded, shared_options
 from calib.errors import InputError
 
 
@@ -29,7 +29,7 @@ from calib.errors import InputError
 def view(
     robot: str, result: str | None, data: str | None, html: str | None, port: int, no_browser: bool, output: Output
 ) -> None:
-    """Show ROBOT (YAML description or URDF) in a browser on this computer, until Ctrl-C."""
+    """Show ROBOT (YAML description, URDF or result folder) in a browser on this computer, until Ctrl-C."""
     from calib.data.measurement_files import read_measurements
     from calib.files import check_file
     from viz.inputs import gather
@@ -41,6 +41,8 @@ def view(
             raise InputError("--html writes a file and starts no server: leave out --port and --no-browser")
         check_file(html)
     model = loaded(robot, output)
+    if result is None and (result := folder_of_values(robot, None, None)) is not None:
+        model = model.with_parameters([parameter.nominal for parameter in model.parameters])  # the robot before
     measurements = None if data is None else read_measurements(data, model)
     with output.working("preparing the scene"):
         shown = gather(model, result, measurements)

@@ -40,6 +40,31 @@ def all_plots(table: PoseTable, joints: tuple[Joint, ...]) -> tuple[Plot, ...]:
 
 
 @styled
+def budget_bars(budget: dict[str, Any]) -> Plot:
+    """How much of the error before each cause made, of `calib.reporting.result_content.budget_table`."""
+    rows, unit = budget["causes"], budget["unit"]
+    largest = max(budget["rms_before"], 1e-12)
+    figure, (axes,) = new_figure(1, 1, (8.9, 0.9 + 0.32 * len(rows)))
+    sizes = np.array([row["rms"] for row in rows])
+    high = np.sqrt(np.maximum([row["mean_square"] + np.nan_to_num(row["std"]) for row in rows], 0.0))
+    shown = np.maximum(sizes, 0.0)
+    axes.barh(range(len(rows)), shown, color=STATES["after"][0], alpha=0.6)
+    axes.errorbar(shown, range(len(rows)), xerr=[0 * shown, np.maximum(high - shown, 0.0)], fmt="none", ecolor="black")
+    floor = max(min((size for size in shown if size > 0), default=largest) / 3, largest / 1e5)
+    axes.set(xscale="log", xlim=(floor, 1.5 * largest), xlabel=f"root mean square [{unit}]")
+    axes.set_yticks(range(len(rows)), [row["cause"] for row in rows])
+    axes.invert_yaxis()
+    plain_ticks(axes.xaxis)
+    return finished(
+        "error-budget",
+        "What made the error before",
+        f"Squares add up to that of {budget['rms_before']:.3g} {unit}; the scale is logarithmic."
+        " Lines reach one standard deviation further; a cause without a bar brought nothing.",
+        figure,
+    )
+
+
+@styled
 def histogram(table: PoseTable) -> Plot:
     """Number of poses over the size of their error, before and after."""
     figure, (axes,) = new_figure(1, 1, (8.9, 3.1))

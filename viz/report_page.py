@@ -14,10 +14,10 @@ import numpy as np
 
 from calib import Fit, Robot
 from calib.reporting.report_text import notes
-from calib.reporting.result_content import outlier_rows, parameter_rows, position_uncertainty_table
+from calib.reporting.result_content import budget_table, outlier_rows, parameter_rows, position_uncertainty_table
 from calib.version import PROGRAM
 from viz.part_plots import part_plots
-from viz.plots import all_plots
+from viz.plots import all_plots, budget_bars
 from viz.pose_sources import from_fit
 from viz.remarks import fit_remarks
 from viz.report_tables import accuracy, extent, headline, judged_by, left_out, noise_lines, unsure, worst
@@ -52,7 +52,7 @@ def report_page(fit: Fit, *, command: str = "", created: datetime | None = None)
     environment.filters["mm"] = millimetres
     environment.filters["number"] = number
     when = created if created is not None else datetime.now(UTC)
-    tables, table = accuracy(fit), from_fit(fit)
+    tables, table, budget = accuracy(fit), from_fit(fit), budget_table(fit)
     return Page(
         environment.get_template("report.html").render(
             fit=fit,
@@ -61,6 +61,8 @@ def report_page(fit: Fit, *, command: str = "", created: datetime | None = None)
             headline=headline(tables, judged_by(fit).main_part),
             accuracy=tables,
             noise=noise_lines(fit),
+            budget=budget,
+            budget_plot=None if budget is None else budget_bars(budget),
             worst=worst(fit),
             extent=extent(table),
             measured_in=measured_in(fit.nominal),

@@ -5,7 +5,16 @@ from __future__ import annotations
 import click
 import numpy as np
 
-from calib.commands.common import Output, loaded, placed, read_pose_file, shared_options, sigma_in_metres, with_values
+from calib.commands.common import (
+    Output,
+    folder_of_values,
+    loaded,
+    placed,
+    read_pose_file,
+    shared_options,
+    sigma_in_metres,
+    with_values,
+)
 from calib.data.measurement_files import read_poses
 from calib.errors import InputError
 from calib.figures import draw
@@ -51,6 +60,7 @@ def command(
     if plots is not None:
         check_folder(plots)
     model = with_values(loaded(robot, output), parameters, result)
+    result = folder_of_values(robot, parameters, result)
     if data is None:
         if poses < 1:
             raise InputError(f"--poses {poses}: at least one is needed")

@@ -9,6 +9,7 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import click
@@ -23,8 +24,8 @@ from calib.errors import CalibrationError, DataError, InputError
 from calib.files import check_file, write_file
 from calib.linearisation.registration import register
 from calib.model.arm_chain import arm_chain
-from calib.model.robot import Robot, load
-from calib.reporting.results import forced_lines, load_calibrated
+from calib.model.robot import Robot
+from calib.reporting.results import forced_lines, load, load_calibrated
 
 _REMARKS = 5
 
@@ -198,6 +199,11 @@ def loaded(path: str, output: Output) -> Robot:
     if remark:
         output.note(f"note: {remark}")
     return robot
+
+
+def folder_of_values(robot: str, parameters: str | None, result: str | None) -> str | None:
+    """Return the result folder whose values count: that of --result, or ROBOT where it is one."""
+    return robot if result is None and parameters is None and Path(robot).is_dir() else result
 
 
 def with_values(robot: Robot, parameters: str | None, result: str | None) -> Robot:

@@ -7,8 +7,8 @@ from typing import cast
 
 import click
 
-from calib.commands.common import Output, loaded, said_of_failure, shared_options, with_values
-from calib.export import CONTROLLERS, FORMATS, export
+from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
+from calib.export import CONTROLLERS, FORMATS, JOINT_TABLES, export
 from calib.export.links import read_links
 from calib.model.urdf_text import UrdfText
 from calib.reporting.results import read_result
@@ -25,12 +25,12 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
     "--format",
     "file_format",
     required=True,
-    type=click.Choice(FORMATS),
+    type=click.Choice((*FORMATS, JOINT_TABLES)),
     help="urdf: only edited origins change. mjcf: MuJoCo, Pinocchio, Drake; loops closed. drake: URDF with"
     " ball constraints. toolbox: robot.yaml of toolbox-parallel-robots, and the URDF beside it. dh, mdh:"
     " Denavit-Hartenberg table, standard or modified. ur-kinematics: for Universal Robots' ROS description."
-    " joint-offsets: sign and zero of each joint. xacro: joint origins as properties. The last five say which error"
-    " they leave.",
+    " joint-offsets: sign and zero of each joint. xacro: joint origins as properties. These five say which error"
+    " they leave. joint-tables: a folder with what each joint really is when it is told a value, as CSV, Python, C.",
 )
 @click.option(
     "--free-slide",
@@ -44,8 +44,10 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
     help="urdf, drake, toolbox: put this before relative mesh paths, such as package://my_robot or /home/me/robot, so"
     " that the file may lie anywhere.",
 )
-@click.option("--provenance", is_flag=True, help="urdf, toolbox: say in a comment where the URDF's numbers come from.")
-@click.option("--out", required=True, metavar="FILE", help="File to write.")
+@click.option(
+    "--provenance", is_flag=True, help="urdf, toolbox, joint-tables: say in a comment where the numbers come from."
+)
+@click.option("--out", required=True, metavar="FILE", help="File to write; of joint-tables, the folder.")
 @shared_options(json_output=True)
 def command(
     robot: str,
@@ -58,8 +60,9 @@ def command(
     out: str,
     output: Output,
 ) -> None:
-    """Write ROBOT (YAML description or URDF), nominal or calibrated, for other programs."""
+    """Write ROBOT (YAML description, URDF or result folder), nominal or calibrated, for other programs."""
     model = with_values(loaded(robot, output), parameters, result)
+    result = folder_of_values(robot, parameters, result)
     lines = _origin_of_values(parameters, result) if provenance else None
     if failed := said_of_failure(output, result, out):
         lines = [*(lines or []), *failed]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from calib.commands.common import Output, loaded, said_of_failure, shared_options, with_values
+from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
 from calib.data.measurement_files import format_positions, read_poses
 from calib.data.measurements import Poses
 from calib.files import check_file, write_file
@@ -27,6 +27,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     """
     check_file(out)
     model = with_values(loaded(robot, output), parameters, result)
+    result = folder_of_values(robot, parameters, result)
     poses = read_poses(joints, model)
     remarks = model.near_singularities(model.assemble(poses.joints, labels=poses.labels), poses.labels)
     source = parameters or result or "nominal values"

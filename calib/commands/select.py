@@ -7,6 +7,7 @@ import click
 from calib.commands.common import (
     Output,
     different_poses,
+    folder_of_values,
     loaded,
     placed,
     read_pose_file,
@@ -100,6 +101,7 @@ def command(
         check_folder(plots)
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
     model = with_values(loaded(robot, output), parameters, result)
+    result = folder_of_values(robot, parameters, result)
     poses = read_pose_file(candidates, model)
     done = None if measured is None else read_pose_file(measured, model)
     if parameters is None and result is None:

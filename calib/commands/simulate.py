@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 import numpy as np
 
-from calib.commands.common import Output, loaded, shared_options, sigma_in_metres, with_values
+from calib.commands.common import Output, folder_of_values, loaded, shared_options, sigma_in_metres, with_values
 from calib.data.measurement_files import format_measurements, read_poses
 from calib.files import check_file, write_file
 from calib.linearisation.simulate import simulate
@@ -31,8 +31,9 @@ def command(
     poses = read_poses(joints, model)
     remarks = model.near_singularities(model.assemble(poses.joints, labels=poses.labels), poses.labels)
     measured = simulate(model, poses, sigma_in_metres(sigma_mm, zero=True), np.random.default_rng(seed))
+    truth = parameters or folder_of_values(robot, None, None) or "nominal parameters"
     comments = (
-        f"simulated measurements of {model.name}; truth: {parameters or 'nominal parameters'}",
+        f"simulated measurements of {model.name}; truth: {truth}",
         f"normal noise, sigma {sigma_mm:g} mm per axis, seed {seed}",
     )
     write_file(out, format_measurements(model, measured, comments))

@@ -6,7 +6,7 @@ import click
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.commands.common import Output, loaded, said_of_failure, shared_options, with_values
+from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
 from calib.data.tables import format_table
 from calib.files import check_file, write_file
 from calib.inverse_kinematics.goals import Goals, read_goals
@@ -42,6 +42,7 @@ def command(
     """
     check_file(out)
     model = with_values(loaded(robot, output), parameters, result)
+    result = folder_of_values(robot, parameters, result)
     goals = read_goals(targets, model)
     with output.working(f"solving {len(goals)} targets"):
         solution = solve(model, goals)

@@ -10,10 +10,11 @@ from calib.export.closed_model import closed_model
 from calib.export.controllers import ControllerFile, dh_file, joint_offsets, ur_kinematics, xacro_origins
 from calib.export.drake import drake_bytes
 from calib.export.gap import Gap, loop_gaps
+from calib.export.joint_tables import joint_table_files
 from calib.export.mjcf import mjcf
 from calib.export.toolbox import toolbox_yaml
 from calib.export.urdf import urdf_bytes, with_mesh_prefix
-from calib.files import check_file, write_file, write_folder
+from calib.files import check_file, check_folder, write_file, write_folder
 from calib.model.robot import Robot
 
 CONTROLLERS: dict[str, Callable[[Robot, Sequence[str]], ControllerFile]] = {
@@ -26,6 +27,8 @@ CONTROLLERS: dict[str, Callable[[Robot, Sequence[str]], ControllerFile]] = {
 """Formats for controllers and ROS, of which each says what it holds and which error it leaves."""
 _WITH_URDF = ("urdf", "drake", "toolbox")
 FORMATS = ("urdf", "mjcf", "drake", "toolbox", *CONTROLLERS)
+JOINT_TABLES = "joint-tables"
+"""The format that is a folder of files."""
 
 
 def export(
@@ -46,8 +49,9 @@ def export(
             closed. `drake`: URDF with Drake's ball constraints. `toolbox`: robot.yaml for toolbox-parallel-robots, with
             the URDF beside it under the same name. `dh`, `mdh`: Denavit-Hartenberg tables, standard and modified.
             `ur-kinematics`: for Universal Robots' ROS description. `joint-offsets`: a sign and a zero for each joint.
-            `xacro`: joint origins as properties.
-        path: File to write.
+            `xacro`: joint origins as properties. `joint-tables`: a folder of tables of what joints really are when
+            told a value, with the code that applies them (see `calib.export.joint_tables`).
+        path: File to write, or folder of `joint-tables`.
         free_slide: Formats `mjcf` and `drake`: a free joint for each direction that a closure leaves free.
         meshes: Formats that hold a URDF (`urdf`, `drake`, `toolbox`): what to put before relative mesh paths, such as
             `package://my_robot`, so that they do not depend on where the file lies.
@@ -64,12 +68,16 @@ def export(
             robot's own input, or loops that the format cannot express.
     """
     path = Path(path)
-    if file_format not in FORMATS:
-        raise InputError(f"format '{file_format}': unknown{nearest(file_format, FORMATS)}")
+    if file_format not in (*FORMATS, JOINT_TABLES):
+        raise InputError(f"format '{file_format}': unknown{nearest(file_format, (*FORMATS, JOINT_TABLES))}")
     if free_slide and file_format not in ("mjcf", "drake"):
         raise InputError(f"format '{file_format}' has no variant with free slides; only mjcf and drake have")
     if meshes and file_format not in _WITH_URDF:
         raise InputError(f"format '{file_format}' has no mesh paths to change; only {', '.join(_WITH_URDF)} have")
+    if file_format == JOINT_TABLES:
+        check_folder(path)
+        write_folder(path, joint_table_files(robot, provenance or (), note))
+        return ()
     files = _contents(robot, file_format, path, free_slide, provenance, note)
     for file in files:
         if file.resolve() in (Path(robot.urdf.path).resolve(), Path(robot.path).resolve()):

@@ -9,7 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.errors import UnreachablePoseError
 from calib.identification.candidate_terms import TermChoice
+from calib.identification.error_budget import ErrorBudget, error_budget
 from calib.identification.errors_found import ErrorSet, Folds
 from calib.identification.estimates import Covariance, Estimates, estimates
 from calib.identification.judged import Outlier, blocks, outliers_of
@@ -340,6 +342,27 @@ class Fit(ReadOnlyArrays):
             rows = rows.whitened(setting.shared).at_minimum()
             residuals = Residuals(rows, rows.known.root, self.statistics.freedom, 1.0)
         return patterns(residuals, setting)
+
+    @cached_property
+    @one_blas_thread
+    def budget(self) -> ErrorBudget | None:
+        """What made the error before, and what is left: of the readings that were not used, or of all there are.
+
+        None where the robot cannot be assembled on the way from before to after.
+        """
+        used = self.validation is None
+        try:
+            return error_budget(
+                self.placed,
+                self.robot,
+                self.validation or self.identification,
+                self.unknowns,
+                self.statistics.covariance,
+                self.rows if used else None,
+                self.sigma_given,
+            )
+        except UnreachablePoseError:
+            return None
 
     @cached_property
     def _root(self) -> FloatArray:

@@ -12,6 +12,8 @@ class Backlash(OneCoefficient):
     """dq = c times the direction of approach, +1 or -1; 0 where it is not known."""
 
     word = "backlash"
+    cause = "backlash"
+    depends_on = "the direction of approach"
     expected_angle, expected_length = 2e-4, 5e-5  # half of the play
 
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:

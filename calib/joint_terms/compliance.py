@@ -17,6 +17,8 @@ class Compliance(OneCoefficient):
     """dq = c times the torque of gravity that the joint holds."""
 
     word = "compliance"
+    cause = "load (compliance)"
+    depends_on = "the load"
     expected_angle, expected_length = 2e-5, 1e-7  # [rad / (N m), m / N]
     needs_torque = True
 

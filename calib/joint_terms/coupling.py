@@ -31,6 +31,7 @@ class Coupling(JointTerm):
     """dq = c times the command of another joint, in radians or metres."""
 
     section = CouplingSection
+    depends_on = "another joint"
     joint: str
     parameters: tuple[Parameter, ...]
     other: int

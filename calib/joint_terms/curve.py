@@ -18,7 +18,7 @@ from typing import Annotated
 from pydantic import Field
 
 from calib.arrays import FloatArray
-from calib.joint_terms.periodic import AMPLITUDE, period, sines_and_cosines
+from calib.joint_terms.periodic import AMPLITUDE, bound_of_curvature, period, sines_and_cosines
 from calib.joint_terms.term import Context, Joint, JointTerm, TermSection, coefficient
 from calib.parameter import Parameter
 from calib.sections import Length
@@ -46,6 +46,7 @@ class CurveSection(TermSection):
 class Curve(JointTerm):
     """A smooth curve over a turn, or over the stroke of a prismatic joint."""
 
+    cause = "joint curves"
     section = CurveSection
     joint: str
     parameters: tuple[Parameter, ...]
@@ -72,3 +73,7 @@ class Curve(JointTerm):
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
         """Return sines and cosines, (n, 2 K)."""
         return sines_and_cosines(q[:, j], range(1, self.orders + 1), self.period)
+
+    def curvature(self, values: FloatArray) -> float:
+        """Return a bound of |d^2(dq)/dq^2| [1/rad or 1/m], from the coefficients (2 n_orders,)."""
+        return bound_of_curvature(values, range(1, self.orders + 1), self.period)

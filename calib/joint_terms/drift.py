@@ -14,6 +14,8 @@ class Drift(OneCoefficient):
     """dq = c times the hours, as the file counts time."""
 
     word = "drift"
+    cause = "drift"
+    depends_on = "time"
     expected_angle, expected_length = 1e-4, 2e-5  # per hour
 
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
@@ -25,6 +27,8 @@ class Temperature(OneCoefficient):
     """dq = c times the kelvins above 20 degC."""
 
     word = "temperature"
+    cause = "drift"
+    depends_on = "temperature"
     expected_angle, expected_length = 1e-4, 2e-5  # per kelvin
 
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from calib.arrays import FloatArray
-from calib.joint_terms.periodic import AMPLITUDE, period, sines_and_cosines
+from calib.joint_terms.periodic import AMPLITUDE, bound_of_curvature, period, sines_and_cosines
 from calib.joint_terms.term import Context, Joint, JointTerm, TermSection, coefficient
 from calib.parameter import Parameter
 from calib.sections import Length
@@ -53,3 +53,7 @@ class Harmonics(JointTerm):
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
         """Return sines and cosines, (n, 2 n_orders)."""
         return sines_and_cosines(q[:, j], self.orders, self.period)
+
+    def curvature(self, values: FloatArray) -> float:
+        """Return a bound of |d^2(dq)/dq^2| [1/rad or 1/m], from the coefficients (2 n_orders,)."""
+        return bound_of_curvature(values, self.orders, self.period)

@@ -39,3 +39,9 @@ def sines_and_cosines(q: FloatArray, orders: npt.ArrayLike, period: float) -> Fl
     """Return sin and cos of each order in turn, (n, 2 n_orders), at joint values q (n,) [rad or m]."""
     phase = np.outer(q, np.asarray(orders)) * (TURN / period)
     return np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(q), -1)
+
+
+def bound_of_curvature(values: FloatArray, orders: npt.ArrayLike, period: float) -> float:
+    """Return sum of |a_k| (2 pi k / period)^2, from the coefficients of sines and cosines, (2 n_orders,)."""
+    amplitude = np.hypot(values[0::2], values[1::2])
+    return float(amplitude @ (np.asarray(orders) * TURN / period) ** 2)

@@ -113,10 +113,14 @@ class JointTerm(ABC):
         joint: The joint.
         parameters: Its coefficients.
         needs_torque: Whether it asks for `Context.torque` (class attribute).
+        cause: Under which name an error budget counts it (class attribute).
+        depends_on: What it depends on beside the joint's own command; empty: nothing (class attribute).
     """
 
     section: ClassVar[type[TermSection]] = TermSection
     needs_torque: ClassVar[bool] = False
+    cause: ClassVar[str] = "gain and harmonics"
+    depends_on: ClassVar[str] = ""
     joint: str
     parameters: tuple[Parameter, ...]
 
@@ -143,6 +147,10 @@ class JointTerm(ABC):
             j: Place of the term's joint among them.
             context: Conditions of the commands.
         """
+
+    def curvature(self, values: FloatArray) -> float:
+        """Return a bound of |d^2(dq)/dq^2| [1/rad or 1/m], from the coefficients (n_coefficients,); 0 if straight."""
+        return 0.0
 
 
 UNIT: dict[Dimension, str] = {"angle": "mrad", "length": "mm"}

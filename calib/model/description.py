@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
+import yaml
 from pydantic import Discriminator, Field, Tag, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
@@ -219,6 +220,12 @@ def read_description(path: Path | str) -> Description:
         return Description.model_validate(content, context={"folder": Path(path).parent})
     except ValidationError as error:
         raise DescriptionError(f"{path}: {_one_line(error)}") from None
+
+
+def description_yaml(description: Description) -> str:
+    """Return a description as YAML that reads back the same, numbers in SI and points of files written out."""
+    content = description.model_dump(mode="json", exclude_unset=True)
+    return str(yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120))
 
 
 def _one_line(error: ValidationError) -> str:

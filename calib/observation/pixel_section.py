@@ -112,7 +112,8 @@ class PixelSection(Section):
             raise ValueError("has points and points_file; leave one of them out")
         folder = (info.context or {}).get("folder", Path())
         try:
-            return {**value, "points": read_points(folder / file)}
+            rest = {key: entry for key, entry in value.items() if key != "points_file"}
+            return {**rest, "points": read_points(folder / file)}
         except DescriptionError as error:
             raise ValueError(str(error)) from None
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import numpy as np
 from rich.table import Table
 
@@ -11,7 +13,7 @@ from calib.identification.joint_curves import joint_curves, without_terms
 from calib.identification.reasons import Verdict
 from calib.identification.repeats import repeatability, repeats
 from calib.observation.kind import Part
-from calib.reporting.result_content import correlated, error_sets, parameter_rows
+from calib.reporting.result_content import budget_table, correlated, error_sets, parameter_rows
 from calib.units import DISPLAY_UNIT, ERROR_UNIT, PER_SI, error_scale, millimetres
 from calib.words import counted, listed, plain_text, sentence
 
@@ -22,6 +24,7 @@ def text_report(fit: Fit, width: int = 120) -> str:
         f"Calibration of {fit.nominal.name} ({fit.nominal.path})",
         *verdict_lines(fit.verdict),
         *_accuracy(fit),
+        *_budget(fit),
         _parameters(fit),
         *notes(fit),
     ]
@@ -40,7 +43,7 @@ def notes(fit: Fit) -> list[str]:
     lines = [
         *_noise(fit),
         *_terms(fit),
-        *_curves(fit),
+        *_causes(fit),
         *_identifiability(fit),
         *_positions(fit),
         *_repeats(fit),
@@ -103,8 +106,8 @@ def _terms(fit: Fit) -> list[str]:
     return lines + ([f"Joint terms that could not be tried: {listed(refused, '; ', every)}"] if refused else [])
 
 
-def _curves(fit: Fit) -> list[str]:
-    lines = []
+def _causes(fit: Fit) -> list[str]:
+    lines = [] if fit.budget is None else [f"What is left: {fit.budget.advice}"]
     for curve in joint_curves(fit):
         scale, unit = error_scale(curve.dimension), ERROR_UNIT[curve.dimension]
         shown = PER_SI[curve.dimension][DISPLAY_UNIT[curve.dimension]]
@@ -231,6 +234,24 @@ def _accuracy_of(fit: Fit, part: Part) -> Table:
                 cells = format_error(error_table(errors, part))
                 table.add_row(f"{label}, {state}", str(found.data.n_poses), *cells)
     return table
+
+
+def _budget(fit: Fit) -> list[Table]:
+    found = budget_table(fit)
+    if found is None:
+        return []
+    of = "poses used, corrected for that" if found["set"] == "identification" else "poses not used"
+    title = f"What made the error before ({of})"
+    table = Table(title=title, title_justify="left")
+    unit = found["unit"]
+    for header in ("", f"RMS {unit}", f"mean square {unit}^2", "std", "share"):
+        table.add_column(header, justify="left" if not header else "right")
+    for row in cast(list[dict[str, Any]], found["causes"]):
+        numbers = [f"{row[key]:.4f}" if key == "rms" else f"{row[key]:.3g}" for key in ("rms", "mean_square", "std")]
+        table.add_row(row["cause"], *numbers, f"{100 * row['share']:.1f} %")
+    before = cast(float, found["rms_before"])
+    table.add_row("together: before", f"{before:.4f}", f"{before**2:.3g}", "", "100.0 %")
+    return [table]
 
 
 def _parameters(fit: Fit) -> Table:

@@ -72,6 +72,7 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "correlations": correlated(fit),
             "errors": {name: found.table() for name, found in error_sets(fit)},
             "instruments": instrument_blocks(fit),
+            "error_budget": budget_table(fit),
             "position_uncertainty": position_uncertainty_table(fit),
             "loss": fit.loss,
             "outliers": outlier_rows(fit),
@@ -121,6 +122,36 @@ def repeat_table(errors: ErrorSet) -> dict[str, object] | None:
     """Return ISO 9283-style accuracy and repeatability [mm]; None without repeats."""
     found = repeats(errors)
     return None if found is None else found.table()
+
+
+def budget_table(fit: Fit) -> dict[str, object] | None:
+    """Return the error budget in the unit of errors and its square; see `calib.identification.error_budget`."""
+    found = fit.budget
+    if found is None:
+        return None
+    scale = error_scale(found.part.dimension)
+
+    def row(cause: str, mean_square: float, std: float) -> dict[str, object]:
+        return {
+            "cause": cause,
+            "mean_square": scale**2 * mean_square,
+            "std": scale**2 * std,
+            "rms": scale * math.copysign(math.sqrt(abs(mean_square)), mean_square),
+            "share": mean_square / found.before if found.before > 0 else math.nan,
+        }
+
+    return {
+        "set": "identification" if found.used else "validation",
+        "part": found.part.name,
+        "unit": ERROR_UNIT[found.part.dimension],
+        "n_readings": found.n_readings,
+        "n_poses": found.n_poses,
+        "rms_before": scale * math.sqrt(found.before),
+        "rms_left": scale * math.sqrt(max(found.after, 0.0)),
+        "causes": [row(share.cause, share.mean_square, share.std) for share in found.shares],
+        "noise_from": found.noise_from or None,
+        "advice": found.advice,
+    }
 
 
 def position_uncertainty_table(fit: Fit) -> dict[str, object]:

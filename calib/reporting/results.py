@@ -1,19 +1,23 @@
 """The result folder: what a fit found, in files that people and programs read, and reading it back.
 
-`result.json` holds everything in mm and degrees; unknown numbers are null, never zero. The calibrated robot is rebuilt
-from `parameters.csv` and the nominal description, so it is the same to the last digits, and its uncertainty from
-`covariance.csv`. A fit with the verdict FAIL is written without `calibrated.urdf`, and is not read back as a calibrated
-robot, unless that is forced; then the files say so.
+`result.json` holds everything in mm and degrees; unknown numbers are null, never zero. The folder has all that the
+calibrated robot is made of, so that it can be moved, and loads like any robot: the nominal robot (`nominal.yaml`,
+`nominal.urdf`) and the values of all its parameters (`parameters.csv`), joint terms and places included. It is the same
+to the last digits. Its uncertainty comes from `covariance.csv`. A fit with the verdict FAIL is written without
+`calibrated.urdf`, and is not read back as a calibrated robot, unless that is forced; then the files say so.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
+import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import escape, unescape
 
 import numpy as np
 from scipy.stats import t as student_t
@@ -23,6 +27,7 @@ from calib.data.measurements import Poses
 from calib.data.parameter_files import format_parameters, read_parameters
 from calib.data.tables import read_table
 from calib.errors import ComputationError, DataError, DescriptionError
+from calib.export.links import find_mesh
 from calib.export.urdf import urdf_bytes
 from calib.files import read_text, write_folder
 from calib.identification.fitted import Fit
@@ -30,13 +35,17 @@ from calib.identification.joint_curves import beyond_learned
 from calib.identification.reasons import Verdict
 from calib.joint_terms.terms import stored_terms
 from calib.linearisation.prediction import PositionUncertainty, position_uncertainty
+from calib.model import robot as described
+from calib.model.description import description_yaml
 from calib.model.robot import Robot
+from calib.model.urdf_text import UrdfText, apply_edits
 from calib.reporting.result_content import FORMAT_VERSION, covariance_table, parameter_rows, residual_table, to_dict
 from calib.units import PER_SI
 from calib.words import counted, listed
 
 __all__ = [
     "forced_lines",
+    "load",
     "load_calibrated",
     "load_uncertainty",
     "parameter_rows",
@@ -50,12 +59,14 @@ _AGREE = 1e-9  # of the same value in two files [m or rad]
 REPORTS = "calib.reports"
 """Entry point group of page writers: name -> callable(result) returning file name -> content."""
 _URDF = "calibrated.urdf"
+_NOMINAL_YAML, _NOMINAL_URDF = "nominal.yaml", "nominal.urdf"
+_FILE = re.compile(rb"""\bfilename\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 _NO_TERMS = ("a URDF cannot hold joint terms (curves, backlash, ...): they are in parameters.csv, and missing here",)
 _OF_GOOD_FITS = (_URDF, "report.html", "viewer.html")  # an old one must not stay beside a new result
 
 
 def save(fit: Fit, folder: Path | str, *, force: bool = False) -> None:
-    """Write result.json, calibrated.urdf, parameters.csv, covariance.csv, residuals.csv, and pages of report writers.
+    """Write the files of the module docstring, calibrated.urdf, residuals.csv, and pages of report writers.
 
     A failed fit gets no calibrated.urdf, and one that was in the folder is removed; pages are written unless the
     robot cannot be assembled with the parameters found.
@@ -69,13 +80,19 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False) -> None:
         InputError: The folder cannot be written; what was there is untouched.
     """
     failed = fit.verdict.grade == "FAIL"
-    result = to_dict(fit, forced=failed and force)
+    nominal = {
+        _NOMINAL_YAML: description_yaml(fit.nominal.description.model_copy(update={"urdf": _NOMINAL_URDF})).encode(),
+        _NOMINAL_URDF: _with_meshes(fit.nominal.urdf),
+    }
+    checksums = {name: hashlib.sha256(content).hexdigest() for name, content in nominal.items()}
+    result = to_dict(fit, forced=failed and force) | {"sha256": checksums}
     remark = _said_inside(fit.verdict, "not to be used") if failed else []
     files = {
         "result.json": (json.dumps(result, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode(),
         "parameters.csv": format_parameters(fit.robot, remark).encode(),
         "covariance.csv": covariance_table(fit).encode(),
         "residuals.csv": residual_table(fit).encode(),
+        **nominal,
     }
     if not failed:
         files[_URDF] = urdf_bytes(fit.robot, _NO_TERMS) if fit.robot.terms else fit.robot.calibrated_urdf()
@@ -85,6 +102,19 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False) -> None:
         write: Callable[[Fit], dict[str, bytes]] = entry.load()
         files.update(write(fit))
     write_folder(folder, files, obsolete=sorted(set(_OF_GOOD_FITS) - set(files)))
+
+
+def _with_meshes(urdf: UrdfText) -> bytes:
+    """The URDF with the full paths of meshes that are named relative to it, or to a package."""
+    edits = []
+    for match in _FILE.finditer(urdf.source):
+        group = 1 if match.group(1) is not None else 2
+        name = unescape(match.group(group).decode("utf-8", "replace"), {"&quot;": '"', "&apos;": "'"})
+        found = find_mesh(name, urdf.path)
+        if found is not None and not Path(name).is_absolute():
+            text = escape(str(found), {'"': "&quot;", "'": "&apos;"})
+            edits.append((*match.span(group), text.encode("ascii", "xmlcharrefreplace")))
+    return apply_edits(urdf.source, edits)
 
 
 def _forced_urdf(fit: Fit) -> bytes:
@@ -103,6 +133,30 @@ def forced_lines(folder: Path | str) -> list[str]:
     if verdict.get("grade") != "FAIL":
         return []
     return ["verdict: FAIL, exported by force:", *(f"  {reason}" for reason in verdict["reasons"])]
+
+
+def load(path: Path | str) -> Robot:
+    """Load a robot from a description (YAML), a plain URDF (see `calib.model.robot.load`), or calibrated from a result.
+
+    Args:
+        path: Of the file, or of the folder of the result.
+
+    Raises:
+        UrdfError: The URDF is not valid.
+        DescriptionError: The description is not valid, or does not fit the URDF.
+        DataError: The folder holds no result, or a damaged one.
+        ComputationError: The result failed, and was not forced.
+    """
+    folder = Path(path)
+    if not folder.is_dir():
+        return described.load(path)
+    checksums = read_result(folder).get("sha256", {})
+    for name in (_NOMINAL_YAML, _NOMINAL_URDF):
+        if not (folder / name).is_file():
+            raise DataError(f"{folder}: has no {name}, and so gives no robot; run the fit again")
+        if hashlib.sha256((folder / name).read_bytes()).hexdigest() != checksums.get(name):
+            raise DataError(f"{folder / name}: was changed after the fit, which holds no more; run the fit again")
+    return replace(load_calibrated(folder, described.load(folder / _NOMINAL_YAML)), path=str(path))
 
 
 def load_calibrated(folder: Path | str, robot: Robot, *, failed_too: bool = False) -> Robot:

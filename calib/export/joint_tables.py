@@ -1,0 +1,235 @@
+"""Joint correction tables: what each joint really is when it is told a value, for controllers that know no model.
+
+A table has equal steps, with linear interpolation between them. That is off by at most h^2 / 8 times the largest second
+derivative of the joint's error, of which every term knows a bound; the step h is chosen so that this stays below
+`TOLERANCE`. A table reaches over the joint's limits in the URDF (two turns about zero where there are none), and a
+little further, so that the way back (which command gives a wanted value) holds at the limits too. Outside, the answer
+is NaN.
+
+Only errors that depend on the joint's own command fit into a table. What else the model has (backlash, compliance,
+drift) is left out, and said with its size.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import FloatArray, ReadOnlyArrays
+from calib.data.tables import format_table
+from calib.errors import InputError
+from calib.joint_terms.term import Context
+from calib.model.robot import Robot
+from calib.units import ERROR_UNIT, Dimension, error_scale
+
+TOLERANCE = 4e-7
+"""What interpolation may be off [rad or m]."""
+_TURNS = 2.0 * np.pi  # range to either side of a joint that turns without limits [rad]
+_MOST_STEPS = 200_000
+_SI: dict[Dimension, str] = {"length": "m", "angle": "rad"}
+
+_PYTHON = '''\
+import math
+
+# joint: (first command, step, what the joint then is) [rad or m]
+TABLES = {
+%s}
+
+
+def actual(joint, command):
+    """What a joint is when it is told `command`; NaN outside its table."""
+    start, step, values = TABLES[joint]
+    x = (command - start) / step
+    if not -1e-9 <= x <= len(values) - 1 + 1e-9:
+        return math.nan
+    k = min(max(int(x), 0), len(values) - 2)
+    return values[k] + (x - k) * (values[k + 1] - values[k])
+
+
+def command(joint, wanted):
+    """What a joint must be told to be at `wanted`; NaN outside its table."""
+    told = wanted
+    for _ in range(20):
+        told -= actual(joint, told) - wanted
+    return told
+'''
+_C = """\
+#include <math.h>
+
+/* Joints by number: %s. Values in rad or m. */
+%s
+static const double *const joint_values[] = {%s};
+static const double joint_start[] = {%s};
+static const double joint_step[] = {%s};
+static const int joint_count[] = {%s};
+
+/* What a joint is when it is told `command`; NaN outside its table. */
+static double joint_actual(int joint, double command) {
+    const double *values = joint_values[joint];
+    int n = joint_count[joint], k;
+    double x = (command - joint_start[joint]) / joint_step[joint];
+    if (!(x >= -1e-9 && x <= n - 1 + 1e-9)) return NAN;
+    k = x < 0 ? 0 : (int)x;
+    if (k > n - 2) k = n - 2;
+    return values[k] + (x - k) * (values[k + 1] - values[k]);
+}
+
+/* What a joint must be told to be at `wanted`; NaN outside its table. */
+static double joint_command(int joint, double wanted) {
+    double told = wanted;
+    int round;
+    for (round = 0; round < 20; round++) told -= joint_actual(joint, told) - wanted;
+    return told;
+}
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class JointTable(ReadOnlyArrays):
+    """What a joint is over what it is told.
+
+    Attributes:
+        joint: The joint.
+        dimension: Whether it slides or turns.
+        commands: With equal steps, (n,) [rad or m].
+        actual: What it then is, (n,) [rad or m].
+    """
+
+    joint: str
+    dimension: Dimension
+    commands: FloatArray
+    actual: FloatArray
+
+
+def joint_tables(robot: Robot) -> tuple[tuple[JointTable, ...], list[str]]:
+    """Return the table of each actuated joint, and what no table can hold, one line each.
+
+    Raises:
+        InputError: The robot has no joint terms, a sliding joint no limits, or a table would be too long.
+    """
+    if not any(not term.depends_on for term in robot.terms):
+        raise InputError(
+            f"{robot.path}: has no joint terms that depend on the joint's own value alone; there is nothing to put"
+            " into a table"
+        )
+    bound = dict.fromkeys(robot.joint_names, 0.0)
+    values, left, start = robot.values.copy(), [], robot.coefficients.start
+    for term in robot.terms:
+        own = slice(start, start := start + len(term.parameters))
+        if term.depends_on:
+            left.append(_left_out(robot, own, term.joint, term.cause, term.depends_on))
+            values[own] = 0.0
+        else:
+            bound[term.joint] += term.curvature(robot.values[own])
+    kept = robot.with_parameters(values)
+    return tuple(_table(kept, joint, curvature) for joint, curvature in bound.items()), left
+
+
+def _table(robot: Robot, joint: str, curvature: float) -> JointTable:
+    j, dimension = robot.joint_names.index(joint), robot.mechanism.dimensions[joint]
+    described = next(one for one in robot.urdf.joints if one.name == joint)
+    low, high = described.lower, described.upper
+    if not (np.isfinite(high - low) and high > low):
+        if dimension == "length":
+            raise InputError(f"{robot.urdf.path}: joint '{joint}' slides without limits; give it some for its table")
+        low, high = -_TURNS, _TURNS
+
+    def actual(commands: FloatArray) -> FloatArray:
+        q = np.zeros((len(commands), len(robot.joint_names)))
+        q[:, j] = commands
+        columns = tuple(
+            term.columns(q, robot.joint_names.index(term.joint), Context.neutral(*q.shape)) for term in robot.terms
+        )
+        result: FloatArray = robot.actual(q, columns)[:, j]
+        return result
+
+    ends = np.linspace(low, high, 1001)
+    margin = 2.0 * float(np.max(np.abs(actual(ends) - ends))) + TOLERANCE
+    low, high = low - margin, high + margin
+    n_steps = max(int(np.ceil((high - low) * np.sqrt(curvature / (8.0 * TOLERANCE)))), 1)
+    if n_steps > _MOST_STEPS:
+        raise InputError(f"{robot.path}: joint '{joint}': a table of its errors would need {n_steps} steps")
+    commands = low + np.arange(n_steps + 1) * ((high - low) / n_steps)
+    return JointTable(joint, dimension, commands, actual(commands))
+
+
+def _left_out(robot: Robot, own: slice, joint: str, cause: str, depends_on: str) -> str:
+    """Say what of a joint's error is not in its table."""
+    dimension = robot.mechanism.dimensions[joint]
+    size, unit = error_scale(dimension) * float(np.max(np.abs(robot.values[own]))), ERROR_UNIT[dimension]
+    what = {
+        "the load": f"{size:.3g} {unit} per N m or N",
+        "time": f"{size:.3g} {unit} per hour",
+        "temperature": f"{size:.3g} {unit} per kelvin",
+    }.get(depends_on, f"{size:.3g} {unit} to either side")
+    return f"{joint}: {cause} is not in the table, because it depends on {depends_on}: {what} remains"
+
+
+def joint_table_files(
+    robot: Robot, provenance: Sequence[str] = (), note: Callable[[str], None] = lambda text: None
+) -> dict[str, bytes]:
+    """Return `joint_tables.csv`, and the same as Python and C with the code that applies it.
+
+    Args:
+        robot: The robot.
+        provenance: Lines to put into each file.
+        note: Called with each thing that the tables cannot hold.
+
+    Raises:
+        InputError: See `joint_tables`.
+    """
+    tables, left = joint_tables(robot)
+    for text in left:
+        note(text)
+    said = [f"joint correction tables of {robot.name} ({robot.path})", *provenance, *left]
+    said = [" ".join(line.replace("*/", "* /").split()) for line in said]
+    columns: list[tuple[str, Sequence[object]]] = [
+        ("joint", [one.joint for one in tables for _ in one.commands]),
+        ("unit", [_SI[one.dimension] for one in tables for _ in one.commands]),
+        ("commanded", [float(value) for one in tables for value in one.commands]),
+        ("actual", [float(value) for one in tables for value in one.actual]),
+    ]
+    return {
+        "joint_tables.csv": format_table(columns, said).encode(),
+        "joint_tables.py": ("".join(f"# {line}\n" for line in said) + _python(tables)).encode(),
+        "joint_tables.h": ("".join(f"/* {line} */\n" for line in said) + _c(tables)).encode(),
+    }
+
+
+def _python(tables: Sequence[JointTable]) -> str:
+    """The tables as a Python module."""
+    entries = []
+    for one in tables:
+        start, step = float(one.commands[0]), _step(one)
+        entries.append(f"    {json.dumps(one.joint)}: ({start!r}, {step!r}, [\n{_numbers(one.actual, 8)}\n    ]),\n")
+    return _PYTHON % "".join(entries)
+
+
+def _c(tables: Sequence[JointTable]) -> str:
+    """The tables as a C header."""
+    names = ", ".join(f"{k} {one.joint}" for k, one in enumerate(tables)).replace("*/", "* /")
+    arrays = [
+        f"static const double joint_values_{k}[] = {{\n{_numbers(one.actual, 4)}\n}};" for k, one in enumerate(tables)
+    ]
+    return _C % (
+        " ".join(names.split()),
+        "\n".join(arrays),
+        ", ".join(f"joint_values_{k}" for k in range(len(tables))),
+        ", ".join(repr(float(one.commands[0])) for one in tables),
+        ", ".join(repr(_step(one)) for one in tables),
+        ", ".join(str(len(one.actual)) for one in tables),
+    )
+
+
+def _step(table: JointTable) -> float:
+    return float((table.commands[-1] - table.commands[0]) / (len(table.commands) - 1))
+
+
+def _numbers(values: FloatArray, indent: int) -> str:
+    """Numbers in lines, so that they read back exactly."""
+    text = [repr(float(value)) for value in values]
+    lines = [", ".join(text[k : k + 5]) for k in range(0, len(text), 5)]
+    return ",\n".join(" " * indent + line for line in lines)

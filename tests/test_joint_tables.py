@@ -1,0 +1,164 @@
+"""Joint correction tables: the Python and the C that are written with them agree with the engine."""
+
+import csv
+import importlib.util
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from small_robots import ARM_YAML, write_arm
+
+import calib
+from calib.export.joint_tables import joint_table_files, joint_tables
+from calib.joint_terms.term import Context
+
+TERMS = """\
+  - {joint: all, term: gain}
+  - {joint: turn, term: curve, orders: 40, sigma: 0.5 mrad}
+  - {joint: slide, term: harmonics, period: 5 mm, orders: [1, 2], sigma: 30 um}
+  - {joint: wrist, term: harmonics, orders: [1, 51], sigma: 0.5 mrad}
+"""
+BEYOND = "  - {joint: slide, term: backlash}\n  - {joint: turn, term: drift}\n  - {joint: all, term: temperature}\n"
+
+
+def robot_with(folder, terms=TERMS):
+    nominal = calib.load(write_arm(folder, ARM_YAML + terms))
+    generator = np.random.default_rng(3)
+    return nominal.with_parameters(nominal.values + [p.sigma * generator.normal() for p in nominal.parameters])
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    return robot_with(tmp_path_factory.mktemp("arm"))
+
+
+@pytest.fixture(scope="module")
+def folder(robot, tmp_path_factory):
+    """The files of its tables."""
+    path = tmp_path_factory.mktemp("tables")
+    for name, content in joint_table_files(robot).items():
+        (path / name).write_bytes(content)
+    return path
+
+
+@pytest.fixture(scope="module")
+def commands():
+    """Commands over the joints' whole ranges, their limits included."""
+    inside = np.random.default_rng(4).uniform([-3, 0, -6.28], [3, 1, 6.28], (3000, 3))
+    return np.vstack([inside, [[-3, 0, -2 * np.pi], [3, 1, 2 * np.pi]]])
+
+
+def python_of(folder):
+    spec = importlib.util.spec_from_file_location("written", folder / "joint_tables.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_python_agrees_with_the_engine_both_ways(robot, folder, commands):
+    written = python_of(folder)
+    actual, told = robot.actual(commands, robot.term_columns(commands)), robot.commands(commands)
+    assert np.abs(actual - commands).max() > 1e-4  # there is something to correct
+    for j, joint in enumerate(robot.joint_names):
+        found = [written.actual(joint, q) for q in commands[:, j]]
+        assert np.abs(found - actual[:, j]).max() < 1e-6
+        found = [written.command(joint, q) for q in commands[:, j]]
+        assert np.abs(found - told[:, j]).max() < 1e-6
+        outside = {"turn": 3.5, "slide": 1.2, "wrist": 7.0}[joint]
+        assert np.isnan(written.actual(joint, outside))
+        assert np.isnan(written.command(joint, -outside))
+
+
+def test_the_c_agrees_with_the_engine_both_ways(robot, folder, commands, tmp_path):
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler")
+    (tmp_path / "main.c").write_text(
+        '#include <stdio.h>\n#include "joint_tables.h"\n'
+        'int main(void) { int j; double q; while (scanf("%d %lf", &j, &q) == 2)\n'
+        ' printf("%.17g %.17g\\n", joint_actual(j, q), joint_command(j, q));\nreturn 0; }\n'
+    )
+    flags = ["-std=c99", "-Wall", "-Werror", "-O1", f"-I{folder}"]
+    subprocess.run([compiler, *flags, "main.c", "-o", "main", "-lm"], cwd=tmp_path, check=True)
+    given = "".join(f"{j} {q!r}\n" for j in range(3) for q in map(float, commands[:, j])) + "0 3.5\n"
+    out = subprocess.run([tmp_path / "main"], input=given, capture_output=True, text=True, check=True).stdout
+    found = np.array([[float(cell) for cell in line.split()] for line in out.splitlines()])
+    assert np.all(np.isnan(found[-1]))
+    found = found[:-1].reshape(3, -1, 2)
+    assert np.abs(found[:, :, 0].T - robot.actual(commands, robot.term_columns(commands))).max() < 1e-6
+    assert np.abs(found[:, :, 1].T - robot.commands(commands)).max() < 1e-6
+
+
+def test_the_csv_holds_the_same_numbers(robot, folder):
+    text = (folder / "joint_tables.csv").read_text()
+    rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+    tables, left = joint_tables(robot)
+    assert left == []
+    for one in tables:
+        own = [row for row in rows if row["joint"] == one.joint]
+        assert [float(row["commanded"]) for row in own] == one.commands.tolist()
+        assert [float(row["actual"]) for row in own] == one.actual.tolist()
+        assert {row["unit"] for row in own} == {"m" if one.joint == "slide" else "rad"}
+        assert one.actual.tolist() == python_of(folder).TABLES[one.joint][2]
+
+
+def test_a_bound_of_the_curvature_holds_and_is_no_guess(robot):
+    q = np.zeros((20001, 3))
+    for term, values in zip(robot.terms, _values(robot), strict=True):
+        j = robot.joint_names.index(term.joint)
+        q[:, j] = np.linspace(-0.5, 0.5, len(q))
+        error = term.columns(q, j, Context.neutral(*q.shape)) @ values
+        second = np.diff(error, 2) / (q[1, j] - q[0, j]) ** 2
+        bound = term.curvature(values)
+        assert np.abs(second).max() <= bound * 1.001 + 1e-3
+        assert bound < 20 * np.abs(second).max() + 1e-3
+
+
+def _values(robot):
+    start = robot.coefficients.start
+    for term in robot.terms:
+        yield robot.values[start : start + len(term.parameters)]
+        start += len(term.parameters)
+
+
+def test_what_depends_on_more_is_left_out_and_said_with_its_size(tmp_path, run_calib, robot):
+    more = robot_with(tmp_path, TERMS + BEYOND).with_parameters({"slide.backlash": -2e-4, "turn.drift": 1e-4})
+    tables, left = joint_tables(more)
+    assert "slide: backlash is not in the table, because it depends on the direction of approach: 0.2 mm" in left[0]
+    assert "turn: drift is not in the table, because it depends on time: 0.1 mrad per hour remains" in left[1]
+    assert len(left) == 5
+    for one, same in zip(tables, joint_tables(robot)[0], strict=True):
+        assert np.array_equal(one.actual, same.actual)
+    values = "parameter,value,unit\nslide.backlash,0.2,mm\nturn.gain,1,mrad\n"
+    (tmp_path / "values.csv").write_text(values)
+    arguments = ("--parameters", "values.csv", "--format", "joint-tables", "--out", "tables")
+    run = run_calib("export", "arm.yaml", *arguments, cwd=tmp_path)
+    assert run.code == 0, run.err
+    assert "note: slide: backlash is not in the table" in run.err
+    for name in ("csv", "py", "h"):
+        assert "slide: backlash is not in the table" in (tmp_path / "tables" / f"joint_tables.{name}").read_text()
+    assert python_of(tmp_path / "tables").actual("turn", 2.0) == pytest.approx(2.002, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("terms", "urdf", "message"),
+    [
+        ("", ("", ""), "has no joint terms that depend on the joint's own value alone"),
+        ("  - {joint: slide, term: backlash}\n", ("", ""), "nothing to put into a table"),
+        ("  - {joint: slide, term: gain}\n", ('lower="0" upper="1" ', ""), "slides without limits"),
+        ("  - {joint: slide, term: harmonics, period: 1 um}\n", ("", ""), "would need"),
+    ],
+)
+def test_what_gives_no_table_is_one_clear_line(tmp_path, run_calib, terms, urdf, message):
+    path = write_arm(tmp_path, ARM_YAML + terms)
+    (tmp_path / "arm.urdf").write_text((tmp_path / "arm.urdf").read_text().replace(*urdf))
+    (tmp_path / "values.csv").write_text(
+        "parameter,value,unit\n" + ("slide.sin1,0.1,mm\n" if "period" in terms else "slide.x,251,mm\n")
+    )
+    run = run_calib(
+        "export", path, "--parameters", "values.csv", "--format", "joint-tables", "--out", "t", cwd=tmp_path
+    )
+    assert (run.code, run.err.count("\n")) == (2, 1)
+    assert message in run.err
+    assert not (tmp_path / "t").exists()

@@ -63,6 +63,7 @@ def fit(
     starts: int = 1,
     folds: int = 0,
     seed: int = 0,
+    terms: str | None = None,
 ) -> Calibration:
     """Calibrate a robot; see `calib.identification.fit.fit` for the method, its arguments and its errors.
 
@@ -76,6 +77,8 @@ def fit(
         starts: Number of starting points.
         folds: Number of folds for cross-validation by pose; 0 for none.
         seed: Seed of perturbed starts and folds.
+        terms: Joint terms in place of those of the description: `none`; or in addition to them: `auto` for those that
+            earn their place, or a list such as `curve,elbow=backlash`.
     """
     found = identify(
         robot,
@@ -87,5 +90,6 @@ def fit(
         starts=starts,
         folds=folds,
         seed=seed,
+        terms=terms,
     )
     return Calibration(**{field.name: getattr(found, field.name) for field in fields(found)})

@@ -7,7 +7,13 @@ import pytest
 from scipy.optimize import minimize
 
 from calib.errors import NotIdentifiableError
-from calib.numerics.variance_components import LinearModel, found_components, found_scales, found_with_families
+from calib.numerics.variance_components import (
+    LinearModel,
+    found_components,
+    found_scales,
+    found_with_families,
+    log_evidence,
+)
 
 N_FREE = 4
 NO_FAMILY = np.full(N_FREE, -1)
@@ -161,8 +167,18 @@ def test_sizes_of_families_are_where_the_marginal_likelihood_is_largest(seed):
     def minus_twice_log(x):
         factor = np.append(np.exp(x[1:]), 1.0)[model.family]
         scaled = replace(model, jacobian=model.jacobian * factor, deviations=model.deviations / factor)
-        return deviance(scaled, np.exp(x[:1]), np.zeros(1), np.zeros((120, 1)), np.arange(120))
+        likelihood = deviance(scaled, np.exp(x[:1]), np.zeros(1), np.zeros((120, 1)), np.arange(120))
+        return likelihood - 2.0 * float(np.sum(np.minimum(x[1:], 0.0)))  # the density rises up to what is expected
 
     found = minimize(minus_twice_log, np.zeros(3), method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-10})
     assert found.success
     np.testing.assert_allclose([*scales, *sizes], np.exp(found.x), rtol=0.03)  # it stops at changes below 1 %
+    x = np.array([0.1, 0.3, -0.7])
+    evidence = log_evidence(model, np.exp(x[:1]), np.exp(x[1:]))
+    assert evidence == pytest.approx(-0.5 * (minus_twice_log(x) + 2.0 * np.sum(np.minimum(x[1:], 0.0))), rel=1e-9)
+
+
+def test_a_family_that_is_not_seen_keeps_the_size_that_is_expected():
+    model = with_families(3)
+    unseen = replace(model, jacobian=model.jacobian * np.where(model.family == 1, 1e-9, 1.0))
+    assert found_with_families(unseen, np.array([1.0]))[1][1] == 1.0

@@ -73,7 +73,7 @@ def _from_fit(robot: Robot, fit: Fit, data: Measurements | None) -> Shown:
 def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None) -> Shown:
     """A failed result is shown, too: to look at it is how one finds out why; its verdict is shown with it."""
     model = load_calibrated(folder, robot, failed_too=True)
-    uncertainty = load_uncertainty(folder, robot)
+    uncertainty = load_uncertainty(folder, model)
     calibrated = Calibrated(model, lambda q: uncertainty.at(model, q))
     content, saved = read_result(folder), read_saved(folder, robot)
     if data is None:

@@ -41,6 +41,12 @@ from calib.words import counted
     show_default=True,
     help="How far-off measurements count; all but none hold outliers back.",
 )
+@click.option(
+    "--terms",
+    metavar="auto|none|LIST",
+    help="Errors of the joints beside the description's: those that earn their place (auto), or a list such as"
+    " curve,elbow=backlash (TERM for every joint, or JOINT=TERM); none leaves out the description's, too.",
+)
 @click.option("--exclude-outliers", is_flag=True, help="Leave outliers out and fit again; both results are shown.")
 @click.option("--starts", type=int, default=1, show_default=True, help="Fit from so many starting points.")
 @click.option(
@@ -61,6 +67,7 @@ def command(
     folds: int,
     sigma_mm: float | None,
     loss: str,
+    terms: str | None,
     exclude_outliers: bool,
     starts: int,
     seed: int,
@@ -92,6 +99,7 @@ def command(
             starts=starts,
             folds=folds,
             seed=seed,
+            terms=terms,
         )
     failed = result.verdict.grade == "FAIL"
     save(result, out, force=force, pages=not no_pages)

@@ -9,7 +9,7 @@ from calib.data.measurement_files import format_positions, read_poses
 from calib.data.measurements import Poses
 from calib.files import check_file, write_file
 from calib.model.robot import Robot
-from calib.reporting.results import load_uncertainty
+from calib.reporting.results import load_uncertainty, poses_beyond_curves
 from calib.words import counted
 
 
@@ -37,6 +37,8 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     if result:
         text, summary = _with_uncertainty(model, poses, result, comment)
         content["position_uncertainty"] = summary
+        content["beyond_curves"] = beyond = poses_beyond_curves(result, model, poses)
+        remarks = remarks + beyond
     else:
         text = format_positions(model, poses, model.positions(poses.joints), comment)
     write_file(out, text)

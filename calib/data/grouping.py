@@ -24,13 +24,12 @@ def pose_labels(joints: FloatArray) -> IntArray:
     return label
 
 
-def shuffled_poses(joints: FloatArray, by_name: IntArray, seed: int) -> list[IntArray]:
-    """Return groups of rows that repeat one pose, by its name or by its joint values, in random order.
+def repeated_poses(joints: FloatArray, by_name: IntArray) -> list[IntArray]:
+    """Return groups of rows that repeat one pose, by its name or by its joint values, in the order of the rows.
 
     Args:
         joints: Joint values, (n, n_actuated) [m or rad].
         by_name: A number for each row, the same for those of one pose name, (n,).
-        seed: Seed of the order.
     """
     by_joints = pose_labels(joints)
     n = int(by_joints.max(initial=-1)) + 1
@@ -40,5 +39,17 @@ def shuffled_poses(joints: FloatArray, by_name: IntArray, seed: int) -> list[Int
     label = np.unique(label, return_inverse=True)[1].reshape(-1)
     by_label = np.argsort(label, kind="stable")
     groups = np.split(by_label, np.cumsum(np.bincount(label))[:-1])
-    groups.sort(key=lambda group: int(group[0]))  # in file order, so that without repeats a pose is a pose
+    groups.sort(key=lambda group: int(group[0]))  # so that without repeats a pose is a pose
+    return groups
+
+
+def shuffled_poses(joints: FloatArray, by_name: IntArray, seed: int) -> list[IntArray]:
+    """Return the groups of `repeated_poses` in random order.
+
+    Args:
+        joints: Joint values, (n, n_actuated) [m or rad].
+        by_name: A number for each row, the same for those of one pose name, (n,).
+        seed: Seed of the order.
+    """
+    groups = repeated_poses(joints, by_name)
     return [groups[k] for k in np.random.default_rng(seed).permutation(len(groups))]

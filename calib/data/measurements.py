@@ -80,12 +80,14 @@ class Measurements(Poses):
         readings: Of each instrument, by its name; visits are indices into the rows.
         approach: Direction in which each joint moved last before the visit, +1 or -1, 0 where not known,
             (n, n_actuated). If not given: from the order of the rows.
+        approach_assumed: Whether `approach` was taken from the order of the rows of a larger file.
         order: Place of each visit in the order of measurement, counted from 0, (n,). If not given: as they stand.
     """
 
     readings: Mapping[str, Readings]
     approach: FloatArray | None = None
     order: IntArray | None = None
+    approach_assumed: bool = False
 
     @property
     def n_readings(self) -> int:
@@ -96,6 +98,11 @@ class Measurements(Poses):
     def approach_directions(self) -> FloatArray:
         """`approach`, from the order of the rows where it is not given, (n, n_actuated)."""
         return directions_of_motion(self.joints) if self.approach is None else self.approach
+
+    @property
+    def states_approach(self) -> bool:
+        """Whether the direction of approach is stated, and not assumed from the order of the rows."""
+        return self.approach is not None and not self.approach_assumed
 
     @property
     def conditions(self) -> Context:
@@ -125,6 +132,7 @@ class Measurements(Poses):
             self,
             order=self.places[index],
             approach=self.approach_directions[index],
+            approach_assumed=not self.states_approach,
             joints=self.joints[index],
             labels=tuple(self.labels[i] for i in index),
             names=tuple(self.names[i] for i in index),

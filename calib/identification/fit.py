@@ -30,14 +30,17 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.data.measurements import Measurements
 from calib.errors import ComputationError, DataError, InputError, NotConvergedError, UnreachablePoseError
+from calib.identification.candidate_terms import TermChoice, missing_terms
 from calib.identification.errors_found import ErrorSet
 from calib.identification.fitted import Convergence, Fit
 from calib.identification.pose_checks import check_measurements, likely_mistake, require_identifiable
 from calib.identification.problem import Evaluation, Problem
 from calib.identification.robust import solve_robust, without_outliers
 from calib.identification.starts import Starts, explore
+from calib.identification.term_choice import choose_terms
 from calib.identification.validation import cross_validate
 from calib.identification.verdict import judge
+from calib.joint_terms.terms import listed_terms
 from calib.linearisation.observed import observe
 from calib.linearisation.registration import register
 from calib.linearisation.rows import Rows, Scales
@@ -103,6 +106,7 @@ def fit(
     starts: int = 1,
     folds: int = 0,
     seed: int = 0,
+    terms: str | None = None,
 ) -> Fit:
     """Calibrate a robot.
 
@@ -117,11 +121,14 @@ def fit(
         starts: Number of starting points, the nominal one and perturbed ones.
         folds: Number of folds for cross-validation by pose; 0 for none.
         seed: Seed of perturbed starts and folds.
+        terms: Joint terms: those of the description if not given; `none`; a list such as `curve,elbow=backlash`, in
+            addition to these; `auto`, in addition those that earn their place (`calib.identification.term_choice`).
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
         DataError: Too few measurements, or measurements that are not finite.
-        InputError: Unknown loss, numbers of starts or folds that make no sense, or data that are no measurements.
+        InputError: Unknown loss or term, numbers of starts or folds that make no sense, or data that are no
+            measurements.
         NotIdentifiableError: The poses do not determine the free parameters.
         NotConvergedError: Base and targets cannot be placed, or the noise cannot be found.
     """
@@ -135,6 +142,7 @@ def fit(
         raise InputError(f"seed {seed}: must be zero or more")
     settings = _Settings(sigma, checked_loss(loss), starts, seed)
     try:
+        robot, choice = _with_terms(robot, data, terms, settings)
         found = _fit(robot, data, validation, settings)
     except UnreachablePoseError as error:
         mistake = likely_mistake(robot, data)
@@ -152,7 +160,23 @@ def fit(
         found = replace(
             found, folds=cross_validate(used, folds, seed, lambda kept, held: _fit(robot, kept, held, plain))
         )
-    return replace(found, seconds=time.perf_counter() - started)
+    return replace(found, seconds=time.perf_counter() - started, terms=choice)
+
+
+def _with_terms(
+    robot: Robot, data: Measurements, terms: str | None, settings: _Settings
+) -> tuple[Robot, TermChoice | None]:
+    """The robot with the joint terms that were asked for."""
+    own = robot.description.terms
+    if terms is None:
+        return robot, None
+    if terms == "none":
+        choice = TermChoice(terms, ())
+    elif terms == "auto":
+        choice = choose_terms(_fit(robot, data, None, replace(settings, starts=1)))
+    else:
+        choice = TermChoice(terms, (*own, *missing_terms(robot, listed_terms(terms))))
+    return robot.with_terms(choice.sections), choice
 
 
 def _require_measurements(data: object, validation: object) -> None:

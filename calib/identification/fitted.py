@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.errors import UnreachablePoseError
+from calib.identification.candidate_terms import TermChoice
 from calib.identification.error_budget import ErrorBudget, error_budget
 from calib.identification.errors_found import ErrorSet, Folds
 from calib.identification.estimates import Covariance, Estimates, estimates
@@ -101,6 +102,7 @@ class Fit(ReadOnlyArrays):
         folds: Cross-validation, if it was asked for.
         excluded: Outliers that were left out, as they were in `with_all`.
         with_all: The fit of all visits, where outliers were left out of this one.
+        terms: Which joint terms were asked for, if any were, and what choosing them found.
         seed: Seed of every random choice.
         judge: What gives the verdict when it is asked for.
     """
@@ -129,6 +131,7 @@ class Fit(ReadOnlyArrays):
     folds: Folds | None = None
     excluded: tuple[Outlier, ...] = ()
     with_all: Fit | None = None
+    terms: TermChoice | None = None
     seed: int = 0
 
     def __repr__(self) -> str:

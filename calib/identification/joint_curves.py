@@ -6,13 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.arrays import FloatArray, ReadOnlyArrays
+from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.identification.fitted import Fit
 from calib.joint_terms.term import Context
 from calib.linearisation.observed import observe
+from calib.model.robot import Robot
 from calib.units import Dimension
 
 _POINTS = 721
+BEYOND = 0.02
+"""How far outside the range measured, over that range, a joint value may be for its curve to hold."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +71,21 @@ def joint_curves(fit: Fit) -> tuple[JointCurve, ...]:
             )
         )
     return tuple(found)
+
+
+def beyond_learned(robot: Robot, learned: FloatArray, q: FloatArray) -> BoolArray:
+    """Return which joint values q (n, n_actuated) lie outside the range of those from which curves were learned.
+
+    Args:
+        robot: Its joints that have curves count.
+        learned: Joint values of the fit, (n_used, n_actuated) [m or rad].
+        q: Others [m or rad].
+    """
+    curved = {term.joint for term in robot.terms if term.parameters[0].family}
+    low, high = learned.min(axis=0), learned.max(axis=0)
+    margin = BEYOND * (high - low)
+    outside: BoolArray = (q < low - margin) | (q > high + margin)
+    return outside & np.isin(robot.joint_names, list(curved))
 
 
 def without_terms(fit: Fit) -> tuple[float, float]:

@@ -10,6 +10,7 @@ from calib.arrays import FloatArray, IntArray
 from calib.data.grouping import pose_labels
 from calib.data.measurements import Measurements
 from calib.identification.fitted import Fit
+from calib.identification.joint_curves import beyond_learned
 from calib.identification.pose_checks import directions_moved, equal_columns, unmoved_joints, zero_visits
 from calib.identification.reasons import Reason
 from calib.identification.repeats import beyond_repeatability
@@ -124,6 +125,24 @@ def too_few_poses(fit: Fit) -> Iterator[Reason]:
             "too_few_poses",
             f"too few poses: {rows} measured coordinates decide {used:.1f} parameters and leave"
             f" {fit.statistics.freedom:.1f} degrees of freedom; measure several times as many",
+        )
+
+
+def beyond_curves(fit: Fit) -> Iterator[Reason]:
+    """Look for validation poses at joint values where no curve of a joint was learned."""
+    if fit.validation is None:
+        return
+    outside = beyond_learned(fit.robot, fit.identification.data.joints, fit.validation.data.joints)
+    poses = np.flatnonzero(np.any(outside, axis=1))
+    if len(poses):
+        joints = [fit.robot.joint_names[j] for j in np.flatnonzero(np.any(outside, axis=0))]
+        yield Reason(
+            "CHECK",
+            "beyond_curves",
+            f"{counted(len(poses), 'validation pose lies', 'validation poses lie')} where no error curve of"
+            f" {'joint' if len(joints) == 1 else 'joints'} {listed(joints)} was learned:"
+            f" {listed([fit.validation.data.labels[k] for k in poses])}; there a curve says nothing, and its band is as"
+            " wide as before: measure there, too, before you rely on it",
         )
 
 

@@ -1,8 +1,7 @@
 """Cross-validation by pose: every pose is predicted once by a fit that did not see it.
 
-Poses are dealt into folds at
-random; those with the same joint values (repeats of one pose that the file does not mark as such) go into the same
-fold, because a repeat is no new pose.
+Poses are dealt into folds at random; those with the same joint values (repeats of one pose that the file does not mark
+as such) go into the same fold, because a repeat is no new pose. Or they are cut into blocks of neighbours.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
-from calib.data.grouping import shuffled_poses
+from calib.data.grouping import repeated_poses, shuffled_poses
 from calib.data.measurements import Measurements
 from calib.errors import InputError
 from calib.identification.errors_found import ErrorSet, Folds
@@ -80,3 +79,47 @@ def _readings_at(readings: Readings, visits: IntArray) -> IntArray:
     found = np.flatnonzero(number >= 0)
     result: IntArray = found[np.argsort(number[found], kind="stable")]
     return result
+
+
+def boxes(data: Measurements, count: int) -> list[IntArray]:
+    """Cut joint space into boxes of about equally many poses, always across the joint that spreads widest.
+
+    Args:
+        data: All measurements.
+        count: Number of boxes.
+
+    Returns:
+        Indices of each box, ascending, (n_in_box,) each; repeats of one pose stay together.
+    """
+    groups = repeated_poses(data.joints, data.pose_numbers)
+    centres = np.array([data.joints[group].mean(axis=0) for group in groups])
+    spread = np.ptp(centres, axis=0)
+    centres = centres / np.where(spread > 0, spread, 1.0)
+
+    def cut(part: IntArray, into: int) -> list[IntArray]:
+        if into == 1:
+            return [part]
+        # rounded, so that of joints that spread alike the first is cut on every processor
+        joint = int(np.argmax(np.round(np.ptp(centres[part], axis=0), 6)))
+        order = part[np.argsort(np.round(centres[part, joint], 9), kind="stable")]
+        left = into // 2
+        middle = len(order) * left // into
+        return cut(order[:middle], left) + cut(order[middle:], into - left)
+
+    found = cut(np.arange(len(groups)), count)
+    return [np.sort(np.concatenate([groups[k] for k in part])) for part in found if len(part)]
+
+
+def stretches(data: Measurements, count: int) -> list[IntArray]:
+    """Cut the measurements into stretches of their order, of about equally many poses.
+
+    Args:
+        data: All measurements.
+        count: Number of stretches.
+
+    Returns:
+        Indices of each stretch, ascending, (n_in_stretch,) each; repeats of one pose stay together.
+    """
+    groups = sorted(repeated_poses(data.joints, data.pose_numbers), key=lambda group: int(data.places[group].min()))
+    parts = np.array_split(np.arange(len(groups)), count)
+    return [np.sort(np.concatenate([groups[k] for k in part])) for part in parts if len(part)]

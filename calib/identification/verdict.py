@@ -35,6 +35,7 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_model.nothing_to_correct,
     rules_model.unused_fits_worse,
     rules_model.systematic,
+    rules_data.beyond_curves,
     rules_data.outliers,
     rules_data.used_for_both,
     rules_data.copied,

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Union
 
-from pydantic import Discriminator, Tag
+from pydantic import Discriminator, Tag, TypeAdapter, ValidationError
 
+from calib.errors import InputError, nearest
 from calib.joint_terms.backlash import Backlash
 from calib.joint_terms.compliance import Compliance
 from calib.joint_terms.coupling import Coupling
@@ -37,3 +38,35 @@ else:
     _tagged = tuple(Annotated[kind.section, Tag(name)] for name, kind in TERMS.items())
     AnyTerm = Annotated[Union[_tagged], Discriminator(_term_of)]  # noqa: UP007  # a tuple, known only when it runs
     """The entry of a joint term in a robot description."""
+
+
+def listed_terms(text: str) -> tuple[TermSection, ...]:
+    """Return the entries that a list such as `curve,backlash` or `curve,elbow=backlash` means.
+
+    Args:
+        text: Names of terms, for every joint, or `JOINT=TERM`; commas between.
+
+    Raises:
+        InputError: No such term, or one that only a description can state.
+    """
+    found = []
+    for item in text.split(","):
+        joint, _, term = (part.strip() for part in item.rpartition("="))
+        if term not in TERMS:
+            raise InputError(f"terms '{text}': no term '{term}'{nearest(term, TERMS)}")
+        try:
+            found.append(TERMS[term].section(joint=joint or "all", term=term))
+        except ValidationError:
+            raise InputError(
+                f"terms '{text}': '{term}' needs more than a joint; list it in the robot description"
+            ) from None
+    return tuple(found)
+
+
+def stored_terms(entries: object) -> tuple[TermSection, ...]:
+    """Return the entries that a result stores.
+
+    Raises:
+        ValueError: They are no entries of terms.
+    """
+    return TypeAdapter(tuple[AnyTerm, ...]).validate_python(entries)

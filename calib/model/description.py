@@ -8,6 +8,7 @@ of Pinocchio's toolbox-parallel-robots. Lengths and angles are SI, or text with 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -191,6 +192,11 @@ class Description(Section):
         """Listed terms of joint errors."""
         listed = () if isinstance(self.parametrisation, str) else self.parametrisation
         return tuple(section for section in listed if isinstance(section, TermSection)) + self.joint_terms
+
+    def with_terms(self, sections: Sequence[TermSection]) -> Description:
+        """Return the description with these terms of joint errors in place of its own."""
+        listed = self.parametrisation if isinstance(self.parametrisation, str) else self.origins
+        return self.model_copy(update={"parametrisation": listed, "joint_terms": tuple(sections)})
 
     def loop_axes(self, index: int) -> tuple[Component, ...]:
         """Constrained directions of one closure: as given, or all that its type has."""

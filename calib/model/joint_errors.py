@@ -116,21 +116,18 @@ def _closure_by_actuated(mechanism: Mechanism, joints: FloatArray) -> FloatArray
 
 
 def _with_masses(urdf: UrdfText, mechanism: Mechanism, where: str) -> pin.Model:
-    """The mechanism's model with the masses of the URDF."""
+    """The mechanism's model with the masses of the URDF; what hangs on fixed joints is part of the link before."""
     whole = pin.buildModelFromXML(urdf.source.decode())
-    found: dict[str, pin.Inertia] = {}
-    for frame in whole.frames:
-        if frame.type == pin.FrameType.BODY and frame.inertia.mass > 0:
-            found[frame.name] = frame.inertia
-    if not found:
+    found = {name: inertia for name, inertia in zip(whole.names, whole.inertias, strict=True) if inertia.mass > 0}
+    if not found.keys() & {*mechanism.origin_names}:
         raise DescriptionError(
             f"{where}: joint term 'compliance' needs masses, and the URDF has none; add <inertial> to its links, or"
             " leave the term out"
         )
     model = mechanism.model.copy()
-    for joint in urdf.joints:
-        if joint.child in found:
-            model.inertias[mechanism.frames[joint.child]] = found[joint.child]
+    for k, name in enumerate(mechanism.origin_names):
+        if name in found:
+            model.inertias[k + 1] = found[name]
     return model
 
 

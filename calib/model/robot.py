@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays, read_only
 from calib.errors import DataError, DescriptionError, InputError, ParameterError, UnreachablePoseError, nearest
-from calib.joint_terms.term import Context, JointTerm
+from calib.joint_terms.term import Context, JointTerm, TermSection
 from calib.model import kinematics, loops
 from calib.model.arm_chain import arm_chain
 from calib.model.closed_home import closed_home
@@ -231,6 +231,19 @@ class Robot(ReadOnlyArrays):
         mechanism = self.nominal.with_placements(self.parametrisation.placements(vector[: self.n_origin_parameters]))
         return replace(self, values=vector, mechanism=mechanism)
 
+    def with_terms(self, sections: Sequence[TermSection]) -> Robot:
+        """Return a robot with these joint terms in place of its own; parameters that stay keep their values.
+
+        Raises:
+            DescriptionError: An entry that does not fit its joint, or coefficients of one name twice.
+        """
+        description = self.description.with_terms(sections)
+        terms = build_terms(description, self.urdf, self.nominal, self.path)
+        changed = replace(self, description=description, terms=terms)
+        _check_names(changed)
+        known = dict(zip((parameter.name for parameter in self.parameters), self.values, strict=True))
+        return replace(changed, values=np.array([known.get(p.name, p.nominal) for p in changed.parameters]))
+
     def joint_vector(self, q: ArrayLike) -> FloatArray:
         """Check actuated joint values and return them as (n, n_actuated).
 
@@ -409,14 +422,18 @@ def load(path: str | Path) -> Robot:
     robot = Robot(
         str(path), description, urdf, nominal, nominal, parametrisation, instruments, terms, np.zeros(0), mode
     )
-    names = [parameter.name for parameter in robot.parameters]
+    _check_names(robot)
     for held in description.held:
         index_of(robot.parameters, held, f"{path}: held")
     for name in description.elimination_order:
         index_of(robot.parameters, name, f"{path}: elimination_order")
-    if len(set(names)) != len(names):
-        raise DescriptionError(f"{path}: parametrisation: a parameter name is used twice")
     return replace(robot, values=np.array([parameter.nominal for parameter in robot.parameters]))
+
+
+def _check_names(robot: Robot) -> None:
+    names = [parameter.name for parameter in robot.parameters]
+    if len(set(names)) != len(names):
+        raise DescriptionError(f"{robot.path}: parametrisation: a parameter name is used twice")
 
 
 def _check_columns(

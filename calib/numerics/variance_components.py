@@ -30,7 +30,7 @@ Reference: foerstner1979; patterson1971; mackay1992.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -198,8 +198,11 @@ def found_with_families(model: LinearModel, start: FloatArray) -> tuple[FloatArr
 
     The coefficients of a family f, u_k ~ N(0, a_f^2) in units of their sigma, are random effects like any other: their
     variance obeys the same equation, a_f^2 = |u_f|^2 / (n_f - trace of C_ff / a_f^2) with C the posterior covariance.
-    That is marginal likelihood, by MacKay's iteration. Hundreds of columns are worked on through their products, whose
-    size is that of the columns, however many rows there are.
+    That is marginal likelihood, by MacKay's iteration. Below what is expected, a_f < 1, where a maximum at zero often
+    means only that the data say little, the density of a_f is taken to rise in proportion to it (chung2013): then
+    |u_f|^2 + a_f^2 stands in the place of |u_f|^2, a_f stays about a standard error away from zero, and coefficients
+    that the data do not see keep an interval. Hundreds of columns are worked on through their products, whose size is
+    that of the columns, however many rows there are.
 
     Args:
         model: The rows.
@@ -236,11 +239,35 @@ def found_with_families(model: LinearModel, start: FloatArray) -> tuple[FloatArr
         for f, own in enumerate(members):
             known = int(np.sum(own)) - float(np.sum(np.diag(inverse)[own]))
             if known > _SEEN:  # else the data say nothing of it: it stays
-                growth[f] = np.sqrt(float(np.sum((deviations + step)[own] ** 2)) / known)
+                square = float(np.sum((deviations + step)[own] ** 2))
+                growth[f] = np.sqrt(square / known)
+                if sizes[f] * growth[f] < 1.0:
+                    growth[f] = min(np.sqrt((square + 1.0) / known), 1.0 / sizes[f])
         scales, sizes = np.maximum(scales * change, EXACT / 10), np.maximum(sizes * growth, _SMALLEST_FAMILY)
         if np.all(np.abs(growth - 1.0) <= _STANDS) and np.all(np.abs(change - 1.0) <= _STANDS / 10):
             break
     return scales, sizes
+
+
+def log_evidence(model: LinearModel, scales: FloatArray, sizes: FloatArray) -> float:
+    """Return the log marginal likelihood of the rows with these scales and sizes of families, up to a constant.
+
+    Coefficients with a prior are integrated over it, the others over all values; so only models whose parameters
+    without a prior are the same can be compared.
+
+    Args:
+        model: The rows.
+        scales: Of the groups, (n_groups,).
+        sizes: a_f of the families, (n_families,).
+    """
+    read = model.group >= 0
+    divisor = np.where(read, scales[np.where(read, model.group, 0)], 1.0)
+    factor = np.append(sizes, 1.0)[model.family]
+    rows, right = model.jacobian * factor / divisor[:, None], model.residuals / divisor
+    scaled = replace(model, deviations=model.deviations / factor)
+    known, step = _solved_fast(scaled, np.hstack([rows, right[:, None]]))
+    cost = float(np.sum((rows @ step + right) ** 2)) + _prior_cost(scaled, step)
+    return -0.5 * (2.0 * float(np.sum(np.log(divisor[read]))) + known.log_determinant + cost)
 
 
 def found_components(model: LinearModel, start: FloatArray, columns: FloatArray, block: IntArray) -> Components:

@@ -40,7 +40,15 @@ def verdict_lines(verdict: Verdict) -> list[str]:
 
 def notes(fit: Fit) -> list[str]:
     """Return what a reader must know beside the tables, one line each."""
-    lines = [*_noise(fit), *_causes(fit), *_identifiability(fit), *_positions(fit), *_repeats(fit), *_options(fit)]
+    lines = [
+        *_noise(fit),
+        *_terms(fit),
+        *_causes(fit),
+        *_identifiability(fit),
+        *_positions(fit),
+        *_repeats(fit),
+        *_options(fit),
+    ]
     if any(p.placement for p in fit.nominal.parameters):
         lines.append("'before' is with the base and the targets placed alone, the robot at nominal")
     if fit.identification.data.ignored:
@@ -73,6 +81,29 @@ def _noise(fit: Fit) -> list[str]:
         chance = f"{chi.p_larger:.2g} of a larger, {chi.p_smaller:.2g} of a smaller value"
         lines.append(f"Chi-square of the stated noise: {chi.value:.1f} where {chi.freedom:.1f} is expected ({chance})")
     return lines
+
+
+def _terms(fit: Fit) -> list[str]:
+    """What choosing joint terms found: what each brought, what was left out and why."""
+    if fit.terms is None or fit.terms.asked != "auto":
+        return [] if fit.terms is None else [f"Joint terms asked for: {fit.terms.asked}"]
+    added: list[str] = []
+    left: list[str] = []
+    refused: list[str] = []
+    for one in fit.terms.tried:
+        if np.isnan(one.evidence):
+            refused.append(f"{one.term} ({one.why})")
+        else:
+            scale, unit = _unit(fit)
+            numbers = (
+                f"poses of blocks left out {scale * one.before:.4f} -> {scale * one.after:.4f} {unit} RMS, log evidence"
+                f" {one.evidence:+.1f}"
+            )
+            (added if one.added else left).append(f"{one.term} ({one.why}{': ' if one.why else ''}{numbers})")
+    every = len(fit.terms.tried)
+    lines = [f"Joint terms added: {listed(added, '; ', every) or 'none earns its place'}"]
+    lines += [f"Joint terms left out: {listed(left, '; ', every)}"] if left else []
+    return lines + ([f"Joint terms that could not be tried: {listed(refused, '; ', every)}"] if refused else [])
 
 
 def _causes(fit: Fit) -> list[str]:

@@ -11,6 +11,7 @@ from calib.arrays import FloatArray
 from calib.data.tables import format_table
 from calib.identification.errors_found import STATES, ErrorSet
 from calib.identification.fitted import Fit
+from calib.identification.joint_curves import joint_curves
 from calib.identification.judged import Outlier
 from calib.identification.repeats import repeatability, repeats
 from calib.linearisation.prediction import PositionUncertainty
@@ -80,6 +81,7 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "patterns": [asdict(pattern) for pattern in fit.patterns],
             "starts": _starts(fit),
             "cross_validation": _folds(fit),
+            "joint_terms": _terms(fit),
         }
     )
 
@@ -212,6 +214,31 @@ def _folds(fit: Fit) -> dict[str, object] | None:
         return None
     rms = [error_scale(fit.identification.main_part.dimension) * value for value in fit.folds.rms]
     return {"folds": fit.folds.count, "seed": fit.folds.seed, "rms": rms, "converged": fit.folds.converged}
+
+
+def _terms(fit: Fit) -> dict[str, object]:
+    """Joint terms: what was asked for, the entries, what choosing them found, and where curves hold."""
+    part = fit.identification.main_part
+    scale, choice = error_scale(part.dimension), fit.terms
+    tried = [] if choice is None else choice.tried
+    return {
+        "asked": None if choice is None else choice.asked,
+        "entries": [section.model_dump(mode="json") for section in fit.robot.description.terms],
+        "unit": ERROR_UNIT[part.dimension],
+        "tried": [{**asdict(one), "before": scale * one.before, "after": scale * one.after} for one in tried],
+        "curves": [
+            {
+                "joint": curve.joint,
+                "unit": DISPLAY_UNIT[curve.dimension],
+                "low": float(curve.command[0] * PER_SI[curve.dimension][DISPLAY_UNIT[curve.dimension]]),
+                "high": float(curve.command[-1] * PER_SI[curve.dimension][DISPLAY_UNIT[curve.dimension]]),
+                "error_unit": ERROR_UNIT[curve.dimension],
+                "rms": curve.rms * error_scale(curve.dimension),
+                "rms_std": curve.rms_std * error_scale(curve.dimension),
+            }
+            for curve in joint_curves(fit)
+        ],
+    }
 
 
 def instrument_blocks(fit: Fit) -> list[dict[str, object]]:

@@ -23,15 +23,18 @@ import numpy as np
 import scipy
 
 from calib.arrays import BoolArray, FloatArray
+from calib.data.measurements import Poses
 from calib.data.parameter_files import format_parameters, read_parameters
 from calib.data.tables import read_table
-from calib.errors import ComputationError, DataError
+from calib.errors import ComputationError, DataError, DescriptionError
 from calib.export.links import find_mesh
 from calib.export.urdf import urdf_bytes
 from calib.files import read_text, write_folder
 from calib.identification.fitted import Fit
+from calib.identification.joint_curves import beyond_learned
 from calib.identification.promise import Promise
 from calib.identification.reasons import Verdict
+from calib.joint_terms.terms import stored_terms
 from calib.linearisation.prediction import PositionUncertainty, position_uncertainty
 from calib.model import robot as described
 from calib.model.description import description_yaml
@@ -39,6 +42,7 @@ from calib.model.robot import Robot
 from calib.model.urdf_text import UrdfText, apply_edits
 from calib.reporting.result_content import FORMAT_VERSION, covariance_table, parameter_rows, residual_table, to_dict
 from calib.units import PER_SI, error_scale
+from calib.words import counted, listed
 
 __all__ = [
     "forced_lines",
@@ -47,6 +51,7 @@ __all__ = [
     "load_promise",
     "load_uncertainty",
     "parameter_rows",
+    "poses_beyond_curves",
     "read_result",
     "save",
     "to_dict",
@@ -171,6 +176,7 @@ def load_calibrated(folder: Path | str, robot: Robot, *, failed_too: bool = Fals
         ComputationError: The result failed, and was not forced.
     """
     content = read_result(folder)
+    robot = _with_stored_terms(folder, content, robot)
     names = [row.get("name") for row in content["parameters"]]
     if names != [parameter.name for parameter in robot.parameters]:
         raise DataError(f"{folder}: is the result of another robot ({content['robot']}); its parameters differ")
@@ -189,6 +195,49 @@ def load_calibrated(folder: Path | str, robot: Robot, *, failed_too: bool = Fals
                 " run the fit again"
             )
     return calibrated
+
+
+def _with_stored_terms(folder: Path | str, content: dict[str, Any], robot: Robot) -> Robot:
+    """The robot with the joint terms that the fit was asked for; its own where it was asked for none."""
+    stored = content.get("joint_terms") or {}
+    if stored.get("asked") is None:
+        return robot
+    try:
+        return robot.with_terms(stored_terms(stored.get("entries")))
+    except ValueError:
+        raise DataError(f"{folder}: its joint terms cannot be read; run the fit again") from None
+    except DescriptionError:
+        raise DataError(
+            f"{folder}: is the result of another robot ({content['robot']}); its joint terms do not fit this one"
+        ) from None
+
+
+def poses_beyond_curves(folder: Path | str, robot: Robot, poses: Poses) -> list[str]:
+    """Return a remark on poses that lie where no error curve of a joint of the result was learned.
+
+    Args:
+        folder: Of `save`.
+        robot: The calibrated robot.
+        poses: Where it shall predict.
+
+    Raises:
+        DataError: The folder holds no result.
+    """
+    learned = np.zeros((2, len(robot.joint_names)))
+    curves = (read_result(folder).get("joint_terms") or {}).get("curves", [])
+    for curve in curves:
+        joint = robot.joint_names.index(curve["joint"])
+        scale = PER_SI[robot.mechanism.dimensions[curve["joint"]]][curve["unit"]]
+        learned[:, joint] = curve["low"] / scale, curve["high"] / scale
+    outside = beyond_learned(robot, learned, poses.joints) if curves else np.zeros((0, 0), dtype=bool)
+    found = np.flatnonzero(np.any(outside, axis=1))
+    if not len(found):
+        return []
+    joints = [robot.joint_names[j] for j in np.flatnonzero(np.any(outside, axis=0))]
+    return [
+        f"{counted(len(found), 'pose lies', 'poses lie')} where no error curve of {listed(joints)} was learned"
+        f" ({listed([poses.labels[k] for k in found])}): its band there is as wide as before measuring"
+    ]
 
 
 @dataclass(frozen=True, eq=False)

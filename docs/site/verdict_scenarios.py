@@ -119,7 +119,7 @@ def open_lab(robot: str, seed: int) -> Lab:
     size = rng.uniform(0.5, 1.0)
     values = {
         p.name: p.nominal + size * p.sigma * rng.normal()
-        for p, use in zip(nominal.parameters, nominal.free, strict=True)
+        for p, use in zip(nominal.parameters, nominal.is_free, strict=True)
         if use and not p.placement
     }
     truth = nominal.with_parameters(values | _placed(nominal))

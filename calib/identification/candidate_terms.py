@@ -1,0 +1,160 @@
+"""Which terms of the joints' errors measurements can be asked about."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.data.measurements import Measurements
+from calib.errors import DescriptionError
+from calib.identification.pose_checks import unmoved_joints
+from calib.joint_terms.term import JointTerm, TermSection
+from calib.joint_terms.terms import TERMS
+from calib.model.robot import Robot
+
+_OF_ORDER = "the data do not state the direction of approach (columns approach_JOINT)"
+_SAME_TORQUE = 1e-6  # range of the torque of gravity below which a joint always holds the same [N m or N]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A kind of term, for every joint that can show it and does not have it.
+
+    Attributes:
+        term: Its name.
+        sections: Its entries; none where it cannot be tried.
+        refused: Why it cannot be tried; empty where it can.
+        doubt: Why it must not be added without being asked for, though it can be tried; empty where it may.
+    """
+
+    term: str
+    sections: tuple[TermSection, ...] = ()
+    refused: str = ""
+    doubt: str = ""
+
+    def of(self, robot: Robot) -> tuple[JointTerm, ...]:
+        """Return its terms in a robot that has them."""
+        joints = [section.joint for section in self.sections]
+        return tuple(
+            term for term in robot.terms if type(term) is TERMS[self.term] and {"all", term.joint} & set(joints)
+        )
+
+    def resized(self, robot: Robot, factor: float) -> tuple[TermSection, ...]:
+        """Return its entries, coefficients being expected to be this many times as large as is usual."""
+        section = self.sections[0]
+        sigma = {term.joint: float(factor * term.parameters[0].sigma) for term in self.of(robot)}
+        if section.joint == "all" and len(set(sigma.values())) == 1:
+            return (section.model_copy(update={"sigma": next(iter(sigma.values()))}),)
+        return tuple(section.model_copy(update={"joint": joint, "sigma": size}) for joint, size in sigma.items())
+
+
+@dataclass(frozen=True)
+class TriedTerm:
+    """What was found about one kind of term.
+
+    Attributes:
+        term: Its name.
+        added: Whether it was added.
+        evidence: By how much the log marginal likelihood rose with it; NaN where it was not tried.
+        before, after: Root mean square of the main part of the readings without it and with it, each block of poses
+            left out in turn [SI]; NaN where it was not tried.
+        why: Why it was left out; empty where it was added.
+    """
+
+    term: str
+    added: bool = False
+    evidence: float = float("nan")
+    before: float = float("nan")
+    after: float = float("nan")
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class TermChoice:
+    """Which joint terms a fit was asked for.
+
+    Attributes:
+        asked: `auto`, `none`, or the list that was asked for.
+        sections: The entries that it has.
+        tried: Of `auto`, what was found about each kind of term, those that were added first.
+    """
+
+    asked: str
+    sections: tuple[TermSection, ...]
+    tried: tuple[TriedTerm, ...] = ()
+
+
+def candidates(robot: Robot, data: Measurements) -> tuple[Candidate, ...]:
+    """Return a candidate for each kind of term, in the order of the registry.
+
+    Args:
+        robot: The robot with the terms that it has anyway.
+        data: Its measurements.
+    """
+    return tuple(_candidate(name, robot, data) for name in TERMS)
+
+
+def missing_terms(robot: Robot, sections: tuple[TermSection, ...]) -> tuple[TermSection, ...]:
+    """Return entries without those that a robot has already, joint by joint where it has them for some joints."""
+    found: list[TermSection] = []
+    for section in sections:
+        having = {term.joint for term in robot.terms if type(term) is TERMS[section.term]}
+        if not having & ({*robot.joint_names} if section.joint == "all" else {section.joint}):
+            found.append(section)
+            continue
+        names = robot.joint_names if section.joint == "all" else ()
+        found += [section.model_copy(update={"joint": name}) for name in names if name not in having]
+    return tuple(found)
+
+
+def _candidate(name: str, robot: Robot, data: Measurements) -> Candidate:
+    context, kind = data.conditions, TERMS[name]
+    if name in ("drift", "temperature"):
+        column = "time" if name == "drift" else name
+        if np.ptp(context.time if name == "drift" else context.temperature) == 0:
+            return Candidate(name, refused=f"the data have no column '{column}' that changes")
+    if name == "coupling":
+        return Candidate(name, refused="which joint drives which, only a description can state")
+    joints = [joint for joint in robot.joint_names if _shows(name, joint, robot, data)]
+    if not joints:
+        return Candidate(name, refused=_nothing_shows(name, robot))
+    everywhere = len(joints) == len(robot.joint_names)
+    wanted = tuple(kind.section(joint=joint, term=name) for joint in (["all"] if everywhere else joints))
+    sections = missing_terms(robot, wanted)
+    if not sections:
+        return Candidate(name, refused="the description has it already")
+    try:
+        with_it = robot.with_terms((*robot.description.terms, *sections))
+        columns = with_it.term_columns(data.joints, context)
+    except DescriptionError as error:  # no masses, a prismatic joint without limits
+        return Candidate(name, refused=str(error).removeprefix(f"{robot.path}: "))
+    if name == "compliance":
+        loaded = [
+            term.joint
+            for term, torque in zip(with_it.terms, columns, strict=True)
+            if isinstance(term, kind) and np.ptp(torque) > _SAME_TORQUE
+        ]
+        sections = missing_terms(robot, tuple(kind.section(joint=joint, term=name) for joint in loaded))
+        if not sections:
+            return Candidate(name, refused="gravity loads no joint differently from pose to pose")
+    return Candidate(name, sections, doubt=_OF_ORDER if name == "backlash" and not data.states_approach else "")
+
+
+def _shows(name: str, joint: str, robot: Robot, data: Measurements) -> bool:
+    """Whether a joint can show a kind of term in these measurements."""
+    if name in ("drift", "temperature"):
+        return True
+    if name == "harmonics" and robot.mechanism.dimensions[joint] == "length":
+        return False  # after which length a screw repeats, nobody said
+    if name == "backlash":
+        return bool(np.ptp(data.approach_directions[:, robot.joint_names.index(joint)]) > 0)
+    return joint not in unmoved_joints(robot, data.joints)
+
+
+def _nothing_shows(name: str, robot: Robot) -> str:
+    if name == "backlash":
+        return "no joint was approached from both sides"
+    if name == "harmonics" and all(robot.mechanism.dimensions[joint] == "length" for joint in robot.joint_names):
+        return "prismatic joints need a period, which only a description can state"
+    return "no joint moved that could show it"

@@ -246,7 +246,7 @@ def test_a_link_named_world_that_is_not_the_root_is_refused(tmp_path: Path) -> N
     [
         ('<mass value="2"/>', '<mass value="heavy"/>', "link 'main', inertial: 'heavy' is not 1 number"),
         ('size="0.2 0.4 0.6"', 'size="0.2 0.4"', "link 'socle', visual: '0.2 0.4' is not 3 numbers"),
-        ('radius="0.1"', 'radius="nan"', "link 'bras', collision: 'nan' is not 1 number"),
+        ('radius="0.1"', 'radius="thin"', "link 'bras', collision: 'thin' is not 1 number"),
     ],
 )
 def test_shapes_and_masses_that_are_no_numbers_say_where(tmp_path: Path, old: str, new: str, words: str) -> None:

@@ -24,19 +24,24 @@ if TYPE_CHECKING:
     from calib.data.in_memory import as_measurements, as_poses
     from calib.data.measurement_files import read_measurements, read_poses
     from calib.data.measurements import Measurements, Poses
+    from calib.exporting.formats import export
     from calib.identification.acceptance import Acceptance, verify
     from calib.identification.fitted import Fit
     from calib.inverse_kinematics.compensation import Compensation, compensate
     from calib.inverse_kinematics.goals import Goals
+    from calib.inverse_kinematics.inverse import Solution, solve
     from calib.linearisation.simulate import simulate
     from calib.model.parameters import Origin, Parametrisation, twist_of_edit
     from calib.model.robot import Robot
     from calib.parameter import Parameter
+    from calib.pose_choice.assessment import Assessment, check
+    from calib.pose_choice.pose_sampling import sample
     from calib.pose_choice.selection import Selection, select
     from calib.reporting.results import load
 
 _HOMES = {
     "Acceptance": "calib.identification.acceptance",
+    "Assessment": "calib.pose_choice.assessment",
     "Calibration": "calib.calibration",
     "Compensation": "calib.inverse_kinematics.compensation",
     "Fit": "calib.identification.fitted",
@@ -48,21 +53,27 @@ _HOMES = {
     "Poses": "calib.data.measurements",
     "Robot": "calib.model.robot",
     "Selection": "calib.pose_choice.selection",
+    "Solution": "calib.inverse_kinematics.inverse",
     "as_measurements": "calib.data.in_memory",
     "as_poses": "calib.data.in_memory",
+    "check": "calib.pose_choice.assessment",
     "compensate": "calib.inverse_kinematics.compensation",
+    "export": "calib.exporting.formats",
     "fit": "calib.calibration",
     "load": "calib.reporting.results",
     "read_measurements": "calib.data.measurement_files",
     "read_poses": "calib.data.measurement_files",
+    "sample": "calib.pose_choice.pose_sampling",
     "select": "calib.pose_choice.selection",
     "simulate": "calib.linearisation.simulate",
+    "solve": "calib.inverse_kinematics.inverse",
     "twist_of_edit": "calib.model.parameters",
     "verify": "calib.identification.acceptance",
 }
 
 __all__ = [
     "Acceptance",
+    "Assessment",
     "Calibration",
     "CalibrationError",
     "Compensation",
@@ -82,17 +93,22 @@ __all__ = [
     "Poses",
     "Robot",
     "Selection",
+    "Solution",
     "UnreachablePoseError",
     "UrdfError",
     "as_measurements",
     "as_poses",
+    "check",
     "compensate",
+    "export",
     "fit",
     "load",
     "read_measurements",
     "read_poses",
+    "sample",
     "select",
     "simulate",
+    "solve",
     "twist_of_edit",
     "verify",
 ]

@@ -30,7 +30,7 @@ from calib import fit
 from calib.arrays import FloatArray
 from calib.errors import NotIdentifiableError
 from calib.model.robot import Robot
-from calib.pose_choice.assessment import Assessment, assess
+from calib.pose_choice.assessment import Assessment, check
 from calib.pose_choice.selection import Selection, select
 from calib.threads import one_blas_thread
 from medrue.error_before import base_placed
@@ -217,4 +217,4 @@ def _judged(robot: Robot, joints: FloatArray, truth: FloatArray) -> FloatArray:
 def _seen(method: Method) -> Assessment:
     """What the readings of a method determine, at nominal parameters."""
     data = method.measured(table1().nominal, np.random.default_rng(0))
-    return assess(method.robot, data)
+    return check(method.robot, data)

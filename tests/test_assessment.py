@@ -12,9 +12,9 @@ from calib.data.in_memory import as_poses
 from calib.linearisation.jacobian import linearise
 from calib.numerics.null_space import describe_group
 from calib.numerics.observability import raw_columns
-from calib.pose_choice.assessment import assess
+from calib.pose_choice.assessment import check
 from calib.pose_choice.pose_count import accuracy_by_count
-from calib.pose_choice.pose_sampling import sample_poses
+from calib.pose_choice.pose_sampling import sample
 from calib.reporting.assessment_text import text_report
 from medrue.workspace import target_workspace
 
@@ -23,7 +23,7 @@ Q = target_workspace().q
 
 @pytest.fixture(scope="module")
 def found(medrue):
-    return assess(medrue, as_poses(medrue, Q[::3]))
+    return check(medrue, as_poses(medrue, Q[::3]))
 
 
 def with_held(robot, *held):
@@ -46,7 +46,7 @@ def test_observability_on_scaled_and_on_raw_columns(medrue, found):
     assert found.raw["O2"] == pytest.approx(raw[-1] / raw[0], rel=1e-9)
     assert found.raw["O1"] == pytest.approx(np.exp(np.mean(np.log(raw))) / np.sqrt(140), rel=1e-9)
     # O1 changes by the same factor for every set of poses when units change
-    other = assess(medrue, as_poses(medrue, Q[1::3]))
+    other = check(medrue, as_poses(medrue, Q[1::3]))
     assert found.raw["O1"] / found.scaled["O1"] == pytest.approx(other.raw["O1"] / other.scaled["O1"], rel=1e-9)
 
 
@@ -62,13 +62,13 @@ def test_uncertainty_is_the_spread_of_the_normal_equations(medrue, found):
 def test_repeats_count_as_more_readings(medrue, found):
     names = np.repeat([f"p{k}" for k in range(140)], 4)
     data = calib.as_measurements(medrue, np.repeat(Q[::3], 4, axis=0), np.zeros((560, 3)), names)
-    np.testing.assert_allclose(assess(medrue, data).std, found.std / 2, rtol=1e-9)
-    assert assess(medrue, data).accuracy.rms == pytest.approx(found.accuracy.rms / 2, rel=1e-9)
+    np.testing.assert_allclose(check(medrue, data).std, found.std / 2, rtol=1e-9)
+    assert check(medrue, data).accuracy.rms == pytest.approx(found.accuracy.rms / 2, rel=1e-9)
 
 
 def test_what_stays_undetermined_is_said_in_words_and_infinite(medrue):
     freer = with_held(medrue, "A2y", "A2z", "d32", "d41", "d5", "zb", "phi_by")  # frees xb and d31
-    found = assess(freer, as_poses(freer, Q[::6]))
+    found = check(freer, as_poses(freer, Q[::6]))
     assert [describe_group(group, found.free_parameters) for group in found.open_groups] == [
         "d31 has no effect",
         "dq1 with xb: dq1 +1 mm, xb -1 mm",
@@ -82,15 +82,15 @@ def test_what_stays_undetermined_is_said_in_words_and_infinite(medrue):
 def test_accuracy_where_the_poses_say_nothing_is_infinite(medrue):
     """All poses with the probe in one direction leave directions open that other poses need."""
     few = as_poses(medrue, Q[:10])
-    found = assess(medrue, few, task=as_poses(medrue, Q[::40]))
+    found = check(medrue, few, task=as_poses(medrue, Q[::40]))
     assert found.known.rank.rank < 28
     assert np.isinf(found.accuracy.rms)
 
 
 def test_priors_hold_what_poses_do_not(tmp_path):
     arm = small_arm(tmp_path)
-    poses = sample_poses(arm, 30, np.random.default_rng(0))
-    found = assess(arm, poses, sigma=5e-5)
+    poses = sample(arm, 30, np.random.default_rng(0))
+    found = check(arm, poses, sigma=5e-5)
     assert found.rank_free.rank < found.rank_free.n_columns
     assert found.known.rank.rank == found.rank_free.n_columns
     assert found.open_groups == ()
@@ -112,7 +112,7 @@ def test_correlations_above_the_limit_are_listed_largest_first(found):
 
 def test_fewer_coordinates_than_parameters_is_an_error(medrue):
     with pytest.raises(calib.DataError, match="9 poses give 27 coordinates for 28 free parameters"):
-        assess(medrue, as_poses(medrue, Q[:9]))
+        check(medrue, as_poses(medrue, Q[:9]))
 
 
 def test_more_poses_predict_better_and_the_best_beat_the_uniform_ones(found):
@@ -144,11 +144,11 @@ def test_a_robot_with_everything_held_is_an_error(tmp_path):
     arm = calib.load(write_arm(tmp_path))
     held = with_held(arm, *(p.name for p in arm.parameters))
     with pytest.raises(calib.InputError, match="nothing to identify"):
-        assess(held, sample_poses(held, 5, np.random.default_rng(0)))
+        check(held, sample(held, 5, np.random.default_rng(0)))
 
 
 def test_sampled_poses_can_be_taken_and_stay_within_limits(medrue):
-    poses = sample_poses(medrue, 15, np.random.default_rng(0))
+    poses = sample(medrue, 15, np.random.default_rng(0))
     assert medrue.close(poses.joints).ok.all()
     assert medrue.singular_values(medrue.assemble(poses.joints)).min() >= medrue.description.singularity_limit
     joints = {joint.name: joint for joint in medrue.urdf.joints}
@@ -161,10 +161,10 @@ def test_a_sliding_joint_without_limits_cannot_be_sampled(tmp_path):
     yaml = write_arm(tmp_path)
     urdf = (tmp_path / "arm.urdf").read_text()
     arm = calib.load(yaml)
-    assert len(sample_poses(arm, 5, np.random.default_rng(0))) == 5
+    assert len(sample(arm, 5, np.random.default_rng(0))) == 5
     (tmp_path / "arm.urdf").write_text(urdf.replace('<limit lower="0" upper="1" effort="1" velocity="1"/>', ""))
     with pytest.raises(calib.CalibrationError):
-        sample_poses(calib.load(yaml), 5, np.random.default_rng(0))
+        sample(calib.load(yaml), 5, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("sigmas", [("1000 m", "0.001 mm"), ("0.001 mm", "1000 m")])
@@ -175,7 +175,7 @@ def test_no_expected_error_hides_what_moves_the_target(tmp_path, sigmas):
         yaml = f"priors: false\n{YAML}  - {{origin: j1, components: [x], sigma: {first}}}\n"
         yaml += f"  - {{origin: j4, components: [x, z], sigma: {second}}}\n"
         robot = calib.load(write_six_axis(tmp_path, yaml))
-        return assess(robot, as_poses(robot, joints(20)), sigma=1e-4)
+        return check(robot, as_poses(robot, joints(20)), sigma=1e-4)
 
     apart, equal = assessed(*sigmas), assessed("1 mm", "1 mm")
     assert equal.rank_free.rank == apart.rank_free.rank == 3

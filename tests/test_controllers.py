@@ -18,7 +18,7 @@ from urdf_trees import urdf_of
 
 import calib
 from calib.commands.export import command
-from calib.export.controllers import dh_file, joint_offsets, ur_kinematics, xacro_origins
+from calib.exporting.controllers import dh_file, joint_offsets, ur_kinematics, xacro_origins
 from medrue.paper_tables import table1
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -13,8 +13,8 @@ import trimesh
 
 import calib
 from calib.errors import InputError, UrdfError
-from calib.export import closed_model, drake_bytes, export, mjcf
-from calib.export.links import find_mesh, possible_inertia, read_links
+from calib.exporting import closed_model, drake_bytes, export, mjcf
+from calib.exporting.links import find_mesh, possible_inertia, read_links
 from calib.model.urdf_text import parse_urdf
 
 ARM = """<?xml version="1.0"{encoding}?>

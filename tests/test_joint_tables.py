@@ -10,7 +10,7 @@ import pytest
 from small_robots import ARM_YAML, write_arm
 
 import calib
-from calib.export.joint_tables import joint_table_files, joint_tables
+from calib.exporting.joint_tables import joint_table_files, joint_tables
 from calib.joint_terms.term import Context
 
 TERMS = """\

@@ -15,7 +15,7 @@ import calib
 from calib.linearisation.observed import predicted_readings
 from calib.linearisation.registration import register
 from calib.observation.kind import Readings, View
-from calib.pose_choice.pose_sampling import sample_poses
+from calib.pose_choice.pose_sampling import sample
 from medrue import robot_file
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
@@ -388,7 +388,7 @@ def test_one_socket_does_not_see_the_scale_of_the_robot_and_a_bar_of_known_lengt
             if p.dimension == "length"
         }
     )
-    poses = sample_poses(robot, 60, np.random.default_rng(0))
+    poses = sample(robot, 60, np.random.default_rng(0))
     gap = predicted_readings(grown, grown.assemble(poses.joints), poses.wanted)["probe"].values
     assert np.max(np.abs(gap)) == (pytest.approx(0.0005, abs=1e-4) if seen else pytest.approx(0.0, abs=1e-9))
     run = run_calib("check", tmp_path / "arm.yaml", "--json", tmp_path / "check.json")

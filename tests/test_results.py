@@ -285,6 +285,22 @@ def test_a_damaged_result_is_an_error_and_never_another_robot(fitted, folder, tm
         load_calibrated(tmp_path, fitted.nominal)
 
 
+def test_tables_for_spreadsheets_have_what_result_json_has_in_the_same_units(fitted, folder):
+    rows = json.loads((folder / "result.json").read_text())["parameters"]
+    table = read_table(folder / "parameters.csv")
+    assert table.names == ("parameter", "nominal", "value", "std", "low95", "high95", "unit", "status")
+    for key in ("nominal", "value", "std", "low95", "high95"):
+        numbers = [float(cell) for cell in table.text(key)]
+        np.testing.assert_array_equal(numbers, [np.nan if row[key] is None else row[key] for row in rows])
+    assert table.text("status") == [row["status"] for row in rows]
+    assert {row["unit"] for row in rows} == {"mm", "deg"}
+    covariance = read_table(folder / "covariance.csv")
+    found = np.array([[float(cell) for cell in row[2:]] for row in covariance.rows])
+    std = [row["std"] for row in rows if row["name"] in covariance.text("parameter")]
+    np.testing.assert_allclose(np.sqrt(np.diag(found)), std, rtol=1e-12)  # one product and one root
+    np.testing.assert_allclose(load_uncertainty(folder, fitted.nominal).covariance, fitted.covariance, rtol=1e-14)
+
+
 @pytest.mark.parametrize("damage", ["missing", "not finite", "no freedom"])
 def test_a_damaged_covariance_gives_no_uncertainty(fitted, folder, tmp_path, damage):
     for name, content in tree(folder).items():

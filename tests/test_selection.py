@@ -187,7 +187,7 @@ def test_two_targets_are_two_positions(tmp_path):
 )
 def test_bad_arguments_are_one_clear_line(medrue, arguments, words):
     with pytest.raises(calib.InputError, match=words):
-        select(medrue, Q, **arguments)
+        select(medrue, Q, **({"count": 84} | arguments))
 
 
 def test_a_candidate_that_is_given_twice_is_an_error(medrue):

@@ -6,7 +6,7 @@ import pytest
 import calib
 from calib.commands.pictures import figures
 from calib.data.in_memory import as_poses
-from calib.pose_choice.assessment import assess
+from calib.pose_choice.assessment import check
 from calib.pose_choice.selection import select
 from medrue.workspace import target_workspace
 from viz.selection_plots import accuracy, assessment_figures, index_history, selection_figures, singular_values
@@ -16,7 +16,7 @@ Q = target_workspace().q[::6]
 
 @pytest.fixture(scope="module")
 def assessment(medrue):
-    return assess(medrue, as_poses(medrue, Q))
+    return check(medrue, as_poses(medrue, Q))
 
 
 @pytest.fixture(scope="module")

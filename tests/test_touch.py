@@ -14,7 +14,7 @@ from calib.errors import ComputationError
 from calib.linearisation.jacobian import linearise
 from calib.linearisation.observed import observe
 from calib.model.robot import Robot
-from calib.pose_choice.assessment import assess
+from calib.pose_choice.assessment import check
 from medrue import robot_file
 from medrue.cli import group
 from medrue.closed_form import PASSIVE_JOINTS, forward, singularity_sines
@@ -146,7 +146,7 @@ def test_ranks_are_those_of_the_closed_form(
         (by_touch_anywhere, placed, 28),  # six unknowns more, and nothing more is seen: the base is lost
         (by_encoders, np.hstack([passive, zeros]), 26),
     ):
-        seen = assess(method.robot, method.measured(table1().nominal, np.random.default_rng(0)))
+        seen = check(method.robot, method.measured(table1().nominal, np.random.default_rng(0)))
         assert rank(matrix) == expected, method.name
         assert seen.rank_all.rank == expected, method.name
         assert len(seen.parameters) == matrix.shape[1]

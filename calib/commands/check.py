@@ -22,8 +22,8 @@ from calib.data.measurements import Measurements
 from calib.errors import InputError
 from calib.files import check_folder, write_folder
 from calib.linearisation.observed import unsaid_touches
-from calib.pose_choice.assessment import assess
-from calib.pose_choice.pose_sampling import sample_poses
+from calib.pose_choice.assessment import check
+from calib.pose_choice.pose_sampling import sample
 from calib.reporting.assessment_text import text_report, to_dict
 
 
@@ -66,7 +66,7 @@ def command(
         if poses < 1:
             raise InputError(f"--poses {poses}: at least one is needed")
         found, source = (
-            sample_poses(model, poses, np.random.default_rng(seed)),
+            sample(model, poses, np.random.default_rng(seed)),
             f"sampled over the joint limits, seed {seed}",
         )
     else:
@@ -81,7 +81,7 @@ def command(
         )
     wanted = None if task is None else read_poses(task, model)
     with output.working(f"checking {len(found)} poses"):
-        assessment = assess(model, found, task=wanted, sigma=sigma)
+        assessment = check(model, found, task=wanted, sigma=sigma)
     if plots is not None:
         write_folder(plots, figures(assessment))
     output.say(text_report(assessment, source))

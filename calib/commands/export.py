@@ -8,8 +8,8 @@ from typing import cast
 import click
 
 from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
-from calib.export import CONTROLLERS, FORMATS, JOINT_TABLES, export
-from calib.export.links import read_links
+from calib.exporting import CONTROLLERS, FORMATS, JOINT_TABLES, export
+from calib.exporting.links import read_links
 from calib.model.urdf_text import UrdfText
 from calib.reporting.results import read_result
 from calib.units import millimetres

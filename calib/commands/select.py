@@ -34,8 +34,7 @@ from calib.reporting.selection_text import format_poses, text_report, to_dict
 @click.argument("candidates")
 @click.option(
     "--count",
-    default="84",
-    show_default=True,
+    required=True,
     help="How many poses to choose; or how many with each instrument, such as tracker=12,sockets=18.",
 )
 @click.option(

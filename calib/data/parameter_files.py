@@ -1,4 +1,4 @@
-"""Parameter files: CSV `parameter,value,unit`."""
+"""Parameter files: CSV `parameter,value,unit`; other columns, such as those of a result, are for people."""
 
 from __future__ import annotations
 

@@ -77,18 +77,19 @@ class Solution:
             )
 
 
-def solve(robot: Robot, goals: Goals, *, near: ArrayLike | None = None) -> Solution:
+def solve(robot: Robot, goals: Goals | ArrayLike, *, near: ArrayLike | None = None) -> Solution:
     """Find joint values that bring a target to its goals.
 
     Args:
         robot: The robot, with nominal or calibrated parameters.
-        goals: Where the target is wanted.
+        goals: Where the target is wanted; or positions of the first target alone, (n, 3) [m].
         near: Joint values to stay near where a goal leaves a choice, (n_actuated,) or (n, n_actuated) [m or rad]; home
             if not given.
 
     Raises:
         DataError: Unknown target, or `near` of the wrong shape.
     """
+    goals = goals if isinstance(goals, Goals) else Goals(np.atleast_2d(np.asarray(goals, dtype=float)))
     reach = problem(robot, goals)
     wanted = robot.home if near is None else robot.joint_vector(near)
     if np.ndim(wanted) == 2 and len(wanted) not in (1, len(goals)):

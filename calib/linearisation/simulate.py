@@ -39,8 +39,8 @@ _FIRST_DAMPING, _LARGEST_DAMPING, _SMALLEST_DAMPING = 1e-3, 1e12, 1e-15
 def simulate(
     robot: Robot,
     poses: Poses | ArrayLike,
-    sigma: float | None,
-    rng: np.random.Generator,
+    sigma: float | None = None,
+    seed: int | np.random.Generator = 0,
     *,
     joint_sigma: float = 0.0,
 ) -> Measurements:
@@ -54,7 +54,7 @@ def simulate(
         poses: Where to measure: poses, or joint values alone, (n, n_actuated) [m or rad].
         sigma: Standard deviation of the noise of positions per axis [m]; 0 for no noise of anything; None for what the
             description states.
-        rng: Source of the noise.
+        seed: Of the noise; or where its random numbers come from.
         joint_sigma: Standard deviation of what the joints are off at each visit, in their commands unseen [rad, or
             characteristic lengths].
 
@@ -64,6 +64,7 @@ def simulate(
     """
     if sigma is not None and not (np.isfinite(sigma) and sigma >= 0):
         raise DataError(f"sigma {sigma:g} m: must be a number, zero or positive")
+    rng = np.random.default_rng(seed)
     where = as_poses(robot, poses)
     looks = looks_at(robot, where)
     off = np.zeros_like(where.joints)

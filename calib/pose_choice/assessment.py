@@ -12,8 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.data.in_memory import as_poses
 from calib.data.measurements import Measurements, Poses
 from calib.errors import DataError
 from calib.linearisation.candidates import assumed_sigma, require_free, rows_of_measured, rows_of_poses
@@ -117,13 +119,16 @@ class Assessment(ReadOnlyArrays):
 
 
 @one_blas_thread
-def assess(robot: Robot, poses: Poses, *, task: Poses | None = None, sigma: float | None = None) -> Assessment:
+def check(
+    robot: Robot, poses: Poses | ArrayLike, *, task: Poses | ArrayLike | None = None, sigma: float | None = None
+) -> Assessment:
     """Say what poses determine, at the robot's present values.
 
     Args:
         robot: The robot.
         poses: Poses that are or would be measured; of measurements, only joint values and number of readings are used.
-        task: Poses whose accuracy counts; the same if not given.
+            Or joint values alone, (n, n_actuated) [m or rad].
+        task: Poses whose accuracy counts, likewise; the same if not given.
         sigma: Noise of one reading per axis [m]; the description's if not given.
 
     Raises:
@@ -131,6 +136,7 @@ def assess(robot: Robot, poses: Poses, *, task: Poses | None = None, sigma: floa
         UnreachablePoseError: A pose cannot be assembled.
     """
     require_free(robot)
+    poses, task = as_poses(robot, poses), None if task is None else as_poses(robot, task)
     own = np.array([not p.family for p in robot.parameters])
     parameters, free = tuple(p for p in robot.parameters if not p.family), robot.is_free[own]
     noise, assumed = assumed_sigma(robot, sigma)

@@ -26,7 +26,7 @@ _SMALLEST_BOX = 0.01  # of the joint limits
 _TRIES = 4  # poses tried for each one wanted, in each box
 
 
-def sample_poses(robot: Robot, count: int, rng: np.random.Generator) -> Poses:
+def sample(robot: Robot, count: int, rng: np.random.Generator) -> Poses:
     """Return `count` poses that the robot can take, named by their number; at contact where it touches something.
 
     Where too few poses touch anything, as the description places it, they are all left as they are, and say nothing of

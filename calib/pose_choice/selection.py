@@ -47,7 +47,7 @@ __all__ = ["Run", "Selection", "select"]
 def select(
     robot: Robot,
     candidates: Poses | ArrayLike,
-    count: int | Mapping[str, int] = 84,
+    count: int | Mapping[str, int],
     index: str = "O1",
     *,
     instruments: str | Sequence[str] = ALL,

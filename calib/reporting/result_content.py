@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
 
 import numpy as np
@@ -20,6 +21,7 @@ from calib.units import DISPLAY_UNIT, ERROR_UNIT, PER_SI, Dimension, error_scale
 from calib.version import PROGRAM
 
 FORMAT_VERSION = 1
+_PARAMETER_COLUMNS = ("name", "nominal", "value", "std", "low95", "high95", "unit", "status")
 CORRELATED = 0.95
 """Correlation coefficients from here on are listed."""
 
@@ -352,12 +354,24 @@ def _measured_cell(one: Instrument, column: str, dimension: Dimension | None, va
     return {f"measured_{name} [{unit}]": value * PER_SI[dimension][unit]}
 
 
+def parameter_table(fit: Fit, comments: Sequence[str]) -> str:
+    """Return CSV: a row for each parameter in its display unit, behind comments; also a parameter file."""
+    rows = fit.parameters.rows()
+    columns = [("parameter" if key == "name" else key, [row[key] for row in rows]) for key in _PARAMETER_COLUMNS]
+    return format_table(columns, comments)
+
+
 def covariance_table(fit: Fit) -> str:
-    """Return CSV: the covariance of the free parameters in SI, one row and one column for each."""
-    names = fit.free_names
-    columns: list[tuple[str, list[object]]] = [("parameter", list(names))]
-    columns += [(name, list(column)) for name, column in zip(names, fit.statistics.covariance.T, strict=True)]
-    return format_table(columns, ("covariance of the free parameters in SI units (m, rad, and their products)",))
+    """Return CSV: the covariance of the free parameters in their display units, one row and one column for each."""
+    free = [fit.parameters[name] for name in fit.free_names]
+    scale = np.array([one.per_si for one in free])
+    shown = fit.statistics.covariance * scale[:, None] * scale
+    columns: list[tuple[str, list[object]]] = [
+        ("parameter", [one.name for one in free]),
+        ("unit", [one.unit for one in free]),
+    ]
+    columns += [(one.name, list(column)) for one, column in zip(free, shown.T, strict=True)]
+    return format_table(columns, ("covariance of the free parameters: unit of the row times unit of the column",))
 
 
 def _plain(value: object) -> dict[str, object]:

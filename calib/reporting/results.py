@@ -23,11 +23,11 @@ import scipy
 
 from calib.arrays import BoolArray, FloatArray
 from calib.data.measurements import Poses
-from calib.data.parameter_files import format_parameters, read_parameters
+from calib.data.parameter_files import read_parameters
 from calib.data.tables import read_table
 from calib.errors import ComputationError, DataError, DescriptionError
-from calib.export.links import find_mesh
-from calib.export.urdf import urdf_bytes
+from calib.exporting.links import find_mesh
+from calib.exporting.urdf import urdf_bytes
 from calib.files import read_text, write_folder
 from calib.identification.fitted import Fit
 from calib.identification.joint_curves import beyond_learned
@@ -39,8 +39,15 @@ from calib.model import robot as described
 from calib.model.description import description_yaml
 from calib.model.robot import Robot
 from calib.model.urdf_text import UrdfText, apply_edits
-from calib.reporting.result_content import FORMAT_VERSION, covariance_table, parameter_rows, residual_table, to_dict
-from calib.units import PER_SI, error_scale
+from calib.reporting.result_content import (
+    FORMAT_VERSION,
+    covariance_table,
+    parameter_rows,
+    parameter_table,
+    residual_table,
+    to_dict,
+)
+from calib.units import PER_SI, error_scale, per_si
 from calib.words import counted, listed
 
 __all__ = [
@@ -89,7 +96,7 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
     remark = _said_inside(fit.verdict, "not to be used") if failed else []
     files = {
         "result.json": (json.dumps(result, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode(),
-        "parameters.csv": format_parameters(fit.robot, remark).encode(),
+        "parameters.csv": parameter_table(fit, remark).encode(),
         "covariance.csv": covariance_table(fit).encode(),
         "residuals.csv": residual_table(fit).encode(),
         **nominal,
@@ -264,10 +271,13 @@ def load_uncertainty(folder: Path | str, robot: Robot) -> LoadedUncertainty:
         raise DataError(f"{path}: no such file; run the fit again")
     table = read_table(path)
     names = table.text("parameter") if "parameter" in table.names else []
-    if table.names != ("parameter", *names) or names != [p.name for p in robot.parameters if p.name in names]:
+    known = [p for p in robot.parameters if p.name in names]
+    if table.names != ("parameter", "unit", *names) or names != [p.name for p in known]:
         raise DataError(f"{path}: is not the covariance of parameters of {robot.path}; run the fit again")
+    units = zip(known, table.text("unit"), strict=True)
+    scale = np.array([per_si(unit, one.dimension, f"{path}, parameter '{one.name}'") for one, unit in units])
     try:
-        covariance = np.array([[float(cell) for cell in row[1:]] for row in table.rows])
+        covariance = np.array([[float(cell) for cell in row[2:]] for row in table.rows]) / scale[:, None] / scale
     except ValueError:
         raise DataError(f"{path}: holds text where a number is expected; run the fit again") from None
     freedom = read_result(folder).get("degrees_of_freedom")

@@ -53,7 +53,7 @@ ROOMS = (
     Room("Pose choice", 6, "pose_choice"),
     Room("Identification", 6, "identification"),
     Room("Inverse kinematics", 6, "inverse_kinematics"),
-    Room("Export", 6, "export"),
+    Room("Exporting", 6, "exporting"),
     Room("Reporting", 7, "reporting"),
     Room("Commands", 8, "commands"),
 )

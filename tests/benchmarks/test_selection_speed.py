@@ -14,7 +14,7 @@ import pytest
 
 import calib
 from calib.data.in_memory import as_poses
-from calib.pose_choice.assessment import assess
+from calib.pose_choice.assessment import check
 from calib.pose_choice.selection import select
 from medrue import robot_file
 from medrue.closed_form_inverse import inverse
@@ -49,7 +49,7 @@ def test_84_of_420(benchmark, robot, index):
 
 def test_check_of_420(benchmark, robot):
     poses = as_poses(robot, target_workspace().q)
-    benchmark.pedantic(assess, args=(robot, poses), rounds=3, warmup_rounds=1)
+    benchmark.pedantic(check, args=(robot, poses), rounds=3, warmup_rounds=1)
 
 
 def random_candidates(count):

@@ -8,8 +8,8 @@ import pytest
 
 import calib
 from calib.errors import InputError, UnreachablePoseError
-from calib.export import closed_model, export, loop_gaps, urdf_bytes
-from calib.export.gap import free_directions, free_joints, poses_near_home
+from calib.exporting import closed_model, export, loop_gaps, urdf_bytes
+from calib.exporting.gap import free_directions, free_joints, poses_near_home
 
 
 def test_the_papers_parameters_keep_the_five_bars_planar(case) -> None:

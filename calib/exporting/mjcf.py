@@ -26,10 +26,10 @@ import numpy as np
 import pinocchio as pin
 
 from calib.errors import InputError
-from calib.export.closed_model import ClosedModel, joint_motion, origin, servo_gains, tie_lines
-from calib.export.links import Inertial, Link, possible_inertia, read_links
-from calib.export.mjcf_shapes import Shapes, add_surroundings, placed
-from calib.export.urdf import comment, numbers, provenance_lines
+from calib.exporting.closed_model import ClosedModel, joint_motion, origin, servo_gains, tie_lines
+from calib.exporting.links import Inertial, Link, possible_inertia, read_links
+from calib.exporting.mjcf_shapes import Shapes, add_surroundings, placed
+from calib.exporting.urdf import comment, numbers, provenance_lines
 from calib.model.urdf_text import HELD_TYPES, UrdfJoint
 
 TIE_SOFTNESS = {"solref": "-1000000 -1000", "solimp": "0.999 0.999 0.001 0.5 2"}

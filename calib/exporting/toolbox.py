@@ -16,9 +16,9 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
-from calib.export.closed_model import home_values
-from calib.export.gap import loop_gaps
-from calib.export.urdf import provenance_lines
+from calib.exporting.closed_model import home_values
+from calib.exporting.gap import loop_gaps
+from calib.exporting.urdf import provenance_lines
 from calib.model.description import Description
 from calib.model.robot import Robot
 

@@ -19,9 +19,9 @@ import numpy as np
 import pinocchio as pin
 
 from calib.errors import InputError
-from calib.export.gap import Gap, free_joints, loop_gaps, require_small
-from calib.export.links import possible_inertia, read_links
-from calib.export.urdf import with_inserted
+from calib.exporting.gap import Gap, free_joints, loop_gaps, require_small
+from calib.exporting.links import possible_inertia, read_links
+from calib.exporting.urdf import with_inserted
 from calib.model.closure import residual
 from calib.model.robot import Robot
 from calib.model.urdf_text import HELD_TYPES, UrdfText, parse_urdf

@@ -16,8 +16,8 @@ import numpy as np
 import pinocchio as pin
 
 from calib.arrays import FloatArray
-from calib.export.links import Link, Shape, find_mesh
-from calib.export.urdf import numbers
+from calib.exporting.links import Link, Shape, find_mesh
+from calib.exporting.urdf import numbers
 
 _MAX_FACES = 200_000  # of a binary STL file, MuJoCo's limit
 _GREY = (0.6, 0.6, 0.6, 1.0)

@@ -15,8 +15,8 @@ import scipy
 
 from calib.arrays import FloatArray
 from calib.errors import InputError
-from calib.export.closed_model import joint_motion, link_of
-from calib.export.gap import joint_ranges, poses_near_home
+from calib.exporting.closed_model import joint_motion, link_of
+from calib.exporting.gap import joint_ranges, poses_near_home
 from calib.model.mechanism import Mechanism
 from calib.model.robot import Robot
 from calib.model.urdf_text import HELD_TYPES, UrdfJoint, UrdfText

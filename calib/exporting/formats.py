@@ -6,14 +6,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from calib.errors import InputError, nearest
-from calib.export.closed_model import closed_model
-from calib.export.controllers import ControllerFile, dh_file, joint_offsets, ur_kinematics, xacro_origins
-from calib.export.drake import drake_bytes
-from calib.export.gap import Gap, loop_gaps
-from calib.export.joint_tables import joint_table_files
-from calib.export.mjcf import mjcf
-from calib.export.toolbox import toolbox_yaml
-from calib.export.urdf import urdf_bytes, with_mesh_prefix
+from calib.exporting.closed_model import closed_model
+from calib.exporting.controllers import ControllerFile, dh_file, joint_offsets, ur_kinematics, xacro_origins
+from calib.exporting.drake import drake_bytes
+from calib.exporting.gap import Gap, loop_gaps
+from calib.exporting.joint_tables import joint_table_files
+from calib.exporting.mjcf import mjcf
+from calib.exporting.toolbox import toolbox_yaml
+from calib.exporting.urdf import urdf_bytes, with_mesh_prefix
 from calib.files import check_file, check_folder, write_file, write_folder
 from calib.model.robot import Robot
 
@@ -50,7 +50,7 @@ def export(
             the URDF beside it under the same name. `dh`, `mdh`: Denavit-Hartenberg tables, standard and modified.
             `ur-kinematics`: for Universal Robots' ROS description. `joint-offsets`: a sign and a zero for each joint.
             `xacro`: joint origins as properties. `joint-tables`: a folder of tables of what joints really are when
-            told a value, with the code that applies them (see `calib.export.joint_tables`).
+            told a value, with the code that applies them (see `calib.exporting.joint_tables`).
         path: File to write, or folder of `joint-tables`.
         free_slide: Formats `mjcf` and `drake`: a free joint for each direction that a closure leaves free.
         meshes: Formats that hold a URDF (`urdf`, `drake`, `toolbox`): what to put before relative mesh paths, such as

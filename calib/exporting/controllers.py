@@ -18,10 +18,10 @@ from calib.arrays import FloatArray
 from calib.data.dh_files import format_dh
 from calib.data.tables import format_table
 from calib.errors import InputError
-from calib.export.joint_zeros import joint_zeros
-from calib.export.serial_chain import Remainder, SerialChain, judging_poses, remainder, serial_chain
-from calib.export.toolbox import ExactDumper
-from calib.export.urdf import comment, numbers, provenance_lines
+from calib.exporting.joint_zeros import joint_zeros
+from calib.exporting.serial_chain import Remainder, SerialChain, judging_poses, remainder, serial_chain
+from calib.exporting.toolbox import ExactDumper
+from calib.exporting.urdf import comment, numbers, provenance_lines
 from calib.model.denavit_hartenberg import Convention, DhRow, Kind, dh_table
 from calib.model.robot import Robot
 from calib.units import DISPLAY_UNIT, PER_SI, millimetres

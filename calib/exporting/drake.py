@@ -14,9 +14,9 @@ import numpy as np
 import pinocchio as pin
 
 from calib.arrays import FloatArray
-from calib.export.closed_model import ClosedModel, Marker, Tie, servo_gains, tie_lines
-from calib.export.links import element_tree
-from calib.export.urdf import comment, numbers, provenance_lines, with_inserted
+from calib.exporting.closed_model import ClosedModel, Marker, Tie, servo_gains, tie_lines
+from calib.exporting.links import element_tree
+from calib.exporting.urdf import comment, numbers, provenance_lines, with_inserted
 from calib.model.urdf_text import parse_urdf
 
 NAMESPACE = "http://drake.mit.edu"

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from calib.pose_choice.assessment import Assessment, check
     from calib.pose_choice.pose_sampling import sample
     from calib.pose_choice.selection import Selection, select
+    from calib.reporting.result_comparison import ResultComparison, compare
     from calib.reporting.results import load
 
 _HOMES = {
@@ -51,12 +52,14 @@ _HOMES = {
     "Parameter": "calib.parameter",
     "Parametrisation": "calib.model.parameters",
     "Poses": "calib.data.measurements",
+    "ResultComparison": "calib.reporting.result_comparison",
     "Robot": "calib.model.robot",
     "Selection": "calib.pose_choice.selection",
     "Solution": "calib.inverse_kinematics.inverse",
     "as_measurements": "calib.data.in_memory",
     "as_poses": "calib.data.in_memory",
     "check": "calib.pose_choice.assessment",
+    "compare": "calib.reporting.result_comparison",
     "compensate": "calib.inverse_kinematics.compensation",
     "export": "calib.exporting.formats",
     "fit": "calib.calibration",
@@ -91,6 +94,7 @@ __all__ = [
     "ParameterError",
     "Parametrisation",
     "Poses",
+    "ResultComparison",
     "Robot",
     "Selection",
     "Solution",
@@ -99,6 +103,7 @@ __all__ = [
     "as_measurements",
     "as_poses",
     "check",
+    "compare",
     "compensate",
     "export",
     "fit",

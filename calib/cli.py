@@ -13,6 +13,8 @@ from calib.version import VERSION
 _MODULES = {
     "init": "calib.commands.init",
     "check": "calib.commands.check",
+    "sample": "calib.commands.sample",
+    "compare": "calib.commands.compare",
     "select": "calib.commands.select",
     "simulate": "calib.commands.simulate",
     "fit": "calib.commands.fit",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import click
-import numpy as np
 
 from calib.commands.common import (
     SIGMA_HELP,
@@ -66,7 +65,7 @@ def command(
         if poses < 1:
             raise InputError(f"--poses {poses}: at least one is needed")
         found, source = (
-            sample(model, poses, np.random.default_rng(seed)),
+            sample(model, poses, seed),
             f"sampled over the joint limits, seed {seed}",
         )
     else:

@@ -1,0 +1,22 @@
+"""`calib compare`: results side by side."""
+
+from __future__ import annotations
+
+import click
+
+from calib.commands.common import Output, shared_options
+from calib.reporting.result_comparison import compare
+
+
+@click.command("compare")
+@click.argument("results", nargs=-1, required=True, metavar="DIR DIR...")
+@shared_options(json_output=True)
+def command(results: tuple[str, ...], output: Output) -> None:
+    """Compare results of `calib fit`: parameters with 95 % intervals, errors, and which differences are real.
+
+    Each is compared with the first. Fits that used the same readings are shown, not tested.
+    """
+    with output.working(f"comparing {len(results)} results"):
+        found = compare(*results)
+    output.say(found.report().rstrip())
+    output.json(found.to_dict())

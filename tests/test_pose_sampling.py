@@ -1,0 +1,82 @@
+"""`calib sample`: poses that the robot can take, in the ranges that are asked for."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib
+
+EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
+ARM = EXAMPLES / "arm.yaml"
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return calib.load(ARM)
+
+
+def test_the_same_seed_gives_the_same_poses(arm):
+    np.testing.assert_array_equal(calib.sample(arm, 20, seed=4).joints, calib.sample(arm, 20, seed=4).joints)
+    assert np.any(calib.sample(arm, 20, seed=4).joints != calib.sample(arm, 20, seed=5).joints)
+
+
+def test_poses_stay_in_ranges_of_joints_and_of_targets(arm):
+    found = calib.sample(arm, 40, seed=1, within={"joint_2": (0.3, 0.9), "reflector_z": (0.5, 0.8)})
+    points = arm.positions(found.joints)[:, 0]
+    assert np.all((found.joints[:, 1] >= 0.3) & (found.joints[:, 1] <= 0.9))
+    assert np.all((points[:, 2] >= 0.5) & (points[:, 2] <= 0.8))
+    spanning = np.array([[0.0, 0.1, 0.2, 0.3, 0.4, 0.5], [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]])
+    inside = calib.sample(arm, 40, seed=1, within=spanning).joints
+    assert np.all((inside >= spanning[0]) & (inside <= spanning[1]))
+
+
+def test_what_is_written_is_read_by_the_other_commands(run_calib, tmp_path):
+    run = run_calib(
+        "sample", ARM, "--count", 60, "--seed", 2, "--within", "reflector_z=200..900mm", "--within", "joint_1=-1..1",
+        "--out", tmp_path / "poses.csv",
+    )  # fmt: skip
+    assert run.code == 0
+    robot = calib.load(ARM)
+    poses = calib.read_poses(tmp_path / "poses.csv", robot)
+    heights = robot.positions(poses.joints)[:, 0, 2]
+    assert len(poses) == 60
+    assert np.all((heights >= 0.2) & (heights <= 0.9))
+    for command, more in (
+        ("check", ()),
+        ("select", ("--count", 30, "--out", tmp_path / "chosen.csv")),
+        ("predict", ("--out", tmp_path / "predicted.csv")),
+        ("simulate", ("--seed", 1, "--sigma-mm", 0.03, "--out", tmp_path / "simulated.csv")),
+    ):
+        assert run_calib(command, ARM, tmp_path / "poses.csv", *more).code == 0
+    again = ("sample", ARM, "--count", 20, "--seed", 2, "--within", tmp_path / "poses.csv", "--out", tmp_path / "b.csv")
+    assert run_calib(*again).code == 0
+    assert np.all(np.abs(calib.read_poses(tmp_path / "b.csv", robot).joints[:, 0]) <= 1)
+
+
+def test_loops_close_at_sampled_poses():
+    robot = calib.load(EXAMPLES / "five_bar.yaml")
+    robot.assemble(calib.sample(robot, 30, seed=3).joints)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--count", 0), "count 0: at least one pose is needed"),
+        (("--within", "joint_2=30..-20deg"), "joint_2 from 0.523599 to -0.349066 is no range"),
+        (("--within", "joint_9=1..2deg"), "no joint or coordinate 'joint_9'"),
+        (("--within", "joint_2=1..2mm"), "unit 'mm' is for a length"),
+        (("--within", "joint_2=1-2"), "is no range; write it as"),
+        (("--within", "joint_2=a..b"), "is not a finite number"),
+        (("--within", "joint_2=3000..4000deg"), "lies outside its joint limits"),
+        (("--within", "reflector_z=50..51m"), "only 0 of 5 random poses are within these ranges; widen them"),
+        (("--within", "nowhere.csv"), "nowhere.csv: no such file"),
+        (("--out", "nowhere/poses.csv"), "nowhere"),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(run_calib, tmp_path, options, words):
+    run = run_calib("sample", ARM, "--count", 5, "--seed", 1, "--out", "poses.csv", *options, cwd=tmp_path)
+    assert run.code == 2
+    assert words in run.err
+    assert len(run.err.splitlines()) == 1
+    assert not list(tmp_path.iterdir())

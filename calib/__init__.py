@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from calib.inverse_kinematics.inverse import Solution, solve
     from calib.linearisation.simulate import simulate
     from calib.model.parameters import Origin, Parametrisation, twist_of_edit
-    from calib.model.robot import Robot
+    from calib.model.robot import Robot, robot
     from calib.parameter import Parameter
     from calib.pose_choice.assessment import Assessment, check
     from calib.pose_choice.pose_sampling import sample
@@ -66,6 +66,7 @@ _HOMES = {
     "load": "calib.reporting.results",
     "read_measurements": "calib.data.measurement_files",
     "read_poses": "calib.data.measurement_files",
+    "robot": "calib.model.robot",
     "sample": "calib.pose_choice.pose_sampling",
     "select": "calib.pose_choice.selection",
     "simulate": "calib.linearisation.simulate",
@@ -110,6 +111,7 @@ __all__ = [
     "load",
     "read_measurements",
     "read_poses",
+    "robot",
     "sample",
     "select",
     "simulate",

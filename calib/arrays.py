@@ -1,4 +1,4 @@
-"""Names of array types, and frozen dataclasses whose arrays are frozen too."""
+"""Names of array types, frozen dataclasses whose arrays are frozen too, and random numbers from a seed."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from calib.errors import InputError
 
 FloatArray = NDArray[np.floating[Any]]
 IntArray = NDArray[np.intp]
@@ -36,3 +38,10 @@ class ReadOnlyArrays:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         ReadOnlyArrays.__post_init__(self)  # unpickled arrays can be written to
+
+
+def random_numbers(seed: int | np.random.Generator) -> np.random.Generator:
+    """Return where random numbers come from; a negative seed is an `InputError`."""
+    if isinstance(seed, int) and seed < 0:
+        raise InputError(f"seed {seed}: must be zero or positive")
+    return np.random.default_rng(seed)

@@ -107,3 +107,126 @@ def test_a_table_is_a_data_frame_where_pandas_is_installed(fit):
     assert isinstance(table, pandas.DataFrame)
     assert table.loc["joint_3.z", "value"] == pytest.approx(1e3 * fit.parameters["joint_3.z"].value)
     assert fit.covariance.to_dataframe().loc["joint_3.z", "joint_3.z"] == fit.covariance["joint_3.z", "joint_3.z"]
+
+
+def test_a_robot_needs_no_file(robot):
+    made = calib.robot(
+        EXAMPLES / "arm.urdf",
+        motors=[f"joint_{k}" for k in range(1, 7)],
+        target={"reflector": {"frame": "flange", "xyz": ["20 mm", 0, "50 mm"], "position": "unknown", "sigma": "5 mm"}},
+        base="base_link",
+        parametrisation=[
+            {"origin": "all", "components": ["x", "y", "z"], "sigma": "1 mm"},
+            {"origin": "all", "components": ["rx", "ry", "rz"], "sigma": 3e-3},
+        ],
+        sigma="0.03 mm",
+    )
+    assert made.parameters == robot.parameters
+    plain = calib.robot(EXAMPLES / "arm.urdf")
+    assert plain.parameters == calib.load(EXAMPLES / "arm.urdf").parameters
+    assert calib.robot(EXAMPLES / "arm.urdf", target="link_5").target_names == ("link_5",)
+
+
+def test_a_robot_with_loops_needs_no_file():
+    written = calib.load(EXAMPLES / "five_bar.yaml")
+    made = calib.robot(
+        EXAMPLES / "five_bar.urdf",
+        motors=["left_motor", "right_motor"],
+        target={"pen": {"frame": "left_tip", "xyz": [0, 0, "20 mm"]}},
+        base="table",
+        closed_loop=[["left_tip", "right_tip"]],
+        type=["3d"],
+        closed_loop_axes=[["x", "y"]],
+        home={"left_motor": "126 deg", "right_motor": "54 deg", "left_elbow": "-82.5 deg", "right_elbow": "82.5 deg"},
+    )
+    q = calib.sample(written, 10, seed=1).joints
+    np.testing.assert_allclose(made.positions(q), written.positions(q), atol=1e-12)  # closed to 1e-12 m
+
+
+def test_priors_are_stated_without_a_file(robot, data):
+    tight = robot.with_prior(["joint_2.y", "joint_3.y"], "1 um").with_prior("joint_4.rx", 1e-6)
+    sigma = {p.name: p.sigma for p in tight.parameters}
+    assert (sigma["joint_2.y"], sigma["joint_3.y"], sigma["joint_4.rx"]) == (1e-6, 1e-6, 1e-6)
+    assert {name: s for name, s in sigma.items() if name not in ("joint_2.y", "joint_3.y", "joint_4.rx")} == {
+        p.name: p.sigma for p in robot.parameters if p.name not in ("joint_2.y", "joint_3.y", "joint_4.rx")
+    }
+    assert {p.name: p.sigma for p in tight.with_prior("joint_2.y", "2 mm").parameters}["joint_2.y"] == 2e-3
+    assert calib.fit(tight, data).parameters["joint_2.y"].std < 1.001e-6
+    moved = robot.with_parameters({"joint_2.y": 1e-3}).with_prior("joint_3.y", 1e-4)
+    assert {p.name: v for p, v in zip(moved.parameters, moved.values, strict=True)}["joint_2.y"] == 1e-3
+
+
+def test_a_robot_made_in_python_is_saved_and_loads_the_same(robot, tmp_path):
+    made = robot.hold("joint_3.z").with_prior(["joint_2.y", "joint_4.rx"], 1e-5)
+    made.save(tmp_path / "robot.yaml")
+    again = calib.load(tmp_path / "robot.yaml")
+    assert again.parameters == made.parameters
+    np.testing.assert_array_equal(again.is_free, made.is_free)
+    q = calib.sample(robot, 5, seed=1).joints
+    np.testing.assert_array_equal(again.positions(q), made.positions(q))
+    with pytest.raises(calib.InputError, match="exists already"):
+        made.save(tmp_path / "robot.yaml")
+    made.save(tmp_path / "robot.yaml", overwrite=True)
+    plain = calib.robot(EXAMPLES / "arm.urdf", target="link_5")
+    plain.save(tmp_path / "plain.yaml")
+    assert calib.load(tmp_path / "plain.yaml").parameters == plain.parameters
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (lambda robot: calib.robot("nowhere.urdf"), "nowhere.urdf"),
+        (lambda robot: calib.robot(EXAMPLES / "arm.urdf", motors=["joint_9"]), "joint_9"),
+        (lambda robot: calib.robot(EXAMPLES / "arm.urdf", motors="joint_1"), "should be a list"),
+        (lambda robot: calib.robot(EXAMPLES / "arm.urdf", base="floor"), "floor"),
+        (lambda robot: calib.robot(EXAMPLES / "arm.urdf", target="hand"), "hand"),
+        (lambda robot: calib.robot(EXAMPLES / "arm.urdf", sigmas="1 mm"), "unknown key 'sigmas'; did you mean 'sigma'"),
+        (lambda robot: robot.with_prior("joint_3.zz", 1e-3), "did you mean"),
+        (lambda robot: robot.with_prior("joint_3.z", "1 deg"), "unit 'deg' is for an angle"),
+        (lambda robot: robot.with_prior("joint_3.z", 0.0), "must be positive"),
+        (lambda robot: robot.with_prior("reflector.x", 1e-3), "is no component of an origin in the list"),
+        (lambda robot: robot.with_parameters({"joint_3.z": 0.5}).save("robot.yaml"), "'joint_3.z' is not nominal"),
+        (lambda robot: robot.save("robot.txt"), "ends in .yaml"),
+        (lambda robot: calib.sample(robot, 0), "at least one pose"),
+        (lambda robot: calib.sample(robot, 5, seed=-1), "seed -1"),
+        (lambda robot: calib.sample(robot, 5, within={"joint_1": (1, 0)}), "is no range"),
+        (lambda robot: calib.sample(robot, 5, within={"joint_1": 1}), "joint_1"),
+        (lambda robot: calib.simulate(robot, np.zeros((1, 6)), 0.0, seed=-1), "seed -1"),
+        (lambda robot: calib.check(robot, np.zeros((3, 4))), "joint values of shape"),
+        (lambda robot: calib.solve(robot, np.zeros((3, 4))), "positions of shape"),
+        (lambda robot: calib.compare("nowhere"), "give two or more"),
+    ],
+)
+def test_a_wrong_guess_is_told_in_one_line(robot, tmp_path, monkeypatch, wrong, words):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(calib.InputError) as caught:
+        wrong(robot)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_python_says_what_the_command_line_says(robot, data, fit, tmp_path):
+    candidates = calib.sample(robot, 60, seed=3)
+    found = calib.check(robot, candidates.joints)
+    assert found.n_poses == 60
+    chosen = calib.select(robot, candidates, count=30)
+    assert len(chosen.joints) == 30
+    with pytest.raises(TypeError, match="count"):
+        calib.select(robot, candidates)
+    reached = calib.solve(fit.robot, fit.robot.positions(chosen.joints[:4])[:, 0])
+    assert np.all(reached.ok)
+    again = calib.simulate(fit.robot, chosen.joints, 3e-5, seed=4)
+    np.testing.assert_array_equal(
+        again.points(robot), calib.simulate(fit.robot, chosen.joints, 3e-5, seed=4).points(robot)
+    )
+    calib.export(fit.robot, "urdf", tmp_path / "arm.urdf")
+    assert (tmp_path / "arm.urdf").read_bytes() == fit.robot.calibrated_urdf()
+    fit.save(tmp_path / "result", pages=False)
+    np.testing.assert_allclose(calib.load(tmp_path / "result").values, fit.robot.values, rtol=1e-14)  # through mm
+    compared = calib.compare(fit, calib.fit(robot, again))
+    assert np.isfinite(compared.together[0])
+    assert "fit 2" in str(compared)
+    for one in (found, chosen, compared):
+        assert len(repr(one)) < 200
+        assert "array(" not in repr(one)

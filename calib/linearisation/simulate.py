@@ -17,7 +17,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.arrays import BoolArray, FloatArray, IntArray, random_numbers
 from calib.data.in_memory import as_poses, measurements
 from calib.data.measurements import Measurements, Poses, directions_of_motion, of_visits
 from calib.errors import DataError, UnreachablePoseError
@@ -64,7 +64,7 @@ def simulate(
     """
     if sigma is not None and not (np.isfinite(sigma) and sigma >= 0):
         raise DataError(f"sigma {sigma:g} m: must be a number, zero or positive")
-    rng = np.random.default_rng(seed)
+    rng = random_numbers(seed)
     where = as_poses(robot, poses)
     looks = looks_at(robot, where)
     off = np.zeros_like(where.joints)

@@ -8,7 +8,7 @@ of Pinocchio's toolbox-parallel-robots. Lengths and angles are SI, or text with 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -198,6 +198,22 @@ class Description(Section):
         listed = self.parametrisation if isinstance(self.parametrisation, str) else self.origins
         return self.model_copy(update={"parametrisation": listed, "joint_terms": tuple(sections)})
 
+    def with_sigma(self, origin: str, component: Component, sigma: float | str) -> Description:
+        """Return the description with another expected error of one component of an origin that it lists."""
+        listed: list[OriginSection | TermSection] = []
+        unit = None
+        for section in () if isinstance(self.parametrisation, str) else self.parametrisation:
+            if isinstance(section, OriginSection) and component in section.components:
+                if section.origin == origin:
+                    unit = section.unit
+                    others = tuple(one for one in section.components if one != component)
+                    listed += [section.model_copy(update={"components": others})] if others else []
+                    continue
+                unit = section.unit if section.origin == "all" and unit is None else unit
+            listed.append(section)
+        own = {"origin": origin, "components": (component,), "sigma": sigma} | ({"unit": unit} if unit else {})
+        return self.model_copy(update={"parametrisation": (OriginSection.model_validate(own), *listed)})
+
     def loop_axes(self, index: int) -> tuple[Component, ...]:
         """Constrained directions of one closure: as given, or all that its type has."""
         if self.closed_loop_axes is not None:
@@ -216,10 +232,23 @@ def read_description(path: Path | str) -> Description:
         raise DescriptionError(
             f"{path}: is not a mapping of keys to values; `calib init URDF` writes one to start from"
         )
+    return checked_description(content, path)
+
+
+def checked_description(content: Mapping[str, Any], where: Path | str) -> Description:
+    """Validate the content of a robot description.
+
+    Args:
+        content: Its keys and values.
+        where: Its file, for messages; files that it names are beside this one.
+
+    Raises:
+        DescriptionError: Unknown key, wrong value; the message names the place.
+    """
     try:
-        return Description.model_validate(content, context={"folder": Path(path).parent})
+        return Description.model_validate(content, context={"folder": Path(where).parent})
     except ValidationError as error:
-        raise DescriptionError(f"{path}: {_one_line(error)}") from None
+        raise DescriptionError(f"{where}: {_one_line(error)}") from None
 
 
 def description_yaml(description: Description) -> str:

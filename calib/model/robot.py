@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pinocchio as pin
@@ -13,24 +15,26 @@ from numpy.typing import ArrayLike
 
 from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays, read_only
 from calib.errors import DataError, DescriptionError, InputError, ParameterError, UnreachablePoseError, nearest
+from calib.files import write_file
 from calib.joint_terms.term import Context, JointTerm, TermSection
 from calib.model import kinematics, loops
 from calib.model.arm_chain import arm_chain
 from calib.model.closed_home import closed_home
 from calib.model.closure import AssemblyMode, singular_values
-from calib.model.description import Description, read_description
+from calib.model.description import Description, checked_description, description_yaml, read_description
 from calib.model.instruments import instruments_of, pair_names, places_of
 from calib.model.joint_errors import build_terms, gravity_torque, joint_errors, term_columns, with_torque
 from calib.model.loops import why_open
 from calib.model.mechanism import Mechanism, RelativeFrame, view
 from calib.model.mechanism_builder import build_mechanism, home_values
 from calib.model.parameters import Origin, Parametrisation
-from calib.model.parametrisation import build_parametrisation
+from calib.model.parametrisation import build_parametrisation, default_sections
 from calib.model.templates import describe
 from calib.model.urdf_text import Triple, UrdfText, read_urdf
 from calib.observation.kind import Instrument, Place
 from calib.parameter import Parameter, index_of
-from calib.units import Dimension, per_si, split_column
+from calib.sections import COMPONENTS, Component
+from calib.units import Dimension, per_si, quantity, split_column
 
 _LARGEST_JOINT = 1e6  # [m or rad]
 _COMMAND_ROUNDS = 50
@@ -207,6 +211,62 @@ class Robot(ReadOnlyArrays):
             index_of(self.parameters, name)
         changed = self.description.model_copy(update={"held": tuple(dict.fromkeys(held))})
         return replace(self, description=changed)
+
+    def with_prior(self, names: str | Sequence[str], sigma: float | str) -> Robot:
+        """Return a robot of which these components of origins are expected to be off by `sigma`.
+
+        Args:
+            names: A parameter, or several.
+            sigma: One standard deviation [m or rad], or text with a unit, such as `0.5 mm`.
+
+        Raises:
+            ParameterError: An unknown name, or one that is no component of an origin that the description lists.
+            InputError: Sigma is not a positive number of this dimension.
+        """
+        description = self.description
+        if not description.priors:
+            raise ParameterError(f"{self.path}: says that priors do not count (priors: false); leave that out")
+        for name in [names] if isinstance(names, str) else names:
+            place = index_of(self.parameters, name)
+            one = self.parameters[place]
+            origin, _, component = name.rpartition(".")
+            listed = place < self.n_origin_parameters and component in COMPONENTS and bool(description.origins)
+            if not listed or one.placement:
+                raise ParameterError(
+                    f"parameter '{name}' is no component of an origin in the list 'parametrisation'; its sigma stands"
+                    " in the robot description"
+                )
+            if quantity(sigma, one.dimension, f"prior of '{name}'") <= 0:
+                raise InputError(f"prior of '{name}': sigma {sigma} must be positive; hold('{name}') keeps it as it is")
+            description = description.with_sigma(origin, cast(Component, component), sigma)
+        known = dict(zip((parameter.name for parameter in self.parameters), self.values, strict=True))
+        return _built(description, self.urdf, self.path).with_parameters(known)
+
+    def save(self, path: Path | str, *, overwrite: bool = False) -> None:
+        """Write the robot description; `calib.load` gives the same robot from it.
+
+        Args:
+            path: YAML file to write. It names the URDF, which stays where it is.
+            overwrite: Whether a file that is there already may be replaced, comments in it and all.
+
+        Raises:
+            InputError: The file exists, or cannot be written; or parameters are not nominal, which a description
+                cannot say.
+        """
+        path = Path(path)
+        if path.suffix.lower() not in (".yaml", ".yml"):
+            raise InputError(f"{path}: the name of a robot description ends in .yaml")
+        if path.exists() and not overwrite:
+            raise InputError(f"{path}: exists already; choose another name, or say overwrite=True")
+        nominal = np.array([parameter.nominal for parameter in self.parameters])
+        if not np.array_equal(self.values, nominal):
+            name = self.parameters[int(np.argmax(self.values != nominal))].name
+            raise InputError(
+                f"parameter '{name}' is not nominal, and a description holds nominal values; save the fit, whose folder"
+                " loads as a robot, or export a URDF"
+            )
+        relative = os.path.relpath(Path(self.urdf.path).resolve(), path.resolve().parent)
+        write_file(path, description_yaml(self.description.model_copy(update={"urdf": relative})))
 
     def with_parameters(self, values: Mapping[str, float] | ArrayLike) -> Robot:
         """Return a robot with other parameter values.
@@ -408,7 +468,48 @@ def load(path: str | Path) -> Robot:
     else:
         urdf = read_urdf(path)
         description = describe(arm_chain(urdf), path.name)
-    where = str(path)
+    return _built(description, urdf, str(path))
+
+
+def robot(
+    urdf: Path | str,
+    *,
+    motors: Sequence[str] | None = None,
+    target: str | Mapping[str, Any] | None = None,
+    base: str | Mapping[str, Any] | None = None,
+    **keys: Any,
+) -> Robot:
+    """Make a robot from a URDF without a robot description; what is left out is as for a plain URDF (`load`).
+
+    Args:
+        urdf: The URDF.
+        motors: Joints with a motor, in the order of every joint vector.
+        target: Link that carries the measured point, whose position there is unknown; or `targets` as in a description.
+        base: Link that the robot stands with, whose place in the measurement frame is unknown; or `base` as in a
+            description.
+        keys: Any other key of a robot description, such as `sigma="0.04 mm"`, `closed_loop`, `home`.
+
+    Raises:
+        UrdfError: The URDF is not valid.
+        DescriptionError: A key is not valid, or does not fit the URDF.
+    """
+    text, where = read_urdf(Path(urdf)), str(urdf)
+    content: dict[str, Any] = {"urdf": Path(urdf).name, "parametrisation": default_sections()}
+    if motors is None or target is None or base is None:
+        chain = arm_chain(text, target if isinstance(target, str) else None)
+        plain = describe(chain, Path(urdf).name)
+        content = {key: getattr(plain, key) for key in plain.model_fields_set}
+    if motors is not None:
+        content["name_mot"] = motors
+    if base is not None:
+        content["base"] = {"frame": base, "pose": "unknown"} if isinstance(base, str) else base
+    if target is not None:
+        content["targets"] = {target: {"frame": target, "position": "unknown"}} if isinstance(target, str) else target
+    return _built(checked_description(content | keys, urdf), text, where)
+
+
+def _built(description: Description, urdf: UrdfText, where: str) -> Robot:
+    """Put a robot together at its nominal values."""
     instruments = instruments_of(description, where)
     places = places_of(description, instruments, where)
     views = tuple(dict.fromkeys(pair for one in instruments for pair in pair_names(description, one)))
@@ -419,14 +520,12 @@ def load(path: str | Path) -> Robot:
     mode = closed_home(nominal, home, description.singularity_limit, where)
     parametrisation = build_parametrisation(description, _origins(nominal, urdf, places), nominal, places, where)
     terms = build_terms(description, urdf, nominal, where)
-    robot = Robot(
-        str(path), description, urdf, nominal, nominal, parametrisation, instruments, terms, np.zeros(0), mode
-    )
+    robot = Robot(where, description, urdf, nominal, nominal, parametrisation, instruments, terms, np.zeros(0), mode)
     _check_names(robot)
     for held in description.held:
-        index_of(robot.parameters, held, f"{path}: held")
+        index_of(robot.parameters, held, f"{where}: held")
     for name in description.elimination_order:
-        index_of(robot.parameters, name, f"{path}: elimination_order")
+        index_of(robot.parameters, name, f"{where}: elimination_order")
     return replace(robot, values=np.array([parameter.nominal for parameter in robot.parameters]))
 
 

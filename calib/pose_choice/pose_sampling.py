@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arrays import BoolArray, FloatArray
+from calib.arrays import BoolArray, FloatArray, random_numbers
 from calib.data.in_memory import as_poses
 from calib.data.measurements import Poses, of_visits
 from calib.errors import DataError, InputError, nearest
@@ -56,9 +56,7 @@ def sample(
     """
     if count < 1:
         raise InputError(f"count {count}: at least one pose is needed")
-    if isinstance(seed, int) and seed < 0:
-        raise InputError(f"seed {seed}: must be zero or positive")
-    rng, ranges = np.random.default_rng(seed), _ranges(robot, within)
+    rng, ranges = random_numbers(seed), _ranges(robot, within)
     touches = [one for one in robot.instruments if not one.columns()]
     tried = _poses(_spread(robot, _TRIES * count if touches else count, rng, ranges))
     if not touches:
@@ -94,9 +92,12 @@ def _ranges(robot: Robot, within: Within | ArrayLike | None) -> dict[str, tuple[
         spans = zip(joints.min(axis=0), joints.max(axis=0), strict=True)
         return {name: (float(low), float(high)) for name, (low, high) in zip(robot.joint_names, spans, strict=True)}
     known = (*robot.joint_names, *(f"{target}_{axis}" for target in robot.target_names for axis in "xyz"))
-    for name, (low, high) in within.items():
+    for name, span in within.items():
         if name not in known:
             raise InputError(f"within: no joint or coordinate '{name}'{nearest(name, known)}")
+        if np.shape(span) != (2,):
+            raise InputError(f"within: {name} needs a range, such as (-0.5, 0.5)")
+        low, high = span
         if not (np.isfinite(low) and np.isfinite(high) and low <= high):
             raise InputError(f"within: {name} from {low:g} to {high:g} is no range; give the smaller number first")
     return dict(within)

@@ -22,7 +22,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from calib.arrays import FloatArray, IntArray
+from calib.arrays import FloatArray, IntArray, random_numbers
 from calib.data.measurements import Poses
 from calib.errors import InputError
 from calib.model.robot import Robot
@@ -90,14 +90,12 @@ def select(
         NotIdentifiableError: No choice determines what the index is about.
     """
     started = time.perf_counter()
-    if seed < 0:
-        raise InputError(f"seed {seed}: must be zero or positive")
+    rng = random_numbers(seed)
     groups = groups_of(robot, instruments, count)
     total = sum(count.values()) if isinstance(count, Mapping) else count
     wanted = Wanted(index, total, minimum_distance, off_grid, groups)
     setting = prepare(robot, candidates, wanted, measured, task, exclude, skip_unreachable, sigma)
     prepared = time.perf_counter()
-    rng = np.random.default_rng(seed)
     kinds = _start_kinds(random_start, starts)
     runs, best = _run_all(setting, kinds, rng)
     efficiency, bound = None, None

@@ -28,7 +28,7 @@ MODULES = (
     *("selection_scores", "selection_bound", "exchange", "refinement", "measurement_order", "loops", "continuation"),
     *("open_loops", "forward_kinematics", "inverse", "fit", "robust", "suspects", "systematic", "starts"),
     *("error_before", "validation", "rows", "observed", "shared_error", "variance_components", "repeats"),
-    *("instruments",),
+    *("instruments", "result_comparison"),
 )
 """Tests whose expectations rest on linear algebra; about a minute on two cores for each kind of kernels."""
 _ARCHITECTURES = (

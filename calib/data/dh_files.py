@@ -80,9 +80,9 @@ def _convention(table: Table, given: str | None) -> Convention:
             raise DataError(f"{table.path}: unknown convention '{one}'{nearest(one, CONVENTIONS)}")
         if given and one != given:
             raise DataError(f"{table.path}: says 'convention: {one}', but --convention is {given}; correct one of them")
-    found = given or (said[0] if said else "")
+    stated = given or (said[0] if said else "")
     for convention in CONVENTIONS:
-        if convention == found:
+        if convention == stated:
             return convention
     raise DataError(
         f"{table.path}: nothing says which convention it follows; add --convention standard (Denavit and Hartenberg,"

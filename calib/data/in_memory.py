@@ -58,22 +58,22 @@ def as_measurements(
         DataError: Wrong shape, values that are not finite, an unknown instrument, or rows of one pose whose joint
             values differ.
     """
-    where = as_poses(robot, poses, names)
+    poses = as_poses(robot, poses, names)
     if not isinstance(readings, Mapping):
-        readings = _positions_by_instrument(robot, len(where), readings)
-    found: dict[str, Readings] = {}
+        readings = _positions_by_instrument(robot, len(poses), readings)
+    readings_by_name: dict[str, Readings] = {}
     for name, given in readings.items():
         if name not in [one.name for one in robot.instruments]:
             raise DataError(f"no instrument '{name}'{nearest(name, [one.name for one in robot.instruments])}")
         one = robot.instrument(name)
         if isinstance(given, Readings):
-            found[name] = given
+            readings_by_name[name] = given
             continue
         if not one.columns():
-            found[name] = _words(one, where, np.asarray(given))
+            readings_by_name[name] = _words(one, poses, np.asarray(given))
             continue
-        found[name] = _readings(one, where, np.asarray(given, dtype=float))
-    data = measurements(where, found)
+        readings_by_name[name] = _readings(one, poses, np.asarray(given, dtype=float))
+    data = measurements(poses, readings_by_name)
     check_repeats(data, robot)
     return data
 
@@ -96,8 +96,8 @@ def measurements(poses: Poses, readings: Mapping[str, Readings]) -> Measurements
 
 def plain_readings(values: FloatArray) -> Readings:
     """Return values (n, n_values) of n visits in a row as readings, without those that are NaN throughout."""
-    seen = np.flatnonzero(~np.all(np.isnan(values), axis=1))
-    return Readings(seen, np.zeros(len(seen), dtype=np.intp), values[seen], None, np.zeros((len(seen), 0)))
+    visits = np.flatnonzero(~np.all(np.isnan(values), axis=1))
+    return Readings(visits, np.zeros(len(visits), dtype=np.intp), values[visits], None, np.zeros((len(visits), 0)))
 
 
 def _positions_by_instrument(robot: Robot, n: int, given: ArrayLike) -> dict[str, FloatArray]:
@@ -123,8 +123,8 @@ def _words(one: Instrument, poses: Poses, given: ArrayLike) -> Readings:
         raise DataError(f"{one.name}: expected {len(poses)} words, one for each pose; empty where it read nothing")
     (column,) = one.text_columns()
     own, pairs, details = one.looked_at({column: texts}, poses.labels)
-    seen = np.flatnonzero(own)
-    return Readings(seen, pairs[seen], np.repeat(one.values({}), len(seen), axis=0), None, details[seen])
+    visits = np.flatnonzero(own)
+    return Readings(visits, pairs[visits], np.repeat(one.values({}), len(visits), axis=0), None, details[visits])
 
 
 def _readings(one: Instrument, poses: Poses, values: FloatArray) -> Readings:

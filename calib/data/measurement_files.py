@@ -68,15 +68,15 @@ def read_measurements(path: Path | str | Sequence[Path | str], robot: Robot) -> 
             rows = _visits_by_pose(table, poses)
         for one in _seen_in(robot, table):
             parts.setdefault(one.name, []).append(_readings(robot, one, table, rows))
-    data = measurements(poses, {name: _concatenated(found) for name, found in parts.items()})
+    data = measurements(poses, {name: _concatenated(readings) for name, readings in parts.items()})
     if data.n_readings == 0 and not parts:
         raise DataError(f"{paths[0]}: has no column of any instrument; expected: {_expected(robot)}")
     if data.n_readings == 0:
         where = f"{paths[0]}{f' and {len(paths) - 1} more' if len(paths) > 1 else ''}"
         raise DataError(f"{where}: all cells of the measured columns are empty; there is nothing to read")
     check_repeats(data, robot)
-    seen = np.unique(np.concatenate([found.visits for found in data.readings.values()]))
-    return replace(data, approach=approach).subset(seen) if len(seen) < len(data) else replace(data, approach=approach)
+    kept = np.unique(np.concatenate([readings.visits for readings in data.readings.values()]))
+    return replace(data, approach=approach).subset(kept) if len(kept) < len(data) else replace(data, approach=approach)
 
 
 def format_measurements(robot: Robot, data: Measurements, comments: tuple[str, ...] = ()) -> str:
@@ -94,21 +94,21 @@ def format_measurements(robot: Robot, data: Measurements, comments: tuple[str, .
         for header, cells in [*_pose_columns(robot, data), *_conditions(robot, data), *_approach_columns(robot, data)]
     }
     for one in robot.instruments:
-        found = data.readings.get(one.name)
-        if found is None:
+        readings = data.readings.get(one.name)
+        if readings is None:
             continue
         dimensions = {column.name: column.dimension for column in one.columns()}
         cells: dict[str, Sequence[object]] = {
             _header(name, dimensions[name]): list(_shown(numbers, dimensions[name]))
-            for name, numbers in one.cells(found.values).items()
+            for name, numbers in one.cells(readings.values).items()
         }
         if one.label_column is not None:
-            cells[one.label_column] = [one.name] * len(found)
-        for header, shown in (cells | one.texts(found.pairs, found.details)).items():
+            cells[one.label_column] = [one.name] * len(readings)
+        for header, shown in (cells | one.texts(readings.pairs, readings.details)).items():
             column = columns.setdefault(header, [""] * len(visits))
             for line, cell in zip(line_of[one.name], shown, strict=True):
                 column[line] = cell
-        if not dimensions and np.any(found.values):
+        if not dimensions and np.any(readings.values):
             raise DataError(
                 f"instrument '{one.name}' reads no numbers, so that no file can say by how much it missed: what it"
                 " touches must be touched; give joint values at which it is"
@@ -291,12 +291,12 @@ def _seen_in(robot: Robot, table: Table) -> list[Instrument]:
     """Instruments that a table has columns for; all, where nothing says that they may be missing."""
     if not robot.description.instruments:
         return list(robot.instruments)
-    found = [one for one in robot.instruments if any(name in table.names for name in _named_columns(one))]
-    if not found and set(robot.joint_names) <= set(table.names):
+    instruments = [one for one in robot.instruments if any(name in table.names for name in _named_columns(one))]
+    if not instruments and set(robot.joint_names) <= set(table.names):
         return []
-    if not found:
+    if not instruments:
         raise DataError(f"{table.path}: has no column of any instrument; expected: {_expected(robot)}")
-    return found
+    return instruments
 
 
 def _expected(robot: Robot) -> str:

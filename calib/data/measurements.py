@@ -92,7 +92,7 @@ class Measurements(Poses):
     @property
     def n_readings(self) -> int:
         """Number of readings of all instruments."""
-        return sum(len(found) for found in self.readings.values())
+        return sum(len(readings) for readings in self.readings.values())
 
     @property
     def approach_directions(self) -> FloatArray:
@@ -138,8 +138,8 @@ class Measurements(Poses):
             names=tuple(self.names[i] for i in index),
             context={key: values[index] for key, values in self.context.items()},
             setups=None if self.setups is None else self.setups[index],
-            wanted={name: of_visits(found, index) for name, found in self.wanted.items()},
-            readings={name: of_visits(found, index) for name, found in self.readings.items()},
+            wanted={name: of_visits(looks, index) for name, looks in self.wanted.items()},
+            readings={name: of_visits(readings, index) for name, readings in self.readings.items()},
         )
 
     def split(self, fraction: float, *, seed: int = 0) -> tuple[Measurements, Measurements]:
@@ -177,13 +177,13 @@ class Measurements(Poses):
         total = np.zeros((len(self), len(robot.target_names), 3))
         count = np.zeros((len(self), len(robot.target_names), 1))
         for one in robot.instruments:
-            found = self.readings.get(one.name)
-            seen = None if found is None else one.points(found.values)
-            if found is None or seen is None:
+            readings = self.readings.get(one.name)
+            points = None if readings is None else one.points(readings.values)
+            if readings is None or points is None:
                 continue
             t = robot.target_names.index(one.target)
-            np.add.at(total[:, t], found.visits, seen)
-            np.add.at(count[:, t], found.visits, 1.0)
+            np.add.at(total[:, t], readings.visits, points)
+            np.add.at(count[:, t], readings.visits, 1.0)
         with np.errstate(invalid="ignore"):
             result: FloatArray = total / count
         return result
@@ -191,29 +191,29 @@ class Measurements(Poses):
 
 def with_points(robot: Robot, data: Measurements, points: FloatArray) -> Measurements:
     """Return measurements in which instruments that measure points saw these, (n, n_targets, 3) [m]."""
-    readings = dict(data.readings)
-    for name, found in data.readings.items():
+    moved = dict(data.readings)
+    for name, readings in data.readings.items():
         one = robot.instrument(name)
-        seen = one.points(found.values)
-        if seen is not None:
-            change = np.zeros((len(found), one.n_rows))
-            change[:, :3] = points[found.visits, robot.target_names.index(one.target)] - seen
-            readings[name] = replace(found, values=one.moved(found.values, change))
-    return replace(data, readings=readings)
+        measured = one.points(readings.values)
+        if measured is not None:
+            change = np.zeros((len(readings), one.n_rows))
+            change[:, :3] = points[readings.visits, robot.target_names.index(one.target)] - measured
+            moved[name] = replace(readings, values=one.moved(readings.values, change))
+    return replace(data, readings=moved)
 
 
-def of_visits(found: Readings, index: IntArray) -> Readings:
+def of_visits(readings: Readings, index: IntArray) -> Readings:
     """Return the readings of the visits with these indices (n,), in this order; a visit may come twice."""
-    order = np.argsort(found.visits, kind="stable")
-    first, last = (np.searchsorted(found.visits[order], index, side=side) for side in ("left", "right"))
+    order = np.argsort(readings.visits, kind="stable")
+    first, last = (np.searchsorted(readings.visits[order], index, side=side) for side in ("left", "right"))
     counts = last - first
     kept = order[np.repeat(first - np.cumsum(counts) + counts, counts) + np.arange(int(counts.sum()))]
     return Readings(
         np.repeat(np.arange(len(index)), counts),
-        found.pairs[kept],
-        found.values[kept],
-        None if found.covariance is None else found.covariance[kept],
-        found.details[kept],
+        readings.pairs[kept],
+        readings.values[kept],
+        None if readings.covariance is None else readings.covariance[kept],
+        readings.details[kept],
     )
 
 

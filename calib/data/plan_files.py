@@ -39,8 +39,8 @@ def read_plan(path: Path | str, robot: Robot) -> Poses:
     poses = poses_of_table(table, robot, used)
     reading = _reading(robot, table)
     wanted = {one.name: _wanted(robot, one, table, reading[one.name], poses.setups) for one in robot.instruments}
-    said = {name: found for name, found in wanted.items() if found is not None}
-    if len(said) == len(robot.instruments) and not any(len(found) for found in said.values()):
+    said = {name: looks for name, looks in wanted.items() if looks is not None}
+    if len(said) == len(robot.instruments) and not any(len(looks) for looks in said.values()):
         raise DataError(f"{table.path}: says of no pose that anything is read there")
     return replace(poses, wanted=said)
 

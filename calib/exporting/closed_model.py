@@ -121,8 +121,8 @@ def closed_model(robot: Robot, *, free_slide: bool = False) -> ClosedModel:
 
 def home_values(robot: Robot) -> dict[str, float]:
     """Return the value of every moving joint in the home configuration, loops closed [m or rad]."""
-    found = robot.assemble(robot.home)
-    joints = robot.mechanism.all_joints(found.actuated, found.passive)[0]
+    configurations = robot.assemble(robot.home)
+    joints = robot.mechanism.all_joints(configurations.actuated, configurations.passive)[0]
     index = {name: i for i, name in enumerate(robot.mechanism.origin_names)}
     return {joint.name: float(joints[index[joint.name]]) for joint in robot.urdf.joints if joint.type not in HELD_TYPES}
 
@@ -246,11 +246,11 @@ def motor_inertia(robot: Robot, urdf: UrdfText) -> tuple[float, ...]:
         if link.inertial is not None and link.inertial.mass > 0 and mechanism.frames.get(name, 0) > 0:
             body = pin.Inertia(link.inertial.mass, link.inertial.centre, possible_inertia(link.inertial.inertia))
             model.appendBodyToJoint(mechanism.frames[name], body, pin.SE3.Identity())
-    found = robot.assemble(robot.home)
-    joints = mechanism.all_joints(found.actuated, found.passive)[0]
+    configurations = robot.assemble(robot.home)
+    joints = mechanism.all_joints(configurations.actuated, configurations.passive)[0]
     rates = mechanism.select_actuated
     if mechanism.passive:
-        _, by_passive, by_actuated = residual(mechanism, found.actuated, found.passive)
+        _, by_passive, by_actuated = residual(mechanism, configurations.actuated, configurations.passive)
         rates = rates - mechanism.select_passive @ np.linalg.solve(by_passive[0], by_actuated[0])
     mass = pin.crba(model, model.createData(), joints)
     mass = np.triu(mass) + np.triu(mass, 1).T

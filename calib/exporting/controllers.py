@@ -123,10 +123,10 @@ def ur_kinematics(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
     chain, nominal = (serial_chain(robot, mechanism) for mechanism in (robot.mechanism, robot.nominal))
     _check_ur(robot, chain)
     mount = _mount(robot, nominal)
-    tail, found = nominal.links[-1], chain.links[-1]
-    turned = found.rotation @ tail.rotation.T
+    tail, calibrated_tail = nominal.links[-1], chain.links[-1]
+    turned = calibrated_tail.rotation @ tail.rotation.T
     theta = float(np.arctan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1]))
-    shift = np.array([0.0, 0.0, float(found.translation[2] - tail.translation[2])])
+    shift = np.array([0.0, 0.0, float(calibrated_tail.translation[2] - tail.translation[2])])
     last = chain.links[-2] * pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, theta), shift)
     origins = [mount.inverse() * chain.links[0], *chain.links[1:-2], last]
     left = remainder(robot, chain, _product([mount * origins[0], *origins[1:], tail]))
@@ -156,11 +156,11 @@ def _check_ur(robot: Robot, chain: SerialChain) -> None:
     """Raise `InputError` unless the chain is that of ur_description: six joints about z, no fixed joints between."""
     names = [joint.name for joint in chain.joints]
     prefix = names[0].removesuffix(_UR_JOINTS["shoulder"])
-    wanted = [prefix + name for name in _UR_JOINTS.values()]
+    expected = [prefix + name for name in _UR_JOINTS.values()]
     hint = "make the URDF with 'xacro ur.urdf.xacro ur_type:=... name:=ur' of ur_description, and calibrate that"
-    if names != wanted:
+    if names != expected:
         raise InputError(
-            f"{robot.urdf.path}: format 'ur-kinematics' needs the joints {', '.join(wanted)}, not"
+            f"{robot.urdf.path}: format 'ur-kinematics' needs the joints {', '.join(expected)}, not"
             f" {', '.join(names)}; {hint}"
         )
     for k, joint in enumerate(chain.joints):
@@ -194,9 +194,9 @@ def _product(links: Sequence[pin.SE3]) -> Callable[[FloatArray], FloatArray]:
 def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFile:
     """Return a sign and a zero correction for each joint with a motor, and what they alone reach: see `joint_zeros`."""
     q, where = judging_poses(robot)
-    found = joint_zeros(robot, q)
-    left, before = (Remainder.of(distances, where) for distances in (found.left, found.before))
-    anew = ", base and target placed anew" if found.placed else ""
+    zeros = joint_zeros(robot, q)
+    left, before = (Remainder.of(distances, where) for distances in (zeros.left, zeros.before))
+    anew = ", base and target placed anew" if zeros.placed else ""
     statement = (
         f"holds one zero and a sign for each joint: {left.text()}{anew}; the nominal model without them has"
         f" {millimetres(before.rms):.4g} mm RMS"
@@ -209,10 +209,10 @@ def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
     ]
     dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
     units = [DISPLAY_UNIT[dimension] for dimension in dimensions]
-    shown = [float(v) * PER_SI[dim][unit] for v, unit, dim in zip(found.offsets, units, dimensions, strict=True)]
+    shown = [float(v) * PER_SI[dim][unit] for v, unit, dim in zip(zeros.offsets, units, dimensions, strict=True)]
     columns: list[tuple[str, Sequence[object]]] = [
         ("joint", robot.joint_names),
-        ("sign", [f"{sign:.0f}" for sign in found.signs]),
+        ("sign", [f"{sign:.0f}" for sign in zeros.signs]),
         ("offset", shown),
         ("unit", units),
     ]

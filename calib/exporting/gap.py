@@ -126,8 +126,8 @@ def loop_gaps(robot: Robot, q: ArrayLike | None = None) -> tuple[Gap, ...]:
         return ()
     poses = poses_near_home(robot) if q is None else robot.joint_vector(q)
     where = f" within {100 * _REACH:.0f} % of the joint ranges from home" if q is None else ""
-    found = robot.assemble(np.vstack([robot.home, poses]))
-    joints = robot.mechanism.all_joints(found.actuated, found.passive)
+    configurations = robot.assemble(np.vstack([robot.home, poses]))
+    joints = robot.mechanism.all_joints(configurations.actuated, configurations.passive)
     gaps = []
     for index, loop in enumerate(robot.mechanism.loops):
         values = _whole_value(robot, joints, loop)

@@ -54,14 +54,14 @@ def joint_zeros(robot: Robot, q: FloatArray) -> JointZeros:
     origins = [robot.mechanism.origin(place) for place in robot.mechanism.places]
     places = {origin: robot.mechanism.placement(origin) for origin in origins}
     plain = replace(robot, mechanism=robot.nominal.with_placements(places), terms=())
-    wanted = robot.positions(q)
+    positions = robot.positions(q)
     actual = robot.actual(q, robot.term_columns(q))
     signs = np.where(np.sum((q - q.mean(axis=0)) * (actual - actual.mean(axis=0)), axis=0) < 0, -1.0, 1.0)
     some = slice(int(np.ceil(_FITTED * len(q))))
     start = np.mean(actual - signs * q, axis=0)
-    offsets, _ = _nearest(plain, signs * q[some], wanted[some], start, free=True)
-    left = _nearest(plain, signs * q, wanted, offsets, free=False)[1]
-    before = _nearest(plain, q, wanted, np.zeros(len(start)), free=False)[1]
+    offsets, _ = _nearest(plain, signs * q[some], positions[some], start, free=True)
+    left = _nearest(plain, signs * q, positions, offsets, free=False)[1]
+    before = _nearest(plain, q, positions, np.zeros(len(start)), free=False)[1]
     description = robot.description
     unknown = any(target.position == "unknown" for target in description.targets.values())
     offsets = np.where(np.abs(offsets) < _SETTLED, 0.0, offsets)
@@ -69,38 +69,38 @@ def joint_zeros(robot: Robot, q: FloatArray) -> JointZeros:
 
 
 def _nearest(
-    plain: Robot, q: FloatArray, wanted: FloatArray, offsets: FloatArray, *, free: bool
+    plain: Robot, q: FloatArray, positions: FloatArray, offsets: FloatArray, *, free: bool
 ) -> tuple[FloatArray, FloatArray]:
     """Offsets, changed only if they are free, and the distances (n, n_targets) that they and the placing leave."""
-    centre: FloatArray = np.mean(wanted, axis=(0, 1))
-    places = _Places(pin.SE3.Identity(), np.zeros((wanted.shape[1], 3)))
+    centre: FloatArray = np.mean(positions, axis=(0, 1))
+    places = _Places(pin.SE3.Identity(), np.zeros((positions.shape[1], 3)))
     by_zeros: FloatArray = np.zeros((0, 0))
     by_places: FloatArray = np.zeros((0, 0))
     largest = np.inf
     for _ in range(_ROUNDS):
         frames = _frames(plain, q + offsets, centre)
-        residual = (places.positions(frames) - (wanted - centre)).ravel()
+        residual = (places.positions(frames) - (positions - centre)).ravel()
         if largest > _SMALL:  # both derivatives at one point: what they share is eliminated
             by_places = places.derivative(frames, plain)
             by_zeros = _slopes(plain, q + offsets, centre, places) if free else np.zeros((residual.size, len(offsets)))
-        known = np.isfinite(residual) & np.all(np.isfinite(by_zeros), axis=1) & np.all(np.isfinite(by_places), axis=1)
-        change, moved = _step(by_zeros[known], by_places[known], -residual[known])
+        finite = np.isfinite(residual) & np.all(np.isfinite(by_zeros), axis=1) & np.all(np.isfinite(by_places), axis=1)
+        change, moved = _step(by_zeros[finite], by_places[finite], -residual[finite])
         offsets, places = offsets + change, places.changed(moved, plain)
         largest = float(np.max(np.abs(np.concatenate([change, moved]))))
         if largest < _SETTLED:
             break
-    distances = np.linalg.norm(places.positions(_frames(plain, q + offsets, centre)) - (wanted - centre), axis=2)
+    distances = np.linalg.norm(places.positions(_frames(plain, q + offsets, centre)) - (positions - centre), axis=2)
     return offsets, distances[np.all(np.isfinite(distances), axis=1)]
 
 
-def _step(by_zeros: FloatArray, by_places: FloatArray, wanted: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Least squares of by_zeros x + by_places y = wanted, with x = 0 wherever y can do it: (x, y)."""
-    basis = scipy.linalg.orth(by_places) if by_places.size else np.zeros((len(wanted), 0))
+def _step(by_zeros: FloatArray, by_places: FloatArray, change: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least squares of by_zeros x + by_places y = change, with x = 0 wherever y can do it: (x, y)."""
+    basis = scipy.linalg.orth(by_places) if by_places.size else np.zeros((len(change), 0))
     alone = by_zeros - basis @ (basis.T @ by_zeros)
     left, sizes, right = np.linalg.svd(alone, full_matrices=False)
     shown = sizes > _UNDETERMINED * np.linalg.norm(by_zeros)  # of the zeros as they are, not of what is left of them
-    x = right[shown].T @ ((left[:, shown].T @ wanted) / sizes[shown])
-    y = np.linalg.lstsq(by_places, wanted - by_zeros @ x, rcond=_UNDETERMINED)[0]
+    x = right[shown].T @ ((left[:, shown].T @ change) / sizes[shown])
+    y = np.linalg.lstsq(by_places, change - by_zeros @ x, rcond=_UNDETERMINED)[0]
     return x, y
 
 
@@ -165,9 +165,9 @@ def _frames(robot: Robot, q: FloatArray, centre: FloatArray) -> FloatArray:
     mechanism = robot.mechanism
     loops = robot.close(q)
     ok = loops.ok
-    found = np.full((len(q), len(mechanism.targets), 4, 4), np.nan)
+    frames = np.full((len(q), len(mechanism.targets), 4, 4), np.nan)
     closed = robot.assemble(q[ok], loops.passive[ok])
     swept = kinematics.sweep(mechanism, mechanism.all_joints(closed.actuated, closed.passive), mechanism.targets)
-    found[ok] = np.stack([kinematics.relative_pose(swept, target) for target in mechanism.targets], axis=1)
-    found[..., :3, 3] -= centre
-    return found
+    frames[ok] = np.stack([kinematics.relative_pose(swept, target) for target in mechanism.targets], axis=1)
+    frames[..., :3, 3] -= centre
+    return frames

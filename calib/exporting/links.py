@@ -92,11 +92,11 @@ def read_links(urdf: UrdfText) -> dict[str, Link]:
 
 def _link(link: Element, colours: dict[str, tuple[float, ...]], where: str) -> Link:
     shapes: dict[str, list[Shape]] = {"visual": [], "collision": []}
-    for role, found in shapes.items():
+    for role, of_role in shapes.items():
         for element in link.iterfind(role):
             shape = _shape(element, colours, f"{where}, {role}")
             if shape is not None:
-                found.append(shape)
+                of_role.append(shape)
     inertial = link.find("inertial")
     return Link(
         None if inertial is None else _inertial(inertial, f"{where}, inertial"),
@@ -121,20 +121,20 @@ def _inertial(element: Element, where: str) -> Inertial:
 
 def _shape(element: Element, colours: dict[str, tuple[float, ...]], where: str) -> Shape | None:
     geometry = element.find("geometry")
-    found = next(iter(geometry), None) if geometry is not None else None
-    if found is None or found.tag not in ("box", "cylinder", "sphere", "mesh"):
+    shape = next(iter(geometry), None) if geometry is not None else None
+    if shape is None or shape.tag not in ("box", "cylinder", "sphere", "mesh"):
         return None
     size: tuple[float, ...]
-    if found.tag == "box":
-        size = _numbers(found.get("size", ""), 3, where)
-    elif found.tag == "mesh":
-        size = _numbers(found.get("scale", "1 1 1"), 3, where)
+    if shape.tag == "box":
+        size = _numbers(shape.get("size", ""), 3, where)
+    elif shape.tag == "mesh":
+        size = _numbers(shape.get("scale", "1 1 1"), 3, where)
     else:
-        keys = ("radius", "length") if found.tag == "cylinder" else ("radius",)
-        size = tuple(_numbers(found.get(key, ""), 1, where)[0] for key in keys)
+        keys = ("radius", "length") if shape.tag == "cylinder" else ("radius",)
+        size = tuple(_numbers(shape.get(key, ""), 1, where)[0] for key in keys)
     material = element.find("material")
     colour = _colour(material, colours, where) if material is not None else None
-    return Shape(found.tag, _placement(element, where), size, found.get("filename", ""), colour)
+    return Shape(shape.tag, _placement(element, where), size, shape.get("filename", ""), colour)
 
 
 def _colour(material: Element, named: dict[str, tuple[float, ...]], where: str) -> tuple[float, ...] | None:
@@ -187,8 +187,8 @@ def find_mesh(filename: str, urdf_path: str) -> Path | None:
     folder = Path(urdf_path).resolve().parent
     name = filename.removeprefix("file://")
     if "://" not in name:
-        found = folder / name  # an absolute name stays as it is
-        return found if found.is_file() else None
+        mesh = folder / name  # an absolute name stays as it is
+        return mesh if mesh.is_file() else None
     if not name.startswith("package://"):
         return None
     inside = name.removeprefix("package://")

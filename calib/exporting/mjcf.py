@@ -212,15 +212,15 @@ class _Writer:
 
     def _welded(self, name: str) -> set[str]:
         """Links that are fixed to a link, itself included."""
-        found, waiting = {name}, [name]
+        welded, waiting = {name}, [name]
         held = [joint for joint in self.model.urdf.joints if joint.type in HELD_TYPES]
         while waiting:
             link = waiting.pop()
             near = {joint.child for joint in held if joint.parent == link}
             near |= {joint.parent for joint in held if joint.child == link}
-            waiting.extend(near - found)
-            found |= near
-        return found
+            waiting.extend(near - welded)
+            welded |= near
+        return welded
 
     def _equality(self, root: Element) -> None:
         followers = [

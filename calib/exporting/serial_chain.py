@@ -158,11 +158,11 @@ def remainder(robot: Robot, chain: SerialChain, forward: Callable[[FloatArray], 
     """
     q, where = judging_poses(robot)
     columns = [robot.joint_names.index(joint.name) for joint in chain.joints]
-    found = forward(q[:, columns])
+    T_format = forward(q[:, columns])
     base, tip = (robot.forward(q, name) for name in (chain.base, chain.tip))
-    wanted = np.linalg.inv(base) @ tip
+    T_robot = np.linalg.inv(base) @ tip
     point = np.append(chain.point.translation, 1.0)
-    distance = np.linalg.norm(((found - wanted) @ point)[:, :3], axis=1)
-    turned = np.linalg.norm(found[:, :3, :3] - wanted[:, :3, :3], axis=(1, 2)) / np.sqrt(8)  # sin(angle / 2)
+    distance = np.linalg.norm(((T_format - T_robot) @ point)[:, :3], axis=1)
+    turned = np.linalg.norm(T_format[:, :3, :3] - T_robot[:, :3, :3], axis=(1, 2)) / np.sqrt(8)  # sin(angle / 2)
     angle = float(np.max(2 * np.arcsin(np.minimum(turned, 1.0))))
     return Remainder.of(distance, where, angle)

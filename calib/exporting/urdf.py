@@ -41,7 +41,7 @@ def urdf_bytes(robot: Robot, provenance: Sequence[str] | None = None) -> bytes:
 def with_mesh_prefix(source: bytes, prefix: str) -> bytes:
     """Return URDF bytes in which this stands before every mesh path that is relative to the URDF."""
     start = quoteattr(prefix.rstrip("/") + "/")[1:-1].encode("ascii", "xmlcharrefreplace")
-    return _MESH.sub(lambda found: found.group() + start, source)
+    return _MESH.sub(lambda match: match.group() + start, source)
 
 
 def provenance_lines(robot: Robot) -> list[str]:

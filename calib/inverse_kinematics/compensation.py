@@ -113,8 +113,8 @@ class Compensation(ReadOnlyArrays):
         rows = np.flatnonzero(self.ok)
         closed = nominal.close(self.q[rows])
         rows, target = rows[closed.ok], nominal.mechanism.targets[nominal.target_names.index(self.target)]
-        found = actuated_jacobian(nominal.mechanism, target, self.q[rows], closed.passive[closed.ok])
-        positions[rows], rotations[rows] = found[:2]
+        pose_and_jacobian = actuated_jacobian(nominal.mechanism, target, self.q[rows], closed.passive[closed.ok])
+        positions[rows], rotations[rows] = pose_and_jacobian[:2]
         return positions, rotations
 
     def jumps(self) -> list[str]:
@@ -190,8 +190,8 @@ def _of_joints(meant: Robot, program: Poses, keep: str | None) -> _Asked:
     closed = meant.close(joints)
     mechanism, target, n = meant.mechanism, meant.mechanism.targets[0], len(joints)
     positions, rotations = np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1))
-    found = actuated_jacobian(mechanism, target, joints[closed.ok], closed.passive[closed.ok])
-    positions[closed.ok], rotations[closed.ok], jacobian = found
+    pose_and_jacobian = actuated_jacobian(mechanism, target, joints[closed.ok], closed.passive[closed.ok])
+    positions[closed.ok], rotations[closed.ok], jacobian = pose_and_jacobian
     if keep is None:
         keep = "pose" if _moves_freely(jacobian * mechanism.joint_scale, mechanism.length) else "position"
     pose = Goals(positions, rotations, names=program.names, labels=program.labels, target=target.name)
@@ -238,10 +238,10 @@ def _on_one_branch(robot: Robot, reach: Reach, q: FloatArray, ok: BoolArray) -> 
         rows = rows[np.diff(rows, prepend=-2) > 1]  # those that follow one of them come after it
         tried[rows] = True
         start = robot.assemble(q[rows - 1])
-        found = descend(reach, rows, Configured(start.actuated, start.passive, np.full(len(rows), np.inf)))
-        shorter = np.max(np.abs(found.actuated - q[rows - 1]) / reach.scale, axis=1) < step[rows - 1]
-        better = shorter & _reached(reach, found)
-        q[rows[better]] = found.actuated[better]
+        continued = descend(reach, rows, Configured(start.actuated, start.passive, np.full(len(rows), np.inf)))
+        shorter = np.max(np.abs(continued.actuated - q[rows - 1]) / reach.scale, axis=1) < step[rows - 1]
+        better = shorter & _reached(reach, continued)
+        q[rows[better]] = continued.actuated[better]
         tried[np.minimum(rows[better] + 1, len(q) - 1)] = False
     return q
 
@@ -264,14 +264,14 @@ def _compensated(
     at = actuated_jacobian(robot.mechanism, reach.target, start.actuated, start.passive)[0]
     before[rows] = np.linalg.norm(at - meant[rows], axis=1)
     near = start if asked.nearly is None else descend(problem(robot, asked.nearly), rows, start)
-    found = _past_limits(reach, rows, start, nearer(reach, rows, descend(reach, rows, near), near.actuated))
-    commands = robot.commands(found.actuated, Context.of(approach[rows], {}))
-    reasons[rows] = _reasons(robot, replace(reach, goals=asked.goals.subset(rows)), found, commands, program[rows])
+    solutions = _past_limits(reach, rows, start, nearer(reach, rows, descend(reach, rows, near), near.actuated))
+    commands = robot.commands(solutions.actuated, Context.of(approach[rows], {}))
+    reasons[rows] = _reasons(robot, replace(reach, goals=asked.goals.subset(rows)), solutions, commands, program[rows])
     good = np.flatnonzero(reasons[rows] == "")
     q[rows[good]] = commands[good]
     if predict is not None and len(good):
-        known, t = predict(commands[good]), robot.target_names.index(reach.target.name)
-        expected[:, rows[good]] = known.distance[:, t], *known.distance95[:, :, t]
+        uncertainty, t = predict(commands[good]), robot.target_names.index(reach.target.name)
+        expected[:, rows[good]] = uncertainty.distance[:, t], *uncertainty.distance95[:, :, t]
     return Compensation(
         asked.goals.names,
         asked.goals.labels,
@@ -289,30 +289,30 @@ def _compensated(
     )
 
 
-def _past_limits(reach: Reach, rows: IntArray, start: Configured, found: Configured) -> Configured:
+def _past_limits(reach: Reach, rows: IntArray, start: Configured, solutions: Configured) -> Configured:
     """Take what would reach the goals if the actuated joints had no limits, where nothing within them does."""
     nothing = np.full(len(reach.lower), np.inf)
-    missed = np.flatnonzero(~_reached(reach, found))
+    missed = np.flatnonzero(~_reached(reach, solutions))
     free = descend(replace(reach, lower=-nothing, upper=nothing), rows[missed], start.subset(missed))
     won = _reached(reach, free)
-    actuated, passive, distance = found.actuated.copy(), found.passive.copy(), found.distance.copy()
+    actuated, passive, distance = solutions.actuated.copy(), solutions.passive.copy(), solutions.distance.copy()
     actuated[missed[won]], passive[missed[won]] = free.actuated[won], free.passive[won]
     distance[missed[won]] = free.distance[won]
     return Configured(actuated, passive, distance)
 
 
-def _reached(reach: Reach, found: Configured) -> BoolArray:
+def _reached(reach: Reach, solutions: Configured) -> BoolArray:
     """Which goals are reached, (n,)."""
-    result: BoolArray = found.distance <= TOLERANCE * min(1.0, reach.mechanism.length)
+    result: BoolArray = solutions.distance <= TOLERANCE * min(1.0, reach.mechanism.length)
     return result
 
 
-def _reasons(robot: Robot, reach: Reach, found: Configured, commands: FloatArray, program: FloatArray) -> list[str]:
+def _reasons(robot: Robot, reach: Reach, solutions: Configured, commands: FloatArray, program: FloatArray) -> list[str]:
     """Say of every goal why its command (n, n_actuated) is none; empty where it is one."""
-    _, miss, angle = reach.misses(found.actuated, found.passive)
+    _, miss, angle = reach.misses(solutions.actuated, solutions.passive)
     closed = robot.close(commands).ok  # the loops were followed from elsewhere
     result = []
-    for k, reached in enumerate(_reached(reach, found)):
+    for k, reached in enumerate(_reached(reach, solutions)):
         why = _beyond(reach, program[k], "in the program") or (_beyond(reach, commands[k], "needed") if reached else "")
         if not (why or reached):
             degrees = f" and {np.degrees(angle[k]):.3f} deg" if angle[k] > TOLERANCE else ""

@@ -65,8 +65,8 @@ def correction_grid(robot: Robot, program: Goals, counts: tuple[int, int, int]) 
     nodes = _mesh(axes)
     middles = _mesh([0.5 * (axis[1:] + axis[:-1]) if len(axis) > 1 else axis for axis in axes])
     tried = np.concatenate([middles, program.positions])
-    found = _corrections(robot, program.target, np.concatenate([nodes, tried]), orientation)
-    at_nodes, exact = found[: len(nodes)], found[len(nodes) :]
+    corrections = _corrections(robot, program.target, np.concatenate([nodes, tried]), orientation)
+    at_nodes, exact = corrections[: len(nodes)], corrections[len(nodes) :]
     # an axis of one node does not interpolate
     long = [k for k, axis in enumerate(axes) if len(axis) > 1]
     shape = tuple(len(axes[k]) for k in long)
@@ -122,13 +122,13 @@ def _corrections(robot: Robot, target: str, positions: FloatArray, rotation: Flo
     goals = Goals(positions, labels=labels, target=target)
     if rotation is not None:
         goals = replace(goals, rotations=np.tile(rotation, (len(positions), 1, 1)))
-    found = compensate(robot, goals)
-    misses = found.misses()
+    compensation = compensate(robot, goals)
+    misses = compensation.misses()
     if misses:
         raise UnreachablePoseError(
             f"{counted(len(misses), 'point')} of the grid cannot be reached: {listed(misses, '; ', 3)}; make it smaller"
         )
-    told, turned = found.told(robot)
+    told, turned = compensation.told(robot)
     turns = np.zeros((len(positions), 3))
     if rotation is not None:
         turns = np.array([pin.log3(one @ rotation.T) for one in turned])

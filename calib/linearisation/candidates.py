@@ -81,7 +81,7 @@ def assumed_sigma(robot: Robot, sigma: float | None) -> tuple[float, bool]:
         for part, noise in zip(one.parts, stated_noise(one, sigma).parts, strict=True)
         if part.dimension == "length"
     ]
-    for part, noise in sorted(lengths, key=lambda found: found[0].name != "position"):
+    for part, noise in sorted(lengths, key=lambda length: length[0].name != "position"):
         typical = np.sqrt(np.median(np.diag(noise.covariance(np.full((1, 3), 1.0), 1, len(part.axes))[0])))
         return float(typical) if noise.stated else ASSUMED[part.dimension], assumed
     return 1.0, assumed
@@ -112,9 +112,9 @@ def rows_of_poses(
     n = len(configurations.actuated)
     names = tuple(str(k) for k in range(n))
     poses = Poses(configurations.actuated, names, names, "", ())
-    wanted = looks_at(robot, poses) if looks is None else looks
-    places = blocks_of(robot, wanted) if blocks is None else blocks
-    readings = predicted_readings(robot, configurations, wanted)
+    looks = looks_at(robot, poses) if looks is None else looks
+    places = blocks_of(robot, looks) if blocks is None else blocks
+    readings = predicted_readings(robot, configurations, looks)
     data = measurements(poses, readings)
     observed = observe(robot, configurations, readings)
     positions, by_parameter = _positions(robot, configurations, data, observed)
@@ -124,11 +124,11 @@ def rows_of_poses(
     if data.n_readings == 0:
         return PoseRows(rows, read, places, positions, position_rows)
     whitening = Whitening(robot, data, sigma)
-    found = whitening.rows(observed, whitening.start(), chosen, chosen.deviations(robot.values))
+    whitened = whitening.rows(observed, whitening.start(), chosen, chosen.deviations(robot.values))
     for name in whitening.layout.instruments:
         visits, n_rows = readings[name].visits, robot.instrument(name).n_rows
         at = places[name].start + n_rows * rank_in_visit(visits)[:, None] + np.arange(n_rows)
-        part = found.jacobian[whitening.layout.rows_of(name)]
+        part = whitened.jacobian[whitening.layout.rows_of(name)]
         rows[visits[:, None], at] = part.reshape(len(visits), n_rows, len(chosen))
         read[visits[:, None], at] = True
     return PoseRows(rows, read, places, positions, position_rows)
@@ -149,13 +149,13 @@ def _positions(
 ) -> tuple[FloatArray, FloatArray]:
     """Positions of targets and their derivative, from instruments that measure just these where there are."""
     n = len(configurations.actuated)
-    seen = {
+    position_instruments = {
         one.target: one.name
         for one in robot.instruments
         if isinstance(one, Position) and np.array_equal(data.readings[one.name].visits, np.arange(n))
     }
-    if set(seen) == set(robot.target_names):
-        names = [seen[target] for target in robot.target_names]
+    if set(position_instruments) == set(robot.target_names):
+        names = [position_instruments[target] for target in robot.target_names]
         positions = np.stack([data.readings[name].values for name in names], axis=1)
         return positions, np.stack([observed[name].jacobian for name in names], axis=1)
     linear = linearise(robot, configurations)
@@ -210,7 +210,7 @@ def build_candidates(
         distance[good] = robot.singular_values(robot.configurations(q[good], closed.at(good)))
         good = np.flatnonzero(distance >= robot.description.singularity_limit)
         configurations = robot.configurations(q[good], closed.at(good))
-        here = {name: of_visits(found, start + good) for name, found in looks.items()}
+        here = {name: of_visits(readings, start + good) for name, readings in looks.items()}
         part = rows_of_poses(robot, configurations, sigma, unknowns, here, blocks)
         rows[start + good], read[start + good], positions[start + good] = part.rows, part.read, part.positions
         position_rows[start + good] = part.position_rows
@@ -246,10 +246,10 @@ def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> tuple[F
     unknowns = Unknowns.chosen_by_poses(robot)
     whitening = Whitening(robot, poses, sigma)
     observed = observe(robot, configurations, poses.readings)
-    found = whitening.rows(observed, whitening.start(), unknowns, unknowns.deviations(robot.values))
+    whitened = whitening.rows(observed, whitening.start(), unknowns, unknowns.deviations(robot.values))
     linear = linearise(robot, configurations)
     position_rows = (linear.jacobian[..., unknowns.index] * unknowns.scales).reshape(len(poses), -1, len(unknowns))
-    return found.jacobian, linear.positions, position_rows
+    return whitened.jacobian, linear.positions, position_rows
 
 
 def near_measured(candidates: FloatArray, measured: FloatArray) -> BoolArray:
@@ -276,15 +276,15 @@ def _reasons(
     robot: Robot, q: FloatArray, ok: BoolArray, distance: FloatArray, labels: Sequence[str], already: int
 ) -> list[str]:
     limit = robot.description.singularity_limit
-    found: list[str] = []
+    reasons: list[str] = []
     for k in (int(number) for number in np.flatnonzero(distance < limit)):
         if ok[k]:
-            found.append(near_singularity(labels[k], distance[k], limit))
+            reasons.append(near_singularity(labels[k], distance[k], limit))
             continue
-        shown = already + len(found) < _SHOWN  # a search each: not for thousands
+        shown = already + len(reasons) < _SHOWN  # a search each: not for thousands
         why = f" ({why_open(robot.mechanism, robot.mode, q[k])})" if shown else ""
-        found.append(f"{labels[k]}: cannot be assembled{why}")
-    return found
+        reasons.append(f"{labels[k]}: cannot be assembled{why}")
+    return reasons
 
 
 def _listed(reasons: Sequence[str]) -> str:

@@ -65,7 +65,7 @@ def observe(
     twists = parameter_twists(robot)
     if n_actuated:
         twists = np.hstack([twists, joint_twists(mechanism)])
-    work = [_Work(robot, robot.instrument(name), found, n_actuated) for name, found in readings.items()]
+    work = [_Work(robot, robot.instrument(name), own, n_actuated) for name, own in readings.items()]
     pairs = tuple(dict.fromkeys(pair for one in work for pair in one.pairs))
     for part, swept in sweeps(mechanism, configurations, pairs):
         for one in work:
@@ -112,10 +112,10 @@ class _Work:
         at = self.readings.visits[chosen] - part.start
         poses = kinematics.relative_pose(swept, pair)[at]
         view = View(poses[:, :3, :3], poses[:, :3, 3], np.full(len(at), np.nan))
-        found = self._compare(chosen, view)
-        angular = bool(np.any(found.by_twist[:, :, 3:]))
+        comparison = self._compare(chosen, view)
+        angular = bool(np.any(comparison.by_twist[:, :, 3:]))
         motion = relative_motion(self.robot.mechanism, swept, pair, slope, twists, angular=angular)
-        by_twist = found.by_twist[:, :, : motion.shape[1]]
+        by_twist = comparison.by_twist[:, :, : motion.shape[1]]
         if len(at) != len(motion) or np.any(at != np.arange(len(at))):
             motion = motion[at]
         self._columns[chosen] += motion if _is_identity(by_twist) else np.matmul(by_twist, motion)
@@ -134,24 +134,24 @@ class _Work:
         joints = mechanism.all_joints(configurations.actuated[part], configurations.passive[part])
         n = len(at)
         view = View(np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)), joints[at, index])
-        found = self._compare(chosen, view)
-        if found.by_joint is None:
+        comparison = self._compare(chosen, view)
+        if comparison.by_joint is None:
             raise TypeError(f"{type(self.instrument).__name__} reads a joint, but gives no derivative by it")
         motion = passive_motion(mechanism, swept, mechanism.select_passive[index], configurations.slope[part], twists)
-        self._columns[chosen] += found.by_joint[:, :, None] * motion[at]
+        self._columns[chosen] += comparison.by_joint[:, :, None] * motion[at]
         n_actuated = self._columns.shape[2] - self._n_parameters
         if n_actuated:
             self._columns[chosen, :, self._n_parameters :] += (
-                found.by_joint[:, :, None] * mechanism.select_actuated[index]
+                comparison.by_joint[:, :, None] * mechanism.select_actuated[index]
             )
 
     def _compare(self, chosen: IntArray, view: View) -> Comparison:
         """Ask the kind, and keep residuals and the columns of its own unknowns."""
         own = self.robot.unknowns(self.instrument.name)
-        found = self.instrument.compare(view, self.robot.values[own], _some(self.readings, chosen))
-        self._residuals[chosen] = found.residuals
-        self._columns[chosen, :, own] += found.by_unknown
-        return found
+        comparison = self.instrument.compare(view, self.robot.values[own], _some(self.readings, chosen))
+        self._residuals[chosen] = comparison.residuals
+        self._columns[chosen, :, own] += comparison.by_unknown
+        return comparison
 
     def result(self, configurations: Configurations) -> Observed:
         """Return what was filled in."""
@@ -198,18 +198,18 @@ def predicted_readings(
     pairs = tuple(pair for name in wanted for pair in robot.pairs(robot.instrument(name)))
     swept = kinematics.sweep(mechanism, joints, pairs)
     result = {}
-    for name, found in wanted.items():
+    for name, looks in wanted.items():
         one = robot.instrument(name)
-        poses = np.tile(np.eye(4), (len(found), 1, 1))
+        poses = np.tile(np.eye(4), (len(looks), 1, 1))
         for number, pair in enumerate(robot.pairs(one)):
-            chosen = np.flatnonzero(found.pairs == number)
-            poses[chosen] = kinematics.relative_pose(swept, pair)[found.visits[chosen]]
-        value = np.full(len(found), np.nan)
+            chosen = np.flatnonzero(looks.pairs == number)
+            poses[chosen] = kinematics.relative_pose(swept, pair)[looks.visits[chosen]]
+        value = np.full(len(looks), np.nan)
         if one.joint is not None:
-            value = joints[found.visits, mechanism.origin_names.index(one.joint)]
+            value = joints[looks.visits, mechanism.origin_names.index(one.joint)]
         view = View(poses[:, :3, :3], poses[:, :3, 3], value)
-        values = one.predict(view, robot.values[robot.unknowns(name)], found.details)
-        result[name] = Readings(found.visits, found.pairs, values, None, found.details)
+        values = one.predict(view, robot.values[robot.unknowns(name)], looks.details)
+        result[name] = Readings(looks.visits, looks.pairs, values, None, looks.details)
     return result
 
 

@@ -96,10 +96,10 @@ def _seen_together(robot: Robot, data: Measurements, setup: int) -> list[tuple[B
     points = data.points(robot)
     n_setups = max(len(robot.description.setups), 1)
     in_setup = np.zeros(len(data), dtype=bool)
-    for name, found in data.readings.items():
+    for name, readings in data.readings.items():
         one = robot.instrument(name)
-        if one.points(found.values[:1]) is not None:
-            in_setup[found.visits[found.pairs * n_setups // len(robot.pairs(one)) == setup]] = True
+        if one.points(readings.values[:1]) is not None:
+            in_setup[readings.visits[readings.pairs * n_setups // len(robot.pairs(one)) == setup]] = True
     seen = np.isfinite(points).all(axis=2) & in_setup[:, None]
     if not np.any(seen):
         return []
@@ -114,14 +114,14 @@ def _seen_together(robot: Robot, data: Measurements, setup: int) -> list[tuple[B
 def _placed(robot: Robot, data: Measurements, seen: tuple[BoolArray, tuple[str, ...]], setup: int) -> Robot:
     frames = _Frames(robot, setup)
     frame_known = robot.description.base.pose == "known"
-    found = _registration(robot, data, seen, frames, frame_known=frame_known)
+    placement = _registration(robot, data, seen, frames, frame_known=frame_known)
     values: dict[str, float] = {}
-    for target, point in zip(seen[1], found.points, strict=True):
+    for target, point in zip(seen[1], placement.points, strict=True):
         if robot.description.targets[target].position == "unknown":
             values |= _named(frames.origin(robot, target), LENGTH_COMPONENTS, point)
     if not frame_known:
         base = frames.base(robot)
-        T_measurement_link = found.T_base_measurement.inverse()
+        T_measurement_link = placement.T_base_measurement.inverse()
         turned = pin.log3(robot.nominal.placement(base).rotation @ T_measurement_link.rotation)
         values |= _named(base, LENGTH_COMPONENTS, T_measurement_link.translation)
         values |= _named(base, ANGLE_COMPONENTS, turned)
@@ -181,8 +181,8 @@ def _guessed(robot: Robot, data: Measurements, one: Instrument, placed: list[str
     tried = [_with_guess(robot, one, guess, unknown) for guess in guesses]
 
     def miss(candidate: Robot) -> float:
-        found = observe(candidate, configurations, {name: data.readings[name] for name in placed})
-        return sum(len(each.residuals) * np.log(np.nanmean(each.residuals**2) + _EXACT) for each in found.values())
+        observed = observe(candidate, configurations, {name: data.readings[name] for name in placed})
+        return sum(len(each.residuals) * np.log(np.nanmean(each.residuals**2) + _EXACT) for each in observed.values())
 
     return robot if not tried else tried[0] if len(tried) == 1 else min(tried, key=miss)
 
@@ -215,13 +215,13 @@ def _with_guess(robot: Robot, one: Instrument, guess: Guess, unknown: Mapping[st
 def _orientations(robot: Robot, data: Measurements, seen: BoolArray, frames: _Frames) -> dict[str, float]:
     """Unknown orientations of targets, from where the measurement frame is now."""
     values: dict[str, float] = {}
-    for name, found in data.readings.items():
+    for name, readings in data.readings.items():
         one = robot.instrument(name)
-        turned = one.orientations(found.values)
+        turned = one.orientations(readings.values)
         if turned is None or robot.description.targets[one.target].orientation == "known":
             continue
-        chosen = seen[found.visits] & np.isfinite(turned).all(axis=(1, 2))
-        carriers = _carriers(robot, data, found.visits[chosen], [frames.pairs[one.target]])[0][:, :3, :3]
+        chosen = seen[readings.visits] & np.isfinite(turned).all(axis=(1, 2))
+        carriers = _carriers(robot, data, readings.visits[chosen], [frames.pairs[one.target]])[0][:, :3, :3]
         base = robot.mechanism.placement(frames.base(robot)).rotation
         mean = (
             scipy.spatial.transform.Rotation.from_matrix(carriers.transpose(0, 2, 1) @ base @ turned[chosen])

@@ -65,29 +65,29 @@ def simulate(
     if sigma is not None and not (np.isfinite(sigma) and sigma >= 0):
         raise DataError(f"sigma {sigma:g} m: must be a number, zero or positive")
     rng = random_numbers(seed)
-    where = as_poses(robot, poses)
-    looks = looks_at(robot, where)
-    off = np.zeros_like(where.joints)
+    poses = as_poses(robot, poses)
+    looks = looks_at(robot, poses)
+    off = np.zeros_like(poses.joints)
     if joint_sigma:
-        off = joint_sigma * robot.mechanism.joint_scale * rng.standard_normal(where.joints.shape)
-    touches = _touches(robot, where, looks, sigma, rng)
-    commands = where.joints
+        off = joint_sigma * robot.mechanism.joint_scale * rng.standard_normal(poses.joints.shape)
+    touches = _touches(robot, poses, looks, sigma, rng)
+    commands = poses.joints
     if touches:
-        _assembled(robot, where, commands, off)
-        commands, misses = at_contact(robot, where, touches, off)
-        _require_contact(where, misses)
-    configurations = _assembled(robot, where, commands, off)  # says which pose cannot be
+        _assembled(robot, poses, commands, off)
+        commands, misses = at_contact(robot, poses, touches, off)
+        _require_contact(poses, misses)
+    configurations = _assembled(robot, poses, commands, off)  # says which pose cannot be
     readings = dict[str, Readings]()
-    for name, found in predicted_readings(robot, configurations, looks).items():
+    for name, predicted in predicted_readings(robot, configurations, looks).items():
         one = robot.instrument(name)
         if name not in touches:
-            readings[name] = _noisy(one, found, sigma, rng)
-        elif len(found):
-            zeros = np.zeros((len(found), one.n_rows))
-            readings[name] = Readings(found.visits, found.pairs, zeros, None, found.details)
+            readings[name] = _noisy(one, predicted, sigma, rng)
+        elif len(predicted):
+            zeros = np.zeros((len(predicted), one.n_rows))
+            readings[name] = Readings(predicted.visits, predicted.pairs, zeros, None, predicted.details)
     noise = "noise as the description states it" if sigma is None else _said(sigma)
     said = (f"simulated measurements of {robot.name}", noise)
-    data = measurements(where, readings)
+    data = measurements(poses, readings)
     return Measurements(
         commands,
         data.labels,
@@ -111,44 +111,44 @@ def _said(sigma: float) -> str:
 
 
 def _touches(
-    robot: Robot, where: Poses, looks: Mapping[str, Readings], sigma: float | None, rng: np.random.Generator
+    robot: Robot, poses: Poses, looks: Mapping[str, Readings], sigma: float | None, rng: np.random.Generator
 ) -> dict[str, Readings]:
     """What is touched at which visit, and by how much each touch misses."""
-    unsaid = next(iter(unsaid_touches(robot, where)), None)
+    unsaid = next(iter(unsaid_touches(robot, poses)), None)
     if unsaid is not None:
         raise DataError(
-            f"{where.path}: nothing says what instrument '{unsaid.name}' touches at which pose; add a column"
+            f"{poses.path}: nothing says what instrument '{unsaid.name}' touches at which pose; add a column"
             f" '{unsaid.text_columns()[0]}' that names it, empty where nothing is touched"
         )
     result = {}
     for one in (one for one in robot.instruments if not one.columns()):
-        found = looks[one.name]
-        exact = Readings(found.visits, found.pairs, np.zeros((len(found), one.n_rows)), None, found.details)
+        look = looks[one.name]
+        exact = Readings(look.visits, look.pairs, np.zeros((len(look), one.n_rows)), None, look.details)
         result[one.name] = _noisy(one, exact, sigma, rng)
     return result
 
 
 def at_contact(
-    robot: Robot, where: Poses, touches: Mapping[str, Readings], off: FloatArray | None = None
+    robot: Robot, poses: Poses, touches: Mapping[str, Readings], off: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Bring the robot to what it touches; see the module docstring.
 
     Args:
         robot: The robot.
-        where: Poses to start from; those that touch nothing stay, or go with a touch that repeats the same pose.
+        poses: Poses to start from; those that touch nothing stay, or go with a touch that repeats the same pose.
         touches: What each instrument that touches is to touch, and by how much it shall miss.
         off: What the joints are off, in their commands unseen, (n, n_actuated) [m or rad]; nothing if not given.
 
     Returns:
         Commands, (n, n_actuated) [m or rad]; how far each is from contact, (n,) [m]: less than `MET` where it is there.
     """
-    errors = np.zeros_like(where.joints) if off is None else off
-    (lower, upper), follows = _limits(robot, where), _follows(where, touches)
-    scale, commands = robot.mechanism.joint_scale, where.joints
-    everyone, given_up = np.arange(len(where)), np.zeros(len(where), dtype=bool)
+    errors = np.zeros_like(poses.joints) if off is None else off
+    (lower, upper), follows = _limits(robot, poses), _follows(poses, touches)
+    scale, commands = robot.mechanism.joint_scale, poses.joints
+    everyone, given_up = np.arange(len(poses)), np.zeros(len(poses), dtype=bool)
     for _ in range(_ROUNDS):  # again where a move turned the direction from which the next visit is approached
-        gaps, slopes = _gaps(robot, where, commands, errors, touches, everyone)
-        miss, damping = np.linalg.norm(gaps, axis=1), np.full(len(where), _FIRST_DAMPING)
+        gaps, slopes = _gaps(robot, poses, commands, errors, touches, everyone)
+        miss, damping = np.linalg.norm(gaps, axis=1), np.full(len(poses), _FIRST_DAMPING)
         active = np.flatnonzero((miss >= MET) & ~given_up)
         if len(active) == 0:
             break
@@ -159,7 +159,7 @@ def at_contact(
             held = ((at <= lower[active]) & (step < 0)) | ((at >= upper[active]) & (step > 0))
             trial = commands.copy()
             trial[active] = np.clip(at + _damped_step(*here, held) * scale, lower[active], upper[active])
-            there, slopes_there = _gaps(robot, where, trial, errors, touches, active)
+            there, slopes_there = _gaps(robot, poses, trial, errors, touches, active)
             left = np.linalg.norm(there, axis=1)
             better = left < miss[active]
             gained = active[better]
@@ -172,15 +172,15 @@ def at_contact(
                 break
         given_up |= miss >= MET
         commands = commands[follows]
-    return commands, np.linalg.norm(_gaps(robot, where, commands, errors, touches, everyone)[0], axis=1)
+    return commands, np.linalg.norm(_gaps(robot, poses, commands, errors, touches, everyone)[0], axis=1)
 
 
-def _require_contact(where: Poses, misses: FloatArray) -> None:
+def _require_contact(poses: Poses, misses: FloatArray) -> None:
     """Raise `UnreachablePoseError` where some pose misses (n,) [m] what it should touch."""
     worst, more = int(np.argmax(misses)), int(np.sum(misses >= MET)) - 1
     if misses[worst] >= MET:
         raise UnreachablePoseError(
-            f"{where.labels[worst]}{f' and {more} more' if more else ''}: no joint values near these touch what they"
+            f"{poses.labels[worst]}{f' and {more} more' if more else ''}: no joint values near these touch what they"
             f" should; the best that were found miss by {millimetres(misses[worst]):.3g} mm; start nearer to contact"
         )
 
@@ -196,17 +196,17 @@ def _damped_step(gaps: FloatArray, slopes: FloatArray, damping: FloatArray, held
     return step * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300))
 
 
-def _limits(robot: Robot, where: Poses) -> tuple[FloatArray, FloatArray]:
+def _limits(robot: Robot, poses: Poses) -> tuple[FloatArray, FloatArray]:
     """Where the joints may go, (n, n_actuated) each: within the URDF's limits, or where they stand already."""
     limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
     lower, upper = np.array([limits[name] for name in robot.joint_names]).T
-    return np.minimum(lower, where.joints), np.maximum(upper, where.joints)
+    return np.minimum(lower, poses.joints), np.maximum(upper, poses.joints)
 
 
-def _follows(where: Poses, touches: Mapping[str, Readings]) -> IntArray:
+def _follows(poses: Poses, touches: Mapping[str, Readings]) -> IntArray:
     """Whose joint values each visit takes: its own; or, touching nothing, those of a touch that repeats its pose."""
-    touching = np.unique(np.concatenate([found.visits for found in touches.values()]))
-    numbers, result = where.pose_numbers, np.arange(len(where))
+    touching = np.unique(np.concatenate([readings.visits for readings in touches.values()]))
+    numbers, result = poses.pose_numbers, np.arange(len(poses))
     first = dict(zip(numbers[touching[::-1]].tolist(), touching[::-1].tolist(), strict=True))
     for k in np.setdiff1d(result, touching):
         result[k] = first.get(int(numbers[k]), k)
@@ -215,7 +215,7 @@ def _follows(where: Poses, touches: Mapping[str, Readings]) -> IntArray:
 
 def _gaps(
     robot: Robot,
-    where: Poses,
+    poses: Poses,
     commands: FloatArray,
     off: FloatArray,
     touches: Mapping[str, Readings],
@@ -226,43 +226,43 @@ def _gaps(
     Returns:
         (n, n_gaps) [m], 0 where fewer, infinite where the robot cannot be assembled; (n, n_gaps, n_actuated).
     """
-    context = Context.of(directions_of_motion(commands), where.context)
+    context = Context.of(directions_of_motion(commands), poses.context)
     columns = tuple(part[index] for part in robot.term_columns(commands + off, context))
     q = (commands + off)[index]
     closed = robot.close(q, columns=columns)
     ok = np.flatnonzero(closed.ok)
     configurations = robot.configurations(q[ok], closed.at(ok), tuple(part[ok] for part in columns))
-    here = {name: of_visits(found, index[ok]) for name, found in touches.items()}
+    here = {name: of_visits(readings, index[ok]) for name, readings in touches.items()}
     observed = observe(robot, configurations, here, joints=True)
     width = sum(robot.instrument(name).n_rows for name in touches)
     gaps, slopes, start = np.zeros((len(index), width)), np.zeros((len(index), width, q.shape[1])), 0
     gaps[~closed.ok] = np.inf
-    for name, found in here.items():
+    for name, readings in here.items():
         rows = slice(start, start + robot.instrument(name).n_rows)
-        gaps[ok[found.visits], rows] = observed[name].residuals
-        slopes[ok[found.visits], rows] = observed[name].by_joint
+        gaps[ok[readings.visits], rows] = observed[name].residuals
+        slopes[ok[readings.visits], rows] = observed[name].by_joint
         start = rows.stop
     return gaps, slopes
 
 
-def _assembled(robot: Robot, where: Poses, commands: FloatArray, off: FloatArray) -> Configurations:
+def _assembled(robot: Robot, poses: Poses, commands: FloatArray, off: FloatArray) -> Configurations:
     """The robot at commands (n, n_actuated) that it does not quite follow."""
-    context = Context.of(directions_of_motion(commands), where.context)
-    return robot.assemble(commands + off, labels=where.labels, context=context)
+    context = Context.of(directions_of_motion(commands), poses.context)
+    return robot.assemble(commands + off, labels=poses.labels, context=context)
 
 
 def _noisy(one: Instrument, every: Readings, sigma: float | None, rng: np.random.Generator) -> Readings:
     """Readings with noise, without those of what cannot be seen."""
     seen = np.flatnonzero(~np.isnan(every.values).all(axis=1))
-    found = Readings(every.visits[seen], every.pairs[seen], every.values[seen], None, every.details[seen])
-    change = np.zeros((len(found), one.n_rows))
+    visible = Readings(every.visits[seen], every.pairs[seen], every.values[seen], None, every.details[seen])
+    change = np.zeros((len(visible), one.n_rows))
     if sigma != 0:
         noise = stated_noise(one, sigma)
         widths = [len(part.axes) for part in one.parts]
-        covariance = noise.covariance(one.points(found.values), len(found), widths)
+        covariance = noise.covariance(one.points(visible.values), len(visible), widths)
         normal = rng.standard_normal(change.shape)
         change = _rows_with_noise(one, sigma) * _times_root(covariance, normal)
-    return Readings(found.visits, found.pairs, one.moved(found.values, change), None, found.details)
+    return Readings(visible.visits, visible.pairs, one.moved(visible.values, change), None, visible.details)
 
 
 def _rows_with_noise(one: Instrument, sigma: float | None) -> FloatArray:

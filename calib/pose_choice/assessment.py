@@ -114,8 +114,8 @@ class Assessment(ReadOnlyArrays):
     def hardly_known(self, part: float = HARDLY) -> list[tuple[str, float]]:
         """Return free parameters with more than `part` of their sigma left, and std / sigma, largest first."""
         ratios = self.std / np.array([parameter.sigma for parameter in self.free_parameters])
-        found = [(p.name, float(r)) for p, r in zip(self.free_parameters, ratios, strict=True) if r > part]
-        return sorted(found, key=lambda item: -item[1])
+        named_ratios = [(p.name, float(r)) for p, r in zip(self.free_parameters, ratios, strict=True) if r > part]
+        return sorted(named_ratios, key=lambda item: -item[1])
 
 
 @one_blas_thread
@@ -145,14 +145,14 @@ def check(
     everything = Unknowns.of(robot, own)
     columns, rows, width = _columns(robot, poses, configurations, sigma, everything)
     _require_rows(robot, poses, width)
-    found = determination(columns / everything.scales, parameters, free)
+    determined = determination(columns / everything.scales, parameters, free)
     unknowns = Unknowns.chosen_by_poses(robot)
-    lengths = found.lengths * everything.scales  # of the columns scaled by sigma: what rows and priors are divided by
+    lengths = determined.lengths * everything.scales  # of columns scaled by sigma: what rows and priors are divided by
     priors = prior_rows(unknowns.has_prior) / lengths[free]
     unit = columns[:, free] / lengths[free]
     known = information(unit, priors)
     order = [index_of(parameters, name) for name in robot.description.elimination_order]
-    elimination = eliminate(found.columns, order)
+    elimination = eliminate(determined.columns, order)
     measured = rows_of_measured(robot, Poses(poses.joints, poses.labels, poses.names, poses.path, ()), sigma)
     task_rows = (measured[2] if task is None else rows_of_measured(robot, task, sigma)[2]) / lengths[free]
     errors = known.position_errors(task_rows)
@@ -166,14 +166,14 @@ def check(
         n_rows=len(columns),
         sigma=noise,
         sigma_assumed=assumed,
-        determination=found,
+        determination=determined,
         known=known,
-        groups=null_groups(found.columns, _spoken_for(free, elimination), lengths),
-        open_groups=null_groups(found.open_columns, lengths=lengths[free]),
+        groups=null_groups(determined.columns, _spoken_for(free, elimination), lengths),
+        open_groups=null_groups(determined.open_columns, lengths=lengths[free]),
         elimination=elimination,
         scaled=scaled,
         raw=raw,
-        std=known.standard_deviations() / found.lengths[free],
+        std=known.standard_deviations() / determined.lengths[free],
         accuracy=task_index(errors),
         position_errors=errors,
         by_count=accuracy_by_count(rows[..., free] / lengths[free], priors, task_rows),
@@ -186,9 +186,9 @@ def _columns(
 ) -> tuple[FloatArray, FloatArray, int]:
     """Whitened rows of what is or could be read, those of each pose, and how many rows a visit gives."""
     if not isinstance(poses, Measurements):
-        found = rows_of_poses(robot, configurations, sigma, everything, looks_at(robot, poses))
-        flat = found.rows[found.read]
-        return flat, found.rows, -(-len(flat) // len(poses))
+        pose_rows = rows_of_poses(robot, configurations, sigma, everything, looks_at(robot, poses))
+        flat = pose_rows.rows[pose_rows.read]
+        return flat, pose_rows.rows, -(-len(flat) // len(poses))
     whitening = Whitening(robot, poses, sigma)
     observed = observe(robot, configurations, poses.readings)
     whitened = whitening.rows(observed, whitening.start(), everything, everything.deviations(robot.values))

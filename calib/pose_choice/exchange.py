@@ -65,27 +65,27 @@ class Spacing:
             free[candidates[near]] = False
         return free
 
-    def spread(self, wanted: IntArray, count: int) -> IntArray:
-        """Return candidates that keep the distance: those of `wanted` that do, filled up in file order.
+    def spread(self, tried: IntArray, count: int) -> IntArray:
+        """Return candidates that keep the distance: those of `tried` that do, filled up in file order.
 
         Args:
-            wanted: Candidates in the order in which they are tried, (n,).
+            tried: Candidates in the order in which they are tried, (n,).
             count: How many are needed.
 
         Returns:
-            Indices of candidates, (count,), or fewer where no more were found; `wanted` itself where no distance is
+            Indices of candidates, (count,), or fewer where no more were found; `tried` itself where no distance is
             asked for.
         """
         if self.distance == 0:
-            return wanted
-        rest = np.setdiff1d(np.flatnonzero(self.usable), wanted)
+            return tried
+        rest = np.setdiff1d(np.flatnonzero(self.usable), tried)
         pose, kind = (
             np.arange(len(self.usable)) if self.pose is None else self.pose,
             np.zeros(len(self.usable), dtype=np.intp) if self.kind is None else self.kind,
         )
-        room = np.bincount(kind[wanted], minlength=int(np.max(kind)) + 1)
+        room = np.bincount(kind[tried], minlength=int(np.max(kind)) + 1)
         kept: list[int] = []
-        for candidate in (*wanted, *rest):
+        for candidate in (*tried, *rest):
             gaps = np.linalg.norm(self.points[kept] - self.points[candidate], axis=1)
             if room[kind[candidate]] and np.all((gaps >= self.distance) | (pose[kept] == pose[candidate])):
                 kept.append(int(candidate))
@@ -143,10 +143,10 @@ def exchange(problem: Problem, index: str, start: IntArray, spacing: Spacing) ->
             f"no {len(start)} poses were found that determine what all candidates together do ({problem.known.rank});"
             " choose more poses, or hold parameters"
         )
-    found = _climb(scores(problem, index, helped.chosen), helped.chosen, spacing)
+    final = _climb(scores(problem, index, helped.chosen), helped.chosen, spacing)
     nothing = -np.inf if index in ("O1", TASK) else 0.0
-    values = (nothing, *[np.nan] * (len(helped.values) - 2), *found.values) if len(helped.values) > 1 else found.values
-    return replace(found, history=helped.history + found.history[1:], values=values)
+    values = (nothing, *[np.nan] * (len(helped.values) - 2), *final.values) if len(helped.values) > 1 else final.values
+    return replace(final, history=helped.history + final.history[1:], values=values)
 
 
 def _climb(state: Scores, chosen: BoolArray, spacing: Spacing) -> Exchange:

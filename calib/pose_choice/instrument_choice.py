@@ -100,23 +100,23 @@ class Pairs(ReadOnlyArrays):
     possible: BoolArray
 
 
-def pairs_of(groups: Groups, found: PoseRows) -> Pairs:
+def pairs_of(groups: Groups, poses: PoseRows) -> Pairs:
     """Return the candidates that poses (n of them) make."""
-    n, n_groups = len(found.rows), len(groups.members)
-    own = [np.concatenate([_range(found.blocks[name]) for name in members]) for members in groups.members]
+    n, n_groups = len(poses.rows), len(groups.members)
+    own = [np.concatenate([_range(poses.blocks[name]) for name in members]) for members in groups.members]
     width = max(len(columns) for columns in own)
-    rows = found.rows
+    rows = poses.rows
     if groups.chosen:
-        rows = np.zeros((n_groups * n, width, found.rows.shape[2]))
+        rows = np.zeros((n_groups * n, width, poses.rows.shape[2]))
         for g, columns in enumerate(own):
-            rows[g * n : (g + 1) * n, : len(columns)] = found.rows[:, columns]
-    read = [[np.any(found.read[:, found.blocks[name]], axis=1) for name in members] for members in groups.members]
+            rows[g * n : (g + 1) * n, : len(columns)] = poses.rows[:, columns]
+    read = [[np.any(poses.read[:, poses.blocks[name]], axis=1) for name in members] for members in groups.members]
     together = np.all if groups.chosen else np.any
     return Pairs(
         np.tile(np.arange(n), n_groups),
         np.repeat(np.arange(n_groups), n),
         rows,
-        np.concatenate([np.sum(found.read[:, columns], axis=1) for columns in own]),
+        np.concatenate([np.sum(poses.read[:, columns], axis=1) for columns in own]),
         np.concatenate([together(parts, axis=0) for parts in read]),
     )
 
@@ -128,13 +128,13 @@ def already_read(groups: Groups, candidates: Poses, measured: Poses) -> BoolArra
     """
     result = []
     for members in groups.members:
-        seen = np.ones(len(measured), dtype=bool)
+        read = np.ones(len(measured), dtype=bool)
         if groups.chosen and isinstance(measured, Measurements):
             for name in members:
-                found = measured.readings.get(name)
-                seen &= np.isin(np.arange(len(measured)), [] if found is None else found.visits)
+                readings = measured.readings.get(name)
+                read &= np.isin(np.arange(len(measured)), [] if readings is None else readings.visits)
         none = np.zeros(len(candidates), dtype=bool)
-        result.append(near_measured(candidates.joints, measured.joints[seen]) if np.any(seen) else none)
+        result.append(near_measured(candidates.joints, measured.joints[read]) if np.any(read) else none)
     return np.concatenate(result)
 
 

@@ -40,20 +40,20 @@ class CountRow:
 
 
 def accuracy_by_count(
-    rows: FloatArray, known: FloatArray, task_rows: FloatArray, counts: tuple[int, ...] | None = None
+    rows: FloatArray, priors: FloatArray, task_rows: FloatArray, counts: tuple[int, ...] | None = None
 ) -> tuple[CountRow, ...]:
     """Predict the accuracy for several numbers of poses.
 
     Args:
         rows: Whitened rows of each pose, (n_poses, n_rows_per_pose, n_parameters).
-        known: Prior rows, (n_priors, n_parameters).
+        priors: Prior rows, (n_priors, n_parameters).
         task_rows: Scaled derivative of positions at the poses whose accuracy counts, (n_task, 3 n_targets,
             n_parameters) [m].
         counts: Numbers of poses up to those there are; chosen here if not given.
     """
     n = len(rows)
     candidates = uniform_start(np.arange(n), min(n, _MOST_CANDIDATES))
-    problem = build_problem(rows[candidates], None, known, 0, task_rows)
+    problem = build_problem(rows[candidates], None, priors, 0, task_rows)
     rank_left = problem.known.rank.rank - int(np.linalg.matrix_rank(problem.before, hermitian=True))
     least = max(1, -(-rank_left // _directions_of_a_pose(rows[candidates])))
     if counts is None:
@@ -61,15 +61,15 @@ def accuracy_by_count(
     space = Spacing(np.zeros((len(candidates), 3)), 0.0, np.ones(len(candidates), dtype=bool))
     table = []
     for count in counts:
-        uniform = _accuracy(rows[uniform_start(np.arange(n), count)], known, task_rows, 1.0)
+        uniform = _accuracy(rows[uniform_start(np.arange(n), count)], priors, task_rows, 1.0)
         chosen = uniform if count == n else None
         if count < n and count <= _MOST_CHOSEN:
             start = uniform_start(np.arange(len(candidates)), count)
             best = candidates[exchange(problem, TASK, start, space).chosen]
-            chosen = _accuracy(rows[best], known, task_rows, 1.0)
+            chosen = _accuracy(rows[best], priors, task_rows, 1.0)
         table.append(CountRow(count, uniform, chosen))
     for times in _BEYOND:
-        table.append(CountRow(times * n, None, _accuracy(rows, known, task_rows, float(times))))
+        table.append(CountRow(times * n, None, _accuracy(rows, priors, task_rows, float(times))))
     return tuple(table)
 
 
@@ -79,5 +79,5 @@ def _directions_of_a_pose(rows: FloatArray) -> int:
     return max(1, int(np.max(np.sum(strengths > _NOTHING_NEW * strengths[:, :1], axis=1))))
 
 
-def _accuracy(rows: FloatArray, known: FloatArray, task_rows: FloatArray, times: float) -> TaskIndex:
-    return task_index(information(np.sqrt(times) * rows, known).position_errors(task_rows))
+def _accuracy(rows: FloatArray, priors: FloatArray, task_rows: FloatArray, times: float) -> TaskIndex:
+    return task_index(information(np.sqrt(times) * rows, priors).position_errors(task_rows))

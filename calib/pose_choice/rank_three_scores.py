@@ -137,15 +137,17 @@ class Task:
     def best(self, allowed: BoolArray, *, add: bool) -> int:
         """Return the best next move; see `calib.pose_choice.selection_scores.Scores`."""
         seen, felt = self._through
-        where = np.flatnonzero(allowed)
-        small = np.eye(seen.shape[1]) + (1.0 if add else -1.0) * seen[where]
+        candidates = np.flatnonzero(allowed)
+        small = np.eye(seen.shape[1]) + (1.0 if add else -1.0) * seen[candidates]
         if not add:
-            solvable = self._sparing.spares(self.problem.rows[where])
-            where, small = (
-                (where[solvable], small[solvable]) if np.any(solvable) else (where[:1], np.eye(seen.shape[1])[None])
+            solvable = self._sparing.spares(self.problem.rows[candidates])
+            candidates, small = (
+                (candidates[solvable], small[solvable])
+                if np.any(solvable)
+                else (candidates[:1], np.eye(seen.shape[1])[None])
             )
-        change = np.trace(np.linalg.solve(small, felt[where]), axis1=1, axis2=2)
-        return int(where[np.argmax(change if add else -change)])
+        change = np.trace(np.linalg.solve(small, felt[candidates]), axis1=1, axis2=2)
+        return int(candidates[np.argmax(change if add else -change)])
 
     def moved(self, candidate: int, *, add: bool) -> Task:
         """Return the scores after a move; see `calib.pose_choice.selection_scores.Scores`."""

@@ -89,21 +89,21 @@ def refine(
         trials = np.clip(trials, region.lower, region.upper)
         seeds = np.repeat(passive[active], trials.shape[1], axis=0)
         flat = _evaluate(robot, problem, trials.reshape(-1, q.shape[1]), region, seeds, sigma)
-        inside, where, seen, closed = (part.reshape(*trials.shape[:2], *part.shape[1:]) for part in flat)
+        inside, points, trial_rows, closed = (part.reshape(*trials.shape[:2], *part.shape[1:]) for part in flat)
         gathered = problem.before + np.einsum("nki,nkj->ij", rows, rows)
         for a, k in enumerate(active):
             rest = gathered - rows[k].T @ rows[k]
-            free = inside[a] & region.apart(where[a], np.delete(positions, k, axis=0))
-            found = _better(problem, index, rest, rows[k], seen[a], free)
-            if found is None:
+            free = inside[a] & region.apart(points[a], np.delete(positions, k, axis=0))
+            trial = _better(problem, index, rest, rows[k], trial_rows[a], free)
+            if trial is None:
                 step[k], last[k] = step[k] / 2, 0.0
                 continue
-            last[k] = trials[a, found] - q[k]
+            last[k] = trials[a, trial] - q[k]
             q[k], positions[k], rows[k], passive[k] = (
-                trials[a, found],
-                where[a, found],
-                seen[a, found],
-                closed[a, found],
+                trials[a, trial],
+                points[a, trial],
+                trial_rows[a, trial],
+                closed[a, trial],
             )
             gathered = rest + rows[k].T @ rows[k]
             step[k] = min(2 * step[k], _LARGEST_STEP)
@@ -142,11 +142,11 @@ def _evaluate(
     passive[good] = closed.passive[closed.ok]
     configurations = robot.configurations(q[good], closed.at(np.flatnonzero(closed.ok)))
     far = robot.singular_values(configurations) >= robot.description.singularity_limit
-    found = rows_of_poses(robot, configurations, sigma)
-    points[good] = found.positions.reshape(len(good), -1)
+    pose_rows = rows_of_poses(robot, configurations, sigma)
+    points[good] = pose_rows.positions.reshape(len(good), -1)
     allowed[good] = far & region.holds(q[good], points[good])
     whiten = problem.known.directions / problem.known.strengths
-    rows[good] = found.rows @ whiten
+    rows[good] = pose_rows.rows @ whiten
     return allowed, points, rows, passive
 
 

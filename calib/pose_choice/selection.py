@@ -192,17 +192,23 @@ def _certify(setting: Setting, runs: tuple[Run, ...], best: Exchange) -> tuple[t
 
 def _poses(setting: Setting, best: Exchange, on_grid: dict[str, float], rng: np.random.Generator) -> _Poses:
     """The chosen candidates, moved off the grid if that is wanted."""
-    chosen, found, usable = np.flatnonzero(best.chosen), setting.found, setting.space.usable
+    chosen, candidates, usable = np.flatnonzero(best.chosen), setting.found, setting.space.usable
     if not setting.wanted.off_grid:
         pose, rows = setting.pairs.pose[chosen], setting.problem.rows[chosen]
-        joints, positions = found.joints[pose], found.found.positions[pose]
+        joints, positions = candidates.joints[pose], candidates.found.positions[pose]
         return _Poses(chosen, joints, positions, rows, on_grid, setting.wanted.minimum_distance)
     distance = setting.wanted.minimum_distance or _smallest_gap(setting.space.points[usable])
     region = region_of(
-        setting.robot, found.joints[usable], found.found.positions[usable], distance, setting.measured_points
+        setting.robot, candidates.joints[usable], candidates.found.positions[usable], distance, setting.measured_points
     )
     moved = refine(
-        setting.robot, setting.problem, setting.wanted.index, found.joints[chosen], region, rng, setting.sigma_given
+        setting.robot,
+        setting.problem,
+        setting.wanted.index,
+        candidates.joints[chosen],
+        region,
+        rng,
+        setting.sigma_given,
     )
     values = values_of_rows(setting.problem, moved.rows, setting.sigma)
     return _Poses(chosen, moved.joints, moved.positions, moved.rows, values, distance)

@@ -142,12 +142,12 @@ def prepare(
     _require_on_grid(robot, wanted, poses)
     if wanted.groups.chosen:
         require_touches_said(robot, wanted.groups, poses)
-    candidates_found = build_candidates(robot, poses, sigma, skip_unreachable=skip_unreachable)
-    found = candidates_found.found
-    pairs = pairs_of(wanted.groups, found)
-    done_rows, n_before, points, again = None, 0, points_of(found.positions[:0]), 0
-    usable = pairs.possible & (candidates_found.usable & ~_excluded(exclude, len(poses)))[pairs.pose]
-    pose_points = points_of(found.positions)
+    assembled = build_candidates(robot, poses, sigma, skip_unreachable=skip_unreachable)
+    candidate_rows = assembled.found
+    pairs = pairs_of(wanted.groups, candidate_rows)
+    done_rows, n_before, points, again = None, 0, points_of(candidate_rows.positions[:0]), 0
+    usable = pairs.possible & (assembled.usable & ~_excluded(exclude, len(poses)))[pairs.pose]
+    pose_points = points_of(candidate_rows.positions)
     if measured is not None:
         done = as_poses(robot, measured)
         done_rows, positions, _ = rows_of_measured(robot, done, sigma)
@@ -156,13 +156,13 @@ def prepare(
         again = int(np.sum(same & pairs.possible))
         usable &= ~same
         if wanted.minimum_distance > 0:
-            seen = near_measured(poses.joints, done.joints)
-            others = ~seen & candidates_found.usable
+            allowed = near_measured(poses.joints, done.joints)
+            others = ~allowed & assembled.usable
             distance, _ = scipy.spatial.cKDTree(points).query(pose_points[others])
-            seen[others] = distance >= wanted.minimum_distance
-            usable &= seen[pairs.pose]
+            allowed[others] = distance >= wanted.minimum_distance
+            usable &= allowed[pairs.pose]
     _require_counts(wanted, usable, pairs)
-    task_rows = found.position_rows[candidates_found.usable]
+    task_rows = candidate_rows.position_rows[assembled.usable]
     if task is not None:
         task_rows = rows_of_measured(robot, as_poses(robot, task), sigma)[2]
     problem = build_problem(
@@ -171,7 +171,7 @@ def prepare(
     _require_answer(problem, wanted, pairs, usable)
     kind = None if wanted.groups.counts is None else pairs.group
     space = Spacing(pose_points[pairs.pose], wanted.minimum_distance, usable, pairs.pose, kind)
-    return Setting(robot, wanted, poses, candidates_found, pairs, problem, space, points, noise, assumed, again, sigma)
+    return Setting(robot, wanted, poses, assembled, pairs, problem, space, points, noise, assumed, again, sigma)
 
 
 def _require_on_grid(robot: Robot, wanted: Wanted, poses: Poses) -> None:
@@ -181,8 +181,8 @@ def _require_on_grid(robot: Robot, wanted: Wanted, poses: Poses) -> None:
     if wanted.groups.chosen:
         raise InputError("off the grid all instruments read at every pose; choose among instruments on the grid")
     every = looks_at(robot, Poses(poses.joints, poses.labels, poses.names, poses.path, ()))
-    for name, found in looks_at(robot, poses).items():
-        if not np.array_equal(found.visits, every[name].visits) or not np.array_equal(found.pairs, every[name].pairs):
+    for name, looks in looks_at(robot, poses).items():
+        if not np.array_equal(looks.visits, every[name].visits) or not np.array_equal(looks.pairs, every[name].pairs):
             raise InputError(
                 f"{poses.path}: says at which poses '{name}' reads what, which poses off the grid cannot; choose on the"
                 " grid"

@@ -45,12 +45,12 @@ class Spectrum:
     def best(self, allowed: BoolArray, *, add: bool) -> int:
         """Return the best next move; see `calib.pose_choice.selection_scores.Scores`."""
         sign = 1.0 if add else -1.0
-        where = np.flatnonzero(allowed)
+        candidates = np.flatnonzero(allowed)
         eigenvalues, vectors = np.linalg.eigh(self.matrix)
-        turned = self.problem.rows[where] @ (self.problem.strengths[:, None] * vectors)
+        turned = self.problem.rows[candidates] @ (self.problem.strengths[:, None] * vectors)
         bounds = spectral_index(_pinched(eigenvalues, turned, sign), self.index)
         order = np.argsort(-bounds, kind="stable")
-        best, best_value = int(where[order[0]]), -np.inf
+        best, best_value = int(candidates[order[0]]), -np.inf
         for start in range(0, len(order), _BATCH):
             batch = order[start : start + _BATCH]
             if bounds[batch[0]] <= best_value:
@@ -58,7 +58,7 @@ class Spectrum:
             changed = np.diag(eigenvalues) + sign * np.matmul(turned[batch].transpose(0, 2, 1), turned[batch])
             exact = spectral_index(np.linalg.eigvalsh(changed), self.index)
             if np.max(exact) > best_value:
-                best, best_value = int(where[batch[np.argmax(exact)]]), float(np.max(exact))
+                best, best_value = int(candidates[batch[np.argmax(exact)]]), float(np.max(exact))
         return best
 
     def moved(self, candidate: int, *, add: bool) -> Spectrum:

@@ -49,18 +49,18 @@ def listed_terms(text: str) -> tuple[TermSection, ...]:
     Raises:
         InputError: No such term, or one that only a description can state.
     """
-    found = []
+    sections = []
     for item in text.split(","):
         joint, _, term = (part.strip() for part in item.rpartition("="))
         if term not in TERMS:
             raise InputError(f"terms '{text}': no term '{term}'{nearest(term, TERMS)}")
         try:
-            found.append(TERMS[term].section(joint=joint or "all", term=term))
+            sections.append(TERMS[term].section(joint=joint or "all", term=term))
         except ValidationError:
             raise InputError(
                 f"terms '{text}': '{term}' needs more than a joint; list it in the robot description"
             ) from None
-    return tuple(found)
+    return tuple(sections)
 
 
 def stored_terms(entries: object) -> tuple[TermSection, ...]:

@@ -154,13 +154,13 @@ class _Tree:
 
     def _hands(self) -> set[str]:
         """Joints at which fingers begin, by structure."""
-        found: set[str] = set()
+        fingers: set[str] = set()
         for body in set(self.body.values()) - {""}:
             joints = self._on(body)
             reach = sorted(self._reach(joint) for joint in joints)
             if len(joints) > 1 and _ALIKE * reach[-1] <= reach[-2] and reach[-1] < _SHORT * self._arm_length(joints):
-                found |= {joint.name for joint in joints}
-        return found
+                fingers |= {joint.name for joint in joints}
+        return fingers
 
     def _single_jaws(self) -> set[str]:
         """Last joints, with nothing on their links, that their names alone say to be a gripper's."""

@@ -116,25 +116,25 @@ def follow(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> tu
         Passive joints (n, n_passive), C_p there (n, n_passive, n_passive), and which poses were solved (n,); limits of
         the passive joints play no part.
     """
-    found = _Found(len(actuated), len(mechanism.passive))
+    solutions = _Solutions(len(actuated), len(mechanism.passive))
     home_p, _, home_ok = carry(mechanism, mode, mode.actuated[None], mode.passive[None])
     known = (mode.actuated[None], home_p)
     if home_ok[0]:
-        found.take(*_spread_out(mechanism, mode, known, actuated))
-    todo = np.flatnonzero(~found.ok)
+        solutions.take(*_spread_out(mechanism, mode, known, actuated))
+    todo = np.flatnonzero(~solutions.ok)
     if len(todo) and mechanism is not mode.mechanism:
         passive, _, ok = _spread_out(mode.mechanism, mode, (mode.actuated[None], mode.passive[None]), actuated[todo])
         todo = todo[ok]
-        found.take(*carry(mechanism, mode, actuated[todo], passive[ok]), todo)
-        todo = np.flatnonzero(~found.ok)
+        solutions.take(*carry(mechanism, mode, actuated[todo], passive[ok]), todo)
+        todo = np.flatnonzero(~solutions.ok)
     if len(todo) and home_ok[0]:
         stones = _stepping_stones(mechanism, mode, actuated[todo])
         passive, _, ok = _spread_out(mechanism, mode, known, stones)
-        found.take(*_nearest(mechanism, mode, (stones[ok], passive[ok]), actuated[todo], _FROM_STONES), todo)
-    return found.passive, found.slope, found.ok
+        solutions.take(*_nearest(mechanism, mode, (stones[ok], passive[ok]), actuated[todo], _FROM_STONES), todo)
+    return solutions.passive, solutions.slope, solutions.ok
 
 
-class _Found:
+class _Solutions:
     """Solved poses so far: passive joints, C_p, and which."""
 
     def __init__(self, n: int, n_passive: int) -> None:
@@ -143,8 +143,8 @@ class _Found:
 
     def take(self, passive: FloatArray, slope: FloatArray, ok: BoolArray, index: IntArray | None = None) -> None:
         """Keep what was solved of the poses `index`, or of all."""
-        where = np.flatnonzero(ok) if index is None else index[ok]
-        self.passive[where], self.slope[where], self.ok[where] = passive[ok], slope[ok], True
+        rows = np.flatnonzero(ok) if index is None else index[ok]
+        self.passive[rows], self.slope[rows], self.ok[rows] = passive[ok], slope[ok], True
 
 
 def carry(
@@ -161,7 +161,7 @@ def carry(
     Returns:
         Passive joints (n, n_passive), C_p there (n, n_passive, n_passive), and which poses arrived (n,).
     """
-    found = _Found(len(actuated), passive.shape[1])
+    solutions = _Solutions(len(actuated), passive.shape[1])
 
     def go(index: IntArray, at: FloatArray, low: float, high: float) -> tuple[IntArray, FloatArray]:
         """From the part `low` of the change to `high`; return who arrived, and their passive joints."""
@@ -169,7 +169,7 @@ def carry(
         solved, slope, ok = newton(there, mode, actuated[index], at)
         ok &= np.max(np.abs(in_radians(there, solved - at)), axis=1, initial=0.0) < 4 * LARGEST_STEP
         if high == 1:
-            found.take(solved, slope, ok, index)
+            solutions.take(solved, slope, ok, index)
         left = np.flatnonzero(~ok)
         if len(left) == 0 or high - low < _SMALLEST_CHANGE:
             return index[ok], solved[ok]
@@ -180,27 +180,27 @@ def carry(
 
     if len(actuated):
         go(np.arange(len(actuated)), passive, 0.0, 1.0)
-    return found.passive, found.slope, found.ok
+    return solutions.passive, solutions.slope, solutions.ok
 
 
 def _spread_out(
     mechanism: Mechanism, mode: AssemblyMode, known: tuple[FloatArray, FloatArray], actuated: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Solve poses nearest to home first, each from the nearest pose solved so far; those left, once more from all."""
-    found = _Found(len(actuated), len(mechanism.passive))
+    solutions = _Solutions(len(actuated), len(mechanism.passive))
     points = actuated / mechanism.joint_scale
     order = np.argsort(np.linalg.norm(points - known[0][0] / mechanism.joint_scale, axis=1), kind="stable")
     start, size = 0, 8
     while start < len(order):
         batch = order[start : start + size]
-        found.take(*_nearest(mechanism, mode, known, actuated[batch], _NEIGHBOURS), batch)
-        solved = batch[found.ok[batch]]
-        known = np.vstack([known[0], actuated[solved]]), np.vstack([known[1], found.passive[solved]])
+        solutions.take(*_nearest(mechanism, mode, known, actuated[batch], _NEIGHBOURS), batch)
+        solved = batch[solutions.ok[batch]]
+        known = np.vstack([known[0], actuated[solved]]), np.vstack([known[1], solutions.passive[solved]])
         start, size = start + size, size * 2
-    left = np.flatnonzero(~found.ok)
+    left = np.flatnonzero(~solutions.ok)
     if len(left) and len(known[0]) > _NEIGHBOURS:
-        found.take(*_nearest(mechanism, mode, known, actuated[left], _NEIGHBOURS), left)
-    return found.passive, found.slope, found.ok
+        solutions.take(*_nearest(mechanism, mode, known, actuated[left], _NEIGHBOURS), left)
+    return solutions.passive, solutions.slope, solutions.ok
 
 
 def _nearest(
@@ -211,15 +211,15 @@ def _nearest(
     neighbours: int,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Solve poses from known ones, the nearest first; another way round where the straight line is blocked."""
-    found, scale = _Found(len(actuated), len(mechanism.passive)), mechanism.joint_scale
+    solutions, scale = _Solutions(len(actuated), len(mechanism.passive)), mechanism.joint_scale
     tree = scipy.spatial.cKDTree(known[0] / scale) if len(known[0]) else None
     for neighbour in range(min(neighbours, len(known[0]))):
-        todo = np.flatnonzero(~found.ok)
+        todo = np.flatnonzero(~solutions.ok)
         if tree is None or len(todo) == 0:
             break
         nearest = tree.query(actuated[todo] / scale, k=[neighbour + 1])[1][:, 0]
-        found.take(*_continue(mechanism, mode, known[0][nearest], known[1][nearest], actuated[todo]), todo)
-    return found.passive, found.slope, found.ok
+        solutions.take(*_continue(mechanism, mode, known[0][nearest], known[1][nearest], actuated[todo]), todo)
+    return solutions.passive, solutions.slope, solutions.ok
 
 
 def _stepping_stones(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> FloatArray:

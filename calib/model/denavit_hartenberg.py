@@ -103,15 +103,15 @@ class DhTable:
 
     def poses(self, q: FloatArray) -> FloatArray:
         """Return the pose of the last frame in the base frame, (n, 4, 4) [m], at joint values (n, n_moving)."""
-        found = np.tile(np.eye(4), (len(q), 1, 1))
+        poses = np.tile(np.eye(4), (len(q), 1, 1))
         columns = iter(q.T)
         for row in self.rows:
             along = np.tile(row.along.homogeneous, (len(q), 1, 1))
             if row.kind != "fixed":
                 along = along @ _motions(row.kind, row.sign * next(columns))
             across = row.across.homogeneous
-            found = found @ along @ across if self.convention == "standard" else found @ across @ along
-        return found
+            poses = poses @ along @ across if self.convention == "standard" else poses @ across @ along
+        return poses
 
 
 def dh_table(links: Sequence[pin.SE3], joints: Sequence[DhRow], convention: Convention) -> DhTable:

@@ -35,14 +35,14 @@ def instruments_of(description: Description, where: str) -> tuple[Instrument, ..
     if not description.instruments:
         noise = Noise((PartNoise.of(description.sigma, 3),))
         return tuple(Position(name, name, _TARGETS_GROUP, noise) for name in description.targets)
-    found = tuple(instrument(name, section) for name, section in description.instruments.items())
-    for one in found:
+    instruments = tuple(instrument(name, section) for name, section in description.instruments.items())
+    for one in instruments:
         if one.target and one.target not in description.targets:
             raise DescriptionError(
                 f"{where}: instruments.{one.name}: no target '{one.target}'{nearest(one.target, description.targets)}"
             )
-    _check_columns(description, found, where)
-    return found
+    _check_columns(description, instruments, where)
+    return instruments
 
 
 def _check_columns(description: Description, instruments: tuple[Instrument, ...], where: str) -> None:

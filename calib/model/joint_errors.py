@@ -118,16 +118,16 @@ def _closure_by_actuated(mechanism: Mechanism, joints: FloatArray) -> FloatArray
 def _with_masses(urdf: UrdfText, mechanism: Mechanism, where: str) -> pin.Model:
     """The mechanism's model with the masses of the URDF; what hangs on fixed joints is part of the link before."""
     whole = pin.buildModelFromXML(urdf.source.decode())
-    found = {name: inertia for name, inertia in zip(whole.names, whole.inertias, strict=True) if inertia.mass > 0}
-    if not found.keys() & {*mechanism.origin_names}:
+    inertias = {name: inertia for name, inertia in zip(whole.names, whole.inertias, strict=True) if inertia.mass > 0}
+    if not inertias.keys() & {*mechanism.origin_names}:
         raise DescriptionError(
             f"{where}: joint term 'compliance' needs masses, and the URDF has none; add <inertial> to its links, or"
             " leave the term out"
         )
     model = mechanism.model.copy()
     for k, name in enumerate(mechanism.origin_names):
-        if name in found:
-            model.inertias[k + 1] = found[name]
+        if name in inertias:
+            model.inertias[k + 1] = inertias[name]
     return model
 
 

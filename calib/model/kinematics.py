@@ -60,15 +60,15 @@ def sweep(
     model, moving = mechanism.around(pairs)
     joints = joints * moving
     data = model.createData()
-    wanted = sorted({frame for pair in pairs for frame in (pair.a, pair.b)})
+    frames = sorted({frame for pair in pairs for frame in (pair.a, pair.b)})
     leaves = regressor_leaves(mechanism, pairs) if regressors else ()
     n = len(joints)
-    rotation = np.empty((n, len(wanted), 3, 3))
-    translation = np.empty((n, len(wanted), 3))
+    rotation = np.empty((n, len(frames), 3, 3))
+    translation = np.empty((n, len(frames), 3))
     jacobian = np.empty((n, 6, model.nv))
     regressor = np.empty((n, len(leaves), 6, 6 * model.nv))
     pin.computeJointJacobians(model, data, pin.neutral(model))  # sizes the views below
-    placements = [data.oMi[frame] for frame in wanted]  # live: they follow every later computation
+    placements = [data.oMi[frame] for frame in frames]  # live: they follow every later computation
     rotation_views = [placement.rotation for placement in placements]
     translation_views = [placement.translation for placement in placements]
     compute, regress, world = pin.computeJointJacobians, pin.computeJointKinematicRegressor, pin.ReferenceFrame.WORLD
@@ -81,7 +81,7 @@ def sweep(
             translation[k, f] = translation_views[f]
         for f, leaf in enumerate(leaves):
             regressor[k, f] = regress(model, data, leaf, world)
-    index = {frame: f for f, frame in enumerate(wanted)}
+    index = {frame: f for f, frame in enumerate(frames)}
     return Sweep(index, rotation, translation, jacobian, leaves, regressor)
 
 

@@ -130,9 +130,9 @@ def _topological(urdf: UrdfText) -> list[UrdfJoint]:
     order: list[UrdfJoint] = []
     waiting = [urdf.root]
     while waiting:
-        found = children[waiting.pop(0)]
-        order.extend(found)
-        waiting = [joint.child for joint in found] + waiting
+        joints = children[waiting.pop(0)]
+        order.extend(joints)
+        waiting = [joint.child for joint in joints] + waiting
     return order
 
 
@@ -270,11 +270,11 @@ def _selection(
 def _leader(urdf: UrdfText, groups: _JointGroups, name: str) -> tuple[str, float, float]:
     """Follow mimics of mimics: the joint at their end, and value = multiplier * its value + offset."""
     leader, multiplier, offset = name, 1.0, 0.0
-    seen: list[str] = []
+    followed: list[str] = []
     while leader in groups.followers:
-        if leader in seen:
-            raise UrdfError(f"{urdf.path}, joint '{name}': mimics itself through {', '.join(seen)}")
-        seen.append(leader)
+        if leader in followed:
+            raise UrdfError(f"{urdf.path}, joint '{name}': mimics itself through {', '.join(followed)}")
+        followed.append(leader)
         leader, factor, shift = groups.followers[leader]
         offset, multiplier = offset + multiplier * shift, multiplier * factor
     return leader, multiplier, offset

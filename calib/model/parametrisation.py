@@ -140,14 +140,14 @@ def _component_parameter(
 
 
 def _from_plugin(name: str, origins: Mapping[str, Origin], mechanism: Mechanism, where: str) -> Parametrisation:
-    found = {entry.name: entry for entry in entry_points(group=ENTRY_POINTS)}
-    if name not in found:
-        raise DescriptionError(f"{where}: no parametrisation '{name}' is installed{nearest(name, found)}")
+    plugins = {entry.name: entry for entry in entry_points(group=ENTRY_POINTS)}
+    if name not in plugins:
+        raise DescriptionError(f"{where}: no parametrisation '{name}' is installed{nearest(name, plugins)}")
     try:
-        factory: Callable[[Mapping[str, Origin]], Parametrisation] = found[name].load()
+        factory: Callable[[Mapping[str, Origin]], Parametrisation] = plugins[name].load()
     except (ImportError, AttributeError) as error:
         raise DescriptionError(
-            f"{where}: parametrisation '{name}' ({found[name].value}) cannot be loaded: {error}; install it again"
+            f"{where}: parametrisation '{name}' ({plugins[name].value}) cannot be loaded: {error}; install it again"
         ) from None
     parametrisation = factory(origins)
     nominal = np.array([parameter.nominal for parameter in parametrisation.parameters])

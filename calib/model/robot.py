@@ -152,13 +152,13 @@ class Robot(ReadOnlyArrays):
         """Return phi of each joint term at commands q (n, n_actuated), (n, n_coefficients) each."""
         if not self.terms:
             return ()
-        found = Context.neutral(len(q), len(self.joint_names)) if context is None else context
+        context = Context.neutral(len(q), len(self.joint_names)) if context is None else context
         if any(term.needs_torque for term in self.terms):
             closed = loops.close(self.nominal, self.mode, q)
             passive = np.where(np.isfinite(closed.passive), closed.passive, 0.0)
             slope = np.where(closed.ok[:, None, None], closed.slope, np.eye(passive.shape[1]))
-            found = with_torque(found, gravity_torque(self.urdf, self.nominal, q, passive, slope, self.path))
-        return term_columns(self.terms, self.joint_names, q, found)
+            context = with_torque(context, gravity_torque(self.urdf, self.nominal, q, passive, slope, self.path))
+        return term_columns(self.terms, self.joint_names, q, context)
 
     def actual(self, q: FloatArray, columns: tuple[FloatArray, ...]) -> FloatArray:
         """Return what the actuated joints are when they are told q (n, n_actuated), from phi of the joint terms."""
@@ -301,8 +301,8 @@ class Robot(ReadOnlyArrays):
         terms = build_terms(description, self.urdf, self.nominal, self.path)
         changed = replace(self, description=description, terms=terms)
         _check_names(changed)
-        known = dict(zip((parameter.name for parameter in self.parameters), self.values, strict=True))
-        return replace(changed, values=np.array([known.get(p.name, p.nominal) for p in changed.parameters]))
+        value_of = dict(zip((parameter.name for parameter in self.parameters), self.values, strict=True))
+        return replace(changed, values=np.array([value_of.get(p.name, p.nominal) for p in changed.parameters]))
 
     def joint_vector(self, q: ArrayLike) -> FloatArray:
         """Check actuated joint values and return them as (n, n_actuated).
@@ -444,9 +444,9 @@ class Robot(ReadOnlyArrays):
         return self.urdf.with_origins(edits)
 
 
-def _edited(text: Triple, wanted: FloatArray) -> Triple:
-    """The wanted numbers (3,), but those of the file where only rounding lies between."""
-    x, y, z = (old if abs(new - old) <= _ROUNDING else float(new) for old, new in zip(text, wanted, strict=True))
+def _edited(text: Triple, numbers: FloatArray) -> Triple:
+    """The numbers (3,), but those of the file where only rounding lies between."""
+    x, y, z = (old if abs(new - old) <= _ROUNDING else float(new) for old, new in zip(text, numbers, strict=True))
     return (x, y, z)
 
 
@@ -577,10 +577,10 @@ def _check_joints(mechanism: Mechanism, instruments: tuple[Instrument, ...], whe
         ]
         if one.joint not in moving:
             raise DescriptionError(f"{place}: no joint '{one.joint}' that moves{nearest(one.joint, moving)}")
-        own, wanted = one.parts[0].dimension, mechanism.dimensions[one.joint]
-        if own != wanted:
-            moves = "slides" if wanted == "length" else "turns"
-            raise DescriptionError(f"{place}: joint '{one.joint}' {moves}; set dimension: {wanted}")
+        own, dimension = one.parts[0].dimension, mechanism.dimensions[one.joint]
+        if own != dimension:
+            moves = "slides" if dimension == "length" else "turns"
+            raise DescriptionError(f"{place}: joint '{one.joint}' {moves}; set dimension: {dimension}")
 
 
 def near_singularity(label: str, value: float, limit: float) -> str:

@@ -290,9 +290,9 @@ def check_tree(path: str, links: list[str], joints: list[UrdfJoint]) -> None:
         children.setdefault(joint.parent, []).append(child)
     waiting = [roots[0]]
     while waiting:
-        found = children.get(waiting.pop(), [])
-        reached.update(found)
-        waiting.extend(found)
+        child_links = children.get(waiting.pop(), [])
+        reached.update(child_links)
+        waiting.extend(child_links)
     if len(reached) < len(known):
         lost = next(link for link in links if link not in reached)
         raise UrdfError(f"{path}: link '{lost}' is its own ancestor; a URDF is one tree")

@@ -148,11 +148,11 @@ def _attribute_edits(source: bytes, span: Span, changes: Mapping[str, Triple]) -
     """Edits that give the tag at `span` new numbers in the named attributes."""
     start, end = span
     tag = source[start:end]
-    found = {match.group(1): match for match in _ATTRIBUTE.finditer(tag)}
+    attributes = {match.group(1): match for match in _ATTRIBUTE.finditer(tag)}
     edits = []
     for key, value in changes.items():
-        if key.encode() in found:
-            first, last = found[key.encode()].span(2)
+        if key.encode() in attributes:
+            first, last = attributes[key.encode()].span(2)
             old = tag[first + 1 : last - 1]
             edits.append((start + first + 1, start + last - 1, _respell(old, value)))
         else:

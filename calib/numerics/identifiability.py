@@ -94,17 +94,17 @@ def unit_columns(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     """
     lengths = np.linalg.norm(columns, axis=0)
     longest = float(np.max(lengths, initial=0.0))
-    seen = lengths > NO_EFFECT * longest
-    lengths = np.where(seen, lengths, longest or 1.0)
-    return np.where(seen, columns / lengths, 0.0), lengths
+    has_effect = lengths > NO_EFFECT * longest
+    lengths = np.where(has_effect, lengths, longest or 1.0)
+    return np.where(has_effect, columns / lengths, 0.0), lengths
 
 
 def numerical_rank(scaled_jacobian: FloatArray) -> Rank:
     """Return the rank of a Jacobian whose columns are scaled, (n_rows, n_columns)."""
     n_columns = scaled_jacobian.shape[1]
     values = np.zeros(n_columns)
-    found = np.linalg.svd(scaled_jacobian, compute_uv=False)
-    values[: len(found)] = found
+    singular_values = np.linalg.svd(scaled_jacobian, compute_uv=False)
+    values[: len(singular_values)] = singular_values
     threshold = RANK_TOLERANCE * float(values[0]) if n_columns else 0.0
     rank = int(np.sum(values > threshold))
     return Rank(
@@ -145,29 +145,29 @@ def eliminate(scaled_jacobian: FloatArray, order: Sequence[int] = ()) -> Elimina
     dropped: list[int] = []
     conditions: list[float] = []
     while len(columns) > rank.rank:
-        found = _conditions(factor, columns, rank.rank, rank.threshold)
-        column = _choose(found, order)
+        condition_of = _conditions(factor, columns, rank.rank, rank.threshold)
+        column = _choose(condition_of, order)
         columns.remove(column)
         dropped.append(column)
-        conditions.append(found[column])
+        conditions.append(condition_of[column])
     return Elimination(tuple(dropped), tuple(conditions), tuple(columns))
 
 
 def _conditions(factor: FloatArray, columns: list[int], rank: int, threshold: float) -> dict[int, float]:
     """Condition number over the non-zero singular values after dropping each column that the rank can do without."""
-    found = {}
+    condition_of = {}
     for column in columns:
         rest = [other for other in columns if other != column]
         values = np.linalg.svd(factor[:, rest], compute_uv=False)
         if rank == 0 or values[rank - 1] > threshold:
-            found[column] = float(values[0] / values[rank - 1]) if rank else 1.0
-    return found
+            condition_of[column] = float(values[0] / values[rank - 1]) if rank else 1.0
+    return condition_of
 
 
-def _choose(found: dict[int, float], order: Sequence[int]) -> int:
-    smallest = min(found.values())
-    ties = {column for column, condition in found.items() if condition <= TIE * (1 + _DIGITS) * smallest}
+def _choose(condition_of: dict[int, float], order: Sequence[int]) -> int:
+    smallest = min(condition_of.values())
+    ties = {column for column, condition in condition_of.items() if condition <= TIE * (1 + _DIGITS) * smallest}
     for column in order:
         if column in ties:
             return column
-    return max(column for column, condition in found.items() if condition <= (1 + _DIGITS) * smallest)
+    return max(column for column, condition in condition_of.items() if condition <= (1 + _DIGITS) * smallest)

@@ -120,12 +120,14 @@ def direction_variation(groups: Sequence[FloatArray]) -> Figure:
         groups: Attained minus commanded positions of the cycles from each direction, (n, 3) each [m].
     """
     pairs = list(combinations(groups, 2))
-    found = []
+    lengths = []
     for one, other in pairs:
         spread = [np.cov(group.T) / len(group) for group in (one, other)]
         freedom = min(len(one), len(other)) - 1
-        found.append(_length(one.mean(axis=0) - other.mean(axis=0), spread[0] + spread[1], freedom, _TAIL / len(pairs)))
-    return Figure(max(f.value for f in found), max(f.low95 for f in found), max(f.high95 for f in found))
+        lengths.append(
+            _length(one.mean(axis=0) - other.mean(axis=0), spread[0] + spread[1], freedom, _TAIL / len(pairs))
+        )
+    return Figure(max(f.value for f in lengths), max(f.low95 for f in lengths), max(f.high95 for f in lengths))
 
 
 def drift(blocks: Sequence[FloatArray], rng: np.random.Generator) -> tuple[Figure, Figure]:

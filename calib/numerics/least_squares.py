@@ -181,10 +181,10 @@ class _Point:
         left = self.residuals + self.jacobian @ self.newton
         pulls = np.stack([point.jacobian.T @ left for point in points], axis=1)
         curved = scipy.linalg.solve_triangular(self.triangle, np.diff(pulls, axis=1), trans=1)
-        seen = self.triangle @ np.diff([point.x for point in points], axis=0).T + curved
-        length = np.linalg.norm(seen, axis=0) + np.finfo(float).tiny
+        differences = self.triangle @ np.diff([point.x for point in points], axis=0).T + curved
+        length = np.linalg.norm(differences, axis=0) + np.finfo(float).tiny
         right = -self.triangle @ self.newton
-        coefficients = np.linalg.lstsq(seen / length, right, rcond=_DEPENDENT)[0] / length
+        coefficients = np.linalg.lstsq(differences / length, right, rcond=_DEPENDENT)[0] / length
         return np.asarray(self.newton + scipy.linalg.solve_triangular(self.triangle, curved @ coefficients))
 
     def within(self, radius: float, scale: FloatArray) -> FloatArray:

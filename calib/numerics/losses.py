@@ -187,14 +187,14 @@ def robust_factors(loss: Loss, distances: FloatArray, widths: IntArray, scale: f
     require_freedom(freedom, int(n_rows))
     expected = float(np.sum(widths * expected_square) / np.sum(widths * expected_weight))
     ratio = float(np.sum(w * distances**2) / np.sum(widths * w)) / expected
-    found = float(np.sqrt(ratio * counted / freedom))
+    factor = float(np.sqrt(ratio * counted / freedom))
     score = float(np.sqrt(np.sum(w**2 * distances**2) / (n_rows - n_effective)))
     m = float(np.average(slope, weights=widths))
     if m <= 0:
         require_freedom(0.0, int(n_rows))
     variance = float(np.average((slope - m) ** 2, weights=widths))
     correction = 1.0 + n_effective / n_rows * variance / m**2
-    return Factors(np.array([found]), np.array([freedom]), np.array([correction * score / m]), m)
+    return Factors(np.array([factor]), np.array([freedom]), np.array([correction * score / m]), m)
 
 
 @lru_cache
@@ -242,8 +242,8 @@ class Studentised(ReadOnlyArrays):
     @property
     def outliers(self) -> IntArray:
         """Readings that are outliers, worst first, (n_outliers,)."""
-        found = np.flatnonzero(self.p_value < FALSE_ALARM)
-        result: IntArray = found[np.argsort(-self.ratio[found], kind="stable")]
+        outliers = np.flatnonzero(self.p_value < FALSE_ALARM)
+        result: IntArray = outliers[np.argsort(-self.ratio[outliers], kind="stable")]
         return result
 
 
@@ -284,8 +284,8 @@ def studentised(blocks: list[Blocks], root: FloatArray, freedom: float, scale: f
         leverages.append(np.trace(own, axis1=1, axis2=2) / block.widths)
         largest.append(np.linalg.eigvalsh(own)[:, -1])
     size, widths = np.concatenate(sizes), np.concatenate([block.widths for block in blocks])
-    found = float(np.median(size / median_length(widths))) if scale is None else scale
-    found = max(found, _NO_NOISE)
-    ratio = size / found
+    scale = float(np.median(size / median_length(widths))) if scale is None else scale
+    scale = max(scale, _NO_NOISE)
+    ratio = size / scale
     p_value = np.minimum(1.0, len(ratio) * scipy.special.fdtrc(widths, max(freedom / 2.0, 1.0), ratio**2 / widths))
-    return Studentised(ratio, np.concatenate(leverages), np.concatenate(largest), p_value, found)
+    return Studentised(ratio, np.concatenate(leverages), np.concatenate(largest), p_value, scale)

@@ -122,9 +122,9 @@ def _part(null: FloatArray, columns: IntArray, dropped: set[int]) -> list[FloatA
     """Shortest basis of the null vectors that live on `columns`."""
     u, s, _ = np.linalg.svd(null[columns], full_matrices=False)
     basis = u[:, s > 0.5]  # the columns are a whole part, so s is 1 or 0
-    found = shortest_basis(basis, np.isin(columns, list(dropped)))
-    result = np.zeros((len(found), len(null)))
-    result[:, columns] = found
+    vectors = shortest_basis(basis, np.isin(columns, list(dropped)))
+    result = np.zeros((len(vectors), len(null)))
+    result[:, columns] = vectors
     return list(result)
 
 
@@ -165,15 +165,15 @@ def shortest_basis(basis: FloatArray, avoided: BoolArray) -> FloatArray:
     return np.array(chosen)
 
 
-def _extend(chosen: list[FloatArray], found: list[FloatArray], avoided: BoolArray, wanted: int) -> None:
-    """Take the shortest of the found vectors that are independent of the chosen ones."""
+def _extend(chosen: list[FloatArray], candidates: list[FloatArray], avoided: BoolArray, dimension: int) -> None:
+    """Take the shortest candidates that are independent of the chosen ones."""
 
     def length(vector: FloatArray) -> tuple[int, int, tuple[int, ...]]:
         support = np.flatnonzero(vector)
         return len(support), int(np.sum(avoided[support])), tuple(int(entry) for entry in support)
 
-    for vector in sorted(found, key=length):
-        if len(chosen) == wanted:
+    for vector in sorted(candidates, key=length):
+        if len(chosen) == dimension:
             return
         unit = vector / np.linalg.norm(vector)
         if np.linalg.svd(np.array([*chosen, unit]), compute_uv=False)[-1] > ZERO:

@@ -162,8 +162,8 @@ class Information(ReadOnlyArrays):
     def correlations(self) -> FloatArray:
         """Return correlation coefficients, NaN where a parameter is undetermined, (n_parameters, n_parameters)."""
         norms = np.linalg.norm(self.root, axis=1)
-        known = ~self.undetermined & (norms > 0)
-        unit = self.root / np.where(known, norms, np.nan)[:, None]
+        determined = ~self.undetermined & (norms > 0)
+        unit = self.root / np.where(determined, norms, np.nan)[:, None]
         result: FloatArray = np.clip(unit @ unit.T, -1.0, 1.0)
         return result
 
@@ -176,10 +176,10 @@ class Information(ReadOnlyArrays):
         Returns:
             (n, n_targets) [m]; infinite where a position depends on what the rows do not determine.
         """
-        seen = rows @ self.directions
-        outside = np.sqrt(np.maximum(0.0, np.sum(rows**2, axis=2) - np.sum(seen**2, axis=2)))
+        projected = rows @ self.directions
+        outside = np.sqrt(np.maximum(0.0, np.sum(rows**2, axis=2) - np.sum(projected**2, axis=2)))
         size = np.sqrt(np.max(np.sum(rows**2, axis=2), initial=0.0))
-        variance = np.sum((seen / self.strengths) ** 2, axis=2)
+        variance = np.sum((projected / self.strengths) ** 2, axis=2)
         variance = np.where(outside > OUTSIDE * size, np.inf, variance)
         result: FloatArray = np.sqrt(np.sum(variance.reshape(len(rows), -1, 3), axis=2))
         return result

@@ -98,10 +98,10 @@ def place(points: Sequence[MovingPoint], counts: ArrayLike, guess: pin.SE3, *, f
         rotation = guess.rotation if frame_known else _best_rotation(system, noise, guess.rotation)
         moved = _reduced(system, noise).moved(rotation)
         squares = float(np.sum(system.errors(rotation, moved) ** 2))
-        found = float(np.sqrt(squares / max(3 * len(points) * len(weights) - len(moved) - 6 * (not frame_known), 1)))
-        if np.all(np.isinf(system.sigma)) or abs(found - noise) <= max(_NOISE_FOUND * found, _EXACT):
+        estimate = float(np.sqrt(squares / max(3 * len(points) * len(weights) - len(moved) - 6 * (not frame_known), 1)))
+        if np.all(np.isinf(system.sigma)) or abs(estimate - noise) <= max(_NOISE_FOUND * estimate, _EXACT):
             break
-        noise = found
+        noise = estimate
     result = np.array([point.guess for point in points], dtype=float)
     result[system.free] += moved
     translation = guess.translation if frame_known else system.translation(rotation, moved)

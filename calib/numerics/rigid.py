@@ -134,7 +134,7 @@ def best_transform(p: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray
 
 def _outliers(p: FloatArray, q: FloatArray, sigma: float | None) -> tuple[int, ...]:
     """Remove the most surprising point while one is too surprising; see the module docstring."""
-    kept, found = np.arange(len(p)), []
+    kept, outliers = np.arange(len(p)), []
     exact = max(_EXACT, _ROUNDING * float(max(np.max(np.abs(p)), np.max(np.abs(q)))))
     while len(kept) >= 3 and _extents(p[kept])[1] > _COLLINEAR * _extents(p[kept])[0]:
         rotation, translation = best_transform(p[kept], q[kept])
@@ -144,9 +144,9 @@ def _outliers(p: FloatArray, q: FloatArray, sigma: float | None) -> tuple[int, .
         worst = int(np.argmax(surprise))
         if surprise[worst] <= 1:
             break
-        found.append(int(kept[worst]))
+        outliers.append(int(kept[worst]))
         kept = np.delete(kept, worst)
-    return tuple(found)
+    return tuple(outliers)
 
 
 def _surprise(
@@ -160,8 +160,8 @@ def _surprise(
         return surprise
     for k, (r, J) in enumerate(zip(residuals, slope, strict=True)):
         values, vectors = np.linalg.eigh(np.eye(3) - J @ information @ J.T)
-        seen = values > 1e-9
-        drop, count = float(np.sum((vectors.T @ r)[seen] ** 2 / values[seen])), int(seen.sum())
+        free = values > 1e-9
+        drop, count = float(np.sum((vectors.T @ r)[free] ** 2 / values[free])), int(free.sum())
         left = freedom - count
         if count and sigma is not None:
             surprise[k] = drop / max(sigma, exact) ** 2 / scipy.special.chdtri(count, probability)
@@ -247,13 +247,13 @@ def centre(points: FloatArray, lengths: FloatArray, near: FloatArray) -> FloatAr
     left, values, right = np.linalg.svd(2.0 * q, full_matrices=False)
     n_told = int(np.sum(values > max(_TOLD * values[0], _SMALLEST)))
     along = (left.T @ (squares - squares.mean()))[:n_told] / values[:n_told]
-    found = []
+    candidates = []
     for kept in sorted({n_told, min(n_told, 2)}):
         inside = right[:kept].T @ along[:kept]
         away = _across(right[:kept], near - middle, -float(squares.mean()) - float(inside @ inside))
-        found += [middle + inside] if kept == 3 else [middle + inside + away, middle + inside - away]
-    misses = [float(np.linalg.norm(np.linalg.norm(points - one, axis=1) - lengths)) for one in found]
-    good = [one for one, miss in zip(found, misses, strict=True) if miss <= _AS_GOOD * min(misses) + _SMALLEST]
+        candidates += [middle + inside] if kept == 3 else [middle + inside + away, middle + inside - away]
+    misses = [float(np.linalg.norm(np.linalg.norm(points - one, axis=1) - lengths)) for one in candidates]
+    good = [one for one, miss in zip(candidates, misses, strict=True) if miss <= _AS_GOOD * min(misses) + _SMALLEST]
     return min(good, key=lambda one: float(np.linalg.norm(one - near)))
 
 

@@ -223,8 +223,8 @@ def found_factors(
     freedom: FloatArray = np.bincount(groups[read], 1.0 - pulled[read], n_groups).astype(float)
     require_freedom(float(np.sum(freedom)), int(np.sum(read)))
     total = float(np.sum(squares) / np.sum(freedom))
-    found = np.sqrt(np.where(freedom > _ENOUGH, squares / np.maximum(freedom, _ENOUGH), total))
-    return Factors(found, freedom, found)
+    factor = np.sqrt(np.where(freedom > _ENOUGH, squares / np.maximum(freedom, _ENOUGH), total))
+    return Factors(factor, freedom, factor)
 
 
 def statistics(

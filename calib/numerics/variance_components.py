@@ -237,12 +237,12 @@ def found_with_families(model: LinearModel, start: FloatArray) -> tuple[FloatArr
             change[g] = np.sqrt(max(left, 0.0) / max(counts[g] - used, 0.5)) / scales[g]
         growth = np.ones(model.n_families)
         for f, own in enumerate(members):
-            known = int(np.sum(own)) - float(np.sum(np.diag(inverse)[own]))
-            if known > _SEEN:  # else the data say nothing of it: it stays
+            determined = int(np.sum(own)) - float(np.sum(np.diag(inverse)[own]))
+            if determined > _SEEN:  # else the data say nothing of it: it stays
                 square = float(np.sum((deviations + step)[own] ** 2))
-                growth[f] = np.sqrt(square / known)
+                growth[f] = np.sqrt(square / determined)
                 if sizes[f] * growth[f] < 1.0:
-                    growth[f] = min(np.sqrt((square + 1.0) / known), 1.0 / sizes[f])
+                    growth[f] = min(np.sqrt((square + 1.0) / determined), 1.0 / sizes[f])
         scales, sizes = np.maximum(scales * change, EXACT / 10), np.maximum(sizes * growth, _SMALLEST_FAMILY)
         if np.all(np.abs(growth - 1.0) <= _STANDS) and np.all(np.abs(change - 1.0) <= _STANDS / 10):
             break
@@ -292,9 +292,9 @@ def found_components(model: LinearModel, start: FloatArray, columns: FloatArray,
     if not np.any(sizes > 0) or level == 0:
         return none
     start_tau = np.where(sizes > 0, 0.5 * level / np.maximum(sizes, 1e-300) / np.sqrt(np.sum(sizes > 0)), 0.0)
-    found = _with_shared(model, without.scales, start_tau, columns, block)
+    with_shared = _with_shared(model, without.scales, start_tau, columns, block)
     needed = float(scipy.special.chdtri(int(np.sum(sizes > 0)), CHANCE))
-    return found if 2.0 * (found.log_likelihood - without.log_likelihood) > needed else none
+    return with_shared if 2.0 * (with_shared.log_likelihood - without.log_likelihood) > needed else none
 
 
 def _with_shared(

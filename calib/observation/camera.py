@@ -79,11 +79,11 @@ def in_front(points: FloatArray) -> BoolArray:
 
 def rays(pixels: FloatArray, intrinsics: FloatArray) -> FloatArray:
     """Return m of the module docstring, without distortion, for pixels (n, 2): (n, 2)."""
-    wanted = (pixels - intrinsics[2:4]) / intrinsics[:2]
-    plane = wanted.copy()
+    distorted = (pixels - intrinsics[2:4]) / intrinsics[:2]
+    plane = distorted.copy()
     for _ in range(_ROUNDS):
         bent, by_plane, _ = _distorted(plane, intrinsics[4:])
-        step = np.linalg.solve(by_plane, (wanted - bent)[:, :, None])[:, :, 0]
+        step = np.linalg.solve(by_plane, (distorted - bent)[:, :, None])[:, :, 0]
         plane = plane + np.clip(step, -0.2, 0.2)
         if np.max(np.abs(step), initial=0.0) < _SETTLED:
             break
@@ -175,9 +175,9 @@ def view_poses(points: FloatArray, seen: FloatArray, view: IntArray, n_views: in
     poses, miss = _settled(poses, body, rays_, there)
     miss = miss.reshape(n_views, k)
     best = np.argmin(miss, axis=1)
-    found = poses.reshape(n_views, k, 4, 4)[np.arange(n_views), best]
+    best_poses = poses.reshape(n_views, k, 4, 4)[np.arange(n_views), best]
     error = np.sqrt(miss[np.arange(n_views), best] / np.maximum(counts, 1))
-    return found, np.where(counts >= LEAST_POINTS, error, np.inf)
+    return best_poses, np.where(counts >= LEAST_POINTS, error, np.inf)
 
 
 def _first_poses(body: FloatArray, seen: FloatArray, there: BoolArray, turned: FloatArray) -> FloatArray:
@@ -242,11 +242,11 @@ def resection(points: FloatArray, seen: FloatArray) -> list[FloatArray]:
         return []
     axes = axes * np.sign(np.linalg.det(axes))
     local = (points - middle) @ axes.T / scale
-    found = [_from_plane(local[:, :2], seen)]
+    solutions = [_from_plane(local[:, :2], seen)]
     if size[2] > _FLAT * size[0] and len(points) >= 6:
-        found.append(_from_space(local, seen))
+        solutions.append(_from_space(local, seen))
     result: list[FloatArray] = []
-    for rotation, translation in found:
+    for rotation, translation in solutions:
         pose: FloatArray = np.eye(4)
         pose[:3, :3] = rotation @ axes
         pose[:3, 3] = scale * translation - pose[:3, :3] @ middle

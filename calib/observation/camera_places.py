@@ -58,36 +58,36 @@ class Sightings:
         return Sightings(self.links[chosen], self.points[chosen], self.rays[chosen], self.view[chosen])
 
 
-def guesses(found: Sightings, now: Places, known: tuple[bool, bool]) -> list[Places]:
+def guesses(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> list[Places]:
     """Return guesses at the places of camera and body, best first.
 
     Args:
-        found: What was seen.
+        sightings: What was seen.
         now: The places as they are.
         known: Which of them are known.
     """
-    sample = found.some(np.unique(np.linspace(0, len(found.view) - 1, _POINTS).astype(np.intp)))
-    tried = [now, *_from_views(found, now, known), *_from_points(sample, now, known)]
+    sample = sightings.some(np.unique(np.linspace(0, len(sightings.view) - 1, _POINTS).astype(np.intp)))
+    tried = [now, *_from_views(sightings, now, known), *_from_points(sample, now, known)]
     tried.sort(key=lambda places: _typical(sample, places))
     improved = [_improved(sample, places, known) for places in tried[:_IMPROVED]]
     improved = [
-        _improved(found, places, known) for places in sorted(improved, key=lambda p: _typical(sample, p))[:_KEPT]
+        _improved(sightings, places, known) for places in sorted(improved, key=lambda p: _typical(sample, p))[:_KEPT]
     ]
-    improved.sort(key=lambda places: _typical(found, places))
+    improved.sort(key=lambda places: _typical(sightings, places))
     if any(known):
         return improved
     only_camera = sorted(_from_points(sample, now, (False, True)), key=lambda places: _typical(sample, places))
-    return improved + [_improved(found, places, (False, True)) for places in only_camera[:1]]
+    return improved + [_improved(sightings, places, (False, True)) for places in only_camera[:1]]
 
 
-def seen_points(found: Sightings, places: Places) -> FloatArray:
+def seen_points(sightings: Sightings, places: Places) -> FloatArray:
     """Return the points in the camera's frame, (n, 3) [m]."""
-    return _in_camera(found, places)[0]
+    return _in_camera(sightings, places)[0]
 
 
-def _from_views(found: Sightings, now: Places, known: tuple[bool, bool]) -> list[Places]:
+def _from_views(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> list[Places]:
     """Guesses from poses of single views."""
-    counts = np.bincount(found.view)
+    counts = np.bincount(sightings.view)
     best = np.argsort(-counts, kind="stable")[:_VIEWS]
     best = best[counts[best] >= LEAST_POINTS]
     needed = 3 if not any(known) else 1
@@ -95,10 +95,12 @@ def _from_views(found: Sightings, now: Places, known: tuple[bool, bool]) -> list
         return []
     number = np.full(len(counts), -1)
     number[best] = np.arange(len(best))
-    chosen = np.flatnonzero(number[found.view] >= 0)
-    poses, errors = view_poses(found.points[chosen], found.rays[chosen], number[found.view[chosen]], len(best))
-    first = np.array([int(np.flatnonzero(found.view == view)[0]) for view in best])
-    links = found.links[first]
+    chosen = np.flatnonzero(number[sightings.view] >= 0)
+    poses, errors = view_poses(
+        sightings.points[chosen], sightings.rays[chosen], number[sightings.view[chosen]], len(best)
+    )
+    first = np.array([int(np.flatnonzero(sightings.view == view)[0]) for view in best])
+    links = sightings.links[first]
     solved = np.flatnonzero(np.isfinite(errors))
     if len(solved) < needed:
         return []
@@ -110,7 +112,7 @@ def _from_views(found: Sightings, now: Places, known: tuple[bool, bool]) -> list
     return result
 
 
-def _from_points(found: Sightings, now: Places, known: tuple[bool, bool]) -> list[Places]:
+def _from_points(sightings: Sightings, now: Places, known: tuple[bool, bool]) -> list[Places]:
     """Guesses that take the body's place for known, but for how it is turned."""
     result = []
     for turn in cube_rotations():
@@ -120,8 +122,8 @@ def _from_points(found: Sightings, now: Places, known: tuple[bool, bool]) -> lis
         if known[0]:
             result.append((now[0], body))
         else:
-            points = np.einsum("kab,bc,kc->ka", found.links, body, _homogeneous(found.points))[:, :3]
-            result += [(np.linalg.inv(pose), body) for pose in resection(points, found.rays)]
+            points = np.einsum("kab,bc,kc->ka", sightings.links, body, _homogeneous(sightings.points))[:, :3]
+            result += [(np.linalg.inv(pose), body) for pose in resection(points, sightings.rays)]
         if known[1]:
             break
     return result
@@ -131,22 +133,22 @@ def _homogeneous(points: FloatArray) -> FloatArray:
     return np.hstack([points, np.ones((len(points), 1))])
 
 
-def _in_camera(found: Sightings, places: Places) -> tuple[FloatArray, FloatArray]:
+def _in_camera(sightings: Sightings, places: Places) -> tuple[FloatArray, FloatArray]:
     """Points in the camera's frame (n, 3), and how the body is turned in it (n, 3, 3)."""
-    poses = np.linalg.inv(places[0]) @ found.links @ places[1]
-    return np.einsum("kab,kb->ka", poses[:, :3], _homogeneous(found.points)), poses[:, :3, :3]
+    poses = np.linalg.inv(places[0]) @ sightings.links @ places[1]
+    return np.einsum("kab,kb->ka", poses[:, :3], _homogeneous(sightings.points)), poses[:, :3, :3]
 
 
-def _typical(found: Sightings, places: Places) -> float:
+def _typical(sightings: Sightings, places: Places) -> float:
     """Median error of the rays: some may be mistaken."""
-    errors, _ = plane_errors(_in_camera(found, places)[0], found.rays)
+    errors, _ = plane_errors(_in_camera(sightings, places)[0], sightings.rays)
     return float(np.median(np.sum(errors**2, axis=1)))
 
 
-def _improved(found: Sightings, places: Places, known: tuple[bool, bool]) -> Places:
+def _improved(sightings: Sightings, places: Places, known: tuple[bool, bool]) -> Places:
     """Least squares over the places that are not known; far-off sightings count less."""
     free = np.repeat(np.logical_not(known), 6)
-    scale = max(np.sqrt(_typical(found, places)), 1e-6)
+    scale = max(np.sqrt(_typical(sightings, places)), 1e-6)
 
     def moved(x: FloatArray) -> Places:
         step = np.zeros(12)
@@ -154,15 +156,15 @@ def _improved(found: Sightings, places: Places, known: tuple[bool, bool]) -> Pla
         return _stepped(places[0], step[:6]), _stepped(places[1], step[6:])
 
     def errors(x: FloatArray) -> FloatArray:
-        return plane_errors(_in_camera(found, moved(x))[0], found.rays)[0].ravel()
+        return plane_errors(_in_camera(sightings, moved(x))[0], sightings.rays)[0].ravel()
 
     def jacobian(x: FloatArray) -> FloatArray:
         at = moved(x)
-        points, turned = _in_camera(found, at)
-        by_point = plane_errors(points, found.rays)[1]
+        points, turned = _in_camera(sightings, at)
+        by_point = plane_errors(points, sightings.rays)[1]
         n = len(points)
         by_camera = np.concatenate([-np.tile(np.eye(3), (n, 1, 1)), cross_matrices(points)], axis=2)
-        by_body = np.concatenate([turned, -turned @ cross_matrices(found.points)], axis=2)
+        by_body = np.concatenate([turned, -turned @ cross_matrices(sightings.points)], axis=2)
         step = np.zeros(12)
         step[free] = x
         by_camera[:, :, 3:] = by_camera[:, :, 3:] @ _right_jacobian(step[3:6])

@@ -51,15 +51,15 @@ def fixed_rotations(
     candidates = [(sign * u[:, 0].reshape(3, 3), sign * vt[0].reshape(3, 3)) for sign in (1.0, -1.0)]
     best: tuple[float, FloatArray, FloatArray] | None = None
     for _, start in candidates:
-        found = nearest_rotation(start)
+        fitted_second = nearest_rotation(start)
         for _ in range(_ROUNDS):
-            own, last = _first_of(links, seen, found), found
-            found = nearest_rotation(np.einsum("kba,bc,kcd->ad", links, own, seen))
-            if np.max(np.abs(found - last)) < _SETTLED:
+            fitted_first, last = _first_of(links, seen, fitted_second), fitted_second
+            fitted_second = nearest_rotation(np.einsum("kba,bc,kcd->ad", links, fitted_first, seen))
+            if np.max(np.abs(fitted_second - last)) < _SETTLED:
                 break
-        agrees = float(np.einsum("ab,kbc,dc,kad->", own, seen, found, links))
+        agrees = float(np.einsum("ab,kbc,dc,kad->", fitted_first, seen, fitted_second, links))
         if best is None or agrees > best[0]:
-            best = agrees, own, found
+            best = agrees, fitted_first, fitted_second
     assert best is not None
     return best[1], best[2]
 
@@ -89,8 +89,8 @@ def fixed_poses(
     n = len(links)
     columns = np.concatenate([np.tile(np.eye(3), (n, 1, 1)), -links[:, :3, :3]], axis=2).reshape(3 * n, 6)
     moved = np.concatenate([first[:3, 3], second[:3, 3]])
-    wanted = (links[:, :3, 3] - seen[:, :3, 3] @ first[:3, :3].T).reshape(-1) - columns @ moved
+    right_side = (links[:, :3, 3] - seen[:, :3, 3] @ first[:3, :3].T).reshape(-1) - columns @ moved
     free = np.repeat(np.logical_not(known), 3)
-    moved[free] += np.linalg.lstsq(columns[:, free], wanted, rcond=1e-9)[0]
+    moved[free] += np.linalg.lstsq(columns[:, free], right_side, rcond=1e-9)[0]
     first[:3, 3], second[:3, 3] = moved[:3], moved[3:]
     return first, second

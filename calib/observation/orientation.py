@@ -227,7 +227,7 @@ def _level(
         known: Which of them are known.
     """
     starts = [frame @ _DOWN] if known[0] else [*np.eye(3), *-np.eye(3), frame @ _DOWN]
-    found = []
+    solutions = []
     for start in starts:
         down, mounted = start, sensor
         for _ in range(1 if known[0] else _ROUNDS):
@@ -239,8 +239,8 @@ def _level(
                 down = mean / max(float(np.linalg.norm(mean)), 1e-12)
             if np.max(np.abs(down - last)) < _SETTLED:
                 break
-        found.append((_turned_to(frame, down), mounted))
-    return found
+        solutions.append((_turned_to(frame, down), mounted))
+    return solutions
 
 
 def _turned_to(frame: FloatArray, down: FloatArray) -> FloatArray:

@@ -127,10 +127,10 @@ class Pixel(Instrument):
         """Return pixels, (n, 2); NaN for points that have no image."""
         points = _in_camera(view, self._body(details))
         pixels = project(points, self._numbers(unknowns))[0]
-        seen = in_front(points)
+        in_image = in_front(points)
         if self.image is not None:
-            seen &= np.all((pixels >= -0.5) & (pixels <= np.array(self.image) - 0.5), axis=1)
-        return np.where(seen[:, None], pixels, np.nan)
+            in_image &= np.all((pixels >= -0.5) & (pixels <= np.array(self.image) - 0.5), axis=1)
+        return np.where(in_image[:, None], pixels, np.nan)
 
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
         """Return errors in the image, and how the twist and unknown intrinsics move them."""
@@ -155,7 +155,7 @@ class Pixel(Instrument):
             names = scene.pairs[number]
             chosen = np.flatnonzero(scene.readings.pairs == number)
             _, view = np.unique(scene.readings.visits[chosen], return_inverse=True)
-            found = Sightings(
+            sightings = Sightings(
                 scene.links[chosen],
                 self._body(scene.readings.details[chosen]),
                 rays(scene.readings.values[chosen], self._numbers(scene.unknowns)),
@@ -163,8 +163,8 @@ class Pixel(Instrument):
             )
             known = (not scene.unknown[names[0]], not scene.unknown[names[1]])
             now = (scene.places[names[0]], scene.places[names[1]])
-            every = [now] if all(known) else guesses(found, now, known)
-            self._check(found, every)
+            every = [now] if all(known) else guesses(sightings, now, known)
+            self._check(sightings, every)
             some = [dict(zip(names, places, strict=True)) for places in every]
             result = some if not result else [some[0] | result[0]]  # of several setups: as the first one says
         return tuple(Guess(places) for places in result)
@@ -187,11 +187,11 @@ class Pixel(Instrument):
             " together",
         )
 
-    def _check(self, found: Sightings, every: Sequence[tuple[FloatArray, FloatArray]]) -> None:
-        away = min(int(np.sum(~in_front(seen_points(found, places)))) for places in every)
-        if away > _MOSTLY * len(found.view):
+    def _check(self, sightings: Sightings, every: Sequence[tuple[FloatArray, FloatArray]]) -> None:
+        away = min(int(np.sum(~in_front(seen_points(sightings, places)))) for places in every)
+        if away > _MOSTLY * len(sightings.view):
             raise DataError(
-                f"camera '{self.name}': {away} of the {len(found.view)} points that it saw lie behind it as it is"
+                f"camera '{self.name}': {away} of the {len(sightings.view)} points that it saw lie behind it as it is"
                 f" placed; check where camera and target '{self.target}' are said to be, and that z of the camera's"
                 " frame is its viewing direction"
             )

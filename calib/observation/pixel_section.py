@@ -143,18 +143,18 @@ def read_points(path: Path) -> dict[str, tuple[float, float, float]]:
         divisors = [per_si(header[k][1], "length", f"{path}, column '{names[k]}'") for k in place[1:]]
     except InputError as error:
         raise DescriptionError(str(error)) from None
-    found: dict[str, tuple[float, float, float]] = {}
+    points: dict[str, tuple[float, float, float]] = {}
     for line, row in rows[1:]:
         if len(row) != len(names):
             raise DescriptionError(f"{path}, line {line}: {len(row)} cells for {len(names)} columns")
         name = row[place[0]].strip()
-        if not name or name in found:
+        if not name or name in points:
             raise DescriptionError(f"{path}, line {line}: {f'point {name!r} comes twice' if name else 'has no name'}")
         x, y, z = (_number(row[k], f"{path}, line {line}, column '{names[k]}'") for k in place[1:])
-        found[name] = (x / divisors[0], y / divisors[1], z / divisors[2])
-    if not found:
+        points[name] = (x / divisors[0], y / divisors[1], z / divisors[2])
+    if not points:
         raise DescriptionError(f"{path}: has no points")
-    return found
+    return points
 
 
 def _number(cell: str, where: str) -> float:

@@ -52,9 +52,9 @@ def read_rotations(name: str, form: Form, numbers: FloatArray) -> FloatArray:
         DataError: Numbers that are no rotation.
     """
     vectors = np.full((len(numbers), 3), np.nan)
-    seen = np.isfinite(numbers).all(axis=1)
-    if np.any(seen):
-        vectors[seen] = _rotations(name, form, numbers[seen]).as_rotvec()
+    complete = np.isfinite(numbers).all(axis=1)
+    if np.any(complete):
+        vectors[complete] = _rotations(name, form, numbers[complete]).as_rotvec()
     return vectors
 
 

@@ -83,11 +83,11 @@ def _sockets(touch: Touching, scene: Scene) -> Guess:
     if touch.points_of_artefact:
         open_ = np.array([[bool(scene.unknown[a])] * 3 for a, _ in keys])
     balls = Points(np.array([scene.places[b][:3, 3] for b in targets]), _open(scene, targets))
-    found, found_balls = sockets_and_targets(scene.links, number, target, Points(believed, open_), balls)
-    places = _moved(scene, targets, found_balls)
+    positions, ball_positions = sockets_and_targets(scene.links, number, target, Points(believed, open_), balls)
+    places = _moved(scene, targets, ball_positions)
     if touch.points_of_artefact:
-        return Guess(places | _artefacts(touch, scene, keys, found))
-    return Guess(places | _moved(scene, [a for a, _ in keys], found))
+        return Guess(places | _artefacts(touch, scene, keys, positions))
+    return Guess(places | _moved(scene, [a for a, _ in keys], positions))
 
 
 def _planes(touch: Touching, scene: Scene) -> Guess:
@@ -118,12 +118,12 @@ def _spheres(touch: Touching, scene: Scene) -> Guess:
         centres[a, detail] = centre
         if not known and length > touch.ball:
             radii.setdefault(int(touch.radius_unknown(np.array([detail]))[0]), []).append(length - touch.ball)
-    for index, found in radii.items():
-        unknowns[index] = np.mean(found)
-    seen, positions = list(centres), np.array(list(centres.values())).reshape(-1, 3)
+    for index, estimates in radii.items():
+        unknowns[index] = np.mean(estimates)
+    fitted, positions = list(centres), np.array(list(centres.values())).reshape(-1, 3)
     if touch.points_of_artefact:
-        return Guess(_artefacts(touch, scene, seen, positions), unknowns)
-    return Guess(_moved(scene, [a for a, _ in seen], positions), unknowns)
+        return Guess(_artefacts(touch, scene, fitted, positions), unknowns)
+    return Guess(_moved(scene, [a for a, _ in fitted], positions), unknowns)
 
 
 def _artefacts(

@@ -158,9 +158,9 @@ def _stretches(robot: Robot, bodies: Bodies, placements: FloatArray) -> FloatArr
         size = float(np.max(np.linalg.norm(points, axis=1), initial=0.0))
         if size == 0.0 or not np.any(moved):
             continue
-        known = np.vstack([np.append(points / size, np.ones((len(points), 1)), axis=1), [0.0, 0.0, 0.0, 1.0]])
-        wanted = np.vstack([moved, np.zeros(3)])
-        solution = np.linalg.pinv(known, rcond=_FLATTEST) @ wanted
+        positions = np.vstack([np.append(points / size, np.ones((len(points), 1)), axis=1), [0.0, 0.0, 0.0, 1.0]])
+        displacements = np.vstack([moved, np.zeros(3)])
+        solution = np.linalg.pinv(positions, rcond=_FLATTEST) @ displacements
         stretches[body, :3, :3] += solution[:3].T / size
         stretches[body, :3, 3] = solution[3]
     return stretches

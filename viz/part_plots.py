@@ -62,7 +62,7 @@ def part_plots(fit: Fit, joints: tuple[Joint, ...]) -> tuple[Plot, ...]:
         joints: Its actuated joints.
     """
     sets = [fit.identification, *([] if fit.validation is None else [fit.validation])]
-    parts = dict.fromkeys(part for found in sets for _, part, _ in found.parts() if part.name != POSITION.name)
+    parts = dict.fromkeys(part for error_set in sets for _, part, _ in error_set.parts() if part.name != POSITION.name)
     plots: list[Plot] = []
     for part in parts:
         errors = _of_part(sets, part)
@@ -73,12 +73,12 @@ def part_plots(fit: Fit, joints: tuple[Joint, ...]) -> tuple[Plot, ...]:
 def _of_part(sets: list[ErrorSet], part: Part) -> PartErrors:
     pieces = [
         (
-            found.data.joints[found.data.readings[one.name].visits],
-            found.before[one.name][:, rows],
-            found.after[one.name][:, rows],
+            errors.data.joints[errors.data.readings[one.name].visits],
+            errors.before[one.name][:, rows],
+            errors.after[one.name][:, rows],
         )
-        for found in sets
-        for one, own, rows in found.parts()
+        for errors in sets
+        for one, own, rows in errors.parts()
         if own == part
     ]
     joints, before, after = (np.concatenate(piece) for piece in zip(*pieces, strict=True))

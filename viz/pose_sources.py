@@ -35,7 +35,7 @@ class _Set:
         data: The measurements.
         placed: The robot before calibration.
         before, after: Predicted minus measured points of each instrument, by its name, (n, 3) [m].
-        found: Positions that the calibrated robot predicts at each visit; None without one.
+        predictions: Positions that the calibrated robot predicts at each visit; None without one.
         sigmas: Noise.
         outliers: Visit and instrument of every reading that is an outlier.
     """
@@ -45,7 +45,7 @@ class _Set:
     placed: Robot
     before: Mapping[str, FloatArray]
     after: Mapping[str, FloatArray]
-    found: PositionUncertainty | None
+    predictions: PositionUncertainty | None
     sigmas: Sigmas
     outliers: frozenset[tuple[int, str]] = frozenset()
 
@@ -73,7 +73,7 @@ def of_errors(
     fit: Fit,
     group: str,
     errors: ErrorSet,
-    found: PositionUncertainty | None = None,
+    predictions: PositionUncertainty | None = None,
     outliers: tuple[Outlier, ...] = (),
 ) -> PoseTable:
     """Return one row for each reading of a point of a set with its errors.
@@ -82,12 +82,12 @@ def of_errors(
         fit: The fit that they are of.
         group: Group of the pose table.
         errors: The set.
-        found: Positions that the calibrated robot predicts at each visit, if they are wanted.
+        predictions: Positions that the calibrated robot predicts at each visit, if they are wanted.
         outliers: Readings of the set that are outliers.
     """
     before, after = (_position_errors(errors, state) for state in ("before", "after"))
     marked = frozenset((outlier.pose, outlier.target) for outlier in outliers)
-    return _rows(_Set(group, errors.data, fit.placed, before, after, found, noise(fit), marked))
+    return _rows(_Set(group, errors.data, fit.placed, before, after, predictions, noise(fit), marked))
 
 
 def from_measurements(data: Measurements, nominal: Robot, calibrated: Calibrated | None, sigmas: Sigmas) -> PoseTable:
@@ -133,8 +133,8 @@ def from_saved(saved: Saved, placed: Robot, calibrated: Calibrated) -> PoseTable
 
 def noise(fit: Fit) -> Sigmas:
     """Return the noise of measured points of each instrument, as found."""
-    found = {one.group.name: one.sigma for one in reversed(fit.noise) if one.group.part == "position"}
-    return {one.name: found[one.group] for one in fit.robot.instruments if one.group in found}
+    by_group = {one.group.name: one.sigma for one in reversed(fit.noise) if one.group.part == "position"}
+    return {one.name: by_group[one.group] for one in fit.robot.instruments if one.group in by_group}
 
 
 def _position_errors(errors: ErrorSet, state: str) -> dict[str, FloatArray]:
@@ -151,20 +151,22 @@ def _judged(group: str, data: Measurements, placed: Robot, calibrated: Calibrate
     if calibrated is None:
         unknown = {name: np.full_like(errors, np.nan) for name, errors in before.items()}
         return _rows(_Set(group, data, placed, before, unknown, None, sigmas))
-    after, found = _points_off(calibrated.robot, data), calibrated.predict(data.joints)
-    return _rows(_Set(group, data, placed, before, after, found, sigmas))
+    after, predictions = _points_off(calibrated.robot, data), calibrated.predict(data.joints)
+    return _rows(_Set(group, data, placed, before, after, predictions, sigmas))
 
 
 def _points_off(robot: Robot, data: Measurements) -> dict[str, FloatArray]:
     """Predicted minus measured points of each instrument that measures points, (n, 3) [m]."""
-    wanted = {name: found for name, found in data.readings.items() if _measures_points(robot.instrument(name))}
-    if not wanted:
+    points_read = {
+        name: readings for name, readings in data.readings.items() if _measures_points(robot.instrument(name))
+    }
+    if not points_read:
         return {}
-    predicted = predicted_readings(robot, robot.assemble(data.joints, labels=data.labels), wanted)
+    predicted = predicted_readings(robot, robot.assemble(data.joints, labels=data.labels), points_read)
     off: dict[str, FloatArray] = {}
-    for name, found in wanted.items():
+    for name, readings in points_read.items():
         one = robot.instrument(name)
-        there, here = one.points(predicted[name].values), one.points(found.values)
+        there, here = one.points(predicted[name].values), one.points(readings.values)
         if there is not None and here is not None:
             off[name] = there - here
     return off
@@ -179,50 +181,50 @@ def _measured_together(first: Measurements, second: Measurements) -> bool:
     return first.path == second.path and not np.intersect1d(first.places, second.places).size
 
 
-def _rows(found: _Set) -> PoseTable:
+def _rows(source: _Set) -> PoseTable:
     """One row for each reading of a point, pose by pose; for each visit and target where no points were measured."""
     parts, visits = [], []
-    for one in found.placed.instruments:
-        if one.name in found.before:
-            table, own = _rows_of(found, one)
+    for one in source.placed.instruments:
+        if one.name in source.before:
+            table, own = _rows_of(source, one)
             parts.append(table)
             visits.append(own)
     if not any(map(len, parts)):
-        return _predictions(found)
-    order = np.argsort(found.data.pose_numbers[np.concatenate(visits)], kind="stable")
+        return _predictions(source)
+    order = np.argsort(source.data.pose_numbers[np.concatenate(visits)], kind="stable")
     return concatenate(parts).subset(order)
 
 
-def _rows_of(found: _Set, one: Instrument) -> tuple[PoseTable, IntArray]:
+def _rows_of(source: _Set, one: Instrument) -> tuple[PoseTable, IntArray]:
     """One row for each reading of an instrument, and the visit of each."""
-    readings = found.data.readings[one.name]
+    readings = source.data.readings[one.name]
     points = one.points(readings.values)
     assert points is not None  # it has a position
-    seen = np.flatnonzero(np.isfinite(points).all(axis=1))
-    visits, pairs, measured = readings.visits[seen], readings.pairs[seen], points[seen]
-    before, after = found.before[one.name][seen], found.after[one.name][seen]
-    names = [one.name] * len(seen)
-    for number, setup in enumerate(found.placed.description.setups):
+    complete = np.flatnonzero(np.isfinite(points).all(axis=1))
+    visits, pairs, measured = readings.visits[complete], readings.pairs[complete], points[complete]
+    before, after = source.before[one.name][complete], source.after[one.name][complete]
+    names = [one.name] * len(complete)
+    for number, setup in enumerate(source.placed.description.setups):
         rows = np.flatnonzero(pairs == number)
         if number > 0 and len(rows):
-            R, p = _in_first_setup(found.placed, one, number)
+            R, p = _in_first_setup(source.placed, one, number)
             measured[rows] = measured[rows] @ R.T + p
             before[rows], after[rows] = before[rows] @ R.T, after[rows] @ R.T
             for row in rows:
                 names[row] = f"{one.name}@{setup}"
     spread = np.full(measured.shape, np.nan)
-    if found.found is not None:
-        spread = found.found.std[visits, found.placed.target_names.index(one.target)]
+    if source.predictions is not None:
+        spread = source.predictions.std[visits, source.placed.target_names.index(one.target)]
     table = PoseTable(
-        joints=found.data.joints[visits],
+        joints=source.data.joints[visits],
         measured=measured,
         before=measured + before,
         after=measured + after,
-        sigma=np.full(len(seen), found.sigmas.get(one.name, np.nan)),
+        sigma=np.full(len(complete), source.sigmas.get(one.name, np.nan)),
         spread=spread,
-        outlier=np.array([(visit, one.name) in found.outliers for visit in map(int, visits)], dtype=bool),
+        outlier=np.array([(visit, one.name) in source.outliers for visit in map(int, visits)], dtype=bool),
         targets=tuple(names),
-        **_whence(found, visits),
+        **_whence(source, visits),
     )
     return table, visits
 
@@ -235,32 +237,32 @@ def _in_first_setup(robot: Robot, one: Instrument, setup: int) -> tuple[FloatArr
     return T.rotation.copy(), T.translation.copy()
 
 
-def _predictions(found: _Set) -> PoseTable:
+def _predictions(source: _Set) -> PoseTable:
     """One row for each visit and target: what is predicted, and nothing measured."""
-    data, targets = found.data, found.placed.target_names
+    data, targets = source.data, source.placed.target_names
     visits = np.repeat(np.arange(len(data)), len(targets))
     unknown = np.full((len(visits), 3), np.nan)
-    marked = {visit for visit, _ in found.outliers}
+    marked = {visit for visit, _ in source.outliers}
     return PoseTable(
         joints=data.joints[visits],
         measured=unknown,
-        before=found.placed.positions(data.joints).reshape(-1, 3),
-        after=unknown if found.found is None else found.found.positions.reshape(-1, 3),
+        before=source.placed.positions(data.joints).reshape(-1, 3),
+        after=unknown if source.predictions is None else source.predictions.positions.reshape(-1, 3),
         sigma=unknown[:, 0],
-        spread=unknown if found.found is None else found.found.std.reshape(-1, 3),
+        spread=unknown if source.predictions is None else source.predictions.std.reshape(-1, 3),
         outlier=np.array([visit in marked for visit in map(int, visits)], dtype=bool),
         targets=targets * len(data),
-        **_whence(found, visits),
+        **_whence(source, visits),
     )
 
 
-def _whence(found: _Set, visits: IntArray) -> dict[str, Any]:
+def _whence(source: _Set, visits: IntArray) -> dict[str, Any]:
     """Where the rows of these visits (n,) come from."""
     n = len(visits)
     return {
-        "group": (found.group,) * n,
-        "labels": tuple(found.data.names[visit] for visit in visits),
+        "group": (source.group,) * n,
+        "labels": tuple(source.data.names[visit] for visit in visits),
         "readings": np.ones(n, dtype=np.intp),
-        "series": (found.data.path,) * n,
-        "place": found.data.places[visits],
+        "series": (source.data.path,) * n,
+        "place": source.data.places[visits],
     }

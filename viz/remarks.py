@@ -51,7 +51,7 @@ def remarks(*comments: Iterable[str]) -> Remarks:
 def fit_remarks(fit: Fit) -> Remarks:
     """Return the comments of the files that a fit was made from."""
     sets = [fit.identification, *([] if fit.validation is None else [fit.validation])]
-    return remarks(*(found.data.comments for found in sets))
+    return remarks(*(errors.data.comments for errors in sets))
 
 
 NO_REMARKS = Remarks((), 0)

@@ -117,13 +117,13 @@ def _source(role: str, path: str) -> Source:
 
 def versions() -> list[tuple[str, str]]:
     """Return the programs that took part, and their versions."""
-    found = [("Python", platform.python_version())]
+    programs = [("Python", platform.python_version())]
     for package in _PACKAGES:
         try:
-            found.append((package, version(package)))
+            programs.append((package, version(package)))
         except PackageNotFoundError:
-            found.append((package, "unknown"))
-    return [*found, ("system", f"{platform.system()} {platform.machine()}")]
+            programs.append((package, "unknown"))
+    return [*programs, ("system", f"{platform.system()} {platform.machine()}")]
 
 
 def command_line() -> str:

@@ -68,16 +68,16 @@ def headline(tables: list[AccuracyTable], part: Part) -> tuple[AccuracyTable, Ac
 
 def judged_by(fit: Fit) -> ErrorSet:
     """Return the errors that count, as in `headline`."""
-    sets = {_NAMES.get(name, name): found for name, found in error_sets(fit)}
+    sets = {_NAMES.get(name, name): errors for name, errors in error_sets(fit)}
     return next(sets[name] for name in _JUDGED_BY if name in sets)
 
 
 def worst(fit: Fit) -> str:
     """Return where the robot is still worst: the pose with the largest error after calibration, and its place."""
-    found = judged_by(fit)
-    if found.main_part.name != "position":
-        return _worst_reading(found)
-    table = averaged(of_errors(fit, IDENTIFICATION, found))
+    errors = judged_by(fit)
+    if errors.main_part.name != "position":
+        return _worst_reading(errors)
+    table = averaged(of_errors(fit, IDENTIFICATION, errors))
     row = int(np.nanargmax(np.linalg.norm(table.error("after"), axis=1)))
     shown = error_scale("length") * table.measured[row]
     place = ", ".join(f"{axis} {value:.0f}" for axis, value in zip("xyz", shown, strict=True))
@@ -85,16 +85,16 @@ def worst(fit: Fit) -> str:
     return f"pose {table.labels[row]}{point}, at {place} mm".replace("-", "−")
 
 
-def _worst_reading(found: ErrorSet) -> str:
+def _worst_reading(errors: ErrorSet) -> str:
     """The reading with the largest error of the main part after calibration."""
     sizes = {
-        one.name: np.nansum(found.after[one.name][:, rows] ** 2, axis=1)
-        for one, part, rows in found.parts()
-        if part.name == found.main_part.name
+        one.name: np.nansum(errors.after[one.name][:, rows] ** 2, axis=1)
+        for one, part, rows in errors.parts()
+        if part.name == errors.main_part.name
     }
     name = max(sizes, key=lambda key: float(np.max(sizes[key])))
-    visit = int(found.data.readings[name].visits[int(np.argmax(sizes[name]))])
-    return f"pose {found.data.names[visit]}{f', {name}' if len(sizes) > 1 else ''}"
+    visit = int(errors.data.readings[name].visits[int(np.argmax(sizes[name]))])
+    return f"pose {errors.data.names[visit]}{f', {name}' if len(sizes) > 1 else ''}"
 
 
 def extent(table: PoseTable) -> str:
@@ -129,29 +129,29 @@ def noise_lines(fit: Fit) -> list[NoiseLine]:
 def accuracy(fit: Fit) -> list[AccuracyTable]:
     """Return a table for each part that was read: each set before and after calibration."""
     sets: list[tuple[str, ErrorSet, tuple[str, ...]]]
-    sets = [(_NAMES.get(name, name), found, STATES) for name, found in error_sets(fit)]
+    sets = [(_NAMES.get(name, name), error_set, STATES) for name, error_set in error_sets(fit)]
     if fit.with_all is not None:
         sets.append(("with outliers", fit.with_all.identification, STATES[1:]))
-    parts = dict.fromkeys(part for _, found, _ in sets for _, part, _ in found.parts())
+    parts = dict.fromkeys(part for _, error_set, _ in sets for _, part, _ in error_set.parts())
     tables = []
     for part in parts:
         lines = []
-        for group, found, states in sets:
+        for group, error_set, states in sets:
             for state in states:
-                errors = found.errors(state, part.name)
+                errors = error_set.errors(state, part.name)
                 if len(errors):
-                    lines.append(Accuracy(group, state, found.data.n_poses, error_table(errors, part)))
+                    lines.append(Accuracy(group, state, error_set.data.n_poses, error_table(errors, part)))
         tables.append(AccuracyTable(part, ERROR_UNIT[part.dimension], tuple(lines)))
     return tables
 
 
 def unsure(fit: Fit) -> dict[str, list[str]]:
     """Return the names of parameters that the measurements do not decide, by status."""
-    found: dict[str, list[str]] = {}
+    by_status: dict[str, list[str]] = {}
     for row in parameter_rows(fit):
         if row["status"] not in ("identified", "placed") and not row["family"]:
-            found.setdefault(str(row["status"]), []).append(str(row["name"]))
-    return found
+            by_status.setdefault(str(row["status"]), []).append(str(row["name"]))
+    return by_status
 
 
 def left_out(fit: Fit) -> list[dict[str, Any]]:
@@ -162,17 +162,17 @@ def left_out(fit: Fit) -> list[dict[str, Any]]:
     return [
         {
             "set": "left out",
-            "pose": errors.data.names[found.pose],
-            "target": found.target,
-            "distance": _distance(errors, found),
-            "size": found.size,
-            "over_noise": found.studentised,
-            "leverage": found.leverage,
+            "pose": errors.data.names[outlier.pose],
+            "target": outlier.target,
+            "distance": _distance(errors, outlier),
+            "size": outlier.size,
+            "over_noise": outlier.studentised,
+            "leverage": outlier.leverage,
         }
-        for found in fit.excluded
+        for outlier in fit.excluded
     ]
 
 
-def _distance(errors: ErrorSet, found: Outlier) -> float:
-    one = next(one for one in errors.instruments if one.name == found.target)
-    return found.distance * error_scale(one.parts[0].dimension)
+def _distance(errors: ErrorSet, outlier: Outlier) -> float:
+    one = next(one for one in errors.instruments if one.name == outlier.target)
+    return outlier.distance * error_scale(one.parts[0].dimension)

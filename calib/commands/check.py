@@ -64,23 +64,23 @@ def command(
     if data is None:
         if poses < 1:
             raise InputError(f"--poses {poses}: at least one is needed")
-        found, source = (
+        pose_set, source = (
             sample(model, poses, seed),
             f"sampled over the joint limits, seed {seed}",
         )
     else:
-        found, source = read_pose_file(data, model), data
+        pose_set, source = read_pose_file(data, model), data
         if parameters is None and result is None:
-            model = placed(model, found)
-    for one in () if isinstance(found, Measurements) else unsaid_touches(model, found):
+            model = placed(model, pose_set)
+    for one in () if isinstance(pose_set, Measurements) else unsaid_touches(model, pose_set):
         output.note(
             f"note: these poses do not touch what '{one.name}' touches, or do not say what: they count as touching"
             " everything wherever they are, which tells more than touches can (one socket says nothing of the robot's"
             f" size); give poses at contact, with a column '{one.text_columns()[0]}'"
         )
-    wanted = None if task is None else read_poses(task, model)
-    with output.working(f"checking {len(found)} poses"):
-        assessment = check(model, found, task=wanted, sigma=sigma)
+    task_poses = None if task is None else read_poses(task, model)
+    with output.working(f"checking {len(pose_set)} poses"):
+        assessment = check(model, pose_set, task=task_poses, sigma=sigma)
     if plots is not None:
         write_folder(plots, figures(assessment))
     output.say(text_report(assessment, source))

@@ -245,16 +245,18 @@ def different_poses(poses: Poses) -> Poses:
         poses.ignored,
         comments=poses.comments,
         setups=None if poses.setups is None else poses.setups[first],
-        wanted={name: _once(found, numbers, same_setup) for name, found in poses.wanted.items()},
+        wanted={name: _once(readings, numbers, same_setup) for name, readings in poses.wanted.items()},
     )
 
 
-def _once(found: Readings, numbers: IntArray, counts: BoolArray) -> Readings:
+def _once(readings: Readings, numbers: IntArray, counts: BoolArray) -> Readings:
     """What is to be read at poses, of whose visits (n,) these are the numbers, once each; of visits that count."""
-    said = np.column_stack([numbers[found.visits], found.pairs, found.details, counts[found.visits]])
+    said = np.column_stack([numbers[readings.visits], readings.pairs, readings.details, counts[readings.visits]])
     kept = np.sort(np.unique(said, axis=0, return_index=True)[1])
-    kept = kept[counts[found.visits[kept]]]
-    return Readings(numbers[found.visits[kept]], found.pairs[kept], found.values[kept], None, found.details[kept])
+    kept = kept[counts[readings.visits[kept]]]
+    return Readings(
+        numbers[readings.visits[kept]], readings.pairs[kept], readings.values[kept], None, readings.details[kept]
+    )
 
 
 def placed(robot: Robot, *files: Poses | None) -> Robot:

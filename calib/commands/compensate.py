@@ -71,32 +71,32 @@ def command(
         _write_grid(calibrated, rows, grid, result, out, output)
         return
     with output.working(f"compensating {len(rows)} rows"):
-        found = compensate(
+        compensation = compensate(
             calibrated, rows, keep=keep, predict=partial(load_uncertainty(result, nominal).at, calibrated)
         )
-    if not skip_unreachable or not np.any(found.ok):
-        _require_all(found)
-    for miss in found.misses():
+    if not skip_unreachable or not np.any(compensation.ok):
+        _require_all(compensation)
+    for miss in compensation.misses():
         output.note(f"{miss}; left empty")
-    output.remarks(found.jumps())
+    output.remarks(compensation.jumps())
     comments = (
-        f"{program} for {nominal.name}, compensated with {result}; kept: {found.keep}",
+        f"{program} for {nominal.name}, compensated with {result}; kept: {compensation.keep}",
         *said_of_failure(output, result, out),
     )
-    write_file(out, format_table(_columns(nominal, rows, found), comments))
-    summary, held_out, n = _summary(found), _held_out(result), len(rows)
+    write_file(out, format_table(_columns(nominal, rows, compensation), comments))
+    summary, held_out, n = _summary(compensation), _held_out(result), len(rows)
     output.json(
         {
             "robot": nominal.path,
-            "kept": found.keep,
+            "kept": compensation.keep,
             "n_rows": n,
-            "n_unreachable": n - int(np.sum(found.ok)),
+            "n_unreachable": n - int(np.sum(compensation.ok)),
             **summary,
             "held_out_rms_mm": held_out,
-            "rows": _rows(nominal, found),
+            "rows": _rows(nominal, compensation),
         }
     )
-    output.say(_said(found, summary, held_out, out))
+    output.say(_said(compensation, summary, held_out, out))
 
 
 def _write_grid(calibrated: Robot, program: Poses | Goals, grid: str, result: str, out: str, output: Output) -> None:
@@ -108,16 +108,16 @@ def _write_grid(calibrated: Robot, program: Poses | Goals, grid: str, result: st
     except ValueError:
         raise InputError(f"--grid '{grid}': write three numbers of nodes, such as 5,5,3") from None
     with output.working("compensating the grid"):
-        found = correction_grid(calibrated, program, (nx, ny, nz))
-    name, degrees = found.target, PER_SI["angle"]["deg"]
+        corrections = correction_grid(calibrated, program, (nx, ny, nz))
+    name, degrees = corrections.target, PER_SI["angle"]["deg"]
     columns: list[tuple[str, list[object]]] = []
     for k, axis in enumerate("xyz"):
-        columns.append((f"{name}_{axis} [mm]", _cells(millimetres(found.nodes[:, k]))))
+        columns.append((f"{name}_{axis} [mm]", _cells(millimetres(corrections.nodes[:, k]))))
     for k, axis in enumerate("xyz"):
-        columns.append((f"add_{axis} [mm]", _cells(millimetres(found.shift[:, k]))))
+        columns.append((f"add_{axis} [mm]", _cells(millimetres(corrections.shift[:, k]))))
     for k, axis in enumerate("xyz") if program.rotations is not None else ():
-        columns.append((f"turn_{axis} [deg]", _cells(found.turn[:, k] * degrees)))
-    off, angle = millimetres(found.position_errors), found.angle_errors * degrees
+        columns.append((f"turn_{axis} [deg]", _cells(corrections.turn[:, k] * degrees)))
+    off, angle = millimetres(corrections.position_errors), corrections.angle_errors * degrees
     wrong = (
         f"linear interpolation is off by {np.sqrt(np.mean(off**2)):.4f} mm (rms), {np.max(off):.4f} mm and"
         f" {np.max(angle):.4f} deg at worst"
@@ -126,12 +126,14 @@ def _write_grid(calibrated: Robot, program: Poses | Goals, grid: str, result: st
     write_file(out, format_table(columns, comments))
     output.json(
         {
-            "n_nodes": len(found.nodes),
+            "n_nodes": len(corrections.nodes),
             "interpolation_mm": {"rms": float(np.sqrt(np.mean(off**2))), "max": float(np.max(off))},
             "interpolation_deg": {"max": float(np.max(angle))},
         }
     )
-    output.say(f"{counted(len(found.nodes), 'node')} written to {out}; {wrong}, at {len(off)} points between them")
+    output.say(
+        f"{counted(len(corrections.nodes), 'node')} written to {out}; {wrong}, at {len(off)} points between them"
+    )
 
 
 def _read(path: str, robot: Robot, output: Output) -> Poses | Goals:
@@ -151,35 +153,35 @@ def _read(path: str, robot: Robot, output: Output) -> Poses | Goals:
     return read_poses(path, robot)
 
 
-def _require_all(found: Compensation) -> None:
+def _require_all(compensation: Compensation) -> None:
     """Raise `UnreachablePoseError` that names the rows without a command."""
-    misses = found.misses()
+    misses = compensation.misses()
     if misses:
         more = f" (and {len(misses) - 5} more)" if len(misses) > 5 else ""
         raise UnreachablePoseError(
-            f"{counted(len(misses), 'row')} of {len(found.names)} cannot be compensated: {'; '.join(misses[:5])}{more};"
-            " change these rows, or mark them with --skip-unreachable"
+            f"{counted(len(misses), 'row')} of {len(compensation.names)} cannot be compensated:"
+            f" {'; '.join(misses[:5])}{more}; change these rows, or mark them with --skip-unreachable"
         )
 
 
-def _columns(robot: Robot, program: Poses | Goals, found: Compensation) -> list[tuple[str, list[object]]]:
+def _columns(robot: Robot, program: Poses | Goals, compensation: Compensation) -> list[tuple[str, list[object]]]:
     """Columns of the file; cells without a command are empty."""
-    columns: list[tuple[str, list[object]]] = [("pose", list(found.names))]
-    for name, values in in_display_units(robot, found.q).items():
+    columns: list[tuple[str, list[object]]] = [("pose", list(compensation.names))]
+    for name, values in in_display_units(robot, compensation.q).items():
         columns.append((name, _cells(values)))
     if isinstance(program, Goals):
-        for name, values in _poses_to_command(robot, program, found).items():
+        for name, values in _poses_to_command(robot, program, compensation).items():
             columns.append((name, _cells(values)))
     for figure in _FIGURES:
-        columns.append((f"{figure} [mm]", _cells(millimetres(getattr(found, figure)))))
-    columns.append(("status", [why or "ok" for why in found.reasons]))
+        columns.append((f"{figure} [mm]", _cells(millimetres(getattr(compensation, figure)))))
+    columns.append(("status", [why or "ok" for why in compensation.reasons]))
     return columns
 
 
-def _poses_to_command(robot: Robot, program: Goals, found: Compensation) -> dict[str, FloatArray]:
+def _poses_to_command(robot: Robot, program: Goals, compensation: Compensation) -> dict[str, FloatArray]:
     """What a controller with the nominal model must be told, in the program's columns."""
-    positions, rotations = found.told(robot)
-    name = found.target
+    positions, rotations = compensation.told(robot)
+    name = compensation.target
     shown = {f"{name}_{axis} [mm]": millimetres(positions[:, k]) for k, axis in enumerate("xyz")}
     if program.rotations is not None:
         angles = _rpy(rotations) * PER_SI["angle"]["deg"]
@@ -198,26 +200,26 @@ def _cells(values: FloatArray) -> list[object]:
     return [float(f"{value:.15g}") if np.isfinite(value) else "" for value in values]
 
 
-def _summary(found: Compensation) -> dict[str, dict[str, float]]:
+def _summary(compensation: Compensation) -> dict[str, dict[str, float]]:
     """Root mean square and largest error of all rows, before and after [mm]."""
-    shown = {figure: millimetres(getattr(found, figure)[found.ok]) for figure in _FIGURES[:2]}
+    shown = {figure: millimetres(getattr(compensation, figure)[compensation.ok]) for figure in _FIGURES[:2]}
     return {
         f"{figure}_mm": {"rms": float(np.sqrt(np.mean(values**2))), "max": float(np.max(values))}
         for figure, values in shown.items()
     }
 
 
-def _rows(robot: Robot, found: Compensation) -> list[dict[str, object]]:
+def _rows(robot: Robot, compensation: Compensation) -> list[dict[str, object]]:
     """One entry for each row; null where there is no number."""
-    joints = in_display_units(robot, found.q)
+    joints = in_display_units(robot, compensation.q)
     return [
         {
             "pose": name,
-            "status": found.reasons[k] or "ok",
-            "joints": {joint: float(values[k]) for joint, values in joints.items()} if found.ok[k] else None,
-            **{f"{figure}_mm": _number(millimetres(float(getattr(found, figure)[k]))) for figure in _FIGURES},
+            "status": compensation.reasons[k] or "ok",
+            "joints": {joint: float(values[k]) for joint, values in joints.items()} if compensation.ok[k] else None,
+            **{f"{figure}_mm": _number(millimetres(float(getattr(compensation, figure)[k]))) for figure in _FIGURES},
         }
-        for k, name in enumerate(found.names)
+        for k, name in enumerate(compensation.names)
     ]
 
 
@@ -231,12 +233,13 @@ def _held_out(folder: str) -> float | None:
     return None if errors is None else errors["after"].get("rms")
 
 
-def _said(found: Compensation, summary: dict[str, dict[str, float]], held_out: float | None, out: str) -> str:
+def _said(compensation: Compensation, summary: dict[str, dict[str, float]], held_out: float | None, out: str) -> str:
     before, expected = summary["before_mm"], summary["expected_mm"]
     text = (
-        f"{int(np.sum(found.ok))} of {counted(len(found.names), 'row')} compensated ({found.keep} kept), written to"
-        f" {out}\nThe tool was off by {before['rms']:.4f} mm (rms); expected now: {expected['rms']:.4f} mm,"
-        f" {expected['max']:.4f} mm at worst, from the noise of the measurements alone"
+        f"{int(np.sum(compensation.ok))} of {counted(len(compensation.names), 'row')} compensated"
+        f" ({compensation.keep} kept), written to {out}\nThe tool was off by {before['rms']:.4f} mm (rms);"
+        f" expected now: {expected['rms']:.4f} mm, {expected['max']:.4f} mm at worst, from the noise of the"
+        " measurements alone"
     )
     if held_out is None:
         return text

@@ -44,16 +44,16 @@ def commands() -> tuple[str, ...]:
 def command(name: str) -> click.Command:
     """Return an added command."""
     (entry,) = entry_points(group=GROUP, name=name)
-    found: Pictures = entry.load()
-    return found.command
+    pictures: Pictures = entry.load()
+    return pictures.command
 
 
 def pages(fit: Fit) -> dict[str, bytes]:
     """Return the pages of a result folder; none of a robot that cannot be assembled."""
     files: dict[str, bytes] = {}
     for entry in entry_points(group=GROUP) if fit.assembles else ():
-        found: Pictures = entry.load()
-        files |= found.pages(fit)
+        pictures: Pictures = entry.load()
+        files |= pictures.pages(fit)
     return files
 
 
@@ -63,11 +63,11 @@ def figures(subject: object) -> dict[str, bytes]:
     Raises:
         InputError: Nothing that draws is installed, or something that it needs is missing.
     """
-    found: list[Pictures] = [entry.load() for entry in entry_points(group=GROUP)]
-    if not found:
+    modules: list[Pictures] = [entry.load() for entry in entry_points(group=GROUP)]
+    if not modules:
         raise InputError(f"--plots: nothing that draws is installed (entry point group {GROUP})")
     files: dict[str, bytes] = {}
-    for one in found:
+    for one in modules:
         try:
             files |= one.figures(subject)
         except ImportError as error:

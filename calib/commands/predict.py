@@ -56,6 +56,6 @@ def _with_uncertainty(
     model: Robot, poses: Poses, result: str, comment: tuple[str, ...]
 ) -> tuple[str, dict[str, object]]:
     """Return the CSV text with standard deviations, and their summary [mm]."""
-    found = load_uncertainty(result, model).at(model, poses.joints)
-    text = format_positions(model, poses, found.positions, comment, found.std)
-    return text, {**found.summary(), "worst_pose": poses.names[found.worst]}
+    uncertainty = load_uncertainty(result, model).at(model, poses.joints)
+    text = format_positions(model, poses, uncertainty.positions, comment, uncertainty.std)
+    return text, {**uncertainty.summary(), "worst_pose": poses.names[uncertainty.worst]}

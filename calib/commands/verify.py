@@ -60,11 +60,11 @@ def command(
         return
     measured = read_measurements(data, model)
     with output.working(f"judging {counted(measured.n_readings, 'reading')}"):
-        found = verify(promise, measured, same_setup=same_setup)
-        figures, missing = iso_figures(found.errors, np.random.default_rng(seed))
-    output.json({"robot": model.path, "seed": seed, **to_dict(found, figures, missing)})
-    output.say(text_report(found, figures, missing))
-    if found.verdict != "agrees":
+        acceptance = verify(promise, measured, same_setup=same_setup)
+        figures, missing = iso_figures(acceptance.errors, np.random.default_rng(seed))
+    output.json({"robot": model.path, "seed": seed, **to_dict(acceptance, figures, missing)})
+    output.say(text_report(acceptance, figures, missing))
+    if acceptance.verdict != "agrees":
         raise click.exceptions.Exit(_NOT_AS_PROMISED)
 
 
@@ -74,9 +74,9 @@ def _plan(promise: Promise, data: tuple[str, ...], change: str | None, same_setu
         raise InputError(f"--plan: {len(data)} files; give one with joint values")
     poses = read_poses(data[0], promise.robot)
     name, size = _change(promise.robot, change) if change else ("", 0.0)
-    found = visible_changes(promise, poses, same_setup=same_setup)
-    content: dict[str, object] = {"n_poses": len(poses), "power": POWER, "changes": changes_as_data(found)}
-    lines = [plan_report(found, data[0], len(poses))]
+    changes = visible_changes(promise, poses, same_setup=same_setup)
+    content: dict[str, object] = {"n_poses": len(poses), "power": POWER, "changes": changes_as_data(changes)}
+    lines = [plan_report(changes, data[0], len(poses))]
     if change:
         needed = poses_needed(promise, poses, name, size, same_setup=same_setup)
         content |= {"change": name, "poses_needed": needed}
@@ -99,7 +99,7 @@ def _change(robot: Robot, text: str) -> tuple[str, float]:
     known = {one.name: one.dimension for one in candidates(robot)}
     if name not in known:
         raise DataError(f"--change: no change '{name}' can be looked for{nearest(name, known)}")
-    found = quantity(size, known[name], f"--change {name}")
-    if found == 0:
+    value = quantity(size, known[name], f"--change {name}")
+    if value == 0:
         raise DataError(f"--change '{text}': is no change; give a size other than zero")
-    return name, found
+    return name, value

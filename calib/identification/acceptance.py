@@ -156,8 +156,8 @@ def visible_changes(
     promise = Promise.of(promise) if isinstance(promise, Fit) else promise
     data = simulate(promise.robot, poses, 0.0, np.random.default_rng(0))  # no noise is drawn
     scale = {c.name: c.scale for c in candidates(promise.robot)}
-    found = System.of(promise, data, same_setup).changes()[0]
-    nothing = [replace(one, value=np.nan, z=np.nan) for one in found]
+    changes = System.of(promise, data, same_setup).changes()[0]
+    nothing = [replace(one, value=np.nan, z=np.nan) for one in changes]
     return tuple(sorted(nothing, key=lambda one: six_digits(one.visible / scale[one.name])))
 
 
@@ -177,26 +177,26 @@ def poses_needed(
         DataError: No such candidate, or no size.
     """
     promise = Promise.of(promise) if isinstance(promise, Fit) else promise
-    where = as_poses(promise.robot, poses)
+    planned = as_poses(promise.robot, poses)
     if not (np.isfinite(size) and size != 0):
         raise DataError(f"change of '{name}': {size:g} is no change; give a number other than zero")
 
-    def seen(n: int) -> bool:
+    def shows(n: int) -> bool:
         try:
-            found = visible_changes(promise, where.joints[:n], same_setup=same_setup)
+            changes = visible_changes(promise, planned.joints[:n], same_setup=same_setup)
         except DataError:  # too few to judge anything
             return False
-        return any(c.name == name and c.visible <= abs(size) for c in found)
+        return any(c.name == name and c.visible <= abs(size) for c in changes)
 
     names = [c.name for c in candidates(promise.robot)]
     if name not in names:
         raise DataError(f"no change '{name}' can be looked for{nearest(name, names)}")
-    if not seen(len(where)):
+    if not shows(len(planned)):
         return None
-    low, high = 0, len(where)  # more poses show more
+    low, high = 0, len(planned)  # more poses show more
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (low, middle) if seen(middle) else (middle, high)
+        low, high = (low, middle) if shows(middle) else (middle, high)
     return high
 
 

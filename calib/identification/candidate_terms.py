@@ -97,15 +97,15 @@ def candidates(robot: Robot, data: Measurements) -> tuple[Candidate, ...]:
 
 def missing_terms(robot: Robot, sections: tuple[TermSection, ...]) -> tuple[TermSection, ...]:
     """Return entries without those that a robot has already, joint by joint where it has them for some joints."""
-    found: list[TermSection] = []
+    missing: list[TermSection] = []
     for section in sections:
         having = {term.joint for term in robot.terms if type(term) is TERMS[section.term]}
         if not having & ({*robot.joint_names} if section.joint == "all" else {section.joint}):
-            found.append(section)
+            missing.append(section)
             continue
         names = robot.joint_names if section.joint == "all" else ()
-        found += [section.model_copy(update={"joint": name}) for name in names if name not in having]
-    return tuple(found)
+        missing += [section.model_copy(update={"joint": name}) for name in names if name not in having]
+    return tuple(missing)
 
 
 def _candidate(name: str, robot: Robot, data: Measurements) -> Candidate:
@@ -120,8 +120,8 @@ def _candidate(name: str, robot: Robot, data: Measurements) -> Candidate:
     if not joints:
         return Candidate(name, refused=_nothing_shows(name, robot))
     everywhere = len(joints) == len(robot.joint_names)
-    wanted = tuple(kind.section(joint=joint, term=name) for joint in (["all"] if everywhere else joints))
-    sections = missing_terms(robot, wanted)
+    entries = tuple(kind.section(joint=joint, term=name) for joint in (["all"] if everywhere else joints))
+    sections = missing_terms(robot, entries)
     if not sections:
         return Candidate(name, refused="the description has it already")
     try:

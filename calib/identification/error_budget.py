@@ -112,9 +112,9 @@ def causes_of(robot: Robot) -> tuple[str, ...]:
     """Return the cause that each parameter stands for, (n_parameters,)."""
     places = {robot.mechanism.origin(name) for name in robot.mechanism.places}
     own = robot.parametrisation.parameters
-    found = [PLACES if p.placement or p.name.rpartition(".")[0] in places else GEOMETRY for p in own]
-    found += [PLACES for one in robot.instruments for _ in one.unknowns]
-    return (*found, *(term.cause for term in robot.terms for _ in term.parameters))
+    causes = [PLACES if p.placement or p.name.rpartition(".")[0] in places else GEOMETRY for p in own]
+    causes += [PLACES for one in robot.instruments for _ in one.unknowns]
+    return (*causes, *(term.cause for term in robot.terms for _ in term.parameters))
 
 
 def error_budget(
@@ -198,9 +198,11 @@ def _along(
     removed, gradient = np.zeros((int(np.sum(counted)), len(members))), np.zeros(members.shape)
     for node, weight in zip(*np.polynomial.legendre.leggauss(3), strict=True):
         robot = before.with_parameters(before.values + (node + 1.0) / 2.0 * way)
-        found = observe(robot, robot.assemble(data.joints, labels=data.labels, context=data.conditions), data.readings)
-        residuals = _flat({name: one.residuals for name, one in found.items()}, layout)[counted]
-        jacobian = _flat({name: one.jacobian[:, :, unknowns.index] for name, one in found.items()}, layout)[counted]
+        observed = observe(
+            robot, robot.assemble(data.joints, labels=data.labels, context=data.conditions), data.readings
+        )
+        residuals = _flat({name: one.residuals for name, one in observed.items()}, layout)[counted]
+        jacobian = _flat({name: one.jacobian[:, :, unknowns.index] for name, one in observed.items()}, layout)[counted]
         placing, moved = _span(jacobian[:, unknowns.placement]), jacobian @ steps
         total = np.sum(moved, axis=1)
         taken = placing @ (placing.T @ total)
@@ -244,10 +246,10 @@ def _span(columns: FloatArray) -> FloatArray:
 
 def _flat(arrays: Mapping[str, FloatArray], layout: Layout) -> FloatArray:
     """All rows of all instruments, (n_rows,) or (n_rows, k), from (n, n_rows) or (n, n_rows, k) of each."""
-    found: FloatArray = np.concatenate(
+    rows: FloatArray = np.concatenate(
         [arrays[name].reshape(-1, *arrays[name].shape[2:]) for name in layout.instruments]
     )
-    return found
+    return rows
 
 
 def _std(parts: FloatArray, pose: IntArray) -> float:

@@ -44,12 +44,12 @@ class ErrorSet(ReadOnlyArrays):
 
     def parts(self) -> list[tuple[Instrument, Part, IntArray]]:
         """Return every part of every instrument that read anything, with its rows, (n_rows,)."""
-        found = []
+        parts = []
         for one in self.instruments:
             for k, part in enumerate(one.parts):
                 if len(self.after.get(one.name, ())):
-                    found.append((one, part, np.flatnonzero(np.array(one.part_of_row) == k)))
-        return found
+                    parts.append((one, part, np.flatnonzero(np.array(one.part_of_row) == k)))
+        return parts
 
     def errors(self, state: str, part: str = "position", *, single: bool = False) -> FloatArray:
         """Return errors of a part of all instruments that have it, (n, k) [SI].
@@ -60,12 +60,12 @@ class ErrorSet(ReadOnlyArrays):
             single: Whether every reading counts by itself; else those that repeat one pose are averaged, which leaves
                 what the model is off there.
         """
-        found = []
+        pieces = []
         for one, own, rows in self.parts():
             if own.name == part:
                 errors = getattr(self, state)[one.name][:, rows]
-                found.append(errors if single else self._by_pose(one.name, errors))
-        return np.concatenate(found) if found else np.zeros((0, 3))
+                pieces.append(errors if single else self._by_pose(one.name, errors))
+        return np.concatenate(pieces) if pieces else np.zeros((0, 3))
 
     def _by_pose(self, name: str, errors: FloatArray) -> FloatArray:
         """Means over readings of one instrument, along one pair, that repeat a pose, in order of first appearance."""
@@ -177,8 +177,8 @@ def _spread(values: FloatArray) -> float:
 
 
 def _percentiles(values: FloatArray) -> dict[str, float]:
-    found = np.percentile(values, list(PERCENTILES.values()))
-    return {key: float(value) for key, value in zip(PERCENTILES, found, strict=True)}
+    percentiles = np.percentile(values, list(PERCENTILES.values()))
+    return {key: float(value) for key, value in zip(PERCENTILES, percentiles, strict=True)}
 
 
 def format_error(table: dict[str, object]) -> list[str]:

@@ -134,23 +134,23 @@ def identify(robot: Robot, data: Measurements, validation: Measurements | None, 
     _require_measurements(data, validation)
     try:
         robot, choice = _with_terms(robot, data, settings)
-        found = _fit(robot, data, validation, settings)
+        fit = _fit(robot, data, validation, settings)
     except UnreachablePoseError as error:
         mistake = likely_mistake(robot, data)
         raise UnreachablePoseError(f"{error}{'; ' if mistake else ''}{mistake}") from None
     plain = replace(settings, starts=1)
     if settings.exclude_outliers:
         tukey = replace(plain, loss="tukey")
-        found = without_outliers(
-            found,
+        fit = without_outliers(
+            fit,
             robust=lambda: _fit(robot, data, None, tukey),
             again=lambda kept: _fit(robot, kept, validation, settings),
         )
     if settings.folds:
-        used = found.identification.data
+        used = fit.identification.data
         folds = cross_validate(used, settings.folds, settings.seed, lambda kept, held: _fit(robot, kept, held, plain))
-        found = replace(found, folds=folds)
-    return replace(found, seconds=time.perf_counter() - started, terms=choice)
+        fit = replace(fit, folds=folds)
+    return replace(fit, seconds=time.perf_counter() - started, terms=choice)
 
 
 def _with_terms(robot: Robot, data: Measurements, settings: Settings) -> tuple[Robot, TermChoice | None]:
@@ -194,7 +194,7 @@ def _fit(robot: Robot, data: Measurements, validation: Measurements | None, sett
         rows.residuals, rows.jacobian, layout.group, len(layout.groups), rows.known
     )
     slowed = rows if factors.slope == 1.0 else rows.weighted(np.full(layout.n_readings, factors.slope))
-    found = statistics(
+    uncertainty = statistics(
         rows.jacobian,
         layout.group,
         slowed.known,
@@ -217,7 +217,7 @@ def _fit(robot: Robot, data: Measurements, validation: Measurements | None, sett
         validation=None if validation is None else _errors_on(placed, solved.robot, validation),
         configurations=final.configurations,
         unknowns=unknowns,
-        statistics=found,
+        statistics=uncertainty,
         determination=determined,
         observability=_observability(problem, final, determined.free.rank),
         rows=rows,
@@ -225,7 +225,7 @@ def _fit(robot: Robot, data: Measurements, validation: Measurements | None, sett
         scales=scales,
         message=solved.solution.message,
         seconds=float("nan"),
-        convergence=_convergence(problem, solved, rows, found.std),
+        convergence=_convergence(problem, solved, rows, uncertainty.std),
         loss=settings.loss,
         weights=np.ones(layout.n_readings) if solved.weights is None else solved.weights,
         sigma_given=settings.sigma,
@@ -257,11 +257,11 @@ def _place(problem: Problem) -> Robot:
     if not np.any(places.has_prior) and _is_best_placed(problem, registered, places):
         return registered
     first = problem.evaluate(registered)
-    found, solution = registered, None
+    placed, solution = registered, None
     groups = _as_found(problem, first, problem.whitening.start(first.residuals))
     for _ in range(_NOISE_ROUNDS):
-        found, solution = problem.solve(found, groups, places, tolerance=_PLACED)
-        again = _as_found(problem, problem.evaluate(found), groups)
+        placed, solution = problem.solve(placed, groups, places, tolerance=_PLACED)
+        again = _as_found(problem, problem.evaluate(placed), groups)
         if not np.any(places.has_prior) or np.all(np.abs(again / groups - 1.0) <= _NOISE_STANDS):
             break
         groups = again
@@ -269,12 +269,12 @@ def _place(problem: Problem) -> Robot:
         raise NotConvergedError(
             "placing the base and the targets did not converge; check units and axes of the measurements"
         )
-    return found
+    return placed
 
 
-def _as_found(problem: Problem, found: Evaluation, groups: FloatArray) -> FloatArray:
+def _as_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
     """Scales of all groups, stated or not, as the residuals of placing are."""
-    flat, group = problem.whitening.flatten(found.residuals), problem.whitening.layout.group
+    flat, group = problem.whitening.flatten(evaluation.residuals), problem.whitening.layout.group
     places = problem.unknowns.only(problem.unknowns.placement)
     result = groups.copy()
     for g in range(len(result)):
@@ -286,8 +286,8 @@ def _as_found(problem: Problem, found: Evaluation, groups: FloatArray) -> FloatA
 
 def _is_best_placed(problem: Problem, robot: Robot, places: Unknowns) -> bool:
     """Whether no other place of base and targets promises errors that are smaller by more than `_PLACED`."""
-    found = problem.evaluate(robot)
-    rows = problem.rows(found, problem.whitening.start(found.residuals), places)
+    evaluation = problem.evaluate(robot)
+    rows = problem.rows(evaluation, problem.whitening.start(evaluation.residuals), places)
     explained = np.linalg.qr(rows.jacobian)[0].T @ rows.residuals
     return bool(explained @ explained <= _PLACED * (rows.residuals @ rows.residuals))
 
@@ -324,16 +324,16 @@ def _solve_with_noise(problem: Problem, start: Robot, exact: float) -> _Solved:
     robot, tolerance = start, _LOOSE
     for _ in range(_NOISE_ROUNDS):
         robot, solution = problem.solve(robot, groups, tolerance=tolerance)
-        found, sizes = problem.found_scales(problem.evaluate(robot), groups)
-        counts = unstated & (found > EXACT)
-        change = float(np.max(np.abs(found / groups - 1.0)[counts], initial=0.0))
+        scales, sizes = problem.found_scales(problem.evaluate(robot), groups)
+        counts = unstated & (scales > EXACT)
+        change = float(np.max(np.abs(scales / groups - 1.0)[counts], initial=0.0))
         change = max(change, float(np.max(np.abs(sizes - 1.0), initial=0.0)) / _FAMILIES_STAND)
         if change <= _NOISE_STANDS and tolerance == exact:
             return _Solved(robot, groups, solution)
         if change <= 10 * _NOISE_STANDS:
             tolerance = exact
         if change > _NOISE_STANDS:
-            groups = found
+            groups = scales
             problem.unknowns = problem.unknowns.rescaled(sizes)
     raise NotConvergedError(
         "the noise of the measurements could not be found from the residuals; state it (`sigma` in the description, or"
@@ -365,5 +365,5 @@ def _errors_on(placed: Robot, calibrated: Robot, data: Measurements) -> ErrorSet
 
 def _errors_of(robot: Robot, data: Measurements) -> tuple[dict[str, FloatArray], FloatArray]:
     configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
-    found = observe(robot, configurations, data.readings)
-    return {name: one.residuals for name, one in found.items()}, robot.singular_values(configurations)
+    observed = observe(robot, configurations, data.readings)
+    return {name: one.residuals for name, one in observed.items()}, robot.singular_values(configurations)

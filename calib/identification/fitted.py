@@ -241,8 +241,10 @@ class Fit(ReadOnlyArrays):
 
     def predict(self, q: FloatArray) -> PositionUncertainty:
         """Predict positions at actuated joints q (n, n_actuated) [m or rad], with their covariance."""
-        found = self.statistics
-        return position_uncertainty(self.robot, self.unknowns.index, found.covariance, found.coverage_factor, q)
+        statistics = self.statistics
+        return position_uncertainty(
+            self.robot, self.unknowns.index, statistics.covariance, statistics.coverage_factor, q
+        )
 
     @cached_property
     def identification_uncertainty(self) -> PositionUncertainty:
@@ -257,9 +259,9 @@ class Fit(ReadOnlyArrays):
     @cached_property
     def studentised(self) -> Studentised:
         """Every reading that was used, judged; see `calib.numerics.losses`."""
-        found, number = self.statistics.factors.found, self.rows.layout.group
+        factors, number = self.statistics.factors.found, self.rows.layout.group
         # groups whose stated noise is off by different factors are judged by what each of them really has
-        relative = np.maximum(found / max(self._factor, 1e-30), _LEAST_FACTOR)
+        relative = np.maximum(factors / max(self._factor, 1e-30), _LEAST_FACTOR)
         divisor = np.where(number >= 0, relative[number], 1.0)
         rows = replace(self.rows, residuals=self.rows.residuals / divisor)
         return studentised(blocks(rows, self.weights), self._root, self.statistics.freedom)

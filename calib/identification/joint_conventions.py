@@ -132,8 +132,8 @@ def _searched(robot: Robot, data: Measurements) -> list[Pattern]:
     def rank(pattern: Pattern) -> tuple[int, int, float]:
         return round(np.log2(max(miss[pattern], scale) / scale)), _size(pattern), miss[pattern]
 
-    found = (pattern for pattern in sorted(miss, key=rank) if _size(pattern) and not _mirrored(robot, data, pattern))
-    return list(islice(found, _BEAM))
+    ranked = (pattern for pattern in sorted(miss, key=rank) if _size(pattern) and not _mirrored(robot, data, pattern))
+    return list(islice(ranked, _BEAM))
 
 
 def _zero_matters(robot: Robot, data: Measurements, plain: Pattern) -> BoolArray:

@@ -43,7 +43,7 @@ class JointCurve(ReadOnlyArrays):
 
 def joint_curves(fit: Fit) -> tuple[JointCurve, ...]:
     """Return the curve of each joint term whose coefficients are a family."""
-    robot, data, found = fit.robot, fit.identification.data, []
+    robot, data, curves = fit.robot, fit.identification.data, []
     start = robot.coefficients.start
     for term in robot.terms:
         index = np.arange(start, start + len(term.parameters))
@@ -59,7 +59,7 @@ def joint_curves(fit: Fit) -> tuple[JointCurve, ...]:
         values = robot.values[index]
         phi = term.columns(grid, j, Context.neutral(_POINTS, len(robot.joint_names)))
         used = term.columns(data.joints, j, data.conditions)
-        found.append(
+        curves.append(
             JointCurve(
                 term.joint,
                 robot.mechanism.dimensions[term.joint],
@@ -70,7 +70,7 @@ def joint_curves(fit: Fit) -> tuple[JointCurve, ...]:
                 float(np.sqrt(np.mean(_std(used, covariance) ** 2))),
             )
         )
-    return tuple(found)
+    return tuple(curves)
 
 
 def beyond_learned(robot: Robot, learned: FloatArray, q: FloatArray) -> BoolArray:
@@ -98,8 +98,8 @@ def without_terms(fit: Fit) -> tuple[float, float]:
     values = fit.robot.values.copy()
     values[fit.robot.coefficients] = 0.0
     bare = fit.robot.with_parameters(values)
-    found = observe(bare, bare.assemble(data.joints, labels=data.labels, context=data.conditions), data.readings)
-    alone = replace(errors, after={name: one.residuals for name, one in found.items()})
+    observed = observe(bare, bare.assemble(data.joints, labels=data.labels, context=data.conditions), data.readings)
+    alone = replace(errors, after={name: one.residuals for name, one in observed.items()})
     return _rms(errors.errors("after", part.name)), _rms(alone.errors("after", part.name))
 
 

@@ -59,20 +59,20 @@ def blocks(rows: Rows, weights: FloatArray) -> list[Blocks]:
     return result
 
 
-def outliers_of(judged: Studentised, found: ErrorSet, layout: Layout) -> tuple[Outlier, ...]:
+def outliers_of(judged: Studentised, error_set: ErrorSet, layout: Layout) -> tuple[Outlier, ...]:
     """Return the outliers of a set, worst first."""
     result = []
     for k in map(int, judged.outliers):
         name = next(name for name in layout.instruments if layout.readings_of(name).stop > k)
-        one = next(one for one in found.instruments if one.name == name)
-        errors = found.after[name][k - layout.readings_of(name).start]
+        one = next(one for one in error_set.instruments if one.name == name)
+        errors = error_set.after[name][k - layout.readings_of(name).start]
         visit = int(layout.visit[k])
         result.append(
             Outlier(
                 visit,
                 k,
                 name,
-                found.data.labels[visit],
+                error_set.data.labels[visit],
                 float(_lengths(one, errors)[0]),
                 size_in_words(one, errors),
                 float(judged.ratio[k]),

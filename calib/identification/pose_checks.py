@@ -59,17 +59,17 @@ def check_measurements(robot: Robot, data: Measurements) -> None:
     bad = np.flatnonzero(~np.all(np.isfinite(data.joints), axis=1))
     if len(bad):
         raise DataError(f"{data.labels[bad[0]]}: joint values are not finite; correct them, or leave the pose out")
-    for name, found in data.readings.items():
-        wrong = np.flatnonzero(np.any(np.isinf(found.values), axis=1) | np.all(np.isnan(found.values), axis=1))
+    for name, readings in data.readings.items():
+        wrong = np.flatnonzero(np.any(np.isinf(readings.values), axis=1) | np.all(np.isnan(readings.values), axis=1))
         if len(wrong):
             raise DataError(
-                f"{data.labels[found.visits[wrong[0]]]}: readings of '{name}' are not finite; correct them, or"
+                f"{data.labels[readings.visits[wrong[0]]]}: readings of '{name}' are not finite; correct them, or"
                 " leave the pose out"
             )
     unknown = int(sum(use and not p.prior for p, use in zip(robot.parameters, robot.is_free, strict=True)))
     if not np.any(robot.is_free):
         raise DataError(f"{robot.path}: every parameter is held; there is nothing to identify")
-    rows = sum(len(found) * robot.instrument(name).n_rows for name, found in data.readings.items())
+    rows = sum(len(readings) * robot.instrument(name).n_rows for name, readings in data.readings.items())
     if rows <= unknown or len(data) < 3:
         per_visit = sum(robot.instrument(name).n_rows for name in data.readings)
         needed = max(3, -(-(unknown + 1) // max(per_visit, 1)))
@@ -92,7 +92,7 @@ def _refuse_one_line(robot: Robot, data: Measurements) -> None:
     points = every.reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
     turned = any(
-        robot.instrument(name).orientations(found.values[:1]) is not None for name, found in data.readings.items()
+        robot.instrument(name).orientations(readings.values[:1]) is not None for name, readings in data.readings.items()
     )
     if len(points) == 0 or turned:
         return
@@ -138,16 +138,16 @@ def require_identifiable(problem: Problem, evaluation: Evaluation) -> Determinat
     columns = columns / problem.whitening.row_scale(problem.whitening.start())[:, None]
     own = [k for k, p in enumerate(robot.parameters) if not p.family]  # families have priors
     parameters, free = [robot.parameters[k] for k in own], robot.is_free[own]
-    found = determination(columns[:, own], parameters, free)
-    if found.missing == 0:
-        return found
+    determined = determination(columns[:, own], parameters, free)
+    if determined.missing == 0:
+        return determined
     names = [p.name for p, use in zip(parameters, free, strict=True) if use]
-    null = np.linalg.svd(found.open_columns)[2][found.together.rank :]
+    null = np.linalg.svd(determined.open_columns)[2][determined.together.rank :]
     involved = [name for name, size in zip(names, np.max(np.abs(null), axis=0), strict=True) if size > 1e-3]
     raise NotIdentifiableError(
-        f"{problem.data.path}: {found.words()}; not separable:"
+        f"{problem.data.path}: {determined.words()}; not separable:"
         f" {', '.join(involved[:12])}{', ...' if len(involved) > 12 else ''}{_why(problem)};"
-        f" hold {found.missing} of them (`held`; `calib check` tells which), or measure other poses"
+        f" hold {determined.missing} of them (`held`; `calib check` tells which), or measure other poses"
     )
 
 
@@ -186,7 +186,7 @@ def likely_mistake(robot: Robot, data: Measurements) -> str:
     best = max(min(miss for miss, _, _ in tried), 1e-6)
     if not best < min(_CLOSER * now, _NEAR):
         return ""
-    good = sorted(found for found in tried if found[0] <= _AS_GOOD * best)
+    good = sorted(trial for trial in tried if trial[0] <= _AS_GOOD * best)
     fewest = min((joints for _, joints, _ in good if joints), default=0)
     likely = [words for _, joints, words in good if joints in (0, fewest)]
     closer = f"with that undone, the nominal robot comes {now / best:.0f} times closer"
@@ -218,9 +218,9 @@ def _undone(robot: Robot, measured: Measurements) -> Iterator[tuple[int, str, Me
     dimensions = [robot.mechanism.dimensions[name] for name in names]
     yield from joint_changes(robot, data)
     first, second = np.arange(len(measured) - 1), np.arange(1, len(measured))
-    for joints, seen, where in ((first, second, "above"), (second, first, "below")):
-        shifted = replace(measured.subset(seen), joints=measured.joints[joints])
-        yield 0, f"all joint values stood one row {where} their measurements", _some(shifted)
+    for joints, measured_rows, side in ((first, second, "above"), (second, first, "below")):
+        shifted = replace(measured.subset(measured_rows), joints=measured.joints[joints])
+        yield 0, f"all joint values stood one row {side} their measurements", _some(shifted)
     for a, b in combinations(range(len(names)), 2):
         if dimensions[a] == dimensions[b]:
             words = f"the columns of joints {names[a]} and {names[b]} were swapped"
@@ -257,9 +257,9 @@ def zero_visits(data: Measurements, robot: Robot) -> IntArray:
         data: The measurements.
         robot: Knows which of its instruments read numbers at all: a touch does not.
     """
-    numbers = [found for name, found in data.readings.items() if robot.instrument(name).columns()]
-    found = [one.visits[np.all(one.values[:, :3] == 0.0, axis=1)] for one in numbers if _has_three(one)]
-    return np.unique(np.concatenate([np.zeros(0, dtype=np.intp), *found]))
+    numbers = [readings for name, readings in data.readings.items() if robot.instrument(name).columns()]
+    visits = [one.visits[np.all(one.values[:, :3] == 0.0, axis=1)] for one in numbers if _has_three(one)]
+    return np.unique(np.concatenate([np.zeros(0, dtype=np.intp), *visits]))
 
 
 def _has_three(one: Readings) -> bool:
@@ -274,10 +274,10 @@ def equal_columns(data: Measurements, robot: Robot) -> list[tuple[str, str]]:
         robot: Knows the columns of its instruments.
     """
     columns = {}
-    for name, found in data.readings.items():
-        for column, numbers in robot.instrument(name).cells(found.values).items():
+    for name, readings in data.readings.items():
+        for column, numbers in robot.instrument(name).cells(readings.values).items():
             whole = np.full(len(data), np.nan)
-            whole[found.visits] = numbers
+            whole[readings.visits] = numbers
             columns[column] = whole
     varied = [name for name, numbers in columns.items() if len(np.unique(numbers[np.isfinite(numbers)])) > _FEW]
     return [(a, b) for a, b in combinations(varied, 2) if np.array_equal(columns[a], columns[b], equal_nan=True)]

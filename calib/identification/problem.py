@@ -49,7 +49,7 @@ class Evaluation:
     @property
     def residuals(self) -> dict[str, FloatArray]:
         """Predicted minus read, of each instrument, (n, n_rows) [SI]; NaN where a component was not read."""
-        return {name: found.residuals for name, found in self.observed.items()}
+        return {name: observed.residuals for name, observed in self.observed.items()}
 
 
 class Problem:
@@ -76,11 +76,11 @@ class Problem:
         Raises:
             ComputationError: A loop opens.
         """
-        found = self._evaluate(robot)
-        if found is None:
+        evaluation = self._evaluate(robot)
+        if evaluation is None:
             closed = robot.close(self.data.joints, columns=self._columns)
             raise ComputationError(describe_open(robot, self.data.joints, closed, self.data.labels))
-        return found
+        return evaluation
 
     def _evaluate(self, robot: Robot) -> Evaluation | None:
         """Evaluate a robot on the data; None where a loop opens. The last few answers are remembered."""
@@ -101,21 +101,21 @@ class Problem:
             robot, configurations, observe(robot, configurations, self.data.readings, joints=self._joints)
         )
 
-    def rows(self, found: Evaluation, groups: FloatArray, unknowns: Unknowns | None = None) -> Rows:
+    def rows(self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns | None = None) -> Rows:
         """Return the whitened rows.
 
         Args:
-            found: An evaluation.
+            evaluation: An evaluation.
             groups: Scale of the noise of each group, (n_groups,).
             unknowns: Parameters that count; the free ones if not given.
         """
         chosen = self.unknowns if unknowns is None else unknowns
-        return self.whitening.rows(found.observed, groups, chosen, chosen.deviations(found.robot.values))
+        return self.whitening.rows(evaluation.observed, groups, chosen, chosen.deviations(evaluation.robot.values))
 
-    def _model(self, found: Evaluation) -> LinearModel:
+    def _model(self, evaluation: Evaluation) -> LinearModel:
         """Rows around an evaluation, whitened by what is stated alone."""
         layout = self.whitening.layout
-        rows = self.rows(found, np.ones(len(layout.groups)))
+        rows = self.rows(evaluation, np.ones(len(layout.groups)))
         unstated = np.array([not group.stated for group in layout.groups])
         unknowns = self.unknowns
         return LinearModel(
@@ -129,40 +129,40 @@ class Problem:
             len(unknowns.families),
         )
 
-    def found_scales(self, found: Evaluation, groups: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def found_scales(self, evaluation: Evaluation, groups: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Find scales that nobody stated, and factors on the sigmas of families, from the residuals.
 
         Args:
-            found: An evaluation near the minimum.
+            evaluation: An evaluation near the minimum.
             groups: Scales to start from, (n_groups,).
 
         Returns:
             Scales of the groups (n_groups,), factors of the families (n_families,).
         """
         if self.unknowns.families:
-            return found_with_families(self._model(found), groups)
-        return found_scales(self._model(found), groups).scales, np.ones(0)
+            return found_with_families(self._model(evaluation), groups)
+        return found_scales(self._model(evaluation), groups).scales, np.ones(0)
 
-    def found_shared(self, found: Evaluation, groups: FloatArray) -> Scales:
+    def found_shared(self, evaluation: Evaluation, groups: FloatArray) -> Scales:
         """Find what of the residuals around a minimum all rows of a visit share.
 
         Args:
-            found: An evaluation at the minimum.
+            evaluation: An evaluation at the minimum.
             groups: Scales of the noise without that, (n_groups,).
         """
         if not self.whitening.shares_visits:
             return Scales.of(groups)
         layout = self.whitening.layout
-        columns = self.whitening.joint_columns(found.observed)
-        components = found_components(self._model(found), groups, columns, layout.pose[layout.reading])
+        columns = self.whitening.joint_columns(evaluation.observed)
+        components = found_components(self._model(evaluation), groups, columns, layout.pose[layout.reading])
         found_any = bool(np.any(components.shared > 0))
         return Scales(groups, components.scales, components.shared) if found_any else Scales.of(groups)
 
-    def noise_of_rows(self, found: Evaluation, scales: Scales) -> NoiseOfRows | None:
+    def noise_of_rows(self, evaluation: Evaluation, scales: Scales) -> NoiseOfRows | None:
         """Return what the rows of an evaluation scatter by, where visits share an error; None where they do not."""
         if not scales.shares:
             return None
-        shared = self.whitening.shared_error(found.observed, scales.groups, scales.shared)
+        shared = self.whitening.shared_error(evaluation.observed, scales.groups, scales.shared)
         return NoiseOfRows(scales.own / scales.groups, shared, self.whitening.layout.group)
 
     def moved(self, start: Robot, unknowns: Unknowns, u: FloatArray) -> Robot:
@@ -201,24 +201,24 @@ class Problem:
             key = u.tobytes()
             if key not in last:
                 values = _values(start, chosen, u)
-                known = self._recent.get(values.tobytes())
-                found = known or self._evaluate(start.with_parameters(values))
-                if found is None:
+                remembered = self._recent.get(values.tobytes())
+                evaluation = remembered or self._evaluate(start.with_parameters(values))
+                if evaluation is None:
                     return None
-                made = self.rows(found, groups, chosen)
+                made = self.rows(evaluation, groups, chosen)
                 last.clear()
                 last[key] = made if weights is None else made.weighted(weights)
             return last[key]
 
         def residuals(u: FloatArray) -> FloatArray:
-            found = rows(u)
-            return np.full(n_rows, np.nan) if found is None else np.concatenate([found.residuals, u[prior]])
+            whitened = rows(u)
+            return np.full(n_rows, np.nan) if whitened is None else np.concatenate([whitened.residuals, u[prior]])
 
         def jacobian(u: FloatArray) -> FloatArray:
-            found = rows(u)
-            if found is None:  # derivatives are asked for only where the residuals were finite
+            whitened = rows(u)
+            if whitened is None:  # derivatives are asked for only where the residuals were finite
                 raise ComputationError("the solver left the region where the loops close")
-            return np.vstack([found.jacobian, prior_rows])
+            return np.vstack([whitened.jacobian, prior_rows])
 
         outcome = minimise(residuals, jacobian, chosen.deviations(start.values), tolerance=tolerance)
         return self.moved(start, chosen, outcome.x), outcome

@@ -103,13 +103,13 @@ class Candidate:
 def candidates(robot: Robot) -> list[Candidate]:
     """Return what can change: parameters of the robot's origins, and zeros of its joints."""
     free = np.flatnonzero(robot.is_free)
-    found = [
+    parameters = [
         Candidate(p.name, p.dimension, k, False, p.sigma)
         for k, p in enumerate(robot.parameters[i] for i in free)
         if not p.placement and not p.family and free[k] < robot.n_origin_parameters
     ]
     mechanism = robot.mechanism
-    return found + [
+    return parameters + [
         Candidate(f"zero of {name}", mechanism.dimensions[name], j, True, _JOINT_STEP * float(scale))
         for j, (name, scale) in enumerate(zip(robot.joint_names, mechanism.joint_scale, strict=True))
     ]
@@ -122,7 +122,7 @@ class System:
     Attributes:
         promise: What is judged.
         columns: Of the known unknowns J L and of the places P, whitened, (n_rows, k) and (n_rows, p).
-        wanted: Columns of the candidates, (n_rows, n_candidates).
+        candidate_columns: Columns of the candidates, (n_rows, n_candidates).
         residuals: r, (n_rows,).
         reading: Reading of each row, (n_rows,).
         visit: Visit of each reading, (n_readings,).
@@ -133,7 +133,7 @@ class System:
 
     promise: Promise
     columns: tuple[FloatArray, FloatArray]
-    wanted: FloatArray
+    candidate_columns: FloatArray
     residuals: FloatArray
     reading: IntArray
     visit: IntArray
@@ -166,13 +166,13 @@ class System:
         values, vectors = np.linalg.eigh(covariance[np.ix_(own, own)])
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         known = np.asarray(rows.jacobian[:, own] @ root)
-        wanted = _wanted(robot, np.hstack([rows.jacobian, joints]), len(unknowns))
+        candidate_columns = _candidate_columns(robot, np.hstack([rows.jacobian, joints]), len(unknowns))
         layout = whitening.layout
         errors = {name: one.residuals for name, one in observed.items()}
         return System(
             promise,
             (known, rows.jacobian[:, ~own]),
-            wanted,
+            candidate_columns,
             rows.residuals,
             layout.reading,
             layout.visit,
@@ -196,7 +196,7 @@ class System:
         return System(
             self.promise,
             (self.columns[0] * kept[:, None], self.columns[1] * kept[:, None]),
-            self.wanted * kept[:, None],
+            self.candidate_columns * kept[:, None],
             self.residuals * kept,
             self.reading,
             self.visit,
@@ -248,9 +248,9 @@ class System:
             own = order[self.reading[order] == reading]
             spread = np.eye(len(own)) - basis[own] @ basis[own].T
             values, vectors = np.linalg.eigh(spread)
-            seen = values > 1e-6
-            square = float(np.sum((vectors.T @ left[own])[seen] ** 2 / values[seen]))
-            n = int(np.sum(seen))
+            determined = values > 1e-6
+            square = float(np.sum((vectors.T @ left[own])[determined] ** 2 / values[determined]))
+            n = int(np.sum(determined))
             chance = float(scipy.stats.f.sf(square / n, n, self.promise.freedom)) if n else 1.0
             if chance < smallest:
                 best, smallest = int(reading), chance
@@ -258,19 +258,19 @@ class System:
 
     def changes(self) -> tuple[tuple[Change, ...], int]:
         """Return candidates that the readings see, the most significant (or visible) first, and how many differ."""
-        left, every = self._left(self.wanted), candidates(self.promise.robot)
-        size, whole = np.linalg.norm(left, axis=0), np.linalg.norm(self.wanted, axis=0)
-        seen = np.flatnonzero(size > 1e-6 * np.maximum(whole, 1e-300))
-        if len(seen) == 0:
+        left, every = self._left(self.candidate_columns), candidates(self.promise.robot)
+        size, whole = np.linalg.norm(left, axis=0), np.linalg.norm(self.candidate_columns, axis=0)
+        visible = np.flatnonzero(size > 1e-6 * np.maximum(whole, 1e-300))
+        if len(visible) == 0:
             return (), 0
-        unit = left[:, seen] / size[seen]
+        unit = left[:, visible] / size[visible]
         distinct: list[int] = []
-        for j in range(len(seen)):
+        for j in range(len(visible)):
             if all(abs(unit[:, j] @ unit[:, i]) < _PARALLEL for i in distinct):
                 distinct.append(j)
         z = unit[: len(self.residuals)].T @ self.residuals
         needed = _noncentrality(FALSE_ALARM / 2 / len(distinct), self.promise.freedom)
-        found = [
+        changes = [
             Change(
                 every[k].name,
                 every[k].dimension,
@@ -279,13 +279,13 @@ class System:
                 float(-z[j]),
                 float(needed * every[k].scale / size[k]),
             )
-            for j, k in enumerate(seen)
+            for j, k in enumerate(visible)
         ]
-        found.sort(key=lambda change: -six_digits(abs(change.z)))  # parallel columns stay in their order
-        return tuple(found), len(distinct)
+        changes.sort(key=lambda change: -six_digits(abs(change.z)))  # parallel columns stay in their order
+        return tuple(changes), len(distinct)
 
 
-def _wanted(robot: Robot, every: FloatArray, n_free: int) -> FloatArray:
+def _candidate_columns(robot: Robot, every: FloatArray, n_free: int) -> FloatArray:
     """Columns of the candidates, (n_rows, n_candidates), from those of all free parameters and joints."""
     return np.stack(
         [
@@ -336,14 +336,14 @@ def _promised(
         root: A root of their covariance, (n_own, k) [m or rad].
     """
     free, slopes, square, n = np.flatnonzero(robot.is_free), [], 0.0, 0
-    for name, found in observed.items():
+    for name, derivatives in observed.items():
         one = robot.instrument(name)
         rows = [r for r, k in enumerate(one.part_of_row) if one.parts[k].name == "position"]
         if rows:
-            n += len(found.jacobian)
-            slopes.append(found.jacobian[:, rows][:, :, free].reshape(-1, len(free)))
-            square += len(rows) * len(found.jacobian) * promise.sigma.get((one.group, "position"), np.nan) ** 2
-            square += float(np.sum((found.by_joint[:, rows] * promise.shared) ** 2))
+            n += len(derivatives.jacobian)
+            slopes.append(derivatives.jacobian[:, rows][:, :, free].reshape(-1, len(free)))
+            square += len(rows) * len(derivatives.jacobian) * promise.sigma.get((one.group, "position"), np.nan) ** 2
+            square += float(np.sum((derivatives.by_joint[:, rows] * promise.shared) ** 2))
     if not n:
         return float("nan")
     slope = np.concatenate(slopes)

@@ -96,27 +96,27 @@ class Scatter:
     after: FloatArray
 
 
-def _repeated(found: ErrorSet, wanted: str = "position") -> list[Scatter]:
+def _repeated(errors: ErrorSet, part_name: str = "position") -> list[Scatter]:
     """Errors (n, 3) of a part of every reading at a pose that was read more than once along one pair."""
     result = []
-    for one, part, rows in found.parts():
-        if part.name != wanted:
+    for one, part, rows in errors.parts():
+        if part.name != part_name:
             continue
-        readings = found.data.readings[one.name]
-        keys = np.stack([found.data.pose_numbers[readings.visits], readings.pairs], axis=1)
+        readings = errors.data.readings[one.name]
+        keys = np.stack([errors.data.pose_numbers[readings.visits], readings.pairs], axis=1)
         _, number, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
         order = np.argsort(number.reshape(-1), kind="stable")
         for group in np.split(order, np.cumsum(count)[:-1]):
             if len(group) > 1:
-                before, after = found.before[one.name][group], found.after[one.name][group]
+                before, after = errors.before[one.name][group], errors.after[one.name][group]
                 pose = int(keys[group[0], 0])
                 result.append(Scatter(one.name, pose, group, readings.visits[group], before[:, rows], after[:, rows]))
     return result
 
 
-def repeats(found: ErrorSet) -> Repeats | None:
+def repeats(errors: ErrorSet) -> Repeats | None:
     """Return accuracy and repeatability; None where no point was read more than once at a pose."""
-    several = _repeated(found)
+    several = _repeated(errors)
     if not several:
         return None
     spread = []
@@ -131,12 +131,12 @@ def repeats(found: ErrorSet) -> Repeats | None:
     )
 
 
-def repeatability(found: ErrorSet) -> tuple[float, int]:
+def repeatability(errors: ErrorSet) -> tuple[float, int]:
     """Return the pooled standard deviation of one reading about its pose's mean, per axis [m], and its freedom.
 
     NaN and 0 where no point was read more than once at a pose.
     """
-    several = _repeated(found)
+    several = _repeated(errors)
     freedom = sum(one.after.shape[1] * (len(one.after) - 1) for one in several)
     if freedom == 0:
         return float("nan"), 0
@@ -144,18 +144,18 @@ def repeatability(found: ErrorSet) -> tuple[float, int]:
     return float(np.sqrt(squares / freedom)), freedom
 
 
-def beyond_repeatability(found: ErrorSet, n_effective: float) -> tuple[float, float]:
+def beyond_repeatability(errors: ErrorSet, n_effective: float) -> tuple[float, float]:
     """Return what pose means are off, as noise of one reading, over the scatter of repeats, and the chance of that.
 
     If the model leaves nothing out, the mean of n readings is off by what one reading scatters over the root of n. NaN
     and 1 where there are no repeats, or where they do not scatter at all.
 
     Args:
-        found: Errors of the visits that were used.
+        errors: Errors of the visits that were used.
         n_effective: Parameters that they decided.
     """
-    scatter, n_free = repeatability(found)
-    several = _repeated(found)
+    scatter, n_free = repeatability(errors)
+    several = _repeated(errors)
     freedom = 3.0 * len(several) - n_effective
     if not (np.isfinite(scatter) and scatter > 0 and freedom >= 1 - 1e-9):
         return float("nan"), 1.0
@@ -166,44 +166,44 @@ def beyond_repeatability(found: ErrorSet, n_effective: float) -> tuple[float, fl
 
 def conditions(comments: Sequence[str]) -> dict[str, str]:
     """Return what comment lines `key: value` of a file say of the test, by key of `CONDITIONS`."""
-    found = {}
+    stated = {}
     for line in comments:
         key, _, value = line.partition(":")
         if key.strip().lower() in CONDITIONS and value.strip():
-            found[key.strip().lower()] = value.strip()
-    return found
+            stated[key.strip().lower()] = value.strip()
+    return stated
 
 
-def iso_figures(found: ErrorSet, rng: np.random.Generator) -> tuple[list[IsoFigure], list[str]]:
+def iso_figures(errors: ErrorSet, rng: np.random.Generator) -> tuple[list[IsoFigure], list[str]]:
     """Return the figures of ISO 9283 that the cycles allow, and what is missing for those that the standard asks for.
 
     Args:
-        found: Errors after calibration, prediction minus read.
+        errors: Errors after calibration, prediction minus read.
         rng: Source of the draws that make intervals.
     """
-    names = dict(zip(found.data.pose_numbers.tolist(), found.data.names, strict=True))
-    several = _repeated(found)
+    names = dict(zip(errors.data.pose_numbers.tolist(), errors.data.names, strict=True))
+    several = _repeated(errors)
     figures: list[IsoFigure] = []
     for one in several:
         label, n = names[one.pose], len(one.after)
         figures.append(IsoFigure("AP", label, n, iso9283.pose_accuracy(-one.after)))
         figures.append(IsoFigure("RP", label, n, iso9283.pose_repeatability(-one.after, rng)))
-    turned = _repeated(found, "orientation")
+    turned = _repeated(errors, "orientation")
     for one in turned:
         for k, axis in enumerate(("rx", "ry", "rz")):
             label, n = names[one.pose], len(one.after)
             figures.append(IsoFigure(f"AP_{axis}", label, n, iso9283.mean_of(-one.after[:, k])))
             figures.append(IsoFigure(f"RP_{axis}", label, n, iso9283.three_deviations(one.after[:, k])))
-    figures += _distances(found, several, names)
-    figures += _directions(found, several, names)
-    figures += _drifts(found, several, names, rng)
-    return figures, _missing(found, several, turned, figures)
+    figures += _distances(errors, several, names)
+    figures += _directions(errors, several, names)
+    figures += _drifts(errors, several, names, rng)
+    return figures, _missing(errors, several, turned, figures)
 
 
-def _distances(found: ErrorSet, several: list[Scatter], names: Mapping[int, str]) -> list[IsoFigure]:
+def _distances(errors: ErrorSet, several: list[Scatter], names: Mapping[int, str]) -> list[IsoFigure]:
     """AD and RD of the two poses of one instrument that are furthest apart, cycle by cycle."""
     best: tuple[float, Scatter, Scatter, FloatArray] | None = None
-    commanded = [_commanded(found, one) for one in several]
+    commanded = [_commanded(errors, one) for one in several]
     for (a, one), (b, other) in combinations(enumerate(several), 2):
         apart: FloatArray = commanded[b] - commanded[a]
         if one.instrument == other.instrument and (best is None or np.linalg.norm(apart) > best[0]):
@@ -220,22 +220,22 @@ def _distances(found: ErrorSet, several: list[Scatter], names: Mapping[int, str]
     ]
 
 
-def _commanded(found: ErrorSet, one: Scatter) -> FloatArray:
+def _commanded(errors: ErrorSet, one: Scatter) -> FloatArray:
     """Mean position that was predicted, (3,) [m]."""
-    instrument = next(i for i in found.instruments if i.name == one.instrument)
-    read = instrument.points(found.data.readings[one.instrument].values[one.readings])
+    instrument = next(i for i in errors.instruments if i.name == one.instrument)
+    read = instrument.points(errors.data.readings[one.instrument].values[one.readings])
     if read is None:
         raise TypeError(f"'{one.instrument}' reads positions, but shows no points")
     return np.asarray((read + one.after).mean(axis=0))
 
 
-def _directions(found: ErrorSet, several: list[Scatter], names: Mapping[int, str]) -> list[IsoFigure]:
+def _directions(errors: ErrorSet, several: list[Scatter], names: Mapping[int, str]) -> list[IsoFigure]:
     """The vAP of every pose that was reached from several directions, where the file says from which."""
-    if found.data.approach is None:
+    if errors.data.approach is None:
         return []
     result = []
     for one in several:
-        _, number = np.unique(found.data.approach[one.visits], axis=0, return_inverse=True)
+        _, number = np.unique(errors.data.approach[one.visits], axis=0, return_inverse=True)
         groups = [-one.after[number.reshape(-1) == k] for k in range(int(number.max()) + 1)]
         groups = [group for group in groups if len(group) > 1]
         if len(groups) > 1:
@@ -245,10 +245,10 @@ def _directions(found: ErrorSet, several: list[Scatter], names: Mapping[int, str
 
 
 def _drifts(
-    found: ErrorSet, several: list[Scatter], names: Mapping[int, str], rng: np.random.Generator
+    errors: ErrorSet, several: list[Scatter], names: Mapping[int, str], rng: np.random.Generator
 ) -> list[IsoFigure]:
     """Both dAP and dRP of every pose with several blocks of cycles, where the file has a time."""
-    time, result = found.data.context.get("time"), []
+    time, result = errors.data.context.get("time"), []
     if time is None or not np.all(np.isfinite(time)):
         return []
     for one in several:
@@ -261,7 +261,7 @@ def _drifts(
     return result
 
 
-def _missing(found: ErrorSet, several: list[Scatter], turned: list[Scatter], figures: list[IsoFigure]) -> list[str]:
+def _missing(errors: ErrorSet, several: list[Scatter], turned: list[Scatter], figures: list[IsoFigure]) -> list[str]:
     """Say what the standard asks for and the data do not have."""
     cycles = [len(one.after) for one in several]
     result = []
@@ -276,12 +276,12 @@ def _missing(found: ErrorSet, several: list[Scatter], turned: list[Scatter], fig
     present = {figure.name for figure in figures}
     if "vAP" not in present:
         result.append("no vAP: it takes cycles from several directions, told apart by columns approach_<joint>")
-    time = found.data.context.get("time")
+    time = errors.data.context.get("time")
     if "dAP" not in present:
         result.append(f"no drift: it takes a column time, and {2 * _BLOCK} cycles or more of a pose over {_HOURS:g} h")
     elif time is not None and np.ptp(time) < _HOURS * _SECONDS:
         result.append(f"drift over {np.ptp(time) / _SECONDS:.1f} h where ISO 9283 has {_HOURS:g} h")
-    stated = conditions(found.data.comments)
+    stated = conditions(errors.data.comments)
     unstated = [key for key in CONDITIONS if key not in stated]
     if unstated:
         result.append(f"conditions not stated: {', '.join(unstated)} (a comment line such as '# load: 5 kg')")

@@ -90,7 +90,7 @@ def solve_robust(problem: Problem, start: Robot, loss: Loss, groups: FloatArray)
     stages: tuple[Loss, ...] = ("huber",) if loss == "huber" else ("huber", loss)
     for stage in stages:
         fixed = scale if stage != "huber" else None
-        found: FloatArray = np.ones(layout.n_readings)
+        weights: FloatArray = np.ones(layout.n_readings)
         settled = False
         for _ in range(_ROUNDS):
             rows = problem.rows(problem.evaluate(robot), groups)
@@ -98,24 +98,25 @@ def solve_robust(problem: Problem, start: Robot, loss: Loss, groups: FloatArray)
                 groups = _median_scales(rows, groups)
                 rows = problem.rows(problem.evaluate(robot), groups)
             now, scale, step = _linear_solution(rows, stage, fixed, found_everywhere)
-            settled = bool(np.max(np.abs(now - found)) < _WEIGHTS_STAND)
-            found = now
+            settled = bool(np.max(np.abs(now - weights)) < _WEIGHTS_STAND)
+            weights = now
             if settled:
                 break
             robot = (
-                _stepped(problem, robot, rows, step, found, groups) or problem.solve(robot, groups, weights=found)[0]
+                _stepped(problem, robot, rows, step, weights, groups)
+                or problem.solve(robot, groups, weights=weights)[0]
             )
     if found_everywhere:  # priors weigh against the noise of the median reading
         groups, scale = groups * scale, 1.0
-    robot, solution = problem.solve(robot, groups, weights=found)
+    robot, solution = problem.solve(robot, groups, weights=weights)
     final = problem.rows(problem.evaluate(robot), groups)
-    known = information(np.sqrt(np.mean(found)) * final.factor[:, :-1], prior_rows(final.has_prior))
+    known = information(np.sqrt(np.mean(weights)) * final.factor[:, :-1], prior_rows(final.has_prior))
     n_effective = effective_parameters(known, final.has_prior)
     one = robust_factors(loss, final.distances(), layout.width, scale, n_effective)
     n_rows = np.bincount(layout.group[layout.group >= 0], minlength=len(layout.groups))
     every = np.ones(len(n_rows))
     factors = Factors(one.found * every, one.freedom * n_rows / n_rows.sum(), one.effective * every, one.slope)
-    return RobustFit(robot, solution, found, factors, groups, settled)
+    return RobustFit(robot, solution, weights, factors, groups, settled)
 
 
 def _median_scales(rows: Rows, groups: FloatArray) -> FloatArray:
@@ -126,9 +127,9 @@ def _median_scales(rows: Rows, groups: FloatArray) -> FloatArray:
         mine = layout.group == g
         width = np.bincount(layout.reading[mine], minlength=layout.n_readings)
         length = np.sqrt(np.bincount(layout.reading[mine], rows.residuals[mine] ** 2, layout.n_readings))
-        seen = width > 0
-        if not group.stated and np.any(seen):
-            levels[g] = float(np.median(length[seen] / median_length(width[seen])))
+        has_rows = width > 0
+        if not group.stated and np.any(has_rows):
+            levels[g] = float(np.median(length[has_rows] / median_length(width[has_rows])))
     unstated = [g for g, group in enumerate(layout.groups) if not group.stated]
     if len(unstated) < 2 and not (unstated and len(layout.groups) > 1):
         return groups
@@ -137,7 +138,7 @@ def _median_scales(rows: Rows, groups: FloatArray) -> FloatArray:
 
 
 def _stepped(
-    problem: Problem, robot: Robot, rows: Rows, step: FloatArray, found: FloatArray, groups: FloatArray
+    problem: Problem, robot: Robot, rows: Rows, step: FloatArray, weights: FloatArray, groups: FloatArray
 ) -> Robot | None:
     """Return the robot one Gauss-Newton step on; None if that lowers nothing."""
     further = problem.moved(robot, problem.unknowns, rows.deviations + step)
@@ -145,7 +146,7 @@ def _stepped(
         reached: Evaluation = problem.evaluate(further)
     except ComputationError:
         return None
-    return further if problem.rows(reached, groups).weighted(found).cost < rows.weighted(found).cost else None
+    return further if problem.rows(reached, groups).weighted(weights).cost < rows.weighted(weights).cost else None
 
 
 def _linear_solution(
@@ -153,7 +154,7 @@ def _linear_solution(
 ) -> tuple[FloatArray, float, FloatArray]:
     """Alternate on the linear model; return weights (n_readings,), scale, and the step to its solution (n_free,)."""
     layout = rows.layout
-    found: FloatArray = np.ones(layout.n_readings)
+    weights: FloatArray = np.ones(layout.n_readings)
     step: FloatArray = np.zeros(rows.jacobian.shape[1])
     scale, smallest = fixed_scale or 0.0, _SMALLEST_SCALE / max(group.typical for group in layout.groups)
     priors = prior_rows(rows.has_prior)
@@ -166,17 +167,17 @@ def _linear_solution(
             n_effective = effective_parameters(known, rows.has_prior)
             scale = max(scale_of(distances, layout.width, n_effective), smallest)
         now = weights_of(loss, distances / scale, layout.width)
-        settled = bool(np.max(np.abs(now - found)) < _WEIGHTS_STAND / 10)
-        found = now
-        step = _step(rows, found, scale if found_everywhere else 1.0)
+        settled = bool(np.max(np.abs(now - weights)) < _WEIGHTS_STAND / 10)
+        weights = now
+        step = _step(rows, weights, scale if found_everywhere else 1.0)
         if settled:
             break
-    return found, scale, step
+    return weights, scale, step
 
 
-def _step(rows: Rows, found: FloatArray, sigma: float) -> FloatArray:
+def _step(rows: Rows, weights: FloatArray, sigma: float) -> FloatArray:
     """Solve the weighted linear problem, priors weighed against this noise."""
-    root = np.sqrt(found)[rows.layout.reading]
+    root = np.sqrt(weights)[rows.layout.reading]
     priors = prior_rows(rows.has_prior)
     stacked = np.vstack([root[:, None] * rows.jacobian, sigma * priors])
     right = np.concatenate([root * rows.residuals, sigma * (priors @ rows.deviations)])
@@ -202,14 +203,14 @@ def without_outliers(first: Fit, robust: Callable[[], Fit], again: Callable[[Mea
     kept = np.arange(len(data))
     excluded: list[Outlier] = []
     current = first
-    found = (first if first.loss == "tukey" else robust()).outliers
+    outliers = (first if first.loss == "tukey" else robust()).outliers
     for _ in range(_EXCLUSION_ROUNDS):
-        if not found:
+        if not outliers:
             break
-        excluded += [replace(outlier, pose=int(kept[outlier.pose])) for outlier in found]
-        kept = np.delete(kept, sorted({outlier.pose for outlier in found}))
+        excluded += [replace(outlier, pose=int(kept[outlier.pose])) for outlier in outliers]
+        kept = np.delete(kept, sorted({outlier.pose for outlier in outliers}))
         current = again(data.subset(kept))
-        found = current.outliers
+        outliers = current.outliers
     if current is first:
         return first
     return replace(current, excluded=tuple(excluded), with_all=first)

@@ -148,15 +148,15 @@ def beyond_curves(fit: Fit) -> Iterator[Reason]:
 
 def outliers(fit: Fit) -> Iterator[Reason]:
     """List outliers, and count the excluded ones."""
-    for where, found in (("", fit.outliers), (" among the poses that were not used", fit.validation_outliers)):
-        if found:
-            words = listed([str(outlier) for outlier in found], "; ")
+    for where, outlying in (("", fit.outliers), (" among the poses that were not used", fit.validation_outliers)):
+        if outlying:
+            words = listed([str(outlier) for outlier in outlying], "; ")
             yield Reason(
                 "CHECK",
                 "outliers",
-                f"{counted(len(found), 'outlier')}{where} (chance below {100 * FALSE_ALARM:g} %): {words};"
-                f" look at {'this measurement' if len(found) == 1 else 'these measurements'}"
-                + ("" if where else f"; --exclude-outliers fits without {'it' if len(found) == 1 else 'them'}"),
+                f"{counted(len(outlying), 'outlier')}{where} (chance below {100 * FALSE_ALARM:g} %): {words};"
+                f" look at {'this measurement' if len(outlying) == 1 else 'these measurements'}"
+                + ("" if where else f"; --exclude-outliers fits without {'it' if len(outlying) == 1 else 'them'}"),
             )
     if fit.with_all is not None:
         total = len(fit.with_all.identification.data)
@@ -215,8 +215,8 @@ def copied(fit: Fit) -> Iterator[Reason]:
 def _reading_keys(data: Measurements) -> list[set[bytes]]:
     """What was read at each visit, to the last digit."""
     keys: list[set[bytes]] = [set() for _ in range(len(data))]
-    for name, found in data.readings.items():
-        for visit, values, details in zip(found.visits, found.values, found.details, strict=True):
+    for name, readings in data.readings.items():
+        for visit, values, details in zip(readings.visits, readings.values, readings.details, strict=True):
             keys[visit].add(name.encode() + values.tobytes() + details.tobytes())
     return keys
 

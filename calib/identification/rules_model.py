@@ -59,12 +59,12 @@ def not_converged(fit: Fit) -> Iterator[Reason]:
 
 def noise(fit: Fit) -> Iterator[Reason]:
     """Compare the noise found with the positions, with the stated noise, and with what such instruments have."""
-    found, spread = fit.sigma, _spread(fit)
-    if found > LARGE_NOISE * spread:
+    sigma, spread = fit.sigma, _spread(fit)
+    if sigma > LARGE_NOISE * spread:
         yield Reason(
             "FAIL",
             "noise_as_large_as_robot",
-            f"noise found: {millimetres(found):.4g} mm per axis, for positions that spread over"
+            f"noise found: {millimetres(sigma):.4g} mm per axis, for positions that spread over"
             f" {millimetres(spread):.4g} mm; nothing fits: check units, axes, joint order and signs, and that joints"
             " and positions belong together",
         )
@@ -72,7 +72,7 @@ def noise(fit: Fit) -> Iterator[Reason]:
         yield Reason(
             "CHECK",
             "no_noise",
-            f"noise found: {_in_words(fit.first_noise, found, 1)}, less than any sensor has; these data were computed,"
+            f"noise found: {_in_words(fit.first_noise, sigma, 1)}, less than any sensor has; these data were computed,"
             " not measured, and the intervals say nothing about a real robot",
         )
     else:
@@ -111,7 +111,7 @@ def _against_statement(fit: Fit, one: FoundNoise) -> Iterator[Reason]:
     numbers = f"{_in_words(one, one.sigma)} per axis where {_in_words(one, stated)} was stated"
     of = _of(fit, one)
     if ratio > NOISE_RATIO and p_larger < UNLIKELY:
-        proven = any(found.better for found in comparisons(fit))
+        proven = any(comparison.better for comparison in comparisons(fit))
         yield Reason(
             "CHECK" if proven else "FAIL",
             "noise",
@@ -147,14 +147,14 @@ def not_assembled(fit: Fit) -> Iterator[Reason]:
 
 def worse_on_validation(fit: Fit) -> Iterator[Reason]:
     """Compare errors on unused poses before and after."""
-    for found in comparisons(fit):
-        if found.worse:
+    for comparison in comparisons(fit):
+        if comparison.worse:
             yield Reason(
                 "FAIL",
                 "worse_on_validation",
-                f"worse than before on {found.name}: {found.words}, more than the uncertainty of the fit explains"
-                f" (chance {100 * CHANCE:g} %); the fit follows its own measurements, not the robot: measure more"
-                " poses, spread over the same space",
+                f"worse than before on {comparison.name}: {comparison.words}, more than the uncertainty of the fit"
+                f" explains (chance {100 * CHANCE:g} %); the fit follows its own measurements, not the robot: measure"
+                " more poses, spread over the same space",
             )
 
 
@@ -225,12 +225,12 @@ def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
     """See whether the calibration gains anything: on unused poses, else by an F test of all that was not placed."""
     if fit.computed:
         return
-    found = list(comparisons(fit))
+    entries = list(comparisons(fit))
     chance = _chance_of_gain(fit)
-    no_gain = chance > UNLIKELY or (bool(found) and all(entry.after >= entry.before for entry in found))
-    if not no_gain or any(entry.better or entry.worse for entry in found):
+    no_gain = chance > UNLIKELY or (bool(entries) and all(entry.after >= entry.before for entry in entries))
+    if not no_gain or any(entry.better or entry.worse for entry in entries):
         return
-    said = "; ".join(f"on {entry.name} {entry.words}, no gain beyond the uncertainty" for entry in found)
+    said = "; ".join(f"on {entry.name} {entry.words}, no gain beyond the uncertainty" for entry in entries)
     if chance > UNLIKELY:
         said += f"{'; ' if said else ''}on the poses used, no more than chance gives (p = {chance:.2g})"
     yield Reason(
@@ -254,9 +254,9 @@ def _chance_of_gain(fit: Fit) -> float:
 
 def systematic(fit: Fit) -> Iterator[Reason]:
     """List patterns in the residuals."""
-    found = [pattern for pattern in fit.patterns if pattern.significant]
-    if found:
-        words = [describe(pattern, fit.nominal.mechanism.dimensions) for pattern in found]
+    patterns = [pattern for pattern in fit.patterns if pattern.significant]
+    if patterns:
+        words = [describe(pattern, fit.nominal.mechanism.dimensions) for pattern in patterns]
         yield Reason(
             "CHECK",
             "systematic",
@@ -288,25 +288,25 @@ def _rms(errors: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
 
 
-def _points(found: ErrorSet) -> tuple[FloatArray, FloatArray]:
+def _points(error_set: ErrorSet) -> tuple[FloatArray, FloatArray]:
     """Measured points of all instruments, and their errors after calibration, (n, 3) each [m]."""
     measured: list[FloatArray] = [np.zeros((0, 3))]
     errors: list[FloatArray] = [np.zeros((0, 3))]
-    for one, part, rows in found.parts():
-        points = one.points(found.data.readings[one.name].values)
+    for one, part, rows in error_set.parts():
+        points = one.points(error_set.data.readings[one.name].values)
         if points is not None and part.name == "position":
-            seen = np.isfinite(points).all(axis=1)
-            measured.append(points[seen])
-            errors.append(found.after[one.name][seen][:, rows])
+            measured_rows = np.isfinite(points).all(axis=1)
+            measured.append(points[measured_rows])
+            errors.append(error_set.after[one.name][measured_rows][:, rows])
     return np.concatenate(measured), np.concatenate(errors)
 
 
 def _spread(fit: Fit) -> float:
     """Root mean square distance per axis of measured positions from their centre [m], of the widest; inf without."""
-    found = fit.identification
+    errors = fit.identification
     spreads = [np.inf]
-    for one in found.instruments:
-        readings = found.data.readings.get(one.name)
+    for one in errors.instruments:
+        readings = errors.data.readings.get(one.name)
         points = None if readings is None else one.points(readings.values)
         if points is not None and len(points):
             spreads.append(float(np.sqrt(np.mean(np.nanvar(points, axis=0)))))

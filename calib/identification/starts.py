@@ -81,17 +81,17 @@ def explore(
         seed: Seed of the random steps.
     """
     rng = np.random.default_rng(seed)
-    found: list[tuple[Minimum, FloatArray]] = []
+    distinct: list[tuple[Minimum, FloatArray]] = []
     failed = 0
-    _add(found, problem, groups, first)
+    _add(distinct, problem, groups, first)
     for _ in range(n - 1):
         step = rng.standard_normal(len(problem.unknowns))
         end = _from(problem, placed, step, groups)
         if end is None:
             failed += 1
         else:
-            _add(found, problem, groups, end)
-    minima = tuple(minimum for minimum, _ in sorted(found, key=lambda entry: entry[0].cost))
+            _add(distinct, problem, groups, end)
+    minima = tuple(minimum for minimum, _ in sorted(distinct, key=lambda entry: entry[0].cost))
     return Starts(minima, failed, seed, groups)
 
 
@@ -108,7 +108,7 @@ def _from(problem: Problem, placed: Robot, step: FloatArray, groups: FloatArray)
 
 
 def _add(
-    found: list[tuple[Minimum, FloatArray]], problem: Problem, groups: FloatArray, end: tuple[Robot, Solution]
+    distinct: list[tuple[Minimum, FloatArray]], problem: Problem, groups: FloatArray, end: tuple[Robot, Solution]
 ) -> None:
     """Count an end towards the minimum that it belongs to, or as a new one."""
     robot, solution = end
@@ -116,13 +116,13 @@ def _add(
     whitened = problem.whitening.flatten(residuals) / problem.whitening.row_scale(groups)
     smallest = _EXACT / float(np.min(groups * [group.typical for group in problem.whitening.groups]))
     size = _size(whitened)
-    for k, (minimum, known) in enumerate(found):
+    for k, (minimum, known) in enumerate(distinct):
         if _size(whitened - known) <= _SAME * max(min(size, _size(known)), smallest):
-            found[k] = replace(minimum, count=minimum.count + 1), known
+            distinct[k] = replace(minimum, count=minimum.count + 1), known
             return
     lengths = [np.sqrt(np.nansum(errors**2, axis=1)) for errors in residuals.values()]
     rms = float(np.sqrt(np.mean(np.concatenate(lengths) ** 2)))
-    found.append((Minimum(robot, solution, solution.cost, rms, 1), whitened))
+    distinct.append((Minimum(robot, solution, solution.cost, rms, 1), whitened))
 
 
 def _size(whitened: FloatArray) -> float:

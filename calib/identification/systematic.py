@@ -174,9 +174,9 @@ def patterns(residuals: Residuals, setting: Setting) -> tuple[Pattern, ...]:
         return ()
     tested: list[tuple[Kind, str, float, float, float]] = []
     for kind, name, effect in _effects(setting):
-        found = _test(residuals, effect)
-        if found is not None:
-            tested.append((kind, name, *found))
+        outcome = _test(residuals, effect)
+        if outcome is not None:
+            tested.append((kind, name, *outcome))
     result = []
     for kind, name, p_value, size, amount in tested:
         p = min(1.0, p_value * len(tested))
@@ -188,7 +188,7 @@ def patterns(residuals: Residuals, setting: Setting) -> tuple[Pattern, ...]:
 def _effects(setting: Setting) -> Iterator[tuple[Kind, str, FloatArray]]:
     """Yield (kind, name, Z as whitened rows (n_rows, k))."""
     robot, data = setting.robot, setting.data
-    by_joint = setting.whitened({name: found.by_joint for name, found in setting.observed.items()})
+    by_joint = setting.whitened({name: observed.by_joint for name, observed in setting.observed.items()})
     course = _curves(np.arange(len(data), dtype=float))
     shifts = setting.whitened({name: _shift(robot.instrument(name), len(r)) for name, r in data.readings.items()})
     for axis, name in enumerate("xyz"):
@@ -230,13 +230,13 @@ def _test(residuals: Residuals, effect: FloatArray) -> tuple[float, float, float
         return None
     unit = effect / size
     values, vectors = np.linalg.eigh(unit.T @ residuals.after_fit(unit))
-    seen = values > _ABSORBED
-    k = int(np.sum(seen))
+    determined = values > _ABSORBED
+    k = int(np.sum(determined))
     if k == 0 or residuals.freedom - k < 1:
         return None
     residual = residuals.rows.residuals
-    score = vectors[:, seen].T @ (unit.T @ residual)
-    gain = float(np.sum(score**2 / values[seen]))
+    score = vectors[:, determined].T @ (unit.T @ residual)
+    gain = float(np.sum(score**2 / values[determined]))
     total = float(residual @ residual)
     rest = max(total - gain, 1e-12 * total) / (residuals.freedom - k)
     p_value = float(scipy.special.fdtrc(k, residuals.freedom - k, max(gain / k / rest, 0.0)))

@@ -91,15 +91,15 @@ def choose_terms(fit: Fit) -> TermChoice:
             f"{data.path}: choosing terms leaves out blocks of poses, and needs at least {LEAST_POSES} different poses;"
             " name the terms (--terms curve,gain), or measure more"
         )
-    found = candidates(fit.robot, data)
+    kinds = candidates(fit.robot, data)
     if fit.computed:
         why = "nothing is left to explain: these data were computed, not measured"
-        return TermChoice("auto", fit.robot.description.terms, tuple(TriedTerm(one.term, why=why) for one in found))
-    search = _Search(fit, tuple(one for one in found if not one.refused))
+        return TermChoice("auto", fit.robot.description.terms, tuple(TriedTerm(one.term, why=why) for one in kinds))
+    search = _Search(fit, tuple(one for one in kinds if not one.refused))
     chosen, brought = search.chosen()
     added = [section for one in search.tried if one.term in brought for section in search.entries(one, chosen)]
     sections = (*fit.robot.description.terms, *added)
-    told = sorted((search.told(one, chosen, brought) for one in found), key=lambda one: not one.added)
+    told = sorted((search.told(one, chosen, brought) for one in kinds), key=lambda one: not one.added)
     return TermChoice("auto", sections, tuple(told))
 
 
@@ -191,8 +191,8 @@ class _Search:
         brought: dict[str, tuple[_Trial, _Trial]] = {}
         while True:
             free = [one.term for one in self.tried if not one.doubt and one.term not in current.terms]
-            found = [self.trial((*current.terms, term)) for term in free]
-            earning = [trial for trial in found if self.failed(current, trial) == ""]
+            trials = [self.trial((*current.terms, term)) for term in free]
+            earning = [trial for trial in trials if self.failed(current, trial) == ""]
             if not earning:
                 break
             best = min(earning, key=lambda trial: float(np.sum(trial.squares[0])))

@@ -48,15 +48,15 @@ def cross_validate(
     folds = deal(data, count, seed)
     if count < 2 or min(len(fold) for fold in folds) == 0:
         raise InputError(f"folds {count}: must be 2 or more, and not more than there are different poses")
-    before = {name: np.empty((len(found), 0)) for name, found in data.readings.items()}
+    before = {name: np.empty((len(readings), 0)) for name, readings in data.readings.items()}
     after = dict(before)
     singular: FloatArray = np.empty(len(data))
     rms, converged = [], True
     instruments: tuple[Instrument, ...] = ()
     for held in folds:
         kept = np.setdiff1d(np.arange(len(data)), held)
-        found = fit(data.subset(kept), data.subset(held))
-        errors = found.validation
+        fitted = fit(data.subset(kept), data.subset(held))
+        errors = fitted.validation
         assert errors is not None
         instruments = errors.instruments
         for whole, part in ((before, errors.before), (after, errors.after)):
@@ -66,7 +66,7 @@ def cross_validate(
                 whole[name][_readings_at(data.readings[name], held)] = rows
         singular[held] = errors.singular_value
         rms.append(float(np.sqrt(np.mean(np.sum(errors.errors("after", errors.parts()[0][1].name) ** 2, axis=1)))))
-        converged &= found.converged
+        converged &= fitted.converged
     return Folds(count, seed, ErrorSet(data, instruments, before, after, singular), tuple(rms), converged)
 
 
@@ -76,8 +76,8 @@ def _readings_at(readings: Readings, visits: IntArray) -> IntArray:
     inside = visits[visits < len(place)]
     place[inside] = np.arange(len(inside))
     number = place[readings.visits]
-    found = np.flatnonzero(number >= 0)
-    result: IntArray = found[np.argsort(number[found], kind="stable")]
+    indices = np.flatnonzero(number >= 0)
+    result: IntArray = indices[np.argsort(number[indices], kind="stable")]
     return result
 
 
@@ -106,8 +106,8 @@ def boxes(data: Measurements, count: int) -> list[IntArray]:
         middle = len(order) * left // into
         return cut(order[:middle], left) + cut(order[middle:], into - left)
 
-    found = cut(np.arange(len(groups)), count)
-    return [np.sort(np.concatenate([groups[k] for k in part])) for part in found if len(part)]
+    parts = cut(np.arange(len(groups)), count)
+    return [np.sort(np.concatenate([groups[k] for k in part])) for part in parts if len(part)]
 
 
 def stretches(data: Measurements, count: int) -> list[IntArray]:

@@ -52,19 +52,19 @@ _MOVED = ("at_bounds",)  # what a base that stands a little elsewhere does
 
 def judge(fit: Fit) -> Verdict:
     """Return the verdict on a fit: the worst of the reasons found, FAIL before CHECK."""
-    found = [reason for rule in _RULES for reason in rule(fit)]
-    codes = {reason.code for reason in found}
+    reasons = [reason for rule in _RULES for reason in rule(fit)]
+    codes = {reason.code for reason in reasons}
     elsewhere = rules_model.base_elsewhere(fit) if codes & {*_NOTHING_FITS, *_MOVED} else ""
     if elsewhere:
-        found.insert(0, Reason("FAIL" if codes & set(_NOTHING_FITS) else "CHECK", "base_elsewhere", elsewhere))
+        reasons.insert(0, Reason("FAIL" if codes & set(_NOTHING_FITS) else "CHECK", "base_elsewhere", elsewhere))
     elif codes & set(_NOTHING_FITS):
         mistake = likely_mistake(fit.nominal, fit.identification.data)
         if mistake:
             text = f"{mistake}; correct the data, or the description where that is wrong"
-            found = [reason for reason in found if reason.code not in _IN_MISTAKE]
-            found.insert(0, Reason("FAIL", "likely_mistake", text))
-    found.sort(key=lambda reason: _ORDER.index(reason.grade))
-    grade = found[0].grade if found else "PASS"
+            reasons = [reason for reason in reasons if reason.code not in _IN_MISTAKE]
+            reasons.insert(0, Reason("FAIL", "likely_mistake", text))
+    reasons.sort(key=lambda reason: _ORDER.index(reason.grade))
+    grade = reasons[0].grade if reasons else "PASS"
     if grade == "FAIL":  # what was found on the side says nothing about numbers that must not be used
-        found = [reason for reason in found if reason.grade != "PASS"]
-    return Verdict(grade, tuple(found))
+        reasons = [reason for reason in reasons if reason.grade != "PASS"]
+    return Verdict(grade, tuple(reasons))

@@ -23,27 +23,27 @@ _SAID = {
 }
 
 
-def text_report(found: Acceptance, figures: Sequence[IsoFigure], missing: Sequence[str], width: int = 110) -> str:
+def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Sequence[str], width: int = 110) -> str:
     """Return everything as text.
 
     Args:
-        found: The judgement.
+        acceptance: The judgement.
         figures: Of ISO 9283.
         missing: What they lack.
         width: Of the tables, in characters.
     """
-    data = found.errors.data
-    parts: list[str | Table] = [_SAID[found.verdict], *_errors(found), *_drift(found)]
-    if found.outliers:
-        parts.append(f"Left out, further off than noise explains: {listed(found.outliers, '; ')}")
-    parts += ["", "Changes looked for, the most significant first", _changes(found.changes)]
+    data = acceptance.errors.data
+    parts: list[str | Table] = [_SAID[acceptance.verdict], *_errors(acceptance), *_drift(acceptance)]
+    if acceptance.outliers:
+        parts.append(f"Left out, further off than noise explains: {listed(acceptance.outliers, '; ')}")
+    parts += ["", "Changes looked for, the most significant first", _changes(acceptance.changes)]
     if figures:
         parts += [
             "",
             "ISO 9283 with 95 % intervals; commanded is what the calibrated robot predicts",
             _iso_table(figures),
         ]
-    lines = [_said_of_placing(found), *missing] if figures and found.placed else missing
+    lines = [_said_of_placing(acceptance), *missing] if figures and acceptance.placed else missing
     parts += [f"ISO 9283: {line}" for line in lines]
     stated = conditions(data.comments)
     parts += [f"{key}: {stated[key]}" for key in CONDITIONS if key in stated]
@@ -56,26 +56,28 @@ def plan_report(changes: Sequence[Change], data: str, n: int, width: int = 110) 
     return plain_text([title, _changes(changes)], width).rstrip()
 
 
-def to_dict(found: Acceptance, figures: Sequence[IsoFigure], missing: Sequence[str]) -> dict[str, object]:
+def to_dict(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Sequence[str]) -> dict[str, object]:
     """Return everything as data for JSON, in mm, deg, and mrad for angles of ISO 9283; unknown numbers are None."""
-    data = found.errors.data
+    data = acceptance.errors.data
     return {
-        "verdict": found.verdict,
+        "verdict": acceptance.verdict,
         "n_poses": data.n_poses,
         "n_readings": data.n_readings,
-        "degrees_of_freedom": found.freedom,
-        "placed": found.placed,
-        "ratio": found.ratio,
-        "ratio_low95": found.low95,
-        "ratio_high95": found.high95,
-        "p_value": found.p_value,
-        "p_drift": found.p_drift,
-        "p_rest": found.p_rest,
-        "promised_rms_mm": _finite(millimetres(found.promised)),
-        "errors": error_table(found.errors.errors("after", found.errors.main_part.name), found.errors.main_part),
-        "alike": list(found.alike),
-        "outliers": list(found.outliers),
-        "changes": changes_as_data(found.changes),
+        "degrees_of_freedom": acceptance.freedom,
+        "placed": acceptance.placed,
+        "ratio": acceptance.ratio,
+        "ratio_low95": acceptance.low95,
+        "ratio_high95": acceptance.high95,
+        "p_value": acceptance.p_value,
+        "p_drift": acceptance.p_drift,
+        "p_rest": acceptance.p_rest,
+        "promised_rms_mm": _finite(millimetres(acceptance.promised)),
+        "errors": error_table(
+            acceptance.errors.errors("after", acceptance.errors.main_part.name), acceptance.errors.main_part
+        ),
+        "alike": list(acceptance.alike),
+        "outliers": list(acceptance.outliers),
+        "changes": changes_as_data(acceptance.changes),
         "iso9283": [
             {
                 "name": one.name,
@@ -106,43 +108,44 @@ def changes_as_data(changes: Sequence[Change]) -> list[dict[str, object]]:
     ]
 
 
-def _errors(found: Acceptance) -> list[str]:
+def _errors(acceptance: Acceptance) -> list[str]:
     """What was measured beside what was promised."""
     lines = [
-        f"Residuals are {found.ratio:.3f} times as large as promised; {found.low95:.3f} to {found.high95:.3f} in 95 of"
-        f" 100 cases ({found.freedom} degrees of freedom, p = {found.p_value:.3g})"
+        f"Residuals are {acceptance.ratio:.3f} times as large as promised; {acceptance.low95:.3f} to"
+        f" {acceptance.high95:.3f} in 95 of 100 cases ({acceptance.freedom} degrees of freedom,"
+        f" p = {acceptance.p_value:.3g})"
     ]
-    data = found.errors.data
-    if np.isfinite(found.promised):
-        table = error_table(found.errors.errors("after", single=True))
+    data = acceptance.errors.data
+    if np.isfinite(acceptance.promised):
+        table = error_table(acceptance.errors.errors("after", single=True))
         lines.append(
             f"Position errors over {counted(data.n_poses, 'pose')}: {table['rms']:.4f} mm rms (promised:"
-            f" {millimetres(found.promised):.4f} mm), {table['mean']:.4f} mm mean, {table['max']:.4f} mm at worst"
+            f" {millimetres(acceptance.promised):.4f} mm), {table['mean']:.4f} mm mean, {table['max']:.4f} mm at worst"
         )
     return lines
 
 
-def _drift(found: Acceptance) -> list[str]:
-    if not found.changes:
+def _drift(acceptance: Acceptance) -> list[str]:
+    if not acceptance.changes:
         return []
-    first = found.changes[0]
+    first = acceptance.changes[0]
     unit, scale = _unit(first)
     size = f"{first.value * scale:+.4f} {unit} (standard deviation {first.std * scale:.4f})"
-    if found.p_drift >= FALSE_ALARM / 2:
-        largest = f"the largest, of {first.name}, has p = {found.p_drift:.2g} ({FALSE_ALARM / 2:g} counts)"
+    if acceptance.p_drift >= FALSE_ALARM / 2:
+        largest = f"the largest, of {first.name}, has p = {acceptance.p_drift:.2g} ({FALSE_ALARM / 2:g} counts)"
         return [f"No change stands out: {largest}"]
-    if found.verdict != "drifted":
-        return [f"{first.name} alone would have changed by {size}, but of the rest p = {found.p_rest:.2g}"]
-    others = [name for name in found.alike if name != first.name]
-    lines = [f"{first.name} has changed by {size}; p = {found.p_drift:.2g}, of the rest {found.p_rest:.2g}"]
+    if acceptance.verdict != "drifted":
+        return [f"{first.name} alone would have changed by {size}, but of the rest p = {acceptance.p_rest:.2g}"]
+    others = [name for name in acceptance.alike if name != first.name]
+    lines = [f"{first.name} has changed by {size}; p = {acceptance.p_drift:.2g}, of the rest {acceptance.p_rest:.2g}"]
     if others:
         lines.append(f"These readings cannot tell it from a change of {listed(others)}")
     return lines
 
 
-def _said_of_placing(found: Acceptance) -> str:
+def _said_of_placing(acceptance: Acceptance) -> str:
     return (
-        f"base and targets were placed by these readings, which takes {found.placed} degrees of freedom out of AP;"
+        f"base and targets were placed by these readings, which takes {acceptance.placed} degrees of freedom out of AP;"
         " --same-setup leaves them in"
     )
 

@@ -57,9 +57,9 @@ def notes(fit: Fit) -> list[str]:
 
 
 def _noise(fit: Fit) -> list[str]:
-    data, found = fit.identification.data, fit.statistics
+    data, statistics = fit.identification.data, fit.statistics
     lines = [
-        f"{counted(data.n_poses, 'pose')}, {counted(data.n_readings, 'reading')}, {found.freedom:.1f} degrees of"
+        f"{counted(data.n_poses, 'pose')}, {counted(data.n_readings, 'reading')}, {statistics.freedom:.1f} degrees of"
         f" freedom, {fit.seconds:.3f} s"
     ]
     for one in fit.noise:
@@ -146,11 +146,11 @@ def _positions(fit: Fit) -> list[str]:
     sets = [("poses used", fit.identification, fit.identification_uncertainty)]
     if fit.validation is not None and fit.validation_uncertainty is not None:
         sets.append(("poses not used", fit.validation, fit.validation_uncertainty))
-    for name, errors, found in sets:
-        summary = found.summary()
+    for name, errors, uncertainty in sets:
+        summary = uncertainty.summary()
         lines.append(
             f"Predicted positions are known to {summary['mean']:.4f} mm on average, {summary['max']:.4f} mm at worst"
-            f" (pose {errors.data.names[found.worst]}), over the {name}; from noise alone"
+            f" (pose {errors.data.names[uncertainty.worst]}), over the {name}; from noise alone"
         )
     return lines
 
@@ -161,14 +161,14 @@ def _repeats(fit: Fit) -> list[str]:
     if np.isfinite(scatter):
         lines.append(f"Scatter of the repeats: {millimetres(scatter):.4g} mm per axis")
     for name, errors in (("used", fit.identification), ("not used", fit.validation)):
-        found = None if errors is None else repeats(errors)
-        if found is not None:
+        repeated = None if errors is None else repeats(errors)
+        if repeated is not None:
             before, after, again = (
                 PER_SI["length"]["mm"] * values
-                for values in (found.accuracy_before, found.accuracy_after, found.repeatability)
+                for values in (repeated.accuracy_before, repeated.accuracy_after, repeated.repeatability)
             )
             lines.append(
-                f"ISO 9283-style, {counted(len(found.poses), 'pose')} {name}: accuracy AP {before.mean():.3f} mm"
+                f"ISO 9283-style, {counted(len(repeated.poses), 'pose')} {name}: accuracy AP {before.mean():.3f} mm"
                 f" before, {after.mean():.3f} after (largest {after.max():.3f}); repeatability RP {again.mean():.3f} mm"
                 f" (largest {again.max():.3f})"
             )
@@ -211,7 +211,7 @@ def _unit(fit: Fit) -> tuple[float, str]:
 
 def _accuracy(fit: Fit) -> list[Table]:
     """One table for each part that was measured."""
-    parts = dict.fromkeys(part for _, found in error_sets(fit) for _, part, _ in found.parts())
+    parts = dict.fromkeys(part for _, errors in error_sets(fit) for _, part, _ in errors.parts())
     return [_accuracy_of(fit, part) for part in parts]
 
 
@@ -223,33 +223,33 @@ def _accuracy_of(fit: Fit, part: Part) -> Table:
         table.add_column(header, justify="left" if not header else "right")
     names = {"cross_validation": "left out in turns"}
     sets: list[tuple[str, ErrorSet, tuple[str, ...]]] = [
-        (names.get(label, label), found, STATES) for label, found in error_sets(fit)
+        (names.get(label, label), error_set, STATES) for label, error_set in error_sets(fit)
     ]
     if fit.with_all is not None:
         sets.append(("with outliers", fit.with_all.identification, STATES[1:]))
-    for label, found, states in sets:
+    for label, error_set, states in sets:
         for state in states:
-            errors = found.errors(state, part.name)
+            errors = error_set.errors(state, part.name)
             if len(errors):
                 cells = format_error(error_table(errors, part))
-                table.add_row(f"{label}, {state}", str(found.data.n_poses), *cells)
+                table.add_row(f"{label}, {state}", str(error_set.data.n_poses), *cells)
     return table
 
 
 def _budget(fit: Fit) -> list[Table]:
-    found = budget_table(fit)
-    if found is None:
+    budget = budget_table(fit)
+    if budget is None:
         return []
-    of = "poses used, corrected for that" if found["set"] == "identification" else "poses not used"
+    of = "poses used, corrected for that" if budget["set"] == "identification" else "poses not used"
     title = f"What made the error before ({of})"
     table = Table(title=title, title_justify="left")
-    unit = found["unit"]
+    unit = budget["unit"]
     for header in ("", f"RMS {unit}", f"mean square {unit}^2", "std", "share"):
         table.add_column(header, justify="left" if not header else "right")
-    for row in cast(list[dict[str, Any]], found["causes"]):
+    for row in cast(list[dict[str, Any]], budget["causes"]):
         numbers = [f"{row[key]:.4f}" if key == "rms" else f"{row[key]:.3g}" for key in ("rms", "mean_square", "std")]
         table.add_row(row["cause"], *numbers, f"{100 * row['share']:.1f} %")
-    before = cast(float, found["rms_before"])
+    before = cast(float, budget["rms_before"])
     table.add_row("together: before", f"{before:.4f}", f"{before**2:.3g}", "", "100.0 %")
     return [table]
 

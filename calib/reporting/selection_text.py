@@ -126,10 +126,10 @@ def _plan(
 
 def _lines_of(table: Table) -> dict[str, list[int]]:
     """Rows of the file by pose name; a measured file may repeat a pose."""
-    found: dict[str, list[int]] = {}
+    lines: dict[str, list[int]] = {}
     for line, name in enumerate(table.text("pose")):
-        found.setdefault(name, []).append(line)
-    return found
+        lines.setdefault(name, []).append(line)
+    return lines
 
 
 def _without_positions(text: str, n_columns: int) -> str:

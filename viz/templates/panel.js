@@ -60,13 +60,13 @@ class Panel {
 
   verdict({ grade, reasons }) {
     const reasonText = (reason) => (reason.grade ? `${reason.grade}: ${reason.text}` : reason.text);
-    const found = [element("p", { class: `verdict ${grade}` }, element("strong", {}, grade),
+    const parts = [element("p", { class: `verdict ${grade}` }, element("strong", {}, grade),
       reasons.length ? ` ${reasons[0].text}` : " nothing was found against this fit")];
     if (reasons.length > 1) {
-      found.push(element("details", {}, element("summary", {}, `${reasons.length - 1} more to know`),
+      parts.push(element("details", {}, element("summary", {}, `${reasons.length - 1} more to know`),
         element("ul", {}, ...reasons.slice(1).map((reason) => element("li", {}, reasonText(reason))))));
     }
-    return found;
+    return parts;
   }
 
   /** How sure the numbers are: of one reading, of a pose's mean of several, and of what the robot predicts. */

@@ -49,14 +49,14 @@ class PoseTable {
 
   /** The rows with the largest errors, largest first. */
   largest(rows, state, count) {
-    const found = [];
+    const worst = [];
     for (const row of rows) {
       const error = this.error(state, row);
-      if (!Number.isFinite(error) || (found.length === count && error <= this.error(state, found[count - 1]))) continue;
-      const place = found.findIndex((other) => error > this.error(state, other));
-      found.splice(place < 0 ? found.length : place, 0, row);
-      found.length = Math.min(found.length, count);
+      if (!Number.isFinite(error) || (worst.length === count && error <= this.error(state, worst[count - 1]))) continue;
+      const place = worst.findIndex((other) => error > this.error(state, other));
+      worst.splice(place < 0 ? worst.length : place, 0, row);
+      worst.length = Math.min(worst.length, count);
     }
-    return found;
+    return worst;
   }
 }

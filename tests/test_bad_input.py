@@ -150,6 +150,8 @@ BAD_ROBOTS = {
     "sigma": (ARM_YAML + "sigma: -0.1 mm\n", "arm.yaml: sigma: should be greater than 0 (given: '-0.1 mm')"),
     "missing URDF": (ARM_YAML.replace("arm.urdf", "leg.urdf"), "leg.urdf: no such file; give the path of a URDF"),
     "UTF-16 YAML": (ARM_YAML.encode("utf-16"), "arm.yaml: is not UTF-8 text"),
+    "zero byte in a name": (ARM_YAML.replace("arm.urdf", '"arm\\0.urdf"'), "cannot be read (embedded null byte)"),
+    "object of Python": (ARM_YAML + "sigma: !!python/object/apply:os.system [touch x]\n", "not valid YAML (could"),
     "overflow": (ARM_YAML + "sigma: 1e300 mm\n", "arm.yaml: sigma: '1e300 mm' is too large to mean anything"),
     "nothing but a list": ("- a\n", "arm.yaml: is not a mapping of keys to values"),
 }  # fmt: skip
@@ -270,6 +272,7 @@ BAD_PARAMETERS = {
     "wrong unit": ("parameter,value,unit\nturn.x,1,deg\n", "p.csv, line 2, parameter 'turn.x': unit 'deg' is for an"),
     "text": ("parameter,value,unit\nturn.x,x,mm\n", "p.csv, line 2, parameter 'turn.x': 'x' is not a number"),
     "nan": ("parameter,value,unit\nturn.x,nan,mm\n", "p.csv, line 2, parameter 'turn.x': 'nan' is not finite"),
+    "overflow": ("parameter,value,unit\nturn.x,1e300,mm\n", "p.csv, line 2, parameter 'turn.x': '1e300' is too large"),
     "no unit": ("parameter,value,unit\nturn.x,178,\n", "p.csv, line 2, parameter 'turn.x': 178 m is not plausible"),
 }  # fmt: skip
 

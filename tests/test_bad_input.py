@@ -242,6 +242,7 @@ BAD_OPTIONS = {
     "sigma negative": (f"{FIT} --sigma-mm -1", "--sigma-mm -1: must be a number, positive"),
     "sigma zero": (f"{FIT} --sigma-mm 0", "--sigma-mm 0: must be a number, positive"),
     "sigma nan": (f"{FIT} --sigma-mm nan", "--sigma-mm nan: must be a number"),
+    "sigma too small": (f"{FIT} --sigma-mm 1e-300", "--sigma-mm: '1e-300 mm' is too small to mean anything"),
     "sigma of simulate": (SIMULATE.replace("0.1", "inf"), "--sigma-mm inf: must be a number"),
     "seed": (SIMULATE.replace("--seed 1", "--seed -1"), "'--seed': -1 is not in the range x>=0"),
     "no seed": (SIMULATE.replace("--seed 1 ", ""), "Missing option '--seed'"),

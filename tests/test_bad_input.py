@@ -187,6 +187,16 @@ BAD_URDFS = {
     "nan": (ARM_URDF.replace("0.25 0 0", "nan 0 0"), "joint 'slide', xyz: 'nan' is not a number"),
     "no axis": (ARM_URDF.replace("1 0 0", "0 0 0"), "joint 'slide': the axis has no direction"),
     "xacro": (ARM_URDF.replace("0.25 0 0", "${length} 0 0"), "run xacro on the file first"),
+    "entity of a file": (
+        ARM_URDF.replace("<robot", '<!DOCTYPE robot [<!ENTITY secret SYSTEM "file:///etc/passwd">]><robot'),
+        "arm.urdf, line 2: entity 'secret' stands for another file, which is not read",
+    ),
+    "entities without end": (
+        '<!DOCTYPE robot [<!ENTITY a0 "' + "<link/>" * 9 + '">'
+        + "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 12))
+        + "]><robot>&a11;</robot>",
+        "arm.urdf",
+    ),
     "overflow": (ARM_URDF.replace("0.25 0 0", "1e200 0 0"), "joint 'slide', xyz: '1e200 0 0' is beyond 1e9"),
     "a shape of nan": (
         ARM_URDF.replace(LINK, f'{LINK[:-2]}><visual><geometry><box size="nan 1 1"/></geometry></visual></link>'),

@@ -6,12 +6,14 @@ import html
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+from calib.commands import pictures
 from calib.data.measurements import Measurements
 from calib.identification.errors_found import error_table
 from calib.identification.estimates import table_html
-from calib.identification.fit import fit as identify
+from calib.identification.fit import Settings, identify
 from calib.identification.fitted import Fit
 from calib.model.robot import Robot
+from calib.numerics.losses import checked_loss
 from calib.reporting.report_text import text_report, verdict_lines
 from calib.reporting.result_content import error_sets
 from calib.reporting.results import save
@@ -48,8 +50,14 @@ class Calibration(Fit):
         return text_report(self)
 
     def save(self, folder: Path | str, *, force: bool = False, pages: bool = True) -> None:
-        """Write the result to a folder; see `calib.reporting.results.save`."""
-        save(self, folder, force=force, pages=pages)
+        """Write the result to a folder, report and viewer with it; see `calib.reporting.results.save`.
+
+        Args:
+            folder: Where to.
+            force: Export a failed fit all the same.
+            pages: Whether to write report.html and viewer.html.
+        """
+        save(self, folder, force=force, pages=pictures.pages(self) if pages else {})
 
 
 def fit(
@@ -65,7 +73,7 @@ def fit(
     seed: int = 0,
     terms: str | None = None,
 ) -> Calibration:
-    """Calibrate a robot; see `calib.identification.fit.fit` for the method, its arguments and its errors.
+    """Calibrate a robot; see `calib.identification.fit` for the method and its errors.
 
     Args:
         robot: The nominal robot.
@@ -80,16 +88,6 @@ def fit(
         terms: Joint terms in place of those of the description: `none`; or in addition to them: `auto` for those that
             earn their place, or a list such as `curve,elbow=backlash`.
     """
-    found = identify(
-        robot,
-        data,
-        validation=validation,
-        sigma=sigma,
-        loss=loss,
-        exclude_outliers=exclude_outliers,
-        starts=starts,
-        folds=folds,
-        seed=seed,
-        terms=terms,
-    )
+    settings = Settings(sigma, checked_loss(loss), exclude_outliers, starts, folds, seed, terms)
+    found = identify(robot, data, validation, settings)
     return Calibration(**{field.name: getattr(found, field.name) for field in fields(found)})

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.metadata import entry_points
 
 import click
 
+from calib.commands import pictures
 from calib.commands.program import run_program
 from calib.version import VERSION
 
-COMMANDS = "calib.commands"
-"""Entry point group of commands that other packages add."""
 _MODULES = {
     "init": "calib.commands.init",
     "check": "calib.commands.check",
@@ -27,20 +25,19 @@ _MODULES = {
 
 
 class Commands(click.Group):
-    """Our commands and those that other packages add."""
+    """The commands of this package, and those that come with the pictures."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return their names."""
-        return sorted({*_MODULES, *entry_points(group=COMMANDS).names})
+        return sorted({*_MODULES, *pictures.commands()})
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Return one of them; None if there is none of this name."""
         if cmd_name in _MODULES:
             found: click.Command = import_module(_MODULES[cmd_name]).command
             return found
-        for entry in entry_points(group=COMMANDS, name=cmd_name):
-            added: click.Command = entry.load()
-            return added
+        if cmd_name in pictures.commands():
+            return pictures.command(cmd_name)
         for name in self.list_commands(ctx):  # click names the nearest of them
             known = self.get_command(ctx, name)
             if known is not None:

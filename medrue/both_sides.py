@@ -21,11 +21,11 @@ from typing import Literal
 
 import numpy as np
 
+from calib import fit
 from calib.arrays import FloatArray, IntArray
 from calib.data.in_memory import as_measurements
 from calib.data.measurements import Measurements
 from calib.errors import NotIdentifiableError
-from calib.identification.fit import fit
 from calib.joint_terms.term import Context
 from calib.model.robot import Robot
 from calib.pose_choice.selection import select

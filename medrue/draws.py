@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib import fit
 from calib.arrays import FloatArray, IntArray
 from calib.data.in_memory import as_measurements
 from calib.data.measurements import Measurements
 from calib.errors import NotConvergedError
-from calib.identification.fit import fit
 from calib.linearisation.jacobian import linearise
 from calib.model.robot import Configurations, Robot
 from calib.threads import one_blas_thread

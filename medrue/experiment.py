@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib import fit
 from calib.arrays import FloatArray
-from calib.identification.fit import fit
 from calib.model.robot import Robot
 from calib.threads import one_blas_thread
 from medrue.both_sides import COUNTS, BothSides, run_both_sides

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib import Fit, fit
 from calib.arrays import FloatArray
-from calib.identification.fit import Fit, fit
 from calib.linearisation.jacobian import linearise
 from calib.model.robot import Robot
 from calib.pose_choice.selection import Selection, select

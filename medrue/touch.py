@@ -26,9 +26,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib import fit
 from calib.arrays import FloatArray
 from calib.errors import NotIdentifiableError
-from calib.identification.fit import fit
 from calib.model.robot import Robot
 from calib.pose_choice.assessment import Assessment, assess
 from calib.pose_choice.selection import Selection, select

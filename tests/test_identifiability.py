@@ -7,7 +7,7 @@ import pytest
 from small_robots import small_arm
 
 import calib
-from calib.identification.fit import fit
+from calib import fit
 from calib.linearisation.candidates import assumed_sigma
 from calib.linearisation.jacobian import linearise
 from calib.numerics.identifiability import RANK_TOLERANCE, numerical_rank, reduced

@@ -4,7 +4,6 @@ import json
 import re
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -52,7 +51,7 @@ columns: {"T": "turn [deg]"}
 def _without_pages():
     """Report pages take seconds, and have tests of their own."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calib.reporting.results.entry_points", lambda group: ())
+        patch.setattr("calib.commands.pictures.entry_points", lambda group: ())
         yield
 
 
@@ -458,10 +457,8 @@ def test_every_command_takes_a_folder_as_the_robot_and_means_the_same_as_with_re
     assert before["max"] < 1e-3  # mm: the digits of the file; before is the calibrated robot
 
 
-def test_without_pages_old_ones_are_removed(fitted, tmp_path, monkeypatch):
-    writer = SimpleNamespace(load=lambda: lambda fit: {"report.html": b"page", "viewer.html": b"page"})
-    monkeypatch.setattr("calib.reporting.results.entry_points", lambda group: (writer,))
-    save(fitted, tmp_path)
+def test_without_pages_old_ones_are_removed(fitted, tmp_path):
+    save(fitted, tmp_path, pages={"report.html": b"page", "viewer.html": b"page"})
     with_pages = set(tree(tmp_path))
-    save(fitted, tmp_path, pages=False)
+    save(fitted, tmp_path)
     assert with_pages - set(tree(tmp_path)) == {"report.html", "viewer.html"}

@@ -15,11 +15,10 @@ import shutil
 import signal
 import warnings
 
+import hypothesis
 import pytest
+from hypothesis import strategies as st
 from small_robots import PARALLELOGRAM_YAML, write_arm, write_parallelogram
-
-hypothesis = pytest.importorskip("hypothesis")
-st = hypothesis.strategies
 
 SEARCHED = int(os.environ.get("CALIB_SEARCH", "0"))
 SECONDS = 20  # that one run may take

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.identification.fit import fit
+from calib import fit
 from calib.linearisation.jacobian import linearise
 from calib.pose_choice.selection import select
 from medrue.closed_form import forward

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import calib
+from calib.commands.pictures import figures
 from calib.data.in_memory import as_poses
-from calib.figures import draw
 from calib.pose_choice.assessment import assess
 from calib.pose_choice.selection import select
 from medrue.workspace import target_workspace
@@ -56,9 +56,10 @@ def test_figures_are_svg_and_the_same_twice(assessment, selection):
 
 
 def test_the_engine_finds_them_by_entry_point(selection):
-    assert set(draw("selection", selection)) == {"index.svg"}
+    assert set(figures(selection)) == {"index.svg"}
 
 
-def test_a_kind_that_nobody_draws_is_an_error():
-    with pytest.raises(calib.InputError, match="nothing that draws an opera"):
-        draw("opera", None)
+def test_without_anything_that_draws_it_is_said(monkeypatch, selection):
+    monkeypatch.setattr("calib.commands.pictures.entry_points", lambda group: ())
+    with pytest.raises(calib.InputError, match="nothing that draws is installed"):
+        figures(selection)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import ttest_rel
 
-from calib import load
-from calib.identification.fit import fit
+from calib import fit, load
 from calib.linearisation.jacobian import linearise
 from calib.model.robot import Robot
 from calib.pose_choice.selection import select

@@ -9,9 +9,8 @@ import pytest
 from click.testing import CliRunner, Result
 from scipy.stats import chi2
 
-from calib import load
+from calib import fit, load
 from calib.errors import ComputationError
-from calib.identification.fit import fit
 from calib.linearisation.jacobian import linearise
 from calib.linearisation.observed import observe
 from calib.model.robot import Robot

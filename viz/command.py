@@ -1,4 +1,4 @@
-"""`calib view`: look at a robot and its calibration. Registered in the entry point group `calib.commands`."""
+"""`calib view`: look at a robot and its calibration."""
 
 from __future__ import annotations
 

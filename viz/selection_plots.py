@@ -1,4 +1,4 @@
-"""Figures of `calib check` and `calib select` as SVG files; registered in the entry point group `calib.figures`.
+"""Figures of `calib check` and `calib select` as SVG files.
 
 The same input gives the same bytes.
 """

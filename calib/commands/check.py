@@ -16,10 +16,10 @@ from calib.commands.common import (
     sigma_in_metres,
     with_values,
 )
+from calib.commands.pictures import figures
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Measurements
 from calib.errors import InputError
-from calib.figures import draw
 from calib.files import check_folder, write_folder
 from calib.linearisation.observed import unsaid_touches
 from calib.pose_choice.assessment import assess
@@ -83,7 +83,7 @@ def command(
     with output.working(f"checking {len(found)} poses"):
         assessment = assess(model, found, task=wanted, sigma=sigma)
     if plots is not None:
-        write_folder(plots, draw("assessment", assessment))
+        write_folder(plots, figures(assessment))
     output.say(text_report(assessment, source))
     if plots is not None:
         output.say(f"Figures written to {plots}")

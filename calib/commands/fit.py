@@ -6,16 +6,15 @@ from pathlib import Path
 
 import click
 
+from calib.calibration import fit
 from calib.commands.common import SIGMA_HELP, Output, loaded, shared_options, sigma_in_metres
 from calib.data.measurement_files import read_measurements
 from calib.data.measurements import Measurements
 from calib.errors import ComputationError, InputError
 from calib.files import check_folder
-from calib.identification.fit import fit
 from calib.model.robot import Robot
 from calib.numerics.losses import LOSSES
-from calib.reporting.report_text import text_report
-from calib.reporting.results import save, to_dict
+from calib.reporting.results import to_dict
 from calib.words import counted
 
 
@@ -102,8 +101,8 @@ def command(
             terms=terms,
         )
     failed = result.verdict.grade == "FAIL"
-    save(result, out, force=force, pages=not no_pages)
-    output.say(text_report(result))
+    result.save(out, force=force, pages=not no_pages)
+    output.say(result.report())
     output.say(f"Written to {Path(out)}")
     output.json(to_dict(result, forced=failed and force))
     if failed and not force:

@@ -16,12 +16,12 @@ from calib.commands.common import (
     sigma_in_metres,
     with_values,
 )
+from calib.commands.pictures import figures
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
 from calib.data.plan_files import read_plan
 from calib.data.tables import read_table
 from calib.errors import InputError, nearest
-from calib.figures import draw
 from calib.files import check_file, check_folder, write_file, write_folder
 from calib.pose_choice.instrument_choice import ALL, EACH
 from calib.pose_choice.selection import select
@@ -148,7 +148,7 @@ def command(
     table = read_table(candidates, model.description.columns)
     write_file(out, format_poses(model, selection, poses, table))
     if plots is not None:
-        write_folder(plots, draw("selection", selection))
+        write_folder(plots, figures(selection))
     output.say(text_report(selection, poses))
     output.say(f"Written to {out}" + (f", figure to {plots}" if plots is not None else ""))
     output.json({"robot": model.path} | to_dict(selection, poses))

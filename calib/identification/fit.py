@@ -53,8 +53,6 @@ from calib.numerics.statistics import Factors, found_factors, statistics
 from calib.numerics.variance_components import EXACT
 from calib.threads import one_blas_thread
 
-__all__ = ["ErrorSet", "Fit", "fit"]
-
 _LOOSE = 1e-3  # tolerance of the solver where another solve follows
 _PLACED = 1e-6  # the same for the state before: its errors then hold to a millionth
 _NOISE_ROUNDS = 20
@@ -65,20 +63,41 @@ _ROUNDING = 1e-8  # 10 nm and 10 nrad: below, rounding decides about a step
 
 
 @dataclass(frozen=True)
-class _Settings:
+class Settings:
     """How to fit.
 
     Attributes:
-        sigma: Noise of positions per axis that replaces what is stated [m], or None.
-        loss: Robust loss.
-        starts: Number of starts.
-        seed: Seed of the random steps.
+        sigma: Standard deviation of measured positions per axis [m], in place of what the description states; where
+            neither does, it is found.
+        loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey` (see `calib.numerics.losses`).
+        exclude_outliers: Leave outliers out and fit again; the result holds both fits.
+        starts: Number of starting points, the nominal one and perturbed ones.
+        folds: Number of folds for cross-validation by pose; 0 for none.
+        seed: Seed of perturbed starts and folds.
+        terms: Joint terms: those of the description if not given; `none`; a list such as `curve,elbow=backlash`, in
+            addition to these; `auto`, in addition those that earn their place (`calib.identification.term_choice`).
+
+    Raises:
+        DataError: Sigma is not a positive number.
+        InputError: Unknown loss, or a number of starts or a seed that makes no sense.
     """
 
-    sigma: float | None
-    loss: Loss
-    starts: int
-    seed: int
+    sigma: float | None = None
+    loss: Loss = "none"
+    exclude_outliers: bool = False
+    starts: int = 1
+    folds: int = 0
+    seed: int = 0
+    terms: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.sigma is not None and not (np.isfinite(self.sigma) and self.sigma > 0):
+            raise DataError(f"sigma {self.sigma:g} m: must be a positive number")
+        checked_loss(self.loss)
+        if self.starts < 1:
+            raise InputError(f"starts {self.starts}: must be 1 or more")
+        if self.seed < 0:
+            raise InputError(f"seed {self.seed}: must be zero or more")
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,79 +114,48 @@ class _Solved:
 
 
 @one_blas_thread
-def fit(
-    robot: Robot,
-    data: Measurements,
-    *,
-    validation: Measurements | None = None,
-    sigma: float | None = None,
-    loss: str = "none",
-    exclude_outliers: bool = False,
-    starts: int = 1,
-    folds: int = 0,
-    seed: int = 0,
-    terms: str | None = None,
-) -> Fit:
+def identify(robot: Robot, data: Measurements, validation: Measurements | None, settings: Settings) -> Fit:
     """Calibrate a robot.
 
     Args:
         robot: The nominal robot.
         data: Measurements to identify with.
-        validation: Measurements to judge the result with.
-        sigma: Standard deviation of measured positions per axis [m], in place of what the description states; where
-            neither does, it is found.
-        loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey` (see `calib.numerics.losses`).
-        exclude_outliers: Leave outliers out and fit again; the result holds both fits.
-        starts: Number of starting points, the nominal one and perturbed ones.
-        folds: Number of folds for cross-validation by pose; 0 for none.
-        seed: Seed of perturbed starts and folds.
-        terms: Joint terms: those of the description if not given; `none`; a list such as `curve,elbow=backlash`, in
-            addition to these; `auto`, in addition those that earn their place (`calib.identification.term_choice`).
+        validation: Measurements to judge the result with, or None.
+        settings: How.
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
         DataError: Too few measurements, or measurements that are not finite.
-        InputError: Unknown loss or term, numbers of starts or folds that make no sense, or data that are no
-            measurements.
+        InputError: An unknown term, a number of folds that makes no sense, or data that are no measurements.
         NotIdentifiableError: The poses do not determine the free parameters.
         NotConvergedError: Base and targets cannot be placed, or the noise cannot be found.
     """
     started = time.perf_counter()
     _require_measurements(data, validation)
-    if sigma is not None and not (np.isfinite(sigma) and sigma > 0):
-        raise DataError(f"sigma {sigma:g} m: must be a positive number")
-    if starts < 1:
-        raise InputError(f"starts {starts}: must be 1 or more")
-    if seed < 0:
-        raise InputError(f"seed {seed}: must be zero or more")
-    settings = _Settings(sigma, checked_loss(loss), starts, seed)
     try:
-        robot, choice = _with_terms(robot, data, terms, settings)
+        robot, choice = _with_terms(robot, data, settings)
         found = _fit(robot, data, validation, settings)
     except UnreachablePoseError as error:
         mistake = likely_mistake(robot, data)
         raise UnreachablePoseError(f"{error}{'; ' if mistake else ''}{mistake}") from None
     plain = replace(settings, starts=1)
-    if exclude_outliers:
+    if settings.exclude_outliers:
         tukey = replace(plain, loss="tukey")
         found = without_outliers(
             found,
             robust=lambda: _fit(robot, data, None, tukey),
             again=lambda kept: _fit(robot, kept, validation, settings),
         )
-    if folds:
+    if settings.folds:
         used = found.identification.data
-        found = replace(
-            found, folds=cross_validate(used, folds, seed, lambda kept, held: _fit(robot, kept, held, plain))
-        )
+        folds = cross_validate(used, settings.folds, settings.seed, lambda kept, held: _fit(robot, kept, held, plain))
+        found = replace(found, folds=folds)
     return replace(found, seconds=time.perf_counter() - started, terms=choice)
 
 
-def _with_terms(
-    robot: Robot, data: Measurements, terms: str | None, settings: _Settings
-) -> tuple[Robot, TermChoice | None]:
+def _with_terms(robot: Robot, data: Measurements, settings: Settings) -> tuple[Robot, TermChoice | None]:
     """The robot with the joint terms that were asked for."""
-    own = robot.description.terms
+    own, terms = robot.description.terms, settings.terms
     if terms is None:
         return robot, None
     if terms == "none":
@@ -189,7 +177,7 @@ def _require_measurements(data: object, validation: object) -> None:
             )
 
 
-def _fit(robot: Robot, data: Measurements, validation: Measurements | None, settings: _Settings) -> Fit:
+def _fit(robot: Robot, data: Measurements, validation: Measurements | None, settings: Settings) -> Fit:
     """Do steps 1 to 5 of the module docstring."""
     check_measurements(robot, data)
     problem = Problem(robot, data, settings.sigma)
@@ -304,7 +292,7 @@ def _is_best_placed(problem: Problem, robot: Robot, places: Unknowns) -> bool:
     return bool(explained @ explained <= _PLACED * (rows.residuals @ rows.residuals))
 
 
-def _solve(problem: Problem, placed: Robot, settings: _Settings) -> _Solved:
+def _solve(problem: Problem, placed: Robot, settings: Settings) -> _Solved:
     """Solve with the stated noise or find it; from several starts and with a robust loss, if asked for."""
     exact = TOLERANCE if settings.loss == "none" else _LOOSE  # a robust loss goes on from there
     solved = _solve_with_noise(problem, placed, exact)

@@ -25,7 +25,7 @@ HELD_TYPES = ("fixed", "floating", "planar")
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _TAG = re.compile(rb"""<[^\s/>"']+(?:[^"'>]|"[^"]*"|'[^']*')*>""")
 MOST_LINKS = 300
-MOST_MOVING = 100
+"""More would fill the memory: Pinocchio's data grow with the third power."""
 _LARGEST = 1e9  # of an origin [m or rad]: squares and products of such numbers stay finite
 _SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh", "origin", "mass", "inertia")
 _NO_NUMBERS = ("name", "filename")
@@ -263,10 +263,8 @@ class UrdfReader:
 
 def check_tree(path: str, links: list[str], joints: list[UrdfJoint]) -> None:
     """Raise `UrdfError` unless links and joints have unique names and form exactly one tree."""
-    moving = sum(joint.type in MOVING_TYPES for joint in joints)
-    for count, most, what in ((len(links), MOST_LINKS, "links"), (moving, MOST_MOVING, "joints that move")):
-        if count > most:
-            raise UrdfError(f"{path}: has {count} {what}, more than {most}; cut the file down to the arm")
+    if len(links) > MOST_LINKS:
+        raise UrdfError(f"{path}: has {len(links)} links, more than {MOST_LINKS}; cut the file down to the arm")
     if not links:
         raise UrdfError(f"{path}: has no links; is this a URDF (run xacro first if it is a xacro file)?")
     for kind, given in (("link", links), ("joint", [joint.name for joint in joints])):

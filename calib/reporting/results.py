@@ -12,9 +12,8 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape, unescape
@@ -59,8 +58,6 @@ __all__ = [
 
 _AGREE = 1e-9  # of the same value in two files [m or rad]
 _MOST_FREEDOM = 1e9  # degrees of freedom: more than any file has rows; tails of F and t are not found far beyond
-REPORTS = "calib.reports"
-"""Entry point group of page writers: name -> callable(result) returning file name -> content."""
 _URDF = "calibrated.urdf"
 _NOMINAL_YAML, _NOMINAL_URDF = "nominal.yaml", "nominal.urdf"
 _FILE = re.compile(rb"""\bfilename\s*=\s*(?:"([^"]*)"|'([^']*)')""")
@@ -68,17 +65,17 @@ _NO_TERMS = ("a URDF cannot hold joint terms (curves, backlash, ...): they are i
 _OF_GOOD_FITS = (_URDF, "report.html", "viewer.html")  # an old one must not stay beside a new result
 
 
-def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: bool = True) -> None:
-    """Write the files of the module docstring, calibrated.urdf, residuals.csv, and pages of report writers.
+def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[str, bytes] | None = None) -> None:
+    """Write the files of the module docstring, calibrated.urdf, residuals.csv, and pages.
 
-    A failed fit gets no calibrated.urdf, and one that was in the folder is removed; pages are written unless the
-    robot cannot be assembled with the parameters found.
+    A failed fit gets no calibrated.urdf. One that was in the folder, and pages, are removed where they are not written
+    again.
 
     Args:
         fit: The fit.
         folder: Where to; files of other names in it stay.
         force: Export a failed fit all the same; its files say so.
-        pages: Whether to write the pages of report writers too; old ones are removed where not.
+        pages: Further files for people, name -> content.
 
     Raises:
         InputError: The folder cannot be written; what was there is untouched.
@@ -102,10 +99,7 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: bool = Tru
         files[_URDF] = urdf_bytes(fit.robot, _NO_TERMS) if fit.robot.terms else fit.robot.calibrated_urdf()
     elif force:
         files[_URDF] = _forced_urdf(fit)
-    wanted = pages and fit.assembles  # no pictures of what cannot be assembled
-    for entry in entry_points(group=REPORTS) if wanted else ():
-        write: Callable[[Fit], dict[str, bytes]] = entry.load()
-        files.update(write(fit))
+    files |= pages or {}
     write_folder(folder, files, obsolete=sorted(set(_OF_GOOD_FITS) - set(files)))
 
 

@@ -1,0 +1,40 @@
+"""What `calib` finds under the entry point group `calib.pictures`: a command, the pages of a fit, figures.
+
+Nothing is imported before it is asked for, so that `calib --help` stays quick.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from viz.command import view as command
+
+if TYPE_CHECKING:
+    from calib import Fit
+
+__all__ = ["command", "figures", "pages"]
+
+
+def pages(fit: Fit) -> dict[str, bytes]:
+    """Return `report.html` and `viewer.html` of a fit."""
+    from viz.report_page import command_line, report_page
+    from viz.scene import scene_of_fit
+    from viz.viewer_page import scene_page
+
+    return {
+        "report.html": report_page(fit, command=command_line()).html.encode(),
+        "viewer.html": scene_page(scene_of_fit(fit)).html.encode(),
+    }
+
+
+def figures(subject: object) -> dict[str, bytes]:
+    """Return the figures of an assessment or of a selection as SVG files; the same input gives the same bytes."""
+    from calib.pose_choice.assessment import Assessment
+    from calib.pose_choice.selection_result import Selection
+    from viz.selection_plots import assessment_figures, selection_figures
+
+    if isinstance(subject, Assessment):
+        return assessment_figures(subject)
+    if isinstance(subject, Selection):
+        return selection_figures(subject)
+    raise TypeError(f"no figures of {type(subject).__name__}")

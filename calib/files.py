@@ -34,6 +34,8 @@ def read_bytes(path: Path | str, wanted: str, error: type[CalibrationError]) -> 
         raise error(f"{path}: no such file; give {wanted}") from None
     except OSError as problem:
         raise error(f"{path}: cannot be read ({(problem.strerror or str(problem)).lower()})") from None
+    except ValueError as problem:  # a name with a zero byte, which YAML can spell
+        raise error(f"{str(path)!r}: cannot be read ({problem})") from None
     if len(content) > _LARGEST:
         raise error(f"{path}: is larger than {_LARGEST >> 20} MB; is this {wanted}?")
     return content

@@ -150,6 +150,8 @@ BAD_ROBOTS = {
     "sigma": (ARM_YAML + "sigma: -0.1 mm\n", "arm.yaml: sigma: should be greater than 0 (given: '-0.1 mm')"),
     "missing URDF": (ARM_YAML.replace("arm.urdf", "leg.urdf"), "leg.urdf: no such file; give the path of a URDF"),
     "UTF-16 YAML": (ARM_YAML.encode("utf-16"), "arm.yaml: is not UTF-8 text"),
+    "zero byte in a name": (ARM_YAML.replace("arm.urdf", '"arm\\0.urdf"'), "cannot be read (embedded null byte)"),
+    "object of Python": (ARM_YAML + "sigma: !!python/object/apply:os.system [touch x]\n", "not valid YAML (could"),
     "overflow": (ARM_YAML + "sigma: 1e300 mm\n", "arm.yaml: sigma: '1e300 mm' is too large to mean anything"),
     "nothing but a list": ("- a\n", "arm.yaml: is not a mapping of keys to values"),
 }  # fmt: skip
@@ -185,6 +187,16 @@ BAD_URDFS = {
     "nan": (ARM_URDF.replace("0.25 0 0", "nan 0 0"), "joint 'slide', xyz: 'nan' is not a number"),
     "no axis": (ARM_URDF.replace("1 0 0", "0 0 0"), "joint 'slide': the axis has no direction"),
     "xacro": (ARM_URDF.replace("0.25 0 0", "${length} 0 0"), "run xacro on the file first"),
+    "entity of a file": (
+        ARM_URDF.replace("<robot", '<!DOCTYPE robot [<!ENTITY secret SYSTEM "file:///etc/passwd">]><robot'),
+        "arm.urdf, line 2: entity 'secret' stands for another file, which is not read",
+    ),
+    "entities without end": (
+        '<!DOCTYPE robot [<!ENTITY a0 "' + "<link/>" * 9 + '">'
+        + "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 12))
+        + "]><robot>&a11;</robot>",
+        "arm.urdf",
+    ),
     "overflow": (ARM_URDF.replace("0.25 0 0", "1e200 0 0"), "joint 'slide', xyz: '1e200 0 0' is beyond 1e9"),
     "a shape of nan": (
         ARM_URDF.replace(LINK, f'{LINK[:-2]}><visual><geometry><box size="nan 1 1"/></geometry></visual></link>'),
@@ -240,6 +252,7 @@ BAD_OPTIONS = {
     "sigma negative": (f"{FIT} --sigma-mm -1", "--sigma-mm -1: must be a number, positive"),
     "sigma zero": (f"{FIT} --sigma-mm 0", "--sigma-mm 0: must be a number, positive"),
     "sigma nan": (f"{FIT} --sigma-mm nan", "--sigma-mm nan: must be a number"),
+    "sigma too small": (f"{FIT} --sigma-mm 1e-300", "--sigma-mm: '1e-300 mm' is too small to mean anything"),
     "sigma of simulate": (SIMULATE.replace("0.1", "inf"), "--sigma-mm inf: must be a number"),
     "seed": (SIMULATE.replace("--seed 1", "--seed -1"), "'--seed': -1 is not in the range x>=0"),
     "no seed": (SIMULATE.replace("--seed 1 ", ""), "Missing option '--seed'"),
@@ -270,6 +283,7 @@ BAD_PARAMETERS = {
     "wrong unit": ("parameter,value,unit\nturn.x,1,deg\n", "p.csv, line 2, parameter 'turn.x': unit 'deg' is for an"),
     "text": ("parameter,value,unit\nturn.x,x,mm\n", "p.csv, line 2, parameter 'turn.x': 'x' is not a number"),
     "nan": ("parameter,value,unit\nturn.x,nan,mm\n", "p.csv, line 2, parameter 'turn.x': 'nan' is not finite"),
+    "overflow": ("parameter,value,unit\nturn.x,1e300,mm\n", "p.csv, line 2, parameter 'turn.x': '1e300' is too large"),
     "no unit": ("parameter,value,unit\nturn.x,178,\n", "p.csv, line 2, parameter 'turn.x': 178 m is not plausible"),
 }  # fmt: skip
 

@@ -168,3 +168,12 @@ def test_bad_input_is_one_line_and_exit_code_2(run_calib, tmp_path, arguments, w
     assert words in run.err
     assert len(run.err.strip().splitlines()) == 1
     assert run.out == ""
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_so_few_poses_that_none_can_be_spared_are_judged_all_the_same(tmp_path, run_calib, seed):
+    write_arm(tmp_path)
+    run = run_calib("check", "arm.urdf", "--poses", 3, "--seed", seed, "--json", "check.json", cwd=tmp_path)
+    assert run.code == 0, run.err
+    counts = [row["count"] for row in json.loads((tmp_path / "check.json").read_text())["by_count"]]
+    assert counts == [3, 6, 12]  # with two of them, less is known than with three

@@ -235,6 +235,24 @@ def test_meshes_are_found_through_the_paths_of_ros(tmp_path: Path, monkeypatch: 
     assert find_mesh("package://other/m.stl", "/robot.urdf") == tmp_path / "two" / "share" / "other" / "m.stl"
 
 
+def test_a_mesh_is_read_above_the_robot_s_folder_only_where_ros_allows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    urdf = str(tmp_path / "one" / "pkg" / "robots" / "urdf" / "robot.urdf")
+    Path(urdf).parent.mkdir(parents=True)
+    for place in ("one/pkg/robots/meshes", "one/pkg/meshes", "one", "."):
+        binary_stl(tmp_path / place / "m.stl")
+    assert find_mesh("../meshes/m.stl", urdf) is not None  # beside the folder of the URDF
+    outside = ("../../meshes/m.stl", "../../../m.stl", "package://x/../../m.stl", "file://../../../m.stl")
+    assert [find_mesh(name, urdf) for name in outside] == [None] * 4
+    (tmp_path / "one" / "pkg" / "package.xml").write_text("<package/>")
+    assert find_mesh("../../meshes/m.stl", urdf) is not None
+    assert find_mesh("../../../m.stl", urdf) is None
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "one"))
+    assert find_mesh("../../../m.stl", urdf) is not None
+    assert find_mesh("../../../../m.stl", urdf) is None
+
+
 def test_a_link_named_world_that_is_not_the_root_is_refused(tmp_path: Path) -> None:
     robot = arm(tmp_path, ARM.format(encoding="", name="r").replace('"doigt"', '"world"'))
     with pytest.raises(InputError, match="link 'world' is not the root link; MuJoCo keeps this name"):

@@ -183,6 +183,14 @@ def test_residuals_are_predicted_minus_measured_of_every_pose(folder, fitted):
         assert np.abs(robot.positions(joints)[:, 0] - measured_at - error).max() < 1e-12
 
 
+def test_where_a_reading_has_no_number_its_cell_is_empty(folder):
+    table = read_table(folder / "residuals.csv")
+    assert all(table.text("leverage")[:30])
+    for column in ("leverage", "studentised", "weight"):
+        assert table.text(column)[30:] == [""] * 12  # of readings that were not fitted
+    assert table.text("loop_singular_value") == [""] * 42  # the arm has no loops
+
+
 def test_predict_uses_the_result(folder, fitted, run_calib, tmp_path):
     q = np.array([[0.3, 0.2, -0.4]])
     (tmp_path / "q.csv").write_text("turn,slide,wrist\n0.3,0.2,-0.4\n")
@@ -301,7 +309,7 @@ def test_tables_for_spreadsheets_have_what_result_json_has_in_the_same_units(fit
     np.testing.assert_allclose(load_uncertainty(folder, fitted.nominal).covariance, fitted.covariance, rtol=1e-14)
 
 
-@pytest.mark.parametrize("damage", ["missing", "not finite", "no freedom"])
+@pytest.mark.parametrize("damage", ["missing", "not finite", "no freedom", "boundless freedom"])
 def test_a_damaged_covariance_gives_no_uncertainty(fitted, folder, tmp_path, damage):
     for name, content in tree(folder).items():
         (tmp_path / name).write_bytes(content)
@@ -314,7 +322,8 @@ def test_a_damaged_covariance_gives_no_uncertainty(fitted, folder, tmp_path, dam
         path.write_text("\n".join(lines) + "\n")
     else:
         result = json.loads((tmp_path / "result.json").read_text())
-        (tmp_path / "result.json").write_text(json.dumps(result | {"degrees_of_freedom": "many"}))
+        freedom = {"no freedom": "many", "boundless freedom": 1e300}[damage]
+        (tmp_path / "result.json").write_text(json.dumps(result | {"degrees_of_freedom": freedom}))
     with pytest.raises(CalibrationError, match="run the fit again"):
         load_uncertainty(tmp_path, fitted.nominal)
 

@@ -1,5 +1,6 @@
 """CSV tables: what is read, and every mistake with its file, line and column."""
 
+import csv
 import math
 
 import numpy as np
@@ -211,6 +212,27 @@ def test_what_is_written_reads_back_exactly(tmp_path):
     assert table.comments == ("a comment",)
     assert table.text("name, odd") == [name.strip() for name in names]
     assert table.column("x", "length").tolist() == numbers.tolist()
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["=1+1", "+SUM(A1)", "-cmd|' /C calc'!A0", "@x", "'=1", "''=1", "'-5", "-5", "+1.5e3", "-", "'", "'quoted'",
+     "\uff1d1", "a=1", "#=1", "1-2", "=,=", '="', "-1_000", "''", "'+"],
+)  # fmt: skip
+def test_no_name_is_a_formula_to_a_spreadsheet_and_every_name_reads_back(tmp_path, name):
+    path = tmp_path / "table.csv"
+    path.write_text(format_table([("pose", ["A", name]), (name, [-1.5, 2.0])], (f"truth,{name}",)))
+    table = read_table(path)
+    assert table.text("pose") == ["A", name]
+    assert table.names == ("pose", name)
+    assert table.column(name, None).tolist() == [-1.5, 2.0]
+    for row in csv.reader(path.read_text().splitlines()):
+        for cell in row:
+            try:
+                float(cell)
+            except ValueError:
+                assert cell[:1] not in ("=", "+", "-", "@", "\uff1d")
+    assert format_table([("pose", table.text("pose")), (name, [-1.5, 2.0])], table.comments) == path.read_text()
 
 
 def test_columns_of_different_length_cannot_be_written():

@@ -278,3 +278,20 @@ def test_a_result_without_the_noise_of_its_instruments_is_refused(folder, tmp_pa
     found = run(tmp_path, ONE, other, "--plan")
     assert found.exit_code == 2
     assert "does not say the noise of each instrument; run the fit again" in found.output
+
+
+@pytest.mark.parametrize(("freedom", "code"), [(0.2, 2), (1.0, 0)])
+@pytest.mark.parametrize("options", [(), ("--plan",)])
+def test_a_calibration_with_hardly_a_degree_of_freedom_promises_nothing(arm, folder, tmp_path, freedom, code, options):
+    other = tmp_path / "small"
+    other.mkdir()
+    for file in folder.iterdir():
+        (other / file.name).write_bytes(file.read_bytes())
+    content = json.loads((other / "result.json").read_text())
+    (other / "result.json").write_text(json.dumps(content | {"degrees_of_freedom": freedom}))
+    _, truth, _ = arm
+    rng = np.random.default_rng(15)
+    data = format_measurements(truth, measured(truth, rng.uniform(-1.2, 1.2, (12, 6)), rng))
+    found = run(tmp_path, data, other, *options)
+    assert found.exit_code == code, found.output
+    assert ("left 0.2 degrees of freedom, too few" in found.output) == (code == 2)

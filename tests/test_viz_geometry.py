@@ -57,6 +57,19 @@ def test_meshes_are_loaded_with_their_scale(tmp_path):
     np.testing.assert_allclose(np.ptp(shapes[0].vertices, axis=0), [0.1, 0.2, 2.0], rtol=1e-6)
 
 
+def test_a_mesh_far_outside_the_robot_s_folder_is_not_read(tmp_path):
+    (tmp_path / "pkg" / "urdf").mkdir(parents=True)
+    trimesh.creation.box((1.0, 1.0, 1.0)).export(tmp_path / "secret.stl")
+    for name in ("../../secret.stl", "package://../../secret.stl", "package://x/../../../secret.stl"):
+        shapes, notes = read_shapes(robot(tmp_path / "pkg" / "urdf", visual(f'<mesh filename="{name}"/>')))
+        assert all(shape.kind != "mesh" for shape in shapes)
+        assert len(notes) == 1
+        assert name in notes[0]
+    trimesh.creation.box((1.0, 1.0, 1.0)).export(tmp_path / "pkg" / "near.stl")
+    shapes, notes = read_shapes(robot(tmp_path / "pkg" / "urdf", visual('<mesh filename="../near.stl"/>')))
+    assert [shape.kind for shape in shapes] == ["mesh"]
+
+
 def test_a_missing_mesh_is_announced_and_drawn_with_rods(tmp_path):
     shapes, notes = read_shapes(robot(tmp_path, visual('<box size="1 1 1"/>'), visual('<mesh filename="lost.stl"/>')))
     assert len(notes) == 1

@@ -1,11 +1,13 @@
 """The live server: this computer only, no stranger, never waits, ends with its process and frees its port."""
 
+import contextlib
 import http.client
 import os
 import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 
 import psutil
@@ -22,10 +24,10 @@ def server():
     served.close()
 
 
-def get(server, path, host=None):
+def get(server, path, host=None, method="GET", **headers):
     connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=5)
     try:
-        connection.request("GET", path, headers={} if host is None else {"Host": host})
+        connection.request(method, path, headers=headers if host is None else {"Host": host, **headers})
         answer = connection.getresponse()
         return answer.status, answer.read()
     finally:
@@ -80,15 +82,92 @@ def test_it_listens_on_this_computer_only(server):
 def test_the_address_must_be_known(server):
     assert get(server, "/")[0] == 404
     assert get(server, "/events")[0] == 404
-    assert get(server, path_of(server) + "../../etc/passwd")[0] == 404
+    for path in (
+        "../../etc/passwd",
+        "..%2f..%2fetc/passwd",
+        "%2e%2e/",
+        "./",
+        "?",
+        "events/../",
+        "\\..\\",
+        "a/../events",
+    ):
+        assert get(server, path_of(server) + path)[0] == 404
+    for path in ("//etc/passwd", "/../..//etc/passwd", "*", path_of(server)[:-2] + "/"):
+        assert get(server, path)[0] == 404
     other = PageServer("")
     assert path_of(server) != path_of(other)
     other.close()
 
 
+def raw(server, request):
+    """Answer to bytes as they are."""
+    with socket.create_connection(("127.0.0.1", server.port), timeout=5) as connection:
+        with contextlib.suppress(ConnectionError):  # a server that has read enough hangs up
+            connection.sendall(request)
+        received = b""
+        with contextlib.suppress(ConnectionError):
+            while part := connection.recv(4096):
+                received += part
+        return received
+
+
 def test_requests_in_the_name_of_another_host_are_refused(server):
-    assert get(server, path_of(server), host="evil.example")[0] == 403
+    """A stranger's name that points to this computer (DNS rebinding) gets nothing, whatever else the request says."""
+    mine = f"127.0.0.1:{server.port}"
+    for host in ("evil.example", f"evil.example:{server.port}", "127.0.0.1", f"127.0.0.1.evil.example:{server.port}",
+                 f"0.0.0.0:{server.port}", f"[::1]:{server.port}", mine + "@evil.example", ""):  # fmt: skip
+        for path in ("", "events"):
+            assert get(server, path_of(server) + path, host=host)[0] == 403
+    head = f"GET {path_of(server)} HTTP/1.1\r\n".encode()
+    assert b" 403 " in raw(server, head + b"\r\n")
+    assert b" 403 " in raw(server, head + f"Host: {mine}\r\nHost: evil.example\r\n\r\n".encode())
     assert get(server, path_of(server), host=f"localhost:{server.port}")[0] == 200
+
+
+def test_requests_that_another_page_makes_are_refused(server):
+    for origin in ("http://evil.example", "null", f"https://127.0.0.1:{server.port}", "http://127.0.0.1", "file://"):
+        assert get(server, path_of(server), Origin=origin)[0] == 403
+        assert get(server, path_of(server) + "events", Origin=origin)[0] == 403
+    assert get(server, path_of(server), Origin=f"http://127.0.0.1:{server.port}")[0] == 200
+
+
+def test_no_web_socket_is_opened_and_nothing_is_taken_in(server):
+    upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
+    key = {"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}
+    assert get(server, path_of(server), Origin="http://evil.example", **upgrade, **key)[0] == 403
+    assert get(server, path_of(server), **upgrade, **key)[0] == 200  # the page, as to everybody who knows the address
+    for method in ("POST", "PUT", "DELETE", "OPTIONS", "CONNECT"):
+        assert get(server, path_of(server), method=method)[0] == 501
+
+
+def test_a_request_without_end_is_cut_off(server):
+    assert b" 414 " in raw(server, b"GET /" + b"a" * 200_000)
+    head = f"GET {path_of(server)} HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\n".encode()
+    assert b" 431 " in raw(server, head + b"X: " + b"a" * 200_000)
+    assert b" 431 " in raw(server, head + b"X: a\r\n" * 1000)
+    assert get(server, path_of(server))[0] == 200
+
+
+def test_only_so_many_are_served_at_once(server, listen):
+    first, _ = listen()
+    held = [socket.create_connection(("127.0.0.1", server.port), timeout=5) for _ in range(100)]
+    try:
+        assert until(lambda: threading.active_count() <= 40)
+        with contextlib.suppress(ConnectionError):
+            assert held[-1].recv(1) == b""  # hung up at once
+        server.send("pose", "1")
+        assert b"data: 1" in read_until(first, b"", b"data: 1\n\n")  # who was here is served
+    finally:
+        for connection in held:
+            connection.close()
+    assert until(lambda: answered(server))
+
+
+def answered(server):
+    with contextlib.suppress(ConnectionError, http.client.HTTPException):
+        return get(server, path_of(server))[0] == 200
+    return False
 
 
 def test_messages_reach_every_browser_and_later_ones_get_the_state(server, listen):

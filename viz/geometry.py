@@ -17,6 +17,7 @@ import numpy as np
 
 from calib import Robot
 from calib.arrays import FloatArray
+from calib.exporting.links import may_read_mesh
 from viz.shapes import GREY, Colour, Shape, mesh, primitive, stand_ins, thinned
 
 _MOST_FACES = 40_000  # of one mesh; more do not show on a screen and make the page slow
@@ -65,7 +66,10 @@ def _parse(robot: Robot) -> tuple[dict[str, Any], dict[str, Colour], Any]:
 
     def find(name: str) -> str:
         with _quiet():
-            return str(urdf._filename_handler(fname=name))
+            found = str(urdf._filename_handler(fname=name))
+        if not may_read_mesh(name, Path(found), robot.urdf.path):
+            raise PermissionError(f"mesh '{name}' leaves the robot's folder")
+        return found
 
     return visuals, materials, find
 

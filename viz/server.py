@@ -3,7 +3,9 @@
 meshcat's own server listens on every network interface, runs as a separate process that outlives its parent, and its
 calls wait for ever when it is gone. Here the server is a thread: whatever ends the process, SIGKILL included, ends
 the server and frees its port. It listens on 127.0.0.1, under an address that cannot be guessed, and answers only
-requests that name this address as their host, so that no web page elsewhere can read it.
+requests that name this address as their host, so that no web page elsewhere can read it, also not by a name that it
+lets point here; nor one that says it comes from another page. Nothing is ever read from a browser but the head of a
+GET, which has an end, and only so many are served at once.
 
 Messages go to browsers as server-sent events. Each browser has a queue of its own: sending never waits, and a browser
 that is closed or does not read is dropped. So that its queue shows whether it reads, the system may keep little for it:
@@ -18,6 +20,7 @@ import secrets
 import socket
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
 
 from calib.errors import InputError
 
@@ -26,6 +29,7 @@ _WAITING = 4096  # messages that a slow browser may have before it is dropped
 _SYSTEM_BUFFER = 1 << 17  # bytes that the system may keep for a browser, about; it takes up to twice as many
 _HEARTBEAT = 5.0  # seconds between signs of life, which notice a closed browser
 _PATIENCE = 10.0  # seconds that one write or read may take
+_CLIENTS = 32  # connections at once; each has a thread and a queue
 
 
 class PageServer:
@@ -118,7 +122,10 @@ class PageServer:
 
     def answer(self, handler: BaseHTTPRequestHandler) -> None:
         """Answer one request."""
-        if handler.headers.get("Host", "") not in (f"{ADDRESS}:{self.port}", f"localhost:{self.port}"):
+        hosts = (f"{ADDRESS}:{self.port}", f"localhost:{self.port}")
+        named = handler.headers.get_all("Host", [])
+        origin = handler.headers.get("Origin")  # a browser that opens an address says none
+        if len(named) != 1 or named[0] not in hosts or origin not in (None, *(f"http://{host}" for host in hosts)):
             handler.send_error(403)
         elif handler.path == f"/{self._token}/":
             self._send_page(handler)
@@ -133,6 +140,7 @@ class PageServer:
         handler.send_header("Content-Length", str(len(self._page)))
         handler.send_header("Cache-Control", "no-store")
         handler.send_header("Referrer-Policy", "no-referrer")
+        handler.send_header("X-Content-Type-Options", "nosniff")
         handler.end_headers()
         handler.wfile.write(self._page)
 
@@ -171,6 +179,24 @@ class _Server(ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False
     owner: PageServer
+
+    def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
+        self._places = threading.BoundedSemaphore(_CLIENTS)
+        super().__init__(address, handler)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer in a thread of its own, or hang up if too many are connected."""
+        if self._places.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Answer, and make room for another one."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._places.release()
 
     def handle_error(self, request: object, client_address: object) -> None:
         """A browser that went away is no error; nothing is printed."""

@@ -28,6 +28,7 @@ from calib.model.arm_chain import arm_chain
 from calib.model.robot import Robot
 from calib.observation.kind import Readings
 from calib.reporting.results import forced_lines, load, load_calibrated
+from calib.units import quantity
 
 SIGMA_HELP = (
     "Standard deviation of one position reading per axis [mm]; the description's if not given. Of positions only: other"
@@ -148,7 +149,7 @@ def sigma_in_metres(sigma_mm: float, *, zero: bool = False) -> float:
     """
     if not (0 <= sigma_mm < 1e6 and (zero or sigma_mm > 0)):
         raise InputError(f"--sigma-mm {sigma_mm:g}: must be a number, {'zero or ' if zero else ''}positive")
-    return sigma_mm / 1e3
+    return quantity(f"{sigma_mm!r} mm", "length", "--sigma-mm")
 
 
 def said_of_failure(output: Output, result: str | None, out: str) -> list[str]:

@@ -12,6 +12,7 @@ from calib.parameter import index_of
 from calib.units import PER_SI, per_si
 
 COLUMNS = ("parameter", "value", "unit")
+_LARGEST = 1e9  # [SI]: squares and products of such numbers stay finite
 
 
 def read_parameters(path: Path | str, robot: Robot, *, complete: bool = False) -> dict[str, float]:
@@ -47,6 +48,8 @@ def read_parameters(path: Path | str, robot: Robot, *, complete: bool = False) -
             values[name] = number / per_si(unit, parameter.dimension, place)
         except InputError as error:
             raise ParameterError(str(error)) from None
+        if abs(values[name]) > _LARGEST:
+            raise ParameterError(f"{place}: '{text:.60}' is too large to mean anything; correct it")
     absent = [parameter.name for parameter in robot.parameters if parameter.name not in values]
     if complete and absent:
         raise ParameterError(f"{path}: no value for parameter '{absent[0]}'; the file is not complete")

@@ -2,6 +2,9 @@
 
 A column is `name` or `name [unit]`; without a unit the numbers are SI. Lines that start with # are comments. Commas,
 semicolons or tabs part the columns, whichever the header has; where it is not the comma, that may be the decimal mark.
+
+A spreadsheet runs text that starts like a formula. Such names are written with an apostrophe before them, which tells
+spreadsheets that they are text, and reading takes one away: `=1+1` is written as `'=1+1`, and `'=1+1` as `''=1+1`.
 """
 
 from __future__ import annotations
@@ -24,6 +27,9 @@ from calib.units import Dimension, per_si, split_column
 _LARGEST = 1e6  # [m or rad]
 _SEPARATORS = ",;\t"
 _WITH_THOUSANDS = re.compile(r"[-+]?\d+(\.\d+)+,\d*|[-+]?\d+(,\d+)+\.\d*|[-+]?\d+(,\d+){2,}", re.ASCII)
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
+_FORMULA = re.compile(r"'*[=+\-@\uff1d\uff0b\uff0d\uff20]")  # the last four: of full width
+_FORMULA_IN_COMMENT = re.compile(r"([,;\t])(?=[=@\uff1d\uff0b\uff0d\uff20]|[-+](?![\d.]))")
 _DECIMAL_COMMA = re.compile(r"[-+]?(\d+,\d*|,\d+)([eE][-+]?\d+)?", re.ASCII)
 _SUSPICIOUS: dict[Dimension, tuple[float, str]] = {"angle": (4 * math.pi, "deg"), "length": (50.0, "mm")}
 
@@ -89,7 +95,7 @@ class Table:
     def text(self, name: str) -> list[str]:
         """Return a column as text, without blanks around it."""
         index = self.names.index(name)
-        return [row[index].strip() for row in self.rows]
+        return [_read_text(row[index].strip()) for row in self.rows]
 
     def _numbers(self, index: int, *, gaps: bool) -> FloatArray:
         cells = [row[index] for row in self.rows]
@@ -218,8 +224,9 @@ def _header(
 ) -> tuple[tuple[str, ...], tuple[str | None, ...]]:
     names, units = [], []
     for number, cell in enumerate(cells, start=1):
-        name, unit = split_column(renamed.get(cell.strip(), cell))
-        if cell.strip() not in renamed and name in renamed:
+        cell = _read_text(cell.strip())
+        name, unit = split_column(renamed.get(cell, cell))
+        if cell not in renamed and name in renamed:
             name, usual = split_column(renamed[name])
             unit = unit or usual
         if not name:
@@ -233,7 +240,7 @@ def _header(
 
 
 def format_table(columns: Sequence[tuple[str, Sequence[object]]], comments: Sequence[str] = ()) -> str:
-    """Return CSV text; floats are written so that they read back exactly.
+    """Return CSV text; floats are written so that they read back exactly, and text so that no spreadsheet runs it.
 
     >>> print(format_table([("pose", ["A", "B"]), ("q1 [mm]", [0.1, 2.0])], ("two poses",)), end="")
     # two poses
@@ -247,12 +254,28 @@ def format_table(columns: Sequence[tuple[str, Sequence[object]]], comments: Sequ
     """
     stream = io.StringIO()
     for comment in comments:
-        stream.write(f"# {comment}\n")
+        apart = _FORMULA_IN_COMMENT.sub(r"\1 ", comment)  # what follows a comma is a cell to a spreadsheet
+        stream.write(f"# {apart}\n")
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow([header for header, _ in columns])
+    writer.writerow([_written_text(header) for header, _ in columns])
     quoting = csv.writer(stream, lineterminator="\n", quoting=csv.QUOTE_ALL)
     for row in zip(*(values for _, values in columns), strict=True):
-        cells = [repr(float(cell)) if isinstance(cell, (float, np.floating)) else str(cell) for cell in row]
+        cells = [
+            repr(float(cell)) if isinstance(cell, (float, np.floating)) else _written_text(str(cell)) for cell in row
+        ]
         looks_like_comment = cells[0].lstrip().startswith("#")
         (quoting if looks_like_comment else writer).writerow(cells)
     return stream.getvalue()
+
+
+def _like_formula(text: str) -> bool:
+    return _FORMULA.match(text) is not None and _NUMBER.fullmatch(text) is None
+
+
+def _written_text(text: str) -> str:
+    return f"'{text}" if _like_formula(text) else text
+
+
+def _read_text(cell: str) -> str:
+    """What `_written_text` wrote so."""
+    return cell[1:] if cell.startswith("'") and _like_formula(cell[1:]) else cell

@@ -6,6 +6,7 @@ Only reads. Prefixes that a file does not declare are accepted, as most programs
 from __future__ import annotations
 
 import os
+import re
 import xml.parsers.expat
 from dataclasses import dataclass
 from pathlib import Path
@@ -188,11 +189,28 @@ def find_mesh(filename: str, urdf_path: str) -> Path | None:
     name = filename.removeprefix("file://")
     if "://" not in name:
         mesh = folder / name  # an absolute name stays as it is
-        return mesh if mesh.is_file() else None
+        return mesh if mesh.is_file() and may_read_mesh(filename, mesh, urdf_path) else None
     if not name.startswith("package://"):
         return None
     inside = name.removeprefix("package://")
-    roots = [folder, *folder.parents]
-    roots += [Path(entry) for entry in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if entry]
-    roots += [Path(entry) / "share" for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
-    return next((root / inside for root in roots if (root / inside).is_file()), None)
+    places = [root / inside for root in (folder, *folder.parents, *_ros_folders())]
+    return next((p for p in places if p.is_file() and may_read_mesh(filename, p, urdf_path)), None)
+
+
+def may_read_mesh(filename: str, found: Path, urdf_path: str) -> bool:
+    """Return whether a mesh file may be read under its name in the URDF, which may come from anybody.
+
+    By `..` a name may leave the URDF's folder for the one above it, where `meshes` stands beside `urdf`; for the ROS
+    package that the URDF is in; and for the folders of ROS.
+    """
+    if ".." not in re.split(r"[/\\]", filename):
+        return True
+    above = Path(urdf_path).resolve().parent.parent
+    package = next((folder for folder in (above, *above.parents) if (folder / "package.xml").is_file()), above)
+    return any(found.resolve().is_relative_to(root.resolve()) for root in (above, package, *_ros_folders()))
+
+
+def _ros_folders() -> list[Path]:
+    packages = [Path(entry) for entry in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if entry]
+    prefixes = [Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
+    return packages + [prefix / "share" for prefix in prefixes]

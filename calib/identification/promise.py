@@ -183,6 +183,11 @@ class System:
 
     def checked(self, data: Measurements) -> System:
         """Return it; with nothing left to judge by, raise `DataError`."""
+        if self.promise.freedom < 1:
+            raise DataError(
+                f"{self.promise.robot.path}: its calibration left {self.promise.freedom:.2g} degrees of freedom, too"
+                " few to say how accurate it is; calibrate with more poses"
+            )
         if self.freedom < 1:
             raise DataError(
                 f"{data.path}: {int(np.sum(self.counts))} measured coordinates only place base and targets; measure"
@@ -320,7 +325,8 @@ def without_outliers(system: System) -> tuple[System, list[int]]:
 def _noncentrality(level: float, freedom: float) -> float:
     """The noncentrality with which Student's t is beyond its two-sided level with the chance `POWER`."""
     limit = float(scipy.stats.t.isf(level / 2, freedom))
-    return float(scipy.optimize.brentq(lambda d: scipy.stats.nct.sf(limit, freedom, d) - POWER, 0.0, limit + 10.0))
+    most = 2.0 * limit + 10.0  # sqrt(chi2 / m) is below 1.65 with the chance POWER for one degree of freedom or more
+    return float(scipy.optimize.brentq(lambda d: scipy.stats.nct.sf(limit, freedom, d) - POWER, 0.0, most))
 
 
 def _promised(

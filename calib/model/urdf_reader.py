@@ -89,6 +89,7 @@ class UrdfReader:
         self._parser = xml.parsers.expat.ParserCreate()
         self._parser.StartElementHandler = self._start
         self._parser.EndElementHandler = self._end
+        self._parser.EntityDeclHandler = self._entity
         self._run()
         check_tree(self.path, self.links, self.joints)
 
@@ -117,6 +118,13 @@ class UrdfReader:
         """Bytes of the tag at hand; None where an XML entity stands for it."""
         match = _TAG.match(self.source, self._parser.CurrentByteIndex)
         return match.span() if match else None
+
+    def _entity(self, name: str, _parameter: bool, value: str | None, *_where: str | None) -> None:
+        if value is None:
+            raise UrdfError(
+                f"{self.path}, line {self._parser.CurrentLineNumber}: entity '{name}' stands for another file, which is"
+                " not read; put its content here (xmllint --noent)"
+            )
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         depth = len(self._stack)

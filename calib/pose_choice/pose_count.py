@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import FloatArray
+from calib.errors import NotIdentifiableError
 from calib.numerics.observability import TaskIndex, information, task_index
 from calib.pose_choice.exchange import Spacing, exchange, uniform_start
 from calib.pose_choice.selection_problem import TASK, build_problem
@@ -50,6 +51,9 @@ def accuracy_by_count(
         task_rows: Scaled derivative of positions at the poses whose accuracy counts, (n_task, 3 n_targets,
             n_parameters) [m].
         counts: Numbers of poses up to those there are; chosen here if not given.
+
+    Returns:
+        A row for each number, but for those that are found too small to determine what all poses do.
     """
     n = len(rows)
     candidates = uniform_start(np.arange(n), min(n, _MOST_CANDIDATES))
@@ -65,7 +69,10 @@ def accuracy_by_count(
         chosen = uniform if count == n else None
         if count < n and count <= _MOST_CHOSEN:
             start = uniform_start(np.arange(len(candidates)), count)
-            best = candidates[exchange(problem, TASK, start, space).chosen]
+            try:
+                best = candidates[exchange(problem, TASK, start, space).chosen]
+            except NotIdentifiableError:  # fewer than determine what all do
+                continue
             chosen = _accuracy(rows[best], priors, task_rows, 1.0)
         table.append(CountRow(count, uniform, chosen))
     for times in _BEYOND:

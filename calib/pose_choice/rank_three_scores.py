@@ -63,9 +63,9 @@ class Determinant:
         rows = self.problem.rows[candidate]
         gathered = self.gathered + sign * rows.T @ rows
         left = _determinants(self.seen[:, :, candidate : candidate + 1], sign)[0]
-        if self.age >= _REFRESH or left < _UPDATED:
-            return Determinant.of(self.problem, gathered)
         small = np.eye(len(rows)) + sign * self.seen[:, :, candidate]
+        if self.age >= _REFRESH or left < _UPDATED or np.linalg.eigvalsh(small)[0] <= 0:  # two below 0: det above it
+            return Determinant.of(self.problem, gathered)
         half = np.linalg.solve(np.linalg.cholesky(small), rows @ self.inverse).T
         inverse = self.inverse - sign * half @ half.T
         through = _products(self.problem.rows, half)

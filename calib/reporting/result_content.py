@@ -280,11 +280,18 @@ def _error_scale(found: ErrorSet | None, outlier: Outlier) -> float:
 
 
 def residual_table(fit: Fit) -> str:
-    """Return CSV: one row per reading: joints, what was read, errors before and after [mm], [mrad], [deg]."""
+    """Return CSV: one row per reading: joints, what was read, errors before and after [mm], [mrad], [deg].
+
+    A cell is empty where there is no number: of readings that were not fitted, of robots without loops.
+    """
     sets = [entry for entry in error_sets(fit) if entry[0] != "cross_validation"]
     rows = [row for label, found in sets for row in _residual_rows(fit, label, found)]
     headers = dict.fromkeys(header for row in rows for header in row)
-    return format_table([(header, [row.get(header, "") for row in rows]) for header in headers])
+    return format_table([(header, [_cell(row.get(header, "")) for row in rows]) for header in headers])
+
+
+def _cell(value: object) -> object:
+    return "" if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _residual_rows(fit: Fit, label: str, found: ErrorSet) -> list[dict[str, object]]:

@@ -64,6 +64,7 @@ __all__ = [
 ]
 
 _AGREE = 1e-9  # of the same value in two files [m or rad]
+_MOST_FREEDOM = 1e9  # degrees of freedom: more than any file has rows; tails of F and t are not found far beyond
 _URDF = "calibrated.urdf"
 _NOMINAL_YAML, _NOMINAL_URDF = "nominal.yaml", "nominal.urdf"
 _FILE = re.compile(rb"""\bfilename\s*=\s*(?:"([^"]*)"|'([^']*)')""")
@@ -281,7 +282,7 @@ def load_uncertainty(folder: Path | str, robot: Robot) -> LoadedUncertainty:
     except ValueError:
         raise DataError(f"{path}: holds text where a number is expected; run the fit again") from None
     freedom = read_result(folder).get("degrees_of_freedom")
-    if not np.all(np.isfinite(covariance)) or not isinstance(freedom, (int, float)) or not 0 < freedom < np.inf:
+    if not np.all(np.isfinite(covariance)) or not isinstance(freedom, (int, float)) or not 0 < freedom < _MOST_FREEDOM:
         raise DataError(f"{folder}: its covariance or degrees of freedom are not numbers; run the fit again")
     free = np.array([p.name in names for p in robot.parameters])
     return LoadedUncertainty(free, covariance, float(scipy.special.stdtrit(freedom, 0.975)))

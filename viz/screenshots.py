@@ -72,7 +72,7 @@ def take(folder: Path, out: Path) -> list[Path]:
 
 
 def _take_one(browser: Any, page: Path, size: dict[str, int], action: str, target: Path) -> Path:
-    tab = browser.new_page(viewport=size)
+    tab = browser.new_page(viewport=size, reduced_motion="reduce")
     tab.goto(page.as_uri())
     if page.name == "viewer.html":
         tab.wait_for_selector("body[data-ready]")

@@ -23,6 +23,7 @@ _SCRIPTS = (
     "camera.js",
     "stage.js",
     "panel.js",
+    "motion.js",
     "controls.js",
     "start.js",
 )

@@ -68,6 +68,7 @@ def test_loops_are_closed_in_every_pose_shown(tab, scene):
 
 
 def test_before_and_after_switch_colours_legend_and_lists(tab):
+    tab.page.locator("#same-scale").uncheck()
     assert tab.page.locator("#legend-title").inner_text() == "Error after calibration [mm]"
     after = visible_numbers(tab, "#legend-ticks span")
     assert tab.changed(lambda: tab.page.locator("label:has(#state-before)").click()) > 0.01
@@ -78,14 +79,19 @@ def test_before_and_after_switch_colours_legend_and_lists(tab):
     assert "before" in tab.page.locator("tr.now th").inner_text()
 
 
-def test_the_same_scale_holds_both_states(tab):
-    tab.page.locator("#same-scale").check()
+def test_one_scale_holds_both_states_unless_own_scales_are_asked_for(tab):
+    assert tab.page.locator("#same-scale").is_checked()
     ticks = visible_numbers(tab, "#legend-ticks span")
     tab.page.locator("label:has(#state-before)").click()
     assert visible_numbers(tab, "#legend-ticks span") == ticks
     assert min(ticks) < 0.2
     assert max(ticks) >= 10
     assert tab.state("v.stage.marks.uniforms.logarithmic.value") == 1
+    before = tab.state("v.stage.marks.uniforms.factor.value")
+    tab.page.keyboard.press("b")
+    assert tab.state("v.stage.marks.uniforms.factor.value") == before
+    tab.page.locator("#same-scale").uncheck()
+    assert tab.state("v.stage.marks.uniforms.factor.value") > 10 * before
 
 
 def test_the_pose_slider_moves_the_robot_and_the_panel(tab, scene):

@@ -15,6 +15,11 @@ class Controls {
     this.live = null; // what a live program shows instead of a pose
     this.shown = { groups: scene.groups.map(() => true), outliers: true };
     this.stage = this.makeStage();
+    this.morph = new Morph((part) => {
+      if (!this.stage || !this.stage.marks) return;
+      this.stage.marks.uniforms.state.value = part;
+      this.stage.redraw();
+    });
     this.wire();
     this.filter();
     this.applyState();
@@ -46,7 +51,7 @@ class Controls {
     for (const state of ["before", "after"]) {
       const radio = document.getElementById(`state-${state}`);
       radio.disabled = !this.scene.states.includes(state);
-      radio.addEventListener("change", () => { this.state = state; this.applyState(); });
+      radio.addEventListener("change", () => this.become(state));
     }
     on("same-scale", "change", () => this.applyState());
     document.getElementById("scale-label").hidden = this.scene.states.length < 2;
@@ -61,7 +66,7 @@ class Controls {
     this.wireGroups();
     this.vectorFactors = { ...this.scene.vector_factors };
     this.ghostFactor = this.scene.ghost_factor;
-    this.wireFactor("vector-factor", FACTORS, this.vectorFactors[this.state], (factor) => {
+    this.wireFactor("vector-factor", FACTORS, this.vectorFactors[this.vectorState()], (factor) => {
       this.vectorFactors[this.vectorState()] = factor;
       if (this.stage && this.stage.marks) this.stage.marks.uniforms.factor.value = factor;
       this.noteFactors();
@@ -163,8 +168,7 @@ class Controls {
     else if (!usesArrows && event.key === "Home" && this.rows.length) this.go(this.rows[0]);
     else if (!usesArrows && event.key === "End" && this.rows.length) this.go(this.rows[this.rows.length - 1]);
     else if (name === "b" && this.scene.states.length > 1) {
-      this.state = this.state === "before" ? "after" : "before";
-      this.applyState();
+      this.become(this.state === "before" ? "after" : "before");
     } else if (name === "r") this.resetCamera();
     else if (name in toggles) {
       const box = document.getElementById(toggles[name]);
@@ -241,7 +245,14 @@ class Controls {
     return this.sameScale() ? "before" : this.state;
   }
 
-  applyState() {
+  /** Show the other state. On one scale the errors become the others; on two, lengths between would be on neither. */
+  become(state) {
+    this.state = state;
+    this.applyState(this.sameScale());
+  }
+
+  /** @param gradually whether errors become those of the state before the eyes of the reader */
+  applyState(gradually = false) {
     if (!this.scene.states.length) return;
     document.getElementById(`state-${this.state}`).checked = true;
     const same = this.sameScale();
@@ -249,12 +260,12 @@ class Controls {
     const [low, high] = same ? this.scene.range.both : this.scene.range[this.state];
     const uniforms = this.stage && this.stage.marks && this.stage.marks.uniforms;
     if (uniforms) {
-      Object.assign(uniforms.state, { value: this.state === "before" ? 0 : 1 });
       Object.assign(uniforms.low, { value: low });
       Object.assign(uniforms.high, { value: high });
       Object.assign(uniforms.logarithmic, { value: Number(same) });
       this.stage.redraw();
     }
+    this.morph.to(this.state === "before" ? 0 : 1, gradually);
     this.panel.legend(this.state, low, high, same, this.groupsInLegend, this.nOutliers > 0);
     this.panel.worst(this.rows, this.state, (row) => this.go(row));
     this.showNumbers();

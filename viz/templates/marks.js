@@ -10,7 +10,10 @@ const SHARED_SHADER = `
   uniform float state; uniform float low; uniform float high; uniform float logarithmic;
   uniform float visible[CODES]; uniform sampler2D colours;
   varying vec3 vColour; varying float vShape; varying float vOutlier;
-  vec3 chosenError() { return state < 0.5 ? before : after; }
+  vec3 chosenError() { // between both states while one becomes the other; an unknown error has nothing between
+    bool known = max(length(before), length(after)) < 1e6;
+    return known ? mix(before, after, state) : state < 0.5 ? before : after;
+  }
   bool isVisible() { int code = int(group + 0.5); for (int i = 0; i < CODES; i++) if (i == code) return visible[i] > 0.5; return false; }
   void colour() {
     float size = length(chosenError());

@@ -270,11 +270,11 @@ def test_on_a_phone_nothing_is_cut_off_and_everything_can_be_reached(chromium, v
 
 
 def test_every_control_has_a_name_and_is_reached_by_tab_in_the_order_of_the_page(tab):
-    unnamed = tab.page.evaluate("""() => [...document.querySelectorAll('input, button')].filter((e) =>
+    unnamed = tab.page.evaluate("""() => [...document.querySelectorAll('input, select, button')].filter((e) =>
       !e.closest('[hidden]') && !e.getAttribute('aria-label') && !e.textContent.trim()
       && ![...(e.labels || [])].some((l) => l.textContent.trim())).map((e) => e.id)""")
     assert unnamed == []
-    order = tab.page.evaluate("""() => [...document.querySelectorAll('#pane, input, button, summary')]
+    order = tab.page.evaluate("""() => [...document.querySelectorAll('#pane, input, select, button, summary')]
       .filter((e) => e.offsetParent !== null && !e.disabled && !(e.type === 'radio' && !e.checked))
       .map((e) => e.id || e.textContent)""")
     reached = []

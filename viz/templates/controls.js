@@ -20,6 +20,7 @@ class Controls {
       this.stage.marks.uniforms.state.value = part;
       this.stage.redraw();
     });
+    this.player = new Player(() => this.showNext());
     this.wire();
     this.filter();
     this.applyState();
@@ -160,13 +161,14 @@ class Controls {
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const target = event.target;
-    const usesArrows = target.matches("input[type=range], input[type=radio]");
+    const usesArrows = target.matches("input[type=range], input[type=radio], select");
     const toggles = { v: "show-vectors", g: "show-ghost", f: "show-frames" };
     const name = event.key.toLowerCase();
     if (!usesArrows && event.key === "ArrowLeft") this.step(-1);
     else if (!usesArrows && event.key === "ArrowRight") this.step(1);
     else if (!usesArrows && event.key === "Home" && this.rows.length) this.go(this.rows[0]);
     else if (!usesArrows && event.key === "End" && this.rows.length) this.go(this.rows[this.rows.length - 1]);
+    else if (name === "p") this.player.toggle();
     else if (name === "b" && this.scene.states.length > 1) {
       this.become(this.state === "before" ? "after" : "before");
     } else if (name === "r") this.resetCamera();
@@ -193,9 +195,10 @@ class Controls {
     }
     const slider = document.getElementById("pose");
     slider.max = Math.max(0, this.rows.length - 1);
-    for (const id of ["pose", "previous", "next"]) {
+    for (const id of ["pose", "previous", "next", "play"]) {
       document.getElementById(id).disabled = this.rows.length === 0;
     }
+    if (!this.rows.length) this.player.pause();
     this.panel.worst(this.rows, this.state, (row) => this.go(row));
     if (this.live) return; // what a program shows stays
     if (this.rows.length) {
@@ -214,7 +217,18 @@ class Controls {
     this.go(this.rows[Math.min(Math.max(place, 0), this.rows.length - 1)]);
   }
 
+  /** The reader, or a live program, goes to a row: what plays stops there. */
   go(row) {
+    this.player.pause();
+    this.showRow(row);
+  }
+
+  /** The next pose while they play; after the last one comes the first. */
+  showNext() {
+    this.showRow(this.rows[(this.rows.indexOf(this.row) + 1) % this.rows.length]);
+  }
+
+  showRow(row) {
     this.row = row;
     this.live = null;
     if (this.stage) {
@@ -304,13 +318,16 @@ class Controls {
 
   /** Show joint values of a live program: `solid` and `ghost` in the order of the tree's columns. */
   showLive(live) {
+    this.player.pause();
     this.live = live;
     if (this.stage) {
       this.stage.live = live;
       this.stage.showPose(this.stage.pose);
       if (this.stage.marks) this.stage.marks.choose(-1);
     }
-    document.getElementById("stepper").hidden = this.table.n === 0;
+    for (const id of ["stepper", "player"]) {
+      document.getElementById(id).hidden = this.table.n === 0;
+    }
     document.getElementById("pose").setAttribute("aria-valuetext", "live configuration");
     this.showNumbers();
   }

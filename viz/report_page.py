@@ -36,13 +36,14 @@ class Source:
     digest: str
 
 
-def report_page(fit: Fit, *, command: str = "", created: datetime | None = None) -> Page:
+def report_page(fit: Fit, *, command: str = "", created: datetime | None = None, viewer: str = "") -> Page:
     """Return the report of a fit.
 
     Args:
         fit: The fit.
         command: Command line that made it.
         created: Time to print; now if not given.
+        viewer: File beside the page with the viewer, to link to; none if not given.
     """
     from jinja2 import Environment, PackageLoader
 
@@ -80,6 +81,7 @@ def report_page(fit: Fit, *, command: str = "", created: datetime | None = None)
             program=PROGRAM,
             command=command,
             created=when.strftime("%Y-%m-%d %H:%M UTC"),
+            viewer=viewer,
         )
     )
 

@@ -18,11 +18,13 @@ from calib.errors import InputError
 DESKTOP = {"width": 1400, "height": 900}
 PHONE = {"width": 390, "height": 844}
 _BEFORE = "document.getElementById('state-before').click()"
+_DARK = "for (const id of ['dark', 'same-scale']) document.getElementById(id).click()"
 _FRAMES = "document.getElementById('show-frames').click()"
 PICTURES: tuple[tuple[str, str, dict[str, int], str], ...] = (
     ("viewer", "viewer.html", DESKTOP, ""),
     ("viewer-before", "viewer.html", DESKTOP, _BEFORE),
     ("viewer-frames", "viewer.html", DESKTOP, _FRAMES),
+    ("viewer-dark", "viewer.html", DESKTOP, _DARK),
     ("viewer-phone", "viewer.html", PHONE, ""),
     ("report", "report.html", {"width": 1000, "height": 1300}, ""),
 )

@@ -284,7 +284,10 @@ def test_every_control_has_a_name_and_is_reached_by_tab_in_the_order_of_the_page
     assert reached == order
 
 
-def test_text_stands_out_from_its_background(tab):
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_text_stands_out_from_its_background(tab, theme):
+    tab.page.emulate_media(color_scheme=theme)
+    tab.drawn()
     ratios = tab.page.evaluate("""() => {
       const light = (c) => c.map((v) => v / 255).map((v) => (v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4))
         .reduce((sum, v, i) => sum + v * [0.2126, 0.7152, 0.0722][i], 0);
@@ -299,6 +302,7 @@ def test_text_stands_out_from_its_background(tab):
     }""")
     assert len(ratios) > 30
     assert [found for found in ratios if found[0] < 4.5] == []  # WCAG AA
+    assert tab.state("document.documentElement.dataset.theme") == theme
 
 
 def test_names_from_files_are_shown_as_text(chromium, scene, tmp_path):

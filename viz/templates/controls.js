@@ -21,6 +21,11 @@ class Controls {
       this.stage.redraw();
     });
     this.player = new Player(() => this.showNext());
+    this.theme = new Theme((theme) => {
+      if (!this.stage || !this.stage.marks) return;
+      this.stage.marks.uniforms.edge.value = EDGES[theme];
+      this.stage.redraw();
+    });
     this.wire();
     this.filter();
     this.applyState();
@@ -92,6 +97,8 @@ class Controls {
     on("previous", "click", () => this.step(-1));
     on("next", "click", () => this.step(1));
     on("reset-camera", "click", () => this.resetCamera());
+    on("save-picture", "click", () => this.savePicture());
+    document.getElementById("save-picture").hidden = !this.stage;
     for (const button of document.querySelectorAll("[data-view]")) {
       button.addEventListener("click", () => this.lookFrom(button.dataset.view));
     }
@@ -172,6 +179,8 @@ class Controls {
     else if (name === "b" && this.scene.states.length > 1) {
       this.become(this.state === "before" ? "after" : "before");
     } else if (name === "r") this.resetCamera();
+    else if (name === "s") this.savePicture();
+    else if (name === "d") document.getElementById("dark").click();
     else if (name in toggles) {
       const box = document.getElementById(toggles[name]);
       box.checked = !box.checked;
@@ -301,6 +310,14 @@ class Controls {
     const on = (id) => document.getElementById(id).checked;
     const vectors = this.scene.states.length && on("show-vectors") ? this.vectorFactors[this.vectorState()] : null;
     this.panel.enlarged(vectors, this.scene.ghost && on("show-ghost") ? this.ghostFactor : null);
+  }
+
+  savePicture() {
+    if (!this.stage) return;
+    const { title } = this.scene;
+    const pose = this.live ? "live" : this.table.n ? this.table.name(this.row) : "home";
+    const parts = [title, ...(this.scene.states.length ? [this.state] : []), pose];
+    savePicture(this.stage, `${title}, ${this.table.n && !this.live ? `pose ${pose}` : pose}`, parts.join("-"));
   }
 
   resetCamera() {

@@ -152,3 +152,18 @@ def test_long_joint_names_do_not_reach_into_their_neighbours_panel():
 def test_long_names_lose_their_middle():
     assert shortened("short") == "short"
     assert shortened("abcdefghij", 5) == "ab…ij"
+
+
+def test_the_legend_of_the_histogram_stands_above_all_bars():
+    parts = {part.get("id", ""): part for part in ElementTree.fromstring(histogram(table()).svg).iter()}
+
+    def heights(name, clipped):
+        paths = [
+            part for part in parts[name].iter() if part.get("d") and (part.get("clip-path") is not None) == clipped
+        ]
+        return [float(y) for path in paths for y in re.findall(r"[ML] \S+ (\S+)", path.get("d"))]
+
+    legend, bars = heights("histogram-legend_1", clipped=False), heights("histogram-axes_1", clipped=True)
+    assert len(legend) > 2
+    assert len(bars) > 40
+    assert max(legend) < min(bars)  # y downwards

@@ -13,7 +13,7 @@ from viz_examples import measurements, medrue_fit, medrue_robot, spoiled
 import calib
 import viz
 from viz.pose_sources import from_fit
-from viz.report_page import command_line, millimetres, number, report_page
+from viz.report_page import command_line, decimals_of, millimetres, number, report_page
 
 NOON = datetime(2026, 1, 2, 12, 0, tzinfo=UTC)
 
@@ -67,9 +67,19 @@ def test_parameters_stand_with_their_intervals_and_held_ones_without(html, fit):
     }
     assert set(rows) == {parameter.name for parameter in fit.nominal.parameters}
     by_name = dict(zip([p.name for p in fit.nominal.parameters], fit.robot.values, strict=True))
-    assert rows["L11"][2] == number(1e3 * by_name["L11"])
+    value, _, std, low, high = rows["L11"][2:7]
+    assert len(std.replace(".", "").lstrip("0")) == 2  # significant digits
+    assert value == f"{1e3 * by_name['L11']:.{len(std.partition('.')[2])}f}"
+    assert len({len(text.partition(".")[2]) for text in (value, std, low, high)}) == 1
     assert rows["d31"][-1] == "held"
     assert rows["d31"][4:7] == ["–", "–", "–"]
+
+
+@pytest.mark.parametrize(
+    ("std", "decimals"), [(0.0123, 3), (0.5, 2), (1.0, 1), (12.0, 0), (4000.0, 0), (1e-15, 9), (0.0, 4), (np.nan, 4)]
+)
+def test_two_digits_of_the_standard_deviation_are_printed_and_four_decimals_where_there_is_none(std, decimals):
+    assert decimals_of(std) == decimals
 
 
 def test_what_is_held_is_named(html, fit):

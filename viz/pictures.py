@@ -22,8 +22,8 @@ def pages(fit: Fit) -> dict[str, bytes]:
     from viz.viewer_page import scene_page
 
     return {
-        "report.html": report_page(fit, command=command_line()).html.encode(),
-        "viewer.html": scene_page(scene_of_fit(fit)).html.encode(),
+        "report.html": report_page(fit, command=command_line(), viewer="viewer.html").html.encode(),
+        "viewer.html": scene_page(scene_of_fit(fit), report="report.html").html.encode(),
     }
 
 

@@ -86,7 +86,7 @@ def histogram(table: PoseTable) -> Plot:
         )
     axes.set(xscale="log", xlabel="distance between predicted and measured position [mm]", ylabel="number of poses")
     plain_ticks(axes.xaxis)
-    axes.legend(loc="upper center")
+    figure.legend(loc="outside upper center", ncols=2)
     return finished(
         "histogram",
         "Error before and after",

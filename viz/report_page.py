@@ -25,6 +25,7 @@ from viz.scene import joints_of
 from viz.viewer_page import Page
 
 _PACKAGES = ("pin", "numpy", "scipy", "yourdfpy", "meshcat", "matplotlib")
+_DECIMALS, _MOST_DECIMALS = 4, 9
 
 
 @dataclass(frozen=True)
@@ -36,13 +37,14 @@ class Source:
     digest: str
 
 
-def report_page(fit: Fit, *, command: str = "", created: datetime | None = None) -> Page:
+def report_page(fit: Fit, *, command: str = "", created: datetime | None = None, viewer: str = "") -> Page:
     """Return the report of a fit.
 
     Args:
         fit: The fit.
         command: Command line that made it.
         created: Time to print; now if not given.
+        viewer: File beside the page with the viewer, to link to; none if not given.
     """
     from jinja2 import Environment, PackageLoader
 
@@ -51,6 +53,7 @@ def report_page(fit: Fit, *, command: str = "", created: datetime | None = None)
     )
     environment.filters["mm"] = millimetres
     environment.filters["number"] = number
+    environment.filters["decimals"] = decimals_of
     when = created if created is not None else datetime.now(UTC)
     tables, table, budget = accuracy(fit), from_fit(fit), budget_table(fit)
     return Page(
@@ -80,6 +83,7 @@ def report_page(fit: Fit, *, command: str = "", created: datetime | None = None)
             program=PROGRAM,
             command=command,
             created=when.strftime("%Y-%m-%d %H:%M UTC"),
+            viewer=viewer,
         )
     )
 
@@ -142,7 +146,14 @@ def millimetres(value: float) -> str:
     return number(value, 4 if size < 0.1 else 3 if size < 1 else 2 if size < 10 else 1)
 
 
-def number(value: float, decimals: int = 4) -> str:
+def decimals_of(std: float) -> int:
+    """Return with how many decimals to print a value: to two digits of its standard deviation; four if it has none."""
+    if not (np.isfinite(std) and std > 0):
+        return _DECIMALS
+    return int(np.clip(1 - np.floor(np.log10(std)), 0, _MOST_DECIMALS))
+
+
+def number(value: float, decimals: int = _DECIMALS) -> str:
     """Format a number; a dash for unknown, and no sign before a zero."""
     if not np.isfinite(value):
         return "–"

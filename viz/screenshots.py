@@ -18,11 +18,13 @@ from calib.errors import InputError
 DESKTOP = {"width": 1400, "height": 900}
 PHONE = {"width": 390, "height": 844}
 _BEFORE = "document.getElementById('state-before').click()"
+_DARK = "for (const id of ['dark', 'same-scale']) document.getElementById(id).click()"
 _FRAMES = "document.getElementById('show-frames').click()"
 PICTURES: tuple[tuple[str, str, dict[str, int], str], ...] = (
     ("viewer", "viewer.html", DESKTOP, ""),
     ("viewer-before", "viewer.html", DESKTOP, _BEFORE),
     ("viewer-frames", "viewer.html", DESKTOP, _FRAMES),
+    ("viewer-dark", "viewer.html", DESKTOP, _DARK),
     ("viewer-phone", "viewer.html", PHONE, ""),
     ("report", "report.html", {"width": 1000, "height": 1300}, ""),
 )
@@ -72,7 +74,7 @@ def take(folder: Path, out: Path) -> list[Path]:
 
 
 def _take_one(browser: Any, page: Path, size: dict[str, int], action: str, target: Path) -> Path:
-    tab = browser.new_page(viewport=size)
+    tab = browser.new_page(viewport=size, reduced_motion="reduce")
     tab.goto(page.as_uri())
     if page.name == "viewer.html":
         tab.wait_for_selector("body[data-ready]")

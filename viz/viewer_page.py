@@ -23,6 +23,9 @@ _SCRIPTS = (
     "camera.js",
     "stage.js",
     "panel.js",
+    "motion.js",
+    "theme.js",
+    "picture.js",
     "controls.js",
     "start.js",
 )
@@ -52,12 +55,13 @@ class Page:
         return f'<iframe srcdoc="{html.escape(self.html)}" style="width: 100%; height: 640px; border: 0"></iframe>'
 
 
-def scene_page(scene: Scene, *, live: bool = False) -> Page:
+def scene_page(scene: Scene, *, live: bool = False, report: str = "") -> Page:
     """Return the viewer page of a scene.
 
     Args:
         scene: What to show.
         live: Whether the page listens to the server that sends it.
+        report: File beside the page with the report, to link to; none if not given.
     """
     from jinja2 import Environment, PackageLoader
 
@@ -71,6 +75,7 @@ def scene_page(scene: Scene, *, live: bool = False) -> Page:
         title=scene.title,
         version=VERSION,
         live=live,
+        report=report,
         licences=licences,
         meshcat=in_script(code),
         style=(templates / "viewer.css").read_text(encoding="utf-8"),

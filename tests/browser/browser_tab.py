@@ -10,7 +10,8 @@ class Tab:
     """A page in the browser and what it complained about or asked for."""
 
     def __init__(self, browser, size=(1200, 800), **options):
-        self.context = browser.new_context(viewport={"width": size[0], "height": size[1]}, offline=True, **options)
+        still = {"reduced_motion": "reduce", **options}  # pictures are compared: only tests of motion want any
+        self.context = browser.new_context(viewport={"width": size[0], "height": size[1]}, offline=True, **still)
         self.page = self.context.new_page()
         self.problems, self.requests = [], []
         self.page.on("console", lambda message: message.type == "error" and self.problems.append(message.text))

@@ -62,7 +62,7 @@ def test_no_point_lies_under_the_legend_or_outside_the_first_picture(long_named_
     badly_placed = long_named_tab.state("""(() => { const { stage, table } = v; const hidden = [];
       const legend = stage.legendBox(); const place = new stage.THREE.Vector3();
       stage.root.updateMatrixWorld(true);
-      for (let row = 0; row < table.n; row += 1) for (const factor of [0, v.vectorFactors[v.state]]) {
+      for (let row = 0; row < table.n; row += 1) for (const factor of [0, v.vectorFactors[v.vectorState()]]) {
         place.set(...[0, 1, 2].map((i) => table.place[3 * row + i] + factor * table.after[3 * row + i]));
         const [x, y] = stage.onScreen(stage.marks.points.localToWorld(place));
         if (x < 0 || y < 0 || x > stage.pane.clientWidth || y > stage.pane.clientHeight) hidden.push([row, x, y]);

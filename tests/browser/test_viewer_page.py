@@ -68,6 +68,7 @@ def test_loops_are_closed_in_every_pose_shown(tab, scene):
 
 
 def test_before_and_after_switch_colours_legend_and_lists(tab):
+    tab.page.locator("#same-scale").uncheck()
     assert tab.page.locator("#legend-title").inner_text() == "Error after calibration [mm]"
     after = visible_numbers(tab, "#legend-ticks span")
     assert tab.changed(lambda: tab.page.locator("label:has(#state-before)").click()) > 0.01
@@ -78,14 +79,19 @@ def test_before_and_after_switch_colours_legend_and_lists(tab):
     assert "before" in tab.page.locator("tr.now th").inner_text()
 
 
-def test_the_same_scale_holds_both_states(tab):
-    tab.page.locator("#same-scale").check()
+def test_one_scale_holds_both_states_unless_own_scales_are_asked_for(tab):
+    assert tab.page.locator("#same-scale").is_checked()
     ticks = visible_numbers(tab, "#legend-ticks span")
     tab.page.locator("label:has(#state-before)").click()
     assert visible_numbers(tab, "#legend-ticks span") == ticks
     assert min(ticks) < 0.2
     assert max(ticks) >= 10
     assert tab.state("v.stage.marks.uniforms.logarithmic.value") == 1
+    before = tab.state("v.stage.marks.uniforms.factor.value")
+    tab.page.keyboard.press("b")
+    assert tab.state("v.stage.marks.uniforms.factor.value") == before
+    tab.page.locator("#same-scale").uncheck()
+    assert tab.state("v.stage.marks.uniforms.factor.value") > 10 * before
 
 
 def test_the_pose_slider_moves_the_robot_and_the_panel(tab, scene):
@@ -264,11 +270,11 @@ def test_on_a_phone_nothing_is_cut_off_and_everything_can_be_reached(chromium, v
 
 
 def test_every_control_has_a_name_and_is_reached_by_tab_in_the_order_of_the_page(tab):
-    unnamed = tab.page.evaluate("""() => [...document.querySelectorAll('input, button')].filter((e) =>
+    unnamed = tab.page.evaluate("""() => [...document.querySelectorAll('input, select, button')].filter((e) =>
       !e.closest('[hidden]') && !e.getAttribute('aria-label') && !e.textContent.trim()
       && ![...(e.labels || [])].some((l) => l.textContent.trim())).map((e) => e.id)""")
     assert unnamed == []
-    order = tab.page.evaluate("""() => [...document.querySelectorAll('#pane, input, button, summary')]
+    order = tab.page.evaluate("""() => [...document.querySelectorAll('#pane, input, select, button, summary')]
       .filter((e) => e.offsetParent !== null && !e.disabled && !(e.type === 'radio' && !e.checked))
       .map((e) => e.id || e.textContent)""")
     reached = []
@@ -278,7 +284,10 @@ def test_every_control_has_a_name_and_is_reached_by_tab_in_the_order_of_the_page
     assert reached == order
 
 
-def test_text_stands_out_from_its_background(tab):
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_text_stands_out_from_its_background(tab, theme):
+    tab.page.emulate_media(color_scheme=theme)
+    tab.drawn()
     ratios = tab.page.evaluate("""() => {
       const light = (c) => c.map((v) => v / 255).map((v) => (v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4))
         .reduce((sum, v, i) => sum + v * [0.2126, 0.7152, 0.0722][i], 0);
@@ -293,6 +302,7 @@ def test_text_stands_out_from_its_background(tab):
     }""")
     assert len(ratios) > 30
     assert [found for found in ratios if found[0] < 4.5] == []  # WCAG AA
+    assert tab.state("document.documentElement.dataset.theme") == theme
 
 
 def test_names_from_files_are_shown_as_text(chromium, scene, tmp_path):

@@ -15,6 +15,17 @@ class Controls {
     this.live = null; // what a live program shows instead of a pose
     this.shown = { groups: scene.groups.map(() => true), outliers: true };
     this.stage = this.makeStage();
+    this.morph = new Morph((part) => {
+      if (!this.stage || !this.stage.marks) return;
+      this.stage.marks.uniforms.state.value = part;
+      this.stage.redraw();
+    });
+    this.player = new Player(() => this.showNext());
+    this.theme = new Theme((theme) => {
+      if (!this.stage || !this.stage.marks) return;
+      this.stage.marks.uniforms.edge.value = EDGES[theme];
+      this.stage.redraw();
+    });
     this.wire();
     this.filter();
     this.applyState();
@@ -46,7 +57,7 @@ class Controls {
     for (const state of ["before", "after"]) {
       const radio = document.getElementById(`state-${state}`);
       radio.disabled = !this.scene.states.includes(state);
-      radio.addEventListener("change", () => { this.state = state; this.applyState(); });
+      radio.addEventListener("change", () => this.become(state));
     }
     on("same-scale", "change", () => this.applyState());
     document.getElementById("scale-label").hidden = this.scene.states.length < 2;
@@ -61,7 +72,7 @@ class Controls {
     this.wireGroups();
     this.vectorFactors = { ...this.scene.vector_factors };
     this.ghostFactor = this.scene.ghost_factor;
-    this.wireFactor("vector-factor", FACTORS, this.vectorFactors[this.state], (factor) => {
+    this.wireFactor("vector-factor", FACTORS, this.vectorFactors[this.vectorState()], (factor) => {
       this.vectorFactors[this.vectorState()] = factor;
       if (this.stage && this.stage.marks) this.stage.marks.uniforms.factor.value = factor;
       this.noteFactors();
@@ -86,6 +97,8 @@ class Controls {
     on("previous", "click", () => this.step(-1));
     on("next", "click", () => this.step(1));
     on("reset-camera", "click", () => this.resetCamera());
+    on("save-picture", "click", () => this.savePicture());
+    document.getElementById("save-picture").hidden = !this.stage;
     for (const button of document.querySelectorAll("[data-view]")) {
       button.addEventListener("click", () => this.lookFrom(button.dataset.view));
     }
@@ -155,17 +168,19 @@ class Controls {
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const target = event.target;
-    const usesArrows = target.matches("input[type=range], input[type=radio]");
+    const usesArrows = target.matches("input[type=range], input[type=radio], select");
     const toggles = { v: "show-vectors", g: "show-ghost", f: "show-frames" };
     const name = event.key.toLowerCase();
     if (!usesArrows && event.key === "ArrowLeft") this.step(-1);
     else if (!usesArrows && event.key === "ArrowRight") this.step(1);
     else if (!usesArrows && event.key === "Home" && this.rows.length) this.go(this.rows[0]);
     else if (!usesArrows && event.key === "End" && this.rows.length) this.go(this.rows[this.rows.length - 1]);
+    else if (name === "p") this.player.toggle();
     else if (name === "b" && this.scene.states.length > 1) {
-      this.state = this.state === "before" ? "after" : "before";
-      this.applyState();
+      this.become(this.state === "before" ? "after" : "before");
     } else if (name === "r") this.resetCamera();
+    else if (name === "s") this.savePicture();
+    else if (name === "d") document.getElementById("dark").click();
     else if (name in toggles) {
       const box = document.getElementById(toggles[name]);
       box.checked = !box.checked;
@@ -189,9 +204,10 @@ class Controls {
     }
     const slider = document.getElementById("pose");
     slider.max = Math.max(0, this.rows.length - 1);
-    for (const id of ["pose", "previous", "next"]) {
+    for (const id of ["pose", "previous", "next", "play"]) {
       document.getElementById(id).disabled = this.rows.length === 0;
     }
+    if (!this.rows.length) this.player.pause();
     this.panel.worst(this.rows, this.state, (row) => this.go(row));
     if (this.live) return; // what a program shows stays
     if (this.rows.length) {
@@ -210,7 +226,18 @@ class Controls {
     this.go(this.rows[Math.min(Math.max(place, 0), this.rows.length - 1)]);
   }
 
+  /** The reader, or a live program, goes to a row: what plays stops there. */
   go(row) {
+    this.player.pause();
+    this.showRow(row);
+  }
+
+  /** The next pose while they play; after the last one comes the first. */
+  showNext() {
+    this.showRow(this.rows[(this.rows.indexOf(this.row) + 1) % this.rows.length]);
+  }
+
+  showRow(row) {
     this.row = row;
     this.live = null;
     if (this.stage) {
@@ -241,7 +268,14 @@ class Controls {
     return this.sameScale() ? "before" : this.state;
   }
 
-  applyState() {
+  /** Show the other state. On one scale the errors become the others; on two, lengths between would be on neither. */
+  become(state) {
+    this.state = state;
+    this.applyState(this.sameScale());
+  }
+
+  /** @param gradually whether errors become those of the state before the eyes of the reader */
+  applyState(gradually = false) {
     if (!this.scene.states.length) return;
     document.getElementById(`state-${this.state}`).checked = true;
     const same = this.sameScale();
@@ -249,12 +283,12 @@ class Controls {
     const [low, high] = same ? this.scene.range.both : this.scene.range[this.state];
     const uniforms = this.stage && this.stage.marks && this.stage.marks.uniforms;
     if (uniforms) {
-      Object.assign(uniforms.state, { value: this.state === "before" ? 0 : 1 });
       Object.assign(uniforms.low, { value: low });
       Object.assign(uniforms.high, { value: high });
       Object.assign(uniforms.logarithmic, { value: Number(same) });
       this.stage.redraw();
     }
+    this.morph.to(this.state === "before" ? 0 : 1, gradually);
     this.panel.legend(this.state, low, high, same, this.groupsInLegend, this.nOutliers > 0);
     this.panel.worst(this.rows, this.state, (row) => this.go(row));
     this.showNumbers();
@@ -278,6 +312,14 @@ class Controls {
     this.panel.enlarged(vectors, this.scene.ghost && on("show-ghost") ? this.ghostFactor : null);
   }
 
+  savePicture() {
+    if (!this.stage) return;
+    const { title } = this.scene;
+    const pose = this.live ? "live" : this.table.n ? this.table.name(this.row) : "home";
+    const parts = [title, ...(this.scene.states.length ? [this.state] : []), pose];
+    savePicture(this.stage, `${title}, ${this.table.n && !this.live ? `pose ${pose}` : pose}`, parts.join("-"));
+  }
+
   resetCamera() {
     if (this.stage) this.stage.look(this.scene.view.direction);
   }
@@ -293,13 +335,16 @@ class Controls {
 
   /** Show joint values of a live program: `solid` and `ghost` in the order of the tree's columns. */
   showLive(live) {
+    this.player.pause();
     this.live = live;
     if (this.stage) {
       this.stage.live = live;
       this.stage.showPose(this.stage.pose);
       if (this.stage.marks) this.stage.marks.choose(-1);
     }
-    document.getElementById("stepper").hidden = this.table.n === 0;
+    for (const id of ["stepper", "player"]) {
+      document.getElementById(id).hidden = this.table.n === 0;
+    }
     document.getElementById("pose").setAttribute("aria-valuetext", "live configuration");
     this.showNumbers();
   }

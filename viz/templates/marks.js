@@ -2,6 +2,7 @@
 // uniform of a shader, so that thousands of poses cost nothing per change.
 "use strict";
 
+const EDGES = { light: [0.10, 0.12, 0.16], dark: [0.92, 0.94, 0.96] }; // of points, on a light and on a dark ground
 const UNKNOWN = 1e9; // stands for an error that is not known: shaders cannot be trusted with NaN
 
 const SHARED_SHADER = `
@@ -10,7 +11,10 @@ const SHARED_SHADER = `
   uniform float state; uniform float low; uniform float high; uniform float logarithmic;
   uniform float visible[CODES]; uniform sampler2D colours;
   varying vec3 vColour; varying float vShape; varying float vOutlier;
-  vec3 chosenError() { return state < 0.5 ? before : after; }
+  vec3 chosenError() { // between both states while one becomes the other; an unknown error has nothing between
+    bool known = max(length(before), length(after)) < 1e6;
+    return known ? mix(before, after, state) : state < 0.5 ? before : after;
+  }
   bool isVisible() { int code = int(group + 0.5); for (int i = 0; i < CODES; i++) if (i == code) return visible[i] > 0.5; return false; }
   void colour() {
     float size = length(chosenError());
@@ -34,7 +38,7 @@ const POINT_VERTEX = `
 const SHAPES = ["disc", "diamond", "square"];
 
 const POINT_FRAGMENT = `
-  varying vec3 vColour; varying float vShape; varying float vOutlier;
+  uniform vec3 edge; varying vec3 vColour; varying float vShape; varying float vOutlier;
   void main() {
     vec2 p = 2.0 * gl_PointCoord - 1.0;
     int shape = int(vShape + 0.5);
@@ -45,7 +49,7 @@ const POINT_FRAGMENT = `
       return;
     }
     if (reach > 1.0) discard;
-    gl_FragColor = vec4(reach > 0.76 ? vec3(0.10, 0.12, 0.16) : vColour, 1.0);
+    gl_FragColor = vec4(reach > 0.76 ? edge : vColour, 1.0);
   }`;
 
 // A slender cone from the measured point to the exaggerated predicted point; the tip shows the direction.
@@ -105,6 +109,7 @@ class Marks {
       state: { value: 0 }, low: { value: 1e-5 }, high: { value: 1e-2 }, logarithmic: { value: 1 },
       visible: { value: new Array(2 * table.nGroups).fill(1) }, colours: { value: texture }, radius: { value: radius },
       pixels: { value: 800 }, smallest: { value: smallest }, size: { value: 1 }, factor: { value: 1 }, thickness: { value: 0.42 * radius },
+      edge: { value: EDGES.light },
     };
     this.points = new THREE.Points(this.pointGeometry(), this.material(SHARED_SHADER + POINT_VERTEX, POINT_FRAGMENT));
     this.vectors = new THREE.Mesh(this.cones(), this.material(SHARED_SHADER + VECTOR_VERTEX, VECTOR_FRAGMENT));

@@ -34,8 +34,8 @@ function markPicture(mark) {
   drawing.setAttribute("aria-hidden", "true");
   const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
   path.setAttribute("d", MARK_PATHS[mark]);
-  path.setAttribute("fill", mark === "cross" ? "#000" : "#9fb0c2");
-  path.setAttribute("stroke", "#1a1f29");
+  path.setAttribute("fill", mark === "cross" ? "currentColor" : "#9fb0c2");
+  path.setAttribute("stroke", "currentColor");
   path.setAttribute("stroke-width", mark === "cross" ? "0.5" : "1.6");
   drawing.append(path);
   return drawing;

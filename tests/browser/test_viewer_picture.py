@@ -1,0 +1,96 @@
+"""The viewer in the dark, the picture it saves, and the way to the report and back."""
+
+import io
+
+import numpy as np
+import pytest
+from browser_tab import Tab
+from PIL import Image
+from viz_examples import medrue_fit
+
+from viz.pictures import pages
+
+
+@pytest.fixture(scope="module")
+def result_pages(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("result")
+    for name, content in pages(medrue_fit()).items():
+        (folder / name).write_bytes(content)
+    return folder
+
+
+def brightness(tab):
+    return float(tab.picture().mean())
+
+
+def test_the_theme_is_the_systems_until_the_reader_decides(tab):
+    box = tab.page.locator("#dark")
+    light = brightness(tab)
+    tab.page.emulate_media(color_scheme="dark")
+    tab.drawn()
+    assert box.is_checked()
+    assert brightness(tab) < 0.7 * light
+    box.uncheck()
+    assert brightness(tab) == pytest.approx(light, abs=1)
+    tab.page.keyboard.press("d")
+    for theme in ("light", "dark", "light"):
+        tab.page.emulate_media(color_scheme=theme)
+        tab.drawn()
+    assert box.is_checked()  # the reader's choice stays
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_the_saved_picture_is_what_is_seen_with_its_legend(tab, theme):
+    tab.page.emulate_media(color_scheme=theme)
+    tab.drawn()
+    with tab.page.expect_download() as download:
+        tab.page.locator("#save-picture").click()
+    assert download.value.suggested_filename.startswith("medrue-after-")
+    assert download.value.suggested_filename.endswith(".png")
+    with Image.open(download.value.path()) as picture:
+        saved = np.asarray(picture.convert("RGB")).astype(int)
+    with Image.open(io.BytesIO(tab.page.locator("#stage").screenshot())) as picture:
+        seen = np.asarray(picture.convert("RGB")).astype(int)
+    assert saved.shape == seen.shape
+    different = np.abs(saved - seen).max(axis=2) > 40
+    assert different.mean() < 0.02
+    legend = tab.page.locator("#legend").bounding_box()
+    x, y, wide, high = (round(legend[key]) for key in ("x", "y", "width", "height"))
+    assert different[y : y + high, x : x + wide].mean() < 0.1  # letters may be set a little differently
+    assert np.ptp(saved[y : y + high, x : x + wide].mean(axis=2)) > 100
+
+
+def test_the_key_saves_too_and_names_of_files_are_harmless(tab):
+    tab.page.evaluate("calibrationViewer.scene.title = '../a b/<c>'")
+    with tab.page.expect_download() as download:
+        tab.page.keyboard.press("s")
+    assert not set("/<> ") & set(download.value.suggested_filename)
+
+
+def test_report_and_viewer_of_a_result_lead_to_each_other(chromium, result_pages):
+    tab = Tab(chromium).open((result_pages / "viewer.html").as_uri())
+    tab.page.get_by_role("link", name="Report").click()
+    tab.page.wait_for_url("**/report.html")
+    assert "Calibration report" in tab.page.locator("h1").inner_text()
+    tab.page.get_by_role("link", name="Viewer").click()
+    tab.page.wait_for_selector("body[data-ready]", state="attached")
+    assert tab.problems == []
+    tab.context.close()
+
+
+def test_a_page_that_stands_alone_has_no_link(tab):
+    assert tab.page.get_by_role("link").count() == 0
+
+
+def test_the_report_is_dark_where_the_system_is_but_not_on_paper(chromium, result_pages):
+    tab = Tab(chromium, color_scheme="dark").open((result_pages / "report.html").as_uri(), "main")
+    ground = "getComputedStyle(document.body).backgroundColor"
+    assert tab.page.evaluate(ground) == "rgb(22, 28, 35)"
+    assert (
+        tab.page.evaluate("getComputedStyle(document.querySelector('.drawing svg')).backgroundColor")
+        == "rgb(255, 255, 255)"
+    )
+    tab.page.emulate_media(media="print", color_scheme="dark")
+    assert tab.page.evaluate(ground) == "rgb(255, 255, 255)"
+    assert not tab.page.get_by_text("Viewer: the robot").is_visible()
+    tab.context.close()

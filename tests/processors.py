@@ -29,6 +29,8 @@ MODULES = (
     *("open_loops", "forward_kinematics", "inverse", "fit", "robust", "suspects", "systematic", "starts"),
     *("error_before", "validation", "rows", "observed", "shared_error", "variance_components", "repeats"),
     *("instruments", "result_comparison"),
+    *("instrument_choice", "iso9283", "error_budget", "term_choice", "compliance", "compensate", "verify"),
+    *("denavit_hartenberg", "joint_terms"),
 )
 """Tests whose expectations rest on linear algebra; about a minute on two cores for each kind of kernels."""
 _ARCHITECTURES = (

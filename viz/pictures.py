@@ -28,7 +28,11 @@ def pages(fit: Fit) -> dict[str, bytes]:
 
 
 def figures(subject: object) -> dict[str, bytes]:
-    """Return the figures of an assessment or of a selection as SVG files; the same input gives the same bytes."""
+    """Return the figures of an assessment or of a selection as SVG files; the same input gives the same bytes.
+
+    Raises:
+        TypeError: It is neither.
+    """
     from calib.pose_choice.assessment import Assessment
     from calib.pose_choice.selection_result import Selection
     from viz.selection_plots import assessment_figures, selection_figures

@@ -1,4 +1,4 @@
-"""`calib init --template`: every robot is the mechanism of its lengths, by closed forms, and can be calibrated at once."""
+"""`calib init --template`: every robot is the mechanism of its lengths, by closed forms, and can be calibrated."""
 
 import numpy as np
 import pytest

@@ -58,8 +58,8 @@ def command(
 
     Without --target it describes the longest chain of joints with motors, without the fingers of a gripper, and says
     what it leaves out. With --dh it starts from a Denavit-Hartenberg table: columns theta, d, a, alpha (and beta), with
-    units, one row for each joint. With --template it writes the URDF, cut open, and the description of a robot with loops,
-    which --length fits to yours.
+    units, one row for each joint. With --template it writes the URDF, cut open, and the
+    description of a robot with loops, which --length fits to yours.
     """
     if sum(given is not None for given in (urdf, dh, template)) != 1:
         raise InputError("give a URDF, or a Denavit-Hartenberg table with --dh, or a --template; one of the three")

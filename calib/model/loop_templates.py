@@ -193,7 +193,7 @@ def stewart(length: Lengths) -> _Plan:
         centre, side = 120 * (k // 2), -1 if k % 2 == 0 else 1
         foot = length["base_radius"] * _direction(centre + side * below)
         anchor = length["platform_radius"] * _direction(centre + side * (60 - above))
-        leg = anchor + [0, 0, height] - foot
+        leg = anchor + np.array([0, 0, height]) - foot
         long = float(np.linalg.norm(leg))
         name = f"leg_{k + 1}"
         plan.hinge(f"{name}_x", BASE, f"{name}_cross", math.atan2(-leg[1], leg[2]), foot, axis="1 0 0")

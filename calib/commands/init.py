@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import click
 
 from calib.commands.common import Output, shared_options
 from calib.data.dh_files import read_dh
-from calib.errors import InputError
+from calib.errors import DescriptionError, InputError
 from calib.files import check_file, write_file
 from calib.model.arm_chain import arm_chain
 from calib.model.denavit_hartenberg import CONVENTIONS, LAST_LINK, urdf_text
+from calib.model.loop_templates import TEMPLATES, loop_files, read_lengths
+from calib.model.robot import load
 from calib.model.templates import describe, description_text
 from calib.model.urdf_text import UrdfText, parse_urdf, read_urdf
+from calib.units import millimetres
+
+_LENGTHS = "; ".join(
+    f"{name}: " + ", ".join(f"{key} {millimetres(value):g} mm" for key, value in template.lengths.items())
+    for name, template in TEMPLATES.items()
+)
 
 
 @click.command("init")
@@ -22,28 +32,54 @@ from calib.model.urdf_text import UrdfText, parse_urdf, read_urdf
 @click.option("--target", metavar="NAME", help="Link that carries the measured point; the arm's end if not given.")
 @click.option("--dh", metavar="FILE", help="Denavit-Hartenberg table (CSV) in place of a URDF, which is then written.")
 @click.option("--convention", type=click.Choice(CONVENTIONS), help="Of the table, if it does not say it itself.")
-@click.option("--out", required=True, metavar="FILE", help="YAML file to write; with --dh, the URDF goes beside it.")
+@click.option("--template", type=click.Choice(tuple(TEMPLATES)), help="A robot with loops in place of a URDF.")
+@click.option(
+    "--length",
+    "lengths",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help=f"Of the template, such as rod=300mm; once for each. Names and defaults are: {_LENGTHS}.",
+)
+@click.option(
+    "--out", required=True, metavar="FILE", help="YAML file to write; the URDF of --dh or --template goes beside it."
+)
 @shared_options()
 def command(
-    urdf: str | None, target: str | None, dh: str | None, convention: str | None, out: str, output: Output
+    urdf: str | None,
+    target: str | None,
+    dh: str | None,
+    convention: str | None,
+    template: str | None,
+    lengths: tuple[str, ...],
+    out: str,
+    output: Output,
 ) -> None:
     """Write a commented robot description for URDF to start from.
 
     Without --target it describes the longest chain of joints with motors, without the fingers of a gripper, and says
     what it leaves out. With --dh it starts from a Denavit-Hartenberg table: columns theta, d, a, alpha (and beta), with
-    units, one row for each joint.
+    units, one row for each joint. With --template it writes the URDF, cut open, and the
+    description of a robot with loops, which --length fits to yours.
     """
-    if (urdf is None) == (dh is None):
-        raise InputError("give a URDF, or a Denavit-Hartenberg table with --dh; one of the two")
+    if sum(given is not None for given in (urdf, dh, template)) != 1:
+        raise InputError("give a URDF, or a Denavit-Hartenberg table with --dh, or a --template; one of the three")
+    if template and target:
+        raise InputError("--target is for a URDF or a table; a template has its own targets")
+    if lengths and not template:
+        raise InputError("--length is for a robot of --template")
     if convention and not dh:
         raise InputError("--convention is for a table given with --dh")
     if Path(out).suffix.lower() not in (".yaml", ".yml"):
         raise InputError(f"{out}: the name of a robot description ends in .yaml")
-    beside = Path(out).with_suffix(".urdf") if dh else None
+    beside = Path(out).with_suffix(".urdf") if dh or template else None
     for file in (Path(out), *([beside] if beside else [])):
         if file.exists():
             raise InputError(f"{file}: exists already; choose another name, so that no edited description is lost")
         check_file(file)
+    if template and beside:
+        _write_template(template, lengths, beside, Path(out))
+        output.say(f"{beside} and {out} written; they work as they are, and comments say what to change")
+        return
     text = _from_table(dh, convention, beside) if dh and beside else read_urdf(str(urdf))
     relative = os.path.relpath(Path(text.path).resolve(), Path(out).resolve().parent)
     chain = arm_chain(text, target or (LAST_LINK if dh else None))
@@ -58,3 +94,18 @@ def command(
 
 def _from_table(dh: str, convention: str | None, path: Path) -> UrdfText:
     return parse_urdf(urdf_text(read_dh(dh, convention), Path(dh).stem).encode(), str(path))
+
+
+def _write_template(name: str, given: Sequence[str], urdf: Path, description: Path) -> None:
+    """Write the two files of a template, if the robot that they describe can be used."""
+    texts = dict(zip((urdf, description), loop_files(name, read_lengths(name, given), urdf.name), strict=True))
+    with TemporaryDirectory() as folder:
+        for file, text in texts.items():
+            (Path(folder) / file.name).write_text(text, encoding="utf-8")
+        try:
+            load(Path(folder) / description.name)
+        except DescriptionError as error:
+            what = str(error).replace(f"{Path(folder) / description.name}: ", "")
+            raise InputError(f"template {name}: with these lengths, {what}") from None
+    for file, text in texts.items():
+        write_file(file, text)

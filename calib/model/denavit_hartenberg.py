@@ -32,12 +32,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pinocchio as pin
 
 from calib.arrays import FloatArray
+from calib.model.urdf_text import Triple, joint_text, robot_text
 
 Convention = Literal["standard", "modified"]
 Kind = Literal["revolute", "prismatic", "fixed"]
@@ -158,8 +158,7 @@ def urdf_text(table: DhTable, name: str) -> str:
         taken = [row.name for row in table.rows]
         joints.append(_joint(DhRow(_new_name(f"{LAST_LINK}_joint", taken), "fixed"), links[-2], LAST_LINK, rest))
     note = f"From a Denavit-Hartenberg table ({table.convention}); effort and velocity 0: it says nothing of them."
-    body = "".join([*(f'  <link name="{link}"/>\n' for link in links), *joints])
-    return f'<?xml version="1.0"?>\n<!-- {note} -->\n<robot name={quoteattr(name)}>\n{body}</robot>\n'
+    return robot_text(name, note, links, joints)
 
 
 def _origin(convention: Convention, rest: pin.SE3, row: DhRow) -> tuple[pin.SE3, pin.SE3]:
@@ -172,20 +171,15 @@ def _origin(convention: Convention, rest: pin.SE3, row: DhRow) -> tuple[pin.SE3,
 
 
 def _joint(row: DhRow, parent: str, child: str, origin: pin.SE3) -> str:
-    limited = math.isfinite(row.lower) and math.isfinite(row.upper)
-    kind = "continuous" if row.kind == "revolute" and not limited else row.kind
-    xyz, rpy = (" ".join(map(_number, v)) for v in (origin.translation, pin.rpy.matrixToRpy(origin.rotation)))
-    lines = [f'<parent link="{parent}"/> <child link="{child}"/>', f'<origin xyz="{xyz}" rpy="{rpy}"/>']
-    if row.kind != "fixed":
-        lines.append(f'<axis xyz="0 0 {row.sign:.0f}"/>')
-        if limited:
-            lines.append(f'<limit lower="{row.lower!r}" upper="{row.upper!r}" effort="0" velocity="0"/>')
-    inside = "".join(f"    {line}\n" for line in lines)
-    return f'  <joint name={quoteattr(row.name)} type="{kind}">\n{inside}  </joint>\n'
+    limits = (row.lower, row.upper) if math.isfinite(row.lower) and math.isfinite(row.upper) else None
+    kind = "continuous" if row.kind == "revolute" and not limits else row.kind
+    xyz, rpy = (_triple(v) for v in (origin.translation, pin.rpy.matrixToRpy(origin.rotation)))
+    axis = "" if row.kind == "fixed" else f"0 0 {row.sign:.0f}"
+    return joint_text(row.name, kind, (parent, child), xyz, rpy, axis, limits)
 
 
-def _number(value: float) -> str:
-    return repr(float(value)) if value != 0 else "0"
+def _triple(values: FloatArray) -> Triple:
+    return float(values[0]), float(values[1]), float(values[2])
 
 
 def _along(theta: float, d: float) -> pin.SE3:

@@ -13,15 +13,26 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from xml.sax.saxutils import quoteattr
 
 from calib.errors import UrdfError, nearest
 from calib.files import read_bytes
 from calib.model.urdf_reader import HELD_TYPES, MOVING_TYPES, NUMBER, Span, Triple, UrdfJoint, UrdfReader
 
-__all__ = ["HELD_TYPES", "MOVING_TYPES", "Triple", "UrdfJoint", "UrdfText", "parse_urdf", "read_urdf"]
+__all__ = [
+    "HELD_TYPES",
+    "MOVING_TYPES",
+    "Triple",
+    "UrdfJoint",
+    "UrdfText",
+    "joint_text",
+    "parse_urdf",
+    "read_urdf",
+    "robot_text",
+]
 
 _ATTRIBUTE = re.compile(rb"""([^\s=<>/'"]+)\s*=\s*("[^"]*"|'[^']*')""")
 _BLANK = re.compile(rb"[ \t\r\n]*")
@@ -135,6 +146,48 @@ def parse_urdf(source: bytes, path: str = "<urdf>") -> UrdfText:
     """Parse URDF bytes; see `read_urdf`."""
     reader = UrdfReader(source, path)
     return UrdfText(source, path, reader.name, tuple(reader.links), tuple(reader.joints), reader.root_span, reader.end)
+
+
+def robot_text(name: str, note: str, links: Sequence[str], joints: Sequence[str]) -> str:
+    """Return a new URDF.
+
+    Args:
+        name: Of the robot.
+        note: A comment at its head.
+        links: Names of links.
+        joints: Of `joint_text`.
+    """
+    body = "".join([*(f"  <link name={quoteattr(link)}/>\n" for link in links), *joints])
+    return f'<?xml version="1.0"?>\n<!-- {note} -->\n<robot name={quoteattr(name)}>\n{body}</robot>\n'
+
+
+def joint_text(
+    name: str,
+    kind: str,
+    links: tuple[str, str],
+    xyz: Triple,
+    rpy: Triple,
+    axis: str,
+    limits: tuple[float, float] | None,
+) -> str:
+    """Return the element of a joint of a new URDF.
+
+    Args:
+        name: Of the joint.
+        kind: As URDF calls it.
+        links: Parent and child.
+        xyz, rpy: Its origin [m], [rad].
+        axis: Three numbers; empty if it does not move.
+        limits: Lowest and highest value [m or rad], if there are any.
+    """
+    parent, child = map(quoteattr, links)
+    lines = [f"<parent link={parent}/> <child link={child}/>", f'<origin xyz="{_spell(xyz)}" rpy="{_spell(rpy)}"/>']
+    if axis:
+        lines.append(f'<axis xyz="{axis}"/>')
+    if axis and limits:
+        lines.append(f'<limit lower="{limits[0]!r}" upper="{limits[1]!r}" effort="0" velocity="0"/>')
+    inside = "".join(f"    {line}\n" for line in lines)
+    return f'  <joint name={quoteattr(name)} type="{kind}">\n{inside}  </joint>\n'
 
 
 def apply_edits(source: bytes, edits: list[Edit]) -> bytes:

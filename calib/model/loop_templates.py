@@ -93,7 +93,11 @@ class _Plan:
 
 
 def four_bar(length: Lengths) -> _Plan:
-    """A crank with a motor, a coupler, a rocker; home in the middle of what the crank can do."""
+    """A crank with a motor, a coupler, a rocker; home in the middle of what the crank can do.
+
+    Raises:
+        InputError: The lengths do not close.
+    """
     ground, crank, coupler, rocker = (length[name] for name in ("ground", "crank", "coupler", "rocker"))
     low, high = max(abs(coupler - rocker), abs(ground - crank)), min(coupler + rocker, ground + crank)
     if low >= high:
@@ -115,7 +119,11 @@ def four_bar(length: Lengths) -> _Plan:
 
 
 def five_bar(length: Lengths) -> _Plan:
-    """Two arms with a motor each that meet at the pen, elbows outwards."""
+    """Two arms with a motor each that meet at the pen, elbows outwards.
+
+    Raises:
+        InputError: The lengths do not close.
+    """
     half, proximal, distal = length["motor_distance"] / 2, length["proximal"], length["distal"]
     low, high = max(abs(proximal - distal), half), proximal + distal
     if low >= high:
@@ -148,7 +156,11 @@ def three_rrr(length: Lengths) -> _Plan:
 
 
 def delta(length: Lengths) -> _Plan:
-    """Three arms with motors; home with all of them level, the platform below (z is up, positive angles go down)."""
+    """Three arms with motors; home with all of them level, the platform below (z is up, positive angles go down).
+
+    Raises:
+        InputError: The lengths do not close.
+    """
     upper, rod, half = length["upper_arm"], length["rod"], length["rod_distance"] / 2
     out = length["base_radius"] + upper - length["platform_radius"]
     if rod <= abs(out):
@@ -178,6 +190,9 @@ def stewart(length: Lengths) -> _Plan:
     """A 6-UPS hexapod: joints in pairs, at 0, 120 and 240 degrees below, at 60, 180 and 300 above.
 
     The value of a motor is the length of its leg.
+
+    Raises:
+        InputError: A pair is wider than its circle.
     """
     for level in ("base", "platform"):
         if length[f"{level}_pair"] >= length[f"{level}_radius"]:

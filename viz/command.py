@@ -58,11 +58,10 @@ def view(
         else:
             output.say(viewer.url)
             _open(viewer.url)
-        output.note("Press Ctrl-C to end.")
-        _until_stopped()
+        _until_stopped(output)
 
 
-def _until_stopped() -> None:
+def _until_stopped(output: Output) -> None:
     """Wait for Ctrl-C or a request to terminate, then return so that the server is closed in order."""
     stop = threading.Event()
 
@@ -70,6 +69,7 @@ def _until_stopped() -> None:
         stop.set()
 
     previous = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
+    output.note("Press Ctrl-C to end.")  # said only now that it does
     try:
         while not stop.wait(1.0):  # an endless wait would keep signals out on some systems
             pass

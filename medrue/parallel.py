@@ -1,10 +1,12 @@
 """Sharing independent work over processes, with the same results in the same order as without.
 
+The program itself has neither threads nor locks for this: each process has a pipe of its own, and the program sends an
+item to whoever is free. So an exception can be raised anywhere, as Ctrl-C does, and nothing that it left locked makes
+the program wait for ever.
+
 The processes end with the program that started them, however it ends: after Ctrl-C, SIGTERM or SIGHUP they are stopped
 before the program is left, and where it dies without a chance to do so (SIGKILL), each of them notices by itself.
-
-SIGTERM and SIGHUP end the program from within the handler. An exception raised there would land anywhere, also between
-taking and releasing a lock of the pool, and one program in some hundred would then wait for ever.
+SIGTERM and SIGHUP end the program from within the handler.
 """
 
 from __future__ import annotations
@@ -14,12 +16,16 @@ import os
 import signal
 import sys
 import threading
+import traceback
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+from multiprocessing import connection, resource_tracker
+from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from types import FrameType, TracebackType
-from typing import TypeVar
+from typing import Any, TypeVar
+
+from calib.errors import ComputationError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -38,8 +44,8 @@ class Workers:
 
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs
-        self._pool: ProcessPoolExecutor | None = None
-        self._processes: list[BaseProcess] = []
+        self._processes: dict[Connection, BaseProcess] = {}
+        self._busy: dict[Connection, tuple[object, int]] = {}  # with which call of `in_order`, and which of its items
         self._handlers: dict[signal.Signals, object] = {}
 
     def __enter__(self) -> Workers:
@@ -48,31 +54,37 @@ class Workers:
                 # what is ignored, as SIGHUP under nohup, stays ignored
                 heard = [number for number in _ENDING if signal.getsignal(number) != signal.SIG_IGN]
                 self._handlers = {number: signal.signal(number, self._end) for number in heard}
-            others = set(multiprocessing.active_children())
-            # fresh processes: a forked one would inherit threads of the linear algebra
-            context = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(self._jobs, mp_context=context, initializer=_end_with_parent)
-            with _without_interrupts():
-                for _ in range(self._jobs):
-                    self._pool.submit(_nothing)
-            self._processes = [one for one in multiprocessing.active_children() if one not in others]
+            try:
+                with _without_interrupts():
+                    for _ in range(self._jobs):
+                        self._start()
+            except BaseException:
+                self.__exit__(*sys.exc_info())
+                raise
         return self
+
+    def _start(self) -> None:
+        context = multiprocessing.get_context("spawn")  # a forked one would inherit threads of the linear algebra
+        here, there = context.Pipe()
+        process = context.Process(target=_work, args=(there,), daemon=True)
+        process.start()
+        there.close()
+        self._processes[here] = process
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if self._pool is not None:
-            if error is not None:
-                for process in self._processes:
-                    process.kill()
-            self._pool.shutdown(wait=True, cancel_futures=True)
-            self._pool = None
+        for line, process in self._processes.items():
+            process.kill()
+            process.join()
+            line.close()
+        self._processes, self._busy = {}, {}
         for number, handler in self._handlers.items():
             signal.signal(number, handler)  # type: ignore[arg-type]  # what signal.signal gave
 
     def _end(self, number: int, frame: FrameType | None) -> None:
         """Stop the processes, and end the program as the signal does by itself."""
-        for process in self._processes:
+        for process in self._processes.values():
             process.kill()
         if sys.stderr.isatty():
             os.write(sys.stderr.fileno(), b"\x1b[?25h")  # show the cursor, which a progress display hides
@@ -85,25 +97,72 @@ class Workers:
         Args:
             function: Of a module, so that other processes find it.
             items: What to call it with.
+
+        Raises:
+            ComputationError: A process was ended from outside.
         """
-        return map(function, items) if self._pool is None else self._pool.map(function, items)
+        if not self._processes:
+            yield from map(function, items)
+            return
+        call, waiting, done = object(), iter(enumerate(items)), dict[int, tuple[bool, Any]]()
+        for wanted in range(len(items)):
+            while wanted not in done:
+                for line in [line for line in self._processes if line not in self._busy]:
+                    for index, item in waiting:
+                        line.send((function, item))
+                        self._busy[line] = (call, index)
+                        break
+                answering = connection.wait(list(self._busy))
+                for line in [line for line in self._busy if line in answering]:
+                    answer = self._answer(line)
+                    asked, index = self._busy.pop(line)
+                    if asked is call:  # and not one that was left half-way
+                        done[index] = answer
+            good, result = done.pop(wanted)
+            if not good:
+                raise result
+            yield result
+
+    def _answer(self, line: Connection) -> tuple[bool, Any]:
+        """Whether a process could do its work, and the result or the error."""
+        try:
+            return line.recv()
+        except (EOFError, ConnectionError):
+            self._processes[line].join()
+            code = self._processes[line].exitcode
+            raise ComputationError(
+                f"a process that shared the work was ended (exit code {code}); if memory was short, --jobs 1 needs less"
+            ) from None
 
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Let processes that are started inside ignore Ctrl-C: whoever started them decides when they end."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Let processes that are started inside never hear Ctrl-C: whoever started them decides when they end.
+
+    They inherit that the signal is held back. Here it is heard at the end of the block.
+    """
+    resource_tracker.ensure_running()  # which would let the signal through again when it starts
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _nothing() -> None:
-    """Make the pool start a process."""
+def _work(line: Connection) -> None:
+    """Answer what is asked, until nobody can ask any more."""
+    _end_with_parent()
+    while True:
+        try:
+            function, item = line.recv()
+        except EOFError:
+            return
+        try:
+            answer = True, function(item)
+        except Exception as error:
+            error.add_note(traceback.format_exc())
+            answer = False, error
+        line.send(answer)
 
 
 def _end_with_parent() -> None:

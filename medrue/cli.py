@@ -16,7 +16,7 @@ from calib.commands.common import Output, shared_options
 from calib.commands.program import run_program
 from calib.data.measurement_files import format_positions
 from calib.files import check_file, check_folder, write_file, write_folder
-from calib.model.robot import load
+from calib.model.loading import load
 from medrue import robot_file
 from medrue.parallel import Workers
 from medrue.progress import Silent, TerminalBars

@@ -20,7 +20,7 @@ from calib.model.urdf_text import UrdfText
 from calib.observation.kind import Place
 from calib.parameter import Parameter
 from calib.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component
-from calib.units import DISPLAY_UNIT, millimetres, per_si, quantity
+from calib.units import DISPLAY_UNIT, error_scale, millimetres, per_si, quantity
 
 ENTRY_POINTS = "calib.parametrisations"
 DEFAULT_LENGTH_SIGMA = 2e-3
@@ -101,7 +101,9 @@ def default_sections() -> tuple[OriginSection, ...]:
     """Return the entries for a plain URDF: every component of every origin that moves a target, with default priors."""
     return (
         OriginSection(origin="all", components=LENGTH_COMPONENTS, sigma=f"{millimetres(DEFAULT_LENGTH_SIGMA):g} mm"),
-        OriginSection(origin="all", components=ANGLE_COMPONENTS, sigma=f"{DEFAULT_ANGLE_SIGMA * 1e3:g} mrad"),
+        OriginSection(
+            origin="all", components=ANGLE_COMPONENTS, sigma=f"{DEFAULT_ANGLE_SIGMA * error_scale('angle'):g} mrad"
+        ),
     )
 
 

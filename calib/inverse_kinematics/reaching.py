@@ -173,7 +173,7 @@ class Reach:
         if not self.mechanism.loops:
             return at.passive, np.ones(len(trial), dtype=bool)
         change = np.einsum("nij,nj->ni", linear.passive_slope, (trial - at.actuated) / self.scale)
-        passive, _, ok = newton(self.mechanism, self.mode, trial, at.passive + self.passive_scale * change)
+        passive, _, _, ok = newton(self.mechanism, self.mode, trial, at.passive + self.passive_scale * change)
         passive = loops.wrapped(self.mechanism, self.mode, passive)
         return passive, ok & loops.within_limits(self.mechanism, passive)
 

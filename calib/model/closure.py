@@ -27,8 +27,8 @@ def residual(
     values, maps = kinematics.gaps(swept, mechanism.loops)
     by_joint = np.matmul(maps, swept.jacobian) * mechanism.loop_signs
     n, n_rows, n_joints = by_joint.shape
-    slope = (by_joint.reshape(n * n_rows, n_joints) @ mechanism.select_moving).reshape(n, n_rows, -1)
-    n_passive = len(mechanism.passive)
+    select, n_passive = mechanism.select_moving, len(mechanism.passive)
+    slope = (by_joint.reshape(n * n_rows, n_joints) @ select).reshape(n, n_rows, select.shape[1])
     return values, slope[:, :, :n_passive], slope[:, :, n_passive:]
 
 

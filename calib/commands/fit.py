@@ -75,7 +75,7 @@ def command(
     out: str,
     output: Output,
 ) -> None:
-    """Calibrate ROBOT (YAML description, URDF or result folder) from the measurements DATA (CSV).
+    """Calibrate ROBOT (YAML description, URDF or result folder) from the measurements DATA (CSV, or a ROS 2 bag).
 
     Several files of DATA belong together: those with joint columns give the visits, the others say by their column
     `pose` to which visit each of their rows belongs.

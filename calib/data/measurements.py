@@ -73,6 +73,11 @@ class Poses(ReadOnlyArrays):
         """Number of different poses."""
         return int(self.pose_numbers.max(initial=-1)) + 1
 
+    @property
+    def conditions(self) -> Context:
+        """Under which conditions the robot is commanded, for its joint terms; from which side is not known."""
+        return Context.of(np.zeros_like(self.joints), self.context)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Measurements(Poses):
@@ -108,7 +113,7 @@ class Measurements(Poses):
 
     @property
     def conditions(self) -> Context:
-        """Under which conditions the robot was commanded, for its joint terms."""
+        """Under which conditions the robot was commanded, for its joint terms; from which side, too."""
         return Context.of(self.approach_directions, self.context)
 
     @property

@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 
 from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.joint_terms.term import Context
 from calib.linearisation.jacobian import linearise
 from calib.model.robot import Robot
 from calib.units import millimetres
@@ -86,7 +87,12 @@ def carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 def position_uncertainty(
-    robot: Robot, free: IntArray, covariance: FloatArray, coverage_factor: float, q: FloatArray
+    robot: Robot,
+    free: IntArray,
+    covariance: FloatArray,
+    coverage_factor: float,
+    q: FloatArray,
+    context: Context | None = None,
 ) -> PositionUncertainty:
     """Predict positions of all targets, loops closed, with their covariance.
 
@@ -96,13 +102,16 @@ def position_uncertainty(
         covariance: (n_free, n_free) [m, rad].
         coverage_factor: Of the fit's 95 % intervals.
         q: Actuated joints, (n_poses, n_actuated) [m or rad].
+        context: Under which conditions they are commanded; joint terms may depend on it.
 
     Raises:
         UnreachablePoseError: A loop stays open.
     """
+    context = Context.neutral(*q.shape) if context is None else context
     positions, spread = [], []
     for start in range(0, len(q), _CHUNK):
-        linear = linearise(robot, robot.assemble(q[start : start + _CHUNK]))
+        some = slice(start, start + _CHUNK)
+        linear = linearise(robot, robot.assemble(q[some], context=context.at(some)))
         positions.append(linear.positions)
         spread.append(carried(linear.jacobian[..., free], covariance))
     return PositionUncertainty(np.concatenate(positions), np.concatenate(spread), coverage_factor)

@@ -153,7 +153,9 @@ class Robot(ReadOnlyArrays):
             closed = loops.close(self.nominal, self.mode, q)
             passive = np.where(np.isfinite(closed.passive), closed.passive, 0.0)
             slope = np.where(closed.ok[:, None, None], closed.slope, np.eye(passive.shape[1]))
-            context = with_torque(context, gravity_torque(self.urdf, self.nominal, q, passive, slope, self.path))
+            load, payload = context.load, self.description.payload
+            torque = gravity_torque(self.urdf, self.nominal, q, passive, slope, load, payload, self.path)
+            context = with_torque(context, torque)
         return term_columns(self.terms, self.joint_names, q, context)
 
     def actual(self, q: FloatArray, columns: tuple[FloatArray, ...]) -> FloatArray:

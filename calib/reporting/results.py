@@ -33,6 +33,7 @@ from calib.identification.fitted import Fit
 from calib.identification.joint_curves import beyond_learned
 from calib.identification.promise import Promise
 from calib.identification.reasons import Verdict
+from calib.joint_terms.term import Context
 from calib.joint_terms.terms import stored_terms
 from calib.linearisation.prediction import PositionUncertainty, position_uncertainty
 from calib.model import loading
@@ -256,9 +257,16 @@ class LoadedUncertainty:
     covariance: FloatArray
     coverage_factor: float
 
-    def at(self, robot: Robot, q: FloatArray) -> PositionUncertainty:
-        """Predict positions of the calibrated robot at actuated joints q (n, n_actuated), with their covariance."""
-        return position_uncertainty(robot, np.flatnonzero(self.free), self.covariance, self.coverage_factor, q)
+    def at(self, robot: Robot, q: FloatArray, context: Context | None = None) -> PositionUncertainty:
+        """Predict positions of the calibrated robot at actuated joints q (n, n_actuated), with their covariance.
+
+        Args:
+            robot: The calibrated robot.
+            q: Commands, (n, n_actuated) [m or rad].
+            context: Under which conditions they are given.
+        """
+        free = np.flatnonzero(self.free)
+        return position_uncertainty(robot, free, self.covariance, self.coverage_factor, q, context)
 
 
 def load_uncertainty(folder: Path | str, robot: Robot) -> LoadedUncertainty:

@@ -31,8 +31,9 @@ if TYPE_CHECKING:
     from calib.inverse_kinematics.goals import Goals
     from calib.inverse_kinematics.inverse import Solution, solve
     from calib.linearisation.simulate import simulate
+    from calib.model.loading import robot
     from calib.model.parameters import Origin, Parametrisation, twist_of_edit
-    from calib.model.robot import Robot, robot
+    from calib.model.robot import Robot
     from calib.parameter import Parameter
     from calib.pose_choice.assessment import Assessment, check
     from calib.pose_choice.pose_sampling import sample
@@ -66,7 +67,7 @@ _HOMES = {
     "load": "calib.reporting.results",
     "read_measurements": "calib.data.measurement_files",
     "read_poses": "calib.data.measurement_files",
-    "robot": "calib.model.robot",
+    "robot": "calib.model.loading",
     "sample": "calib.pose_choice.pose_sampling",
     "select": "calib.pose_choice.selection",
     "simulate": "calib.linearisation.simulate",

@@ -29,6 +29,7 @@ from calib.model import kinematics
 from calib.model.mechanism import RelativeFrame
 from calib.model.robot import Robot
 from calib.sections import ANGLE_COMPONENTS, COMPONENTS, Component
+from calib.units import ERROR_UNIT, Dimension, error_scale
 
 LARGEST_CHANGE = 0.01
 """Largest change of a gap that a constraint may be left to absorb [characteristic lengths of the robot, or rad]."""
@@ -59,19 +60,19 @@ class Gap:
     where: str = ""
 
     @property
-    def unit(self) -> str:
-        """Unit of `at_home` and `change`."""
-        return "rad" if self.direction in ANGLE_COMPONENTS else "m"
+    def dimension(self) -> Dimension:
+        """Of `at_home` and `change`."""
+        return "angle" if self.direction in ANGLE_COMPONENTS else "length"
 
     def text(self) -> str:
         """Return one sentence, in mm or mrad."""
-        unit = "m" + self.unit
+        unit, factor = ERROR_UNIT[self.dimension], error_scale(self.dimension)
         which = f"loop {self.name}, direction {self.direction}"
         if max(abs(self.at_home), self.change) < 1e-9:
             return f"{which}: closed as well in {self.n_poses} poses{self.where}; a 3D constraint has nothing to absorb"
         return (
-            f"{which}: {1e3 * self.at_home:.4f} {unit} apart at home; a 3D constraint would have to absorb up to"
-            f" {1e3 * self.change:.4f} {unit} over {self.n_poses} poses{self.where}"
+            f"{which}: {factor * self.at_home:.4f} {unit} apart at home; a 3D constraint would have to absorb up to"
+            f" {factor * self.change:.4f} {unit} over {self.n_poses} poses{self.where}"
         )
 
 
@@ -150,8 +151,8 @@ def require_small(robot: Robot, gaps: tuple[Gap, ...]) -> None:
         limit = LARGEST_CHANGE * (1.0 if gap.direction in ANGLE_COMPONENTS else robot.mechanism.length)
         if gap.change > limit:
             raise InputError(
-                f"{gap.text()}, more than {1e3 * limit:.3g}: the mechanism moves in this direction;"
-                " use the variant with free slides (--free-slide)"
+                f"{gap.text()}, more than {error_scale(gap.dimension) * limit:.3g}: the mechanism moves in this"
+                " direction; use the variant with free slides (--free-slide)"
             )
 
 

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from calib.exporting.formats import export
     from calib.identification.acceptance import Acceptance, verify
     from calib.identification.fitted import Fit
+    from calib.identification.study import study
+    from calib.identification.study_result import Study
     from calib.inverse_kinematics.compensation import Compensation, compensate
     from calib.inverse_kinematics.goals import Goals
     from calib.inverse_kinematics.inverse import Solution, solve
@@ -57,6 +59,7 @@ _HOMES = {
     "Robot": "calib.model.robot",
     "Selection": "calib.pose_choice.selection",
     "Solution": "calib.inverse_kinematics.inverse",
+    "Study": "calib.identification.study_result",
     "as_measurements": "calib.data.in_memory",
     "as_poses": "calib.data.in_memory",
     "check": "calib.pose_choice.assessment",
@@ -72,6 +75,7 @@ _HOMES = {
     "select": "calib.pose_choice.selection",
     "simulate": "calib.linearisation.simulate",
     "solve": "calib.inverse_kinematics.inverse",
+    "study": "calib.identification.study",
     "twist_of_edit": "calib.model.parameters",
     "verify": "calib.identification.acceptance",
 }
@@ -100,6 +104,7 @@ __all__ = [
     "Robot",
     "Selection",
     "Solution",
+    "Study",
     "UnreachablePoseError",
     "UrdfError",
     "as_measurements",
@@ -117,6 +122,7 @@ __all__ = [
     "select",
     "simulate",
     "solve",
+    "study",
     "twist_of_edit",
     "verify",
 ]

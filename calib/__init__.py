@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from calib.pose_choice.selection import Selection, select
     from calib.reporting.result_comparison import ResultComparison, compare
     from calib.reporting.results import load
+    from calib.watching.progress import Progress
+    from calib.watching.watch import Watch
 
 _HOMES = {
     "Acceptance": "calib.identification.acceptance",
@@ -52,10 +54,12 @@ _HOMES = {
     "Parameter": "calib.parameter",
     "Parametrisation": "calib.model.parameters",
     "Poses": "calib.data.measurements",
+    "Progress": "calib.watching.progress",
     "ResultComparison": "calib.reporting.result_comparison",
     "Robot": "calib.model.robot",
     "Selection": "calib.pose_choice.selection",
     "Solution": "calib.inverse_kinematics.inverse",
+    "Watch": "calib.watching.watch",
     "as_measurements": "calib.data.in_memory",
     "as_poses": "calib.data.in_memory",
     "check": "calib.pose_choice.assessment",
@@ -95,12 +99,14 @@ __all__ = [
     "ParameterError",
     "Parametrisation",
     "Poses",
+    "Progress",
     "ResultComparison",
     "Robot",
     "Selection",
     "Solution",
     "UnreachablePoseError",
     "UrdfError",
+    "Watch",
     "as_measurements",
     "as_poses",
     "check",

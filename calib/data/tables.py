@@ -177,17 +177,18 @@ def check_plausible(value: float, dimension: Dimension, where: str, place: str) 
         )
 
 
-def read_table(path: Path | str, renamed: Mapping[str, str] | None = None) -> Table:
+def read_table(path: Path | str, renamed: Mapping[str, str] | None = None, *, growing: bool = False) -> Table:
     """Read a CSV file, its columns separated by commas, semicolons or tabs.
 
     Args:
         path: The file.
         renamed: Foreign column names and the `name` or `name [unit]` they stand for.
+        growing: Whether somebody still writes: a last line without its end is left out.
 
     Raises:
         DataError: Missing or unreadable file, no header or rows, duplicate columns, rows of the wrong length.
     """
-    text = read_text(path, "a CSV file", DataError)
+    text = read_text(path, "a CSV file", DataError, growing=growing)
     comments, kept, numbers = [], [], []
     for number, line in enumerate(text.split("\n"), start=1):
         if line.lstrip().startswith("#"):

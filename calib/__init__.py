@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from calib.pose_choice.selection import Selection, select
     from calib.reporting.result_comparison import ResultComparison, compare
     from calib.reporting.results import load
+    from calib.watching.progress import Progress
+    from calib.watching.watch import Watch
 
 _HOMES = {
     "Acceptance": "calib.identification.acceptance",
@@ -55,11 +57,13 @@ _HOMES = {
     "Parameter": "calib.parameter",
     "Parametrisation": "calib.model.parameters",
     "Poses": "calib.data.measurements",
+    "Progress": "calib.watching.progress",
     "ResultComparison": "calib.reporting.result_comparison",
     "Robot": "calib.model.robot",
     "Selection": "calib.pose_choice.selection",
     "Solution": "calib.inverse_kinematics.inverse",
     "Study": "calib.identification.study_result",
+    "Watch": "calib.watching.watch",
     "as_measurements": "calib.data.in_memory",
     "as_poses": "calib.data.in_memory",
     "check": "calib.pose_choice.assessment",
@@ -100,6 +104,7 @@ __all__ = [
     "ParameterError",
     "Parametrisation",
     "Poses",
+    "Progress",
     "ResultComparison",
     "Robot",
     "Selection",
@@ -107,6 +112,7 @@ __all__ = [
     "Study",
     "UnreachablePoseError",
     "UrdfError",
+    "Watch",
     "as_measurements",
     "as_poses",
     "check",

@@ -44,10 +44,20 @@ def read_bytes(path: Path | str, wanted: str, error: type[CalibrationError]) -> 
     return content
 
 
-def read_text(path: Path | str, wanted: str, error: type[CalibrationError]) -> str:
-    """Return the text of a file, without the mark that some editors put first; see `read_bytes`."""
+def read_text(path: Path | str, wanted: str, error: type[CalibrationError], *, growing: bool = False) -> str:
+    """Return the text of a file, without the mark that some editors put first; see `read_bytes`.
+
+    Args:
+        path: The file.
+        wanted: What it should be, for the error.
+        error: What to raise.
+        growing: Whether somebody still writes: a last line without its end is left out.
+    """
+    content = read_bytes(path, wanted, error)
+    if growing:
+        content = content[: content.rfind(b"\n") + 1]
     try:
-        text = read_bytes(path, wanted, error).decode("utf-8-sig")
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise error(f"{path}: is not UTF-8 text; give {wanted} in UTF-8") from None
     return text.replace("\r\n", "\n").replace("\r", "\n")

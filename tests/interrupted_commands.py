@@ -30,7 +30,7 @@ import calib.replacing
 import medrue
 import medrue.cli
 import medrue.study
-from medrue.parallel import Workers
+from calib.workers import Workers
 from medrue.progress import Silent
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"

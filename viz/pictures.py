@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 from viz.command import view as command
 
 if TYPE_CHECKING:
-    from calib import Fit
+    from calib import Fit, Robot
+    from viz.live import LiveViewer
 
-__all__ = ["command", "figures", "pages"]
+__all__ = ["command", "figures", "live", "pages"]
 
 
 def pages(fit: Fit, logo: str = "") -> dict[str, bytes]:
@@ -49,3 +50,11 @@ def figures(subject: object) -> dict[str, bytes]:
     if isinstance(subject, Selection):
         return selection_figures(subject)
     raise TypeError(f"no figures of {type(subject).__name__}")
+
+
+def live(robot: Robot) -> LiveViewer:
+    """Return a live page that shows a robot until it is told more."""
+    from viz.inputs import gather
+    from viz.live import LiveViewer
+
+    return LiveViewer(gather(robot))

@@ -5,6 +5,7 @@ An entry is a module, called like the command that it adds, with
     command             that command
     pages(fit, logo)    the pages of a result folder, file name -> content
     figures(subject)    the figures of an assessment or a selection, file name -> content
+    live(robot)         a live page that shows a robot, and moves when it is told to
 
 so that everything below this floor writes and computes without asking what is installed.
 """
@@ -21,9 +22,25 @@ from calib.errors import InputError
 from calib.files import image_address
 
 if TYPE_CHECKING:
+    from calib.arrays import FloatArray
     from calib.identification.fitted import Fit
+    from calib.model.robot import Robot
 
 GROUP = "calib.pictures"
+
+
+class Live(Protocol):
+    """A live page in a browser on this computer."""
+
+    @property
+    def url(self) -> str:
+        """Address to open."""
+
+    def show(self, text: str, fit: Fit | None, joints: FloatArray | None) -> None:
+        """Show text, a fit, and the robot at joint values, (n_actuated,) [m or rad]."""
+
+    def close(self) -> None:
+        """End it."""
 
 
 class Pictures(Protocol):
@@ -36,6 +53,9 @@ class Pictures(Protocol):
 
     def figures(self, subject: object) -> dict[str, bytes]:
         """Return the figures of an assessment or a selection."""
+
+    def live(self, robot: Robot) -> Live:
+        """Return a live page."""
 
 
 def commands() -> tuple[str, ...]:
@@ -71,13 +91,26 @@ def figures(subject: object) -> dict[str, bytes]:
     Raises:
         InputError: Nothing that draws is installed, or something that it needs is missing.
     """
-    modules: list[Pictures] = [entry.load() for entry in entry_points(group=GROUP)]
-    if not modules:
-        raise InputError(f"--plots: nothing that draws is installed (entry point group {GROUP})")
     files: dict[str, bytes] = {}
-    for one in modules:
+    for one in _installed("--plots"):
         try:
             files |= one.figures(subject)
         except ImportError as error:
             raise InputError(f"--plots: {error.name} is not installed; `pip install {error.name}` first") from None
     return files
+
+
+def live(robot: Robot) -> Live:
+    """Return a live page that shows a robot.
+
+    Raises:
+        InputError: Nothing that draws is installed.
+    """
+    return _installed("--view")[0].live(robot)
+
+
+def _installed(wanted: str) -> list[Pictures]:
+    modules: list[Pictures] = [entry.load() for entry in entry_points(group=GROUP)]
+    if not modules:
+        raise InputError(f"{wanted}: nothing that draws is installed (entry point group {GROUP})")
+    return modules

@@ -59,11 +59,8 @@ class PositionUncertainty(ReadOnlyArrays):
         weights: nearly g chi^2_h with the same mean and variance, g = tr(C^2) / tr(C), h = tr(C)^2 / tr(C^2);
         where one direction outweighs the others, 97 of 100 lie between them.
         """
-        trace = np.maximum(np.trace(self.covariance, axis1=2, axis2=3), 1e-300)
-        squares = np.maximum(np.sum(self.covariance**2, axis=(2, 3)), 1e-300 * trace)
-        limits = [scipy.stats.chi2.ppf(tail, trace**2 / squares) * squares / trace for tail in (0.025, 0.975)]
-        low, high = np.sqrt(limits)
-        return np.stack([low, high * self.coverage_factor / scipy.stats.norm.ppf(0.975)])
+        trace = np.trace(self.covariance, axis1=2, axis2=3)
+        return _distance95(trace, np.sum(self.covariance**2, axis=(2, 3)), self.coverage_factor)
 
     @property
     def worst(self) -> int:
@@ -78,6 +75,47 @@ class PositionUncertainty(ReadOnlyArrays):
             "rms": float(np.sqrt(np.mean(distance**2))),
             "max": float(np.max(distance)),
         }
+
+
+@dataclass(frozen=True)
+class RootMeanSquare:
+    """A root mean square distance over a set of poses.
+
+    Attributes:
+        value: The distance, infinite where not known [m].
+        low95, high95: Its 95 % interval [m].
+    """
+
+    value: float
+    low95: float
+    high95: float
+
+
+def predicted_rms(jacobian: FloatArray, covariance: FloatArray, coverage_factor: float) -> RootMeanSquare:
+    """Return the root mean square distance between true and predicted positions over poses.
+
+    The error d of the parameters makes the mean square d^T W d, W the mean of B^T B over positions: a sum of squares
+    whose weights are the eigenvalues of C W, as in `PositionUncertainty.distance95`.
+
+    Args:
+        jacobian: B of each position, (n_poses, n_targets, 3, n_free).
+        covariance: C, (n_free, n_free).
+        coverage_factor: Of the fit's 95 % intervals.
+    """
+    flat = jacobian.reshape(-1, jacobian.shape[-1])
+    product = covariance @ (flat.T @ flat) / (len(flat) / 3)
+    trace, squares = np.array([np.trace(product)]), np.array([np.sum(product * product.T)])
+    ((low,), (high,)) = _distance95(trace, squares, coverage_factor)
+    return RootMeanSquare(float(np.sqrt(max(trace[0], 0.0))), float(low), float(high))
+
+
+def _distance95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> FloatArray:
+    """95 % limits of the root of a sum of squares of normal numbers, from the sums of its weights and their squares."""
+    trace = np.maximum(trace, 1e-300)
+    squares = np.maximum(squares, 1e-300 * trace)
+    limits = [scipy.stats.chi2.ppf(tail, trace**2 / squares) * squares / trace for tail in (0.025, 0.975)]
+    low, high = np.sqrt(limits)
+    return np.stack([low, high * coverage_factor / scipy.stats.norm.ppf(0.975)])
 
 
 def carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:

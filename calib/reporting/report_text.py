@@ -32,10 +32,9 @@ def text_report(fit: Fit, width: int = 120) -> str:
 
 
 def verdict_lines(verdict: Verdict) -> list[str]:
-    """Return the verdict and its reasons, one line each."""
-    if not verdict.reasons:
-        return [f"Verdict: {verdict.grade}"]
-    return [f"Verdict: {verdict.grade}", *(f"  {reason.grade}: {reason.text}" for reason in verdict.reasons)]
+    """Return the verdict, its reasons, and what it does not cover, one line each."""
+    reasons = [f"  {reason.grade}: {reason.text}" for reason in verdict.reasons]
+    return [f"Verdict: {verdict.grade}", *reasons, *(f"  not covered: {text}" for text in verdict.not_covered)]
 
 
 def notes(fit: Fit, *, brief: bool = False) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import errno
 import os
 import tempfile
@@ -14,6 +15,8 @@ from calib.replacing import clear_leftovers, new_file, new_folder, replace_folde
 
 _STREAM_FOLDERS = (Path("/dev"), Path("/dev/fd"))
 _LARGEST = 2**28  # bytes: a million rows and more, and less than memory
+_LARGEST_IMAGE = 2**19  # bytes: it stands in every report
+_IMAGES = ((b"\x89PNG\r\n\x1a\n", "png"), (b"\xff\xd8\xff", "jpeg"), (b"<svg", "svg+xml"), (b"<?xml", "svg+xml"))
 
 
 def read_bytes(path: Path | str, wanted: str, error: type[CalibrationError]) -> bytes:
@@ -41,13 +44,40 @@ def read_bytes(path: Path | str, wanted: str, error: type[CalibrationError]) -> 
     return content
 
 
-def read_text(path: Path | str, wanted: str, error: type[CalibrationError]) -> str:
-    """Return the text of a file, without the mark that some editors put first; see `read_bytes`."""
+def read_text(path: Path | str, wanted: str, error: type[CalibrationError], *, growing: bool = False) -> str:
+    """Return the text of a file, without the mark that some editors put first; see `read_bytes`.
+
+    Args:
+        path: The file.
+        wanted: What it should be, for the error.
+        error: What to raise.
+        growing: Whether somebody still writes: a last line without its end is left out.
+    """
+    content = read_bytes(path, wanted, error)
+    if growing:
+        content = content[: content.rfind(b"\n") + 1]
     try:
-        text = read_bytes(path, wanted, error).decode("utf-8-sig")
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise error(f"{path}: is not UTF-8 text; give {wanted} in UTF-8") from None
     return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def image_address(path: Path | str) -> str:
+    """Return a PNG, JPEG or SVG image as an address that holds it, for a page that asks nobody for anything.
+
+    Raises:
+        InputError: It is missing, none of these, or larger than 512 kB.
+    """
+    wanted = "a PNG, JPEG or SVG image"
+    content = read_bytes(path, wanted, InputError)
+    if len(content) > _LARGEST_IMAGE:
+        raise InputError(f"{path}: has {len(content) >> 10} kB; give {wanted} of at most {_LARGEST_IMAGE >> 10} kB")
+    start = content.removeprefix(b"\xef\xbb\xbf").lstrip()
+    kind = next((kind for mark, kind in _IMAGES if start.startswith(mark)), None)
+    if kind is None or (kind == "svg+xml" and b"<svg" not in content):
+        raise InputError(f"{path}: is no image that a page can show; give {wanted}")
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
 
 
 def write_file(path: Path | str, content: bytes | str) -> None:

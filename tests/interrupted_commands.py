@@ -30,7 +30,6 @@ import calib.replacing
 import medrue
 import medrue.cli
 import medrue.study
-from medrue.parallel import Workers
 from medrue.progress import Silent
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
@@ -136,8 +135,8 @@ def commands(runs: int, seed: int) -> dict[str, Counter[str]]:
         words = f"fit {_ROBOT} {_DATA} --seed {variant} --validate 0.3 --out r{variant}"
         assert child(lambda words=words: run("calib", words)) == 0
     robot = calib.load(medrue.robot_file())
-    studies = [medrue.study.run_study(robot, medrue.study.QUICK, seed, Workers(1), Silent()) for seed in (0, 1)]
-    medrue.study.run_study = lambda robot, size, seed, workers, progress: studies[seed]
+    studies = [medrue.study.run_study(robot, medrue.study.QUICK, seed, None, Silent()) for seed in (0, 1)]
+    medrue.study.run_study = lambda robot, size, seed, executor, progress: studies[seed]
     chance = random.Random(seed)
     found = {}
     for group, words, name in _COMMANDS:

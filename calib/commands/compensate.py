@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 
 import click
 import numpy as np
@@ -10,7 +11,9 @@ import pinocchio as pin
 
 from calib.arrays import FloatArray
 from calib.commands.common import Output, loaded, result_folder, said_of_failure, shared_options
+from calib.commands.compensate_gcode import compensate_gcode
 from calib.commands.solve import in_display_units
+from calib.data.gcode import SUFFIXES
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
 from calib.data.tables import format_table, read_table
@@ -41,8 +44,25 @@ _FIGURES = ("before", "expected", "low95", "high95")
     metavar="NX,NY,NZ",
     help="Write a table of corrections instead, at so many nodes over the box of PROGRAM's positions.",
 )
+@click.option(
+    "--tolerance-mm",
+    type=float,
+    default=0.01,
+    show_default=True,
+    help="G-code: how far the tool may be off between points; moves are cut until it is not.",
+)
+@click.option(
+    "--zero",
+    metavar="X,Y,Z",
+    help="G-code: where the program's zero is in the measurement frame of the description [mm]; there, if not given.",
+)
+@click.option(
+    "--start",
+    metavar="X,Y,Z",
+    help="G-code: where the machine stands at first and after homing, in the program's coordinates [mm].",
+)
 @click.option("--skip-unreachable", is_flag=True, help="Write rows that cannot be compensated too: empty, and marked.")
-@click.option("--out", required=True, metavar="FILE", help="CSV file to write: the compensated program.")
+@click.option("--out", required=True, metavar="FILE", help="File to write: the compensated program.")
 @shared_options(json_output=True)
 def command(
     robot: str,
@@ -50,30 +70,43 @@ def command(
     result: str | None,
     keep: str | None,
     grid: str | None,
+    tolerance_mm: float,
+    zero: str | None,
+    start: str | None,
     skip_unreachable: bool,
     out: str,
     output: Output,
 ) -> None:
-    """Change PROGRAM (CSV), written for the nominal ROBOT, so that the calibrated one does what was meant.
+    """Change PROGRAM (CSV or G-code), written for the nominal ROBOT, so that the calibrated one does what was meant.
 
     PROGRAM has a column for every joint; or positions, poses or positions with an axis of a target, as `calib solve`
     reads them, in the measurement frame of the description. What is written has the joint values to command, for
     poses also the poses to command where a controller with the nominal model turns them into joints itself, and of
     every row how far the tool is off before and after. The base and targets that were unknown are where the
     calibration found them.
+
+    G-code (.gcode, .nc, .ngc, .g) is for machines of three motors whose controller turns X, Y and Z into motors with
+    the nominal model, Cartesian or delta. Straight moves get the points to tell it, in pieces so short that the tool
+    stays within --tolerance-mm of the line; what else moves the machine is refused, all other lines stay.
     """
     check_file(out)
     result = result_folder(robot, result)
     nominal = loaded(robot, output)
     calibrated = load_calibrated(result, nominal)
+    predict = partial(load_uncertainty(result, nominal).at, calibrated)
+    if Path(program).suffix.lower() in SUFFIXES:
+        if keep is not None or grid is not None or skip_unreachable:
+            raise InputError("--keep, --grid and --skip-unreachable are for programs in CSV; leave them out")
+        compensate_gcode(calibrated, predict, program, result, (zero, start), tolerance_mm, out, output)
+        return
+    if zero is not None or start is not None:
+        raise InputError(f"--zero and --start are for G-code ({', '.join(SUFFIXES)}); leave them out")
     rows = _read(program, nominal, output)
     if grid is not None:
         _write_grid(calibrated, rows, grid, result, out, output)
         return
     with output.working(f"compensating {len(rows)} rows"):
-        compensation = compensate(
-            calibrated, rows, keep=keep, predict=partial(load_uncertainty(result, nominal).at, calibrated)
-        )
+        compensation = compensate(calibrated, rows, keep=keep, predict=predict)
     if not skip_unreachable or not np.any(compensation.ok):
         _require_all(compensation)
     for miss in compensation.misses():

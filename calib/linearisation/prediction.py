@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 
 from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.joint_terms.term import Context
 from calib.linearisation.jacobian import linearise
 from calib.model.robot import Robot
 from calib.units import millimetres
@@ -58,11 +59,8 @@ class PositionUncertainty(ReadOnlyArrays):
         weights: nearly g chi^2_h with the same mean and variance, g = tr(C^2) / tr(C), h = tr(C)^2 / tr(C^2);
         where one direction outweighs the others, 97 of 100 lie between them.
         """
-        trace = np.maximum(np.trace(self.covariance, axis1=2, axis2=3), 1e-300)
-        squares = np.maximum(np.sum(self.covariance**2, axis=(2, 3)), 1e-300 * trace)
-        limits = [scipy.stats.chi2.ppf(tail, trace**2 / squares) * squares / trace for tail in (0.025, 0.975)]
-        low, high = np.sqrt(limits)
-        return np.stack([low, high * self.coverage_factor / scipy.stats.norm.ppf(0.975)])
+        trace = np.trace(self.covariance, axis1=2, axis2=3)
+        return _distance95(trace, np.sum(self.covariance**2, axis=(2, 3)), self.coverage_factor)
 
     @property
     def worst(self) -> int:
@@ -79,6 +77,47 @@ class PositionUncertainty(ReadOnlyArrays):
         }
 
 
+@dataclass(frozen=True)
+class RootMeanSquare:
+    """A root mean square distance over a set of poses.
+
+    Attributes:
+        value: The distance, infinite where not known [m].
+        low95, high95: Its 95 % interval [m].
+    """
+
+    value: float
+    low95: float
+    high95: float
+
+
+def predicted_rms(jacobian: FloatArray, covariance: FloatArray, coverage_factor: float) -> RootMeanSquare:
+    """Return the root mean square distance between true and predicted positions over poses.
+
+    The error d of the parameters makes the mean square d^T W d, W the mean of B^T B over positions: a sum of squares
+    whose weights are the eigenvalues of C W, as in `PositionUncertainty.distance95`.
+
+    Args:
+        jacobian: B of each position, (n_poses, n_targets, 3, n_free).
+        covariance: C, (n_free, n_free).
+        coverage_factor: Of the fit's 95 % intervals.
+    """
+    flat = jacobian.reshape(-1, jacobian.shape[-1])
+    product = covariance @ (flat.T @ flat) / (len(flat) / 3)
+    trace, squares = np.array([np.trace(product)]), np.array([np.sum(product * product.T)])
+    ((low,), (high,)) = _distance95(trace, squares, coverage_factor)
+    return RootMeanSquare(float(np.sqrt(max(trace[0], 0.0))), float(low), float(high))
+
+
+def _distance95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> FloatArray:
+    """95 % limits of the root of a sum of squares of normal numbers, from the sums of its weights and their squares."""
+    trace = np.maximum(trace, 1e-300)
+    squares = np.maximum(squares, 1e-300 * trace)
+    limits = [scipy.stats.chi2.ppf(tail, trace**2 / squares) * squares / trace for tail in (0.025, 0.975)]
+    low, high = np.sqrt(limits)
+    return np.stack([low, high * coverage_factor / scipy.stats.norm.ppf(0.975)])
+
+
 def carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return B C B^T of each position, (n_poses, n_targets, 3, 3), from B (n_poses, n_targets, 3, n_free)."""
     result: FloatArray = (jacobian @ covariance) @ jacobian.swapaxes(2, 3)
@@ -86,7 +125,12 @@ def carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 def position_uncertainty(
-    robot: Robot, free: IntArray, covariance: FloatArray, coverage_factor: float, q: FloatArray
+    robot: Robot,
+    free: IntArray,
+    covariance: FloatArray,
+    coverage_factor: float,
+    q: FloatArray,
+    context: Context | None = None,
 ) -> PositionUncertainty:
     """Predict positions of all targets, loops closed, with their covariance.
 
@@ -96,13 +140,16 @@ def position_uncertainty(
         covariance: (n_free, n_free) [m, rad].
         coverage_factor: Of the fit's 95 % intervals.
         q: Actuated joints, (n_poses, n_actuated) [m or rad].
+        context: Under which conditions they are commanded; joint terms may depend on it.
 
     Raises:
         UnreachablePoseError: A loop stays open.
     """
+    context = Context.neutral(*q.shape) if context is None else context
     positions, spread = [], []
     for start in range(0, len(q), _CHUNK):
-        linear = linearise(robot, robot.assemble(q[start : start + _CHUNK]))
+        some = slice(start, start + _CHUNK)
+        linear = linearise(robot, robot.assemble(q[some], context=context.at(some)))
         positions.append(linear.positions)
         spread.append(carried(linear.jacobian[..., free], covariance))
     return PositionUncertainty(np.concatenate(positions), np.concatenate(spread), coverage_factor)

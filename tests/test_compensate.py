@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from click.testing import CliRunner
 from six_axis_arm import write_six_axis
@@ -271,6 +272,55 @@ def test_distances_lie_within_their_limits_as_often_as_stated():
         assert np.mean((drawn > low) & (drawn < high)) == pytest.approx(0.96, abs=0.02)  # two moments are matched
 
 
+@pytest.mark.parametrize("keep", ["pose", "axis"])
+def test_orientations_are_off_by_what_is_expected(tmp_path, keep):
+    """Truths drawn from the covariance of a calibration by poses run its compensated program."""
+    nominal = six_axis(
+        tmp_path, "instruments:\n  six: {kind: pose, target: ball, sigma: 0.05 mm, sigma_angle: 0.2 mrad}\n"
+    )
+    rng = np.random.default_rng(21)
+    truth = perturbed(nominal, 20)
+    q = rng.uniform(-1.2, 1.2, (25, 6))
+    poses = truth.forward(q)
+    noisy = [pin.exp3(2e-4 * rng.standard_normal(3)) @ R for R in poses[:, :3, :3]]
+    (tmp_path / "poses.csv").write_text(
+        ",".join((*nominal.joint_names, *(f"six_{axis}" for axis in ("x", "y", "z", "qx", "qy", "qz", "qw"))))
+        + "\n"
+        + "".join(
+            ",".join(map(repr, map(float, (*row, *(p + 5e-5 * rng.standard_normal(3)), *pin.Quaternion(R).coeffs()))))
+            + "\n"
+            for row, p, R in zip(q, truth.positions(q)[:, 0], noisy, strict=True)
+        )
+    )
+    fit = calib.fit(nominal, calib.read_measurements(tmp_path / "poses.csv", nominal))
+    program = rng.uniform(-0.8, 0.8, (6, 6)) + np.array([0, 0, 0, 0, 1.2, 0])
+    found = compensate(fit.robot, program, keep=keep, predict=fit.predict)
+    assert found.ok.all()
+    meant = nominal.forward(program)[:, :3, :3]
+    root = np.linalg.cholesky(fit.statistics.covariance + 1e-30 * np.eye(len(fit.statistics.covariance)))
+    errors = []
+    for _ in range(300):
+        values = fit.robot.values.copy()
+        values[fit.unknowns.index] += root @ rng.standard_normal(len(root))
+        did = nominal.with_parameters(values).forward(found.q)[:, :3, :3]
+        cosine = np.sum(did[:, :, 2] * meant[:, :, 2], axis=1)
+        errors.append(turned(did, meant) if keep == "pose" else np.arccos(np.clip(cosine, -1, 1)))
+    errors = np.array(errors)
+    assert np.sqrt(np.mean(errors**2, axis=0)) == pytest.approx(found.expected_angle, rel=0.15)  # of 300 draws
+    inside = (errors > found.low95_angle) & (errors < found.high95_angle)
+    assert np.mean(inside) == pytest.approx(0.96, abs=0.025)
+    really = turned(truth.forward(found.q)[:, :3, :3], meant)
+    assert keep != "pose" or really.max() < 3 * found.expected_angle.max() < 0.3 * found.before_angle.max()
+    assert found.before_angle == pytest.approx(
+        turned(fit.robot.forward(program)[:, :3, :3], meant) if keep == "pose" else found.before_angle, rel=1e-4
+    )
+
+
+def test_angles_are_not_known_where_the_position_alone_is_kept(tmp_path):
+    found = compensate(perturbed(six_axis(tmp_path), 5), np.array([[0.1, 0.2, 0.3, 0.4, 0.8, 0.1]]), keep="position")
+    assert np.isnan([found.before_angle, found.expected_angle, found.low95_angle, found.high95_angle]).all()
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [({"keep": "posture"}, "keep 'posture'"), ({"program": np.zeros((2, 5))}, "expected \\(n, 6\\)")],
@@ -313,7 +363,8 @@ def test_command_writes_a_program_with_marks_and_figures(tmp_path, calibrated):
     found = run(tmp_path, text, "--skip-unreachable", "--json", str(target), result=calibrated)
     assert found.exit_code == 0, found.output
     lines = (tmp_path / "out.csv").read_text().splitlines()
-    assert lines[1].endswith("before [mm],expected [mm],low95 [mm],high95 [mm],status")
+    angles = "before_angle [mrad],expected_angle [mrad],low95_angle [mrad],high95_angle [mrad]"
+    assert lines[1].endswith(f"before [mm],expected [mm],low95 [mm],high95 [mm],{angles},status")
     assert lines[2].endswith(",ok")
     assert lines[3].startswith("B,,,,,,,")
     content = json.loads(target.read_text())

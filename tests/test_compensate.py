@@ -404,12 +404,17 @@ def test_command_gives_poses_for_controllers_that_take_them(tmp_path, calibrated
         (f"{NAMES}\n9,0,0\n", ("--skip-unreachable",), 2, "1 row of 1 cannot be compensated"),
         (f"{NAMES},reflector_rx\n0.5,0.1,0.6,0\n", (), 2, "no column 'reflector_ry'"),
         (f"{JOINTS}\n0,0,0,0,0,0\n", ("--keep", "all"), 2, "'all' is not one of"),
+        (f"{JOINTS}\n0,0,0,0,0,0\n", ("--grid", "5,5,5"), 2, "--grid: PROGRAM has joints"),
+        (f"{NAMES}\n0.5,0.1,0.6\n", ("--grid", "5,5"), 2, "--grid '5,5': write three numbers of nodes"),
+        (f"{NAMES}\n0.5,0.1,0.6\n", ("--grid", "5,5,x"), 2, "--grid '5,5,x': write three numbers of nodes"),
+        (f"{NAMES}\n0.5,0.1,0.6\n", ("--grid", "1,1,1"), 2, "a correction depends on the orientation"),
     ],
 )
 def test_wrong_programs_are_refused_in_one_line(tmp_path, calibrated, text, options, code, message):
     found = run(tmp_path, text, *options, result=calibrated)
     assert found.exit_code == code
     assert message in found.output
+    assert found.output.startswith("Usage") or found.output.count("\n") == 1
     assert not (tmp_path / "out.csv").exists()
 
 

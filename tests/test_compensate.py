@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 from click.testing import CliRunner
 from six_axis_arm import write_six_axis
+from test_denavit_hartenberg import robot_of, write_table
 
 import calib
 from calib.commands.compensate import command
@@ -458,3 +459,40 @@ def test_wrong_results_are_refused(tmp_path, calibrated, what):
         "without covariance": "no such file; run the fit again",
     }[what]
     assert (found.exit_code, message in found.output) == (code, True), found.output
+
+
+def test_a_ur10_with_gears_that_no_line_describes_runs_at_the_error_of_its_calibration(tmp_path):
+    """336 rows; its true joints are off by waves of their gears, which the calibration knows as smooth curves only."""
+    table = write_table(tmp_path, "ur10")
+    nominal = robot_of(table, tmp_path / "ur10.yaml")
+    text = (tmp_path / "ur10.yaml").read_text()
+    text = text.replace("# held:", "  - {joint: all, term: curve}\n# held:", 1)
+    (tmp_path / "curves.yaml").write_text(text)
+    described = calib.load(tmp_path / "curves.yaml")
+    rng = np.random.default_rng(30)
+    drawn = {p.name: p.nominal + p.sigma * rng.standard_normal() for p in nominal.parameters if not p.placement}
+    truth = nominal.with_parameters({**drawn, "base.x": 1.8, "base.rz": 1.0})
+    size, order, phase = 3e-4 * rng.standard_normal((2, 6)), rng.uniform(1, 5, (2, 6)), rng.uniform(0, 6, (2, 6))
+
+    def did(q):  # shares no code with the terms of the engine
+        waves = sum(size[k] * np.sin(order[k] * q + phase[k]) for k in range(2))
+        return truth.positions(q + waves)[:, 0]
+
+    q, program = (
+        rng.uniform(-1.5, 1.5, (n, 6)) * [1, 0.5, 0.6, 1, 0.7, 1] + [0, -1, 1.4, 0, 1.6, 0] for n in (400, 336)
+    )
+    measured = did(q) + 2e-5 * rng.standard_normal((400, 3))
+    with_curves, without = (calib.fit(one, calib.as_measurements(one, q, measured)) for one in (described, nominal))
+    held_out = rms(np.linalg.norm(did(program) - with_curves.robot.positions(program)[:, 0], axis=1))
+    found = compensate(with_curves.robot, program, predict=with_curves.predict)
+    assert found.ok.all()
+    error = np.linalg.norm(did(found.q) - meant_positions(with_curves.robot, program), axis=1)
+    plain = did(compensate(without.robot, program).q) - meant_positions(without.robot, program)
+    assert rms(error) < 1.1 * held_out  # 0.011 mm, from 7.4 mm
+    assert rms(found.before) > 100 * held_out
+    assert rms(np.linalg.norm(plain, axis=1)) > 5 * held_out  # the same without curves
+    assert np.mean((error > found.low95) & (error < found.high95)) > 0.85  # one calibration
+
+
+def meant_positions(robot, program):
+    return as_meant(nearest_to_nominal(robot)).positions(program)[:, 0]

@@ -14,9 +14,10 @@ import numpy as np
 
 from calib.commands.common import Output, shared_options
 from calib.commands.program import run_program
-from calib.data.measurement_files import format_positions
+from calib.data.measurement_text import format_positions
 from calib.files import check_file, check_folder, write_file, write_folder
-from calib.model.robot import load
+from calib.model.loading import load
+from calib.units import metres, millimetres
 from calib.workers import Workers
 from medrue import robot_file
 from medrue.progress import Silent, TerminalBars
@@ -62,8 +63,9 @@ def poses_command(out: str, output: Output) -> None:
     output.say(
         f"{len(found.poses)} poses written to {out}\n"
         f"largest difference from the closed-form inverse: {found.difference:.1e} (m, rad)\n"
-        f"q1 from {1e3 * found.stroke[0]:.1f} to {1e3 * found.stroke[1]:.1f} mm of 700 mm; probe tilted by"
-        f" {np.degrees(found.tilt[0]):.1f} deg on average, {np.degrees(found.tilt[1]):.1f} deg at most\n"
+        f"q1 from {millimetres(found.stroke[0]):.1f} to {millimetres(found.stroke[1]):.1f} mm of 700 mm;"
+        f" probe tilted by {np.degrees(found.tilt[0]):.1f} deg on average,"
+        f" {np.degrees(found.tilt[1]):.1f} deg at most\n"
         f"nearest to a singular pose: smallest singular value of the loops {found.singular_value:.3f}, smallest sine"
         f" between two links {found.sine:.3f} (0 is singular)"
     )
@@ -136,7 +138,7 @@ def experiment_command(
 
         usual = Imperfections()
         imperfections = Imperfections(
-            usual.backlash if backlash_mm is None else backlash_mm / 1e3,
+            usual.backlash if backlash_mm is None else metres(backlash_mm),
             usual.lead if lead_um is None else lead_um * 1e-6 / 0.3,
             usual.tilt if tilt_deg is None else float(np.radians(tilt_deg)),
         )

@@ -15,6 +15,7 @@ import calib
 from calib.linearisation.jacobian import linearise, origin_jacobian
 from calib.linearisation.observed import observe
 from calib.model.acceleration import compiled, kernels
+from calib.model.continuation import newton
 from medrue import robot_file
 from medrue.workspace import target_workspace
 
@@ -74,6 +75,12 @@ def test_closed_loops_are_those_of_the_reference(case):
         # loops are closed to 1e-12 m, and far from singular poses passive joints as well as that
         assert np.allclose(found.passive, expected.passive, rtol=0, atol=20 * SAME)
         assert np.allclose(found.slope, expected.slope, rtol=0, atol=20 * SAME)
+    where = moved.mechanism, robot.mode, expected.actuated, expected.passive
+    if moved.passive_names:
+        expected_slopes = newton(*where)[1:3]
+        with compiled():
+            for slope, known in zip(newton(*where)[1:3], expected_slopes, strict=True):
+                assert np.allclose(slope, known, rtol=0, atol=20 * SAME)
 
 
 def test_derivatives_are_those_of_the_reference(case):

@@ -209,7 +209,7 @@ def _fit(robot: Robot, data: Measurements, validation: Measurements | None, sett
             final.residuals,
             solved.robot.singular_values(final.configurations),
         ),
-        validation=None if validation is None else _errors_on(placed, solved.robot, validation),
+        validation=None if validation is None else errors_on(placed, solved.robot, validation),
         configurations=final.configurations,
         unknowns=problem.unknowns,
         statistics=uncertainty,
@@ -398,7 +398,18 @@ def convergence_at(problem: Problem, solved: Solved, rows: Rows, std: FloatArray
     )
 
 
-def _errors_on(placed: Robot, calibrated: Robot, data: Measurements) -> ErrorSet:
+def errors_on(placed: Robot, calibrated: Robot, data: Measurements) -> ErrorSet:
+    """Return errors on visits that were not used.
+
+    Args:
+        placed: The robot before calibration.
+        calibrated: The robot after it.
+        data: The visits.
+
+    Raises:
+        UnreachablePoseError: The robot before cannot be assembled at a visit.
+        ComputationError: The robot after it cannot.
+    """
     before, _ = _errors_of(placed, data)
     try:
         after, singular = _errors_of(calibrated, data)

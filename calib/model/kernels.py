@@ -187,12 +187,13 @@ def close(
     loops: Loops,
     rest: FloatArray,
     select: FloatArray,
+    motors: FloatArray,
     passive: FloatArray,
     scale: FloatArray,
     enough: float,
     largest: float,
     rounds: int,
-) -> tuple[FloatArray, BoolArray]:
+) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Newton on the passive joints, in place, as `calib.model.continuation.newton` says.
 
     One function, because handing all these arrays to another one costs a quarter of the time.
@@ -202,6 +203,7 @@ def close(
         loops: What must be zero.
         rest: Joint values without the passive ones, (n, n_joints).
         select: Of the passive joints, (n_joints, n_passive).
+        motors: The same of the actuated joints, (n_joints, n_actuated).
         passive: Where to start; where it ends, (n, n_passive).
         scale: By what changes of passive joints are divided, (n_passive,).
         enough: Largest residual of a closed pose.
@@ -209,18 +211,21 @@ def close(
         rounds: How many corrections.
 
     Returns:
-        C_p, NaN where not closed (n, n_passive, n_passive), and which poses closed (n,).
+        C_p (n, n_passive, n_passive) and C_a (n, n_passive, n_actuated), NaN where not closed, and which poses closed
+        (n,).
     """
     n, n_passive = passive.shape
-    n_joints = len(select)
+    n_joints, n_actuated = motors.shape
+    by_motor = np.full((n, n_passive, n_actuated), np.nan)
     slope, closed = np.full((n, n_passive, n_passive), np.nan), np.zeros(n, dtype=np.bool_)
     O, o = np.empty((n_joints + 1, 3, 3)), np.empty((n_joints + 1, 3))  # noqa: E741
     R, p = np.empty((n_joints + 1, 3, 3)), np.empty((n_joints + 1, 3))
     twists, rows, q = np.empty((n_joints, 6)), np.empty((n_passive, 6)), np.empty(n_joints)
     values, C = np.empty((n_passive, 1)), np.empty((n_passive, n_passive))
-    moves = np.zeros(n_joints, dtype=np.bool_)
+    moves, drives = np.zeros(n_joints, dtype=np.bool_), np.zeros(n_joints, dtype=np.bool_)
     for j in range(n_joints):
         moves[j] = np.any(select[j] != 0.0) and np.any(loops.signs[:, j] != 0.0)
+        drives[j] = np.any(motors[j] != 0.0) and np.any(loops.signs[:, j] != 0.0)
     for k in range(n):
         last = np.inf
         for _ in range(rounds):
@@ -247,7 +252,14 @@ def close(
                         for c in range(n_passive):
                             C[r, c] += rate * select[j, c]
             if worst <= enough:
-                slope[k], closed[k] = C, True
+                slope[k], by_motor[k], closed[k] = C, 0.0, True
+                for j in range(n_joints):
+                    if drives[j]:
+                        _twist(O, o, j + 1, tree.axes, j + 1, twists, j)
+                        for r in range(n_passive):
+                            rate = loops.signs[r, j] * _dot(rows, r, twists, j)
+                            for c in range(n_actuated):
+                                by_motor[k, r, c] += rate * motors[j, c]
                 break
             if not _solve(C, values):
                 break
@@ -260,7 +272,7 @@ def close(
             for c in range(n_passive):
                 passive[k, c] -= values[c, 0]
             last = size
-    return slope, closed
+    return slope, by_motor, closed
 
 
 @_compiled

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 import calib
 from calib.commands.verify import command
-from calib.data.measurement_files import format_measurements
+from calib.data.measurement_text import format_measurements
 from calib.data.measurements import Measurements, Poses
 from calib.identification.acceptance import poses_needed, verify, visible_changes
 from calib.identification.promise import Promise

@@ -178,19 +178,20 @@ def check_plausible(value: float, dimension: Dimension, where: str, place: str) 
         )
 
 
-def read_table(path: Path | str, renamed: Mapping[str, str] | None = None) -> Table:
+def read_table(path: Path | str, renamed: Mapping[str, str] | None = None, *, growing: bool = False) -> Table:
     """Read a CSV file, its columns separated by commas, semicolons or tabs; or a ROS bag (`calib.data.rosbag`).
 
     Args:
         path: The file, or the folder of a bag.
         renamed: Foreign column names and the `name` or `name [unit]` they stand for.
+        growing: Whether somebody still writes: a last line without its end is left out.
 
     Raises:
         DataError: Missing or unreadable file, no header or rows, duplicate columns, rows of the wrong length.
     """
     if is_bag(path):
         return _bag_table(path, renamed or {})
-    text = read_text(path, "a CSV file", DataError)
+    text = read_text(path, "a CSV file", DataError, growing=growing)
     comments, kept, numbers = [], [], []
     for number, line in enumerate(text.split("\n"), start=1):
         if line.lstrip().startswith("#"):

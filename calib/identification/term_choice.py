@@ -19,7 +19,7 @@ that was added is tried without. Sizes and noise are those of all poses, also wh
 numbers, and they stay the same in all blocks. What is added is then fitted as any robot is, without linearising.
 
 When it fails. Errors that no candidate describes stay. Blocks of a small part of joint space are neighbours of each
-other: what predicts them need not hold elsewhere (`calib.identification.rules_data.beyond_curves`).
+other: what predicts them need not hold elsewhere (`calib.identification.rules_reach.beyond_curves`).
 
 Reference: mackay1992; breiman1984; roberts2017.
 """

@@ -19,6 +19,7 @@ import numpy as np
 import scipy
 
 from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.joint_terms.term import Context
 from calib.linearisation.jacobian import linearise
 from calib.model.robot import Robot
 from calib.units import millimetres
@@ -73,6 +74,38 @@ class PositionUncertainty(ReadOnlyArrays):
         }
 
 
+@dataclass(frozen=True)
+class RootMeanSquare:
+    """A root mean square distance over a set of poses.
+
+    Attributes:
+        value: The distance, infinite where not known [m].
+        low95, high95: Its 95 % interval [m].
+    """
+
+    value: float
+    low95: float
+    high95: float
+
+
+def predicted_rms(jacobian: FloatArray, covariance: FloatArray, coverage_factor: float) -> RootMeanSquare:
+    """Return the root mean square distance between true and predicted positions over poses.
+
+    The error d of the parameters makes the mean square d^T W d, W the mean of B^T B over positions: a sum of squares
+    whose weights are the eigenvalues of C W, as in `length95`.
+
+    Args:
+        jacobian: B of each position, (n_poses, n_targets, 3, n_free).
+        covariance: C, (n_free, n_free).
+        coverage_factor: Of the fit's 95 % intervals.
+    """
+    flat = jacobian.reshape(-1, jacobian.shape[-1])
+    product = covariance @ (flat.T @ flat) / (len(flat) / 3)
+    trace, squares = np.array(np.trace(product)), np.array(np.sum(product * product.T))
+    low, high = _root95(trace, squares, coverage_factor)
+    return RootMeanSquare(float(np.sqrt(np.maximum(trace, 0.0))), float(low), float(high))
+
+
 def rms_length(covariance: FloatArray) -> FloatArray:
     """Return the root mean square length of vectors with these covariances (..., 3, 3), (...)."""
     result: FloatArray = np.sqrt(np.maximum(np.trace(covariance, axis1=-2, axis2=-1), 0.0))
@@ -90,8 +123,13 @@ def length95(covariance: FloatArray, coverage_factor: float) -> FloatArray:
         covariance: C.
         coverage_factor: How many standard deviations make half a 95 % interval of one coordinate.
     """
-    trace = np.maximum(np.trace(covariance, axis1=-2, axis2=-1), 1e-300)
-    squares = np.maximum(np.sum(covariance**2, axis=(-2, -1)), 1e-300 * trace)
+    return _root95(np.trace(covariance, axis1=-2, axis2=-1), np.sum(covariance**2, axis=(-2, -1)), coverage_factor)
+
+
+def _root95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> FloatArray:
+    """95 % limits of the root of a sum of squares of normal numbers, from the sums of its weights and their squares."""
+    trace = np.maximum(trace, 1e-300)
+    squares = np.maximum(squares, 1e-300 * trace)
     limits = [scipy.stats.chi2.ppf(tail, trace**2 / squares) * squares / trace for tail in (0.025, 0.975)]
     low, high = np.sqrt(limits)
     return np.stack([low, high * coverage_factor / scipy.stats.norm.ppf(0.975)])
@@ -104,7 +142,12 @@ def carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 def position_uncertainty(
-    robot: Robot, free: IntArray, covariance: FloatArray, coverage_factor: float, q: FloatArray
+    robot: Robot,
+    free: IntArray,
+    covariance: FloatArray,
+    coverage_factor: float,
+    q: FloatArray,
+    context: Context | None = None,
 ) -> PositionUncertainty:
     """Predict positions of all targets, loops closed, with their covariance and that of the orientations.
 
@@ -114,13 +157,16 @@ def position_uncertainty(
         covariance: (n_free, n_free) [m, rad].
         coverage_factor: Of the fit's 95 % intervals.
         q: Actuated joints, (n_poses, n_actuated) [m or rad].
+        context: Under which conditions they are commanded; joint terms may depend on it.
 
     Raises:
         UnreachablePoseError: A loop stays open.
     """
+    context = Context.neutral(*q.shape) if context is None else context
     positions, spread, turned = [], [], []
     for start in range(0, len(q), _CHUNK):
-        linear = linearise(robot, robot.assemble(q[start : start + _CHUNK]), turns=True)
+        some = slice(start, start + _CHUNK)
+        linear = linearise(robot, robot.assemble(q[some], context=context.at(some)), turns=True)
         positions.append(linear.positions)
         jacobian = linear.jacobian[..., free]
         spread.append(carried(jacobian[:, :, :3], covariance))

@@ -295,8 +295,9 @@ def test_what_is_no_program_of_straight_moves_is_refused_in_one_line(tmp_path, c
     assert not (tmp_path / "out.gcode").exists()
 
 
-def test_places_of_a_program_do_not_belong_to_tables(tmp_path, calibrated):
-    done = run(tmp_path, calibrated, "x,y,z\n0,0,0\n", "--zero", "0,0,0", name="part.csv")
+@pytest.mark.parametrize("option", [("--zero", "0,0,0"), ("--start", "0,0,0"), ("--tolerance-mm", "0.1")])
+def test_options_of_programs_do_not_belong_to_tables(tmp_path, calibrated, option):
+    done = run(tmp_path, calibrated, "x,y,z\n0,0,0\n", *option, name="part.csv")
     assert (done.exit_code, "are for G-code" in done.output) == (2, True)
 
 

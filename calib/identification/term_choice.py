@@ -22,7 +22,7 @@ Sizes and noise are those of all poses, also where blocks are left out: a handfu
 all blocks. What is added is then fitted as any robot is, without linearising.
 
 When it fails. Errors that no candidate describes stay. Blocks of a small part of joint space are neighbours of each
-other: what predicts them need not hold elsewhere (`calib.identification.rules_data.beyond_curves`).
+other: what predicts them need not hold elsewhere (`calib.identification.rules_reach.beyond_curves`).
 
 Reference: mackay1992; breiman1984; kass1995; roberts2017.
 """

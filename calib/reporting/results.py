@@ -36,7 +36,7 @@ from calib.identification.reasons import Verdict
 from calib.joint_terms.term import Context
 from calib.joint_terms.terms import stored_terms
 from calib.linearisation.prediction import PositionUncertainty, position_uncertainty
-from calib.model import robot as described
+from calib.model import loading
 from calib.model.description import description_yaml
 from calib.model.robot import Robot
 from calib.model.urdf_text import UrdfText, apply_edits
@@ -143,7 +143,7 @@ def forced_lines(folder: Path | str) -> list[str]:
 
 
 def load(path: Path | str) -> Robot:
-    """Load a robot from a description (YAML), a plain URDF (see `calib.model.robot.load`), or calibrated from a result.
+    """Load a robot from a description (YAML), a plain URDF (`calib.model.loading.load`), or calibrated from a result.
 
     Args:
         path: Of the file, or of the folder of the result.
@@ -156,14 +156,14 @@ def load(path: Path | str) -> Robot:
     """
     folder = Path(path)
     if not folder.is_dir():
-        return described.load(path)
+        return loading.load(path)
     checksums = read_result(folder).get("sha256", {})
     for name in (_NOMINAL_YAML, _NOMINAL_URDF):
         if not (folder / name).is_file():
             raise DataError(f"{folder}: has no {name}, and so gives no robot; run the fit again")
         if hashlib.sha256((folder / name).read_bytes()).hexdigest() != checksums.get(name):
             raise DataError(f"{folder / name}: was changed after the fit, which holds no more; run the fit again")
-    return replace(load_calibrated(folder, described.load(folder / _NOMINAL_YAML)), path=str(path))
+    return replace(load_calibrated(folder, loading.load(folder / _NOMINAL_YAML)), path=str(path))
 
 
 def load_calibrated(folder: Path | str, robot: Robot, *, failed_too: bool = False) -> Robot:

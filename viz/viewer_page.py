@@ -20,6 +20,7 @@ _SCRIPTS = (
     "numbers.js",
     "table.js",
     "marks.js",
+    "map.js",
     "labels.js",
     "camera.js",
     "stage.js",

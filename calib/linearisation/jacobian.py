@@ -29,7 +29,7 @@ from calib.model.robot import Configurations, Robot
 from calib.threads import one_blas_thread
 
 _CHUNK = 64
-_CHUNK_COMPILED = 2048  # compiled code keeps one pose in the cache, and needs no regressors
+_CHUNK_COMPILED = 256  # compiled code needs no regressors, but its poses stay in the cache too
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,22 +1,23 @@
 """How often the verdict is right: simulated calibrations, healthy and sick, and what is said of them.
 
-    python docs/site/verdict_rates.py [--each N] [--processes N] [--only WORDS] [--out FILE] [--page]
+    python docs/site/verdict_rates.py [--each N] [--processes N] [--only WORDS] [--kept FILE] [--out FILE] [--page]
 
 Every scenario of `verdict_scenarios` is run N times on every robot, with seeds 0, 1, ...; healthy scenarios three times
 as often, so that both kinds are about as many. FILE gets a row for each scenario; --page puts them into
-docs/verdict.md too. --only WORDS runs the scenarios whose names contain them. The same seeds give the same numbers,
-however many processes there are.
+docs/verdict.md too. --only WORDS runs the scenarios whose names contain them; --kept FILE collects outcomes, so that a
+run that was ended goes on where it was. The same seeds give the same numbers, however many processes there are.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import zlib
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -99,17 +100,37 @@ def runs(each: int, only: str = "") -> list[Run]:
     """Return all calibrations: `each` of every sick scenario on every robot, and more of the healthy ones."""
     return [
         Run(robot, name, seed)
+        for turn in range(each)
         for name, scenario in SCENARIOS.items()
         for robot in scenario.robots
-        for seed in range(each * (HEALTHY_TIMES if scenario.kind == "healthy" else 1))
+        for seed in (range(HEALTHY_TIMES * turn, HEALTHY_TIMES * (turn + 1)) if scenario.kind == "healthy" else [turn])
         if only in name
     ]
 
 
-def carry_out(wanted: Iterable[Run], processes: int) -> list[Outcome]:
-    """Do calibrations, in the order given."""
+def carry_out(wanted: Sequence[Run], processes: int, kept: Path | None = None) -> list[Outcome]:
+    """Do calibrations, in the order given.
+
+    Args:
+        wanted: Which.
+        processes: How many at once.
+        kept: File to which each outcome is added as it comes; what is there already is not done again.
+    """
+    done = _read(kept) if kept is not None and kept.exists() else {}
+    left = [run for run in wanted if run not in done]
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(calibrate, wanted, chunksize=4))
+        for outcome in pool.map(calibrate, left, chunksize=1):
+            done[outcome.run] = outcome
+            if kept is not None:
+                with kept.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(asdict(outcome)) + "\n")
+    return [done[run] for run in wanted]
+
+
+def _read(kept: Path) -> dict[Run, Outcome]:
+    entries = [json.loads(line) for line in kept.read_text(encoding="utf-8").splitlines()]
+    found = [Outcome(Run(**e["run"]), e["grade"], tuple(e["codes"]), e["says_so"]) for e in entries]
+    return {outcome.run: outcome for outcome in found}
 
 
 def rows(outcomes: Iterable[Outcome]) -> list[list[str]]:
@@ -165,10 +186,11 @@ def main() -> None:
     parser.add_argument("--each", type=int, default=EACH, help="calibrations of each sick scenario on each robot")
     parser.add_argument("--only", default="", help="words that the names of scenarios must contain")
     parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--kept", type=Path, help="file that collects outcomes; those in it are not done again")
     parser.add_argument("--out", type=Path, help="CSV file")
     parser.add_argument("--page", action="store_true", help="put the table into docs/verdict.md")
     options = parser.parse_args()
-    table = rows(carry_out(runs(options.each, options.only), options.processes))
+    table = rows(carry_out(runs(options.each, options.only), options.processes, options.kept))
     if options.out:
         write_file(options.out, csv_text(table))
     if options.page:

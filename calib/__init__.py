@@ -27,18 +27,23 @@ if TYPE_CHECKING:
     from calib.exporting.formats import export
     from calib.identification.acceptance import Acceptance, verify
     from calib.identification.fitted import Fit
+    from calib.identification.study import study
+    from calib.identification.study_result import Study
     from calib.inverse_kinematics.compensation import Compensation, compensate
     from calib.inverse_kinematics.goals import Goals
     from calib.inverse_kinematics.inverse import Solution, solve
     from calib.linearisation.simulate import simulate
+    from calib.model.loading import robot
     from calib.model.parameters import Origin, Parametrisation, twist_of_edit
-    from calib.model.robot import Robot, robot
+    from calib.model.robot import Robot
     from calib.parameter import Parameter
     from calib.pose_choice.assessment import Assessment, check
     from calib.pose_choice.pose_sampling import sample
     from calib.pose_choice.selection import Selection, select
     from calib.reporting.result_comparison import ResultComparison, compare
     from calib.reporting.results import load
+    from calib.watching.progress import Progress
+    from calib.watching.watch import Watch
 
 _HOMES = {
     "Acceptance": "calib.identification.acceptance",
@@ -52,10 +57,13 @@ _HOMES = {
     "Parameter": "calib.parameter",
     "Parametrisation": "calib.model.parameters",
     "Poses": "calib.data.measurements",
+    "Progress": "calib.watching.progress",
     "ResultComparison": "calib.reporting.result_comparison",
     "Robot": "calib.model.robot",
     "Selection": "calib.pose_choice.selection",
     "Solution": "calib.inverse_kinematics.inverse",
+    "Study": "calib.identification.study_result",
+    "Watch": "calib.watching.watch",
     "as_measurements": "calib.data.in_memory",
     "as_poses": "calib.data.in_memory",
     "check": "calib.pose_choice.assessment",
@@ -66,11 +74,12 @@ _HOMES = {
     "load": "calib.reporting.results",
     "read_measurements": "calib.data.measurement_files",
     "read_poses": "calib.data.measurement_files",
-    "robot": "calib.model.robot",
+    "robot": "calib.model.loading",
     "sample": "calib.pose_choice.pose_sampling",
     "select": "calib.pose_choice.selection",
     "simulate": "calib.linearisation.simulate",
     "solve": "calib.inverse_kinematics.inverse",
+    "study": "calib.identification.study",
     "twist_of_edit": "calib.model.parameters",
     "verify": "calib.identification.acceptance",
 }
@@ -95,12 +104,15 @@ __all__ = [
     "ParameterError",
     "Parametrisation",
     "Poses",
+    "Progress",
     "ResultComparison",
     "Robot",
     "Selection",
     "Solution",
+    "Study",
     "UnreachablePoseError",
     "UrdfError",
+    "Watch",
     "as_measurements",
     "as_poses",
     "check",
@@ -116,6 +128,7 @@ __all__ = [
     "select",
     "simulate",
     "solve",
+    "study",
     "twist_of_edit",
     "verify",
 ]

@@ -10,20 +10,28 @@ from typing import TYPE_CHECKING
 from viz.command import view as command
 
 if TYPE_CHECKING:
-    from calib import Fit
+    from calib import Fit, Robot
+    from viz.live import LiveViewer
 
-__all__ = ["command", "figures", "pages"]
+__all__ = ["command", "figures", "live", "pages"]
 
 
-def pages(fit: Fit) -> dict[str, bytes]:
-    """Return `report.html` and `viewer.html` of a fit."""
+def pages(fit: Fit, logo: str = "") -> dict[str, bytes]:
+    """Return `report.html` and `viewer.html` of a fit.
+
+    Args:
+        fit: The fit.
+        logo: Image for the report, as `calib.files.image_address` gives it.
+    """
     from viz.report_page import command_line, report_page
     from viz.scene import scene_of_fit
     from viz.viewer_page import scene_page
 
+    scene = scene_of_fit(fit)
+    report = report_page(fit, command=command_line(), viewer="viewer.html", logo=logo, scene=scene)
     return {
-        "report.html": report_page(fit, command=command_line(), viewer="viewer.html").html.encode(),
-        "viewer.html": scene_page(scene_of_fit(fit), report="report.html").html.encode(),
+        "report.html": report.html.encode(),
+        "viewer.html": scene_page(scene, report="report.html").html.encode(),
     }
 
 
@@ -42,3 +50,11 @@ def figures(subject: object) -> dict[str, bytes]:
     if isinstance(subject, Selection):
         return selection_figures(subject)
     raise TypeError(f"no figures of {type(subject).__name__}")
+
+
+def live(robot: Robot) -> LiveViewer:
+    """Return a live page that shows a robot until it is told more."""
+    from viz.inputs import gather
+    from viz.live import LiveViewer
+
+    return LiveViewer(gather(robot))

@@ -12,6 +12,7 @@ from calib.arrays import FloatArray
 from calib.units import DISPLAY_UNIT, PER_SI
 from viz.bodies import Bodies, PosedRobot, bodies_of, posed_robot
 from viz.decorations import decorations_of
+from viz.drive import Drive, drive_of
 from viz.geometry import read_shapes
 from viz.judgement import Judgement, of_verdict
 from viz.pose_sources import from_fit
@@ -70,6 +71,7 @@ class Scene:
         vector_factors: Exaggeration of the errors of each state to start with.
         ghost_factor: Exaggeration of the ghost to start with.
         view: First camera.
+        drive: How the robot is moved by hand.
         notes: What the user should know about the picture.
         remarks: What the measurement files say about themselves.
         verdict: Verdict on the fit, if there is one.
@@ -86,6 +88,7 @@ class Scene:
     vector_factors: dict[str, float]
     ghost_factor: float
     view: View
+    drive: Drive
     notes: tuple[str, ...]
     remarks: Remarks
     verdict: Judgement | None = None
@@ -150,6 +153,7 @@ def build_scene(
         factors,
         nice_factor(moved, _GHOST_SIZE * size),
         replace(view, outline=np.concatenate([view.outline, tips @ view.upright.T])),
+        drive_of(solid_robot, bodies, shown),
         (*notes, *shape_notes),
         comments,
         verdict,

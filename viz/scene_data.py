@@ -44,6 +44,7 @@ def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
         "frames": [{"body": body, "name": bodies.names[body]} for body in names],
         "solid": _posed(scene.solid),
         "ghost": None if scene.ghost is None else _posed(scene.ghost),
+        "drive": scene.drive.to_dict(),
         "commands": [base64.b64encode(command).decode() for command in draw(scene)],
         "n_decorations": len(scene.decorations),
         "vector_factors": scene.vector_factors,

@@ -16,6 +16,7 @@ from viz.scene_data import scene_data
 
 _SCRIPTS = (
     "kinematics.js",
+    "drive.js",
     "numbers.js",
     "table.js",
     "marks.js",

@@ -3,8 +3,9 @@
 An entry is a module, called like the command that it adds, with
 
     command             that command
-    pages(fit)          the pages of a result folder, file name -> content
+    pages(fit, logo)    the pages of a result folder, file name -> content
     figures(subject)    the figures of an assessment or a selection, file name -> content
+    live(robot)         a live page that shows a robot, and moves when it is told to
 
 so that everything below this floor writes and computes without asking what is installed.
 """
@@ -12,16 +13,34 @@ so that everything below this floor writes and computes without asking what is i
 from __future__ import annotations
 
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import click
 
 from calib.errors import InputError
+from calib.files import image_address
 
 if TYPE_CHECKING:
+    from calib.arrays import FloatArray
     from calib.identification.fitted import Fit
+    from calib.model.robot import Robot
 
 GROUP = "calib.pictures"
+
+
+class Live(Protocol):
+    """A live page in a browser on this computer."""
+
+    @property
+    def url(self) -> str:
+        """Address to open."""
+
+    def show(self, text: str, fit: Fit | None, joints: FloatArray | None) -> None:
+        """Show text, a fit, and the robot at joint values, (n_actuated,) [m or rad]."""
+
+    def close(self) -> None:
+        """End it."""
 
 
 class Pictures(Protocol):
@@ -29,11 +48,14 @@ class Pictures(Protocol):
 
     command: click.Command
 
-    def pages(self, fit: Fit) -> dict[str, bytes]:
-        """Return the pages of a result folder."""
+    def pages(self, fit: Fit, logo: str) -> dict[str, bytes]:
+        """Return the pages of a result folder, with an image that its address holds (none: empty)."""
 
     def figures(self, subject: object) -> dict[str, bytes]:
         """Return the figures of an assessment or a selection."""
+
+    def live(self, robot: Robot) -> Live:
+        """Return a live page."""
 
 
 def commands() -> tuple[str, ...]:
@@ -48,12 +70,18 @@ def command(name: str) -> click.Command:
     return pictures.command
 
 
-def pages(fit: Fit) -> dict[str, bytes]:
-    """Return the pages of a result folder; none of a robot that cannot be assembled."""
+def pages(fit: Fit, logo: Path | str | None = None) -> dict[str, bytes]:
+    """Return the pages of a result folder; none of a robot that cannot be assembled.
+
+    Args:
+        fit: The fit.
+        logo: PNG, JPEG or SVG file for the report.
+    """
+    address = "" if logo is None else image_address(logo)
     files: dict[str, bytes] = {}
     for entry in entry_points(group=GROUP) if fit.assembles else ():
         pictures: Pictures = entry.load()
-        files |= pictures.pages(fit)
+        files |= pictures.pages(fit, address)
     return files
 
 
@@ -63,13 +91,26 @@ def figures(subject: object) -> dict[str, bytes]:
     Raises:
         InputError: Nothing that draws is installed, or something that it needs is missing.
     """
-    modules: list[Pictures] = [entry.load() for entry in entry_points(group=GROUP)]
-    if not modules:
-        raise InputError(f"--plots: nothing that draws is installed (entry point group {GROUP})")
     files: dict[str, bytes] = {}
-    for one in modules:
+    for one in _installed("--plots"):
         try:
             files |= one.figures(subject)
         except ImportError as error:
             raise InputError(f"--plots: {error.name} is not installed; `pip install {error.name}` first") from None
     return files
+
+
+def live(robot: Robot) -> Live:
+    """Return a live page that shows a robot.
+
+    Raises:
+        InputError: Nothing that draws is installed.
+    """
+    return _installed("--view")[0].live(robot)
+
+
+def _installed(wanted: str) -> list[Pictures]:
+    modules: list[Pictures] = [entry.load() for entry in entry_points(group=GROUP)]
+    if not modules:
+        raise InputError(f"{wanted}: nothing that draws is installed (entry point group {GROUP})")
+    return modules

@@ -26,6 +26,7 @@ class Controls {
       this.stage.marks.uniforms.edge.value = EDGES[theme];
       this.stage.redraw();
     });
+    this.drive = this.makeDrive();
     this.wire();
     this.filter();
     this.applyState();
@@ -50,6 +51,16 @@ class Controls {
       document.getElementById("stage").append(text);
       return null;
     }
+  }
+
+  /** Sliders of the motors; they need no 3D view: the numbers work without it. */
+  makeDrive() {
+    const { scene } = this;
+    const tree = this.stage ? this.stage.tree : new Tree(scene.bodies);
+    const posed = (data) => (data ? { ...data, values: decode(data.values, Float32Array) } : null);
+    const robots = { solid: posed(scene.solid), ghost: posed(scene.ghost) };
+    document.getElementById("drive-back").addEventListener("click", () => this.go(this.row));
+    return new DrivePanel(scene, tree, robots, (state) => this.showLive(state));
   }
 
   wire() {
@@ -244,7 +255,12 @@ class Controls {
       this.stage.live = null;
       this.stage.showPose(row);
     }
-    if (!this.table.n) return;
+    const count = this.scene.joints.length;
+    this.drive.begin(this.table.n ? Array.from(this.table.joints.subarray(row * count, (row + 1) * count)) : this.scene.drive.home, row);
+    if (!this.table.n) {
+      this.panel.home();
+      return;
+    }
     if (this.stage) this.stage.marks.choose(row);
     const slider = document.getElementById("pose");
     slider.value = Math.max(0, this.rows.indexOf(row));
@@ -333,7 +349,7 @@ class Controls {
     this.stage.look(direction[name]);
   }
 
-  /** Show joint values of a live program: `solid` and `ghost` in the order of the tree's columns. */
+  /** Show joint values of a live program, or of the sliders: `solid` and `ghost` in the order of the tree's columns. */
   showLive(live) {
     this.player.pause();
     this.live = live;

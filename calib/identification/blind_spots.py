@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.data.measurements import Poses
-from calib.identification.effects import has_time, scale
+from calib.identification.effect_setting import has_time
+from calib.identification.effects import scale
 from calib.identification.fitted import Fit
 from calib.identification.systematic import PARTS_PER_MILLION, visible
 

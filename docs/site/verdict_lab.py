@@ -137,6 +137,10 @@ class Lab:
         data = as_measurements(self.nominal, joints, positions, names)  # type: ignore[arg-type]
         return data if time is None else replace(data, context={"time": np.asarray(time, dtype=float)})
 
+    def sent(self, joints: Array) -> Lab:
+        """Return the lab with the robot sent elsewhere, (n, n_actuated), as far as its loops close there."""
+        return replace(self, joints=joints[self.nominal.close(joints).ok & self.truth.close(joints).ok])
+
     def good(self) -> Measurements:
         """Return a day on which nothing goes wrong."""
         return self.written(self.seen() + self.noise())

@@ -71,40 +71,35 @@ def loose_joint(lab: Lab) -> Measurements:
     return _joint_error(lab, lambda q, way: np.radians(0.1) * lab.rng.uniform(-0.5, 0.5, len(q)))
 
 
-def gain(lab: Lab) -> Measurements:
-    """A joint that turns by 1 % more than it is told."""
-    return _joint_error(lab, lambda q, way: 0.01 * (q - q.mean()))
-
-
 def one_corner(lab: Lab) -> Measurements:
     """All poses within a few degrees (and millimetres) of each other."""
-    return replace(lab, joints=lab.joints[0] + 0.03 * (lab.joints - lab.joints[0])).good()
+    return lab.sent(lab.joints[0] + 0.03 * (lab.joints - lab.joints[0])).good()
 
 
 def still_joint(lab: Lab) -> Measurements:
     """One joint that never moved."""
     j = lab.any_joint()
-    return replace(lab, joints=lab.with_joint(j, np.full(len(lab.joints), lab.joints[0, j]))).good()
+    return lab.sent(lab.with_joint(j, np.full(len(lab.joints), lab.joints[0, j]))).good()
 
 
 def little_moved(lab: Lab) -> Measurements:
     """One joint moved through a fiftieth of the range that the others had."""
     j = int(lab.strong_joints()[0])
     q = lab.joints[:, j]
-    return replace(lab, joints=lab.with_joint(j, q[0] + 0.02 * (q - q[0]))).good()
+    return lab.sent(lab.with_joint(j, q[0] + 0.02 * (q - q[0]))).good()
 
 
 def together(lab: Lab) -> Measurements:
     """All joints moved together, along one line."""
     ends = lab.joints[:2]
     part = lab.rng.random((len(lab.joints), 1))
-    return replace(lab, joints=ends[0] + 0.5 * part * (ends[1] - ends[0])).good()
+    return lab.sent(ends[0] + 0.5 * part * (ends[1] - ends[0])).good()
 
 
 def far_validation(lab: Lab) -> Trial:
     """Calibrated in a twelfth of the range of each joint, validated all over it."""
-    near = replace(lab, joints=lab.joints[0] + (lab.joints - lab.joints[0]) / 12.0)
-    return Trial(near.good().subset(np.arange(60)), lab.good().subset(np.arange(60, len(lab.joints))))
+    near = lab.sent(lab.joints[0] + (lab.joints - lab.joints[0]) / 12.0).good()
+    return Trial(near.subset(np.arange(min(60, len(near)))), lab.good().subset(np.arange(60, len(lab.joints))))
 
 
 def another_on_validation(lab: Lab) -> Trial:

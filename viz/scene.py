@@ -19,6 +19,7 @@ from viz.pose_sources import from_fit
 from viz.poses import PoseTable, empty
 from viz.remarks import NO_REMARKS, Remarks, fit_remarks
 from viz.shapes import Shape
+from viz.workspace_map import WorkspaceMap
 
 _NICE = (1.0, 2.0, 5.0)
 _VECTOR_SIZE, _GHOST_SIZE = 0.025, 0.04  # of the scene: how large typical exaggerated errors should look at first
@@ -75,6 +76,7 @@ class Scene:
         notes: What the user should know about the picture.
         remarks: What the measurement files say about themselves.
         verdict: Verdict on the fit, if there is one.
+        map: What is known over the workspace, if that was asked for.
     """
 
     title: str
@@ -92,6 +94,7 @@ class Scene:
     notes: tuple[str, ...]
     remarks: Remarks
     verdict: Judgement | None = None
+    map: WorkspaceMap | None = None
 
     @property
     def states(self) -> tuple[str, ...]:

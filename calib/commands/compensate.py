@@ -51,9 +51,7 @@ _OF_ANGLES = tuple((f"{one}_angle", ERROR_UNIT["angle"], error_scale("angle")) f
 @click.option(
     "--tolerance-mm",
     type=float,
-    default=0.01,
-    show_default=True,
-    help="G-code: how far the tool may be off between points; moves are cut until it is not.",
+    help="G-code: how far the tool may be off between points; moves are cut until it is not.  [default: 0.01]",
 )
 @click.option(
     "--zero",
@@ -74,7 +72,7 @@ def command(
     result: str | None,
     keep: str | None,
     grid: str | None,
-    tolerance_mm: float,
+    tolerance_mm: float | None,
     zero: str | None,
     start: str | None,
     skip_unreachable: bool,
@@ -103,8 +101,8 @@ def command(
             raise InputError("--keep, --grid and --skip-unreachable are for programs in CSV; leave them out")
         compensate_gcode(calibrated, predict, program, result, (zero, start), tolerance_mm, out, output)
         return
-    if zero is not None or start is not None:
-        raise InputError(f"--zero and --start are for G-code ({', '.join(SUFFIXES)}); leave them out")
+    if any(option is not None for option in (zero, start, tolerance_mm)):
+        raise InputError(f"--zero, --start and --tolerance-mm are for G-code ({', '.join(SUFFIXES)}); leave them out")
     rows = _read(program, nominal, output)
     if grid is not None:
         compensate_grid(calibrated, rows, grid, result, out, output)

@@ -28,6 +28,8 @@ class Controls {
     });
     this.drive = this.makeDrive();
     this.wire();
+    this.mapPanel = new MapPanel(this.stage && this.stage.map, scene.colourBytes, this.wireFactor.bind(this),
+                                 () => this.stage.redraw());
     this.filter();
     this.applyState();
     this.applyVisibility();
@@ -43,6 +45,8 @@ class Controls {
       if (table.n) {
         stage.addMarks(new Marks(stage.THREE, table, Uint8Array.from(scene.colourBytes), scene.point_radius, scene.point_pixels));
       }
+      if (scene.map) stage.addMap(new WorkspaceMap(stage.THREE, scene.map, colourTexture(stage.THREE, Uint8Array.from(scene.colourBytes)),
+                                                   stage.viewer.renderer.getPixelRatio()));
       return stage;
     } catch (problem) {
       const text = document.createElement("p");
@@ -74,7 +78,7 @@ class Controls {
     document.getElementById("scale-label").hidden = this.scene.states.length < 2;
     document.getElementById("state-switch").hidden = this.scene.states.length === 0;
     document.getElementById("state-block").hidden = this.scene.states.length === 0 && !this.scene.ghost;
-    document.getElementById("legend").hidden = this.scene.states.length === 0 && !this.scene.ghost;
+    document.getElementById("legend").hidden = this.scene.states.length === 0 && !this.scene.ghost && !this.scene.map;
     document.getElementById("legend-errors").hidden = this.scene.states.length === 0;
     document.getElementById("pose-block").hidden = this.table.n === 0;
     document.getElementById("ghost-row").hidden = !this.scene.ghost;

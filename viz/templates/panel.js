@@ -184,17 +184,8 @@ class Panel {
 
   legend(state, low, high, logarithmic, groups, outliers) {
     document.getElementById("legend-title").textContent = `Error ${state} calibration [mm]`;
-    const canvas = document.getElementById("legend-bar");
-    const context = canvas.getContext("2d");
-    const image = context.createImageData(256, 1);
-    image.data.set(this.scene.colourBytes);
-    context.putImageData(image, 0, 0);
-    const ticks = ticksBetween(1e3 * low, 1e3 * high, logarithmic).map(([value, part]) => {
-      const tick = element("span", {}, String(Number(value.toPrecision(3))));
-      tick.style.left = `${100 * part}%`;
-      return tick;
-    });
-    document.getElementById("legend-ticks").replaceChildren(...ticks);
+    drawBar(document.getElementById("legend-bar"), this.scene.colourBytes);
+    document.getElementById("legend-ticks").replaceChildren(...tickMarks(low, high, logarithmic));
     const beyond = Array.from({ length: this.table.n }, (_, row) => this.table.error(state, row)).some((error) => error > high);
     document.getElementById("legend-beyond").textContent = beyond ? "Larger errors have the last colour" : "";
     const marks = [...groups.map(({ name, mark }) => [mark, name]), ...(outliers ? [["cross", "outlier"]] : [])];

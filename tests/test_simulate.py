@@ -187,7 +187,8 @@ KINDS = {
     "a: {frame: l0, xyz: [0.5, 0.2, 0.6], position: unknown, radius: 40 mm},"
     " b: {frame: l0, xyz: [0.4, -0.3, 0.4], position: unknown, radius: unknown}}}\n",
     "spheres of one piece": "  probe: {kind: touch, surface: sphere, target: ball, sigma: 0.01 mm, artefact: {"
-    "frame: l0, xyz: [0.5, 0.2, 0.6], pose: unknown, radius: 30 mm, points: {a: [0, 0, 0], b: [0, 0.2, 0], c: [0.1, 0, 0.2]}}}\n",
+    "frame: l0, xyz: [0.5, 0.2, 0.6], pose: unknown, radius: 30 mm,"
+    " points: {a: [0, 0, 0], b: [0, 0.2, 0], c: [0.1, 0, 0.2]}}}\n",
 }
 SETUPS = {
     "positions": "setups: {first: [], tracker moved: [base], remounted: [ball]}\n",

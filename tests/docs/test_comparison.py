@@ -31,6 +31,15 @@ def test_the_page_has_what_a_fit_gives(motoman, row, state):
     assert float(largest) == pytest.approx(found["max"], abs=0.0011)
 
 
+def test_the_page_has_the_reasons_of_the_verdict(motoman):
+    assert [reason.code for reason in motoman.verdict.reasons] == ["joint_never_moved", "systematic"]
+    page = " ".join((DOCS / "comparison.md").read_text().split())
+    assert "Our verdict is CHECK, not PASS, for two reasons. Joint `E` never moved" in page
+    assert "joint E never moved" in motoman.verdict.reasons[0].text
+    for words in ("follows joint R", "follows joint T", "joint L differs", "in the course of the measurement"):
+        assert words in motoman.verdict.reasons[1].text
+
+
 def test_the_tests_that_the_page_names_exist():
     named = set(re.findall(r"`((?:\w+/)*test_\w+\.py)`", (DOCS / "comparison.md").read_text().replace("`tests/", "`")))
     assert len(named) > 5

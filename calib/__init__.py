@@ -28,12 +28,15 @@ if TYPE_CHECKING:
     from calib.exporting.formats import export
     from calib.identification.acceptance import Acceptance, verify
     from calib.identification.fitted import Fit
+    from calib.identification.study import study
+    from calib.identification.study_result import Study
     from calib.inverse_kinematics.compensation import Compensation, compensate
     from calib.inverse_kinematics.goals import Goals
     from calib.inverse_kinematics.inverse import Solution, solve
     from calib.linearisation.simulate import simulate
+    from calib.model.loading import robot
     from calib.model.parameters import Origin, Parametrisation, twist_of_edit
-    from calib.model.robot import Robot, robot
+    from calib.model.robot import Robot
     from calib.parameter import Parameter
     from calib.pose_choice.assessment import Assessment, check
     from calib.pose_choice.pose_sampling import sample
@@ -62,6 +65,7 @@ _HOMES = {
     "Robot": "calib.model.robot",
     "Selection": "calib.pose_choice.selection",
     "Solution": "calib.inverse_kinematics.inverse",
+    "Study": "calib.identification.study_result",
     "Watch": "calib.watching.watch",
     "as_measurements": "calib.data.in_memory",
     "as_poses": "calib.data.in_memory",
@@ -76,11 +80,12 @@ _HOMES = {
     "read_measurements": "calib.data.measurement_files",
     "read_parameters": "calib.data.parameter_files",
     "read_poses": "calib.data.measurement_files",
-    "robot": "calib.model.robot",
+    "robot": "calib.model.loading",
     "sample": "calib.pose_choice.pose_sampling",
     "select": "calib.pose_choice.selection",
     "simulate": "calib.linearisation.simulate",
     "solve": "calib.inverse_kinematics.inverse",
+    "study": "calib.identification.study",
     "twist_of_edit": "calib.model.parameters",
     "verify": "calib.identification.acceptance",
 }
@@ -111,6 +116,7 @@ __all__ = [
     "Robot",
     "Selection",
     "Solution",
+    "Study",
     "UnreachablePoseError",
     "UrdfError",
     "Watch",
@@ -132,6 +138,7 @@ __all__ = [
     "select",
     "simulate",
     "solve",
+    "study",
     "twist_of_edit",
     "verify",
 ]

@@ -57,15 +57,18 @@ class Calibration(Fit):
         """Return the result as text."""
         return text_report(self)
 
-    def save(self, folder: Path | str, *, force: bool = False, pages: bool = True) -> None:
+    def save(
+        self, folder: Path | str, *, force: bool = False, pages: bool = True, logo: Path | str | None = None
+    ) -> None:
         """Write the result to a folder, report and viewer with it; see `calib.reporting.results.save`.
 
         Args:
             folder: Where to.
             force: Export a failed fit all the same.
             pages: Whether to write report.html and viewer.html.
+            logo: PNG, JPEG or SVG file to put into the report.
         """
-        save(self, folder, force=force, pages=pictures.pages(self) if pages else {})
+        save(self, folder, force=force, pages=pictures.pages(self, logo) if pages else {})
 
 
 def fit(

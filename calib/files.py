@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import base64
 import errno
 import os
-import shutil
 import tempfile
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from calib.errors import CalibrationError, InputError
+from calib.replacing import clear_leftovers, new_file, new_folder, replace_folder
 
 _STREAM_FOLDERS = (Path("/dev"), Path("/dev/fd"))
 _LARGEST = 2**28  # bytes: a million rows and more, and less than memory
+_LARGEST_IMAGE = 2**19  # bytes: it stands in every report
+_IMAGES = ((b"\x89PNG\r\n\x1a\n", "png"), (b"\xff\xd8\xff", "jpeg"), (b"<svg", "svg+xml"), (b"<?xml", "svg+xml"))
 
 
 def read_bytes(path: Path | str, wanted: str, error: type[CalibrationError]) -> bytes:
@@ -60,31 +63,61 @@ def read_text(path: Path | str, wanted: str, error: type[CalibrationError], *, g
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
+def image_address(path: Path | str) -> str:
+    """Return a PNG, JPEG or SVG image as an address that holds it, for a page that asks nobody for anything.
+
+    Raises:
+        InputError: It is missing, none of these, or larger than 512 kB.
+    """
+    wanted = "a PNG, JPEG or SVG image"
+    content = read_bytes(path, wanted, InputError)
+    if len(content) > _LARGEST_IMAGE:
+        raise InputError(f"{path}: has {len(content) >> 10} kB; give {wanted} of at most {_LARGEST_IMAGE >> 10} kB")
+    start = content.removeprefix(b"\xef\xbb\xbf").lstrip()
+    kind = next((kind for mark, kind in _IMAGES if start.startswith(mark)), None)
+    if kind is None or (kind == "svg+xml" and b"<svg" not in content):
+        raise InputError(f"{path}: is no image that a page can show; give {wanted}")
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
+
+
 def write_file(path: Path | str, content: bytes | str) -> None:
     """Write a whole file, or leave what was there untouched. Pipes and devices are written to as they are.
 
     Raises:
         InputError: The folder does not exist or cannot be written to.
     """
-    path = Path(path)
-    data = content.encode("utf-8") if isinstance(content, str) else content
-    with _explained(path):
-        if path.is_dir():
-            raise IsADirectoryError(errno.EISDIR, "is a folder")
-        if _is_stream(path):
-            with path.open("ab") as stream:  # appending: standard output may be a file that holds something
-                stream.write(data)
-            return
-        target = path.resolve()  # a symbolic link stays one
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=".new-")
-        try:
-            with os.fdopen(handle, "wb") as stream:
-                stream.write(data)
-            Path(temporary).chmod(_permissions(target, 0o666))
-            Path(temporary).replace(target)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
+    write_files({Path(path): content.encode("utf-8") if isinstance(content, str) else content})
+
+
+def write_files(files: Mapping[Path, bytes]) -> None:
+    """Write files that belong together: each as a whole, and none takes its place before all are complete.
+
+    Args:
+        files: Content by path.
+
+    Raises:
+        InputError: A folder does not exist or cannot be written to; nothing was written.
+    """
+    with ExitStack() as stack:
+        complete = []
+        for path, content in files.items():
+            with _explained(path):
+                if path.is_dir():
+                    raise IsADirectoryError(errno.EISDIR, "is a folder")
+                if _is_stream(path):
+                    with path.open("ab") as stream:  # appending: standard output may be a file that holds something
+                        stream.write(content)
+                    continue
+                target = path.resolve()  # a symbolic link stays one
+                clear_leftovers(target.parent)
+                temporary, handle = stack.enter_context(new_file(target.parent))
+                with os.fdopen(os.dup(handle), "wb") as stream:  # closing it says what could not be written
+                    stream.write(content)
+                os.fchmod(handle, _permissions(target, 0o666))
+                complete.append((temporary, target))
+        for temporary, target in complete:
+            with _explained(target):
+                temporary.replace(target)
 
 
 def check_folder(path: Path | str) -> None:
@@ -117,7 +150,7 @@ def check_file(path: Path | str) -> None:
 def write_folder(path: Path | str, files: Mapping[str, bytes], obsolete: Collection[str] = ()) -> None:
     """Write a folder of files in one go; files of other names that were in it stay.
 
-    The new folder is completed beside the old one and takes its place by renaming.
+    The new folder is completed beside the old one and takes its place in one step; see `calib.replacing`.
 
     Args:
         path: The folder.
@@ -131,39 +164,12 @@ def write_folder(path: Path | str, files: Mapping[str, bytes], obsolete: Collect
     with _explained(path):
         _check_replaceable(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        staging = Path(tempfile.mkdtemp(dir=path.parent, prefix=".new-"))
-        try:
+        clear_leftovers(path.parent)
+        with new_folder(path.parent) as staging:
             for name, content in files.items():
                 (staging / name).write_bytes(content)
             staging.chmod(_permissions(path, 0o777))
-            if path.exists():
-                _exchange(staging, path, obsolete)
-            else:
-                staging.rename(path)
-        except BaseException:
-            shutil.rmtree(staging, ignore_errors=True)
-            raise
-
-
-def _exchange(staging: Path, path: Path, obsolete: Collection[str]) -> None:
-    """Put `staging` in the place of `path`, and what `path` has besides into it."""
-    attic = Path(tempfile.mkdtemp(dir=path.parent, prefix=".old-"))
-    old = attic / path.name
-    try:
-        path.rename(old)
-        try:
-            staging.rename(path)
-        except BaseException:
-            old.rename(path)
-            raise
-    except BaseException:
-        attic.rmdir()
-        raise
-    written = {entry.name for entry in path.iterdir()}
-    for entry in list(old.iterdir()):
-        if entry.name not in written and entry.name not in obsolete:
-            entry.rename(path / entry.name)
-    shutil.rmtree(attic, ignore_errors=True)
+            replace_folder(staging, path, obsolete)
 
 
 def _check_replaceable(path: Path) -> None:

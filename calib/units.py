@@ -118,3 +118,13 @@ def error_scale(dimension: Dimension) -> float:
 def millimetres(length: Lengths) -> Lengths:
     """Return a length, or an array of lengths, [m] in mm."""
     return length * PER_SI["length"]["mm"]
+
+
+def micrometres(length: Lengths) -> Lengths:
+    """Return a length, or an array of lengths, [m] in um."""
+    return length * PER_SI["length"]["um"]
+
+
+def metres(length_in_mm: Lengths) -> Lengths:
+    """Return a length, or an array of lengths, [mm] in m."""
+    return length_in_mm / PER_SI["length"]["mm"]

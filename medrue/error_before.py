@@ -25,6 +25,7 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.numerics.rigid import best_transform
+from calib.units import millimetres
 from medrue.closed_form import base_in_world, forward, name_parameters
 from medrue.closed_form_inverse import WorkingMode, inverse
 from medrue.paper_tables import (
@@ -78,7 +79,7 @@ class Errors:
 
 def errors_of(differences: FloatArray) -> Errors:
     """Summarise differences of positions, (n, 3) [m]."""
-    distances = 1e3 * np.linalg.norm(differences, axis=1)
+    distances = millimetres(np.linalg.norm(differences, axis=1))
     return Errors(*(float(f) for f in (distances.min(), distances.mean(), distances.max(), distances.std(ddof=1))))
 
 

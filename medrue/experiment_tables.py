@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
 from calib.numerics.rigid import OUTLIER_PROBABILITY
-from calib.units import PER_SI, millimetres
+from calib.units import PER_SI, micrometres, millimetres
 from calib.words import counted
 from medrue.both_sides_tables import (
     BOTH_SIDES_NOTE,
@@ -142,7 +142,7 @@ def cause_table(experiment: Experiment) -> ResultTable:
     """What each cause alone leaves after calibration."""
     rows = cause_rms(experiment)
     sizes = {
-        "tracker noise alone": f"{1e6 * SIGMA:.0f} um, {counted(REPEATS, 'reading')} averaged",
+        "tracker noise alone": f"{micrometres(SIGMA):.0f} um, {counted(REPEATS, 'reading')} averaged",
         **experiment.imperfections.sizes,
     }
     columns = [Column("cause", tuple(rows)), Column("size", tuple(sizes.get(name, "") for name in rows))]
@@ -164,7 +164,7 @@ def cause_rms(experiment: Experiment) -> dict[str, FloatArray]:
     others = experiment.sets[0].others(len(experiment.joints))
 
     def rms(draws: Sequence[ExperimentDraw]) -> FloatArray:
-        squares = np.mean([(1e3 * draw.after[0, others]) ** 2 for draw in draws], axis=(0, 1))
+        squares = np.mean([millimetres(draw.after[0, others]) ** 2 for draw in draws], axis=(0, 1))
         return np.sqrt(np.append(squares, squares.sum()))
 
     return {name: rms(draws) for name, draws in {**experiment.causes, "all together": experiment.draws}.items()}
@@ -191,9 +191,9 @@ def experiment_findings(experiment: Experiment) -> tuple[str, ...]:
 def _before_finding(experiment: Experiment) -> str:
     """Whether the choice of poses can explain the error before."""
     draw, printed = experiment.draws[0], error_table(4)["before"]["mean"]
-    distances = 1e3 * np.linalg.norm(draw.before, axis=1)
+    distances = millimetres(np.linalg.norm(draw.before, axis=1))
     nominal = experiment.robot.positions(experiment.joints)[:, 0]
-    placed = 1e3 * np.linalg.norm(base_placed(nominal, nominal - draw.before), axis=1).mean()
+    placed = millimetres(np.linalg.norm(base_placed(nominal, nominal - draw.before), axis=1)).mean()
     below = int(np.sum(distances <= printed))
     verdict = (
         "no pose of ours has as little as the paper's mean, so that which of them are chosen does not explain it"
@@ -225,14 +225,14 @@ def _measuring_finding(experiment: Experiment) -> str:
     draw, draws = experiment.draws[0], experiment.draws
     outliers = sum(len(one.nest_outliers) for one in draws)
     return (
-        f"Repeats at one pose scatter by {1e6 * draw.repeatability:.1f} um on each axis (repeatability). The world"
-        f" frame from three nests is uncertain by up to {1e6 * draw.frame_sigma:.0f} um at the tool (one standard"
-        f" deviation). Nests that seem not to fit: {outliers} in {counted(len(draws), 'draw')}; chance alone does that"
-        f" in up to one of {1 / OUTLIER_PROBABILITY:.0f}."
+        f"Repeats at one pose scatter by {micrometres(draw.repeatability):.1f} um on each axis (repeatability). The"
+        f" world frame from three nests is uncertain by up to {micrometres(draw.frame_sigma):.0f} um at the tool (one"
+        f" standard deviation). Nests that seem not to fit: {outliers} in {counted(len(draws), 'draw')}; chance alone"
+        f" does that in up to one of {1 / OUTLIER_PROBABILITY:.0f}."
     )
 
 
 def _summary(experiment: Experiment, draw: ExperimentDraw, name: str) -> tuple[FloatArray, FloatArray]:
     """Mean, max, std and rms of the distances before and after, at the poses that a set leaves, each (4,) [mm]."""
     before, after = experiment.validation(draw, name)
-    return 1e3 * summary(np.linalg.norm(before, axis=1)), 1e3 * summary(np.linalg.norm(after, axis=1))
+    return summary(millimetres(np.linalg.norm(before, axis=1))), summary(millimetres(np.linalg.norm(after, axis=1)))

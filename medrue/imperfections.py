@@ -29,7 +29,7 @@ from calib.arrays import FloatArray, IntArray
 from calib.joint_terms.term import Context
 from calib.model.robot import Robot
 from calib.parameter import index_of
-from calib.units import millimetres
+from calib.units import micrometres, millimetres
 
 TILTED_JOINTS = ("q2", "q3", "q4", "q5", "B1", "D1", "B2", "D2")
 STROKE = 0.7
@@ -65,9 +65,9 @@ class Imperfections:
     def sizes(self) -> dict[str, str]:
         """How large each of them is, by the names of `causes`."""
         return {
-            "lead error": f"{self.lead * 0.3 * 1e6:g} um per 300 mm",
+            "lead error": f"{micrometres(self.lead * 0.3):g} um per 300 mm",
             "links out of perpendicular": f"{np.degrees(self.tilt):.2g} deg (std of each axis)",
-            "backlash of the rail": f"{1e3 * self.backlash:g} mm",
+            "backlash of the rail": f"{millimetres(self.backlash):g} mm",
         }
 
     def __str__(self) -> str:

@@ -43,9 +43,9 @@ def workspace_figure(workspace: Workspace) -> Figure:
     figure = Figure(figsize=(7.5, 4.7))
     # a square larger than the figure: such axes draw nothing outside their square, and leave much of it empty
     axes = figure.add_subplot(projection="3d", position=(-0.07, -0.39, 1.1, 1.1 * 7.5 / 4.7))
-    p = 1e3 * workspace.T_world_tool[:, :3, 3]
+    p = millimetres(workspace.T_world_tool[:, :3, 3])
     z = 30 * workspace.T_world_tool[:, :3, 2]
-    ends = 1e3 * np.stack([workspace.p_axis, workspace.p_axis + workspace.length * workspace.axis])
+    ends = millimetres(np.stack([workspace.p_axis, workspace.p_axis + workspace.length * workspace.axis]))
     axes.plot(*p.T, "o", color=BLUE, markersize=3, label=f"{len(p)} positions of the tool")
     axes.quiver(*p.T, *z.T, color=GREY, linewidth=0.6, arrow_length_ratio=0.2, label="direction of the probe")
     axes.plot(*ends.T, color=ORANGE, linewidth=2, label="axis of the leg")
@@ -54,7 +54,7 @@ def workspace_figure(workspace: Workspace) -> Figure:
     axes.set_aspect("equal")
     axes.set_box_aspect(np.ptp([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()], axis=1), zoom=0.77)
     axes.view_init(elev=28, azim=-58)
-    diameter, length = 2e3 * workspace.radius, 1e3 * workspace.length
+    diameter, length = millimetres(2 * workspace.radius), millimetres(workspace.length)
     figure.suptitle(f"Target workspace: half cylinder, diameter {diameter:.0f} mm, length {length:.0f} mm")
     figure.legend(loc="upper right", bbox_to_anchor=(0.99, 0.92))
     return figure
@@ -93,10 +93,10 @@ def before_after_figure(before: FloatArray, after: FloatArray, title: str) -> Fi
     figure = Figure(figsize=(10, 4.6), layout="constrained")
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
     for axes, values, name, colour in ((left, before, "before", ORANGE), (right, after, "after", BLUE)):
-        millimetres = 1e3 * values
-        axes.plot(np.arange(1, len(values) + 1), millimetres, "o", color=colour, markersize=2.5, label="one pose")
-        axes.axhline(millimetres.mean(), color=GREY, label=f"mean {millimetres.mean():.3f} mm")
-        axes.axhline(millimetres.max(), color=GREY, linestyle=":", label=f"largest {millimetres.max():.3f} mm")
+        shown = millimetres(values)
+        axes.plot(np.arange(1, len(values) + 1), shown, "o", color=colour, markersize=2.5, label="one pose")
+        axes.axhline(shown.mean(), color=GREY, label=f"mean {shown.mean():.3f} mm")
+        axes.axhline(shown.max(), color=GREY, linestyle=":", label=f"largest {shown.max():.3f} mm")
         axes.set_title(f"{name} calibration")
         _error_axes(axes)
     left.set_ylabel("position error [mm]")
@@ -116,7 +116,7 @@ def axis_figure(before: FloatArray, after: FloatArray, title: str) -> Figure:
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
     for axes, errors, name in ((left, before, "before"), (right, after, "after")):
         for k, axis in enumerate("xyz"):
-            values = 1e3 * np.abs(errors[:, k])
+            values = millimetres(np.abs(errors[:, k]))
             axes.plot(
                 np.arange(1, len(values) + 1),
                 np.maximum(values, 1e-4),
@@ -158,18 +158,24 @@ def spread_figure(names: tuple[str, ...], errors: FloatArray, floors: FloatArray
     figure = Figure(figsize=(7, 4), layout="constrained")
     axes = figure.add_subplot()
     places = np.arange(len(names))
-    boxes = axes.boxplot(1e3 * errors, positions=places, widths=0.5, patch_artist=True, flierprops={"markersize": 3})
+    errors, floors = millimetres(errors), millimetres(floors)
+    boxes = axes.boxplot(errors, positions=places, widths=0.5, patch_artist=True, flierprops={"markersize": 3})
     for box in boxes["boxes"]:
         box.set(facecolor=BLUE, alpha=0.35)
     for median in boxes["medians"]:
         median.set(color=ORANGE)
     together = np.sqrt(np.mean(errors**2, axis=0))
     axes.plot(
-        places + 0.36, 1e3 * together, "o", color=BLUE, markersize=5, label="root of the mean square of all draws"
+        places + 0.36,
+        together,
+        "o",
+        color=BLUE,
+        markersize=5,
+        label="root of the mean square of all draws",
     )
     axes.plot(
         places + 0.36,
-        1e3 * floors,
+        floors,
         "D",
         color=GREEN,
         markersize=5,

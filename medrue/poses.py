@@ -16,6 +16,7 @@ from calib.errors import ComputationError
 from calib.inverse_kinematics.goals import Goals
 from calib.inverse_kinematics.inverse import solve
 from calib.model.robot import Robot
+from calib.units import millimetres
 from medrue.closed_form import singularity_sines
 from medrue.closed_form_inverse import inverse
 from medrue.paper_tables import table1
@@ -53,17 +54,17 @@ def pose_facts(found: TargetPoses) -> dict[str, object]:
     workspace = target_workspace()
     offset = workspace.T_world_tool[:, :3, 3] - workspace.p_axis
     angles = np.degrees(np.arctan2(offset[:, 2], offset[:, 1])) % 360
-    x = 1e3 * workspace.T_world_tool[:, 0, 3]
+    x = millimetres(workspace.T_world_tool[:, 0, 3])
     return {
         "poses": len(found.poses),
-        "axis_of_the_leg_from_mm": [1e3 * c for c in workspace.p_axis],
-        "axis_of_the_leg_to_mm": [1e3 * c for c in workspace.p_axis + workspace.length * workspace.axis],
-        "radius_mm": 1e3 * workspace.radius,
+        "axis_of_the_leg_from_mm": [millimetres(c) for c in workspace.p_axis],
+        "axis_of_the_leg_to_mm": [millimetres(c) for c in workspace.p_axis + workspace.length * workspace.axis],
+        "radius_mm": millimetres(workspace.radius),
         "positions_along_x_mm": [float(x.min()), float(x.max())],
         "positions_from_y_towards_z_deg": [float(angles.min()), float(angles.max())],
         "different_x_and_angles": [len(np.unique(values.round(6))) for values in (x, angles)],
         "probe_tilt_mean_and_largest_deg": [float(np.degrees(angle)) for angle in found.tilt],
-        "q1_mm": [1e3 * q for q in found.stroke],
+        "q1_mm": [millimetres(q) for q in found.stroke],
         "smallest_singular_value_of_the_loops": found.singular_value,
         "smallest_sine_between_links": found.sine,
         "largest_difference_from_closed_form_m_rad": found.difference,

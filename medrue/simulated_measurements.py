@@ -17,6 +17,7 @@ import numpy as np
 
 from calib.errors import InputError
 from calib.files import write_file
+from calib.units import metres, millimetres
 from medrue.closed_form import ACTUATED_JOINTS, Array, forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
@@ -31,7 +32,7 @@ POSITION_DECIMALS = 4
 def commanded_joints() -> Array:
     """Joint values sent to the robot, as the file writes them, `(420, 6) [mm, deg]`."""
     q = target_workspace().q
-    return np.round(np.hstack([q[:, :1] * 1000.0, np.degrees(q[:, 1:])]), JOINT_DECIMALS)
+    return np.round(np.hstack([millimetres(q[:, :1]), np.degrees(q[:, 1:])]), JOINT_DECIMALS)
 
 
 def simulated_positions(joints: Array, sigma: float, generator: np.random.Generator) -> Array:
@@ -45,8 +46,8 @@ def simulated_positions(joints: Array, sigma: float, generator: np.random.Genera
     Returns:
         Positions, `(n, 3) [mm]`.
     """
-    q = np.hstack([joints[:, :1] / 1000.0, np.radians(joints[:, 1:])])
-    exact = forward(q, table1().actual).p_world_tool * 1000.0
+    q = np.hstack([metres(joints[:, :1]), np.radians(joints[:, 1:])])
+    exact = millimetres(forward(q, table1().actual).p_world_tool)
     return exact + generator.normal(0.0, sigma, exact.shape)
 
 

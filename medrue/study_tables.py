@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.units import PER_SI
+from calib.units import PER_SI, micrometres, millimetres
 from calib.words import counted
 from medrue.paper_tables import error_table, table1
 from medrue.ranking import LEGEND, Ranking, agreement, rank, ranking_table, standard_error
@@ -18,7 +18,7 @@ def study_tables(study: Study) -> tuple[ResultTable, ...]:
     return (
         parameter_table(study),
         error_tables(study),
-        ranking_table(_rankings(study.names, study.validation_errors(study.outcome) * 1e3), "mm"),
+        ranking_table(_rankings(study.names, millimetres(study.validation_errors(study.outcome))), "mm"),
         floor_table(study),
         observability_table(study),
     )
@@ -55,7 +55,7 @@ def parameter_table(study: Study) -> ResultTable:
             Column("redundant", tuple("yes" if name in paper.redundant else "no" for name in paper.names)),
         ),
         (
-            f"simulated; noise sigma {1e6 * SIGMA:.0f} um on each axis, seed {study.seed}; scatter over"
+            f"simulated; noise sigma {micrometres(SIGMA):.0f} um on each axis, seed {study.seed}; scatter over"
             f" {counted(len(study.outcome.values), 'draw')} of the noise",
             "redundant parameters stay nominal; the nominal joint offsets are zero (the paper's Table I prints others)",
         ),
@@ -69,9 +69,9 @@ def _predicted_std(study: Study) -> FloatArray:
 
 def error_tables(study: Study) -> ResultTable:
     """Table II: position errors of the calibrated robot, by choice of poses."""
-    draws = study.validation_errors(study.outcome) * 1e3
-    by_actual = np.array([study.validation_errors(outcome).mean(axis=0) for outcome in study.by_actual]) * 1e3
-    before = study.before() * 1e3
+    draws = millimetres(study.validation_errors(study.outcome))
+    by_actual = millimetres(np.array([study.validation_errors(outcome).mean(axis=0) for outcome in study.by_actual]))
+    before = millimetres(study.before())
     printed = error_table(2)
     blocks: list[tuple[str, float | None, FloatArray | None]] = []
     noise, robots = f"{counted(len(draws), 'draw')} of noise", counted(len(by_actual), "actual robot")
@@ -112,9 +112,9 @@ def _printed(statistic: str, names: tuple[str, ...]) -> FloatArray:
 
 def floor_table(study: Study) -> ResultTable:
     """What theory allows against what the draws gave."""
-    squares = (study.validation_errors(study.outcome)[:, :, 3] * 1e3) ** 2
+    squares = millimetres(study.validation_errors(study.outcome)[:, :, 3]) ** 2
     found, spread = squares.mean(axis=0), standard_error(squares)
-    floors = study.floors * 1e3
+    floors = millimetres(study.floors)
     return ResultTable(
         "floor",
         "Root-mean-square error over the validation poses: theory (Cramer-Rao) and draws",
@@ -143,7 +143,7 @@ def observability_table(study: Study) -> ResultTable:
     for index in ("O1", "O2", "O3", "O4", "O5"):
         best = max(value[index] for value in values)
         columns.append(Column(f"{index} [% of the best]", tuple(100 * value[index] / best for value in values), 1))
-    columns.append(Column("task [um]", tuple(1e6 * value["task"] for value in values), 2))
+    columns.append(Column("task [um]", tuple(micrometres(value["task"]) for value in values), 2))
     columns.append(Column("proven efficiency [%]", tuple(None if e is None else 100 * e for e in efficiency), 2))
     return ResultTable(
         "observability",
@@ -151,7 +151,7 @@ def observability_table(study: Study) -> ResultTable:
         tuple(columns),
         (
             "columns of the Jacobian in units of 2 mm and 1.5 deg; no measurement, real or simulated, enters",
-            f"task: predicted rms error over all {len(study.joints)} poses, for noise of {1e6 * SIGMA:.0f} um",
+            f"task: predicted rms error over all {len(study.joints)} poses, for noise of {micrometres(SIGMA):.0f} um",
         ),
     )
 
@@ -177,8 +177,8 @@ def _rankings(names: tuple[str, ...], errors: FloatArray) -> dict[str, Ranking]:
 
 def _ranking_findings(study: Study) -> tuple[str, ...]:
     """How far the paper's order of the indices holds."""
-    draws = study.validation_errors(study.outcome) * 1e3
-    by_actual = np.array([study.validation_errors(outcome).mean(axis=0) for outcome in study.by_actual]) * 1e3
+    draws = millimetres(study.validation_errors(study.outcome))
+    by_actual = millimetres(np.array([study.validation_errors(outcome).mean(axis=0) for outcome in study.by_actual]))
     orders = [
         f"{what.capitalize()} over {whose}, least first: {ranking}."
         for errors, whose in (
@@ -200,9 +200,9 @@ def _against_the_paper(ours: Ranking, study: Study) -> tuple[str, ...]:
     here, there = means["uniform"] / means["O1"], printed["uniform"] / printed["O1"]
     o1 = study.selections["O1"]
     best_two = "also" if set(shared[:2]) == set(paper[:2]) else "not"
-    nominal = 1e3 * np.linalg.norm(study.robot.positions(study.joints)[:, 0] - study.truth, axis=1)
+    nominal = millimetres(np.linalg.norm(study.robot.positions(study.joints)[:, 0] - study.truth, axis=1))
     return (
-        f"Before calibration the mean error is {1e3 * study.before()[0]:.2f} mm here,"
+        f"Before calibration the mean error is {millimetres(study.before()[0]):.2f} mm here,"
         f" {error_table(2)['before']['mean']:.2f} mm in the paper; at single poses of ours it lies between"
         f" {nominal.min():.2f} and {nominal.max():.2f} mm.",
         f"The paper's order of the mean error, from one draw: {', '.join(paper)}. Its two least are {best_two} ours"
@@ -215,8 +215,8 @@ def _against_the_paper(ours: Ranking, study: Study) -> tuple[str, ...]:
 
 def _floor_findings(study: Study) -> tuple[str, ...]:
     """What theory allows, and where the paper's figure stands."""
-    draws = study.validation_errors(study.outcome)[:, 0] * 1e3
-    squares, floor = draws[:, 3] ** 2, float(study.floors[0] * 1e3)
+    draws = millimetres(study.validation_errors(study.outcome)[:, 0])
+    squares, floor = draws[:, 3] ** 2, millimetres(float(study.floors[0]))
     printed = error_table(2)["O1"]
     rms = float(np.hypot(printed["mean"], printed["std"]))
     reached = 100 * float(np.mean(draws[:, 0] <= printed["mean"]))

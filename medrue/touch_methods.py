@@ -34,8 +34,9 @@ from calib.arrays import FloatArray, IntArray
 from calib.data.in_memory import as_measurements
 from calib.data.measurements import Measurements
 from calib.errors import ComputationError
+from calib.model.loading import load
 from calib.model.parameters import Parametrisation
-from calib.model.robot import Robot, load
+from calib.model.robot import Robot
 from calib.parameter import Parameter
 from medrue import robot_file
 from medrue.closed_form import PASSIVE_JOINTS, forward

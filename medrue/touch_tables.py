@@ -10,7 +10,7 @@ from scipy.spatial.distance import pdist
 
 from calib.arrays import FloatArray
 from calib.pose_choice.assessment import Assessment
-from calib.units import millimetres
+from calib.units import micrometres, millimetres
 from calib.words import counted
 from medrue.result_tables import Cell, Column, ResultTable
 from medrue.study import COUNT, SIGMA, STATISTICS, summary
@@ -80,8 +80,8 @@ def method_table(study: TouchStudy) -> ResultTable:
             Column("cannot see", tuple(unseen(one) for one in seen)),
         ),
         (
-            f"simulated; noise: {1e6 * SIGMA:.0f} um on each axis, {1e6 * ENCODER_SIGMA:.0f} urad of encoders that"
-            f" turn; {counted(len(study.noise), 'draw')} of it on Table I's robot",
+            f"simulated; noise: {micrometres(SIGMA):.0f} um on each axis, {1e6 * ENCODER_SIGMA:.0f} urad of encoders"
+            f" that turn; {counted(len(study.noise), 'draw')} of it on Table I's robot",
             "predicted: by theory, at nominal parameters, in the world; empty where readings alone do not determine it",
             "cannot see: parameters without effect, and those of which only a combination has one, at nominal",
         ),

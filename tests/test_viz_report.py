@@ -12,8 +12,9 @@ from viz_examples import measurements, medrue_fit, medrue_robot, spoiled
 
 import calib
 import viz
+from calib.files import image_address
 from viz.pose_sources import from_fit
-from viz.report_page import command_line, decimals_of, millimetres, number, report_page
+from viz.report_page import command_line, decimals_of, millimetres, number, report_page, significant
 
 NOON = datetime(2026, 1, 2, 12, 0, tzinfo=UTC)
 
@@ -51,7 +52,7 @@ def test_every_section_is_there(html):
         "Where this comes from",
     ):
         assert heading in html
-    assert html.count("<figure") == 6
+    assert html.count("<figure") == 7
 
 
 def test_without_validation_the_report_says_so():
@@ -248,3 +249,74 @@ def test_comments_without_end_do_not_bury_the_report(fit):
     shown = text(html)
     assert "and 194 more lines" in shown
     assert shown.index("Verdict:") < 2500
+
+
+def with_comments(fit, *comments, **context):
+    """The same fit, of a file that says more about itself."""
+    data = dataclasses.replace(fit.identification.data, comments=comments, context=context)
+    return dataclasses.replace(fit, identification=dataclasses.replace(fit.identification, data=data))
+
+
+def test_the_record_of_the_measurement_stands_in_the_table_and_nowhere_else(fit):
+    hostile = "<i>MR-0042</i>"
+    said = (
+        "simulated",
+        f"Serial number: {hostile}",
+        "instrument: tracker 7",
+        "operator: J. Doe",
+        "temperature: 21 degC",
+    )
+    html = report_page(with_comments(fit, *said, "signatures: Measured by; Approved by"), created=NOON).html
+    for label, value in (
+        ("Serial number", str(escape(hostile))),
+        ("Instrument", "tracker 7"),
+        ("Operator", "J. Doe"),
+        ("Temperature", "21 degC"),
+    ):
+        assert f'<tr><th scope="row">{label}</th><td>{value}</td></tr>' in html
+        assert html.count(value) == 1
+    assert re.findall(r"<p><span>(.*?)</span>", html) == ["Measured by", "Approved by"]
+
+
+def test_a_column_of_temperatures_is_the_record_where_nothing_else_is_said(fit):
+    n = len(fit.identification.data)
+    html = report_page(with_comments(fit, temperature=np.linspace(20.04, 22.3, n)), created=NOON).html
+    assert "20.0 to 22.3 degC" in html
+    assert 'class="signatures"' not in html
+
+
+def test_nothing_is_told_twice(html):
+    lines = re.findall(
+        r"<(?:p|li|dd|td)[^>]*>(.*?)</(?:p|li|dd|td)>", re.sub(r"<svg.*?</svg>", "", html, flags=re.S), re.S
+    )
+    for words in ("predicted positions are known", "Noise found", "poses alone", "more modelling"):
+        told = [line for line in lines if words.lower() in line.lower()]
+        assert len(told) == len(set(told)) <= 2, words  # the verdict has one set of poses, the accuracy the other
+    assert sum("All 36 parameters, poses alone" in line for line in lines) == 1
+    assert sum("no more than noise" in line or "more modelling" in line for line in lines) == 1
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "shown"),
+    [(31.0, np.nan, "31"), (166.8, np.nan, "166.8"), (1 / 3, np.nan, "0.3333"), (-0.0, 0.02, "0.000"),
+     (1.23456, 0.02, "1.235"), (409.018, 14.0, "409"), (np.nan, np.nan, "–")],
+)  # fmt: skip
+def test_numbers_have_the_digits_that_their_standard_deviation_leaves_them(value, std, shown):
+    assert significant(value, std) == shown
+
+
+def test_the_logo_is_in_the_page_and_only_images_are_taken(fit, tmp_path):
+    (tmp_path / "logo.svg").write_text('<svg xmlns="http://www.w3.org/2000/svg"><script>alert(1)</script></svg>')
+    html = report_page(fit, created=NOON, logo=image_address(tmp_path / "logo.svg")).html
+    assert '<img class="logo" src="data:image/svg+xml;base64,' in html
+    assert "<script" not in html
+    for name, content, words in (
+        ("a.png", b"GIF89a", "is no image that a page can show"),
+        ("a.svg", b"<?xml version='1.0'?><robot/>", "is no image that a page can show"),
+        ("b.png", b"\x89PNG\r\n\x1a\n" + bytes(2**20), "of at most 512 kB"),
+    ):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(calib.InputError, match=words):
+            image_address(tmp_path / name)
+    with pytest.raises(calib.InputError, match="no such file"):
+        image_address(tmp_path / "none.png")

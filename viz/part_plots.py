@@ -120,12 +120,13 @@ def error_by_axis(errors: PartErrors) -> Plot:
 @styled
 def residual_by_joint(errors: PartErrors, joints: tuple[Joint, ...]) -> Plot:
     """Residuals after calibration against every actuated joint."""
-    columns = min(3, max(1, len(joints)))
+    columns = min(4 if len(joints) in (4, 7, 8) else 3, max(1, len(joints)))
     rows = -(-len(joints) // columns)
-    figure, panels = new_figure(rows, columns, (8.9, 2.3 * rows + 0.4), sharey=True)
+    figure, panels = new_figure(rows, columns, (8.9, 1.8 * rows + 0.4), sharey=True)
     note = thinned(len(errors.after))[1]
     for number, (axes, joint) in enumerate(zip(panels, joints, strict=False)):
         draw_residuals(axes, errors, joint, number)
+        axes.locator_params(axis="x", nbins=4 if columns > 3 else 6)
         if number % columns == 0:
             axes.set_ylabel(f"residual [{errors.unit}]")
     for axes in panels[len(joints) :]:

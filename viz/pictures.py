@@ -17,15 +17,22 @@ if TYPE_CHECKING:
 __all__ = ["command", "figures", "live", "pages", "plots"]
 
 
-def pages(fit: Fit) -> dict[str, bytes]:
-    """Return `report.html` and `viewer.html` of a fit."""
+def pages(fit: Fit, logo: str = "") -> dict[str, bytes]:
+    """Return `report.html` and `viewer.html` of a fit.
+
+    Args:
+        fit: The fit.
+        logo: Image for the report, as `calib.files.image_address` gives it.
+    """
     from viz.report_page import command_line, report_page
     from viz.scene import scene_of_fit
     from viz.viewer_page import scene_page
 
+    scene = scene_of_fit(fit)
+    report = report_page(fit, command=command_line(), viewer="viewer.html", logo=logo, scene=scene)
     return {
-        "report.html": report_page(fit, command=command_line(), viewer="viewer.html").html.encode(),
-        "viewer.html": scene_page(scene_of_fit(fit), report="report.html").html.encode(),
+        "report.html": report.html.encode(),
+        "viewer.html": scene_page(scene, report="report.html").html.encode(),
     }
 
 

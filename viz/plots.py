@@ -67,7 +67,7 @@ def budget_bars(budget: dict[str, Any]) -> Plot:
 @styled
 def histogram(table: PoseTable) -> Plot:
     """Number of poses over the size of their error, before and after."""
-    figure, (axes,) = new_figure(1, 1, (8.9, 3.1))
+    figure, (axes,) = new_figure(1, 1, (8.9, 2.6))
     draw_histogram(axes, table)
     figure.legend(loc="outside upper center", ncols=2)
     return finished(
@@ -104,7 +104,7 @@ def draw_histogram(axes: Any, table: PoseTable) -> None:
 def error_by_pose(table: PoseTable) -> Plot:
     """Error of each pose in the order of measurement, one panel for each file; of several points the largest."""
     series = tuple(dict.fromkeys(table.series)) or ("",)
-    figure, panels = new_figure(len(series), 1, (8.9, 0.8 + 2.3 * len(series)), sharey=True)
+    figure, panels = new_figure(len(series), 1, (8.9, 0.8 + 1.8 * len(series)), sharey=True)
     for axes, name in zip(panels, series, strict=True):
         draw_course(axes, table, np.array([entry == name for entry in table.series], dtype=bool))
         if len(series) > 1:
@@ -168,7 +168,7 @@ def draw_course(axes: Any, table: PoseTable, rows: BoolArray) -> None:
 @styled
 def normal_plot(table: PoseTable) -> Plot:
     """Sorted residuals over sigma against normal quantiles, fitted poses only."""
-    figure, (axes,) = new_figure(1, 1, (5.2, 4.0))
+    figure, (axes,) = new_figure(1, 1, (4.6, 2.9))
     note = draw_normal(axes, table)
     return finished(
         "normal-plot",

@@ -1,6 +1,7 @@
 """What measurement files say about themselves in their comments, such as that they are simulated.
 
-The pages show it in the files' own words, beside what was measured: who reads a page must know what its data are.
+The pages show it in the files' own words, beside what was measured: who reads a page must know what its data are. Lines
+such as `# operator: J. Doe` are the record of the measurement, which the report has in a table of its own.
 """
 
 from __future__ import annotations
@@ -9,8 +10,14 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from calib import Fit
+import numpy as np
 
+from calib import Fit, Measurements
+from calib.identification.repeats import CONDITIONS, conditions
+
+_SIGNATURES, _TEMPERATURE = "signatures", "temperature"
+_RECORD = ("serial number", "instrument", "certificate", "operator", "temperature", "load", "speed", "warm-up")
+_KEYS = (*_RECORD, *CONDITIONS, _SIGNATURES)
 _MOST_LINES, _LONGEST = 6, 240
 
 
@@ -48,10 +55,50 @@ def remarks(*comments: Iterable[str]) -> Remarks:
     return Remarks(shown[:_MOST_LINES], max(0, len(lines) - _MOST_LINES))
 
 
-def fit_remarks(fit: Fit) -> Remarks:
-    """Return the comments of the files that a fit was made from."""
-    sets = [fit.identification, *([] if fit.validation is None else [fit.validation])]
-    return remarks(*(errors.data.comments for errors in sets))
+def fit_remarks(fit: Fit, *, beside_record: bool = False) -> Remarks:
+    """Return the comments of the files that a fit was made from.
+
+    Args:
+        fit: The fit.
+        beside_record: Leave out those that `record` and `signatures` have.
+    """
+    files = (data.comments for data in _files(fit))
+    if not beside_record:
+        return remarks(*files)
+    return remarks(*([line for line in lines if not conditions([line], _KEYS)] for lines in files))
+
+
+def record(fit: Fit) -> list[tuple[str, str]]:
+    """Return under which conditions was measured, as far as the files say so: what, and what they say of it."""
+    said = {key: _said(fit, key) for key in _RECORD}
+    said[_TEMPERATURE] = said[_TEMPERATURE] or _temperatures(fit)
+    return [(key.capitalize(), "; ".join(values)) for key, values in said.items() if values]
+
+
+def signatures(fit: Fit) -> list[str]:
+    """Return what is to be signed, a line for each."""
+    lines = [part.strip() for text in _said(fit, _SIGNATURES) for part in text.split(";")]
+    return list(dict.fromkeys(line for line in lines if line))
+
+
+def _files(fit: Fit) -> list[Measurements]:
+    return [errors.data for errors in (fit.identification, fit.validation) if errors is not None]
+
+
+def _said(fit: Fit, key: str) -> list[str]:
+    """What the files say of a key, each text once."""
+    texts = [conditions(data.comments, _KEYS).get(key, "") for data in _files(fit)]
+    return [text for text in dict.fromkeys(texts) if text]
+
+
+def _temperatures(fit: Fit) -> list[str]:
+    """The range of the column of temperatures, if there is one."""
+    values = np.concatenate([data.context.get(_TEMPERATURE, np.zeros(0)) for data in _files(fit)])
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return []
+    ends = list(dict.fromkeys(f"{value:.1f}".replace("-", "−") for value in (known.min(), known.max())))
+    return [f"{' to '.join(ends)} degC, as read at the poses"]
 
 
 NO_REMARKS = Remarks((), 0)

@@ -16,15 +16,17 @@ from calib import Fit, Robot
 from calib.reporting.report_text import notes
 from calib.reporting.result_content import budget_table, outlier_rows, parameter_rows, position_uncertainty_table
 from calib.version import PROGRAM
+from calib.words import sentence
 from viz.part_plots import part_plots
 from viz.plots import all_plots, budget_bars
 from viz.pose_sources import from_fit
-from viz.remarks import fit_remarks
+from viz.remarks import fit_remarks, record, signatures
+from viz.rendering import picture_of
 from viz.report_tables import accuracy, extent, headline, judged_by, left_out, noise_lines, unsure, worst
-from viz.scene import joints_of
+from viz.scene import Scene, joints_of, scene_of_fit
 from viz.viewer_page import Page
 
-_PACKAGES = ("pin", "numpy", "scipy", "yourdfpy", "meshcat", "matplotlib")
+_PACKAGES = ("pin", "numpy", "scipy", "trimesh", "meshcat", "matplotlib")
 _DECIMALS, _MOST_DECIMALS = 4, 9
 
 
@@ -37,7 +39,15 @@ class Source:
     digest: str
 
 
-def report_page(fit: Fit, *, command: str = "", created: datetime | None = None, viewer: str = "") -> Page:
+def report_page(
+    fit: Fit,
+    *,
+    command: str = "",
+    created: datetime | None = None,
+    viewer: str = "",
+    logo: str = "",
+    scene: Scene | None = None,
+) -> Page:
     """Return the report of a fit.
 
     Args:
@@ -45,6 +55,8 @@ def report_page(fit: Fit, *, command: str = "", created: datetime | None = None,
         command: Command line that made it.
         created: Time to print; now if not given.
         viewer: File beside the page with the viewer, to link to; none if not given.
+        logo: Image to put beside the title, as `calib.files.image_address` gives it; none if not given.
+        scene: The fit's scene, where it has been made before.
     """
     from jinja2 import Environment, PackageLoader
 
@@ -53,7 +65,9 @@ def report_page(fit: Fit, *, command: str = "", created: datetime | None = None,
     )
     environment.filters["mm"] = millimetres
     environment.filters["number"] = number
-    environment.filters["decimals"] = decimals_of
+    environment.filters["sentence"] = sentence
+    environment.filters["significant"] = significant
+    shown = scene_of_fit(fit) if scene is None and fit.assembles else scene
     when = created if created is not None else datetime.now(UTC)
     tables, table, budget = accuracy(fit), from_fit(fit), budget_table(fit)
     return Page(
@@ -69,10 +83,15 @@ def report_page(fit: Fit, *, command: str = "", created: datetime | None = None,
             worst=worst(fit),
             extent=extent(table),
             measured_in=measured_in(fit.nominal),
-            remarks=fit_remarks(fit),
+            remarks=fit_remarks(fit, beside_record=True),
+            record=record(fit),
+            signatures=signatures(fit),
+            logo=logo,
+            picture="" if shown is None else picture_of(shown),
+            pictured=None if shown is None or not len(shown.poses) else shown.poses.labels[0],
             plots=all_plots(table, joints_of(fit.nominal)) + part_plots(fit, joints_of(fit.nominal)),
             parameters=[row for row in parameter_rows(fit) if not row["family"]],
-            notes=notes(fit),
+            notes=notes(fit, brief=True),
             unsure=unsure(fit),
             outliers=left_out(fit) + outlier_rows(fit),
             only_positions=all(part.name == "position" for one in fit.nominal.instruments for part in one.parts),
@@ -151,6 +170,13 @@ def decimals_of(std: float) -> int:
     if not (np.isfinite(std) and std > 0):
         return _DECIMALS
     return int(np.clip(1 - np.floor(np.log10(std)), 0, _MOST_DECIMALS))
+
+
+def significant(value: float, std: float) -> str:
+    """Format a number to two digits of its standard deviation, or with as few decimals as it needs if it has none."""
+    if np.isfinite(std) and std > 0:
+        return number(value, decimals_of(std))
+    return number(value, next((n for n in range(_DECIMALS) if round(value, n) == round(value, _DECIMALS)), _DECIMALS))
 
 
 def number(value: float, decimals: int = _DECIMALS) -> str:

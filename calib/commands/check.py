@@ -21,6 +21,7 @@ from calib.data.measurement_files import read_poses
 from calib.data.measurements import Measurements
 from calib.errors import InputError
 from calib.files import check_folder, write_folder
+from calib.identification.blind_spots import unordered
 from calib.linearisation.observed import unsaid_touches
 from calib.pose_choice.assessment import check
 from calib.pose_choice.pose_sampling import sample
@@ -80,6 +81,8 @@ def command(
             f" size); give poses at contact, with a column '{one.text_columns()[0]}'"
         )
     task_poses = None if task is None else read_poses(task, model)
+    if isinstance(pose_set, Measurements):
+        output.remarks(unordered(pose_set))
     with output.working(f"checking {len(pose_set)} poses"):
         assessment = check(model, pose_set, task=task_poses, sigma=sigma)
     if plots is not None:

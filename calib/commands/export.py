@@ -92,7 +92,7 @@ def command(
             "robot": model.path,
             "format": file_format,
             "file": out,
-            "gaps": [asdict(gap) | {"unit": gap.unit} for gap in gaps],
+            "gaps": [asdict(gap) | {"unit": "rad" if gap.dimension == "angle" else "m"} for gap in gaps],
             "notes": notes,
         }
     )

@@ -12,7 +12,7 @@ from calib.commands.next_steps import after_fit
 from calib.data.measurement_files import read_measurements
 from calib.data.measurements import Measurements
 from calib.errors import ComputationError, InputError
-from calib.files import check_folder
+from calib.files import check_folder, image_address
 from calib.model.robot import Robot
 from calib.numerics.losses import LOSSES
 from calib.reporting.results import to_dict
@@ -58,6 +58,7 @@ from calib.words import counted
 )
 @click.option("--force", is_flag=True, help="Export calibrated.urdf even if the verdict is FAIL; it says so inside.")
 @click.option("--no-pages", is_flag=True, help="Write no report.html and no viewer.html, which take most of the time.")
+@click.option("--logo", metavar="FILE", help="PNG, JPEG or SVG image (up to 512 kB) to put into report.html.")
 @click.option("--out", required=True, metavar="DIR", help="Folder for the result.")
 @shared_options(json_output=True)
 def command(
@@ -73,14 +74,19 @@ def command(
     seed: int,
     force: bool,
     no_pages: bool,
+    logo: str | None,
     out: str,
     output: Output,
 ) -> None:
-    """Calibrate ROBOT (YAML description, URDF or result folder) from the measurements DATA (CSV).
+    """Calibrate ROBOT (YAML description, URDF or result folder) from the measurements DATA (CSV, or a ROS 2 bag).
 
     Several files of DATA belong together: those with joint columns give the visits, the others say by their column
     `pose` to which visit each of their rows belongs.
     """
+    if logo is not None:
+        if no_pages:
+            raise InputError("--logo is for report.html: leave out --no-pages")
+        image_address(logo)
     check_folder(out)
     model = loaded(robot, output)
     identification = read_measurements(data, model)
@@ -102,7 +108,7 @@ def command(
             terms=terms,
         )
     failed = result.verdict.grade == "FAIL"
-    result.save(out, force=force, pages=not no_pages)
+    result.save(out, force=force, pages=not no_pages, logo=logo)
     output.say(result.report())
     output.say(f"Written to {Path(out)}")
     output.hint(after_fit(result, robot, data, out))

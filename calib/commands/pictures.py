@@ -3,7 +3,7 @@
 An entry is a module, called like the command that it adds, with
 
     command             that command
-    pages(fit)          the pages of a result folder, file name -> content
+    pages(fit, logo)    the pages of a result folder, file name -> content
     figures(subject)    the figures of an assessment or a selection, file name -> content
     plots(fit)          an object whose methods draw a fit into matplotlib axes
     live(robot)         a live page that shows a robot, and moves when it is told to
@@ -14,11 +14,13 @@ so that everything below this floor writes and computes without asking what is i
 from __future__ import annotations
 
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
 from calib.errors import InputError
+from calib.files import image_address
 
 if TYPE_CHECKING:
     from calib.arrays import FloatArray
@@ -66,8 +68,8 @@ class Pictures(Protocol):
 
     command: click.Command
 
-    def pages(self, fit: Fit) -> dict[str, bytes]:
-        """Return the pages of a result folder."""
+    def pages(self, fit: Fit, logo: str) -> dict[str, bytes]:
+        """Return the pages of a result folder, with an image that its address holds (none: empty)."""
 
     def figures(self, subject: object) -> dict[str, bytes]:
         """Return the figures of an assessment or a selection."""
@@ -91,12 +93,18 @@ def command(name: str) -> click.Command:
     return pictures.command
 
 
-def pages(fit: Fit) -> dict[str, bytes]:
-    """Return the pages of a result folder; none of a robot that cannot be assembled."""
+def pages(fit: Fit, logo: Path | str | None = None) -> dict[str, bytes]:
+    """Return the pages of a result folder; none of a robot that cannot be assembled.
+
+    Args:
+        fit: The fit.
+        logo: PNG, JPEG or SVG file for the report.
+    """
+    address = "" if logo is None else image_address(logo)
     files: dict[str, bytes] = {}
     for entry in entry_points(group=GROUP) if fit.assembles else ():
         pictures: Pictures = entry.load()
-        files |= pictures.pages(fit)
+        files |= pictures.pages(fit, address)
     return files
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import click
 
 from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
-from calib.data.measurement_files import format_positions, read_poses
+from calib.data.measurement_files import read_poses
+from calib.data.measurement_text import format_positions
 from calib.data.measurements import Poses
 from calib.files import check_file, write_file
 from calib.model.robot import Robot
@@ -29,7 +30,8 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     model = with_values(loaded(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)
     poses = read_poses(joints, model)
-    remarks = model.near_singularities(model.assemble(poses.joints, labels=poses.labels), poses.labels)
+    configurations = model.assemble(poses.joints, labels=poses.labels, context=poses.conditions)
+    remarks = model.near_singularities(configurations, poses.labels)
     source = parameters or result or "nominal values"
     comment = (f"predicted positions of {model.name}, {source}", *said_of_failure(output, result, out))
     content: dict[str, object] = {"robot": model.path, "values": source, "n_poses": len(poses), "file": out}
@@ -40,7 +42,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
         content["beyond_curves"] = beyond = poses_beyond_curves(result, model, poses)
         remarks = remarks + beyond
     else:
-        text = format_positions(model, poses, model.positions(poses.joints), comment)
+        text = format_positions(model, poses, model.positions(poses.joints, poses.conditions), comment)
     write_file(out, text)
     output.remarks(remarks)
     output.say(f"{counted(len(poses), 'pose')} written to {out}")
@@ -56,6 +58,6 @@ def _with_uncertainty(
     model: Robot, poses: Poses, result: str, comment: tuple[str, ...]
 ) -> tuple[str, dict[str, object]]:
     """Return the CSV text with standard deviations, and their summary [mm]."""
-    uncertainty = load_uncertainty(result, model).at(model, poses.joints)
+    uncertainty = load_uncertainty(result, model).at(model, poses.joints, poses.conditions)
     text = format_positions(model, poses, uncertainty.positions, comment, uncertainty.std)
     return text, {**uncertainty.summary(), "worst_pose": poses.names[uncertainty.worst]}

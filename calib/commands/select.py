@@ -28,6 +28,7 @@ from calib.pose_choice.instrument_choice import ALL, EACH
 from calib.pose_choice.selection import select
 from calib.pose_choice.selection_scores import CHOICES
 from calib.reporting.selection_text import format_poses, text_report, to_dict
+from calib.units import metres
 
 
 @click.command("select")
@@ -137,7 +138,7 @@ def command(
             measured=done,
             task=None if task is None else read_poses(task, model),
             exclude=() if exclude is None else _excluded(exclude, poses),
-            minimum_distance=min_distance_mm / 1e3,
+            minimum_distance=metres(min_distance_mm),
             random_start=start == "random",
             starts=starts,
             seed=seed,

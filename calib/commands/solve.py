@@ -12,7 +12,7 @@ from calib.files import check_file, write_file
 from calib.inverse_kinematics.goals import Goals, read_goals
 from calib.inverse_kinematics.inverse import Solution, solve
 from calib.model.robot import Robot
-from calib.units import DISPLAY_UNIT, PER_SI, millimetres
+from calib.units import DISPLAY_UNIT, PER_SI, micrometres, millimetres
 
 
 @click.command("solve")
@@ -69,7 +69,7 @@ def command(
     )
     output.say(
         f"{len(reached)} of {len(goals)} targets reached ({goals.asks_for}), largest miss"
-        f" {1e6 * np.max(solution.miss_position[reached]):.1e} um; written to {out}"
+        f" {micrometres(float(np.max(solution.miss_position[reached]))):.1e} um; written to {out}"
     )
 
 
@@ -107,3 +107,8 @@ def in_display_units(robot: Robot, q: FloatArray) -> dict[str, FloatArray]:
         unit = DISPLAY_UNIT[dimension]
         columns[f"{name} [{unit}]"] = q[:, j] * PER_SI[dimension][unit]
     return columns
+
+
+def cells_of(values: FloatArray) -> list[object]:
+    """Return the cells of a column, (n,), with 15 digits; empty where there is no number."""
+    return [float(f"{value:.15g}") if np.isfinite(value) else "" for value in values]

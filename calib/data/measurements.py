@@ -24,6 +24,8 @@ from calib.units import DISPLAY_UNIT, PER_SI, Dimension
 
 CONTEXT: dict[str, Dimension] = {"time": "time", "temperature": "temperature", "load": "mass"}
 """Columns that say under which conditions a visit was made, and what they measure."""
+APPROACH = "approach_"
+"""Start of the names of columns that say from which side a joint came."""
 _JOINTS_AGREE: dict[Dimension, float] = {"length": 1e-3, "angle": 2e-3}
 """Largest spread of a joint among repeats of one pose [m, rad]; more means that they are different poses."""
 _MOVED = 1e-4  # change of a joint between two rows that counts as motion [m, rad]
@@ -104,6 +106,11 @@ class Poses(ReadOnlyArrays):
         """Number of different poses."""
         return int(self.pose_numbers.max(initial=-1)) + 1
 
+    @property
+    def conditions(self) -> Context:
+        """Under which conditions the robot is commanded, for its joint terms; from which side is not known."""
+        return Context.of(np.zeros_like(self.joints), self.context)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Measurements(Poses):
@@ -139,7 +146,7 @@ class Measurements(Poses):
 
     @property
     def conditions(self) -> Context:
-        """Under which conditions the robot was commanded, for its joint terms."""
+        """Under which conditions the robot was commanded, for its joint terms; from which side, too."""
         return Context.of(self.approach_directions, self.context)
 
     @property

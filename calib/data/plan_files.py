@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from calib.arrays import BoolArray, IntArray
-from calib.data.measurement_files import columns_in, poses_of_table
+from calib.data.instrument_cells import columns_in
+from calib.data.measurement_files import poses_of_table
 from calib.data.measurements import Poses, in_setups
 from calib.data.tables import Table, read_table
 from calib.errors import DataError, nearest

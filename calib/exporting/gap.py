@@ -20,7 +20,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 from calib.arrays import FloatArray
@@ -28,7 +27,9 @@ from calib.errors import InputError
 from calib.model import kinematics
 from calib.model.mechanism import RelativeFrame
 from calib.model.robot import Robot
+from calib.numerics.halton import halton
 from calib.sections import ANGLE_COMPONENTS, COMPONENTS, Component
+from calib.units import ERROR_UNIT, Dimension, error_scale
 
 LARGEST_CHANGE = 0.01
 """Largest change of a gap that a constraint may be left to absorb [characteristic lengths of the robot, or rad]."""
@@ -59,19 +60,19 @@ class Gap:
     where: str = ""
 
     @property
-    def unit(self) -> str:
-        """Unit of `at_home` and `change`."""
-        return "rad" if self.direction in ANGLE_COMPONENTS else "m"
+    def dimension(self) -> Dimension:
+        """Of `at_home` and `change`."""
+        return "angle" if self.direction in ANGLE_COMPONENTS else "length"
 
     def text(self) -> str:
         """Return one sentence, in mm or mrad."""
-        unit = "m" + self.unit
+        unit, factor = ERROR_UNIT[self.dimension], error_scale(self.dimension)
         which = f"loop {self.name}, direction {self.direction}"
         if max(abs(self.at_home), self.change) < 1e-9:
             return f"{which}: closed as well in {self.n_poses} poses{self.where}; a 3D constraint has nothing to absorb"
         return (
-            f"{which}: {1e3 * self.at_home:.4f} {unit} apart at home; a 3D constraint would have to absorb up to"
-            f" {1e3 * self.change:.4f} {unit} over {self.n_poses} poses{self.where}"
+            f"{which}: {factor * self.at_home:.4f} {unit} apart at home; a 3D constraint would have to absorb up to"
+            f" {factor * self.change:.4f} {unit} over {self.n_poses} poses{self.where}"
         )
 
 
@@ -85,9 +86,7 @@ def poses_near_home(robot: Robot, count: int = _POSES) -> FloatArray:
         count: How many to try.
     """
     lower, upper = joint_ranges(robot)
-    spread = (
-        2 * scipy.stats.qmc.Halton(len(lower), scramble=False).random(count + 1)[1:] - 1
-    )  # its first point is a corner
+    spread = 2 * halton(count + 1, len(lower))[1:] - 1  # its first point is a corner
     around = robot.home + _REACH * (upper - lower) * spread
     inside = np.clip(around, np.minimum(lower, robot.home), np.maximum(upper, robot.home))
     poses = np.vstack([robot.home, inside])
@@ -150,8 +149,8 @@ def require_small(robot: Robot, gaps: tuple[Gap, ...]) -> None:
         limit = LARGEST_CHANGE * (1.0 if gap.direction in ANGLE_COMPONENTS else robot.mechanism.length)
         if gap.change > limit:
             raise InputError(
-                f"{gap.text()}, more than {1e3 * limit:.3g}: the mechanism moves in this direction;"
-                " use the variant with free slides (--free-slide)"
+                f"{gap.text()}, more than {error_scale(gap.dimension) * limit:.3g}: the mechanism moves in this"
+                " direction; use the variant with free slides (--free-slide)"
             )
 
 

@@ -5,7 +5,7 @@ takes the one that the model predicts for the reading's own joint values; what t
 two readings is no scatter. With fewer readings the numbers are the same, only less sure; readings taken without moving
 the robot show the instrument alone. `calib.numerics.iso9283` has the equations.
 
-Reference: iso9283, section 7.2.
+Reference: iso9283.
 """
 
 from __future__ import annotations
@@ -164,12 +164,12 @@ def beyond_repeatability(errors: ErrorSet, n_effective: float) -> tuple[float, f
     return ratio, float(scipy.special.fdtrc(freedom, n_free, ratio**2))
 
 
-def conditions(comments: Sequence[str]) -> dict[str, str]:
-    """Return what comment lines `key: value` of a file say of the test, by key of `CONDITIONS`."""
+def conditions(comments: Sequence[str], keys: Sequence[str] = CONDITIONS) -> dict[str, str]:
+    """Return what comment lines `key: value` of a file say of the test, by key."""
     stated = {}
     for line in comments:
         key, _, value = line.partition(":")
-        if key.strip().lower() in CONDITIONS and value.strip():
+        if key.strip().lower() in keys and value.strip():
             stated[key.strip().lower()] = value.strip()
     return stated
 

@@ -23,6 +23,7 @@ from calib.model.closure import AssemblyMode, gap_text, open_by, residual
 from calib.model.continuation import follow, newton
 from calib.model.mechanism import Mechanism
 from calib.threads import one_blas_thread
+from calib.units import DISPLAY_UNIT, PER_SI, Dimension
 
 LIMIT_MARGIN = 1e-9
 """How far beyond its limit a passive joint may be [m, rad]."""
@@ -64,7 +65,7 @@ def close(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, seed: 
     ok = np.zeros(n, dtype=bool)
     if seed is not None:
         tried = np.flatnonzero(np.all(np.isfinite(seed), axis=1))
-        passive[tried], slope[tried], ok[tried] = newton(mechanism, mode, actuated[tried], seed[tried])
+        passive[tried], slope[tried], _, ok[tried] = newton(mechanism, mode, actuated[tried], seed[tried])
     if not np.all(ok):
         todo = np.flatnonzero(~ok)
         passive[todo], slope[todo], ok[todo] = follow(mechanism, mode, actuated[todo])
@@ -146,8 +147,9 @@ def _beyond(mechanism: Mechanism, passive: FloatArray) -> str:
     """Name the joint that is farthest beyond its limits."""
     excess = np.maximum(mechanism.lower - passive, passive - mechanism.upper)
     worst = int(np.argmax(excess))
-    metres = bool(mechanism.is_metre_column[worst])
-    factor, unit = (1e3, "mm") if metres else (180 / np.pi, "deg")
+    dimension: Dimension = "length" if mechanism.is_metre_column[worst] else "angle"
+    unit = DISPLAY_UNIT[dimension]
+    factor = PER_SI[dimension][unit]
     value, low, high = (factor * float(x[worst]) for x in (passive, mechanism.lower, mechanism.upper))
     return (
         f"passive joint {mechanism.passive[worst]} at {value:.4g} {unit}, beyond its limits"

@@ -16,10 +16,11 @@ from calib.errors import DescriptionError, InputError, nearest
 from calib.model.description import Description, OriginSection
 from calib.model.mechanism import Mechanism
 from calib.model.parameters import Origin, OriginComponents, Parametrisation, Stacked
+from calib.model.urdf_text import UrdfText
 from calib.observation.kind import Place
 from calib.parameter import Parameter
 from calib.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component
-from calib.units import DISPLAY_UNIT, millimetres, per_si, quantity
+from calib.units import DISPLAY_UNIT, error_scale, millimetres, per_si, quantity
 
 ENTRY_POINTS = "calib.parametrisations"
 DEFAULT_LENGTH_SIGMA = 2e-3
@@ -29,13 +30,13 @@ DEFAULT_ANGLE_SIGMA = 5e-3
 
 
 def build_parametrisation(
-    description: Description, origins: Mapping[str, Origin], mechanism: Mechanism, places: tuple[Place, ...], where: str
+    description: Description, urdf: UrdfText, mechanism: Mechanism, places: tuple[Place, ...], where: str
 ) -> Parametrisation:
     """Build the parametrisation that a description names or lists, plus unknown places.
 
     Args:
         description: The robot description.
-        origins: Nominal origins by name.
+        urdf: The URDF, whose numbers the nominal origins are.
         mechanism: The nominal mechanism.
         places: What instruments look from and at.
         where: File of the description, for messages.
@@ -43,6 +44,7 @@ def build_parametrisation(
     Raises:
         DescriptionError: Unknown plugin, origin or unit, or a component listed twice.
     """
+    origins = _nominal_origins(urdf, mechanism, places)
     unknown = [entry for place in places for entry in _unknown_components(place, mechanism.origin(place.name))]
     inverted = frozenset(mechanism.origin(place.name) for place in places if place.inverted)
     if isinstance(description.parametrisation, str):
@@ -56,6 +58,14 @@ def build_parametrisation(
     listed = sorted(description.origins, key=lambda section: section.origin == "all")  # exact entries win
     entries = [(section, description.priors, False) for section in listed]
     return _components(entries + unknown, origins, mechanism, inverted, where)
+
+
+def _nominal_origins(urdf: UrdfText, mechanism: Mechanism, places: tuple[Place, ...]) -> dict[str, Origin]:
+    """Nominal origins by name: the numbers of the two files, not what is left of them after a computation."""
+    result = {joint.name: Origin(np.array(joint.xyz), np.array(joint.rpy)) for joint in urdf.joints}
+    for place in places:
+        result[mechanism.origin(place.name)] = Origin(np.array(place.xyz), np.array(place.rpy))
+    return result
 
 
 def _components(
@@ -91,7 +101,9 @@ def default_sections() -> tuple[OriginSection, ...]:
     """Return the entries for a plain URDF: every component of every origin that moves a target, with default priors."""
     return (
         OriginSection(origin="all", components=LENGTH_COMPONENTS, sigma=f"{millimetres(DEFAULT_LENGTH_SIGMA):g} mm"),
-        OriginSection(origin="all", components=ANGLE_COMPONENTS, sigma=f"{DEFAULT_ANGLE_SIGMA * 1e3:g} mrad"),
+        OriginSection(
+            origin="all", components=ANGLE_COMPONENTS, sigma=f"{DEFAULT_ANGLE_SIGMA * error_scale('angle'):g} mrad"
+        ),
     )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pinocchio as pin
@@ -18,24 +18,20 @@ from calib.errors import DataError, DescriptionError, InputError, ParameterError
 from calib.files import write_file
 from calib.joint_terms.term import Context, JointTerm, TermSection
 from calib.model import kinematics, loops
-from calib.model.arm_chain import arm_chain
-from calib.model.closed_home import closed_home
 from calib.model.closure import AssemblyMode, singular_values
-from calib.model.description import Description, checked_description, description_yaml, read_description
-from calib.model.instruments import instruments_of, pair_names, places_of
+from calib.model.description import Description, description_yaml
+from calib.model.instruments import pair_names, places_of
 from calib.model.joint_errors import build_terms, gravity_torque, joint_errors, term_columns, with_torque
 from calib.model.loops import why_open
 from calib.model.mechanism import Mechanism, RelativeFrame, view
-from calib.model.mechanism_builder import build_mechanism, home_values
-from calib.model.parameters import Origin, Parametrisation
-from calib.model.parametrisation import build_parametrisation, default_sections
-from calib.model.templates import describe
-from calib.model.urdf_text import Triple, UrdfText, read_urdf
-from calib.observation.kind import Instrument, Place
+from calib.model.parameters import Parametrisation
+from calib.model.parametrisation import build_parametrisation
+from calib.model.urdf_text import Triple, UrdfText
+from calib.observation.kind import Instrument
 from calib.parameter import Parameter, index_of
 from calib.sections import COMPONENTS, Component
 from calib.tabular import titled_html
-from calib.units import Dimension, per_si, quantity, split_column
+from calib.units import quantity
 
 _LARGEST_JOINT = 1e6  # [m or rad]
 _COMMAND_ROUNDS = 50
@@ -163,7 +159,9 @@ class Robot(ReadOnlyArrays):
             closed = loops.close(self.nominal, self.mode, q)
             passive = np.where(np.isfinite(closed.passive), closed.passive, 0.0)
             slope = np.where(closed.ok[:, None, None], closed.slope, np.eye(passive.shape[1]))
-            context = with_torque(context, gravity_torque(self.urdf, self.nominal, q, passive, slope, self.path))
+            load, payload = context.load, self.description.payload
+            torque = gravity_torque(self.urdf, self.nominal, q, passive, slope, load, payload, self.path)
+            context = with_torque(context, torque)
         return term_columns(self.terms, self.joint_names, q, context)
 
     def actual(self, q: FloatArray, columns: tuple[FloatArray, ...]) -> FloatArray:
@@ -245,8 +243,10 @@ class Robot(ReadOnlyArrays):
             if quantity(sigma, one.dimension, f"prior of '{name}'") <= 0:
                 raise InputError(f"prior of '{name}': sigma {sigma} must be positive; hold('{name}') keeps it as it is")
             description = description.with_sigma(origin, cast(Component, component), sigma)
+        places = places_of(description, self.instruments, self.path)
+        parametrisation = build_parametrisation(description, self.urdf, self.nominal, places, self.path)
         known = dict(zip((parameter.name for parameter in self.parameters), self.values, strict=True))
-        return _built(description, self.urdf, self.path).with_parameters(known)
+        return replace(self, description=description, parametrisation=parametrisation).with_parameters(known)
 
     def save(self, path: Path | str, *, overwrite: bool = False) -> None:
         """Write the robot description; `calib.load` gives the same robot from it.
@@ -306,9 +306,15 @@ class Robot(ReadOnlyArrays):
         description = self.description.with_terms(sections)
         terms = build_terms(description, self.urdf, self.nominal, self.path)
         changed = replace(self, description=description, terms=terms)
-        _check_names(changed)
+        changed.check_names()
         value_of = dict(zip((parameter.name for parameter in self.parameters), self.values, strict=True))
         return replace(changed, values=np.array([value_of.get(p.name, p.nominal) for p in changed.parameters]))
+
+    def check_names(self) -> None:
+        """Raise `DescriptionError` if two parameters share a name."""
+        names = [parameter.name for parameter in self.parameters]
+        if len(set(names)) != len(names):
+            raise DescriptionError(f"{self.path}: parametrisation: a parameter name is used twice")
 
     def joint_vector(self, q: ArrayLike) -> FloatArray:
         """Check actuated joint values and return them as (n, n_actuated).
@@ -456,139 +462,6 @@ def _edited(text: Triple, numbers: FloatArray) -> Triple:
     return (x, y, z)
 
 
-def load(path: str | Path) -> Robot:
-    """Load a robot from a robot description (YAML) or from a plain URDF.
-
-    A plain URDF means its arm (see `calib.model.arm_chain`): every moving joint on the way to the arm's last link is
-    actuated, every joint origin from the first of them on may be wrong (with default priors), and neither the
-    measurement frame nor the measured point is known beforehand.
-
-    Raises:
-        UrdfError: The URDF is not valid.
-        DescriptionError: The description is not valid, or does not fit the URDF.
-    """
-    path = Path(path)
-    if path.suffix.lower() in (".yaml", ".yml"):
-        description = read_description(path)
-        urdf = read_urdf(path.parent / description.urdf)
-    else:
-        urdf = read_urdf(path)
-        description = describe(arm_chain(urdf), path.name)
-    return _built(description, urdf, str(path))
-
-
-def robot(
-    urdf: Path | str,
-    *,
-    motors: Sequence[str] | None = None,
-    target: str | Mapping[str, Any] | None = None,
-    base: str | Mapping[str, Any] | None = None,
-    **keys: Any,
-) -> Robot:
-    """Make a robot from a URDF without a robot description; what is left out is as for a plain URDF (`load`).
-
-    Args:
-        urdf: The URDF.
-        motors: Joints with a motor, in the order of every joint vector.
-        target: Link that carries the measured point, whose position there is unknown; or `targets` as in a description.
-        base: Link that the robot stands with, whose place in the measurement frame is unknown; or `base` as in a
-            description.
-        keys: Any other key of a robot description, such as `sigma="0.04 mm"`, `closed_loop`, `home`.
-
-    Raises:
-        UrdfError: The URDF is not valid.
-        DescriptionError: A key is not valid, or does not fit the URDF.
-    """
-    text, where = read_urdf(Path(urdf)), str(urdf)
-    content: dict[str, Any] = {"urdf": Path(urdf).name, "parametrisation": default_sections()}
-    if motors is None or target is None or base is None:
-        chain = arm_chain(text, target if isinstance(target, str) else None)
-        plain = describe(chain, Path(urdf).name)
-        content = {key: getattr(plain, key) for key in plain.model_fields_set}
-    if motors is not None:
-        content["name_mot"] = motors
-    if base is not None:
-        content["base"] = {"frame": base, "pose": "unknown"} if isinstance(base, str) else base
-    if target is not None:
-        content["targets"] = {target: {"frame": target, "position": "unknown"}} if isinstance(target, str) else target
-    return _built(checked_description(content | keys, urdf), text, where)
-
-
-def _built(description: Description, urdf: UrdfText, where: str) -> Robot:
-    """Put a robot together at its nominal values."""
-    instruments = instruments_of(description, where)
-    places = places_of(description, instruments, where)
-    views = tuple(dict.fromkeys(pair for one in instruments for pair in pair_names(description, one)))
-    nominal = build_mechanism(urdf, description, places, views, where)
-    _check_columns(description, nominal, instruments, where)
-    _check_joints(nominal, instruments, where)
-    home = home_values(urdf, description, where)
-    mode = closed_home(nominal, home, description.singularity_limit, where)
-    parametrisation = build_parametrisation(description, _origins(nominal, urdf, places), nominal, places, where)
-    terms = build_terms(description, urdf, nominal, where)
-    robot = Robot(where, description, urdf, nominal, nominal, parametrisation, instruments, terms, np.zeros(0), mode)
-    _check_names(robot)
-    for held in description.held:
-        index_of(robot.parameters, held, f"{where}: held")
-    for name in description.elimination_order:
-        index_of(robot.parameters, name, f"{where}: elimination_order")
-    return replace(robot, values=np.array([parameter.nominal for parameter in robot.parameters]))
-
-
-def _check_names(robot: Robot) -> None:
-    names = [parameter.name for parameter in robot.parameters]
-    if len(set(names)) != len(names):
-        raise DescriptionError(f"{robot.path}: parametrisation: a parameter name is used twice")
-
-
-def _check_columns(
-    description: Description, mechanism: Mechanism, instruments: tuple[Instrument, ...], where: str
-) -> None:
-    """Raise `DescriptionError` if a foreign column stands for something that is not read."""
-    dimensions: dict[str, Dimension | None] = {name: mechanism.dimensions[name] for name in mechanism.actuated}
-    dimensions |= {column.name: column.dimension for one in instruments for column in one.columns()}
-    texts = {name for one in instruments for name in (*one.text_columns(), one.label_column) if name is not None}
-    texts |= {"pose", "setup"}
-    taken: dict[str, str] = {}
-    for foreign, column in description.columns.items():
-        name, unit = split_column(column)
-        if name in taken:
-            raise DescriptionError(f"{where}: columns: '{taken[name]}' and '{foreign}' both stand for '{name}'")
-        taken[name] = foreign
-        if name in texts and unit is None:
-            continue
-        if name not in dimensions:
-            raise DescriptionError(
-                f"{where}: columns.{foreign}: no column '{name}'{nearest(name, (*dimensions, *sorted(texts)))}"
-            )
-        dimension = dimensions[name]
-        if dimension is None:
-            continue
-        try:
-            per_si(unit, dimension, f"{where}: columns.{foreign}")
-        except InputError as error:
-            raise DescriptionError(str(error)) from None
-
-
-def _check_joints(mechanism: Mechanism, instruments: tuple[Instrument, ...], where: str) -> None:
-    """Raise `DescriptionError` if an instrument reads a joint that does not move, or in the wrong dimension."""
-    for one in instruments:
-        if one.joint is None:
-            continue
-        place = f"{where}: instruments.{one.name}.joint"
-        moving = [
-            name
-            for k, name in enumerate(mechanism.origin_names)
-            if np.any(mechanism.select_actuated[k]) or np.any(mechanism.select_passive[k])
-        ]
-        if one.joint not in moving:
-            raise DescriptionError(f"{place}: no joint '{one.joint}' that moves{nearest(one.joint, moving)}")
-        own, dimension = one.parts[0].dimension, mechanism.dimensions[one.joint]
-        if own != dimension:
-            moves = "slides" if dimension == "length" else "turns"
-            raise DescriptionError(f"{place}: joint '{one.joint}' {moves}; set dimension: {dimension}")
-
-
 def near_singularity(label: str, value: float, limit: float) -> str:
     """Say that a pose with this smallest singular value is nearer to a singularity of the loops than the limit."""
     return f"{label}: {value:.2g} from a singularity of the loops (limit {limit:g})"
@@ -602,11 +475,3 @@ def describe_open(robot: Robot, q: FloatArray, closed: loops.Closed, labels: Seq
     why = why_open(robot.mechanism, robot.mode, q[k])
     more = f" (and {len(poses) - 1} more poses)" if len(poses) > 1 else ""
     return f"{names[k]}{more}: {why}; check these joint values, or leave the pose out"
-
-
-def _origins(mechanism: Mechanism, urdf: UrdfText, places: tuple[Place, ...]) -> dict[str, Origin]:
-    """Nominal origins by name: the numbers of the two files, not what is left of them after a computation."""
-    result = {joint.name: Origin(np.array(joint.xyz), np.array(joint.rpy)) for joint in urdf.joints}
-    for place in places:
-        result[mechanism.origin(place.name)] = Origin(np.array(place.xyz), np.array(place.rpy))
-    return result

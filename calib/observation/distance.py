@@ -26,7 +26,7 @@ from calib.observation.kind import Column, Comparison, Guess, Instrument, Part, 
 from calib.observation.noise import Noise, PartNoise
 from calib.parameter import Parameter
 from calib.sections import KNOWN_ZERO, LENGTH_COMPONENTS, Length, LengthOrUnknown, OwnLength, Section
-from calib.units import millimetres
+from calib.units import micrometres, millimetres
 
 DISTANCE = Part("distance", ("distance",), "length")
 _NOTHING = 1e-6  # distance that has no direction [m]
@@ -180,7 +180,7 @@ def distances(vectors: FloatArray, what: str) -> tuple[FloatArray, FloatArray]:
     length = np.linalg.norm(vectors, axis=1)
     if np.any(length < _NOTHING):
         raise ComputationError(
-            f"{what} is where its distance is measured from, within {1e3 * millimetres(_NOTHING):g} um, which has no"
+            f"{what} is where its distance is measured from, within {micrometres(_NOTHING):g} um, which has no"
             " direction; check where the description has both"
         )
     return length, vectors / length[:, None]

@@ -159,8 +159,7 @@ def check(
     own = np.array([not p.family for p in robot.parameters])
     parameters, free = tuple(p for p in robot.parameters if not p.family), robot.is_free[own]
     noise, assumed = assumed_sigma(robot, sigma)
-    conditions = poses.conditions if isinstance(poses, Measurements) else None
-    configurations = robot.assemble(poses.joints, labels=poses.labels, context=conditions)
+    configurations = robot.assemble(poses.joints, labels=poses.labels, context=poses.conditions)
     everything = Unknowns.of(robot, own)
     columns, rows, width = _columns(robot, poses, configurations, sigma, everything)
     _require_rows(robot, poses, width)

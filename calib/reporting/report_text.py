@@ -32,23 +32,22 @@ def text_report(fit: Fit, width: int = 120) -> str:
 
 
 def verdict_lines(verdict: Verdict) -> list[str]:
-    """Return the verdict and its reasons, one line each."""
-    if not verdict.reasons:
-        return [f"Verdict: {verdict.grade}"]
-    return [f"Verdict: {verdict.grade}", *(f"  {reason.grade}: {reason.text}" for reason in verdict.reasons)]
+    """Return the verdict, its reasons, and what it does not cover, one line each."""
+    reasons = [f"  {reason.grade}: {reason.text}" for reason in verdict.reasons]
+    return [f"Verdict: {verdict.grade}", *reasons, *(f"  not covered: {text}" for text in verdict.not_covered)]
 
 
-def notes(fit: Fit) -> list[str]:
-    """Return what a reader must know beside the tables, one line each."""
-    lines = [
-        *_noise(fit),
-        *_terms(fit),
-        *_causes(fit),
-        *_identifiability(fit),
-        *_positions(fit),
-        *_repeats(fit),
-        *_options(fit),
-    ]
+def notes(fit: Fit, *, brief: bool = False) -> list[str]:
+    """Return what a reader must know beside the tables, one line each.
+
+    Args:
+        fit: The fit.
+        brief: Leave out what a page tells in sections of its own: the noise found, what is left, what the poses
+            determine, how sure positions are.
+    """
+    elsewhere = (_noise, _left, _determined, _held, _positions)
+    order = (_size, _noise, _scatter, _terms, _left, _curves, _determined, _observability, _held, _positions)
+    lines = [line for told in (*order, _repeats, _options) if not (brief and told in elsewhere) for line in told(fit)]
     if any(p.placement for p in fit.nominal.parameters):
         lines.append("'before' is with the base and the targets placed alone, the robot at nominal")
     if fit.identification.data.ignored:
@@ -56,17 +55,27 @@ def notes(fit: Fit) -> list[str]:
     return lines
 
 
-def _noise(fit: Fit) -> list[str]:
+def _size(fit: Fit) -> list[str]:
     data, statistics = fit.identification.data, fit.statistics
-    lines = [
+    return [
         f"{counted(data.n_poses, 'pose')}, {counted(data.n_readings, 'reading')}, {statistics.freedom:.1f} degrees of"
         f" freedom, {fit.seconds:.3f} s"
     ]
+
+
+def _noise(fit: Fit) -> list[str]:
+    lines = []
     for one in fit.noise:
         scale, unit = error_scale(one.group.dimension), ERROR_UNIT[one.group.dimension]
         of = f" of {one.group.name}, {one.group.part}" if len(fit.noise) > 1 else ""
         stated = "none was stated" if one.stated is None else f"stated: {scale * one.stated:.4g} {unit}"
         lines.append(f"Noise found{of}: {scale * one.sigma:.4g} {unit} per axis ({stated})")
+    return lines
+
+
+def _scatter(fit: Fit) -> list[str]:
+    """Beside the noise: what readings of a visit share, and whether the scatter agrees with what was stated."""
+    lines = []
     if fit.shared_sigma:
         sizes = []
         for name, size in fit.shared_sigma.items():
@@ -99,15 +108,20 @@ def _terms(fit: Fit) -> list[str]:
                 f"poses of blocks left out {scale * one.before:.4f} -> {scale * one.after:.4f} {unit} RMS, log evidence"
                 f" {one.evidence:+.1f}"
             )
-            (added if one.added else left).append(f"{one.term} ({one.why}{': ' if one.why else ''}{numbers})")
+            alike = f"; the data cannot tell it from {listed(one.alike)}" if one.alike else ""
+            (added if one.added else left).append(f"{one.term} ({one.why}{': ' if one.why else ''}{numbers}{alike})")
     every = len(fit.terms.tried)
     lines = [f"Joint terms added: {listed(added, '; ', every) or 'none earns its place'}"]
     lines += [f"Joint terms left out: {listed(left, '; ', every)}"] if left else []
     return lines + ([f"Joint terms that could not be tried: {listed(refused, '; ', every)}"] if refused else [])
 
 
-def _causes(fit: Fit) -> list[str]:
-    lines = [] if fit.budget is None else [f"What is left: {fit.budget.advice}"]
+def _left(fit: Fit) -> list[str]:
+    return [] if fit.budget is None else [f"What is left: {fit.budget.advice}"]
+
+
+def _curves(fit: Fit) -> list[str]:
+    lines = []
     for curve in joint_curves(fit):
         scale, unit = error_scale(curve.dimension), ERROR_UNIT[curve.dimension]
         shown = PER_SI[curve.dimension][DISPLAY_UNIT[curve.dimension]]
@@ -126,18 +140,23 @@ def _causes(fit: Fit) -> list[str]:
     return lines
 
 
-def _identifiability(fit: Fit) -> list[str]:
+def _determined(fit: Fit) -> list[str]:
+    return [*fit.determination.lines(), sentence(fit.determination.words())]
+
+
+def _held(fit: Fit) -> list[str]:
+    held = fit.nominal.description.held
+    return [f"Held at nominal: {', '.join(held)}"] if held else []
+
+
+def _observability(fit: Fit) -> list[str]:
     lines = [
-        *fit.determination.lines(),
-        sentence(fit.determination.words()),
         "Observability (scaled columns): "
         + ", ".join(f"{name} {value:.3g}" for name, value in fit.observability.items()),
     ]
     pairs = [f"{row['a']} and {row['b']} ({row['correlation']:+.3f})" for row in correlated(fit)]
     if pairs:
         lines.append(f"Estimates that move together ({counted(len(pairs), 'pair')}): {listed(pairs)}")
-    if fit.nominal.description.held:
-        lines.append(f"Held at nominal: {', '.join(fit.nominal.description.held)}")
     return lines
 
 

@@ -37,7 +37,7 @@ from calib.arrays import FloatArray
 from calib.data.tables import read_table
 from calib.errors import DataError, InputError
 from calib.identification.fitted import Fit
-from calib.model import robot as described
+from calib.model import loading
 from calib.model.robot import Robot
 from calib.reporting.results import load_calibrated, load_uncertainty, read_result, save
 from calib.words import counted, plain_text
@@ -69,7 +69,7 @@ class _Result:
     @classmethod
     def of(cls, folder: Path, name: str) -> _Result:
         content = read_result(folder)
-        robot = load_calibrated(folder, described.load(folder / "nominal.yaml"), failed_too=True)
+        robot = load_calibrated(folder, loading.load(folder / "nominal.yaml"), failed_too=True)
         known = load_uncertainty(folder, robot)
         free = tuple(p.name for p, use in zip(robot.parameters, known.free, strict=True) if use)
         freedom = float(content["degrees_of_freedom"])

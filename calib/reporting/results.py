@@ -10,13 +10,13 @@ to the last digits. Its uncertainty comes from `covariance.csv`. A fit with the 
 from __future__ import annotations
 
 import hashlib
+import html
 import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import escape, unescape
 
 import numpy as np
 import scipy
@@ -33,9 +33,10 @@ from calib.identification.fitted import Fit
 from calib.identification.joint_curves import beyond_learned
 from calib.identification.promise import Promise
 from calib.identification.reasons import Verdict
+from calib.joint_terms.term import Context
 from calib.joint_terms.terms import stored_terms
 from calib.linearisation.prediction import PositionUncertainty, position_uncertainty
-from calib.model import robot as described
+from calib.model import loading
 from calib.model.description import description_yaml
 from calib.model.robot import Robot
 from calib.model.urdf_text import UrdfText, apply_edits
@@ -115,11 +116,11 @@ def _with_meshes(urdf: UrdfText) -> bytes:
     edits = []
     for match in _FILE.finditer(urdf.source):
         group = 1 if match.group(1) is not None else 2
-        name = unescape(match.group(group).decode("utf-8", "replace"), {"&quot;": '"', "&apos;": "'"})
+        name = html.unescape(match.group(group).decode("utf-8", "replace"))
         found = find_mesh(name, urdf.path)
         if found is not None and not Path(name).is_absolute():
-            text = escape(str(found), {'"': "&quot;", "'": "&apos;"})
-            edits.append((*match.span(group), text.encode("ascii", "xmlcharrefreplace")))
+            text = html.escape(str(found)).encode("ascii", "xmlcharrefreplace")
+            edits.append((*match.span(group), text))
     return apply_edits(urdf.source, edits)
 
 
@@ -142,7 +143,7 @@ def forced_lines(folder: Path | str) -> list[str]:
 
 
 def load(path: Path | str) -> Robot:
-    """Load a robot from a description (YAML), a plain URDF (see `calib.model.robot.load`), or calibrated from a result.
+    """Load a robot from a description (YAML), a plain URDF (`calib.model.loading.load`), or calibrated from a result.
 
     Args:
         path: Of the file, or of the folder of the result.
@@ -155,14 +156,14 @@ def load(path: Path | str) -> Robot:
     """
     folder = Path(path)
     if not folder.is_dir():
-        return described.load(path)
+        return loading.load(path)
     checksums = read_result(folder).get("sha256", {})
     for name in (_NOMINAL_YAML, _NOMINAL_URDF):
         if not (folder / name).is_file():
             raise DataError(f"{folder}: has no {name}, and so gives no robot; run the fit again")
         if hashlib.sha256((folder / name).read_bytes()).hexdigest() != checksums.get(name):
             raise DataError(f"{folder / name}: was changed after the fit, which holds no more; run the fit again")
-    return replace(load_calibrated(folder, described.load(folder / _NOMINAL_YAML)), path=str(path))
+    return replace(load_calibrated(folder, loading.load(folder / _NOMINAL_YAML)), path=str(path))
 
 
 def load_calibrated(folder: Path | str, robot: Robot, *, failed_too: bool = False) -> Robot:
@@ -256,9 +257,16 @@ class LoadedUncertainty:
     covariance: FloatArray
     coverage_factor: float
 
-    def at(self, robot: Robot, q: FloatArray) -> PositionUncertainty:
-        """Predict positions of the calibrated robot at actuated joints q (n, n_actuated), with their covariance."""
-        return position_uncertainty(robot, np.flatnonzero(self.free), self.covariance, self.coverage_factor, q)
+    def at(self, robot: Robot, q: FloatArray, context: Context | None = None) -> PositionUncertainty:
+        """Predict positions of the calibrated robot at actuated joints q (n, n_actuated), with their covariance.
+
+        Args:
+            robot: The calibrated robot.
+            q: Commands, (n, n_actuated) [m or rad].
+            context: Under which conditions they are given.
+        """
+        free = np.flatnonzero(self.free)
+        return position_uncertainty(robot, free, self.covariance, self.coverage_factor, q, context)
 
 
 def load_uncertainty(folder: Path | str, robot: Robot) -> LoadedUncertainty:

@@ -78,3 +78,16 @@ def test_words_in_the_first_column_are_not_broken_on_a_phone(chromium, report_fi
       .map((e) => e.getBoundingClientRect().height / parseFloat(getComputedStyle(e).lineHeight))"""
     assert max(tab.page.evaluate(heights)) < 1.5
     tab.context.close()
+
+
+def test_the_first_printed_page_has_the_robot_and_no_page_is_half_empty(chromium, report_file):
+    tab = Tab(chromium, size=(688, 1000))  # what A4 leaves between the margins
+    tab.page.emulate_media(media="print")
+    tab.open(report_file.as_uri(), "main")
+    page = 1000
+    bottom = tab.page.locator(".robot img").evaluate("(image) => image.getBoundingClientRect().bottom + scrollY")
+    assert bottom < page
+    assert tab.page.locator(".robot img").evaluate("(image) => image.naturalWidth") == 600
+    blocks = "[...document.querySelectorAll('figure, .whole, .verdict')].map((e) => e.getBoundingClientRect().height)"
+    assert max(tab.page.evaluate(blocks)) < page / 2  # what may not be broken leaves at most so much empty
+    tab.context.close()

@@ -1,0 +1,154 @@
+"""What one instrument reads in the rows of a table: numbers, words, standard deviations, correlations."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.data.measurements import in_setups
+from calib.data.tables import Table
+from calib.errors import DataError, nearest
+from calib.model.robot import Robot
+from calib.observation.kind import Instrument, Readings
+from calib.units import Dimension
+
+
+def named_columns(one: Instrument) -> list[str]:
+    """Return the columns that only this instrument has: its numbers, or its words where it has no numbers."""
+    return [column.name for column in one.columns()] or list(one.text_columns())
+
+
+def _std_columns(one: Instrument) -> list[tuple[str, Dimension]]:
+    return [(f"{one.name}_std_{axis}", part.dimension) for part in one.parts for axis in part.axes]
+
+
+def columns_in(one: Instrument, table: Table) -> list[str]:
+    """Return the columns of a table that an instrument reads."""
+    names = [column.name for column in one.columns()] + list(one.text_columns())
+    names += [] if one.label_column is None else [one.label_column]
+    names += [name for name, _ in _std_columns(one)] + list(_correlation_columns(one))
+    return [name for name in names if name in table.names]
+
+
+def _correlation_columns(one: Instrument) -> dict[str, tuple[int, int]]:
+    axes = [axis for part in one.parts for axis in part.axes]
+    return {f"{one.name}_corr_{axes[i]}_{axes[j]}": (i, j) for i in range(len(axes)) for j in range(i + 1, len(axes))}
+
+
+def readings_in(robot: Robot, one: Instrument, table: Table, rows: IntArray) -> Readings:
+    """Return what an instrument read in the rows of a table, whose visits are given, (n_table_rows,).
+
+    Raises:
+        DataError: The message names file, line and column.
+    """
+    columns = {column.name: table.column(column.name, column.dimension, gaps=True) for column in one.columns()}
+    numbers = np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(rows), 0))
+    empty = np.isnan(numbers)
+    wheres = [f"{table.path}, line {line}" for line in table.lines]
+    some = np.flatnonzero(_labelled(robot, one, table) & ~(np.all(empty, axis=1) & (numbers.shape[1] > 0)))
+    texts: dict[str, list[str]] = {}
+    for name in one.text_columns():
+        if name not in table.names:
+            raise DataError(f"{table.path}: no column '{name}'{nearest(name, table.names)}")
+        every = table.text(name)
+        texts[name] = [every[k] for k in some]
+    own, pairs, details = one.looked_at(texts, [wheres[k] for k in some])
+    mine = np.array(own, dtype=bool)
+    kept = some[mine]
+    partly = np.argwhere(empty[kept])
+    if len(partly):
+        k, c = partly[0]
+        raise DataError(
+            f"{wheres[kept[k]]}, column '{list(columns)[c]}': is empty; fill it in, or leave all cells of '{one.name}'"
+            " empty"
+        )
+    values = one.values({name: column[kept] for name, column in columns.items()})
+    if not columns:  # it reads no numbers: one row stands for all
+        values = np.repeat(values, len(kept), axis=0)
+    numbers_of_pairs = pairs[mine] + in_setups(robot, one, setups_of(robot, table))[kept]
+    return Readings(rows[kept], numbers_of_pairs, values, _covariance(one, table, kept), details[mine])
+
+
+def _labelled(robot: Robot, one: Instrument, table: Table) -> BoolArray:
+    """Which rows the label column, if there is one, leaves to an instrument, (n_table_rows,)."""
+    column = one.label_column
+    if column is None:
+        return np.ones(len(table.rows), dtype=bool)
+    group = [other for other in robot.instruments if other.label_column == column]
+    own = {c.name for c in one.columns()}
+    if column not in table.names:
+        sharing = [other.name for other in group if own & {c.name for c in other.columns()}]
+        if len(sharing) > 1:
+            raise DataError(f"{table.path}: no column '{column}', which tells {' and '.join(sharing)} apart")
+        return np.ones(len(table.rows), dtype=bool)
+    texts, names = table.text(column), [other.name for other in group]
+    for line, text in zip(table.lines, texts, strict=True):
+        if text and text not in names:
+            raise DataError(f"{table.path}, line {line}, column '{column}': no {column} '{text}'{nearest(text, names)}")
+    return np.array([text == one.name for text in texts], dtype=bool)
+
+
+def setups_of(robot: Robot, table: Table) -> IntArray:
+    """Return the number of the setup of each row, (n_table_rows,).
+
+    Raises:
+        DataError: The table has no such column, or a setup that the description does not name.
+    """
+    names = list(robot.description.setups)
+    if not names:
+        return np.zeros(len(table.rows), dtype=np.intp)
+    if "setup" not in table.names:
+        raise DataError(f"{table.path}: no column 'setup'; the description names the setups {', '.join(names)}")
+    numbers = []
+    for line, text in zip(table.lines, table.text("setup"), strict=True):
+        if text not in names:
+            raise DataError(f"{table.path}, line {line}, column 'setup': no setup '{text}'{nearest(text, names)}")
+        numbers.append(names.index(text))
+    return np.array(numbers, dtype=np.intp)
+
+
+def _covariance(one: Instrument, table: Table, kept: IntArray) -> FloatArray | None:
+    """The covariance that columns of standard deviations and correlations state; None without them."""
+    names = _std_columns(one)
+    present = [name for name, _ in names if name in table.names]
+    if not present:
+        return None
+    missing = next((name for name, _ in names if name not in table.names), None)
+    if missing is not None:
+        raise DataError(f"{table.path}: no column '{missing}', but '{present[0]}'; give all standard deviations")
+    std = np.stack([table.column(name, dimension)[kept] for name, dimension in names], axis=1)
+    if np.any(std <= 0):
+        k, c = np.argwhere(std <= 0)[0]
+        raise DataError(
+            f"{table.path}, line {table.lines[kept[k]]}, column '{names[c][0]}': a standard deviation must be positive"
+        )
+    correlation = np.tile(np.eye(len(names)), (len(kept), 1, 1))
+    for name, (i, j) in _correlation_columns(one).items():
+        if name in table.names:
+            correlation[:, i, j] = correlation[:, j, i] = table.column(name, None)[kept]
+    smallest = np.linalg.eigvalsh(correlation)[:, 0] if len(kept) else np.ones(0)
+    if np.any(smallest <= 1e-9):
+        k = int(np.argmin(smallest))
+        raise DataError(f"{table.path}, line {table.lines[kept[k]]}: the correlations of '{one.name}' cannot be")
+    result: FloatArray = std[:, :, None] * correlation * std[:, None, :]
+    return result
+
+
+def concatenated(parts: list[Readings]) -> Readings:
+    """Return the readings of one instrument in several files as one.
+
+    Raises:
+        DataError: Some files state standard deviations, and some do not.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    with_covariance = [part.covariance for part in parts if part.covariance is not None]
+    if with_covariance and len(with_covariance) < len(parts):
+        raise DataError("standard deviations are given in one file and not in another; give them in all, or in none")
+    return Readings(
+        np.concatenate([part.visits for part in parts]),
+        np.concatenate([part.pairs for part in parts]),
+        np.concatenate([part.values for part in parts]),
+        np.concatenate(with_covariance) if with_covariance else None,
+        np.concatenate([part.details for part in parts]),
+    )

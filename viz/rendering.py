@@ -1,0 +1,208 @@
+"""The robot as a picture for paper, drawn without a browser: triangles into a buffer of depths, seen from far away.
+
+Every triangle is covered with sample points, closer together than the buffer's cells; a cell shows the sample that is
+nearest to the camera. The buffer is finer than the picture, so that averaging its cells makes edges smooth. No lines of
+sight are searched and nothing is sorted, so it takes a tenth of a second for a robot of ten thousand triangles.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+
+import numpy as np
+
+from calib.arrays import FloatArray, IntArray
+from viz.poses import IDENTIFICATION
+from viz.scene import Scene
+from viz.shapes import Shape
+from viz.svg import BLUE, ORANGE
+
+WIDTH, HEIGHT = 600, 500  # of the picture [px]
+_FINER = 2  # cells of the buffer per pixel, along each side
+_DENSER = 1.25  # samples per cell, along each side of a triangle
+_STEP = 1.3  # counts of samples differ by such a factor: triangles with the same counts are drawn at once
+_AT_ONCE = 1_000_000  # samples
+_MARGIN = 0.04
+_LIGHT = np.array([0.35, 0.8, 0.55]) / np.linalg.norm([0.35, 0.8, 0.55])  # in the camera's axes: right, up, towards it
+_SHADOW = 0.45  # brightness of what is turned away from the light
+_SECTIONS = 48  # of round shapes
+_CORNERS = [[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
+_BOX = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
+        [1, 5, 7], [1, 7, 3]]  # fmt: skip
+_POINT = 2.9  # radius of a measured point [px]
+
+
+def picture_of(scene: Scene, pose: int = 0) -> str:
+    """Return the robot in one pose with the measured points, as the address of a PNG that a page holds itself.
+
+    Args:
+        scene: The scene; seen as its viewer sees it first, but without perspective.
+        pose: Row of its joint values.
+    """
+    camera = _camera(scene)
+    triangles, colours = _triangles(scene, pose, camera[2])
+    points, point_colours = _points(scene)
+    seen, seen_points = triangles @ camera.T, points @ camera.T
+    cells = _FINER * np.array([WIDTH, HEIGHT], dtype=float)
+    everything = np.concatenate([seen.reshape(-1, 3), seen_points])
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    scale = float(np.min((1 - 2 * _MARGIN) * cells / np.maximum(high - low, 1e-9)[:2]))
+    middle = np.append((low + high)[:2] / 2, 0.0)
+    offset = np.append(cells / 2, 0.0)
+    buffer = _Buffer()
+    buffer.triangles(scale * (seen - middle) + offset, _shaded(seen, colours))
+    buffer.discs(scale * (seen_points - middle) + offset, point_colours)
+    return "data:image/png;base64," + base64.b64encode(buffer.png()).decode()
+
+
+class _Buffer:
+    """Colour and depth of every cell; x to the right, y upwards, z towards the camera."""
+
+    def __init__(self) -> None:
+        self._width, self._height = _FINER * WIDTH, _FINER * HEIGHT
+        self._depth = np.full(self._width * self._height, -np.inf)
+        self._colour = np.zeros((self._width * self._height, 4))
+
+    def triangles(self, corners: FloatArray, colours: FloatArray) -> None:
+        """Draw triangles (m, 3, 3) [cells] in colours (m, 3)."""
+        corners = _longest_side_first(corners)
+        along, across = _sides(corners[..., :2])
+        wanted = np.maximum(_DENSER * np.stack([along, across], axis=1), 1.0)
+        steps = np.ceil(_STEP ** np.ceil(np.log(wanted) / np.log(_STEP))).astype(int)  # few different ones
+        for n_along, n_across in np.unique(steps, axis=0):
+            s, t = np.meshgrid(np.linspace(0, 1, n_along + 1), np.linspace(0, 1, n_across + 1))
+            weights = np.stack([(1 - t) * (1 - s), (1 - t) * s, t], axis=-1).reshape(-1, 3)  # of the corners
+            chosen = np.flatnonzero((steps == (n_along, n_across)).all(axis=1))
+            for part in np.array_split(chosen, -(-len(chosen) * len(weights) // _AT_ONCE)):
+                samples = np.einsum("kc,mcx->mkx", weights, corners[part])
+                self._put(samples.reshape(-1, 3), np.repeat(colours[part], len(weights), axis=0))
+
+    def discs(self, places: FloatArray, colours: FloatArray) -> None:
+        """Draw a disc at each place (n, 3) [cells]."""
+        radius = _FINER * _POINT
+        around = np.arange(-np.ceil(radius), np.ceil(radius) + 1)
+        grid = np.stack(np.meshgrid(around, around), axis=-1).reshape(-1, 2)
+        distance = np.linalg.norm(grid, axis=1)
+        disc = np.column_stack([grid, np.full(len(grid), radius)])[distance <= radius]
+        edge = distance[distance <= radius] > radius - 1.2 * _FINER / 2
+        shades = np.where(edge[None, :, None], 1.0, colours[:, None, :])
+        self._put((places[:, None] + disc[None]).reshape(-1, 3), shades.reshape(-1, 3))
+
+    def _put(self, samples: FloatArray, colours: FloatArray) -> None:
+        x, y = np.floor(samples[:, 0]).astype(int), np.floor(samples[:, 1]).astype(int)
+        inside = (x >= 0) & (x < self._width) & (y >= 0) & (y < self._height)
+        cell, depth, colours = ((self._height - 1 - y) * self._width + x)[inside], samples[inside, 2], colours[inside]
+        np.maximum.at(self._depth, cell, depth)
+        nearest = depth == self._depth[cell]
+        self._colour[cell[nearest]] = np.column_stack([colours[nearest], np.ones(int(nearest.sum()))])
+
+    def png(self) -> bytes:
+        """Return the picture; where nothing was drawn it is clear."""
+        from matplotlib.image import imsave
+
+        cells = self._colour.reshape(HEIGHT, _FINER, WIDTH, _FINER, 4)
+        cover = cells[..., 3].mean(axis=(1, 3))
+        painted = cells[..., :3].sum(axis=(1, 3)) / np.maximum(_FINER**2 * cover, 1.0 / _FINER**2)[..., None]
+        stream = io.BytesIO()
+        picture = np.round(255 * np.clip(np.dstack([painted, cover]), 0, 1)).astype(np.uint8)
+        imsave(stream, picture, format="png")
+        return stream.getvalue()
+
+
+def _camera(scene: Scene) -> FloatArray:
+    """Rows: right, up, towards the camera, seen from the measurement frame, (3, 3)."""
+    towards = scene.view.direction / np.linalg.norm(scene.view.direction)
+    right = np.cross([0.0, 0.0, 1.0], towards)
+    right /= np.linalg.norm(right)
+    camera: FloatArray = np.stack([right, np.cross(towards, right), towards]) @ scene.view.upright
+    return camera
+
+
+def _triangles(scene: Scene, pose: int, towards: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Triangles of the robot (m, 3, 3) [m] in the measurement frame, and their colours (m, 3).
+
+    Args:
+        scene: The scene.
+        pose: Row of its joint values.
+        towards: Direction of the camera, (3,).
+    """
+    number = {name: body for body, name in enumerate(scene.bodies.names)}
+    matrices = scene.bodies.matrices(scene.solid, pose)
+    triangles, colours = [np.zeros((0, 3, 3))], [np.zeros((0, 3))]
+    for shape in scene.shapes:
+        M = matrices[number[str(shape.body)]] @ shape.T_body_shape
+        vertices, faces = _mesh(shape)
+        corners = (vertices @ M[:3, :3].T + M[:3, 3])[faces]
+        if shape.kind != "mesh":  # closed, and its faces turn the same way round: what looks away is hidden
+            corners = corners[_normals(corners) @ towards > 0]
+        triangles.append(corners)
+        colours.append(np.tile(shape.colour[:3], (len(corners), 1)))
+    return np.concatenate(triangles), np.concatenate(colours)
+
+
+def _mesh(shape: Shape) -> tuple[FloatArray, IntArray]:
+    """Corners (n, 3) [m] and faces (m, 3) of a shape in its own frame, faces turning left seen from outside."""
+    if shape.kind == "mesh":
+        return shape.vertices, shape.faces
+    if shape.kind == "box":
+        return np.array(_CORNERS) * np.array(shape.size), np.array(_BOX)
+    if shape.kind == "cylinder":
+        radius, half = shape.size[0], shape.size[1] / 2
+        return _turned(np.array([[0.0, -half], [radius, -half], [radius, half], [0.0, half]]))
+    angles = np.linspace(-np.pi / 2, np.pi / 2, _SECTIONS // 2 + 1)
+    return _turned(shape.size[0] * np.stack([np.cos(angles), np.sin(angles)], axis=1))
+
+
+def _turned(outline: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Corners and faces of what an outline (k, 2), radius and height from bottom to top, covers when it turns."""
+    angles = 2 * np.pi * np.arange(_SECTIONS) / _SECTIONS
+    radius, height = outline.T
+    x, y = radius[:, None] * np.cos(angles), radius[:, None] * np.sin(angles)
+    corners = np.stack([x, y, np.repeat(height[:, None], _SECTIONS, axis=1)], axis=-1).reshape(-1, 3)
+    here = (_SECTIONS * np.arange(len(outline) - 1)[:, None] + np.arange(_SECTIONS)).ravel()
+    beside = here - here % _SECTIONS + (here + 1) % _SECTIONS
+    lower = np.stack([here, beside, beside + _SECTIONS], axis=1)
+    upper = np.stack([here, beside + _SECTIONS, here + _SECTIONS], axis=1)
+    return corners, np.concatenate([lower, upper])
+
+
+def _longest_side_first(corners: FloatArray) -> FloatArray:
+    """The same triangles (m, 3, 3), turned so that their first two corners are ends of the side that looks longest."""
+    lengths = np.linalg.norm(corners[:, [1, 2, 0], :2] - corners[..., :2], axis=2)
+    order = (np.argmax(lengths, axis=1)[:, None] + np.arange(3)) % 3
+    turned: FloatArray = np.take_along_axis(corners, order[..., None], axis=1)
+    return turned
+
+
+def _sides(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Length of the first side of triangles (m, 3, 2), and the height above it, (m,)."""
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    length = np.linalg.norm(first, axis=1)
+    return length, np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / np.maximum(length, 1e-9)
+
+
+def _normals(corners: FloatArray) -> FloatArray:
+    """Normals of triangles (m, 3, 3), not of unit length, (m, 3)."""
+    normals: FloatArray = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return normals
+
+
+def _shaded(corners: FloatArray, colours: FloatArray) -> FloatArray:
+    """Colours in the light, from whichever side a triangle is seen, (m, 3)."""
+    normals = _normals(corners)
+    normals *= np.where(normals[:, 2] < 0, -1.0, 1.0)[:, None]
+    light = normals @ _LIGHT / np.maximum(np.linalg.norm(normals, axis=1), 1e-30)
+    shaded: FloatArray = colours * (_SHADOW + (1 - _SHADOW) * np.maximum(light, 0.0))[:, None]
+    return shaded
+
+
+def _points(scene: Scene) -> tuple[FloatArray, FloatArray]:
+    """Measured points (n, 3) [m], and their colours by whether they were used, (n, 3)."""
+    from matplotlib.colors import to_rgb
+
+    table = scene.poses
+    known = np.isfinite(table.measured).all(axis=1)
+    used = np.array([group == IDENTIFICATION for group in table.group], dtype=bool)
+    colours = np.where(used[:, None], to_rgb(BLUE), to_rgb(ORANGE))
+    return table.measured[known], colours[known]

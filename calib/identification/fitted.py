@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.errors import UnreachablePoseError
@@ -240,7 +241,7 @@ class Fit(ReadOnlyArrays):
         """Whether the calibrated robot can be assembled at all its poses, starting from its home configuration."""
         return bool(np.all(self.robot.close(self.configurations.actuated).ok))
 
-    def predict(self, q: FloatArray) -> PositionUncertainty:
+    def predict(self, q: ArrayLike) -> PositionUncertainty:
         """Predict positions at actuated joints q (n, n_actuated) [m or rad], with their covariance."""
         statistics = self.statistics
         return position_uncertainty(

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike
 
 from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.joint_terms.term import Context
@@ -147,7 +146,7 @@ def position_uncertainty(
     free: IntArray,
     covariance: FloatArray,
     coverage_factor: float,
-    q: ArrayLike,
+    q: FloatArray,
     context: Context | None = None,
 ) -> PositionUncertainty:
     """Predict positions of all targets, loops closed, with their covariance and that of the orientations.
@@ -161,10 +160,8 @@ def position_uncertainty(
         context: Under which conditions they are commanded; joint terms may depend on it.
 
     Raises:
-        DataError: Joint values of the wrong shape.
         UnreachablePoseError: A loop stays open.
     """
-    q = robot.joint_vector(q)
     context = Context.neutral(*q.shape) if context is None else context
     positions, spread, turned = [], [], []
     for start in range(0, len(q), _CHUNK):

@@ -20,15 +20,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from calib.arrays import FloatArray
 from calib.model import kinematics
+from calib.model.acceleration import kernels
 from calib.model.mechanism import Mechanism, RelativeFrame
 from calib.model.robot import Configurations, Robot
 from calib.threads import one_blas_thread
 
 _CHUNK = 64
+_CHUNK_COMPILED = 256  # compiled code needs no regressors, but its poses stay in the cache too
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,9 +112,15 @@ def sweeps(
         pairs: Frames that are needed.
     """
     joints = mechanism.all_joints(configurations.actuated, configurations.passive)
-    for start in range(0, len(joints), _CHUNK):
-        part = slice(start, min(start + _CHUNK, len(joints)))
-        yield part, kinematics.sweep(mechanism, joints[part], pairs + mechanism.loops, regressors=True)
+    needed = pairs + mechanism.loops
+    functions = kernels(mechanism, len(joints))
+    size = _CHUNK if functions is None else _CHUNK_COMPILED
+    for start in range(0, len(joints), size):
+        part = slice(start, min(start + size, len(joints)))
+        if functions is None:
+            yield part, kinematics.sweep(mechanism, joints[part], needed, regressors=True)
+        else:
+            yield part, kinematics.compiled_sweep(functions, mechanism, joints[part], needed)
 
 
 def relative_motion(
@@ -136,6 +143,9 @@ def relative_motion(
         angular: Whether dw is wanted too.
     """
     mapping = kinematics.motion_map(swept, pair, angular=angular)
+    if swept.compiled is not None:
+        direct = np.zeros((mapping.shape[1], len(mechanism.passive)))
+        return _compiled_motion(mechanism, swept.compiled, mapping, mechanism.between(pair), direct, slope, twists)
     by_passive = kinematics.joint_derivative(
         swept, mapping, mechanism.between(pair)[:, None] * mechanism.select_passive
     )
@@ -158,6 +168,9 @@ def passive_motion(
     n = len(swept.rotation)
     if not np.any(coordinate):
         return np.zeros((n, 1, twists.shape[1]))
+    if swept.compiled is not None:
+        nothing = np.zeros((n, 1, 6)), np.zeros(mechanism.n_joints)
+        return _compiled_motion(mechanism, swept.compiled, *nothing, coordinate[None], slope, twists)
     by_passive = np.broadcast_to(coordinate, (n, 1, len(coordinate)))
     terms = _through_loops(mechanism, swept, by_passive, slope)
     return _along(kinematics.origin_derivative(mechanism, swept, terms), twists)
@@ -176,6 +189,28 @@ def _through_loops(
         terms.append((-np.matmul(part, kinematics.twist_map(swept, loop)), mechanism.between(loop)))
         row += len(loop.rows)
     return terms
+
+
+def _compiled_motion(
+    mechanism: Mechanism,
+    by: kinematics.CompiledPoses,
+    mapping: FloatArray,
+    signs: FloatArray,
+    direct: FloatArray,
+    slope: FloatArray,
+    twists: FloatArray | None,
+) -> FloatArray:
+    """The same by compiled code; see `calib.model.kernels.motion` for the arguments."""
+    every = np.eye(6 * mechanism.n_joints) if twists is None else twists
+    blocks = every.reshape(mechanism.n_joints, 6, -1)
+    joints, columns = np.nonzero(np.any(blocks != 0.0, axis=1))
+    entries = joints, columns, np.ascontiguousarray(blocks[joints, :, columns])
+    rows, select = by.functions.loops(mechanism), mechanism.select_passive
+    slope = np.ascontiguousarray(slope)
+    result: FloatArray = by.functions.motion(
+        by.tree, rows, by.found, mapping, signs, direct, select, slope, entries, every.shape[1]
+    )
+    return result
 
 
 def _along(by_origin: FloatArray, twists: FloatArray | None) -> FloatArray:
@@ -214,14 +249,8 @@ def by_coefficient(robot: Robot, by_joint: FloatArray, columns: tuple[FloatArray
 
 def joint_twists(mechanism: Mechanism) -> FloatArray:
     """Return twists of all origins per actuated joint, (6 n_joints, n_actuated): the joint's axis at its own origin."""
-    model = mechanism.model
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    twists = np.zeros((6 * mechanism.n_joints, len(mechanism.actuated)))
-    for i in range(mechanism.n_joints):
-        axis = np.asarray(data.joints[i + 1].S).reshape(6)
-        twists[6 * i : 6 * i + 6] = np.outer(axis, mechanism.select_actuated[i])
-    return twists
+    by_joint: FloatArray = mechanism.axes[:, :, None] * mechanism.select_actuated[:, None, :]
+    return by_joint.reshape(6 * mechanism.n_joints, -1)
 
 
 def joint_jacobian(robot: Robot, configurations: Configurations) -> FloatArray:

@@ -4,6 +4,7 @@ An entry is a module, called like the command that it adds, with
 
     command             that command
     pages(fit, logo)    the pages of a result folder, file name -> content
+    comparison(found)   the page of results side by side
     figures(subject)    the figures of an assessment or a selection, file name -> content
 
 so that everything below this floor writes and computes without asking what is installed.
@@ -22,6 +23,7 @@ from calib.files import image_address
 
 if TYPE_CHECKING:
     from calib.identification.fitted import Fit
+    from calib.reporting.result_comparison import ResultComparison
 
 GROUP = "calib.pictures"
 
@@ -33,6 +35,9 @@ class Pictures(Protocol):
 
     def pages(self, fit: Fit, logo: str) -> dict[str, bytes]:
         """Return the pages of a result folder, with an image that its address holds (none: empty)."""
+
+    def comparison(self, found: ResultComparison) -> bytes:
+        """Return the page of results side by side."""
 
     def figures(self, subject: object) -> dict[str, bytes]:
         """Return the figures of an assessment or a selection."""
@@ -63,6 +68,18 @@ def pages(fit: Fit, logo: Path | str | None = None) -> dict[str, bytes]:
         pictures: Pictures = entry.load()
         files |= pictures.pages(fit, address)
     return files
+
+
+def comparison(found: ResultComparison) -> bytes:
+    """Return the page of results side by side.
+
+    Raises:
+        InputError: Nothing that draws is installed.
+    """
+    modules: list[Pictures] = [entry.load() for entry in entry_points(group=GROUP)]
+    if not modules:
+        raise InputError(f"--html: nothing that draws is installed (entry point group {GROUP})")
+    return modules[0].comparison(found)
 
 
 def figures(subject: object) -> dict[str, bytes]:

@@ -16,7 +16,7 @@ EXAMPLES = {
     "calib simulate": "calib simulate docs/examples/arm.yaml poses.csv --sigma-mm 0.04 --seed 1 --out simulated.csv",
     "calib fit": "calib fit docs/examples/arm.yaml docs/examples/arm_simulated.csv --validate 0.25 --out out/arm",
     "calib view": "calib view out/arm --map",
-    "calib compare": "calib compare out/before out/after",
+    "calib compare": "calib compare out/before out/after --html compared.html",
     "calib verify": "calib verify out/arm check.csv",
     "calib predict": "calib predict out/arm poses.csv --out predicted.csv",
     "calib solve": "calib solve out/arm targets.csv --out commands.csv",

@@ -24,9 +24,12 @@ if TYPE_CHECKING:
     from calib.data.in_memory import as_measurements, as_poses
     from calib.data.measurement_files import read_measurements, read_poses
     from calib.data.measurements import Measurements, Poses
+    from calib.data.parameter_files import read_parameters
     from calib.exporting.formats import export
     from calib.identification.acceptance import Acceptance, verify
     from calib.identification.fitted import Fit
+    from calib.identification.study import study
+    from calib.identification.study_result import Study
     from calib.inverse_kinematics.compensation import Compensation, compensate
     from calib.inverse_kinematics.goals import Goals
     from calib.inverse_kinematics.inverse import Solution, solve
@@ -38,8 +41,11 @@ if TYPE_CHECKING:
     from calib.pose_choice.assessment import Assessment, check
     from calib.pose_choice.pose_sampling import sample
     from calib.pose_choice.selection import Selection, select
+    from calib.reporting.loaded_result import LoadedResult, load_result, predict
     from calib.reporting.result_comparison import ResultComparison, compare
     from calib.reporting.results import load
+    from calib.watching.progress import Progress
+    from calib.watching.watch import Watch
 
 _HOMES = {
     "Acceptance": "calib.identification.acceptance",
@@ -48,15 +54,19 @@ _HOMES = {
     "Compensation": "calib.inverse_kinematics.compensation",
     "Fit": "calib.identification.fitted",
     "Goals": "calib.inverse_kinematics.goals",
+    "LoadedResult": "calib.reporting.loaded_result",
     "Measurements": "calib.data.measurements",
     "Origin": "calib.model.parameters",
     "Parameter": "calib.parameter",
     "Parametrisation": "calib.model.parameters",
     "Poses": "calib.data.measurements",
+    "Progress": "calib.watching.progress",
     "ResultComparison": "calib.reporting.result_comparison",
     "Robot": "calib.model.robot",
     "Selection": "calib.pose_choice.selection",
     "Solution": "calib.inverse_kinematics.inverse",
+    "Study": "calib.identification.study_result",
+    "Watch": "calib.watching.watch",
     "as_measurements": "calib.data.in_memory",
     "as_poses": "calib.data.in_memory",
     "check": "calib.pose_choice.assessment",
@@ -65,13 +75,17 @@ _HOMES = {
     "export": "calib.exporting.formats",
     "fit": "calib.calibration",
     "load": "calib.reporting.results",
+    "load_result": "calib.reporting.loaded_result",
+    "predict": "calib.reporting.loaded_result",
     "read_measurements": "calib.data.measurement_files",
+    "read_parameters": "calib.data.parameter_files",
     "read_poses": "calib.data.measurement_files",
     "robot": "calib.model.loading",
     "sample": "calib.pose_choice.pose_sampling",
     "select": "calib.pose_choice.selection",
     "simulate": "calib.linearisation.simulate",
     "solve": "calib.inverse_kinematics.inverse",
+    "study": "calib.identification.study",
     "twist_of_edit": "calib.model.parameters",
     "verify": "calib.identification.acceptance",
 }
@@ -88,6 +102,7 @@ __all__ = [
     "Fit",
     "Goals",
     "InputError",
+    "LoadedResult",
     "Measurements",
     "NotConvergedError",
     "NotIdentifiableError",
@@ -96,12 +111,15 @@ __all__ = [
     "ParameterError",
     "Parametrisation",
     "Poses",
+    "Progress",
     "ResultComparison",
     "Robot",
     "Selection",
     "Solution",
+    "Study",
     "UnreachablePoseError",
     "UrdfError",
+    "Watch",
     "as_measurements",
     "as_poses",
     "check",
@@ -110,13 +128,17 @@ __all__ = [
     "export",
     "fit",
     "load",
+    "load_result",
+    "predict",
     "read_measurements",
+    "read_parameters",
     "read_poses",
     "robot",
     "sample",
     "select",
     "simulate",
     "solve",
+    "study",
     "twist_of_edit",
     "verify",
 ]

@@ -23,6 +23,7 @@ _MODULES = {
     "compensate": "calib.commands.compensate",
     "verify": "calib.commands.verify",
     "export": "calib.commands.export",
+    "watch": "calib.commands.watch",
 }
 
 

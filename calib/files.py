@@ -5,13 +5,13 @@ from __future__ import annotations
 import base64
 import errno
 import os
-import shutil
 import tempfile
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from calib.errors import CalibrationError, InputError
+from calib.replacing import clear_leftovers, new_file, new_folder, replace_folder
 
 _STREAM_FOLDERS = (Path("/dev"), Path("/dev/fd"))
 _LARGEST = 2**28  # bytes: a million rows and more, and less than memory
@@ -44,10 +44,20 @@ def read_bytes(path: Path | str, wanted: str, error: type[CalibrationError]) -> 
     return content
 
 
-def read_text(path: Path | str, wanted: str, error: type[CalibrationError]) -> str:
-    """Return the text of a file, without the mark that some editors put first; see `read_bytes`."""
+def read_text(path: Path | str, wanted: str, error: type[CalibrationError], *, growing: bool = False) -> str:
+    """Return the text of a file, without the mark that some editors put first; see `read_bytes`.
+
+    Args:
+        path: The file.
+        wanted: What it should be, for the error.
+        error: What to raise.
+        growing: Whether somebody still writes: a last line without its end is left out.
+    """
+    content = read_bytes(path, wanted, error)
+    if growing:
+        content = content[: content.rfind(b"\n") + 1]
     try:
-        text = read_bytes(path, wanted, error).decode("utf-8-sig")
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise error(f"{path}: is not UTF-8 text; give {wanted} in UTF-8") from None
     return text.replace("\r\n", "\n").replace("\r", "\n")
@@ -76,25 +86,38 @@ def write_file(path: Path | str, content: bytes | str) -> None:
     Raises:
         InputError: The folder does not exist or cannot be written to.
     """
-    path = Path(path)
-    data = content.encode("utf-8") if isinstance(content, str) else content
-    with _explained(path):
-        if path.is_dir():
-            raise IsADirectoryError(errno.EISDIR, "is a folder")
-        if _is_stream(path):
-            with path.open("ab") as stream:  # appending: standard output may be a file that holds something
-                stream.write(data)
-            return
-        target = path.resolve()  # a symbolic link stays one
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=".new-")
-        try:
-            with os.fdopen(handle, "wb") as stream:
-                stream.write(data)
-            Path(temporary).chmod(_permissions(target, 0o666))
-            Path(temporary).replace(target)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
+    write_files({Path(path): content.encode("utf-8") if isinstance(content, str) else content})
+
+
+def write_files(files: Mapping[Path, bytes]) -> None:
+    """Write files that belong together: each as a whole, and none takes its place before all are complete.
+
+    Args:
+        files: Content by path.
+
+    Raises:
+        InputError: A folder does not exist or cannot be written to; nothing was written.
+    """
+    with ExitStack() as stack:
+        complete = []
+        for path, content in files.items():
+            with _explained(path):
+                if path.is_dir():
+                    raise IsADirectoryError(errno.EISDIR, "is a folder")
+                if _is_stream(path):
+                    with path.open("ab") as stream:  # appending: standard output may be a file that holds something
+                        stream.write(content)
+                    continue
+                target = path.resolve()  # a symbolic link stays one
+                clear_leftovers(target.parent)
+                temporary, handle = stack.enter_context(new_file(target.parent))
+                with os.fdopen(os.dup(handle), "wb") as stream:  # closing it says what could not be written
+                    stream.write(content)
+                os.fchmod(handle, _permissions(target, 0o666))
+                complete.append((temporary, target))
+        for temporary, target in complete:
+            with _explained(target):
+                temporary.replace(target)
 
 
 def check_folder(path: Path | str) -> None:
@@ -127,7 +150,7 @@ def check_file(path: Path | str) -> None:
 def write_folder(path: Path | str, files: Mapping[str, bytes], obsolete: Collection[str] = ()) -> None:
     """Write a folder of files in one go; files of other names that were in it stay.
 
-    The new folder is completed beside the old one and takes its place by renaming.
+    The new folder is completed beside the old one and takes its place in one step; see `calib.replacing`.
 
     Args:
         path: The folder.
@@ -141,39 +164,12 @@ def write_folder(path: Path | str, files: Mapping[str, bytes], obsolete: Collect
     with _explained(path):
         _check_replaceable(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        staging = Path(tempfile.mkdtemp(dir=path.parent, prefix=".new-"))
-        try:
+        clear_leftovers(path.parent)
+        with new_folder(path.parent) as staging:
             for name, content in files.items():
                 (staging / name).write_bytes(content)
             staging.chmod(_permissions(path, 0o777))
-            if path.exists():
-                _exchange(staging, path, obsolete)
-            else:
-                staging.rename(path)
-        except BaseException:
-            shutil.rmtree(staging, ignore_errors=True)
-            raise
-
-
-def _exchange(staging: Path, path: Path, obsolete: Collection[str]) -> None:
-    """Put `staging` in the place of `path`, and what `path` has besides into it."""
-    attic = Path(tempfile.mkdtemp(dir=path.parent, prefix=".old-"))
-    old = attic / path.name
-    try:
-        path.rename(old)
-        try:
-            staging.rename(path)
-        except BaseException:
-            old.rename(path)
-            raise
-    except BaseException:
-        attic.rmdir()
-        raise
-    written = {entry.name for entry in path.iterdir()}
-    for entry in list(old.iterdir()):
-        if entry.name not in written and entry.name not in obsolete:
-            entry.rename(path / entry.name)
-    shutil.rmtree(attic, ignore_errors=True)
+            replace_folder(staging, path, obsolete)
 
 
 def _check_replaceable(path: Path) -> None:

@@ -16,6 +16,7 @@ parameters, which is all that is known before measuring; one set is the 84 poses
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -30,10 +31,10 @@ from calib.joint_terms.term import Context
 from calib.model.robot import Robot
 from calib.pose_choice.selection import select
 from calib.threads import one_blas_thread
+from calib.workers import in_order
 from medrue.draws import PoseSet
 from medrue.imperfections import Imperfections, RailErrors, from_direction, imperfect_robot
 from medrue.paper_tables import table3
-from medrue.parallel import Workers
 from medrue.progress import Progress
 from medrue.tracker import REPEATS, SIGMA, measure
 
@@ -146,7 +147,7 @@ def run_both_sides(
     counts: tuple[int, ...],
     imperfections: Imperfections,
     seeds: Sequence[np.random.SeedSequence],
-    workers: Workers,
+    executor: Executor | None,
     progress: Progress,
 ) -> BothSides:
     """Measure and calibrate the robots of the experiment from both sides.
@@ -159,18 +160,18 @@ def run_both_sides(
         counts: Numbers of poses.
         imperfections: Sizes of what the paper's parameters leave out.
         seeds: Of the experiment's draws.
-        workers: Who does the draws.
+        executor: Who does the draws.
         progress: Told how far the work is.
     """
     sets, rail = [first], RailErrors()
     with progress.stage("choosing poses for the extended model", len(counts)) as advance:
-        for chosen in workers.in_order(_choose, [(extended, joints, count) for count in counts]):
+        for chosen in in_order(_choose, [(extended, joints, count) for count in counts], executor):
             sets.append(PoseSet(f"{len(chosen)}", chosen))
             advance(1)
     tasks = [BothSidesTask(robot, extended, joints, tuple(sets), imperfections, rail, seed) for seed in seeds]
     draws = []
     with progress.stage("measurements from both sides", len(tasks)) as advance:
-        for draw in workers.in_order(both_sides_draw, tasks):
+        for draw in in_order(both_sides_draw, tasks, executor):
             draws.append(draw)
             advance(1)
     return BothSides(extended, joints, tuple(sets), rail, tuple(draws))

@@ -18,8 +18,8 @@ from calib.data.measurement_text import format_positions
 from calib.files import check_file, check_folder, write_file, write_folder
 from calib.model.loading import load
 from calib.units import metres, millimetres
+from calib.workers import Workers
 from medrue import robot_file
-from medrue.parallel import Workers
 from medrue.progress import Silent, TerminalBars
 
 if TYPE_CHECKING:
@@ -97,13 +97,13 @@ def _simulation_options(function: Callable[..., None]) -> Callable[..., None]:
 def study_command(out: str, quick: bool, draws: int | None, jobs: int, seed: int, output: Output) -> None:
     """Reproduce the paper's simulation study: Tables I and II, Figures 4 and 5. Everything is simulated."""
     check_folder(out)
-    with Workers(jobs) as workers:  # they start while the rest is loaded
+    with Workers(jobs) as executor:  # they start while the rest is loaded
         from medrue.reports import study_report
         from medrue.study import QUICK, StudySize, run_study
 
         size = QUICK if quick else StudySize()
         size = replace(size, noise_draws=draws or size.noise_draws)
-        found = run_study(load(robot_file()), size, seed, workers, Silent() if output.quiet else TerminalBars())
+        found = run_study(load(robot_file()), size, seed, executor, Silent() if output.quiet else TerminalBars())
     _finish(study_report(found), out, output, shown=("table2",))
 
 
@@ -130,7 +130,7 @@ def experiment_command(
     that are approached from both sides.
     """
     check_folder(out)
-    with Workers(jobs) as workers:  # they start while the rest is loaded
+    with Workers(jobs) as executor:  # they start while the rest is loaded
         from medrue.both_sides import COUNTS, QUICK_COUNTS
         from medrue.experiment import DRAWS, QUICK_DRAWS, run_experiment
         from medrue.imperfections import Imperfections
@@ -146,7 +146,7 @@ def experiment_command(
         progress = Silent() if output.quiet else TerminalBars()
         robots = load(robot_file()), load(robot_file("medrue_extended"))
         counts = QUICK_COUNTS if quick else COUNTS
-        found = run_experiment(*robots, count, seed, workers, progress, imperfections, counts)
+        found = run_experiment(*robots, count, seed, executor, progress, imperfections, counts)
     _finish(experiment_report(found), out, output, shown=("table4", "table5"))
 
 
@@ -156,13 +156,13 @@ def experiment_command(
 def touch_command(out: str, quick: bool, draws: int | None, jobs: int, seed: int, output: Output) -> None:
     """Calibrate without a tracker: by touched sockets, and by encoders on passive joints. Everything is simulated."""
     check_folder(out)
-    with Workers(jobs) as workers:  # they start while the rest is loaded
+    with Workers(jobs) as executor:  # they start while the rest is loaded
         from medrue.reports import touch_report
         from medrue.touch import QUICK, SIZE, run_touch
 
         size = QUICK if quick else SIZE
         size = replace(size, noise_draws=draws or size.noise_draws)
-        found = run_touch(load(robot_file()), size, seed, workers, Silent() if output.quiet else TerminalBars())
+        found = run_touch(load(robot_file()), size, seed, executor, Silent() if output.quiet else TerminalBars())
     _finish(touch_report(found), out, output, shown=("world", "shape"))
 
 

@@ -12,6 +12,7 @@ many processes share them.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +25,7 @@ from calib.errors import NotConvergedError
 from calib.linearisation.jacobian import linearise
 from calib.model.robot import Configurations, Robot
 from calib.threads import one_blas_thread
-from medrue.parallel import Workers
+from calib.workers import in_order
 
 CHUNK = 10
 """Draws that are done together."""
@@ -108,12 +109,12 @@ def measurements(robot: Robot, joints: FloatArray, positions: FloatArray, index:
     return as_measurements(robot, joints[index], positions[index], [str(k + 1) for k in index])
 
 
-def run(tasks: Sequence[Task], workers: Workers, done: Callable[[int], None]) -> list[Outcome]:
+def run(tasks: Sequence[Task], executor: Executor | None, done: Callable[[int], None]) -> list[Outcome]:
     """Run tasks.
 
     Args:
         tasks: What to run.
-        workers: Who runs them.
+        executor: Who runs them.
         done: Called with the number of calibrations finished, for a progress bar.
 
     Returns:
@@ -121,7 +122,7 @@ def run(tasks: Sequence[Task], workers: Workers, done: Callable[[int], None]) ->
     """
     chunks = [chunk for task in tasks for chunk in task.chunks()]
     parts = []
-    for chunk, part in zip(chunks, workers.in_order(run_chunk, chunks), strict=True):
+    for chunk, part in zip(chunks, in_order(run_chunk, chunks, executor), strict=True):
         parts.append(part)
         done(len(chunk.seeds) * len(chunk.sets))
     outcomes = []

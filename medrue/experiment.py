@@ -13,6 +13,7 @@ where the remaining error comes from; and the same robots measured and modelled 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,11 +22,11 @@ from calib import fit
 from calib.arrays import FloatArray
 from calib.model.robot import Robot
 from calib.threads import one_blas_thread
+from calib.workers import in_order
 from medrue.both_sides import COUNTS, BothSides, run_both_sides
 from medrue.draws import PoseSet, measurements
 from medrue.imperfections import Imperfections, approach_in_order, imperfect_robot
 from medrue.paper_tables import table3
-from medrue.parallel import Workers
 from medrue.poses import target_poses
 from medrue.progress import Progress
 from medrue.study import choose_sets
@@ -121,7 +122,7 @@ def run_experiment(
     extended: Robot,
     draws: int,
     seed: int,
-    workers: Workers,
+    executor: Executor | None,
     progress: Progress,
     imperfections: Imperfections,
     counts: tuple[int, ...] = COUNTS,
@@ -133,25 +134,25 @@ def run_experiment(
         extended: The extended model with nominal parameters.
         draws: How many experiments to simulate, with all causes and with each alone.
         seed: Seed; the same one gives the same numbers, whoever works.
-        workers: Who does the draws.
+        executor: Who does the draws.
         progress: Told how far the work is.
         imperfections: Sizes of what the parameters leave out.
         counts: Numbers of poses to measure from both sides.
     """
     joints = target_poses(robot).poses.joints
     with progress.stage("choosing poses", 6) as advance:
-        _, sets = choose_sets(robot, joints, workers, advance)
+        _, sets = choose_sets(robot, joints, executor, advance)
     seeds = np.random.SeedSequence(seed).spawn(draws)
     tasks = [ExperimentTask(robot, extended, joints, sets, imperfections, one) for one in seeds]
     for alone in imperfections.causes.values():
         tasks += [ExperimentTask(robot, extended, joints, sets[:1], alone, one) for one in seeds]
     found = []
     with progress.stage("simulated experiments", len(tasks)) as advance:
-        for draw in workers.in_order(experiment_draw, tasks):
+        for draw in in_order(experiment_draw, tasks, executor):
             found.append(draw)
             advance(1)
     causes = {name: tuple(found[k * draws : (k + 1) * draws]) for k, name in enumerate(imperfections.causes, start=1)}
-    both_sides = run_both_sides(robot, extended, joints, sets[0], counts, imperfections, seeds, workers, progress)
+    both_sides = run_both_sides(robot, extended, joints, sets[0], counts, imperfections, seeds, executor, progress)
     return Experiment(robot, joints, sets, imperfections, tuple(found[:draws]), causes, both_sides, seed)
 
 

@@ -16,6 +16,7 @@ Everything here is simulated. The truth comes from the closed form, predictions 
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,10 +26,10 @@ from calib.arrays import FloatArray
 from calib.linearisation.jacobian import linearise
 from calib.model.robot import Robot
 from calib.pose_choice.selection import Selection, select
+from calib.workers import in_order
 from medrue.closed_form import forward
 from medrue.draws import Outcome, PoseSet, Task, measurements, run
 from medrue.paper_tables import table1
-from medrue.parallel import Workers
 from medrue.poses import target_poses
 from medrue.progress import Advance, Progress
 
@@ -109,25 +110,25 @@ class Study:
         return summary(errors[None, self.sets[0].others(len(self.joints))])[0]
 
 
-def run_study(robot: Robot, size: StudySize, seed: int, workers: Workers, progress: Progress) -> Study:
+def run_study(robot: Robot, size: StudySize, seed: int, executor: Executor | None, progress: Progress) -> Study:
     """Run the study.
 
     Args:
         robot: MedRUE with nominal parameters.
         size: How much to simulate.
         seed: Seed; the same one gives the same numbers, whoever works.
-        workers: Who does the draws.
+        executor: Who does the draws.
         progress: Told how far the work is.
     """
     joints = target_poses(robot).poses.joints
     truth = true_positions(joints, table1().actual)
     with progress.stage("choosing poses", len(INDICES)) as advance:
-        selections, sets = choose_sets(robot, joints, workers, advance)
+        selections, sets = choose_sets(robot, joints, executor, advance)
     noise_seeds, actual_seeds = np.random.SeedSequence(seed).spawn(2)
     main = Task(robot, joints, truth, sets, SIGMA, tuple(noise_seeds.spawn(size.noise_draws)))
     tasks = [main, *_other_robots(robot, joints, sets, actual_seeds, size)]
     with progress.stage("simulated calibrations", sum(len(task.seeds) for task in tasks) * len(sets)) as advance:
-        outcomes = run(tasks, workers, advance)
+        outcomes = run(tasks, executor, advance)
     chosen = sets[0].chosen
     others = measurements(robot, joints, truth, sets[0].others(len(joints)))
     exact = fit(robot, measurements(robot, joints, truth, chosen), validation=others, sigma=SIGMA)
@@ -155,19 +156,19 @@ def true_positions(joints: FloatArray, parameters: FloatArray) -> FloatArray:
 
 
 def choose_sets(
-    robot: Robot, joints: FloatArray, workers: Workers, advance: Advance
+    robot: Robot, joints: FloatArray, executor: Executor | None, advance: Advance
 ) -> tuple[dict[str, Selection], tuple[PoseSet, ...]]:
     """Choose 84 poses by every index, and 84 uniformly.
 
     Args:
         robot: The nominal robot, which is all that is known before measuring.
         joints: Candidates, (n, 6) [m, rad].
-        workers: Who chooses.
+        executor: Who chooses.
         advance: Called with 1 after each index.
     """
     selections, sets = {}, []
     tasks = [(robot, joints, index) for index in INDICES]
-    for index, selection in zip(INDICES, workers.in_order(_choose, tasks), strict=True):
+    for index, selection in zip(INDICES, in_order(_choose, tasks, executor), strict=True):
         selections[index] = selection
         sets.append(PoseSet(index, np.sort(selection.chosen)))
         advance(1)

@@ -22,6 +22,7 @@ Reference: joubair2016.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,9 +34,9 @@ from calib.model.robot import Robot
 from calib.pose_choice.assessment import Assessment, check
 from calib.pose_choice.selection import Selection, select
 from calib.threads import one_blas_thread
+from calib.workers import in_order
 from medrue.error_before import base_placed
 from medrue.paper_tables import PARAMETERS, TOOL_POINT, table1
-from medrue.parallel import Workers
 from medrue.poses import target_poses
 from medrue.progress import Progress
 from medrue.study import COUNT, SIGMA, StudySize, drawn_parameters, true_positions
@@ -117,14 +118,14 @@ class TouchStudy:
         return (BEFORE, *(method.name for method in self.methods), TOOL_KNOWN)
 
 
-def run_touch(robot: Robot, size: StudySize, seed: int, workers: Workers, progress: Progress) -> TouchStudy:
+def run_touch(robot: Robot, size: StudySize, seed: int, executor: Executor | None, progress: Progress) -> TouchStudy:
     """Calibrate simulated robots in every way.
 
     Args:
         robot: MedRUE with nominal parameters.
         size: How much to simulate.
         seed: Seed; the same one gives the same numbers, whoever works.
-        workers: Who does the draws.
+        executor: Who does the draws.
         progress: Told how far the work is.
     """
     joints = target_poses(robot).poses.joints
@@ -143,7 +144,7 @@ def run_touch(robot: Robot, size: StudySize, seed: int, workers: Workers, progre
         tasks += [TouchTask(methods, joints, actual, one) for one in noise.spawn(size.noise_per_actual)]
     found = []
     with progress.stage("simulated calibrations", len(tasks) * len(methods)) as advance:
-        for distances in workers.in_order(touch_draw, tasks):
+        for distances in in_order(touch_draw, tasks, executor):
             found.append(distances)
             advance(len(methods))
     first, others = np.array(found[: size.noise_draws]), np.array(found[size.noise_draws :])

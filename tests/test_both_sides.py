@@ -22,7 +22,6 @@ from medrue.both_sides_tables import (
 from medrue.draws import PoseSet
 from medrue.imperfections import STRAIGHT, Imperfections, RailErrors, from_direction, imperfect_robot
 from medrue.paper_tables import table3
-from medrue.parallel import Workers
 from medrue.progress import Silent
 from medrue.workspace import target_workspace
 
@@ -44,7 +43,7 @@ def found(robot: Robot, extended: Robot) -> BothSides:
     """One robot; 42 uniform poses, and 10 chosen ones."""
     joints = np.array(target_workspace().q)[::4]
     first, seeds = PoseSet("uniform", np.flatnonzero(np.arange(105) % 5 < 2)), np.random.SeedSequence(7).spawn(1)
-    return run_both_sides(robot, extended, joints, first, (10,), Imperfections(), seeds, Workers(1), Silent())
+    return run_both_sides(robot, extended, joints, first, (10,), Imperfections(), seeds, None, Silent())
 
 
 def cells(table) -> dict[str, tuple]:

@@ -5,14 +5,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import calib
+from calib.joint_terms.term import Context
 from calib.linearisation.jacobian import linearise
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 G = 9.81
 STEP = 1e-5
+HEADER = "turn [rad],lift [rad],bend [rad],ball_x [m],ball_y [m],ball_z [m]"
 
 ARM = """\
 <robot name="arm">
@@ -155,9 +158,78 @@ def test_compliance_is_recovered_from_data_of_other_code(machine):
     assert np.all(std[given > 0] < 0.05 * given[given > 0])
 
 
-def test_without_masses_compliance_is_refused(tmp_path):
+def loaded(robot, load, **changes):
+    """A robot with these changes of its description, and the conditions of visits that carry these masses."""
+    robot = replace(robot, description=robot.description.model_copy(update=changes))
+    context = Context.neutral(len(load), len(robot.joint_names))
+    return robot, replace(context, load=load)
+
+
+def lifted(at, height, q):
+    """The torque of one kilogram at a point of this height, by central differences, (n, n_joints)."""
+    steps = STEP * np.eye(q.shape[1])
+    return np.array([[G * (height(row + e) - height(row - e)) / (2 * STEP) for e in steps] for row in q])
+
+
+def test_a_payload_loads_the_joints_as_a_body_there_would(tmp_path):
+    robot, at = arm(tmp_path)
+    q, load = poses(robot, 12, 4), np.linspace(0.0, 7.0, 12)
+    loaded_robot, context = loaded(robot, load)
+    found = np.hstack(loaded_robot.term_columns(q, context))
+    by_height = lifted(at, lambda row: at(row)[0][2], q)  # at the first target
+    assert np.allclose(found, torques(at, q) + load[:, None] * by_height, rtol=0, atol=1e-6)
+    model = pin.buildModelFromUrdf(str(tmp_path / "arm.urdf"))
+    frame = model.frames[model.getFrameId("tool")]
+    for k, row in enumerate(q):
+        carrying = model.copy()
+        place = frame.placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.15]))
+        carrying.appendBodyToJoint(frame.parentJoint, pin.Inertia(load[k], np.zeros(3), np.zeros((3, 3))), place)
+        assert np.allclose(found[k], pin.computeGeneralizedGravity(carrying, carrying.createData(), row), atol=1e-9)
+
+
+def test_a_payload_loads_joints_through_a_loop(tmp_path):
+    robot, at = upright_five_bar(tmp_path)
+    q, load = poses(robot, 12, 5), np.linspace(0.0, 2.0, 12)
+    loaded_robot, context = loaded(robot, load)
+    found = np.hstack(loaded_robot.term_columns(q, context))
+    by_height = lifted(at, lambda row: at(row)[0][1], q)
+    assert np.allclose(found, torques(at, q) + load[:, None] * by_height, rtol=0, atol=1e-6)
+    assert np.abs(by_height).max() > 0.3
+
+
+def test_a_payload_hangs_where_the_description_says(tmp_path):
+    robot, at = arm(tmp_path)
+    q = poses(robot, 5, 6)
+    elbow, context = loaded(robot, np.full(5, 3.0), payload="fore")
+    found = np.hstack(elbow.term_columns(q, context)) - torques(at, q)
+    by_height = lifted(at, lambda row: 0.5 - 0.5 * np.sin(row[1]), q)
+    assert np.allclose(found, 3.0 * by_height, rtol=0, atol=1e-6)
+    (tmp_path / "arm.yaml").write_text(ARM_YAML + "payload: fare\n")
+    with pytest.raises(calib.DescriptionError, match="payload: no link, joint or target 'fare'; did you mean 'fore'"):
+        calib.load(tmp_path / "arm.yaml")
+
+
+def test_compliance_is_recovered_from_a_file_with_a_payload_alone(tmp_path, run_calib):
+    _, at = arm(tmp_path)
     (tmp_path / "arm.urdf").write_text(re.sub("<inertial>.*?</inertial>", "", ARM, flags=re.DOTALL))
-    (tmp_path / "arm.yaml").write_text(ARM_YAML)
     robot = calib.load(tmp_path / "arm.yaml")
-    with pytest.raises(calib.DescriptionError, match="needs masses"):
+    with pytest.raises(calib.DescriptionError, match="needs masses, and the URDF has none"):
         robot.assemble(robot.home)
+    (tmp_path / "arm.yaml").write_text(ARM_YAML + "payload: ball\nsigma: 0.01 mm\n")
+    robot = calib.load(tmp_path / "arm.yaml")
+    rng = np.random.default_rng(8)
+    q, load = rng.uniform(-0.8, 0.8, (60, 3)), np.tile([0.0, 10.0], 30)
+    torque = load[:, None] * lifted(at, lambda row: at(row)[0][2], q)
+    points = np.array([at(row)[0] for row in q + [0.0, 6e-5, 9e-5] * torque]) + 1e-5 * rng.standard_normal((60, 3))
+    table = np.column_stack([q, points, load])
+    np.savetxt(tmp_path / "data.csv", table, delimiter=",", header=f"{HEADER},load [kg]", comments="")
+    run = run_calib("fit", tmp_path / "arm.yaml", tmp_path / "data.csv", "--no-pages", "--out", tmp_path / "out")
+    assert run.code == 0, run.err
+    calibrated = calib.load(tmp_path / "out")
+    known = dict(zip((p.name for p in calibrated.parameters), calibrated.values, strict=True))
+    assert known["lift.compliance"] == pytest.approx(6e-5, rel=0.05)
+    assert known["bend.compliance"] == pytest.approx(9e-5, rel=0.05)
+    run = run_calib("predict", tmp_path / "out", tmp_path / "data.csv", "--out", tmp_path / "predicted.csv")
+    assert run.code == 0, run.err
+    predicted = calib.read_measurements(tmp_path / "predicted.csv", robot).readings["ball"].values
+    assert np.abs(predicted - points).max() < 6e-5  # 3 mm of bending, but for noise: the file's loads are heeded

@@ -1,6 +1,8 @@
 """Ways to closed configurations: far parameters, single poses, limits of another turn, joints without limits."""
 
+import pickle
 import re
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 import calib
 from calib.inverse_kinematics.goals import Goals
 from calib.inverse_kinematics.inverse import solve
+from calib.model import continuation, kinematics
 from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
@@ -64,6 +67,34 @@ def test_a_pose_alone_is_found_where_it_is_found_among_others(medrue):
     assert 3 < together.ok.sum() < 115
     alone = np.array([medrue.close(one).ok[0] for one in q[together.ok]])
     assert alone.all()
+
+
+def test_steps_tried_together_lead_where_steps_tried_one_after_the_other_lead(medrue, monkeypatch):
+    q = np.random.default_rng(6).uniform(-0.4, 0.4, (40, 6)) * medrue.mechanism.joint_scale + medrue.home
+    together = medrue.close(q)
+    assert 3 < together.ok.sum() < 37
+    monkeypatch.setattr(continuation, "_TOGETHER", 1)
+    one_by_one = medrue.close(q)
+    assert np.array_equal(together.ok, one_by_one.ok)
+    assert np.nanmax(np.abs(together.passive - one_by_one.passive)) < 1e-9
+
+
+def test_loops_are_open_alike_one_by_one_and_together(medrue):
+    mechanism = medrue.mechanism
+    q = medrue.home + 0.1 * np.random.default_rng(7).normal(size=(5, 6))
+    swept = kinematics.sweep(mechanism, mechanism.all_joints(q, np.tile(medrue.mode.passive, (5, 1))), mechanism.loops)
+    values, maps = kinematics.gaps(swept, mechanism.loops)
+    assert np.allclose(values, np.hstack([kinematics.value(swept, loop) for loop in mechanism.loops]), atol=1e-14)
+    assert np.allclose(maps, np.hstack([kinematics.twist_map(swept, loop) for loop in mechanism.loops]), atol=1e-14)
+
+
+def test_robots_in_use_are_pickled_and_shared_by_threads(medrue):
+    q = np.array(target_workspace().q)[:60]
+    expected = medrue.positions(q)
+    assert np.allclose(pickle.loads(pickle.dumps(medrue)).positions(q), expected, rtol=0, atol=1e-12)
+    with ThreadPoolExecutor(4) as threads:
+        found = list(threads.map(lambda _: medrue.positions(q), range(8)))
+    assert np.allclose(found, [expected] * 8, rtol=0, atol=1e-12)
 
 
 def test_limits_that_lie_a_turn_away_are_the_same_limits(tmp_path):

@@ -5,20 +5,16 @@
 
 import sys
 import tempfile
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
 import pytest
-from six_axis_arm import FREE, YAML, joints, measurements, six_axis_arm, write_six_axis
+from six_axis_arm import FREE, YAML, joints, six_axis_arm, write_six_axis
 
 import calib
-from calib.linearisation.jacobian import linearise
-from calib.linearisation.prediction import carried
 from calib.numerics.losses import LOSSES
-from calib.threads import one_blas_thread
 from medrue import robot_file
 from medrue.workspace import target_workspace
 
@@ -54,31 +50,16 @@ class Coverage:
         )
 
 
-@contextmanager
-def closed_once(robot):
-    """Every fit closes the same poses of the nominal robot, from home: half of a fit's time, here spent once."""
-    known, plain = {}, calib.Robot.close
-
-    def close(self, q, seed=None, columns=None):
-        if self is not robot or seed is not None or columns is not None:
-            return plain(self, q, seed, columns)
-        key = np.asarray(q).tobytes()
-        if key not in known:
-            known[key] = plain(self, q)
-        return known[key]
-
-    with mock.patch.object(calib.Robot, "close", close):
-        yield
+def with_gross_errors(part, exact, rng):
+    """Normal noise, and at a part of the poses a gross error."""
+    ((name, readings),) = exact.readings.items()
+    noise = SIGMA * rng.standard_normal(readings.values.shape)
+    wrong = rng.choice(len(noise), round(part * len(noise)), replace=False)
+    noise[wrong] += GROSS * rng.standard_normal(noise[wrong].shape)
+    return replace(exact, readings={name: replace(readings, values=readings.values + noise)})
 
 
-@one_blas_thread
-def coverage(robot, q, elsewhere, n, **how):
-    """Calibrate n times, as `_coverage` says."""
-    with closed_once(robot):
-        return _coverage(robot, q, elsewhere, n, **how)
-
-
-def _coverage(robot, q, elsewhere, n, *, loss="none", gross=0.0, prior=False, seed=1):
+def coverage(robot, q, elsewhere, n, *, loss="none", gross=0.0, prior=False, seed=1):
     """Calibrate n times.
 
     Args:
@@ -91,31 +72,18 @@ def _coverage(robot, q, elsewhere, n, *, loss="none", gross=0.0, prior=False, se
         prior: Draw the truth from the priors each time.
         seed: Of the noise.
     """
-    rng = np.random.default_rng(seed)
-    truth, exact, there = robot, robot.positions(q), robot.positions(elsewhere)
-    scales = np.array([parameter.sigma * parameter.prior for parameter in robot.parameters])
-    held, predicted, sigma, outliers = [], [], [], 0
-    passive = robot.assemble(elsewhere).passive
-    for _ in range(n):
-        if prior:
-            truth = robot.with_parameters(robot.values + scales * rng.standard_normal(len(scales)))
-            exact, there = truth.positions(q), truth.positions(elsewhere)
-        noise = SIGMA * rng.standard_normal(exact.shape)
-        wrong = rng.choice(len(q), round(gross * len(q)), replace=False)
-        noise[wrong] += GROSS * rng.standard_normal(noise[wrong].shape)
-        fit = calib.fit(robot, measurements(robot, q, exact + noise), loss=loss, sigma=SIGMA if prior else None)
-        error = np.abs(fit.robot.values - truth.values)[robot.is_free]
-        held.append(error <= fit.statistics.half_width)
-        at = linearise(fit.robot, fit.robot.assemble(elsewhere, passive))  # as fit.predict, without starting afresh
-        std = np.sqrt(
-            np.diagonal(carried(at.jacobian[..., robot.is_free], fit.statistics.covariance), axis1=2, axis2=3)
-        )
-        predicted.append(np.abs(at.positions - there) <= fit.statistics.coverage_factor * std)
-        sigma.append(fit.sigma / SIGMA)
-        outliers += bool(fit.outliers)
-    squared = float(np.mean(np.square(sigma)))
-    parts = np.mean(held, axis=0), np.mean(predicted, axis=0)
-    return Coverage(*parts, float(np.mean(sigma)), squared, outliers / n)
+    how = {"sigma": SIGMA, "truth": "priors"} if prior else {}
+    noise = partial(with_gross_errors, gross)
+    found = calib.study(robot, q, draws=n, noise=noise, loss=loss, elsewhere=elsewhere, seed=seed, **how)
+    assert not found.failures
+    sigma = found.draws.sigma[:, 0] / SIGMA
+    return Coverage(
+        np.array([one.coverage for one in found.parameters]),
+        found.position_coverage,
+        float(np.mean(sigma)),
+        float(np.mean(sigma**2)),
+        found.outliers,
+    )
 
 
 def medrue_case():

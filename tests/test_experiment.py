@@ -18,7 +18,6 @@ from medrue.experiment import Experiment, ExperimentTask, experiment_draw
 from medrue.experiment_tables import cause_rms, experiment_findings, experiment_tables
 from medrue.imperfections import TILTED_JOINTS, Imperfections, ImperfectRobot, approach_in_order, imperfect_robot
 from medrue.paper_tables import error_table, table3
-from medrue.parallel import Workers
 from medrue.progress import Silent
 from medrue.tracker import NESTS, PLACE, measure
 from medrue.workspace import target_workspace
@@ -58,7 +57,7 @@ def experiment(robot: Robot, extended: Robot) -> Experiment:
         name: tuple(experiment_draw(ExperimentTask(robot, extended, joints, sets[:1], alone, seed)) for seed in seeds)
         for name, alone in usual.causes.items()
     }
-    both_sides = run_both_sides(robot, extended, joints, sets[0], (28,), usual, seeds[:1], Workers(1), Silent())
+    both_sides = run_both_sides(robot, extended, joints, sets[0], (28,), usual, seeds[:1], None, Silent())
     return Experiment(robot, joints, sets, usual, draws, causes, both_sides, 3)
 
 

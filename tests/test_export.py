@@ -255,6 +255,7 @@ def test_command_prints_the_gaps_as_json(tmp_path: Path) -> None:
         (("--format", "ur-kinematics", "--out", "x.yaml"), "follows other joints; this format holds chains"),
         (("--format", "mjcf", "--meshes", "package://a", "--out", "x.xml"), "has no mesh paths to change"),
         (("--format", "mjcf", "--out", "."), "cannot be written"),
+        (("--format", "toolbox", "--out", "."), "cannot be written"),
         (("--format", "mjfc", "--out", "x.xml"), "'mjfc' is not one of"),
         (("--format", "mjcf",), "Missing option '--out'"),
         (("--format", "mjcf", "--result", "nowhere", "--out", "x.xml"), "holds no result"),

@@ -1,15 +1,22 @@
 """Writing files: whole or not at all, and an error that says why not."""
 
+import json
 import os
+import resource
+import shutil
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
 import pytest
 
+from calib import replacing
 from calib.errors import InputError
 from calib.files import check_file, check_folder, write_file, write_folder
 
 needs_dev_full = pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+ROOT = Path(__file__).parents[1]
 RESULT = {"result.json": b"{}", "parameters.csv": b"parameter,value,unit\n"}
 
 
@@ -163,16 +170,17 @@ def test_the_current_folder_and_its_parents_are_not_exchanged(tmp_path, monkeypa
     check_folder(Path("result"))
 
 
-@pytest.mark.parametrize("failing", ["staging", "first exchange", "second exchange"])
+@pytest.mark.parametrize("failing", ["staging", "taking the place", "setting aside", "replacing"])
 def test_a_folder_whose_writing_fails_is_left_as_it_was(tmp_path, monkeypatch, failing):
     out = tmp_path / "out"
     write_folder(out, {"result.json": b"old", "other": b"mine"})
-    renames = []
+    renames, moments = [], {"taking the place": 1, "setting aside": 2, "replacing": 3}
     rename, write_bytes = Path.rename, Path.write_bytes
+    monkeypatch.setattr(replacing, "exchange", lambda one, other: False)
 
     def failing_rename(self, target):
         renames.append(self)
-        if failing != "staging" and len(renames) == (1 if failing == "first exchange" else 2):
+        if len(renames) == moments.get(failing):
             raise OSError(28, "No space left on device")
         return rename(self, target)
 
@@ -198,3 +206,148 @@ def test_an_interrupt_while_writing_leaves_the_old_folder(tmp_path, monkeypatch)
     with pytest.raises(KeyboardInterrupt):
         write_folder(out, RESULT)
     assert tree(tmp_path) == {"out": None, "out/result.json": b"old"}
+
+
+def in_process(code, *arguments, **options):
+    """Run Python code in a process of its own, from the project's folder."""
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    return subprocess.Popen(command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options)
+
+
+def test_writing_that_is_ended_before_any_of_its_lines_leaves_the_old_or_the_new():
+    """Killed, and interrupted; with the exchange of names in one step and without."""
+    done = subprocess.run([sys.executable, ROOT / "tests" / "interrupted_writing.py"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    counted = json.loads(done.stdout)
+    assert len(counted) == 8
+    for found in counted.values():
+        assert min(found["old"], found["new"]) >= 3  # it was ended before and after the one step that counts
+
+
+WRITERS = """
+import sys
+from pathlib import Path
+from calib import replacing
+from calib.files import write_file, write_folder
+out, word, exchange = Path(sys.argv[1]), sys.argv[2].encode(), sys.argv[3] == "True"
+if not exchange:
+    replacing.exchange = lambda one, other: False
+for _ in range(100):
+    write_folder(out, {name: word * 2000 for name in ("result.json", "parameters.csv")})
+    write_file(out.parent / "table.csv", word * 2000)
+"""
+
+
+@pytest.mark.parametrize("exchange", [True, False])
+def test_two_writers_at_once_end_with_the_result_of_one_and_lose_nothing(tmp_path, exchange):
+    write_folder(tmp_path / "out", {"mine.txt": b"keep"})
+    writers = [in_process(WRITERS, tmp_path / "out", word, exchange) for word in ("a", "b")]
+    assert [writer.communicate()[1] for writer in writers] == ["", ""]
+    seen = tree(tmp_path)
+    assert seen.pop("out/mine.txt") == b"keep"
+    assert seen["out/result.json"] == seen["out/parameters.csv"]
+    assert {seen["out/result.json"][:1], seen["table.csv"][:1]} <= {b"a", b"b"}
+    assert sorted(seen) == ["out", "out/parameters.csv", "out/result.json", "table.csv"]
+
+
+def test_what_a_killed_program_left_is_cleared_by_the_next_but_not_what_a_living_one_holds(tmp_path):
+    """`.calib-old-*` holds a result that was being replaced where names cannot be exchanged: it is put back."""
+    (tmp_path / ".calib-new-left" / "inner").mkdir(parents=True)
+    (tmp_path / ".calib-new-left" / "inner").chmod(0o500)
+    (tmp_path / ".calib-new-file").write_text("half")
+    (tmp_path / ".calib-old-left" / "out").mkdir(parents=True)
+    (tmp_path / ".calib-old-left" / "out" / "mine.txt").write_text("keep")
+    with replacing.new_folder(tmp_path) as living:
+        (living / "content").write_text("half")
+        write_folder(tmp_path / "out", {"result.json": b"new"})
+        assert (living / "content").exists()
+    assert tree(tmp_path) == {"out": None, "out/result.json": b"new", "out/mine.txt": b"keep"}
+
+
+LIMITED = """
+import sys, signal
+from calib.errors import InputError
+from calib.files import write_file, write_folder
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # a write beyond the limit is then an error, as on a full disk
+for function, content in ((write_folder, {"a": b"new", "b": b"n" * 100_000}), (write_file, b"n" * 100_000)):
+    try:
+        function(sys.argv[1] + ("/out" if function is write_folder else "/table.csv"), content)
+    except InputError as error:
+        print(error)
+"""
+
+
+def test_a_disk_without_room_leaves_the_old_result_and_nothing_else(tmp_path):
+    write_folder(tmp_path / "out", {"a": b"old", "b": b"old"})
+    write_file(tmp_path / "table.csv", b"old")
+    before = tree(tmp_path)
+    limit = {"preexec_fn": lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))}
+    said, trouble = in_process(LIMITED, tmp_path, **limit).communicate()
+    assert trouble == ""
+    assert said.count("cannot be written (file too large)") == 2
+    assert tree(tmp_path) == before
+
+
+FULL = """
+import sys
+from calib.errors import InputError
+from calib.files import write_folder
+refused, full = 0, b"n" * int(sys.argv[2])
+for size in range(0, 2 * len(full), 3000):
+    try:
+        write_folder(sys.argv[1] + "/out", {"a": b"n" * size, "b": b"n" * size})
+    except InputError as error:
+        assert "no space left on device" in str(error), error
+        refused += 1
+print(refused)
+"""
+
+
+def test_a_full_disk_leaves_the_old_result_and_nothing_else(tmp_path):
+    """A real one, of 256 kB, where this user may mount one."""
+    mounted = shutil.which("mount") and subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", tmp_path], capture_output=True
+    )
+    if not mounted or mounted.returncode:
+        pytest.skip("no file system can be mounted here")
+    try:
+        said, trouble = in_process(FULL, tmp_path, 200_000).communicate()
+        assert trouble == ""
+        assert int(said) > 50
+        seen = tree(tmp_path)
+        assert sorted(seen) == ["out", "out/a", "out/b"]
+        assert seen["out/a"] == seen["out/b"]
+    finally:
+        subprocess.run(["umount", tmp_path], check=True)
+
+
+READ_ONLY = """
+import os, sys
+from calib.errors import InputError
+from calib.files import check_file, check_folder, write_file, write_folder
+if os.getuid() == 0:
+    os.setuid(65534)  # root may write anywhere
+for function, content in ((check_folder, ()), (check_file, ()), (write_folder, ({"a": b"new"},)), (write_file, (b"",))):
+    for name in ("out", "new"):
+        try:
+            function(f"{sys.argv[1]}/{name}", *content)
+        except InputError as error:
+            print(error)
+"""
+
+
+def test_a_folder_that_may_only_be_read_stays_as_it_is(tmp_path):
+    place = tmp_path / "place"
+    write_folder(place / "out", {"a": b"old"})
+    for folder in (tmp_path, *list(tmp_path.parents)[:2]):
+        folder.chmod(0o755)
+    before = tree(tmp_path)
+    place.chmod(0o555)
+    try:
+        said, trouble = in_process(READ_ONLY, place).communicate()
+        assert trouble == ""
+        assert said.count("cannot be written (permission denied); choose another place") == 6
+        assert said.count("cannot be written (is a folder)") == 2
+        assert tree(tmp_path) == before
+    finally:
+        place.chmod(0o755)

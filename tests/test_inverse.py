@@ -121,6 +121,37 @@ def test_redundant_joints_stay_nearest_to_where_they_are_wanted(arm: Robot) -> N
     assert np.abs(found - best.x).max() < 1e-5
 
 
+def test_joints_are_nearest_through_loops_and_at_limits(medrue_robot: Robot) -> None:
+    """Against a general constrained minimiser of the closed form; near the end of the rail, which holds some."""
+    robot, scale = medrue_robot, medrue_robot.mechanism.joint_scale
+    near = robot.home.copy()
+    near[0] = 0.7
+    q = near + np.random.default_rng(5).uniform(-0.25, 0.25, (8, 6)) * scale
+    q[:, 0] = np.minimum(q[:, 0], 0.68)
+    q = q[robot.close(q).ok]
+    wanted = forward(q, table1().nominal).p_world_tool
+    found = solve(robot, Goals(wanted), near=near)
+    assert found.ok.all()
+    assert 0 < np.count_nonzero(found.q[:, 0] == 0.7) < len(q)
+    compared = 0
+    for start, goal in zip(found.q, wanted, strict=True):
+        best = minimize(
+            lambda joints: np.sum(((joints - near) / scale) ** 2),
+            start,
+            constraints={
+                "type": "eq",
+                "fun": lambda joints, goal=goal: forward(joints[None], table1().nominal).p_world_tool[0] - goal,
+            },
+            bounds=[(0.0, 0.7), *[(None, None)] * 5],
+            method="SLSQP",
+            options={"ftol": 1e-15, "maxiter": 300},
+        )
+        if best.success and robot.close(best.x[None]).ok[0]:
+            compared += 1
+            assert np.abs((start - best.x) / scale).max() < 1e-4, (start, best.x)  # SLSQP differences the goal
+    assert compared >= 3
+
+
 def test_whole_turns_are_taken_out(arm: Robot) -> None:
     q = np.array([[2.8, 0.3, 0.8, 0.1]])
     positions = np.array([arm_position(row) for row in q])

@@ -10,10 +10,10 @@ from calib import fit, load
 from calib.linearisation.jacobian import linearise
 from calib.model.robot import Robot
 from calib.pose_choice.selection import select
+from calib.workers import Workers
 from medrue import robot_file
 from medrue.draws import Calibrator, Outcome, PoseSet, Task, measurements, run
 from medrue.paper_tables import PARAMETERS, error_table, table1
-from medrue.parallel import Workers
 from medrue.ranking import agreement, rank, ranking_table, standard_error
 from medrue.result_tables import Column, ResultTable
 from medrue.study import SIGMA, Study, StudySize, choose_sets, error_floors, summary, true_positions
@@ -40,7 +40,7 @@ def task(robot: Robot) -> Task:
 
 @pytest.fixture(scope="module")
 def outcome(task: Task) -> Outcome:
-    return run([task], Workers(1), lambda done: None)[0]
+    return run([task], None, lambda done: None)[0]
 
 
 def test_without_noise_the_actual_parameters_come_back(task: Task) -> None:
@@ -95,9 +95,9 @@ def test_the_same_seed_gives_the_same_numbers_whatever_the_number_of_processes(
     monkeypatch.setattr("medrue.draws.CHUNK", 2)
     monkeypatch.setattr("medrue.study.INDICES", ("O1",))
     few = Task(task.robot, task.joints, task.truth, task.sets, task.sigma, task.seeds[:4])
-    with Workers(2) as workers:
-        _, sets = choose_sets(task.robot, task.joints, workers, lambda done: None)
-        shared = run([few], workers, lambda done: None)[0]
+    with Workers(2) as executor:
+        _, sets = choose_sets(task.robot, task.joints, executor, lambda done: None)
+        shared = run([few], executor, lambda done: None)[0]
     assert [one.name for one in sets] == ["O1", "uniform"]
     assert all(np.array_equal(one.chosen, other.chosen) for one, other in zip(sets, task.sets, strict=True))
     assert np.array_equal(shared.values, outcome.values[:4])

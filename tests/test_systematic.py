@@ -77,7 +77,9 @@ def test_a_gear_error_is_found_at_its_joint(arm):
     geared = q.copy()
     geared[:, 1] += 2e-4 * np.sin(3 * q[:, 1])
     found = findings(fitted(arm, geared))
-    assert (found[0].kind, found[0].name) == ("joint", "j2")
+    assert (found[0].kind, found[0].name, found[0].detail) == ("wave", "j2", "3 cycles a turn")
+    assert found[0].amount == pytest.approx(2e-4, rel=0.1)
+    assert ("joint", "j2") in [(pattern.kind, pattern.name) for pattern in found]
 
 
 def test_a_tracker_that_moved_while_measuring_is_found(arm):

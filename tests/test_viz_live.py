@@ -109,3 +109,15 @@ def test_other_measurements_can_be_shown_with_a_fit(fit):
     with viz.show(medrue_robot(), fit, data=data) as shown:
         assert len(shown._shown.scene.poses) == 3
         np.testing.assert_allclose(shown._shown.scene.poses.after, fit.robot.positions(data.joints)[:, 0], atol=1e-12)
+
+
+def test_another_fit_is_shown_with_what_is_told(viewer, messages, fit):
+    before = viewer._server._page
+    viewer.show("12 poses\nnot yet", fit, fit.robot.home)
+    assert messages() == ("told", json.dumps("12 poses\nnot yet"))
+    assert messages() == ("reload", "now")
+    assert messages()[0] == "joints"
+    viewer.show("start here", None, None)
+    assert [messages()[0] for _ in range(2)] == ["told", "reload"]
+    assert set(viewer._server._state) == {"told"}
+    assert viewer._server._page == before

@@ -12,10 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib import Fit
+from calib.arrays import FloatArray
 from calib.errors import DataError
 from viz.bodies import posed_robot
 from viz.drawing import load_meshcat, pack
-from viz.inputs import Shown
+from viz.inputs import Shown, gather
 from viz.server import PageServer
 from viz.viewer_page import scene_page
 
@@ -101,6 +103,23 @@ class LiveViewer:
         content = {**moved, "joints": joints[0].tolist(), "targets": targets, "predicted": predicted}
         self._server.send("joints", json.dumps(content), keep="pose")
 
+    def show(self, text: str, fit: Fit | None, joints: FloatArray | None) -> None:
+        """Show a fit with a text, in place of what was shown, and move the robots; browsers load the page again.
+
+        Args:
+            text: Lines to put above the picture.
+            fit: The fit; None: the robot as it was.
+            joints: Joint values to move to, (n_actuated,) [m or rad]; None: the first pose of the table.
+        """
+        if fit is not None:
+            self._shown = gather(fit.nominal, fit)
+        self._server.send("told", json.dumps(text), keep="told")
+        self._server.replace(scene_page(self._shown.scene, live=True).html)
+        if joints is None:
+            self._server.forget("pose")
+        else:
+            self.display(joints)
+
     def wait_for_browser(self, timeout: float) -> bool:
         """Wait until a browser has connected, at most `timeout` seconds; say whether one has."""
         return self._server.wait_for_browser(timeout)
@@ -135,4 +154,4 @@ class _Window:
         if lowered["type"] == "delete":
             self._server.forget(path)
             keep = None
-        self._server.send("command", base64.b64encode(pack(command)).decode(), keep=keep)
+        self._server.send("command", base64.b64encode(pack(command.lower())).decode(), keep=keep)

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING
 from viz.command import view as command
 
 if TYPE_CHECKING:
-    from calib import Fit, ResultComparison
+    from calib import Fit, ResultComparison, Robot
+    from viz.fit_plots import FitPlots
+    from viz.live import LiveViewer
 
-__all__ = ["command", "comparison", "figures", "pages"]
+__all__ = ["command", "comparison", "figures", "live", "pages", "plots"]
 
 
 def pages(fit: Fit, logo: str = "") -> dict[str, bytes]:
@@ -57,3 +59,18 @@ def figures(subject: object) -> dict[str, bytes]:
     if isinstance(subject, Selection):
         return selection_figures(subject)
     raise TypeError(f"no figures of {type(subject).__name__}")
+
+
+def plots(fit: Fit) -> FitPlots:
+    """Return the figures of a fit as methods that draw into axes."""
+    from viz.fit_plots import FitPlots
+
+    return FitPlots(fit)
+
+
+def live(robot: Robot) -> LiveViewer:
+    """Return a live page that shows a robot until it is told more."""
+    from viz.inputs import gather
+    from viz.live import LiveViewer
+
+    return LiveViewer(gather(robot))

@@ -30,7 +30,7 @@ from viz.viewer_page import Page
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-_PACKAGES = ("pin", "numpy", "scipy", "yourdfpy", "meshcat", "matplotlib")
+_PACKAGES = ("pin", "numpy", "scipy", "trimesh", "meshcat", "matplotlib")
 _DECIMALS, _MOST_DECIMALS = 4, 9
 
 

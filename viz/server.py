@@ -96,6 +96,11 @@ class PageServer:
                 except queue.Full:
                     self._browsers.discard(browser)
 
+    def replace(self, page: str) -> None:
+        """Serve another page from now on, and have every browser load it."""
+        self._page = page.encode("utf-8")
+        self.send("reload", "now")
+
     def forget(self, prefix: str) -> None:
         """Drop kept messages whose key starts with `prefix`."""
         with self._lock:

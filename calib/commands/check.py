@@ -15,11 +15,13 @@ from calib.commands.common import (
     sigma_in_metres,
     with_values,
 )
+from calib.commands.next_steps import after_check
 from calib.commands.pictures import figures
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Measurements
 from calib.errors import InputError
 from calib.files import check_folder, write_folder
+from calib.identification.blind_spots import unordered
 from calib.linearisation.observed import unsaid_touches
 from calib.pose_choice.assessment import check
 from calib.pose_choice.pose_sampling import sample
@@ -79,6 +81,8 @@ def command(
             f" size); give poses at contact, with a column '{one.text_columns()[0]}'"
         )
     task_poses = None if task is None else read_poses(task, model)
+    if isinstance(pose_set, Measurements):
+        output.remarks(unordered(pose_set))
     with output.working(f"checking {len(pose_set)} poses"):
         assessment = check(model, pose_set, task=task_poses, sigma=sigma)
     if plots is not None:
@@ -86,4 +90,5 @@ def command(
     output.say(text_report(assessment, source))
     if plots is not None:
         output.say(f"Figures written to {plots}")
+    output.hint(after_check(assessment, robot, pose_set, data))
     output.json({"robot": model.path, "poses": source} | to_dict(assessment))

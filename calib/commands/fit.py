@@ -8,6 +8,7 @@ import click
 
 from calib.calibration import fit
 from calib.commands.common import SIGMA_HELP, Output, loaded, shared_options, sigma_in_metres
+from calib.commands.next_steps import after_fit
 from calib.data.measurement_files import read_measurements
 from calib.data.measurements import Measurements
 from calib.errors import ComputationError, InputError
@@ -77,7 +78,7 @@ def command(
     out: str,
     output: Output,
 ) -> None:
-    """Calibrate ROBOT (YAML description, URDF or result folder) from the measurements DATA (CSV).
+    """Calibrate ROBOT (YAML description, URDF or result folder) from the measurements DATA (CSV, or a ROS 2 bag).
 
     Several files of DATA belong together: those with joint columns give the visits, the others say by their column
     `pose` to which visit each of their rows belongs.
@@ -110,6 +111,7 @@ def command(
     result.save(out, force=force, pages=not no_pages, logo=logo)
     output.say(result.report())
     output.say(f"Written to {Path(out)}")
+    output.hint(after_fit(result, robot, data, out))
     output.json(to_dict(result, forced=failed and force))
     if failed and not force:
         raise ComputationError(

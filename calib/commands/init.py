@@ -12,7 +12,7 @@ import click
 from calib.commands.common import Output, shared_options
 from calib.data.dh_files import read_dh
 from calib.errors import DescriptionError, InputError
-from calib.files import check_file, write_file
+from calib.files import check_file, write_files
 from calib.model.arm_chain import arm_chain
 from calib.model.denavit_hartenberg import CONVENTIONS, LAST_LINK, urdf_text
 from calib.model.loading import load
@@ -83,10 +83,10 @@ def command(
     text = _from_table(dh, convention, beside) if dh and beside else read_urdf(str(urdf))
     relative = os.path.relpath(Path(text.path).resolve(), Path(out).resolve().parent)
     chain = arm_chain(text, target or (LAST_LINK if dh else None))
+    description = description_text(text, describe(chain, relative), chain.remark).encode()
+    write_files({beside: text.source, Path(out): description} if beside else {Path(out): description})
     if beside:
-        write_file(beside, text.source)
         output.say(f"{beside} written, from the table")
-    write_file(out, description_text(text, describe(chain, relative), chain.remark))
     output.say(f"{out} written; it works as it is, and its comments say what to change")
     if chain.remark:
         output.say(chain.remark)
@@ -107,5 +107,4 @@ def _write_template(name: str, given: Sequence[str], urdf: Path, description: Pa
         except DescriptionError as error:
             what = str(error).replace(f"{Path(folder) / description.name}: ", "")
             raise InputError(f"template {name}: with these lengths, {what}") from None
-    for file, text in texts.items():
-        write_file(file, text)
+    write_files({file: text.encode() for file, text in texts.items()})

@@ -6,6 +6,8 @@ An entry is a module, called like the command that it adds, with
     pages(fit, logo)    the pages of a result folder, file name -> content
     comparison(found)   the page of results side by side
     figures(subject)    the figures of an assessment or a selection, file name -> content
+    plots(fit)          an object whose methods draw a fit into matplotlib axes
+    live(robot)         a live page that shows a robot, and moves when it is told to
 
 so that everything below this floor writes and computes without asking what is installed.
 """
@@ -14,7 +16,7 @@ from __future__ import annotations
 
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
@@ -22,10 +24,45 @@ from calib.errors import InputError
 from calib.files import image_address
 
 if TYPE_CHECKING:
+    from calib.arrays import FloatArray
     from calib.identification.fitted import Fit
+    from calib.model.robot import Robot
     from calib.reporting.result_comparison import ResultComparison
 
 GROUP = "calib.pictures"
+
+
+class Plots(Protocol):
+    """Figures of a fit: axes in (a new figure if not given), axes out."""
+
+    def errors(self, axes: Any = None) -> Any:
+        """Draw how many points have which error, before and after."""
+
+    def by_pose(self, axes: Any = None) -> Any:
+        """Draw the error of each pose in the order of measurement."""
+
+    def residuals(self, joint: str, axes: Any = None) -> Any:
+        """Draw residuals against a joint."""
+
+    def normal(self, axes: Any = None) -> Any:
+        """Draw residuals against normal noise."""
+
+    def parameters(self, axes: Any = None) -> Any:
+        """Draw parameters with their 95 % intervals, in sigmas of what was expected."""
+
+
+class Live(Protocol):
+    """A live page in a browser on this computer."""
+
+    @property
+    def url(self) -> str:
+        """Address to open."""
+
+    def show(self, text: str, fit: Fit | None, joints: FloatArray | None) -> None:
+        """Show text, a fit, and the robot at joint values, (n_actuated,) [m or rad]."""
+
+    def close(self) -> None:
+        """End it."""
 
 
 class Pictures(Protocol):
@@ -41,6 +78,12 @@ class Pictures(Protocol):
 
     def figures(self, subject: object) -> dict[str, bytes]:
         """Return the figures of an assessment or a selection."""
+
+    def plots(self, fit: Fit) -> Plots:
+        """Return the figures of a fit."""
+
+    def live(self, robot: Robot) -> Live:
+        """Return a live page."""
 
 
 def commands() -> tuple[str, ...]:
@@ -88,13 +131,38 @@ def figures(subject: object) -> dict[str, bytes]:
     Raises:
         InputError: Nothing that draws is installed, or something that it needs is missing.
     """
-    modules: list[Pictures] = [entry.load() for entry in entry_points(group=GROUP)]
-    if not modules:
-        raise InputError(f"--plots: nothing that draws is installed (entry point group {GROUP})")
     files: dict[str, bytes] = {}
-    for one in modules:
+    for one in _installed("--plots"):
         try:
             files |= one.figures(subject)
         except ImportError as error:
             raise InputError(f"--plots: {error.name} is not installed; `pip install {error.name}` first") from None
     return files
+
+
+def plots(fit: Fit) -> Plots:
+    """Return the figures of a fit as methods that draw.
+
+    Raises:
+        InputError: Nothing that draws is installed, or something that it needs is missing.
+    """
+    try:
+        return _installed("plot")[0].plots(fit)
+    except ImportError as error:
+        raise InputError(f"plot: {error.name} is not installed; `pip install {error.name}` first") from None
+
+
+def live(robot: Robot) -> Live:
+    """Return a live page that shows a robot.
+
+    Raises:
+        InputError: Nothing that draws is installed.
+    """
+    return _installed("--view")[0].live(robot)
+
+
+def _installed(wanted: str) -> list[Pictures]:
+    modules: list[Pictures] = [entry.load() for entry in entry_points(group=GROUP)]
+    if not modules:
+        raise InputError(f"{wanted}: nothing that draws is installed (entry point group {GROUP})")
+    return modules

@@ -30,7 +30,8 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     model = with_values(loaded(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)
     poses = read_poses(joints, model)
-    remarks = model.near_singularities(model.assemble(poses.joints, labels=poses.labels), poses.labels)
+    configurations = model.assemble(poses.joints, labels=poses.labels, context=poses.conditions)
+    remarks = model.near_singularities(configurations, poses.labels)
     source = parameters or result or "nominal values"
     comment = (f"predicted positions of {model.name}, {source}", *said_of_failure(output, result, out))
     content: dict[str, object] = {"robot": model.path, "values": source, "n_poses": len(poses), "file": out}
@@ -41,7 +42,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
         content["beyond_curves"] = beyond = poses_beyond_curves(result, model, poses)
         remarks = remarks + beyond
     else:
-        text = format_positions(model, poses, model.positions(poses.joints), comment)
+        text = format_positions(model, poses, model.positions(poses.joints, poses.conditions), comment)
     write_file(out, text)
     output.remarks(remarks)
     output.say(f"{counted(len(poses), 'pose')} written to {out}")
@@ -57,6 +58,6 @@ def _with_uncertainty(
     model: Robot, poses: Poses, result: str, comment: tuple[str, ...]
 ) -> tuple[str, dict[str, object]]:
     """Return the CSV text with standard deviations, and their summary [mm]."""
-    uncertainty = load_uncertainty(result, model).at(model, poses.joints)
+    uncertainty = load_uncertainty(result, model).at(model, poses.joints, poses.conditions)
     text = format_positions(model, poses, uncertainty.positions, comment, uncertainty.std)
     return text, {**uncertainty.summary(), "worst_pose": poses.names[uncertainty.worst]}

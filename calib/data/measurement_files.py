@@ -35,18 +35,19 @@ def read_poses(path: Path | str, robot: Robot) -> Poses:
     return poses_of_table(table, robot, used=set())
 
 
-def read_measurements(path: Path | str | Sequence[Path | str], robot: Robot) -> Measurements:
+def read_measurements(path: Path | str | Sequence[Path | str], robot: Robot, *, growing: bool = False) -> Measurements:
     """Read joint values and what the instruments read; rows with the same `pose` repeat one pose.
 
     Args:
         path: The file, or several that belong together; see the module docstring.
         robot: Whose joints and instruments they are.
+        growing: Whether somebody still writes: a last line without its end is left out, and nothing may be read yet.
 
     Raises:
         DataError: The message names file, line and column.
     """
     paths = [path] if isinstance(path, (str, Path)) else list(path)
-    tables = [read_table(one, robot.description.columns) for one in paths]
+    tables = [read_table(one, robot.description.columns, growing=growing) for one in paths]
     with_joints = [table for table in tables if len(tables) == 1 or set(robot.joint_names) <= set(table.names)]
     if not with_joints:
         raise DataError(f"{paths[0]}: none of the files has a column for every joint ({', '.join(robot.joint_names)})")
@@ -69,7 +70,7 @@ def read_measurements(path: Path | str | Sequence[Path | str], robot: Robot) -> 
     data = measurements(poses, {name: concatenated(readings) for name, readings in parts.items()})
     if data.n_readings == 0 and not parts:
         raise DataError(f"{paths[0]}: has no column of any instrument; expected: {_expected(robot)}")
-    if data.n_readings == 0:
+    if data.n_readings == 0 and not growing:
         where = f"{paths[0]}{f' and {len(paths) - 1} more' if len(paths) > 1 else ''}"
         raise DataError(f"{where}: all cells of the measured columns are empty; there is nothing to read")
     check_repeats(data, robot)

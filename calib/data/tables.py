@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.arrays import FloatArray
+from calib.data.rosbag import is_bag, read_bag
 from calib.errors import DataError, InputError, nearest
 from calib.files import read_text
 from calib.units import Dimension, per_si, split_column
@@ -177,17 +178,20 @@ def check_plausible(value: float, dimension: Dimension, where: str, place: str) 
         )
 
 
-def read_table(path: Path | str, renamed: Mapping[str, str] | None = None) -> Table:
-    """Read a CSV file, its columns separated by commas, semicolons or tabs.
+def read_table(path: Path | str, renamed: Mapping[str, str] | None = None, *, growing: bool = False) -> Table:
+    """Read a CSV file, its columns separated by commas, semicolons or tabs; or a ROS bag (`calib.data.rosbag`).
 
     Args:
-        path: The file.
+        path: The file, or the folder of a bag.
         renamed: Foreign column names and the `name` or `name [unit]` they stand for.
+        growing: Whether somebody still writes: a last line without its end is left out.
 
     Raises:
         DataError: Missing or unreadable file, no header or rows, duplicate columns, rows of the wrong length.
     """
-    text = read_text(path, "a CSV file", DataError)
+    if is_bag(path):
+        return _bag_table(path, renamed or {})
+    text = read_text(path, "a CSV file", DataError, growing=growing)
     comments, kept, numbers = [], [], []
     for number, line in enumerate(text.split("\n"), start=1):
         if line.lstrip().startswith("#"):
@@ -210,6 +214,13 @@ def read_table(path: Path | str, renamed: Mapping[str, str] | None = None) -> Ta
     if len(cells) == 1:
         raise DataError(f"{path}: has a header but no rows")
     return Table(str(path), names, units, tuple(cells[1:]), tuple(numbers[1:]), tuple(comments), separator)
+
+
+def _bag_table(path: Path | str, renamed: Mapping[str, str]) -> Table:
+    columns, comments = read_bag(path)
+    names, units = _header(str(path), tuple(header for header, _ in columns), renamed)
+    rows = tuple(zip(*([str(cell) for cell in cells] for _, cells in columns), strict=True))
+    return Table(str(path), names, units, rows, tuple(range(1, len(rows) + 1)), comments, ",")
 
 
 def _cells(path: str, line: str, number: int, separator: str) -> tuple[str, ...]:

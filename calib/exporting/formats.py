@@ -14,7 +14,7 @@ from calib.exporting.joint_tables import joint_table_files
 from calib.exporting.mjcf import mjcf
 from calib.exporting.toolbox import toolbox_yaml
 from calib.exporting.urdf import urdf_bytes, with_mesh_prefix
-from calib.files import check_file, check_folder, write_file, write_folder
+from calib.files import check_file, check_folder, write_files, write_folder
 from calib.model.robot import Robot
 
 CONTROLLERS: dict[str, Callable[[Robot, Sequence[str]], ControllerFile]] = {
@@ -78,14 +78,18 @@ def export(
         check_folder(path)
         write_folder(path, joint_table_files(robot, provenance or (), note))
         return ()
-    files = _contents(robot, file_format, path, free_slide, provenance, note)
-    for file in files:
+    with_urdf = file_format == "toolbox" and path.name
+    urdf = path.with_suffix(".urdf") if with_urdf else path
+    if with_urdf and path == urdf:
+        raise InputError(f"{path}: format 'toolbox' writes a YAML file and the URDF beside it; name the YAML file")
+    for file in {urdf, path}:
         if file.resolve() in (Path(robot.urdf.path).resolve(), Path(robot.path).resolve()):
             raise InputError(f"{file}: is the robot's own input; choose another file, so that nominal is not lost")
         check_file(file)
-    for file, content in files.items():
-        is_yaml = file_format == "toolbox" and file == path
-        write_file(file, with_mesh_prefix(content, meshes) if meshes and not is_yaml else content)
+    files = _contents(robot, file_format, path, free_slide, provenance, note)
+    if meshes:
+        files[urdf] = with_mesh_prefix(files[urdf], meshes)
+    write_files(files)
     return () if free_slide or file_format in CONTROLLERS else loop_gaps(robot)
 
 
@@ -115,6 +119,4 @@ def _contents(
     if file_format == "drake":
         return {path: drake_bytes(closed_model(robot, free_slide=free_slide), provenance or ())}
     urdf = path.with_suffix(".urdf")
-    if path == urdf:
-        raise InputError(f"{path}: format 'toolbox' writes a YAML file and the URDF beside it; name the YAML file")
     return {urdf: urdf_bytes(robot, provenance), path: toolbox_yaml(robot, urdf.name, provenance or ())}

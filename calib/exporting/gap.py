@@ -20,7 +20,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 from calib.arrays import FloatArray
@@ -28,6 +27,7 @@ from calib.errors import InputError
 from calib.model import kinematics
 from calib.model.mechanism import RelativeFrame
 from calib.model.robot import Robot
+from calib.numerics.halton import halton
 from calib.sections import ANGLE_COMPONENTS, COMPONENTS, Component
 from calib.units import ERROR_UNIT, Dimension, error_scale
 
@@ -86,9 +86,7 @@ def poses_near_home(robot: Robot, count: int = _POSES) -> FloatArray:
         count: How many to try.
     """
     lower, upper = joint_ranges(robot)
-    spread = (
-        2 * scipy.stats.qmc.Halton(len(lower), scramble=False).random(count + 1)[1:] - 1
-    )  # its first point is a corner
+    spread = 2 * halton(count + 1, len(lower))[1:] - 1  # its first point is a corner
     around = robot.home + _REACH * (upper - lower) * spread
     inside = np.clip(around, np.minimum(lower, robot.home), np.maximum(upper, robot.home))
     poses = np.vstack([robot.home, inside])

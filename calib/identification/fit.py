@@ -49,7 +49,8 @@ from calib.model.robot import Robot
 from calib.numerics.least_squares import TOLERANCE, Solution
 from calib.numerics.losses import Loss, checked_loss
 from calib.numerics.observability import observability
-from calib.numerics.statistics import Factors, found_factors, statistics
+from calib.numerics.prior_sizes import variance_by_sizes
+from calib.numerics.statistics import Factors, Statistics, found_factors, statistics
 from calib.numerics.variance_components import EXACT
 from calib.threads import one_blas_thread
 
@@ -101,8 +102,18 @@ class Settings:
 
 
 @dataclass(frozen=True, eq=False)
-class _Solved:
-    """A minimum, and what weighed its rows."""
+class Solved:
+    """A minimum, and what weighed its rows.
+
+    Attributes:
+        robot: The parameters there.
+        groups: Scale of the noise of each group, (n_groups,).
+        solution: What the solver said.
+        weights: Of each reading, (n_readings,); None without a robust loss.
+        factors: What the residuals say about the noise, with a robust loss.
+        settled: Whether the weights of a robust loss stand.
+        starts: Ends of perturbed starts, if they were asked for.
+    """
 
     robot: Robot
     groups: FloatArray
@@ -184,10 +195,57 @@ def _fit(robot: Robot, data: Measurements, validation: Measurements | None, sett
     placed = _place(problem)
     start = problem.evaluate(placed)
     determined = require_identifiable(problem, start)  # before the solver, where `calib check` looks too
-    solved = _solve(problem, placed, settings)
+    solved = solve_from(problem, placed, settings)
     final = problem.evaluate(solved.robot)
-    rows = problem.rows(final, solved.groups)
     require_identifiable(problem, final)
+    rows, scales, uncertainty = uncertainty_at(problem, final, solved, settings)
+    return Fit(
+        nominal=robot,
+        placed=placed,
+        robot=solved.robot,
+        identification=ErrorSet(
+            data,
+            robot.instruments,
+            start.residuals,
+            final.residuals,
+            solved.robot.singular_values(final.configurations),
+        ),
+        validation=None if validation is None else errors_on(placed, solved.robot, validation),
+        configurations=final.configurations,
+        unknowns=problem.unknowns,
+        statistics=uncertainty,
+        determination=determined,
+        observability=_observability(problem, final, determined.free.rank),
+        rows=rows,
+        whitening=problem.whitening,
+        scales=scales,
+        message=solved.solution.message,
+        seconds=float("nan"),
+        convergence=convergence_at(problem, solved, rows, uncertainty.std),
+        loss=settings.loss,
+        weights=np.ones(rows.layout.n_readings) if solved.weights is None else solved.weights,
+        sigma_given=settings.sigma,
+        judge=judge,
+        starts=solved.starts,
+        seed=settings.seed,
+    )
+
+
+def uncertainty_at(
+    problem: Problem, final: Evaluation, solved: Solved, settings: Settings
+) -> tuple[Rows, Scales, Statistics]:
+    """Return the rows at a minimum, what is assumed of their noise, and the uncertainty of the parameters.
+
+    Args:
+        problem: The problem.
+        final: The evaluation at the minimum.
+        solved: The minimum.
+        settings: How it was found.
+
+    Raises:
+        NotIdentifiableError: No degrees of freedom are left.
+    """
+    rows = problem.rows(final, solved.groups)
     scales = problem.found_shared(final, solved.groups) if settings.loss == "none" else Scales.of(solved.groups)
     layout, unknowns = problem.whitening.layout, problem.unknowns
     factors = solved.factors or found_factors(
@@ -202,37 +260,9 @@ def _fit(robot: Robot, data: Measurements, validation: Measurements | None, sett
         unknowns.scales,
         unknowns.has_prior,
         problem.noise_of_rows(final, scales),
+        variance_by_sizes(slowed.known.root @ slowed.known.root.T, unknowns.family, rows.deviations),
     )
-    return Fit(
-        nominal=robot,
-        placed=placed,
-        robot=solved.robot,
-        identification=ErrorSet(
-            data,
-            robot.instruments,
-            start.residuals,
-            final.residuals,
-            solved.robot.singular_values(final.configurations),
-        ),
-        validation=None if validation is None else _errors_on(placed, solved.robot, validation),
-        configurations=final.configurations,
-        unknowns=unknowns,
-        statistics=uncertainty,
-        determination=determined,
-        observability=_observability(problem, final, determined.free.rank),
-        rows=rows,
-        whitening=problem.whitening,
-        scales=scales,
-        message=solved.solution.message,
-        seconds=float("nan"),
-        convergence=_convergence(problem, solved, rows, uncertainty.std),
-        loss=settings.loss,
-        weights=np.ones(layout.n_readings) if solved.weights is None else solved.weights,
-        sigma_given=settings.sigma,
-        judge=judge,
-        starts=solved.starts,
-        seed=settings.seed,
-    )
+    return rows, scales, uncertainty
 
 
 def _observability(problem: Problem, final: Evaluation, rank: int) -> dict[str, float]:
@@ -292,8 +322,17 @@ def _is_best_placed(problem: Problem, robot: Robot, places: Unknowns) -> bool:
     return bool(explained @ explained <= _PLACED * (rows.residuals @ rows.residuals))
 
 
-def _solve(problem: Problem, placed: Robot, settings: Settings) -> _Solved:
-    """Solve with the stated noise or find it; from several starts and with a robust loss, if asked for."""
+def solve_from(problem: Problem, placed: Robot, settings: Settings) -> Solved:
+    """Solve with the stated noise or find it; from several starts and with a robust loss, if asked for.
+
+    Args:
+        problem: The problem.
+        placed: Where to begin.
+        settings: How.
+
+    Raises:
+        NotConvergedError: The noise cannot be found.
+    """
     exact = TOLERANCE if settings.loss == "none" else _LOOSE  # a robust loss goes on from there
     solved = _solve_with_noise(problem, placed, exact)
     if settings.starts > 1:
@@ -306,12 +345,12 @@ def _solve(problem: Problem, placed: Robot, settings: Settings) -> _Solved:
     if settings.loss == "none":
         return solved
     robust = solve_robust(problem, solved.robot, settings.loss, solved.groups)
-    return _Solved(
+    return Solved(
         robust.robot, robust.groups, robust.solution, robust.weights, robust.factors, robust.settled, solved.starts
     )
 
 
-def _solve_with_noise(problem: Problem, start: Robot, exact: float) -> _Solved:
+def _solve_with_noise(problem: Problem, start: Robot, exact: float) -> Solved:
     """Solve with the stated noise; find what is not stated of it."""
     groups = problem.whitening.start(problem.evaluate(start).residuals)
     unstated = np.array([not group.stated for group in problem.whitening.groups])
@@ -320,7 +359,7 @@ def _solve_with_noise(problem: Problem, start: Robot, exact: float) -> _Solved:
         not (np.any(unstated) and matters) and not problem.unknowns.families
     ):  # without priors and with one instrument, the noise weighs nothing
         robot, solution = problem.solve(start, groups, tolerance=exact)
-        return _Solved(robot, groups, solution)
+        return Solved(robot, groups, solution)
     robot, tolerance = start, _LOOSE
     for _ in range(_NOISE_ROUNDS):
         robot, solution = problem.solve(robot, groups, tolerance=tolerance)
@@ -329,7 +368,7 @@ def _solve_with_noise(problem: Problem, start: Robot, exact: float) -> _Solved:
         change = float(np.max(np.abs(scales / groups - 1.0)[counts], initial=0.0))
         change = max(change, float(np.max(np.abs(sizes - 1.0), initial=0.0)) / _FAMILIES_STAND)
         if change <= _NOISE_STANDS and tolerance == exact:
-            return _Solved(robot, groups, solution)
+            return Solved(robot, groups, solution)
         if change <= 10 * _NOISE_STANDS:
             tolerance = exact
         if change > _NOISE_STANDS:
@@ -341,8 +380,15 @@ def _solve_with_noise(problem: Problem, start: Robot, exact: float) -> _Solved:
     )
 
 
-def _convergence(problem: Problem, solved: _Solved, rows: Rows, std: FloatArray) -> Convergence:
-    """Judge the end of the iteration by its stopping rule and by the Gauss-Newton step that is left."""
+def convergence_at(problem: Problem, solved: Solved, rows: Rows, std: FloatArray) -> Convergence:
+    """Judge the end of the iteration by its stopping rule and by the Gauss-Newton step that is left.
+
+    Args:
+        problem: The problem.
+        solved: The minimum.
+        rows: The rows there.
+        std: Standard deviations of the free parameters, (n_free,) [m, rad].
+    """
     weighted = rows if solved.weights is None else rows.weighted(solved.weights)
     pull = weighted.jacobian.T @ weighted.residuals + np.where(rows.has_prior, rows.deviations, 0.0)
     root = weighted.known.root
@@ -354,7 +400,18 @@ def _convergence(problem: Problem, solved: _Solved, rows: Rows, std: FloatArray)
     )
 
 
-def _errors_on(placed: Robot, calibrated: Robot, data: Measurements) -> ErrorSet:
+def errors_on(placed: Robot, calibrated: Robot, data: Measurements) -> ErrorSet:
+    """Return errors on visits that were not used.
+
+    Args:
+        placed: The robot before calibration.
+        calibrated: The robot after it.
+        data: The visits.
+
+    Raises:
+        UnreachablePoseError: The robot before cannot be assembled at a visit.
+        ComputationError: The robot after it cannot.
+    """
     before, _ = _errors_of(placed, data)
     try:
         after, singular = _errors_of(calibrated, data)

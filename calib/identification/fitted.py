@@ -7,17 +7,20 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.errors import UnreachablePoseError
 from calib.identification.candidate_terms import TermChoice
+from calib.identification.effects import Setting
 from calib.identification.error_budget import ErrorBudget, error_budget
 from calib.identification.errors_found import ErrorSet, Folds
 from calib.identification.estimates import Covariance, Estimates, estimates
 from calib.identification.judged import Outlier, blocks, outliers_of
 from calib.identification.reasons import Verdict
 from calib.identification.starts import Starts
-from calib.identification.systematic import Pattern, Residuals, Setting, patterns
+from calib.identification.systematic import Pattern, Residuals, patterns
+from calib.joint_terms.term import Context
 from calib.linearisation.determination import Determination
 from calib.linearisation.observed import observe
 from calib.linearisation.prediction import PositionUncertainty, position_uncertainty
@@ -239,22 +242,34 @@ class Fit(ReadOnlyArrays):
         """Whether the calibrated robot can be assembled at all its poses, starting from its home configuration."""
         return bool(np.all(self.robot.close(self.configurations.actuated).ok))
 
-    def predict(self, q: FloatArray) -> PositionUncertainty:
-        """Predict positions at actuated joints q (n, n_actuated) [m or rad], with their covariance."""
+    def predict(self, q: ArrayLike, context: Context | None = None) -> PositionUncertainty:
+        """Predict positions with their covariance.
+
+        Args:
+            q: Actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
+            context: Under which conditions they are commanded; joint terms may depend on it.
+
+        Raises:
+            DataError: Joint values of the wrong shape, or not finite.
+            UnreachablePoseError: A loop stays open.
+        """
         statistics = self.statistics
+        joints = self.robot.joint_vector(q)
         return position_uncertainty(
-            self.robot, self.unknowns.index, statistics.covariance, statistics.coverage_factor, q
+            self.robot, self.unknowns.index, statistics.covariance, statistics.coverage_factor, joints, context
         )
 
     @cached_property
     def identification_uncertainty(self) -> PositionUncertainty:
         """Predicted positions of the visits that were used, with their covariance."""
-        return self.predict(self.identification.data.joints)
+        return self.predict(self.identification.data.joints, self.identification.data.conditions)
 
     @cached_property
     def validation_uncertainty(self) -> PositionUncertainty | None:
         """Predicted positions of the visits that were not used, with their covariance."""
-        return None if self.validation is None else self.predict(self.validation.data.joints)
+        if self.validation is None:
+            return None
+        return self.predict(self.validation.data.joints, self.validation.data.conditions)
 
     @cached_property
     def studentised(self) -> Studentised:
@@ -326,24 +341,30 @@ class Fit(ReadOnlyArrays):
         return outliers_of(self.validation_studentised, self.validation, self.validation_rows.layout)
 
     @cached_property
+    def setting(self) -> Setting:
+        """What effects that the model may leave out are made of."""
+        data = self.identification.data
+        observed = observe(self.robot, self.configurations, data.readings, joints=True)
+        return Setting(self.robot, data, self.configurations, observed, self.whitening, self.scales, self.weights)
+
+    @cached_property
+    def linear(self) -> Residuals:
+        """The fit as a linear model, in which effects are looked for."""
+        if self.setting.shared is None:
+            factors = self.statistics.factors
+            factor = float(np.sqrt(np.sum(factors.freedom * factors.found**2) / factors.total_freedom))
+            return Residuals(self.rows.weighted(self.weights), self._root, self.statistics.freedom, factor)
+        # errors that visits share must not count as patterns: judged as weighed by what the rows scatter by
+        deviations = self.unknowns.deviations(self.robot.values)
+        rows = self.whitening.rows(self.setting.observed, self.scales.own, self.unknowns, deviations)
+        rows = rows.whitened(self.setting.shared).at_minimum()
+        return Residuals(rows, rows.known.root, self.statistics.freedom, 1.0)
+
+    @cached_property
     @one_blas_thread
     def patterns(self) -> tuple[Pattern, ...]:
         """Systematic patterns that were looked for in the residuals, most significant first."""
-        if self.computed:
-            return ()
-        data = self.identification.data
-        observed = observe(self.robot, self.configurations, data.readings, joints=True)
-        factors = self.statistics.factors
-        factor = float(np.sqrt(np.sum(factors.freedom * factors.found**2) / factors.total_freedom))
-        setting = Setting(self.robot, data, observed, self.whitening, self.scales, self.weights)
-        if setting.shared is None:
-            residuals = Residuals(self.rows.weighted(self.weights), self._root, self.statistics.freedom, factor)
-        else:  # errors that visits share must not count as patterns: judged as weighed by what the rows scatter by
-            deviations = self.unknowns.deviations(self.robot.values)
-            rows = self.whitening.rows(observed, self.scales.own, self.unknowns, deviations)
-            rows = rows.whitened(setting.shared).at_minimum()
-            residuals = Residuals(rows, rows.known.root, self.statistics.freedom, 1.0)
-        return patterns(residuals, setting)
+        return () if self.computed else patterns(self.linear, self.setting)
 
     @cached_property
     @one_blas_thread

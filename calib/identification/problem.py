@@ -11,6 +11,7 @@ loop is answered with NaN, on which the solver (`calib.numerics.least_squares`) 
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -59,16 +60,35 @@ class Problem:
         robot: Nominal robot.
         data: Measurements.
         sigma: Noise of positions per axis, if it replaces what the description states [m].
+        near: Passive joints of the visits under similar parameters, if they are known, (n, n_passive) [m or rad].
     """
 
-    def __init__(self, robot: Robot, data: Measurements, sigma: float | None = None) -> None:
+    def __init__(
+        self, robot: Robot, data: Measurements, sigma: float | None = None, near: FloatArray | None = None
+    ) -> None:
         self.robot, self.data = robot, data
         self.unknowns = Unknowns.of(robot)
         self.whitening = Whitening(robot, data, sigma)
+        self._sigma = sigma
         self._joints = self.whitening.shares_visits
         self._columns = robot.term_columns(data.joints, data.conditions)
-        self._seed = robot.assemble(data.joints, labels=data.labels, context=data.conditions).passive
+        self._seed = robot.assemble(data.joints, near, data.labels, data.conditions).passive
         self._recent: dict[bytes, Evaluation | None] = {}
+
+    def read_again(self, data: Measurements, near: Evaluation) -> Problem:
+        """Return the same problem with other readings of the same visits; no pose is closed again from home.
+
+        Args:
+            data: The readings; joint values and conditions as before.
+            near: Where its solution is expected.
+        """
+        again = copy.copy(self)
+        again.data = data
+        again.unknowns = Unknowns.of(self.robot)
+        again.whitening = Whitening(self.robot, data, self._sigma)
+        again._seed = near.configurations.passive
+        again._recent = {}
+        return again
 
     def evaluate(self, robot: Robot) -> Evaluation:
         """Evaluate a robot on the data.

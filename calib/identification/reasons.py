@@ -30,10 +30,12 @@ class Verdict:
     Attributes:
         grade: The worst of its reasons; PASS without any.
         reasons: FAIL before CHECK before PASS.
+        not_covered: What could be wrong without any trace in these measurements, in words.
     """
 
     grade: Grade
     reasons: tuple[Reason, ...]
+    not_covered: tuple[str, ...] = ()
 
     def to_dict(self, *, forced: bool = False) -> dict[str, object]:
         """Return the entry of `result.json`.
@@ -46,6 +48,7 @@ class Verdict:
             "reasons": [reason.text for reason in self.reasons],
             "codes": [reason.code for reason in self.reasons],
             "grades": [reason.grade for reason in self.reasons],
+            "not_covered": list(self.not_covered),
         }
         if self.grade == "FAIL":
             entry["forced"] = forced

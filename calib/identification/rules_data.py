@@ -1,4 +1,4 @@
-"""Rules of the verdict about the measurements: poses, outliers, repeats. Each gives at most a few reasons."""
+"""Rules of the verdict about the measurements: poses, outliers, repeats, digits. Each gives at most a few reasons."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib.arrays import FloatArray, IntArray
+from calib.arrays import IntArray
 from calib.data.grouping import pose_labels
 from calib.data.measurements import Measurements
 from calib.identification.fitted import Fit
-from calib.identification.joint_curves import beyond_learned
 from calib.identification.pose_checks import directions_moved, equal_columns, unmoved_joints, zero_visits
 from calib.identification.reasons import Reason
 from calib.identification.repeats import beyond_repeatability
-from calib.model.robot import Robot
+from calib.identification.rounding import rounding
 from calib.numerics.losses import FALSE_ALARM, HIGH_LEVERAGE
+from calib.units import ERROR_UNIT, error_scale
 from calib.words import counted, listed
 
 FEW = 10.0 - 1e-6  # ten, also where rounding took a little
@@ -26,10 +26,12 @@ BEYOND_REPEATS = 1.5
 """Found noise over the scatter of repeats from which something systematic is left."""
 UNLIKELY = 1e-3
 """Chance below which a test against noise counts."""
-BEYOND_LIMIT = 0.01
-"""How far beyond a joint's limit a pose must be to be named [rad, or characteristic lengths]."""
-CORNER = 0.1
-"""Part of the range between its limits that at least one joint must move through."""
+ROUNDED = 0.2
+"""Part of the noise, squared, that steps of the joint values must be able to make to be named."""
+ALL_ROUNDED = 2.0
+"""The same, beyond which the joints really stood at these round values: rounding would have made more noise."""
+DIGITS = 0.01
+"""Chance below which residuals that scatter along the joints do so because these are rounded."""
 COPIED = 0.1
 """Part of the readings that may equal another one; coarse readings may do so by chance."""
 FAR = 3.0
@@ -74,48 +76,6 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
         )
 
 
-def one_corner(fit: Fit) -> Iterator[Reason]:
-    """See how much of what its limits allow (or a turn, without limits) each joint has moved."""
-    robot, reach = fit.nominal, np.ptp(fit.identification.data.joints, axis=0)
-    lower, upper = _limits(robot)
-    turns = np.array([robot.mechanism.dimensions[name] == "angle" for name in robot.joint_names])
-    allowed = np.minimum(upper - lower, np.where(turns, 2 * np.pi, np.inf))
-    known = np.isfinite(allowed) & (allowed > 0)
-    part = np.max(reach[known] / allowed[known], initial=0.0)
-    if np.all(known) and 0 < part < CORNER:
-        yield Reason(
-            "CHECK",
-            "one_corner",
-            f"all poses lie in one corner: no joint moved through more than {100 * part:.2g} % of its limits, and"
-            " elsewhere the robot is not calibrated: measure poses all over the space where it will work",
-        )
-
-
-def beyond_joint_limits(fit: Fit) -> Iterator[Reason]:
-    """Look for joint values that the robot's own limits exclude."""
-    data, robot = fit.identification.data, fit.nominal
-    lower, upper = _limits(robot)
-    excess = np.maximum(lower - data.joints, data.joints - upper) / robot.mechanism.joint_scale
-    beyond = np.flatnonzero(np.max(excess, axis=1) > BEYOND_LIMIT)
-    if len(beyond):
-        joints = [robot.joint_names[j] for j in np.flatnonzero(np.max(excess, axis=0) > BEYOND_LIMIT)]
-        yield Reason(
-            "CHECK",
-            "beyond_joint_limits",
-            f"{counted(len(beyond), 'pose lies', 'poses lie')} beyond the URDF's limits of"
-            f" {'joint' if len(joints) == 1 else 'joints'} {listed(joints)}:"
-            f" {listed([data.labels[k] for k in beyond])}; check the joint's sign, zero, unit and column, or the"
-            " limits",
-        )
-
-
-def _limits(robot: Robot) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper limits of the actuated joints, (n_actuated,) each [m or rad]; infinite where there are none."""
-    limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
-    lower, upper = np.array([limits[name] for name in robot.joint_names]).T
-    return lower, upper
-
-
 def too_few_poses(fit: Fit) -> Iterator[Reason]:
     """Count degrees of freedom."""
     rows, used = fit.rows.layout.n_read, fit.statistics.effective_parameters
@@ -125,24 +85,6 @@ def too_few_poses(fit: Fit) -> Iterator[Reason]:
             "too_few_poses",
             f"too few poses: {rows} measured coordinates decide {used:.1f} parameters and leave"
             f" {fit.statistics.freedom:.1f} degrees of freedom; measure several times as many",
-        )
-
-
-def beyond_curves(fit: Fit) -> Iterator[Reason]:
-    """Look for validation poses at joint values where no curve of a joint was learned."""
-    if fit.validation is None:
-        return
-    outside = beyond_learned(fit.robot, fit.identification.data.joints, fit.validation.data.joints)
-    poses = np.flatnonzero(np.any(outside, axis=1))
-    if len(poses):
-        joints = [fit.robot.joint_names[j] for j in np.flatnonzero(np.any(outside, axis=0))]
-        yield Reason(
-            "CHECK",
-            "beyond_curves",
-            f"{counted(len(poses), 'validation pose lies', 'validation poses lie')} where no error curve of"
-            f" {'joint' if len(joints) == 1 else 'joints'} {listed(joints)} was learned:"
-            f" {listed([fit.validation.data.labels[k] for k in poses])}; there a curve says nothing, and its band is as"
-            " wide as before: measure there, too, before you rely on it",
         )
 
 
@@ -252,6 +194,21 @@ def repeats(fit: Fit) -> Iterator[Reason]:
             "repeatability",
             f"residuals are {ratio:.1f} times what repeats of a pose scatter: the model leaves something out, or the"
             " repeats were read without moving the robot",
+        )
+
+
+def rounded(fit: Fit) -> Iterator[Reason]:
+    """See whether joint values were rounded to so few digits that this makes much of the noise."""
+    found = None if fit.computed else rounding(fit)
+    if found is not None and ROUNDED < found.part < ALL_ROUNDED and found.chance < DIGITS:
+        one = fit.first_noise
+        size = error_scale(one.group.dimension) * one.sigma * float(np.sqrt(min(found.part, 1.0)))
+        yield Reason(
+            "CHECK",
+            "rounded",
+            f"joint values stand in steps of {found.steps}, and residuals scatter as if they were rounded to these:"
+            f" that alone makes about {size:.2g} {ERROR_UNIT[one.group.dimension]} of noise; export all digits that"
+            " the controller has",
         )
 
 

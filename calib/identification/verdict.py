@@ -13,7 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from calib.identification import rules_data, rules_model, rules_parameters
+from calib.identification import rules_data, rules_model, rules_parameters, rules_reach
+from calib.identification.blind_spots import not_covered
 from calib.identification.fitted import Fit
 from calib.identification.pose_checks import likely_mistake
 from calib.identification.reasons import Reason, Verdict
@@ -28,14 +29,17 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_model.frame_moved,
     rules_parameters.far_from_nominal,
     rules_data.poses_that_say_little,
-    rules_data.one_corner,
-    rules_data.beyond_joint_limits,
+    rules_reach.one_corner,
+    rules_reach.moved_little,
+    rules_reach.far_validation,
+    rules_reach.beyond_joint_limits,
     rules_data.too_few_poses,
     rules_parameters.loose,
     rules_model.nothing_to_correct,
     rules_model.unused_fits_worse,
     rules_model.systematic,
-    rules_data.beyond_curves,
+    rules_reach.beyond_curves,
+    rules_data.rounded,
     rules_data.outliers,
     rules_data.used_for_both,
     rules_data.copied,
@@ -66,5 +70,5 @@ def judge(fit: Fit) -> Verdict:
     reasons.sort(key=lambda reason: _ORDER.index(reason.grade))
     grade = reasons[0].grade if reasons else "PASS"
     if grade == "FAIL":  # what was found on the side says nothing about numbers that must not be used
-        reasons = [reason for reason in reasons if reason.grade != "PASS"]
-    return Verdict(grade, tuple(reasons))
+        return Verdict(grade, tuple(reason for reason in reasons if reason.grade != "PASS"))
+    return Verdict(grade, tuple(reasons), not_covered(fit))

@@ -24,6 +24,7 @@ from calib.inverse_kinematics.reaching import Configured, Reach, actuated_jacobi
 from calib.inverse_kinematics.redundancy import nearer, unwound
 from calib.model import loops
 from calib.model.robot import Robot
+from calib.numerics.halton import halton
 from calib.units import millimetres
 
 TOLERANCE = 1e-9
@@ -233,7 +234,7 @@ def _spread(robot: Robot, reach: Reach) -> Configured:
     turn = np.pi * reach.scale
     lower = np.where(np.isfinite(reach.lower), reach.lower, robot.home - turn)
     upper = np.where(np.isfinite(reach.upper), reach.upper, robot.home + turn)
-    sample = scipy.stats.qmc.Halton(len(lower), scramble=False).random(_SPREAD)
+    sample = halton(_SPREAD, len(lower))
     actuated = np.array(lower + sample * (upper - lower), dtype=np.float64)
     closed = loops.close(reach.mechanism, reach.mode, actuated)
     return Configured(actuated[closed.ok], closed.passive[closed.ok], np.full(int(closed.ok.sum()), np.inf))

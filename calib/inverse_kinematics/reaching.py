@@ -42,7 +42,7 @@ _ITERATIONS = 100
 NEARLY = 1e-11  # norm of e where a step that gains nothing is rounding [m]
 _SMALLEST_GAIN = 1e-7  # part of the distance that a step must gain to go on
 _SMALLEST_DAMPING, _LARGEST_DAMPING = 1e-12, 1e6  # relative to the mean diagonal of J^T J
-_NEAR_LIMIT = 1e-3  # a passive joint this close to its limit is held back [rad, or characteristic lengths]
+NEAR_LIMIT = 1e-3  # a passive joint this close to its limit is held back [rad, or characteristic lengths]
 _HEAVY = 1e3  # weight of the row that does so
 
 
@@ -117,15 +117,18 @@ class Reach:
         """The same of each passive joint, (n_passive,)."""
         return np.where(self.mechanism.is_metre_column, self.mechanism.length, 1.0)
 
-    def linearise(self, index: IntArray, actuated: FloatArray, passive: FloatArray) -> Linear:
+    def linearise(
+        self, index: IntArray, actuated: FloatArray, passive: FloatArray, closures: FloatArray | None = None
+    ) -> Linear:
         """Return e and its derivative at closed configurations.
 
         Args:
             index: Which goal each configuration is for, (n,).
             actuated: Actuated joints, (n, n_actuated) [m or rad].
             passive: Passive joints that close the loops there, (n, n_passive) [m or rad].
+            closures: [C_p C_a] there, where it is known, (n, n_passive, n_passive + n_actuated).
         """
-        position, rotation, jacobian, by_joint = _motion(self.mechanism, self.target, actuated, passive)
+        position, rotation, jacobian, by_joint = _motion(self.mechanism, self.target, actuated, passive, closures)
         jacobian = jacobian * self.scale
         error, slope = [position - self.goals.positions[index]], [jacobian[:, :3]]
         length = self.mechanism.length
@@ -159,7 +162,7 @@ class Reach:
             angle = np.arctan2(np.linalg.norm(np.cross(wanted, axis), axis=1), np.sum(wanted * axis, axis=1))
         return position, np.linalg.norm(position - self.goals.positions, axis=1), angle
 
-    def follow(self, at: Configured, linear: Linear, trial: FloatArray) -> tuple[FloatArray, BoolArray]:
+    def follow(self, at: Configured, linear: Linear, trial: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Follow the loops from one configuration of each goal to another by the tangent and Newton.
 
         Args:
@@ -168,14 +171,22 @@ class Reach:
             trial: Actuated joints to go to, (n, n_actuated) [m or rad].
 
         Returns:
-            Passive joints there (n, n_passive) [m or rad], and where that worked, within their limits (n,).
+            Passive joints there (n, n_passive) [m or rad], [C_p C_a] (n, n_passive, n_passive + n_actuated), and where
+            that worked, within their limits (n,).
         """
         if not self.mechanism.loops:
-            return at.passive, np.ones(len(trial), dtype=bool)
+            return at.passive, np.zeros((len(trial), 0, trial.shape[1])), np.ones(len(trial), dtype=bool)
         change = np.einsum("nij,nj->ni", linear.passive_slope, (trial - at.actuated) / self.scale)
-        passive, _, ok = newton(self.mechanism, self.mode, trial, at.passive + self.passive_scale * change)
+        guess = at.passive + self.passive_scale * change
+        passive, by_passive, by_actuated, ok = newton(self.mechanism, self.mode, trial, guess)
         passive = loops.wrapped(self.mechanism, self.mode, passive)
-        return passive, ok & loops.within_limits(self.mechanism, passive)
+        closures = np.concatenate([by_passive, by_actuated], axis=2)
+        return passive, closures, ok & loops.within_limits(self.mechanism, passive)
+
+    def room(self, passive: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how far passive joints (n, n_passive) are above their lower and below their upper limits, scaled."""
+        below, above = passive - self.mechanism.lower, self.mechanism.upper - passive
+        return below / self.passive_scale, above / self.passive_scale
 
 
 def actuated_jacobian(
@@ -197,7 +208,11 @@ def actuated_jacobian(
 
 
 def _motion(
-    mechanism: Mechanism, target: RelativeFrame, actuated: FloatArray, passive: FloatArray
+    mechanism: Mechanism,
+    target: RelativeFrame,
+    actuated: FloatArray,
+    passive: FloatArray,
+    closures: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """As `actuated_jacobian`, and the derivative of the passive joints, (n, n_passive, n_actuated)."""
     swept = kinematics.sweep(mechanism, mechanism.all_joints(actuated, passive), (target,))
@@ -209,8 +224,9 @@ def _motion(
     jacobian: FloatArray = kinematics.joint_derivative(swept, mapping, sign * mechanism.select_actuated)
     by_joint: FloatArray = np.zeros((len(actuated), passive.shape[1], actuated.shape[1]))
     if mechanism.loops:
-        _, slope_passive, slope_actuated = residual(mechanism, actuated, passive)
-        by_joint = -np.linalg.solve(slope_passive, slope_actuated)
+        if closures is None:
+            closures = np.concatenate(residual(mechanism, actuated, passive)[1:], axis=2)
+        by_joint = -np.linalg.solve(closures[:, :, : passive.shape[1]], closures[:, :, passive.shape[1] :])
         by_passive = kinematics.joint_derivative(swept, mapping, sign * mechanism.select_passive)
         jacobian += by_passive @ by_joint
     return kinematics.value(swept, target), to_frame @ swept.rotation[:, swept.index[target.b]], jacobian, by_joint
@@ -237,11 +253,11 @@ def descend(reach: Reach, index: IntArray, start: Configured, iterations: int = 
             break
         here = linear.subset(active)
         trial = _trial(reach, at.subset(active), here, damping[active])
-        passive, followed = reach.follow(at.subset(active), here, trial)
+        passive, closures, followed = reach.follow(at.subset(active), here, trial)
         moved = np.flatnonzero(followed)
         distance = np.full(len(active), np.inf)
         if len(moved):
-            there = reach.linearise(index[active[moved]], trial[moved], passive[moved])
+            there = reach.linearise(index[active[moved]], trial[moved], passive[moved], closures[moved])
             distance[moved] = np.linalg.norm(there.error, axis=1)
             gained = distance[moved] < at.distance[active[moved]]
             linear.take(active[moved[gained]], there.subset(np.flatnonzero(gained)))
@@ -265,16 +281,15 @@ def _trial(reach: Reach, at: Configured, linear: Linear, damping: FloatArray) ->
     nothing = np.zeros(linear.passive_slope.shape[:2])
     step = _damped_step(reach, at, linear, damping, nothing, nothing)
     if nothing.size:
-        room_below = (at.passive - reach.mechanism.lower) / reach.passive_scale
-        room_above = (reach.mechanism.upper - at.passive) / reach.passive_scale
+        room_below, room_above = reach.room(at.passive)
         change = np.einsum("nij,nj->ni", linear.passive_slope, step)
-        below, above = (room_below < _NEAR_LIMIT) & (change < 0), (room_above < _NEAR_LIMIT) & (change > 0)
+        below, above = (room_below < NEAR_LIMIT) & (change < 0), (room_above < NEAR_LIMIT) & (change > 0)
         # the heavy rows aim at half the band, so that curvature carries no joint past its limit
-        aim = np.where(below, _NEAR_LIMIT / 2 - room_below, 0.0)
-        aim = np.where(above, room_above - _NEAR_LIMIT / 2, aim)
+        aim = np.where(below, NEAR_LIMIT / 2 - room_below, 0.0)
+        aim = np.where(above, room_above - NEAR_LIMIT / 2, aim)
         step = _damped_step(reach, at, linear, damping, _HEAVY * (below | above), aim)
         change = np.einsum("nij,nj->ni", linear.passive_slope, step)
-        room = np.maximum(np.where(change < 0, room_below, room_above) - _NEAR_LIMIT / 2, _NEAR_LIMIT / 4)
+        room = np.maximum(np.where(change < 0, room_below, room_above) - NEAR_LIMIT / 2, NEAR_LIMIT / 4)
         step *= np.min(np.minimum(1.0, room / np.maximum(np.abs(change), 1e-300)), axis=1, keepdims=True)
     longest = np.max(np.abs(step), axis=1, keepdims=True)
     step = step * np.minimum(1.0, LARGEST_STEP / np.maximum(longest, 1e-300))

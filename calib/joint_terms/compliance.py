@@ -1,8 +1,8 @@
 """Compliance: joints give way under gravity, in proportion to the torque that they hold.
 
-The torque is that of the URDF's masses (Pinocchio's generalized gravity at the nominal configuration), through closed
-loops by virtual work, and what its load adds is left to the gain of the same column (a payload of known mass belongs
-into the URDF).
+The torque is that of the URDF's masses and of the payload (Pinocchio's generalized gravity at the nominal
+configuration), through closed loops by virtual work. The payload is the mass in the column `load`, beside what the URDF
+has; it hangs at the first target, or at the frame that the robot description calls `payload`.
 """
 
 from __future__ import annotations

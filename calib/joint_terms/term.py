@@ -88,6 +88,10 @@ class Context(ReadOnlyArrays):
         nothing, none = np.zeros(n), np.zeros((n, n_actuated))
         return Context(none, nothing, nothing, nothing, none)
 
+    def at(self, which: slice) -> Context:
+        """Return the conditions of some of the commands."""
+        return Context(*(getattr(self, key)[which] for key in self.__dataclass_fields__))
+
     @staticmethod
     def of(approach: FloatArray, conditions: Mapping[str, FloatArray]) -> Context:
         """Return the context of visits.

@@ -239,7 +239,7 @@ def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> tuple[F
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
     """
-    configurations = robot.assemble(poses.joints, labels=poses.labels)
+    configurations = robot.assemble(poses.joints, labels=poses.labels, context=poses.conditions)
     if not isinstance(poses, Measurements):
         part = rows_of_poses(robot, configurations, sigma, looks=looks_at(robot, poses))
         return part.rows[part.read], part.positions, part.position_rows

@@ -20,11 +20,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import scipy
 
 from calib.arrays import FloatArray
 from calib.linearisation.observed import Observed, observe, predicted_readings
 from calib.model.robot import Robot
+from calib.numerics.halton import halton
 from calib.numerics.identifiability import RANK_TOLERANCE, reduced
 
 _POSES = 256
@@ -73,7 +73,7 @@ def _around_home(robot: Robot) -> FloatArray:
     """Joints of poses that the robot can take, (n, n_actuated) [m or rad]."""
     limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
     lower, upper = np.array([limits[name] for name in robot.joint_names]).T
-    spread = scipy.stats.qmc.Halton(len(robot.home), scramble=False).random(_POSES) - 0.5
+    spread = halton(_POSES, len(robot.home)) - 0.5
     q = np.clip(robot.home + 2 * _AROUND_HOME * robot.mechanism.joint_scale * spread, lower, upper)
     return np.asarray(q[robot.close(q).ok])
 

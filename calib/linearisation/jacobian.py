@@ -37,24 +37,27 @@ class Linearisation:
 
     Attributes:
         positions: Targets in the measurement frame, (n, n_targets, 3) [m].
-        jacobian: d(positions)/d(parameters), (n, n_targets, 3, n_parameters) [m per m or rad].
+        jacobian: d(positions)/d(parameters), (n, n_targets, 3, n_parameters) [m per m or rad]; where turns were asked
+            for, dw of the targets too, in the axes of the measurement frame, (n, n_targets, 6, n_parameters).
     """
 
     positions: FloatArray
     jacobian: FloatArray
 
 
-def linearise(robot: Robot, configurations: Configurations) -> Linearisation:
+def linearise(robot: Robot, configurations: Configurations, *, turns: bool = False) -> Linearisation:
     """Positions of all targets and their derivative by every parameter, at the robot's current values.
 
     Args:
         robot: The robot.
         configurations: Assembled poses, from `robot.assemble`.
+        turns: Whether the derivative of the targets' orientations is wanted too.
     """
     if not robot.terms:
-        return Linearisation(*origin_jacobian(robot.mechanism, configurations, parameter_twists(robot)))
+        twists = parameter_twists(robot)
+        return Linearisation(*origin_jacobian(robot.mechanism, configurations, twists, turns=turns))
     twists = np.hstack([parameter_twists(robot), joint_twists(robot.mechanism)])
-    positions, both = origin_jacobian(robot.mechanism, configurations, twists)
+    positions, both = origin_jacobian(robot.mechanism, configurations, twists, turns=turns)
     jacobian, by_joint = both[..., : len(robot.parameters)], both[..., len(robot.parameters) :]
     n = len(positions)
     flat = by_joint.reshape(n, -1, by_joint.shape[-1])
@@ -66,7 +69,11 @@ def linearise(robot: Robot, configurations: Configurations) -> Linearisation:
 
 @one_blas_thread
 def origin_jacobian(
-    mechanism: Mechanism, configurations: Configurations, twists: FloatArray | None = None
+    mechanism: Mechanism,
+    configurations: Configurations,
+    twists: FloatArray | None = None,
+    *,
+    turns: bool = False,
 ) -> tuple[FloatArray, FloatArray]:
     """Positions of all targets and their derivative by the right-perturbation twist of every origin.
 
@@ -74,20 +81,21 @@ def origin_jacobian(
         mechanism: The mechanism.
         configurations: Assembled poses.
         twists: If given, (6 n_joints, k), the derivative is taken along these combinations instead.
+        turns: Whether dw is wanted behind dp.
 
     Returns:
-        Positions (n, n_targets, 3) [m] and derivative (n, n_targets, 3, 6 n_joints or k), origins in the order of
+        Positions (n, n_targets, 3) [m] and derivative (n, n_targets, 3 or 6, 6 n_joints or k), origins in the order of
         `mechanism.origin_names`, six components [linear; angular] each, in the joint's own frame.
     """
     n, n_targets = len(configurations.actuated), len(mechanism.targets)
     width = 6 * mechanism.n_joints if twists is None else twists.shape[1]
     positions = np.empty((n, n_targets, 3))
-    derivative = np.empty((n, n_targets, 3, width))
+    derivative = np.empty((n, n_targets, 6 if turns else 3, width))
     for part, swept in sweeps(mechanism, configurations, mechanism.targets):
         for t, target in enumerate(mechanism.targets):
             positions[part, t] = kinematics.value(swept, target)
             derivative[part, t] = relative_motion(
-                mechanism, swept, target, configurations.slope[part], twists, angular=False
+                mechanism, swept, target, configurations.slope[part], twists, angular=turns
             )
     return positions, derivative
 

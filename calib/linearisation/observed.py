@@ -190,26 +190,39 @@ def predicted_readings(
         wanted: Visits, pairs and details of each instrument's readings; all that it can read at every visit, if not
             given.
     """
-    n = len(configurations.actuated)
+    if wanted is None:
+        wanted = {one.name: _every_look(one, len(configurations.actuated)) for one in robot.instruments}
+    result = {}
+    for name, seen in views(robot, configurations, wanted).items():
+        looks = wanted[name]
+        values = robot.instrument(name).predict(seen, robot.values[robot.unknowns(name)], looks.details)
+        result[name] = Readings(looks.visits, looks.pairs, values, None, looks.details)
+    return result
+
+
+def views(robot: Robot, configurations: Configurations, looks: Mapping[str, Readings]) -> dict[str, View]:
+    """Return what each instrument has before it at each of its readings, by name.
+
+    Args:
+        robot: The robot, at its current values.
+        configurations: Its assembled visits.
+        looks: Visits and pairs of each instrument's readings.
+    """
     mechanism = robot.mechanism
     joints = mechanism.all_joints(configurations.actuated, configurations.passive)
-    if wanted is None:
-        wanted = {one.name: _every_look(one, n) for one in robot.instruments}
-    pairs = tuple(pair for name in wanted for pair in robot.pairs(robot.instrument(name)))
+    pairs = tuple(pair for name in looks for pair in robot.pairs(robot.instrument(name)))
     swept = kinematics.sweep(mechanism, joints, pairs)
     result = {}
-    for name, looks in wanted.items():
+    for name, readings in looks.items():
         one = robot.instrument(name)
-        poses = np.tile(np.eye(4), (len(looks), 1, 1))
+        poses = np.tile(np.eye(4), (len(readings), 1, 1))
         for number, pair in enumerate(robot.pairs(one)):
-            chosen = np.flatnonzero(looks.pairs == number)
-            poses[chosen] = kinematics.relative_pose(swept, pair)[looks.visits[chosen]]
-        value = np.full(len(looks), np.nan)
+            chosen = np.flatnonzero(readings.pairs == number)
+            poses[chosen] = kinematics.relative_pose(swept, pair)[readings.visits[chosen]]
+        value = np.full(len(readings), np.nan)
         if one.joint is not None:
-            value = joints[looks.visits, mechanism.origin_names.index(one.joint)]
-        view = View(poses[:, :3, :3], poses[:, :3, 3], value)
-        values = one.predict(view, robot.values[robot.unknowns(name)], looks.details)
-        result[name] = Readings(looks.visits, looks.pairs, values, None, looks.details)
+            value = joints[readings.visits, mechanism.origin_names.index(one.joint)]
+        result[name] = View(poses[:, :3, :3], poses[:, :3, 3], value)
     return result
 
 

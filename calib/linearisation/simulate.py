@@ -101,6 +101,20 @@ def simulate(
     )
 
 
+def noisy_readings(
+    robot: Robot, exact: Mapping[str, Readings], sigma: float | None, rng: np.random.Generator
+) -> dict[str, Readings]:
+    """Return readings with normal noise, without those of what cannot be seen.
+
+    Args:
+        robot: Knows the noise of its instruments.
+        exact: What they would read without noise; not of touches, whose noise is in the joints.
+        sigma: As in `simulate`.
+        rng: Where the noise comes from.
+    """
+    return {name: _noisy(robot.instrument(name), readings, sigma, rng) for name, readings in exact.items()}
+
+
 def unstated_noise(robot: Robot, sigma: float | None) -> list[str]:
     """Return the instruments of whose noise neither the description nor `sigma` says anything."""
     return [one.name for one in robot.instruments if not all(part.stated for part in stated_noise(one, sigma).parts)]

@@ -41,7 +41,7 @@ def closed_home(mechanism: Mechanism, home: dict[str, float], singularity_limit:
     _check_regular(mechanism, slope, singularity_limit, where)
     rows, columns = blocks(np.abs(scaled(mechanism, slope)[0]) > 1e-9)
     mode = AssemblyMode(mechanism, actuated[0], passive[0], rows, columns, block_signs(slope, rows, columns)[0])
-    polished, _, ok = newton(mechanism, mode, actuated, passive)
+    polished, _, _, ok = newton(mechanism, mode, actuated, passive)
     if not ok[0]:
         raise DescriptionError(
             f"{where}: home: cannot be closed to {closing_tolerance(mechanism):.2g} m from the values given"

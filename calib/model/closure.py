@@ -24,15 +24,12 @@ def residual(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return r (n, n_rows), C_p = dr/dp (n, n_rows, n_passive) and C_a = dr/da (n, n_rows, n_actuated)."""
     swept = kinematics.sweep(mechanism, mechanism.all_joints(actuated, passive), mechanism.loops)
-    select = np.hstack([mechanism.select_passive, mechanism.select_actuated])
-    values, slopes = [], []
-    for loop in mechanism.loops:
-        values.append(kinematics.value(swept, loop))
-        columns = mechanism.between(loop)[:, None] * select
-        slopes.append(kinematics.joint_derivative(swept, kinematics.twist_map(swept, loop), columns))
-    slope = np.concatenate(slopes, axis=1)
-    n_passive = len(mechanism.passive)
-    return np.concatenate(values, axis=1), slope[:, :, :n_passive], slope[:, :, n_passive:]
+    values, maps = kinematics.gaps(swept, mechanism.loops)
+    by_joint = np.matmul(maps, swept.jacobian) * mechanism.loop_signs
+    n, n_rows, n_joints = by_joint.shape
+    select, n_passive = mechanism.select_moving, len(mechanism.passive)
+    slope = (by_joint.reshape(n * n_rows, n_joints) @ select).reshape(n, n_rows, select.shape[1])
+    return values, slope[:, :, :n_passive], slope[:, :, n_passive:]
 
 
 def scaled(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:

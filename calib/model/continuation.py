@@ -29,6 +29,7 @@ import scipy
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.model.closure import AssemblyMode, residual
 from calib.model.mechanism import Mechanism
+from calib.numerics.halton import halton
 
 TOLERANCE = 1e-12
 """Largest closure residual of a solved pose [m, rad]; for links of more than 28 m see `closing_tolerance`."""
@@ -38,6 +39,7 @@ LARGEST_STEP = 0.5
 _MAX_NEWTON = 12
 _SMALLEST_PART = 1 / 256  # of the way from start to goal, before continuation gives up
 _SMALLEST_CHANGE = 1 / 64  # part of the change of the origins that is not halved any more
+_TOGETHER = 64  # steps that are tried at once while few poses are left
 _NEIGHBOURS = 3  # solved poses to start from
 _STONES, _FROM_STONES = 64, 6
 
@@ -53,22 +55,24 @@ def closing_tolerance(mechanism: Mechanism) -> float:
 
 def newton(
     mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, passive: FloatArray
-) -> tuple[FloatArray, FloatArray, BoolArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
     """Newton on the passive joints; accepted only where it contracts at once and stays in the assembly mode.
 
     Returns:
-        Passive joints (n, n_passive), C_p there (n, n_passive, n_passive), and which poses were accepted (n,).
+        Passive joints (n, n_passive), C_p (n, n_passive, n_passive) and C_a (n, n_passive, n_actuated) there, and which
+        poses were accepted (n,).
     """
-    n = len(actuated)
+    n, n_passive = passive.shape
     passive = passive.copy()
-    slope = np.full((n, passive.shape[1], passive.shape[1]), np.nan)
+    slope = np.full((n, n_passive, n_passive), np.nan)
+    slope_actuated = np.full((n, n_passive, actuated.shape[1]), np.nan)
     accepted, last = np.zeros(n, dtype=bool), np.full(n, np.inf)
     active = np.arange(n)
     enough = closing_tolerance(mechanism) / 10
     for _ in range(_MAX_NEWTON):
-        values, slope_p, _ = residual(mechanism, actuated[active], passive[active])
+        values, slope_p, slope_a = residual(mechanism, actuated[active], passive[active])
         small = np.max(np.abs(values), axis=1) <= enough
-        slope[active[small]] = slope_p[small]
+        slope[active[small]], slope_actuated[active[small]] = slope_p[small], slope_a[small]
         accepted[active[small]] = True
         rest = ~small & np.all(np.isfinite(slope_p), axis=(1, 2))
         correction = solved_for(slope_p[rest], values[rest])
@@ -84,7 +88,7 @@ def newton(
     if np.any(accepted):
         good = np.flatnonzero(accepted)
         accepted[good] = mode.holds(slope[good])
-    return passive, slope, accepted
+    return passive, slope, slope_actuated, accepted
 
 
 def solved_for(matrix: FloatArray, right: FloatArray) -> FloatArray:
@@ -166,7 +170,7 @@ def carry(
     def go(index: IntArray, at: FloatArray, low: float, high: float) -> tuple[IntArray, FloatArray]:
         """From the part `low` of the change to `high`; return who arrived, and their passive joints."""
         there = mechanism if high == 1 else mode.mechanism.between_origins(mechanism, high)
-        solved, slope, ok = newton(there, mode, actuated[index], at)
+        solved, slope, _, ok = newton(there, mode, actuated[index], at)
         ok &= np.max(np.abs(in_radians(there, solved - at)), axis=1, initial=0.0) < 4 * LARGEST_STEP
         if high == 1:
             solutions.take(solved, slope, ok, index)
@@ -212,13 +216,19 @@ def _nearest(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Solve poses from known ones, the nearest first; another way round where the straight line is blocked."""
     solutions, scale = _Solutions(len(actuated), len(mechanism.passive)), mechanism.joint_scale
-    tree = scipy.spatial.cKDTree(known[0] / scale) if len(known[0]) else None
-    for neighbour in range(min(neighbours, len(known[0]))):
+    count = min(neighbours, len(known[0]))
+    if count == 0 or len(actuated) == 0:
+        return solutions.passive, solutions.slope, solutions.ok
+    nearest = scipy.spatial.cKDTree(known[0] / scale).query(actuated / scale, k=range(1, count + 1))[1]
+    for ranks in (slice(0, 1), slice(1, count)):  # all others at once: each way that fails takes many steps
         todo = np.flatnonzero(~solutions.ok)
-        if tree is None or len(todo) == 0:
+        starts = nearest[todo, ranks]
+        if starts.size == 0:
             break
-        nearest = tree.query(actuated[todo] / scale, k=[neighbour + 1])[1][:, 0]
-        solutions.take(*_continue(mechanism, mode, known[0][nearest], known[1][nearest], actuated[todo]), todo)
+        goals, starts = np.repeat(todo, starts.shape[1]), starts.ravel()
+        passive, slope, ok = _continue(mechanism, mode, known[0][starts], known[1][starts], actuated[goals])
+        arrived, first = np.unique(goals[ok], return_index=True)
+        solutions.take(passive[ok][first], slope[ok][first], np.ones(len(first), dtype=bool), arrived)
     return solutions.passive, solutions.slope, solutions.ok
 
 
@@ -227,7 +237,7 @@ def _stepping_stones(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatAr
     corners = np.vstack([mode.actuated[None], actuated])
     low, high = corners.min(axis=0), corners.max(axis=0)
     beyond = 0.1 * mechanism.joint_scale
-    sample = scipy.stats.qmc.Halton(corners.shape[1], scramble=False).random(_STONES)
+    sample = halton(_STONES, corners.shape[1])
     stones: FloatArray = low - beyond + sample * (high - low + 2 * beyond)
     return stones
 
@@ -235,25 +245,33 @@ def _stepping_stones(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatAr
 def _continue(
     mechanism: Mechanism, mode: AssemblyMode, start_a: FloatArray, start_p: FloatArray, goal: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Follow the solution from (start_a, start_p) to the actuated joints `goal` with adaptive steps."""
-    n, n_passive = len(goal), len(mechanism.passive)
+    """Follow the solution from (start_a, start_p) to the actuated joints `goal` with adaptive steps.
+
+    Where the last step failed, several shorter ones are tried together while few poses are left; the longest counts
+    that is accepted, as if they had been tried one after the other.
+    """
     at_a, at_p = start_a.copy(), start_p.copy()
-    slope = np.full((n, n_passive, n_passive), np.nan)
-    done, part = np.zeros(n), np.ones(n)
-    active = np.arange(n)
+    _, slope, slope_a = residual(mechanism, at_a, at_p)
+    done, part = np.zeros(len(goal)), np.ones(len(goal))
+    active, lengths = np.arange(len(goal)), 1
     while len(active):
-        _, slope_p, slope_a = residual(mechanism, at_a[active], at_p[active])
-        step = np.minimum(part[active], 1 - done[active])[:, None]
-        next_a = np.where(done[active, None] + step >= 1, goal[active], at_a[active] + step * (goal - start_a)[active])
-        change = np.matmul(slope_a, (next_a - at_a[active])[:, :, None])
-        predicted = at_p[active] - solved_for(slope_p, change[:, :, 0])
-        solved, new_slope, accepted = newton(mechanism, mode, next_a, predicted)
-        moved = np.max(np.abs(in_radians(mechanism, solved - at_p[active])), axis=1)
-        accepted &= moved < 4 * LARGEST_STEP
-        good, bad = active[accepted], active[~accepted]
-        at_a[good], at_p[good], slope[good] = next_a[accepted], solved[accepted], new_slope[accepted]
-        done[good] += step[accepted, 0]
+        halved = part[active, None] / 2 ** np.arange(lengths)
+        row, length = np.nonzero(halved >= _SMALLEST_PART)
+        who = active[row]
+        step = np.minimum(halved[row, length], 1 - done[who])[:, None]
+        next_a = np.where(done[who, None] + step >= 1, goal[who], at_a[who] + step * (goal - start_a)[who])
+        change = np.matmul(slope_a[who], (next_a - at_a[who])[:, :, None])
+        predicted = at_p[who] - solved_for(slope[who], change[:, :, 0])
+        solved, new_slope, new_slope_a, accepted = newton(mechanism, mode, next_a, predicted)
+        accepted &= np.max(np.abs(in_radians(mechanism, solved - at_p[who])), axis=1) < 4 * LARGEST_STEP
+        part[active] = halved[:, -1] / 2
+        good, first = np.unique(who[accepted], return_index=True)
+        took = np.flatnonzero(accepted)[first]
+        at_a[good], at_p[good] = next_a[took], solved[took]
+        slope[good], slope_a[good] = new_slope[took], new_slope_a[took]
+        done[good] += step[took, 0]
         done[good[np.all(at_a[good] == goal[good], axis=1)]] = 1.0
-        part[good], part[bad] = 2 * part[good], part[bad] / 2
+        part[good] = 2 * halved[row[took], length[took]]
+        lengths = 1 if len(good) == len(active) else max(1, _TOGETHER // len(active))
         active = active[(done[active] < 1) & (part[active] >= _SMALLEST_PART)]
     return at_p, slope, done >= 1

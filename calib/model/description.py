@@ -123,7 +123,8 @@ class Description(Section):
 
     `instruments` says what is measured, by which kind of measurement; without it, the position of every target.
     `setups` names the setups of a measurement and what had been moved or remounted before each but the first.
-    `joint_terms` are terms of the joints' errors, which a list in `parametrisation` may hold too.
+    `joint_terms` are terms of the joints' errors, which a list in `parametrisation` may hold too; `payload` is the
+    frame that carries the mass of a column `load`.
     `elimination_order` names parameters in the order in which `calib check` proposes to hold them, where it can choose.
     """
 
@@ -152,6 +153,7 @@ class Description(Section):
         Discriminator(_name_or_list),
     ]
     joint_terms: tuple[AnyTerm, ...] = ()
+    payload: str | None = None
     held: tuple[str, ...] = ()
     elimination_order: tuple[str, ...] = ()
     priors: bool = True

@@ -22,8 +22,12 @@ def build_terms(description: Description, urdf: UrdfText, mechanism: Mechanism, 
     """Build the joint terms of a description.
 
     Raises:
-        DescriptionError: An unknown joint, a sigma of another dimension, or an entry that does not fit its joint.
+        DescriptionError: An unknown joint, a sigma of another dimension, an entry that does not fit its joint, or a
+            payload at a frame that there is not.
     """
+    if description.payload is not None and description.payload not in mechanism.frames:
+        name = description.payload
+        raise DescriptionError(f"{where}: payload: no link, joint or target '{name}'{nearest(name, mechanism.frames)}")
     joints = {joint.name: joint for joint in urdf.joints}
     terms: list[JointTerm] = []
     for section in description.terms:
@@ -74,13 +78,21 @@ def joint_errors(
 
 
 def gravity_torque(
-    urdf: UrdfText, mechanism: Mechanism, q: FloatArray, passive: FloatArray, slope: FloatArray, where: str
+    urdf: UrdfText,
+    mechanism: Mechanism,
+    q: FloatArray,
+    passive: FloatArray,
+    slope: FloatArray,
+    load: FloatArray,
+    payload: str | None,
+    where: str,
 ) -> FloatArray:
     """Return the torque of gravity that each actuated joint holds, loops closed, (n, n_actuated) [N m or N].
 
-    With the generalized gravity g of the tree and dp/da of the passive joints, virtual work gives
+    With the generalized gravity g of the tree, of its masses and of the payload m at the point x, and dp/da of the
+    passive joints, virtual work gives
 
-        tau_a = E_a^T g + (dp/da)^T E_p^T g,          dp/da = -C_p^-1 C_a
+        tau_a = E_a^T g + (dp/da)^T E_p^T g,      g = g(masses) - m J_x^T gravity,      dp/da = -C_p^-1 C_a
 
     Args:
         urdf: The URDF with its masses.
@@ -88,21 +100,37 @@ def gravity_torque(
         q: Actuated joints, (n, n_actuated).
         passive: Passive joints there, (n, n_passive).
         slope: C_p there, (n, n_passive, n_passive).
+        load: Mass of the payload, (n,) [kg].
+        payload: Frame at whose origin it hangs; None: the first target's.
         where: What to call the robot in messages.
 
     Raises:
-        DescriptionError: The URDF has no masses.
+        DescriptionError: The URDF has no masses, and nobody says that a payload alone loads the joints.
     """
-    model = _with_masses(urdf, mechanism, where)
-    data = model.createData()
     joints = mechanism.all_joints(q, passive)
-    gravity = np.array([pin.computeGeneralizedGravity(model, data, row).copy() for row in joints])
+    gravity = np.zeros_like(joints)
+    masses = _with_masses(urdf, mechanism)
+    if masses is not None:
+        gravity += _gravity(masses, joints)
+    elif payload is None:
+        raise DescriptionError(
+            f"{where}: joint term 'compliance' needs masses, and the URDF has none; add <inertial> to its links, or say"
+            " with `payload` which frame carries the masses of a column 'load', or leave the term out"
+        )
+    if np.any(load):
+        gravity += load[:, None] * _gravity(_with_one_kilogram(mechanism, payload), joints)
     torque: FloatArray = gravity @ mechanism.select_actuated
     if mechanism.loops and len(q):
         by_actuated = _closure_by_actuated(mechanism, joints)
         rate = -np.linalg.solve(slope, by_actuated)
         torque = torque + np.einsum("npa,np->na", rate, gravity @ mechanism.select_passive)
     return torque
+
+
+def _gravity(model: pin.Model, joints: FloatArray) -> FloatArray:
+    """The generalized gravity of every joint of the tree, (n, n_joints)."""
+    data = model.createData()
+    return np.array([pin.computeGeneralizedGravity(model, data, row).copy() for row in joints]).reshape(joints.shape)
 
 
 def _closure_by_actuated(mechanism: Mechanism, joints: FloatArray) -> FloatArray:
@@ -115,19 +143,24 @@ def _closure_by_actuated(mechanism: Mechanism, joints: FloatArray) -> FloatArray
     return np.concatenate(parts, axis=1)
 
 
-def _with_masses(urdf: UrdfText, mechanism: Mechanism, where: str) -> pin.Model:
-    """The mechanism's model with the masses of the URDF; what hangs on fixed joints is part of the link before."""
+def _with_masses(urdf: UrdfText, mechanism: Mechanism) -> pin.Model | None:
+    """The model with the masses of the URDF, if any; what hangs on fixed joints is part of the link before."""
     whole = pin.buildModelFromXML(urdf.source.decode())
     inertias = {name: inertia for name, inertia in zip(whole.names, whole.inertias, strict=True) if inertia.mass > 0}
     if not inertias.keys() & {*mechanism.origin_names}:
-        raise DescriptionError(
-            f"{where}: joint term 'compliance' needs masses, and the URDF has none; add <inertial> to its links, or"
-            " leave the term out"
-        )
+        return None
     model = mechanism.model.copy()
     for k, name in enumerate(mechanism.origin_names):
         if name in inertias:
             model.inertias[k + 1] = inertias[name]
+    return model
+
+
+def _with_one_kilogram(mechanism: Mechanism, payload: str | None) -> pin.Model:
+    """The mechanism's model with one kilogram at a frame's origin and no other mass."""
+    model = mechanism.model.copy()
+    frame = mechanism.targets[0].b if payload is None else mechanism.joint(payload)
+    model.inertias[frame] = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
     return model
 
 

@@ -59,30 +59,56 @@ def sweep(
     """
     model, moving = mechanism.around(pairs)
     joints = joints * moving
-    data = model.createData()
-    frames = sorted({frame for pair in pairs for frame in (pair.a, pair.b)})
+    spare = mechanism.workspaces.setdefault(pairs, [])
+    try:
+        space = spare.pop()  # a list, so that two threads never get the same one
+    except IndexError:
+        space = _Workspace.of(model, pairs)
+    data, jacobian_view, translation_views = space.data, space.jacobian, space.translations
     leaves = regressor_leaves(mechanism, pairs) if regressors else ()
     n = len(joints)
-    rotation = np.empty((n, len(frames), 3, 3))
-    translation = np.empty((n, len(frames), 3))
+    rotation = np.empty((n, len(space.frames), 3, 3))
+    translation = np.empty((n, len(space.frames), 3))
     jacobian = np.empty((n, 6, model.nv))
     regressor = np.empty((n, len(leaves), 6, 6 * model.nv))
-    pin.computeJointJacobians(model, data, pin.neutral(model))  # sizes the views below
-    placements = [data.oMi[frame] for frame in frames]  # live: they follow every later computation
-    rotation_views = [placement.rotation for placement in placements]
-    translation_views = [placement.translation for placement in placements]
     compute, regress, world = pin.computeJointJacobians, pin.computeJointKinematicRegressor, pin.ReferenceFrame.WORLD
-    jacobian_view = data.J
     for k in range(n):
         compute(model, data, joints[k])
         jacobian[k] = jacobian_view
-        for f, view in enumerate(rotation_views):
+        for f, view in enumerate(space.rotations):
             rotation[k, f] = view
             translation[k, f] = translation_views[f]
         for f, leaf in enumerate(leaves):
             regressor[k, f] = regress(model, data, leaf, world)
-    index = {frame: f for f, frame in enumerate(frames)}
+    spare.append(space)
+    index = {frame: f for f, frame in enumerate(space.frames)}
     return Sweep(index, rotation, translation, jacobian, leaves, regressor)
+
+
+@dataclass(frozen=True, eq=False)
+class _Workspace:
+    """Pinocchio's data and views of it, which follow every later computation; dearer to make than one pose to compute.
+
+    Attributes:
+        data: Of the model.
+        frames: Joint indices of the wanted frames, in order.
+        rotations, translations: World pose of each of them, (3, 3) and (3,) [m].
+        jacobian: World Jacobian, (6, n_joints).
+    """
+
+    data: pin.Data
+    frames: tuple[int, ...]
+    rotations: tuple[FloatArray, ...]
+    translations: tuple[FloatArray, ...]
+    jacobian: FloatArray
+
+    @classmethod
+    def of(cls, model: pin.Model, pairs: tuple[RelativeFrame, ...]) -> _Workspace:
+        data = model.createData()
+        pin.computeJointJacobians(model, data, pin.neutral(model))  # sizes the views
+        frames = tuple(sorted({frame for pair in pairs for frame in (pair.a, pair.b)}))
+        poses = [data.oMi[frame] for frame in frames]
+        return cls(data, frames, tuple(p.rotation for p in poses), tuple(p.translation for p in poses), data.J)
 
 
 def regressor_leaves(mechanism: Mechanism, pairs: tuple[RelativeFrame, ...]) -> tuple[int, ...]:
@@ -103,6 +129,22 @@ def value(swept: Sweep, pair: RelativeFrame) -> FloatArray:
     return translation[:, pair.rows]
 
 
+def gaps(swept: Sweep, pairs: tuple[RelativeFrame, ...]) -> tuple[FloatArray, FloatArray]:
+    """Return `value` and `twist_map` of several pairs, one pair's rows after the other's; faster than one by one.
+
+    Returns:
+        Constrained components (n, n_rows) [m, rad], and the map from each row's own V_b - V_a, (n, n_rows, 6).
+    """
+    if any(pair.full_pose for pair in pairs):
+        values, maps = zip(*((value(swept, pair), twist_map(swept, pair)) for pair in pairs), strict=True)
+        return np.concatenate(values, axis=1), np.concatenate(maps, axis=1)
+    rows = [(swept.index[pair.a], swept.index[pair.b], row) for pair in pairs for row in pair.rows]
+    a, b, axis = (list(part) for part in zip(*rows, strict=True))
+    axes, at = swept.rotation.transpose(0, 1, 3, 2)[:, a, axis], swept.translation[:, b]
+    components: FloatArray = np.sum(axes * (at - swept.translation[:, a]), axis=2)
+    return components, np.concatenate([axes, _moments(at, axes)], axis=2)
+
+
 def relative_pose(swept: Sweep, pair: RelativeFrame) -> FloatArray:
     """Return the pose of frame b in frame a, (n, 4, 4) [m]."""
     a, b = swept.index[pair.a], swept.index[pair.b]
@@ -120,12 +162,12 @@ def twist_map(swept: Sweep, pair: RelativeFrame) -> FloatArray:
         return _pose_map(swept, a, b)[:, pair.rows]
     rows = swept.rotation[:, a].transpose(0, 2, 1)[:, pair.rows]
     # r^T (v + w x p) = r^T v + (p x r)^T w
-    return np.concatenate([rows, _moments(swept.translation[:, b], rows)], axis=2)
+    return np.concatenate([rows, _moments(swept.translation[:, b, None], rows)], axis=2)
 
 
 def _moments(points: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return p x r for points p (n, 3) and rows r (n, k, 3); `np.cross` takes twice as long."""
-    x, y, z = (points[:, axis, None] for axis in range(3))
+    """Return p x r for points p (n, 1 or k, 3) and rows r (n, k, 3); `np.cross` takes twice as long."""
+    x, y, z = points[:, :, 0], points[:, :, 1], points[:, :, 2]
     u, v, w = rows[:, :, 0], rows[:, :, 1], rows[:, :, 2]
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=2)
 
@@ -151,7 +193,7 @@ def motion_map(swept: Sweep, pair: RelativeFrame, *, angular: bool) -> FloatArra
     """
     a, b = swept.index[pair.a], swept.index[pair.b]
     axes = swept.rotation[:, a].transpose(0, 2, 1)
-    linear = np.concatenate([axes, _moments(swept.translation[:, b], axes)], axis=2)
+    linear = np.concatenate([axes, _moments(swept.translation[:, b, None], axes)], axis=2)
     if not angular:
         return linear
     turning = np.concatenate([np.zeros_like(axes), axes], axis=2)

@@ -65,7 +65,7 @@ def close(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, seed: 
     ok = np.zeros(n, dtype=bool)
     if seed is not None:
         tried = np.flatnonzero(np.all(np.isfinite(seed), axis=1))
-        passive[tried], slope[tried], ok[tried] = newton(mechanism, mode, actuated[tried], seed[tried])
+        passive[tried], slope[tried], _, ok[tried] = newton(mechanism, mode, actuated[tried], seed[tried])
     if not np.all(ok):
         todo = np.flatnonzero(~ok)
         passive[todo], slope[todo], ok[todo] = follow(mechanism, mode, actuated[todo])

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -43,6 +44,13 @@ class RelativeFrame:
     b: int
     full_pose: bool
     rows: tuple[int, ...]
+
+
+class Workspaces(dict[tuple[RelativeFrame, ...], list[Any]]):
+    """What sweeps work in, kept for the next ones; views of Pinocchio's memory, so a pickle or copy starts empty."""
+
+    def __reduce__(self) -> tuple[type[Workspaces], tuple[()]]:
+        return Workspaces, ()
 
 
 def view(places: Mapping[str, int], a: str, b: str) -> RelativeFrame:
@@ -136,6 +144,11 @@ class Mechanism(ReadOnlyArrays):
         return self._around[pairs]
 
     @cached_property
+    def workspaces(self) -> Workspaces:
+        """Pinocchio data that no sweep uses at the moment, by the pairs that they are for."""
+        return Workspaces()
+
+    @cached_property
     def _around(self) -> dict[tuple[RelativeFrame, ...], tuple[pin.Model, FloatArray]]:
         return {}
 
@@ -157,6 +170,16 @@ class Mechanism(ReadOnlyArrays):
         """Return +1 for joints that move only b, -1 for those that move only a, else 0, (n_joints,)."""
         difference: FloatArray = self.support[relative.b] - self.support[relative.a]
         return difference
+
+    @cached_property
+    def loop_signs(self) -> FloatArray:
+        """`between` of the loop of each closure row, (n_rows, n_joints)."""
+        return np.array([self.between(loop) for loop in self.loops for _ in loop.rows]).reshape(-1, self.n_joints)
+
+    @cached_property
+    def select_moving(self) -> FloatArray:
+        """E of the passive joints, then of the actuated ones, (n_joints, n_passive + n_actuated)."""
+        return np.hstack([self.select_passive, self.select_actuated])
 
     @cached_property
     def is_seen(self) -> BoolArray:

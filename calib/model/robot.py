@@ -30,6 +30,7 @@ from calib.model.urdf_text import Triple, UrdfText
 from calib.observation.kind import Instrument
 from calib.parameter import Parameter, index_of
 from calib.sections import COMPONENTS, Component
+from calib.tabular import titled_html
 from calib.units import quantity
 
 _LARGEST_JOINT = 1e6  # [m or rad]
@@ -88,6 +89,11 @@ class Robot(ReadOnlyArrays):
             f"<Robot '{self.name}' from {self.path}: {len(self.joint_names)} actuated and {len(self.passive_names)}"
             f" passive joints, {len(self.parameters)} parameters>"
         )
+
+    def _repr_html_(self) -> str:
+        told = f"joints {', '.join(self.joint_names)}; targets {', '.join(self.target_names)}"
+        rows = zip(self.parameters, self.values, self.is_free, strict=True)
+        return titled_html(self.name, (repr(self)[1:-1], told), [one.row(value, free) for one, value, free in rows])
 
     @property
     def name(self) -> str:
@@ -153,7 +159,9 @@ class Robot(ReadOnlyArrays):
             closed = loops.close(self.nominal, self.mode, q)
             passive = np.where(np.isfinite(closed.passive), closed.passive, 0.0)
             slope = np.where(closed.ok[:, None, None], closed.slope, np.eye(passive.shape[1]))
-            context = with_torque(context, gravity_torque(self.urdf, self.nominal, q, passive, slope, self.path))
+            load, payload = context.load, self.description.payload
+            torque = gravity_torque(self.urdf, self.nominal, q, passive, slope, load, payload, self.path)
+            context = with_torque(context, torque)
         return term_columns(self.terms, self.joint_names, q, context)
 
     def actual(self, q: FloatArray, columns: tuple[FloatArray, ...]) -> FloatArray:

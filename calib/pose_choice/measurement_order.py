@@ -36,6 +36,18 @@ def travel(joints: FloatArray, home: FloatArray, order: IntArray) -> float:
     return float(np.sum(np.max(np.abs(np.diff(points[path], axis=0)), axis=1)))
 
 
+def ways(joints: FloatArray, start: FloatArray) -> FloatArray:
+    """Return how far each pose is from where the robot stands, (n,) [joint ranges].
+
+    Args:
+        joints: Poses, (n, n_actuated) [m or rad].
+        start: Where the robot stands, (n_actuated,) [m or rad].
+    """
+    points = _points(joints, start)
+    result: FloatArray = np.max(np.abs(points[1:] - points[0]), axis=1)
+    return result
+
+
 def order_in_blocks(joints: FloatArray, home: FloatArray, block: IntArray) -> IntArray:
     """Return an order of visiting that is short and goes block by block, (n,).
 

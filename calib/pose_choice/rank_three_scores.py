@@ -52,6 +52,11 @@ class Determinant:
         """Log det K."""
         return float(np.linalg.slogdet(self.gathered)[1])
 
+    def gains(self) -> FloatArray:
+        """Return by how much adding each candidate raises log det K, (n_candidates,)."""
+        result: FloatArray = np.log(_determinants(self.seen, 1.0))
+        return result
+
     def best(self, allowed: BoolArray, *, add: bool) -> int:
         """Return the best next move; see `calib.pose_choice.selection_scores.Scores`."""
         factors = _determinants(self.seen, 1.0 if add else -1.0)
@@ -134,20 +139,27 @@ class Task:
         felt = rows @ (inverse @ self.problem.task)
         return seen, np.matmul(felt, felt.transpose(0, 2, 1))
 
+    def gains(self) -> FloatArray:
+        """Return by how much adding each candidate lowers trace(W K^-1), (n_candidates,)."""
+        seen, felt = self._through
+        result: FloatArray = np.trace(np.linalg.solve(np.eye(seen.shape[1]) + seen, felt), axis1=1, axis2=2)
+        return result
+
     def best(self, allowed: BoolArray, *, add: bool) -> int:
         """Return the best next move; see `calib.pose_choice.selection_scores.Scores`."""
+        if add:
+            return int(np.argmax(np.where(allowed, self.gains(), -np.inf)))
         seen, felt = self._through
         candidates = np.flatnonzero(allowed)
-        small = np.eye(seen.shape[1]) + (1.0 if add else -1.0) * seen[candidates]
-        if not add:
-            solvable = self._sparing.spares(self.problem.rows[candidates])
-            candidates, small = (
-                (candidates[solvable], small[solvable])
-                if np.any(solvable)
-                else (candidates[:1], np.eye(seen.shape[1])[None])
-            )
+        small = np.eye(seen.shape[1]) - seen[candidates]
+        solvable = self._sparing.spares(self.problem.rows[candidates])
+        candidates, small = (
+            (candidates[solvable], small[solvable])
+            if np.any(solvable)
+            else (candidates[:1], np.eye(seen.shape[1])[None])
+        )
         change = np.trace(np.linalg.solve(small, felt[candidates]), axis1=1, axis2=2)
-        return int(candidates[np.argmax(change if add else -change)])
+        return int(candidates[np.argmin(change)])
 
     def moved(self, candidate: int, *, add: bool) -> Task:
         """Return the scores after a move; see `calib.pose_choice.selection_scores.Scores`."""

@@ -36,7 +36,7 @@ from calib.pose_choice.selection_bound import CERTIFIED, log_phi, relax
 from calib.pose_choice.selection_problem import TASK
 from calib.pose_choice.selection_result import Run, Selection
 from calib.pose_choice.selection_scores import index_of_score, index_values, values_of_rows
-from calib.pose_choice.selection_setting import Setting, Wanted, prepare
+from calib.pose_choice.selection_setting import Setting, Wanted, prepare, require_count
 from calib.threads import one_blas_thread
 from calib.units import millimetres
 
@@ -95,6 +95,7 @@ def select(
     total = sum(count.values()) if isinstance(count, Mapping) else count
     wanted = Wanted(index, total, minimum_distance, off_grid, groups)
     setting = prepare(robot, candidates, wanted, measured, task, exclude, skip_unreachable, sigma)
+    require_count(setting)
     prepared = time.perf_counter()
     kinds = _start_kinds(random_start, starts)
     runs, best = _run_all(setting, kinds, rng)

@@ -127,7 +127,7 @@ def prepare(
         sigma: Noise of one reading per axis [m]; the description's if None.
 
     Raises:
-        InputError: An argument is wrong; count above the candidates, or too small for the parameters.
+        InputError: An argument is wrong.
         DataError: A candidate is given twice.
         UnreachablePoseError: Candidates cannot be assembled.
         NotIdentifiableError: No choice determines what the index is about.
@@ -161,14 +161,13 @@ def prepare(
             distance, _ = scipy.spatial.cKDTree(points).query(pose_points[others])
             allowed[others] = distance >= wanted.minimum_distance
             usable &= allowed[pairs.pose]
-    _require_counts(wanted, usable, pairs)
     task_rows = candidate_rows.position_rows[assembled.usable]
     if task is not None:
         task_rows = rows_of_measured(robot, as_poses(robot, task), sigma)[2]
     problem = build_problem(
         pairs.rows, done_rows, prior_rows(Unknowns.chosen_by_poses(robot).has_prior), n_before, task_rows
     )
-    _require_answer(problem, wanted, pairs, usable)
+    _require_answer(problem, wanted)
     kind = None if wanted.groups.counts is None else pairs.group
     space = Spacing(pose_points[pairs.pose], wanted.minimum_distance, usable, pairs.pose, kind)
     return Setting(robot, wanted, poses, assembled, pairs, problem, space, points, noise, assumed, again, sigma)
@@ -203,8 +202,24 @@ def _excluded(exclude: Sequence[int], n: int) -> BoolArray:
     return result
 
 
-def _require_counts(wanted: Wanted, usable: BoolArray, pairs: Pairs) -> None:
-    """Raise `InputError` where more is wanted than there are candidates, of each kind."""
+def require_count(setting: Setting) -> None:
+    """Raise `InputError` where more is wanted than there are candidates, of each kind, or too little to answer."""
+    wanted, pairs, usable = setting.wanted, setting.pairs, setting.space.usable
+    _require_candidates(wanted, usable, pairs)
+    problem = setting.problem
+    missing = problem.known.rank.rank - int(np.linalg.matrix_rank(problem.before, hermitian=True))
+    kinds = np.zeros(len(usable), dtype=np.intp) if wanted.groups.counts is None else pairs.group
+    counts = np.array(wanted.groups.counts or (wanted.count,))
+    n_read = np.where(usable, pairs.n_read, 0)
+    coordinates = int(sum(np.sum(n_read[best]) for best in largest(n_read, kinds, counts)))
+    if coordinates < missing:
+        raise InputError(
+            f"count {wanted.count}: {coordinates} coordinates cannot determine {missing} parameters;"
+            f" choose at least {-(-missing // int(np.max(n_read)))} poses (several times that for a useful result)"
+        )
+
+
+def _require_candidates(wanted: Wanted, usable: BoolArray, pairs: Pairs) -> None:
     if wanted.count < 1:
         raise InputError(f"count {wanted.count}: choose at least one pose")
     counts = wanted.groups.counts
@@ -223,21 +238,10 @@ def _require_counts(wanted: Wanted, usable: BoolArray, pairs: Pairs) -> None:
             )
 
 
-def _require_answer(problem: Problem, wanted: Wanted, pairs: Pairs, usable: BoolArray) -> None:
-    rank = problem.known.rank.rank
-    if rank == 0:
+def _require_answer(problem: Problem, wanted: Wanted) -> None:
+    if problem.known.rank.rank == 0:
         raise NotIdentifiableError(
             "the candidates determine no parameter at all; the targets do not depend on any free one"
-        )
-    missing = rank - int(np.linalg.matrix_rank(problem.before, hermitian=True))
-    kinds = np.zeros(len(usable), dtype=np.intp) if wanted.groups.counts is None else pairs.group
-    counts = np.array(wanted.groups.counts or (wanted.count,))
-    n_read = np.where(usable, pairs.n_read, 0)
-    coordinates = int(sum(np.sum(n_read[best]) for best in largest(n_read, kinds, counts)))
-    if coordinates < missing:
-        raise InputError(
-            f"count {wanted.count}: {coordinates} coordinates cannot determine {missing} parameters;"
-            f" choose at least {-(-missing // int(np.max(n_read)))} poses (several times that for a useful result)"
         )
     if wanted.index == TASK and not np.isfinite(problem.task_floor):
         raise NotIdentifiableError(

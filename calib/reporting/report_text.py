@@ -32,10 +32,9 @@ def text_report(fit: Fit, width: int = 120) -> str:
 
 
 def verdict_lines(verdict: Verdict) -> list[str]:
-    """Return the verdict and its reasons, one line each."""
-    if not verdict.reasons:
-        return [f"Verdict: {verdict.grade}"]
-    return [f"Verdict: {verdict.grade}", *(f"  {reason.grade}: {reason.text}" for reason in verdict.reasons)]
+    """Return the verdict, its reasons, and what it does not cover, one line each."""
+    reasons = [f"  {reason.grade}: {reason.text}" for reason in verdict.reasons]
+    return [f"Verdict: {verdict.grade}", *reasons, *(f"  not covered: {text}" for text in verdict.not_covered)]
 
 
 def notes(fit: Fit, *, brief: bool = False) -> list[str]:
@@ -109,7 +108,8 @@ def _terms(fit: Fit) -> list[str]:
                 f"poses of blocks left out {scale * one.before:.4f} -> {scale * one.after:.4f} {unit} RMS, log evidence"
                 f" {one.evidence:+.1f}"
             )
-            (added if one.added else left).append(f"{one.term} ({one.why}{': ' if one.why else ''}{numbers})")
+            alike = f"; the data cannot tell it from {listed(one.alike)}" if one.alike else ""
+            (added if one.added else left).append(f"{one.term} ({one.why}{': ' if one.why else ''}{numbers}{alike})")
     every = len(fit.terms.tried)
     lines = [f"Joint terms added: {listed(added, '; ', every) or 'none earns its place'}"]
     lines += [f"Joint terms left out: {listed(left, '; ', every)}"] if left else []

@@ -10,13 +10,13 @@ to the last digits. Its uncertainty comes from `covariance.csv`. A fit with the 
 from __future__ import annotations
 
 import hashlib
+import html
 import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import escape, unescape
 
 import numpy as np
 import scipy
@@ -33,6 +33,7 @@ from calib.identification.fitted import Fit
 from calib.identification.joint_curves import beyond_learned
 from calib.identification.promise import Promise
 from calib.identification.reasons import Verdict
+from calib.joint_terms.term import Context
 from calib.joint_terms.terms import stored_terms
 from calib.linearisation.prediction import PositionUncertainty, position_uncertainty
 from calib.model import loading
@@ -115,11 +116,11 @@ def _with_meshes(urdf: UrdfText) -> bytes:
     edits = []
     for match in _FILE.finditer(urdf.source):
         group = 1 if match.group(1) is not None else 2
-        name = unescape(match.group(group).decode("utf-8", "replace"), {"&quot;": '"', "&apos;": "'"})
+        name = html.unescape(match.group(group).decode("utf-8", "replace"))
         found = find_mesh(name, urdf.path)
         if found is not None and not Path(name).is_absolute():
-            text = escape(str(found), {'"': "&quot;", "'": "&apos;"})
-            edits.append((*match.span(group), text.encode("ascii", "xmlcharrefreplace")))
+            text = html.escape(str(found)).encode("ascii", "xmlcharrefreplace")
+            edits.append((*match.span(group), text))
     return apply_edits(urdf.source, edits)
 
 
@@ -256,9 +257,16 @@ class LoadedUncertainty:
     covariance: FloatArray
     coverage_factor: float
 
-    def at(self, robot: Robot, q: FloatArray) -> PositionUncertainty:
-        """Predict positions of the calibrated robot at actuated joints q (n, n_actuated), with their covariance."""
-        return position_uncertainty(robot, np.flatnonzero(self.free), self.covariance, self.coverage_factor, q)
+    def at(self, robot: Robot, q: FloatArray, context: Context | None = None) -> PositionUncertainty:
+        """Predict positions of the calibrated robot at actuated joints q (n, n_actuated), with their covariance.
+
+        Args:
+            robot: The calibrated robot.
+            q: Commands, (n, n_actuated) [m or rad].
+            context: Under which conditions they are given.
+        """
+        free = np.flatnonzero(self.free)
+        return position_uncertainty(robot, free, self.covariance, self.coverage_factor, q, context)
 
 
 def load_uncertainty(folder: Path | str, robot: Robot) -> LoadedUncertainty:

@@ -20,9 +20,17 @@ PACKAGES = {
 }
 FOLDER = "reference/api"
 STEPS = {
-    "A robot and its measurements": ("load", "robot", "read_measurements", "read_poses", "as_measurements", "as_poses"),
-    "Before measuring": ("sample", "check", "select", "simulate"),
-    "Calibrating": ("fit", "load_result"),
+    "A robot and its measurements": (
+        "load",
+        "robot",
+        "read_measurements",
+        "read_poses",
+        "as_measurements",
+        "as_poses",
+        "read_parameters",
+    ),
+    "Before measuring": ("sample", "check", "select", "simulate", "study"),
+    "Calibrating": ("fit", "load_result", "Watch"),
     "Judging": ("verify", "compare"),
     "Using the calibrated robot": ("predict", "solve", "compensate", "export"),
     "Parametrisations of your own": ("Parametrisation", "Parameter", "Origin", "twist_of_edit"),

@@ -55,6 +55,7 @@ ROOMS = (
     Room("Inverse kinematics", 6, "inverse_kinematics"),
     Room("Exporting", 6, "exporting"),
     Room("Reporting", 7, "reporting"),
+    Room("Watching", 7, "watching"),
     Room("Commands", 8, "commands"),
 )
 

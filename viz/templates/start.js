@@ -7,9 +7,16 @@ function follow(controls) {
   const source = new EventSource("events");
   source.addEventListener("open", () => { banner.hidden = true; });
   source.addEventListener("error", () => {
+    banner.className = "";
     banner.textContent = "The program that showed this has ended. The picture stays as it is.";
     banner.hidden = false;
   });
+  source.addEventListener("told", (event) => {
+    banner.textContent = JSON.parse(event.data);
+    banner.className = "told";
+    banner.hidden = false;
+  });
+  source.addEventListener("reload", () => { window.location.reload(); });
   source.addEventListener("pose", (event) => {
     const row = JSON.parse(event.data);
     if (row < controls.table.n) controls.go(row);

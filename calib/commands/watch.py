@@ -1,0 +1,116 @@
+"""`calib watch`: measuring and calibrating at once."""
+
+from __future__ import annotations
+
+import json
+import time
+
+import click
+
+from calib.commands.common import SIGMA_HELP, Output, different_poses, loaded, shared_options, sigma_in_metres
+from calib.commands.pictures import Live, live
+from calib.data.measurement_files import read_measurements
+from calib.data.plan_files import read_plan
+from calib.errors import InputError
+from calib.files import write_file
+from calib.units import quantity
+from calib.watching.growing_file import GrowingFile
+from calib.watching.progress import Progress
+from calib.watching.watch import CANDIDATES, Watch
+
+
+@click.command("watch")
+@click.argument("robot")
+@click.argument("file")
+@click.option(
+    "--goal",
+    required=True,
+    metavar="LENGTH",
+    help="Root mean square position error over the candidates to reach, with its unit, such as 0.1mm.",
+)
+@click.option(
+    "--candidates",
+    metavar="FILE",
+    help="Poses (CSV) that the goal is about, and to choose the next one from; if not given,"
+    f" {CANDIDATES} over the joint limits.",
+)
+@click.option("--once", is_flag=True, help="Say what FILE tells now, and end.")
+@click.option(
+    "--every",
+    type=click.FloatRange(min=0.05),
+    default=0.5,
+    show_default=True,
+    metavar="SECONDS",
+    help="How often to look whether FILE has grown.",
+)
+@click.option("--view", is_flag=True, help="Show it in a browser on this computer as well.")
+@click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of what is sampled.")
+@shared_options(json_output=True)
+def command(
+    robot: str,
+    file: str,
+    goal: str,
+    candidates: str | None,
+    once: bool,
+    every: float,
+    view: bool,
+    sigma_mm: float | None,
+    seed: int,
+    output: Output,
+) -> None:
+    """Follow FILE (CSV) while ROBOT is measured: what is known, what to measure next, and when to stop.
+
+    Every line that is added is first predicted, then fitted. It ends when the goal holds with 95 %, or with Ctrl-C.
+    With --json FILE that file always holds the present state; with --json -, every state is one line.
+    """
+    if once and view:
+        raise InputError("--once ends at once, so there is nothing to --view; leave one of them out")
+    if goal.strip()[-1:].isdigit():
+        raise InputError(f"--goal {goal}: write its unit, such as {goal.strip()}mm")
+    length = quantity(goal, "length", "--goal")
+    model = loaded(robot, output)
+    poses = None if candidates is None else different_poses(read_plan(candidates, model))
+    watch = Watch(
+        model, length, candidates=poses, sigma=None if sigma_mm is None else sigma_in_metres(sigma_mm), seed=seed
+    )
+    if once:
+        told = watch.update(read_measurements(file, model))
+        _tell(told, output)
+        if told.obstacle is not None:
+            raise told.obstacle
+        return
+    viewer = live(model) if view else None
+    try:
+        _follow(watch, GrowingFile(file, model), every, viewer, output)
+    except KeyboardInterrupt:
+        output.note("ended")
+    finally:
+        if viewer is not None:
+            viewer.close()
+
+
+def _follow(watch: Watch, file: GrowingFile, every: float, viewer: Live | None, output: Output) -> None:
+    """Tell about every change of the file until the goal holds; with a viewer, until Ctrl-C."""
+    if viewer is not None:
+        output.note(viewer.url)
+    data = file.changed()
+    while True:
+        told = watch.update(data)
+        _tell(told, output)
+        if viewer is not None:
+            viewer.show(told.report(), told.fit, None if told.next_pose is None else told.next_pose.joints)
+        if told.stop and viewer is None:
+            return
+        data = None
+        while data is None:
+            time.sleep(every)
+            data = file.changed()
+
+
+def _tell(told: Progress, output: Output) -> None:
+    output.say(f"{told.report()}\n")
+    if output.json_target == "-":
+        click.echo(json.dumps(told.to_dict(), allow_nan=False, ensure_ascii=False))
+    elif output.json_target is not None:
+        write_file(output.json_target, json.dumps(told.to_dict(), indent=1, allow_nan=False, ensure_ascii=False) + "\n")

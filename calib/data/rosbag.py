@@ -1,0 +1,194 @@
+"""ROS 2 bags as tables: joint states, and what was measured while the robot stood still.
+
+Joints come from `sensor_msgs/JointState` messages of any topic, by their names. Measurements come from
+`geometry_msgs/PointStamped`, `PoseStamped` and `TransformStamped`: the topic `/reflector` gives the columns
+`reflector_x`, `_y`, `_z` [m], and poses also `_qx`, `_qy`, `_qz`, `_qw`. A topic `/tracker/ball` is `tracker/ball`;
+`columns` of a robot description says what foreign names stand for.
+
+Joined by time. A measurement counts if the robot stood still: from 0.25 s before it to 0.25 s after it there are two
+joint states or more, on either side of it, and no joint moves by more than 0.5 mrad (0.5 mm). It is a row of its own.
+Rows of one stop have the same `pose`, which they repeat, and the same joint values, the mean of the joint states around
+them: what encoders flicker is no motion. Time is that of the headers;
+if any message has none, it is that of the recording. Column `time` counts from the first message.
+
+The package rosbags reads them, without ROS. It is not needed for anything else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib.arrays import FloatArray, IntArray
+from calib.errors import DataError
+from calib.words import counted
+
+_SUFFIXES = (".mcap", ".db3")
+_WINDOW = 0.25  # before and after a measurement [s]
+_STILL = 5e-4  # how far a joint may move meanwhile [rad or m]
+_JOINTS = "sensor_msgs/msg/JointState"
+_PLACES: dict[str, Callable[[Any], tuple[Any, Any]]] = {
+    "geometry_msgs/msg/PointStamped": lambda message: (message.point, None),
+    "geometry_msgs/msg/PoseStamped": lambda message: (message.pose.position, message.pose.orientation),
+    "geometry_msgs/msg/TransformStamped": lambda message: (message.transform.translation, message.transform.rotation),
+}
+
+
+@dataclass
+class _Series:
+    """Numbers over time.
+
+    Attributes:
+        stamps: Of the headers [s]; 0 where there is none.
+        recorded: When they were recorded [s].
+        values: Numbers of each message [m, rad, 1].
+    """
+
+    stamps: list[float] = field(default_factory=list)
+    recorded: list[float] = field(default_factory=list)
+    values: list[tuple[float, ...]] = field(default_factory=list)
+
+    def add(self, message: Any, recorded: float, values: Iterable[float]) -> None:
+        """Take in one message."""
+        self.stamps.append(message.header.stamp.sec + message.header.stamp.nanosec / 1e9)
+        self.recorded.append(recorded)
+        self.values.append(tuple(map(float, values)))
+
+    def over_time(self, stamped: bool) -> tuple[FloatArray, FloatArray]:
+        """Times (n,) [s], in order, and values (n, k)."""
+        times = np.array(self.stamps if stamped else self.recorded)
+        order = np.argsort(times, kind="stable")
+        return times[order], np.array(self.values)[order]
+
+
+def is_bag(path: Path | str) -> bool:
+    """Whether a path is that of a bag: a folder with `metadata.yaml`, or a file `.mcap` or `.db3`."""
+    try:
+        return Path(path).suffix in _SUFFIXES or (Path(path) / "metadata.yaml").is_file()
+    except OSError:  # whoever reads the file will say why
+        return False
+
+
+def read_bag(path: Path | str) -> tuple[list[tuple[str, list[object]]], tuple[str, ...]]:
+    """Return header and cells of each column of the table that a bag stands for, and remarks.
+
+    Raises:
+        DataError: The package rosbags is missing, the bag cannot be read, has no joint states or no measurements, or
+            the robot stood still at none of them.
+    """
+    joints, places = _series(path)
+    if not joints:
+        raise DataError(f"{path}: has no joint states (sensor_msgs/JointState); record their topic too")
+    if not places:
+        raise DataError(
+            f"{path}: has no measurements (geometry_msgs/PointStamped, PoseStamped or TransformStamped); record their"
+            " topic too"
+        )
+    every = [*joints.values(), *places.values()]
+    stamped = all(stamp > 0 for one in every for stamp in one.stamps)
+    measured = {topic: one.over_time(stamped) for topic, one in places.items()}
+    times = np.unique(np.concatenate([at for at, _ in measured.values()]))
+    q, spread = _joints_at(times, [one.over_time(stamped) for one in joints.values()])
+    still = spread <= _STILL
+    if not still.any():
+        seen = spread[np.isfinite(spread)]
+        moved = f"; the least that a joint moved is {np.min(seen):.2g} rad or m" if len(seen) else ""
+        raise DataError(
+            f"{path}: at none of {counted(len(times), 'measurement')} the robot stood still: joint states within"
+            f" {_WINDOW} s before and after, no further apart than {_STILL:g} rad or m{moved}"
+        )
+    stops = _stops(q[still])
+    means = np.array([q[still][stops == stop].mean(axis=0) for stop in range(stops[-1] + 1)])
+    first = min(min(one.stamps if stamped else one.recorded) for one in every)
+    columns: list[tuple[str, list[object]]] = [
+        ("pose", [f"stop {number + 1}" for number in stops]),
+        ("time [s]", list(times[still] - first)),
+        *((name, list(means[stops, k])) for k, name in enumerate(joints)),
+    ]
+    for topic, (at, values) in measured.items():
+        columns += _place_columns(topic, times[still], at, values)
+    left = int(np.sum(~still))
+    remark = f"{counted(left, 'measurement')} of {len(times)} left out: the robot moved" if left else ""
+    return columns, (f"from the bag {path}", *([remark] if remark else []))
+
+
+def _series(path: Path | str) -> tuple[dict[str, _Series], dict[str, _Series]]:
+    """What a bag has of joints, by name, and of places, by topic."""
+    joints: dict[str, _Series] = {}
+    places: dict[str, _Series] = {}
+    source: dict[str, str] = {}
+    for topic, kind, recorded, message in _messages(path):
+        if kind != _JOINTS:
+            at, turned = _PLACES[kind](message)
+            rotation = () if turned is None else (turned.x, turned.y, turned.z, turned.w)
+            places.setdefault(topic, _Series()).add(message, recorded, (at.x, at.y, at.z, *rotation))
+            continue
+        for name, value in zip(message.name, message.position, strict=False):  # some have names and no positions
+            if source.setdefault(name, topic) != topic:
+                raise DataError(f"{path}: joint '{name}' is in {source[name]} and in {topic}; keep one of these topics")
+            joints.setdefault(name, _Series()).add(message, recorded, (value,))
+    for what, one in {**joints, **places}.items():
+        if len({len(value) for value in one.values}) > 1 or not np.isfinite(one.values).all():
+            raise DataError(f"{path}: '{what}' has numbers that are not finite, or messages of two kinds")
+    return joints, places
+
+
+def _messages(path: Path | str) -> Iterator[tuple[str, str, float, Any]]:
+    """Topic, type, time [s] and message of all that is read."""
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise DataError(
+            f"{path}: is a ROS bag, and the package that reads them is not installed: pip install rosbags"
+        ) from None
+    if not Path(path).exists():
+        raise DataError(f"{path}: no such file; give a CSV file or a bag")
+    try:
+        with AnyReader([Path(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            wanted = [one for one in reader.connections if one.msgtype == _JOINTS or one.msgtype in _PLACES]
+            for connection, recorded, raw in reader.messages(wanted) if wanted else ():
+                message = reader.deserialize(raw, connection.msgtype)
+                yield connection.topic, connection.msgtype, recorded / 1e9, message
+    except DataError:
+        raise
+    except Exception as error:  # of rosbags, of SQLite, of what a broken file makes of them
+        raise DataError(f"{path}: is no bag that can be read ({type(error).__name__}: {error})") from None
+
+
+def _joints_at(times: FloatArray, joints: list[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+    """Joint values at times (n,), (n, n_joints), and how far the joint that moved most did, (n,); inf if not seen."""
+    q, spread = np.full((len(times), len(joints)), np.nan), np.zeros(len(times))
+    for j, (at, values) in enumerate(joints):
+        first = np.searchsorted(at, times - _WINDOW, side="left")
+        last = np.searchsorted(at, times + _WINDOW, side="right")
+        middle = np.searchsorted(at, times, side="left")
+        for k in range(len(times)):
+            inside = values[first[k] : last[k], 0]
+            if first[k] < middle[k] < last[k]:
+                q[k, j] = inside.mean()
+                spread[k] = max(spread[k], float(np.ptp(inside)))
+            else:
+                spread[k] = np.inf
+    return q, spread
+
+
+def _stops(q: FloatArray) -> IntArray:
+    """The number of the stop of each row (n, n_joints), (n,): a new one where a joint has left the last."""
+    numbers, begin = np.zeros(len(q), dtype=np.intp), q[0]
+    for k, row in enumerate(q):
+        left = bool(np.any(np.abs(row - begin) > 2 * _STILL))
+        begin = row if left else begin
+        numbers[k] = numbers[max(k - 1, 0)] + left
+    return numbers
+
+
+def _place_columns(topic: str, times: FloatArray, at: FloatArray, values: FloatArray) -> list[tuple[str, list[object]]]:
+    """Columns of one topic; cells are empty where it said nothing at that time."""
+    name, row = topic.removeprefix("/"), dict(zip(at, values, strict=True))
+    axes = ("x [m]", "y [m]", "z [m]", "qx", "qy", "qz", "qw")[: values.shape[1]]
+    return [(f"{name}_{axis}", [row[t][k] if t in row else "" for t in times]) for k, axis in enumerate(axes)]

@@ -1,0 +1,148 @@
+"""Rules of the verdict about where a calibration holds: how far joints moved, and where it was validated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.identification.fitted import Fit
+from calib.identification.joint_curves import beyond_learned
+from calib.identification.pose_checks import unmoved_joints
+from calib.identification.reasons import Reason
+from calib.model.robot import Robot
+from calib.units import DISPLAY_UNIT, PER_SI, millimetres
+from calib.words import counted, listed
+
+BEYOND_LIMIT = 0.01
+"""How far beyond a joint's limit a pose must be to be named [rad, or characteristic lengths]."""
+CORNER = 0.1
+"""Part of the range between its limits that at least one joint must move through."""
+LESS_KNOWN = 3.0
+"""Uncertainty of positions elsewhere, over that at the poses used, from which the calibration does not reach there."""
+_TRIED = 50  # poses at which a joint is moved through its limits in thought
+
+
+def one_corner(fit: Fit) -> Iterator[Reason]:
+    """See how much of what its limits allow (or a turn, without limits) each joint has moved."""
+    robot, reach = fit.nominal, np.ptp(fit.identification.data.joints, axis=0)
+    allowed = _allowed(robot)
+    known = np.isfinite(allowed) & (allowed > 0)
+    part = np.max(reach[known] / allowed[known], initial=0.0)
+    if np.all(known) and 0 < part < CORNER:
+        yield Reason(
+            "CHECK",
+            "one_corner",
+            f"all poses lie in one corner: no joint moved through more than {100 * part:.2g} % of its limits, and"
+            " elsewhere the robot is not calibrated: measure poses all over the space where it will work",
+        )
+
+
+def moved_little(fit: Fit) -> Iterator[Reason]:
+    """Look for joints that moved so little that positions are unknown where they move further."""
+    data, robot = fit.identification.data, fit.nominal
+    allowed = _allowed(robot)
+    part = np.ptp(data.joints, axis=0) / allowed
+    still = np.isin(robot.joint_names, unmoved_joints(robot, data.joints))
+    if np.all(part[~still] < CORNER):  # that is one corner
+        return
+    here = _uncertainty(fit, data.joints)
+    for j in np.flatnonzero((part < CORNER) & ~still):
+        there = _uncertainty(fit, _elsewhere(fit, int(j), float(allowed[j])))
+        if there > max(LESS_KNOWN * here, np.sqrt(3.0) * fit.sigma):
+            name = robot.joint_names[j]
+            unit = DISPLAY_UNIT[robot.mechanism.dimensions[name]]
+            reach = np.ptp(data.joints[:, j]) * PER_SI[robot.mechanism.dimensions[name]][unit]
+            yield Reason(
+                "CHECK",
+                "joint_moved_little",
+                f"joint {name} moved through {reach:.2g} {unit} only: where it moves further, positions are known to"
+                f" {millimetres(there):.2g} mm RMS, and to {millimetres(here):.2g} mm at the poses used; measure poses"
+                " that move it through its range",
+            )
+
+
+def far_validation(fit: Fit) -> Iterator[Reason]:
+    """See whether the poses that were not used lie where the poses used tell little."""
+    if fit.validation is None or fit.validation_uncertainty is None or fit.computed:
+        return
+    here = _rms(fit.identification_uncertainty.distance)
+    there = float(np.median(fit.validation_uncertainty.distance))
+    if there > max(LESS_KNOWN * here, np.sqrt(3.0) * fit.sigma):
+        yield Reason(
+            "CHECK",
+            "validated_elsewhere",
+            f"poses that were not used lie where the calibration hardly reaches: positions are predicted to"
+            f" {millimetres(there):.2g} mm there, and to {millimetres(here):.2g} mm RMS at the poses used; measure"
+            " there too, and validate among the poses used",
+        )
+
+
+def _elsewhere(fit: Fit, j: int, allowed: float) -> FloatArray:
+    """Poses that were used with one joint spread over its limits, as far as they close, (n, n_actuated) [m or rad]."""
+    used = fit.identification.data.joints
+    q = used[np.unique(np.linspace(0, len(used) - 1, _TRIED).astype(np.intp))].copy()
+    middle = np.mean(q[:, j])
+    lower, upper = (limits[j] for limits in _limits(fit.nominal))
+    q[:, j] = np.clip(middle + allowed * np.linspace(-0.5, 0.5, len(q)), lower, upper)
+    return np.asarray(q[fit.robot.close(q).ok])
+
+
+def _uncertainty(fit: Fit, q: FloatArray) -> float:
+    """Root mean square uncertainty of predicted positions at q (n, n_actuated) [m]; 0 without poses."""
+    return _rms(fit.predict(q).distance) if len(q) else 0.0
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def beyond_joint_limits(fit: Fit) -> Iterator[Reason]:
+    """Look for joint values that the robot's own limits exclude."""
+    data, robot = fit.identification.data, fit.nominal
+    lower, upper = _limits(robot)
+    excess = np.maximum(lower - data.joints, data.joints - upper) / robot.mechanism.joint_scale
+    beyond = np.flatnonzero(np.max(excess, axis=1) > BEYOND_LIMIT)
+    if len(beyond):
+        joints = [robot.joint_names[j] for j in np.flatnonzero(np.max(excess, axis=0) > BEYOND_LIMIT)]
+        yield Reason(
+            "CHECK",
+            "beyond_joint_limits",
+            f"{counted(len(beyond), 'pose lies', 'poses lie')} beyond the URDF's limits of"
+            f" {'joint' if len(joints) == 1 else 'joints'} {listed(joints)}:"
+            f" {listed([data.labels[k] for k in beyond])}; check the joint's sign, zero, unit and column, or the"
+            " limits",
+        )
+
+
+def _limits(robot: Robot) -> tuple[FloatArray, FloatArray]:
+    """Lower and upper limits of the actuated joints, (n_actuated,) each [m or rad]; infinite where there are none."""
+    limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
+    lower, upper = np.array([limits[name] for name in robot.joint_names]).T
+    return lower, upper
+
+
+def _allowed(robot: Robot) -> FloatArray:
+    """Range of each actuated joint, a turn at most, (n_actuated,) [m or rad]; infinite where nothing says."""
+    lower, upper = _limits(robot)
+    turns = np.array([robot.mechanism.dimensions[name] == "angle" for name in robot.joint_names])
+    return np.asarray(np.minimum(upper - lower, np.where(turns, 2 * np.pi, np.inf)))
+
+
+def beyond_curves(fit: Fit) -> Iterator[Reason]:
+    """Look for validation poses at joint values where no curve of a joint was learned."""
+    if fit.validation is None:
+        return
+    outside = beyond_learned(fit.robot, fit.identification.data.joints, fit.validation.data.joints)
+    poses = np.flatnonzero(np.any(outside, axis=1))
+    if len(poses):
+        joints = [fit.robot.joint_names[j] for j in np.flatnonzero(np.any(outside, axis=0))]
+        yield Reason(
+            "CHECK",
+            "beyond_curves",
+            f"{counted(len(poses), 'validation pose lies', 'validation poses lie')} where no error curve of"
+            f" {'joint' if len(joints) == 1 else 'joints'} {listed(joints)} was learned:"
+            f" {listed([fit.validation.data.labels[k] for k in poses])}; there a curve says nothing, and its band is as"
+            " wide as before: measure there, too, before you rely on it",
+        )

@@ -1,0 +1,167 @@
+"""What is known after the poses measured so far: as an object, as text and as data for programs."""
+
+from __future__ import annotations
+
+import html
+import math
+from dataclasses import dataclass
+
+from calib.arrays import ReadOnlyArrays
+from calib.errors import CalibrationError
+from calib.identification.fitted import Fit
+from calib.linearisation.prediction import RootMeanSquare
+from calib.model.robot import Robot
+from calib.pose_choice.next_pose import NextPose
+from calib.units import DISPLAY_UNIT, PER_SI, millimetres
+from calib.words import counted
+
+UNKNOWN = RootMeanSquare(math.inf, 0.0, math.inf)
+"""Of a distance that nothing has told yet."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Progress(ReadOnlyArrays):
+    """What is known after the poses measured so far.
+
+    Attributes:
+        robot: The nominal robot.
+        goal: Root mean square position error to reach [m].
+        n_poses: Poses measured.
+        n_candidates: Poses that the goal is about, and to choose from.
+        fit: The calibration of all of them; None where they do not suffice yet.
+        obstacle: Why they do not.
+        predicted: Error over the candidates that noise leaves, by the covariance of the fit.
+        unseen: Error at the last poses, each judged by a fit that had not seen it; noise of the readings included.
+        n_unseen: How many poses that is about.
+        n_settled: How many of them were judged by fits whose predicted error met the goal.
+        next_pose: Where to measure next; None where all candidates are measured.
+        seconds: Duration of this update.
+    """
+
+    robot: Robot
+    goal: float
+    n_poses: int
+    n_candidates: int
+    fit: Fit | None
+    obstacle: CalibrationError | None
+    predicted: RootMeanSquare
+    unseen: RootMeanSquare
+    n_unseen: int
+    n_settled: int
+    next_pose: NextPose | None
+    seconds: float
+
+    def __repr__(self) -> str:
+        return f"<Progress after {counted(self.n_poses, 'pose')}: {'stop' if self.stop else 'go on'}>"
+
+    def __str__(self) -> str:
+        return self.report()
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(self.report())}</pre>"
+
+    @property
+    def stop(self) -> bool:
+        """Whether the goal holds with 95 %: by the predicted error, and at poses that no fit had seen."""
+        converged = self.fit is not None and self.fit.converged
+        return converged and self.predicted.high95 <= self.goal and self.unseen.high95 <= self.goal
+
+    @property
+    def out_of_reach(self) -> bool:
+        """Whether more poses cannot help: noise leaves less than the goal, but fits that say so are further off."""
+        return self.predicted.high95 <= self.goal < self.unseen.low95 and self.n_settled == self.n_unseen
+
+    def report(self) -> str:
+        """Return it as text."""
+        head = f"{counted(self.n_poses, 'pose')} ({self.seconds:.2f} s)"
+        if self.fit is None:
+            lines = [f"not yet a calibration: {self.obstacle}"]
+        else:
+            lines = [
+                f"predicted error  {_shown(self.predicted)} over {self.n_candidates} candidates",
+                f"unseen error     {self._unseen_shown()}",
+            ]
+        goal = f"goal {millimetres(self.goal):.4g} mm: {self._verdict()}"
+        return "\n  ".join([head, *lines, goal, *self._next()])
+
+    def to_dict(self) -> dict[str, object]:
+        """Return it as data for JSON, in mm and degrees; None where not known."""
+        following = self.next_pose
+        return {
+            "robot": self.robot.path,
+            "poses": self.n_poses,
+            "goal_mm": millimetres(self.goal),
+            "stop": self.stop,
+            "out_of_reach": self.out_of_reach,
+            "obstacle": None if self.obstacle is None else str(self.obstacle),
+            "predicted_mm": _as_data(self.predicted),
+            "unseen_mm": _as_data(self.unseen) | {"poses": self.n_unseen},
+            "next": None
+            if following is None
+            else {
+                "pose": following.name,
+                "checks": following.checks,
+                "joints": {name: {"value": value, "unit": unit} for name, value, unit in self._joints(following)},
+                "way": following.way,
+                "predicted_mm": {
+                    "before": _finite(millimetres(following.before)),
+                    "after": _finite(millimetres(following.after)),
+                },
+            },
+            "seconds": self.seconds,
+        }
+
+    def _verdict(self) -> str:
+        if self.stop:
+            return "STOP: it holds with 95 %"
+        if self.out_of_reach:
+            return (
+                "not reached, and more poses will not do it: unseen errors are beyond what noise explains; look for"
+                " what the model leaves out (calib fit --terms auto), or for noise above the goal"
+            )
+        return "not yet"
+
+    def _unseen_shown(self) -> str:
+        if not math.isfinite(self.unseen.high95):
+            return f"too few poses yet that no fit had seen ({self.n_unseen})"
+        return f"{_shown(self.unseen)} at the last {self.n_unseen} poses, each judged before it was fitted"
+
+    def _next(self) -> list[str]:
+        following = self.next_pose
+        if self.stop or following is None:
+            return [] if self.stop else ["every candidate that can be reached is measured"]
+        joints = ", ".join(f"{name} {value:.4f} {unit}" for name, value, unit in self._joints(following))
+        help_ = "brings in what is missing"
+        if following.checks:
+            help_ = "is drawn at random, to check what is predicted"
+        elif math.isfinite(following.before) and following.before > 0:
+            help_ = f"lowers the predicted error by {100 * (1 - following.after / following.before):.2g} %"
+        return [f"next: pose {following.name}, which {help_}", f"  {joints}"]
+
+    def _joints(self, following: NextPose) -> list[tuple[str, float, str]]:
+        """Name, value and unit of each joint."""
+        dimensions = [self.robot.mechanism.dimensions[name] for name in self.robot.joint_names]
+        units = [DISPLAY_UNIT[dimension] for dimension in dimensions]
+        return [
+            (name, float(value) * PER_SI[dimension][unit], unit)
+            for name, value, dimension, unit in zip(
+                self.robot.joint_names, following.joints, dimensions, units, strict=True
+            )
+        ]
+
+
+def _shown(error: RootMeanSquare) -> str:
+    value, low, high = (f"{millimetres(one):.3g}" for one in (error.value, error.low95, error.high95))
+    return f"{value} mm RMS (95 %: {low} to {high})"
+
+
+def _as_data(error: RootMeanSquare) -> dict[str, object]:
+    return {
+        "rms": _finite(millimetres(error.value)),
+        "low95": _finite(millimetres(error.low95)),
+        "high95": _finite(millimetres(error.high95)),
+    }
+
+
+def _finite(number: float) -> float | None:
+    return number if math.isfinite(number) else None

@@ -99,12 +99,16 @@ def test_a_failed_fit_is_not_tested(fits, tmp_path):
     assert "FAIL" in found.report()
 
 
-def test_the_command_prints_one_short_table_and_writes_json(run_calib, fits):
+def test_the_command_prints_one_short_table_and_writes_json_and_a_page(run_calib, fits, tmp_path):
     run = run_calib("compare", fits / "before", fits / "shifted")
     assert run.code == 0
     assert len(run.out.splitlines()) < 40
     assert "joint_3.z" in run.out
     table = json.loads(run_calib("compare", fits / "before", fits / "shifted", "--json", "-").out)
+    page = tmp_path / "compared.html"
+    assert run_calib("compare", fits / "before", fits / "again", "--html", page, "--quiet").code == 0
+    assert "joint_3.z" in page.read_text()
+    assert 'id="same-rows"' in page.read_text()
     row = next(row for row in table["parameters"] if row["name"] == "joint_3.z")
     assert row["real"] == [True]
     assert next(row for row in table["parameters"] if row["name"] == "joint_1.x")["p_values"] == [None]
@@ -118,6 +122,7 @@ def test_bad_input_is_one_line(run_calib, fits, tmp_path):
     for arguments, words in (
         ([fits / "before"], "1 result given; give two or more"),
         ([fits / "before", fits / "again", fits / "before"], "is given twice"),
+        ([fits / "before", fits / "again", "--html", tmp_path / "no" / "x.html"], "no such file or directory"),
         ([fits / "before", tmp_path / "empty"], "holds no result"),
         ([fits / "before", tmp_path / "nowhere"], "holds no result"),
         ([fits / "before", tmp_path / "other"], "is the result of another robot"),

@@ -65,7 +65,7 @@ def test_a_target_that_was_not_seen_has_no_row(tmp_path):
     saved = gather(robot, tmp_path / "out").scene.poses
     assert (saved.labels, saved.targets) == (table.labels, table.targets)
     np.testing.assert_allclose(saved.after, table.after, atol=1e-9)
-    assert report_page(fit, created=NOON).html.count("<figure") == 6
+    assert report_page(fit, created=NOON).html.count("<figure") == 7
 
 
 def test_repeats_of_a_pose_are_one_row_with_the_mean_of_their_readings(tmp_path):
@@ -118,10 +118,10 @@ def test_the_report_has_a_table_figures_and_a_noise_for_each_part(pose_fit):
     turned = 1e3 * np.linalg.norm(pose_fit.validation.after["ball"][:, 3:], axis=1)
     row = re.findall(r"validation \(20\) after ([\d.]+) ([\d.]+)", shown)[1]
     assert [float(number) for number in row] == pytest.approx([turned.mean(), turned.max()], rel=5e-3)  # as printed
-    assert re.search(r"Noise found of ball, position: 0\.0\d+ mm per axis of one reading \(stated: 0\.0500 mm\)", shown)
-    assert re.search(r"Noise found of ball, orientation: 0\.\d+ mrad .* \(stated: 0\.200 mrad\)", shown)
+    assert re.search(r"noise of one reading of ball, position 0\.0\d+ mm per axis \(stated: 0\.0500 mm", shown)
+    assert re.search(r"noise of one reading of ball, orientation 0\.\d+ mrad .*\(stated: 0\.200 mrad", shown)
     assert "Instruments ball (position, orientation of ball)" in shown
-    assert html.count("<figure") == 8
+    assert html.count("<figure") == 9
     names = re.findall(r'\bid="([^"]+)"', html)
     assert len(names) == len(set(names))
 
@@ -153,7 +153,7 @@ def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(
     shown = words(html)
     assert "Mean distance error before and after calibration, 120 poses (identification)" in shown
     assert "Where it was measured" not in shown
-    assert html.count("<figure") == 3
+    assert html.count("<figure") == 4
     fit.save(tmp_path / "out")
     saved = gather(robot, tmp_path / "out").scene
     assert saved.states == ()
@@ -189,7 +189,7 @@ def test_a_tracker_can_validate_what_distances_identified(tmp_path):
     shown = words(report_page(fit, created=NOON).html)
     assert "Mean position error before and after calibration, 20 poses (validation)" in shown
     assert "Distance error [mm] Poses" in shown
-    assert "Noise found: 0.0" in shown
+    assert "noise of one reading 0.0" in shown
     fit.save(tmp_path / "out")
     saved = gather(robot, tmp_path / "out").scene.poses
     np.testing.assert_allclose(saved.after, table.after, atol=1e-9)

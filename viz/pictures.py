@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 from viz.command import view as command
 
 if TYPE_CHECKING:
-    from calib import Fit, Robot
+    from calib import Fit, ResultComparison, Robot
     from viz.fit_plots import FitPlots
     from viz.live import LiveViewer
 
-__all__ = ["command", "figures", "live", "pages", "plots"]
+__all__ = ["command", "comparison", "figures", "live", "pages", "plots"]
 
 
 def pages(fit: Fit, logo: str = "") -> dict[str, bytes]:
@@ -34,6 +34,14 @@ def pages(fit: Fit, logo: str = "") -> dict[str, bytes]:
         "report.html": report.html.encode(),
         "viewer.html": scene_page(scene, report="report.html").html.encode(),
     }
+
+
+def comparison(found: ResultComparison) -> bytes:
+    """Return the page of results side by side."""
+    from viz.comparison_page import comparison_page
+    from viz.report_page import command_line
+
+    return comparison_page(found, command=command_line()).html.encode()
 
 
 def figures(subject: object) -> dict[str, bytes]:

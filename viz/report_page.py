@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,6 +26,9 @@ from viz.rendering import picture_of
 from viz.report_tables import accuracy, extent, headline, judged_by, left_out, noise_lines, unsure, worst
 from viz.scene import Scene, joints_of, scene_of_fit
 from viz.viewer_page import Page
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 _PACKAGES = ("pin", "numpy", "scipy", "trimesh", "meshcat", "matplotlib")
 _DECIMALS, _MOST_DECIMALS = 4, 9
@@ -58,20 +62,13 @@ def report_page(
         logo: Image to put beside the title, as `calib.files.image_address` gives it; none if not given.
         scene: The fit's scene, where it has been made before.
     """
-    from jinja2 import Environment, PackageLoader
-
-    environment = Environment(
-        loader=PackageLoader("viz", "templates"), autoescape=True, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters["mm"] = millimetres
-    environment.filters["number"] = number
-    environment.filters["sentence"] = sentence
-    environment.filters["significant"] = significant
     shown = scene_of_fit(fit) if scene is None and fit.assembles else scene
     when = created if created is not None else datetime.now(UTC)
     tables, table, budget = accuracy(fit), from_fit(fit), budget_table(fit)
     return Page(
-        environment.get_template("report.html").render(
+        page_environment()
+        .get_template("report.html")
+        .render(
             fit=fit,
             robot=fit.nominal,
             verdict=fit.verdict,
@@ -105,6 +102,18 @@ def report_page(
             viewer=viewer,
         )
     )
+
+
+def page_environment() -> Environment:
+    """Return where pages to print are made: everything that is put into them is escaped; with formats for numbers."""
+    from jinja2 import Environment, PackageLoader
+
+    environment = Environment(
+        loader=PackageLoader("viz", "templates"), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
+    formats = {"mm": millimetres, "number": number, "significant": significant, "sentence": sentence}
+    environment.filters |= formats
+    return environment
 
 
 def measured_in(robot: Robot) -> str:

@@ -4,19 +4,27 @@ from __future__ import annotations
 
 import click
 
+from calib.commands import pictures
 from calib.commands.common import Output, shared_options
+from calib.files import check_file, write_file
 from calib.reporting.result_comparison import compare
 
 
 @click.command("compare")
 @click.argument("results", nargs=-1, required=True, metavar="DIR DIR...")
+@click.option("--html", metavar="FILE", help="Write one page: parameters with intervals, errors on the same readings.")
 @shared_options(json_output=True)
-def command(results: tuple[str, ...], output: Output) -> None:
+def command(results: tuple[str, ...], html: str | None, output: Output) -> None:
     """Compare results of `calib fit`: parameters with 95 % intervals, errors, and which differences are real.
 
     Each is compared with the first. Fits that used the same readings are shown, not tested.
     """
+    if html is not None:
+        check_file(html)
     with output.working(f"comparing {len(results)} results"):
         found = compare(*results)
     output.say(found.report().rstrip())
     output.json(found.to_dict())
+    if html is not None:
+        write_file(html, pictures.comparison(found))
+        output.say(f"Written to {html}")

@@ -4,6 +4,7 @@ An entry is a module, called like the command that it adds, with
 
     command             that command
     pages(fit, logo)    the pages of a result folder, file name -> content
+    comparison(found)   the page of results side by side
     figures(subject)    the figures of an assessment or a selection, file name -> content
     plots(fit)          an object whose methods draw a fit into matplotlib axes
     live(robot)         a live page that shows a robot, and moves when it is told to
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from calib.arrays import FloatArray
     from calib.identification.fitted import Fit
     from calib.model.robot import Robot
+    from calib.reporting.result_comparison import ResultComparison
 
 GROUP = "calib.pictures"
 
@@ -71,6 +73,9 @@ class Pictures(Protocol):
     def pages(self, fit: Fit, logo: str) -> dict[str, bytes]:
         """Return the pages of a result folder, with an image that its address holds (none: empty)."""
 
+    def comparison(self, found: ResultComparison) -> bytes:
+        """Return the page of results side by side."""
+
     def figures(self, subject: object) -> dict[str, bytes]:
         """Return the figures of an assessment or a selection."""
 
@@ -106,6 +111,18 @@ def pages(fit: Fit, logo: Path | str | None = None) -> dict[str, bytes]:
         pictures: Pictures = entry.load()
         files |= pictures.pages(fit, address)
     return files
+
+
+def comparison(found: ResultComparison) -> bytes:
+    """Return the page of results side by side.
+
+    Raises:
+        InputError: Nothing that draws is installed.
+    """
+    modules: list[Pictures] = [entry.load() for entry in entry_points(group=GROUP)]
+    if not modules:
+        raise InputError(f"--html: nothing that draws is installed (entry point group {GROUP})")
+    return modules[0].comparison(found)
 
 
 def figures(subject: object) -> dict[str, bytes]:

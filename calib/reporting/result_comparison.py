@@ -107,6 +107,8 @@ class ResultComparison:
         errors: Root mean square error after calibration of each, on readings not used where there are any.
         unit: Unit of these errors.
         errors_on: On which readings each was found.
+        sizes: Size of the error of each reading after calibration, in that unit, of each result on the same readings
+            that none of them used; empty where there are none.
         differences: One for each parameter.
         together: p-value of all differences to the first, for each of the others; NaN where there is no test.
         notes: What to know before believing it.
@@ -118,6 +120,7 @@ class ResultComparison:
     errors: tuple[float, ...]
     unit: str
     errors_on: tuple[str, ...]
+    sizes: tuple[FloatArray, ...]
     differences: tuple[Difference, ...]
     together: tuple[float, ...]
     notes: tuple[str, ...]
@@ -137,8 +140,7 @@ class ResultComparison:
                 self.names, self.verdicts, self.n_poses, self.errors, self.errors_on, strict=True
             )
         ]
-        tested = [one for one in self.differences if np.any(np.isfinite(one.p_values))]
-        ranked = sorted(tested or self.differences, key=lambda one: np.nanmin([*one.p_values, 2.0]))
+        ranked = self.ranked()
         table = Table(box=None, pad_edge=False)
         for head in ("parameter", "unit", *self.names, "p"):
             table.add_column(head, justify="left" if head in ("parameter", "unit") else "right", overflow="fold")
@@ -146,17 +148,25 @@ class ResultComparison:
             marks = (False, *one.real)
             cells = [_cell(row, mark) for row, mark in zip(one.rows, marks, strict=True)]
             unit = next(str(row["unit"]) for row in one.rows if row is not None)
-            table.add_row(one.name, unit, *cells, ", ".join(_p(p) for p in one.p_values))
+            table.add_row(one.name, unit, *cells, ", ".join(p_text(p) for p in one.p_values))
         more = len(self.differences) - len(ranked[:_SHOWN])
         lines = [f"... and {counted(more, 'parameter')} with less certain differences, or none to test"] if more else []
-        return plain_text(["\n".join(heads) + "\n", table, *lines, self._conclusion(), *self.notes], _WIDTH, wrap=True)
+        return plain_text(
+            ["\n".join(heads) + "\n", table, *lines, "\n" + self.conclusion(), *self.notes], _WIDTH, wrap=True
+        )
 
-    def _conclusion(self) -> str:
+    def ranked(self) -> list[Difference]:
+        """Return the differences that were tested (all, if none was), the surest first."""
+        tested = [one for one in self.differences if np.any(np.isfinite(one.p_values))]
+        return sorted(tested or self.differences, key=lambda one: np.nanmin([*one.p_values, 2.0]))
+
+    def conclusion(self) -> str:
+        """Return in a sentence which differences are real."""
         real = [one.name for one in self.differences if any(one.real)]
         found = counted(len(real), "parameter differs", "parameters differ") if real else "No single parameter differs"
-        all_of_them = ", ".join(_p(p) for p in self.together)
+        all_of_them = ", ".join(p_text(p) for p in self.together)
         return (
-            f"\n{found} from {self.names[0]} (marked *; values +- 95 %; p corrected for their number, real below"
+            f"{found} from {self.names[0]} (marked *; values +- 95 %; p corrected for their number, real below"
             f" {CHANCE:g}). All together: p {all_of_them}."
         )
 
@@ -210,7 +220,7 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
     raw = np.array([[found.get(name, np.nan) for name in names] for found, _ in tested])
     corrected = holm(raw.ravel()).reshape(raw.shape)
     rows = [{row["name"]: row for row in one.content["parameters"]} for one in read]
-    errors, unit, where = _errors(read)
+    errors, unit, where, sizes = _errors(read)
     return ResultComparison(
         tuple(one.name for one in read),
         tuple(one.content.get("verdict", {}).get("grade", "unknown") for one in read),
@@ -218,6 +228,7 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
         errors,
         unit,
         where,
+        sizes,
         tuple(
             Difference(name, tuple(found.get(name) for found in rows), tuple(map(float, corrected[:, k])))
             for k, name in enumerate(names)
@@ -336,21 +347,28 @@ def _of_common(one: _Result, common: Sequence[str]) -> tuple[FloatArray, FloatAr
     return np.array([by_name[name][1] for name in common]), one.covariance[np.ix_(place, place)], sigma
 
 
-def _errors(results: Sequence[_Result]) -> tuple[tuple[float, ...], str, tuple[str, ...]]:
-    """Root mean square errors of each, on the readings that none used and all were judged by, if there are any."""
+def _errors(
+    results: Sequence[_Result],
+) -> tuple[tuple[float, ...], str, tuple[str, ...], tuple[FloatArray, ...]]:
+    """Root mean square errors of each, on the readings that none used and all were judged by, if there are any.
+
+    With their unit, on which readings, and the sizes on those readings.
+    """
     unit = results[0].content["instruments"][0]["parts"][0]["unit"]
     unseen = [one.readings.get("validation", {}) for one in results]
-    same = [key for key in set(unseen[0]).intersection(*unseen[1:]) if np.isfinite(unseen[0][key])]
+    shared = set(unseen[0]).intersection(*unseen[1:])
+    same = [key for key in unseen[0] if key in shared and np.isfinite(unseen[0][key])]
     if same:
-        rms = tuple(float(np.sqrt(np.mean([one[key] for key in same]))) for one in unseen)
-        return rms, unit, (f"the same {counted(len(same), 'reading')} not used",) * len(results)
+        sizes = tuple(np.sqrt([one[key] for key in same]) for one in unseen)
+        rms = tuple(float(np.sqrt(np.mean(one**2))) for one in sizes)
+        return rms, unit, (f"the same {counted(len(same), 'reading')} not used",) * len(results), sizes
     found, where = [], []
     for one in results:
         best = next(name for name in _ERRORS if name in one.content["errors"])
         value = one.content["errors"][best]["after"]["rms"]
         found.append(np.nan if value is None else float(value))
         where.append(_ERRORS[best])
-    return tuple(found), unit, tuple(where)
+    return tuple(found), unit, tuple(where), ()
 
 
 def _cell(row: dict[str, Any] | None, real: bool) -> str:
@@ -361,7 +379,8 @@ def _cell(row: dict[str, Any] | None, real: bool) -> str:
     return f"{row['value']:.4f} +- {row['high95'] - row['value']:.4f}{' *' if real else ''}"
 
 
-def _p(value: float) -> str:
+def p_text(value: float) -> str:
+    """Return a p-value as tables show it; a dash where there is none."""
     return "-" if np.isnan(value) else f"{value:.2g}" if value >= 1e-4 else "<0.0001"
 
 

@@ -19,6 +19,23 @@ PACKAGES = {
     "medrue": "MedRUE, and the studies of the paper",
 }
 FOLDER = "reference/api"
+STEPS = {
+    "A robot and its measurements": (
+        "load",
+        "robot",
+        "read_measurements",
+        "read_poses",
+        "as_measurements",
+        "as_poses",
+        "read_parameters",
+    ),
+    "Before measuring": ("sample", "check", "select", "simulate", "study"),
+    "Calibrating": ("fit", "load_result", "Watch"),
+    "Judging": ("verify", "compare"),
+    "Using the calibrated robot": ("predict", "solve", "compensate", "export"),
+    "Parametrisations of your own": ("Parametrisation", "Parameter", "Origin", "twist_of_edit"),
+}
+"""Names of `calib` in the order in which they are used; what else there is follows by its kind."""
 
 
 def modules(package: str) -> list[str]:
@@ -74,13 +91,9 @@ def pages() -> dict[str, str]:
 
 def _index() -> str:
     parts = ["# Python reference\n\nWhat to start from; every module has a page of its own.\n"]
-    for package in ("calib", "viz"):
-        parts.append(f"## From `{package}`\n\n| name | what it is |\n|---|---|")
-        module = importlib.import_module(package)
-        rows = [
-            f"| [`{package}.{name}`][{_place(module, name)}] | {_first_line(module, name)} |" for name in module.__all__
-        ]
-        parts.append("\n".join(rows) + "\n")
+    parts.append("## From `calib`, in the order of use\n")
+    parts += [f"### {step}\n\n{_names('calib', names)}" for step, names in by_use("calib").items()]
+    parts.append(f"## From `viz`\n\n{_names('viz', importlib.import_module('viz').__all__)}")
     for package, what in PACKAGES.items():
         parts.append(f"## Modules of `{package}`: {what}\n")
         if package == "calib":
@@ -92,6 +105,24 @@ def _index() -> str:
         else:
             parts.append(_module_table(modules(package)))
     return "\n".join(parts).replace("|---|---|\n\n", "|---|---|\n")
+
+
+def by_use(package: str) -> dict[str, list[str]]:
+    """Public names of a package by when they are used, each once: the steps, then what else there is by its kind."""
+    module = importlib.import_module(package)
+    steps = {step: [name for name in names if name in module.__all__] for step, names in STEPS.items()}
+    rest = [name for name in module.__all__ if not any(name in names for names in steps.values())]
+    errors = [name for name in rest if name.endswith("Error")]
+    classes = [name for name in rest if name[0].isupper() and name not in errors]
+    more = [name for name in rest if name not in errors and name not in classes]
+    kinds = {"More": more, "What these take and return": classes, "Errors": errors}
+    return {step: names for step, names in {**steps, **kinds}.items() if names}
+
+
+def _names(package: str, names: list[str]) -> str:
+    module = importlib.import_module(package)
+    rows = [f"| [`{package}.{name}`][{_place(module, name)}] | {_first_line(module, name)} |" for name in names]
+    return "\n".join(["| name | what it is |\n|---|---|", *rows]) + "\n"
 
 
 def _module_table(names: list[str]) -> str:

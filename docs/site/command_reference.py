@@ -8,10 +8,32 @@ import click
 
 WIDTH = 92
 
+EXAMPLES = {
+    "calib init": "calib init robot.urdf --target reflector --out robot.yaml",
+    "calib sample": "calib sample docs/examples/arm.yaml --count 200 --seed 1 --out candidates.csv",
+    "calib check": "calib check docs/examples/arm.yaml docs/examples/arm_simulated.csv",
+    "calib select": "calib select docs/examples/arm.yaml candidates.csv --count 30 --index O1 --out poses.csv",
+    "calib simulate": "calib simulate docs/examples/arm.yaml poses.csv --sigma-mm 0.04 --seed 1 --out simulated.csv",
+    "calib fit": "calib fit docs/examples/arm.yaml docs/examples/arm_simulated.csv --validate 0.25 --out out/arm",
+    "calib watch": "calib watch docs/examples/arm.yaml growing.csv --goal 0.1mm",
+    "calib view": "calib view out/arm --map",
+    "calib compare": "calib compare out/before out/after --html compared.html",
+    "calib verify": "calib verify out/arm check.csv",
+    "calib predict": "calib predict out/arm poses.csv --out predicted.csv",
+    "calib solve": "calib solve out/arm targets.csv --out commands.csv",
+    "calib compensate": "calib compensate docs/examples/arm.yaml program.csv --result out/arm --out corrected.csv",
+    "calib export": "calib export out/arm --format mjcf --out arm.xml",
+    "medrue poses": "medrue poses --out poses.csv",
+    "medrue study": "medrue study --out out/study",
+    "medrue experiment": "medrue experiment --out out/experiment",
+    "medrue touch": "medrue touch --out out/touch",
+}
+"""One for each command, which its own options understand."""
+
 _HEAD = """\
 # Commands
 
-This page is what `--help` prints. `python -m calib` is the same as `calib`.
+This page is what `--help` prints, with an example of each. `python -m calib` is the same as `calib`.
 
 **Exit codes.** 0: done. 2: the input is wrong; one line on standard error says what, where, and what to do. 3: the
 computation could not give an answer that can be trusted, and says why. An existing result is never half overwritten.
@@ -63,5 +85,6 @@ def page() -> str:
     parts = [_HEAD]
     for name, command, context in commands():
         level = "##" if isinstance(command, click.Group) else "###"
-        parts.append(f"{level} {name}\n\n```text\n{command.get_help(context)}\n```\n")
+        example = f"```sh\n{EXAMPLES[name]}\n```\n\n" if name in EXAMPLES else ""
+        parts.append(f"{level} {name}\n\n{example}```text\n{command.get_help(context)}\n```\n")
     return "\n".join(parts)

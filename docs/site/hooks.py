@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import api_reference
 import command_reference
 import formulas
+import notebook_pages
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
@@ -16,10 +18,16 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Fill the `Reference` section of the navigation."""
+    """Fill in what the program and its metadata say: reference and notebooks, version, address of the source."""
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        project = tomllib.load(file)["project"]
+    config.copyright = f"{project['name']} {project['version']}, {project['license']}"
+    config.repo_url = config.repo_url or project.get("urls", {}).get("Repository")
     for entry in config.nav or []:
         if "Reference" in entry:
             entry["Reference"] = [{"Commands": "reference/commands.md"}, {"Python": api_reference.navigation()}]
+        if "Notebooks" in entry:
+            entry["Notebooks"] = [f"notebooks/{name}.md" for name in ("index", *notebook_pages.names())]
     return config
 
 
@@ -30,6 +38,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         "changelog.md": (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"),
         "contributing.md": _as_site_page((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")),
         **api_reference.pages(),
+        **notebook_pages.pages(),
     }
     for path, text in pages.items():
         files.append(File.generated(config, path, content=text))

@@ -91,3 +91,20 @@ def test_the_first_printed_page_has_the_robot_and_no_page_is_half_empty(chromium
     blocks = "[...document.querySelectorAll('figure, .whole, .verdict')].map((e) => e.getBoundingClientRect().height)"
     assert max(tab.page.evaluate(blocks)) < page / 2  # what may not be broken leaves at most so much empty
     tab.context.close()
+
+
+def test_compared_results_fit_the_window_and_print(chromium, tmp_path):
+    from viz_examples import medrue_fit
+
+    import calib
+    from viz.comparison_page import comparison_page
+
+    fits = [medrue_fit(range(start, 420, 5), range(3, 420, 9)) for start in (0, 1)]
+    page = comparison_page(calib.compare(*fits)).save(tmp_path / "compared.html")
+    for size in ((1000, 900), (390, 844)):
+        tab = Tab(chromium, size=size).open(page.as_uri(), "main")
+        assert tab.problems == []
+        assert tab.page.evaluate("document.documentElement.scrollWidth") <= size[0]
+        assert tab.page.locator("#intervals svg").count() == 1
+        assert tab.page.locator("#same-rows svg").count() == 1
+        tab.context.close()

@@ -31,6 +31,14 @@ def test_every_public_name_of_a_package_is_on_the_first_page_with_what_it_is(pac
         assert len(row.split("|")[2].strip()) > 10, row
 
 
+def test_names_stand_in_the_order_of_use_each_once():
+    found = api_reference.by_use("calib")
+    names = [name for step in found.values() for name in step]
+    assert sorted(names) == sorted(importlib.import_module("calib").__all__)
+    assert names.index("load") < names.index("check") < names.index("fit") < names.index("solve") < names.index("Fit")
+    assert all(name.endswith("Error") for name in found["Errors"])
+
+
 def test_the_navigation_has_every_module_once_under_its_room():
     found = [path.removeprefix("reference/api/").removesuffix(".md") for path in _paths(navigation())]
     assert sorted(found) == sorted(["index", *MODULES])

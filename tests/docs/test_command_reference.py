@@ -1,10 +1,12 @@
 """The command reference is what the programs print for --help."""
 
 import re
+import shlex
 
+import click
 import command_reference
 from click.testing import CliRunner
-from command_reference import WIDTH, commands, page, programs
+from command_reference import EXAMPLES, WIDTH, commands, page, programs
 
 
 def test_every_command_is_on_the_page_with_its_help():
@@ -23,6 +25,16 @@ def test_the_page_says_what_the_programs_print():
             done = runner.invoke(program, [*arguments, "--help"], prog_name=program.name, terminal_width=WIDTH)
             assert done.exit_code == 0
             assert done.output.strip() in text
+
+
+def test_every_command_has_an_example_that_its_options_understand():
+    for name, command, context in commands():
+        if isinstance(command, click.Group):
+            continue
+        program, word, *arguments = shlex.split(EXAMPLES[name])
+        assert f"{program} {word}" == name
+        with command.make_context(word, arguments, parent=context.parent) as parsed:
+            assert not parsed.args
 
 
 def test_the_page_has_a_section_for_each_installed_program():

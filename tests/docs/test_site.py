@@ -50,3 +50,33 @@ def test_the_citation_has_the_paper_in_full():
     assert (paper["volume"], paper["issue"], paper["start"], paper["end"], paper["year"]) == (42, 1, 44, 53, 2015)
     version = next(line for line in (ROOT / "pyproject.toml").read_text().splitlines() if line.startswith("version"))
     assert cited["version"] == version.split('"')[1]
+
+
+def test_notebooks_become_pages_with_their_outputs_and_a_gallery_leads_to_them():
+    nbformat = pytest.importorskip("nbformat", reason="needs the extra 'docs'")
+    import notebook_pages
+
+    made = notebook_pages.pages()
+    for name in notebook_pages.names():
+        notebook = nbformat.read(DOCS / "notebooks" / f"{name}.ipynb", as_version=4)
+        page = made[f"notebooks/{name}.md"]
+        outputs = [one for cell in notebook.cells for one in cell.get("outputs", ())]
+        pictures = [one for one in outputs if "image/png" in one.get("data", {})]
+        assert page.count("![Output](") == len(pictures) > 0
+        assert all(f"notebooks/{name}-{k + 1}.png" in made for k in range(len(pictures)))
+        assert next(one.text.splitlines()[0] for one in outputs if one.output_type == "stream") in page
+        assert f"]({name}.md)" in made["notebooks/index.md"]
+
+
+def test_a_notebook_shows_tables_and_leaves_out_empty_cells():
+    pytest.importorskip("nbformat", reason="needs the extra 'docs'")
+    import nbformat.v4 as made
+    from notebook_pages import rendered
+
+    table = made.new_output("display_data", data={"text/html": "<table></table>", "text/plain": "table"})
+    cells = [made.new_markdown_cell("# Title\n\nText."), made.new_code_cell("1 + 1", outputs=[table])]
+    text, pictures = rendered(made.new_notebook(cells=[*cells, made.new_code_cell("")]), "name")
+    assert text.startswith("# Title\n\n[Download the notebook](name.ipynb)")
+    assert "<table></table>" in text
+    assert text.count("```python") == 1
+    assert pictures == {}

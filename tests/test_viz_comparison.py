@@ -1,0 +1,97 @@
+"""The page of results side by side: the numbers of the comparison, real differences marked, everything escaped."""
+
+import dataclasses
+import re
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from calib.reporting.result_comparison import Difference, ResultComparison
+from viz.comparison_page import comparison_page
+
+NOON = datetime(2026, 1, 2, 12, 0, tzinfo=UTC)
+
+
+def row(value, half, status="identified"):
+    if half is None:
+        return {"unit": "mm", "value": value, "std": None, "low95": None, "high95": None, "status": status}
+    return {
+        "unit": "mm",
+        "value": value,
+        "std": half / 2,
+        "low95": value - half,
+        "high95": value + half,
+        "status": status,
+    }
+
+
+@pytest.fixture
+def found():
+    return ResultComparison(
+        ("out/<b>first</b>", "out/second"),
+        ("PASS", "CHECK"),
+        (40, 50),
+        (0.05123, 0.2),
+        "mm",
+        ("the same 3 readings not used",) * 2,
+        (np.array([0.04, 0.05, 0.06]), np.array([0.1, 0.2, 0.3])),
+        (
+            Difference("elbow.x", (row(100.0, 0.02), row(100.5, 0.03)), (1e-6,)),
+            Difference("wrist.x", (row(7.0, 0.02), row(7.001, 0.03)), (0.8,)),
+            Difference("held.x", (row(3.0, None, "held"), None), (np.nan,)),
+        ),
+        (1e-5,),
+        ("noise is independent",),
+    )
+
+
+def text(html):
+    return " ".join(re.sub(r"<[^>]+>", " ", re.sub(r"<(svg|style).*?</\1>", " ", html, flags=re.S)).split())
+
+
+def test_real_differences_are_marked_and_others_are_not(found):
+    html = comparison_page(found, created=NOON).html
+    rows = dict(re.findall(r'<tr[^>]*><th scope="row">([\w.]+)</th>(.*?)</tr>', html))
+    assert rows["elbow.x"].count(" *") == 1
+    assert "100.500 ± 0.030 *" in rows["elbow.x"]
+    assert "*" not in rows["wrist.x"]
+    assert "held" in rows["held.x"]
+    assert "–" in rows["held.x"]
+    assert "1 parameter differs from out/&lt;b&gt;first" in html
+    assert "noise is independent" in html
+
+
+def test_errors_on_the_same_readings_are_drawn_where_there_are_any(found):
+    html = comparison_page(found, created=NOON).html
+    assert 'id="same-rows"' in html
+    assert 'id="intervals"' in html
+    alone = dataclasses.replace(found, sizes=(), errors_on=("readings of its own, not used",) * 2)
+    html = comparison_page(alone, created=NOON).html
+    assert 'id="same-rows"' not in html
+    assert "readings of its own" in html
+    held = dataclasses.replace(found, differences=found.differences[2:])
+    assert 'id="intervals"' not in comparison_page(held, created=NOON).html
+
+
+def test_it_asks_nobody_and_escapes_names(found):
+    html = comparison_page(found, created=NOON, command="calib compare '<script>'").html
+    assert "<script" not in html
+    assert "<b>first" not in html
+    assert not re.search(r"""(?:src|href)\s*=\s*["']?(?!["']?(?:data:|#))""", html)
+    assert html == comparison_page(found, created=NOON, command="calib compare '<script>'").html
+
+
+def test_three_results_have_three_columns(found):
+    three = ResultComparison(
+        *((*getattr(found, name), getattr(found, name)[-1]) for name in ("names", "verdicts", "n_poses", "errors")),
+        "mm",
+        (*found.errors_on, found.errors_on[0]),
+        (*found.sizes, found.sizes[0]),
+        tuple(Difference(one.name, (*one.rows, one.rows[0]), (*one.p_values, 0.9)) for one in found.differences),
+        (*found.together, 0.5),
+        (),
+    )
+    html = comparison_page(three, created=NOON).html
+    assert "&lt;0.0001, 0.9" in html
+    assert html.count('<th scope="col">out/second</th>') == 2

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.errors import UnreachablePoseError
 from calib.identification.candidate_terms import TermChoice
-from calib.identification.effects import Setting
+from calib.identification.effect_setting import Setting
 from calib.identification.error_budget import ErrorBudget, error_budget
 from calib.identification.errors_found import ErrorSet, Folds
 from calib.identification.estimates import Covariance, Estimates, estimates

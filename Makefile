@@ -35,7 +35,9 @@ lint: $(VENV)/.ready-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# Prints docs/performance.md and writes it, then single pieces of work; with DATA=FOLDER also of others' measurements.
 bench: $(VENV)/.ready-dev
+	$(BIN)/python tests/benchmarks/performance.py $(if $(DATA),--data $(DATA)) --write docs/performance.md
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-enable --benchmark-only -n 0 -s
 
 # The pictures of README and docs, from a fresh demo.

@@ -47,7 +47,7 @@ Quantity = Annotated[float | str, PlainValidator(_number_or_text)]
 class Section(BaseModel):
     """A mapping of keys in a robot description; unknown keys are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,11 @@ import viz
 from calib.errors import InputError
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
-from viz.drawing import draw
+from viz.drawing import draw, load_meshcat
 from viz.poses import PoseTable
 from viz.scene import build_scene
 from viz.scene_data import certainty, point_pixels, ranges, scene_data, summary
+from viz.shapes import mesh
 from viz.viewer_page import Page, in_script, json_in_script, scene_page
 
 HOSTILE = "</script><img src=x onerror=alert(1)>"
@@ -144,6 +145,39 @@ def test_the_commands_draw_every_shape_under_its_link(scene):
     assert any(re.fullmatch(r"/meshcat/robot/\d+ carriage/\d+", path) for path in paths)
     assert len(paths) == len(drawn)
     assert all(len(command["matrix"]) == 16 for command in commands if command["type"] == "set_transform")
+
+
+def test_the_commands_are_meshcat_s_own(scene):
+    """But for what three.js takes where nothing is said: colours of lines, wire frames, reflections."""
+    vertices, faces = np.random.default_rng(1).normal(size=(5, 3)), np.array([[0, 1, 2], [2, 3, 4]])
+    shapes = (
+        *(shape for shape in scene.shapes),
+        mesh("m", scene.bodies.names[1], vertices, faces, (0.2, 0.4, 0.6, 0.5)),
+    )
+    scene = dataclasses.replace(scene, shapes=shapes)
+    assert {shape.kind for shape in (*shapes, *scene.decorations)} == {"box", "cylinder", "sphere", "mesh"}
+    drawn = [command["object"] for command in map(umsgpack.unpackb, draw(scene)) if command["type"] == "set_object"]
+    geometry = load_meshcat().geometry
+    for shape, ours in zip((*shapes, *scene.decorations), drawn, strict=True):
+        if shape.kind == "box":
+            made = geometry.Box(list(shape.size))
+        elif shape.kind == "sphere":
+            made = geometry.Sphere(shape.size[0])
+        elif shape.kind == "cylinder":
+            made = geometry.Cylinder(shape.size[1], shape.size[0])
+            made.radialSegments = 32
+        else:
+            made = geometry.TriangularMeshGeometry(shape.vertices.astype(np.float32), shape.faces.astype(np.uint32))
+        paint = ours["materials"][0]
+        kind = getattr(geometry, paint["type"])
+        painted = kind(color=paint["color"], opacity=shape.colour[3], depthWrite=shape.colour[3] >= 1)
+        theirs = umsgpack.unpackb(umsgpack.packb(geometry.Mesh(made, painted).lower()))
+        assert ours["geometries"][0] | {"uuid": ""} == theirs["geometries"][0] | {"uuid": ""}
+        shown = {key: theirs["materials"][0][key] for key in ("color", "side", "transparent", "opacity", "depthWrite")}
+        assert shown.items() <= paint.items()
+        assert ours["object"]["matrix"] == theirs["object"]["matrix"]
+        assert ours["object"]["geometry"] == ours["geometries"][0]["uuid"]
+        assert ours["object"]["material"] == paint["uuid"]
 
 
 def test_cylinders_lie_along_their_z_axis(scene):

@@ -1,7 +1,7 @@
-"""The robot and its surroundings as meshcat commands, recorded instead of sent.
+"""The robot and its surroundings as meshcat commands, written by hand.
 
-meshcat draws through a window whose `send` talks to a server. The stand-in here only packs and keeps the commands, so
-no server, process or port is needed; the page replays them. Paths: `/meshcat/robot/<body>/<shape>` and
+meshcat's own objects would send them to a server, and their import brings IPython; here no server, process or port is
+needed, and the page replays the commands. Paths: `/meshcat/robot/<body>/<shape>` and
 `/meshcat/decorations/<shape>`. The page moves the bodies; everything lies in the measurement frame, and `/meshcat`
 itself is turned upright.
 """
@@ -12,31 +12,21 @@ import warnings
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from calib.arrays import FloatArray
 from viz.scene import Scene
 from viz.shapes import Shape
 
-
-class CommandRecorder:
-    """A stand-in for `meshcat.visualizer.ViewerWindow` that keeps packed commands.
-
-    Attributes:
-        commands: MessagePack of each command, in order.
-    """
-
-    def __init__(self) -> None:
-        self.commands: list[bytes] = []
-
-    def send(self, command: Any) -> None:
-        """Pack and keep one meshcat command."""
-        self.commands.append(pack(command))
+Command = dict[str, Any]
+"""What meshcat's page does, as it understands it."""
 
 
-def pack(command: Any) -> bytes:
+def pack(command: Command) -> bytes:
     """Return a meshcat command as the MessagePack bytes that its page understands."""
     import umsgpack  # type: ignore[import-untyped]
 
-    packed: bytes = umsgpack.packb(command.lower())
+    packed: bytes = umsgpack.packb(command)
     return packed
 
 
@@ -55,43 +45,66 @@ def body_path(scene: Scene, body: int) -> str:
 
 def draw(scene: Scene) -> list[bytes]:
     """Return the commands that draw the robot and its decorations."""
-    meshcat = load_meshcat()
-    recorder = CommandRecorder()
-    root = meshcat.Visualizer(window=recorder)
     upright = np.eye(4)
     upright[:3, :3] = scene.view.upright
-    root.set_transform(upright)
+    commands = [_transform("/meshcat", upright)]
     number = {name: body for body, name in enumerate(scene.bodies.names)}
     for k, shape in enumerate(scene.shapes):
-        _draw_shape(root["robot"][body_path(scene, number[str(shape.body)])][str(k)], shape, f"robot-{k}")
+        path = f"/meshcat/robot/{body_path(scene, number[str(shape.body)])}/{k}"
+        commands += _draw_shape(path, shape, f"robot-{k}")
     for k, shape in enumerate(scene.decorations):
-        _draw_shape(root["decorations"][str(k)], shape, f"decoration-{k}")
-    return recorder.commands
+        commands += _draw_shape(f"/meshcat/decorations/{k}", shape, f"decoration-{k}")
+    return [pack(command) for command in commands]
 
 
-def _draw_shape(node: Any, shape: Shape, key: str) -> None:
+def _transform(path: str, T: FloatArray) -> Command:
+    return {"type": "set_transform", "path": path, "matrix": T.T.ravel().tolist()}
+
+
+def _draw_shape(path: str, shape: Shape, key: str) -> list[Command]:
     """Draw one shape; identifiers are set by hand so that the same scene gives the same bytes."""
-    geometry = load_meshcat().geometry
     T = shape.T_body_shape
-    drawn: Any
-    if shape.kind == "box":
-        drawn = geometry.Box([float(size) for size in shape.size])
-    elif shape.kind == "sphere":
-        drawn = geometry.Sphere(shape.size[0])
-    elif shape.kind == "cylinder":
-        drawn = geometry.Cylinder(shape.size[1], shape.size[0])
-        drawn.radialSegments = 32
+    if shape.kind == "cylinder":
         T = T @ np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # meshcat's lies along y
-    else:
-        drawn = geometry.TriangularMeshGeometry(shape.vertices.astype(np.float32), shape.faces.astype(np.uint32))
     red, green, blue, opacity = (float(part) for part in shape.colour)
-    colour = (round(255 * red) << 16) + (round(255 * green) << 8) + round(255 * blue)
-    paint: dict[str, Any] = {"color": colour, "opacity": opacity, "depthWrite": opacity >= 1.0}
-    if shape.kind == "mesh" and shape.body is not None:
-        material = geometry.MeshPhongMaterial(specular=0x1C1C1C, shininess=25, flatShading=True, **paint)
-    else:
-        material = geometry.MeshLambertMaterial(**paint)  # cheap enough for computers without a graphics card
-    object_ = geometry.Mesh(drawn, material)
-    drawn.uuid, material.uuid, object_.uuid = f"{key}-geometry", f"{key}-material", key
-    node.set_object(object_)
-    node.set_transform(T)
+    faceted = shape.kind == "mesh" and shape.body is not None
+    material = {
+        "uuid": f"{key}-material",
+        "type": "MeshPhongMaterial" if faceted else "MeshLambertMaterial",  # the latter needs no graphics card
+        "color": (round(255 * red) << 16) + (round(255 * green) << 8) + round(255 * blue),
+        "side": 2,
+        "transparent": opacity != 1,
+        "opacity": opacity,
+        "depthWrite": opacity >= 1.0,
+    } | ({"specular": 0x1C1C1C, "shininess": 25, "flatShading": True} if faceted else {})
+    geometry = {"uuid": f"{key}-geometry"} | _geometry(shape)
+    mesh = {"uuid": key, "type": "Mesh", "geometry": geometry["uuid"], "material": material["uuid"]}
+    drawn = {
+        "metadata": {"version": 4.5, "type": "Object"},
+        "geometries": [geometry],
+        "materials": [material],
+        "object": mesh | {"matrix": np.eye(4).ravel().tolist()},
+    }
+    return [{"type": "set_object", "object": drawn, "path": path}, _transform(path, T)]
+
+
+def _geometry(shape: Shape) -> Command:
+    """A shape in the words of three.js."""
+    if shape.kind == "box":
+        width, height, depth = (float(edge) for edge in shape.size)
+        return {"type": "BoxGeometry", "width": width, "height": height, "depth": depth}
+    if shape.kind == "sphere":
+        return {"type": "SphereGeometry", "radius": shape.size[0], "widthSegments": 20, "heightSegments": 20}
+    if shape.kind == "cylinder":
+        radius, height = shape.size
+        size = {"radiusTop": radius, "radiusBottom": radius, "height": height}
+        return {"type": "CylinderGeometry", **size, "radialSegments": 32}
+    corners = _numbers(shape.vertices.astype(np.float32), "Float32Array", 0x17)
+    faces = _numbers(shape.faces.astype(np.uint32), "Uint32Array", 0x16)
+    return {"type": "BufferGeometry", "data": {"attributes": {"position": corners}, "index": faces}}
+
+
+def _numbers(rows: NDArray[Any], kind: str, code: int) -> Command:
+    import umsgpack
+
+    return {"itemSize": 3, "type": kind, "array": umsgpack.Ext(code, rows.tobytes()), "normalized": False}

@@ -1,4 +1,4 @@
-"""The shapes of a robot, read from its URDF through yourdfpy: primitives and meshes, stand-ins for what is missing.
+"""The shapes of a robot, read from its URDF: primitives and meshes, stand-ins for what is missing.
 
 A mesh that cannot be loaded is replaced by primitives along the joint origins of its link, so that the robot can
 still be recognised; a note says so. The same stand-ins draw a URDF that has no shapes at all.
@@ -6,18 +6,15 @@ still be recognised; a note says so. The same stand-ins draw a URDF that has no 
 
 from __future__ import annotations
 
-import io
-import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
+from typing import Any, Literal, cast
 
 import numpy as np
 
 from calib import Robot
 from calib.arrays import FloatArray
-from calib.exporting.links import may_read_mesh
+from calib.errors import UrdfError
+from calib.exporting.links import Link, find_mesh, read_links
+from calib.exporting.links import Shape as Visual
 from viz.shapes import GREY, Colour, Shape, mesh, primitive, stand_ins, thinned
 
 _MOST_FACES = 40_000  # of one mesh; more do not show on a screen and make the page slow
@@ -33,17 +30,16 @@ def read_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
     shapes: list[Shape] = []
     notes: list[str] = []
     try:
-        visuals, materials, find = _parse(robot)
-    except Exception as error:  # yourdfpy and lxml raise many kinds; drawing must not stop a calibration
-        notes.append(f"{robot.urdf.path}: its shapes cannot be read ({_first_line(error)}); drawn as plain rods")
-        visuals, materials, find = {}, {}, str
-    for link in robot.urdf.links:
+        links = read_links(robot.urdf)
+    except UrdfError as error:  # drawing must not stop a calibration
+        notes.append(f"{_first_line(error)}: its shapes cannot be read; drawn as plain rods")
+        links = {}
+    for name, link in links.items():
         try:
-            for number, visual in enumerate(visuals.get(link, ())):
-                shapes.extend(_visual(f"{link}/{number}", link, visual, materials, find))
-        except Exception as error:  # as above, from the readers of mesh files
-            notes.append(f"link '{link}': {_first_line(error)}; drawn as plain rods")
-            shapes = [shape for shape in shapes if shape.body != link] + stand_ins(robot, link)
+            shapes += _link(name, link, robot.urdf.path)
+        except Exception as error:  # the readers of mesh files raise many kinds
+            notes.append(f"link '{name}': {_first_line(error)}; drawn as plain rods")
+            shapes = [shape for shape in shapes if shape.body != name] + stand_ins(robot, name)
     if not shapes:
         if not notes:
             notes.append(f"{robot.urdf.path}: has no shapes; drawn as plain rods")
@@ -51,70 +47,29 @@ def read_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
     return tuple(shapes), tuple(notes)
 
 
-def _parse(robot: Robot) -> tuple[dict[str, Any], dict[str, Colour], Any]:
-    import yourdfpy
-
-    with _quiet():
-        urdf = yourdfpy.URDF.load(
-            io.BytesIO(robot.urdf.source),
-            build_scene_graph=False,
-            load_meshes=False,
-            mesh_dir=str(Path(robot.urdf.path).resolve().parent),
-        )
-    materials = {material.name: _colour(material) for material in urdf.robot.materials}
-    visuals = {link.name: link.visuals for link in urdf.robot.links}
-
-    def find(name: str) -> str:
-        with _quiet():
-            found = str(urdf._filename_handler(fname=name))
-        if not may_read_mesh(name, Path(found), robot.urdf.path):
-            raise PermissionError(f"mesh '{name}' leaves the robot's folder")
-        return found
-
-    return visuals, materials, find
+def _link(name: str, link: Link, urdf_path: str) -> list[Shape]:
+    if link.unknown:
+        raise ValueError(f"a {link.unknown[0]} is no shape of a URDF")
+    found = (_visual(f"{name}/{number}", name, visual, urdf_path) for number, visual in enumerate(link.visuals))
+    return [shape for shapes in found for shape in shapes]
 
 
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep yourdfpy's log silent: what it could not find is reported as a note of our own."""
-    logger = logging.getLogger("yourdfpy.urdf")
-    before = logger.disabled
-    logger.disabled = True
-    try:
-        yield
-    finally:
-        logger.disabled = before
+def _visual(name: str, link: str, visual: Visual, urdf_path: str) -> list[Shape]:
+    origin: FloatArray = visual.placement.homogeneous
+    if visual.kind == "mesh":
+        return _load_mesh(name, link, visual, origin, urdf_path)
+    kind = cast(Literal["box", "cylinder", "sphere"], visual.kind)
+    return [primitive(name, link, kind, visual.size, origin, GREY if visual.colour is None else _colour(visual.colour))]
 
 
-def _visual(name: str, link: str, visual: Any, materials: dict[str, Colour], find: Any) -> list[Shape]:
-    origin = np.eye(4) if visual.origin is None else np.array(visual.origin, dtype=float)
-    colour = GREY
-    if visual.material is not None:
-        colour = (
-            _colour(visual.material) if visual.material.color is not None else materials.get(visual.material.name, GREY)
-        )
-    geometry = visual.geometry
-    if geometry.box is not None:
-        return [primitive(name, link, "box", tuple(geometry.box.size), origin, colour)]
-    if geometry.cylinder is not None:
-        return [primitive(name, link, "cylinder", (geometry.cylinder.radius, geometry.cylinder.length), origin, colour)]
-    if geometry.sphere is not None:
-        return [primitive(name, link, "sphere", (geometry.sphere.radius,), origin, colour)]
-    return _load_mesh(name, link, geometry.mesh, origin, None if visual.material is None else colour, find)
-
-
-def _load_mesh(
-    name: str, link: str, described: Any, origin: FloatArray, colour: Colour | None, find: Any
-) -> list[Shape]:
-    """Load a mesh file; the material of the URDF wins over the file's own colours."""
+def _load_mesh(name: str, link: str, visual: Visual, origin: FloatArray, urdf_path: str) -> list[Shape]:
+    """Load a mesh file; the colour of the URDF wins over the file's own colours."""
     import trimesh
 
-    path = find(described.filename)
-    if not Path(path).is_file():
-        raise FileNotFoundError(f"mesh '{described.filename}' is not there")
-    with _quiet():
-        scene: Any = trimesh.load(path, force="scene", ignore_broken=True)
-    scale = np.ones(3) if described.scale is None else np.broadcast_to(np.asarray(described.scale, dtype=float), 3)
+    path = find_mesh(visual.file, urdf_path)
+    if path is None:
+        raise FileNotFoundError(f"mesh '{visual.file}' is not there, or leaves the robot's folder")
+    scene: Any = trimesh.load(path, force="scene", ignore_broken=True)
     shapes = []
     for part, node in enumerate(scene.graph.nodes_geometry):
         T_file_part, key = scene.graph[node]
@@ -123,10 +78,10 @@ def _load_mesh(
             continue
         vertices, faces = thinned(np.asarray(geometry.vertices), np.asarray(geometry.faces), _MOST_FACES)
         points = vertices @ T_file_part[:3, :3].T + T_file_part[:3, 3]
-        own = _own_colour(geometry.visual) if colour is None else colour
-        shapes.append(mesh(f"{name}.{part}", link, points * scale, faces, own, origin))
+        own = _own_colour(geometry.visual) if visual.colour is None else _colour(visual.colour)
+        shapes.append(mesh(f"{name}.{part}", link, points * np.array(visual.size), faces, own, origin))
     if not shapes:
-        raise ValueError(f"mesh '{described.filename}' holds no triangles")
+        raise ValueError(f"mesh '{visual.file}' holds no triangles")
     return shapes
 
 
@@ -140,10 +95,8 @@ def _own_colour(visual: Any) -> Colour:
     return (red, green, blue, 1.0)
 
 
-def _colour(material: Any) -> Colour:
-    if material.color is None:
-        return GREY
-    red, green, blue, opacity = (min(1.0, max(0.0, float(value))) for value in material.color.rgba)
+def _colour(written: tuple[float, ...]) -> Colour:
+    red, green, blue, opacity = (min(1.0, max(0.0, value)) for value in written)
     return (red, green, blue, opacity)
 
 

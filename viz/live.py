@@ -154,4 +154,4 @@ class _Window:
         if lowered["type"] == "delete":
             self._server.forget(path)
             keep = None
-        self._server.send("command", base64.b64encode(pack(command)).decode(), keep=keep)
+        self._server.send("command", base64.b64encode(pack(command.lower())).decode(), keep=keep)

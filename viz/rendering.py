@@ -26,6 +26,10 @@ _AT_ONCE = 1_000_000  # samples
 _MARGIN = 0.04
 _LIGHT = np.array([0.35, 0.8, 0.55]) / np.linalg.norm([0.35, 0.8, 0.55])  # in the camera's axes: right, up, towards it
 _SHADOW = 0.45  # brightness of what is turned away from the light
+_SECTIONS = 48  # of round shapes
+_CORNERS = [[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
+_BOX = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
+        [1, 5, 7], [1, 7, 3]]  # fmt: skip
 _POINT = 2.9  # radius of a measured point [px]
 
 
@@ -138,18 +142,29 @@ def _triangles(scene: Scene, pose: int, towards: FloatArray) -> tuple[FloatArray
 
 
 def _mesh(shape: Shape) -> tuple[FloatArray, IntArray]:
-    """Corners (n, 3) [m] and faces (m, 3) of a shape in its own frame."""
-    import trimesh
-
+    """Corners (n, 3) [m] and faces (m, 3) of a shape in its own frame, faces turning left seen from outside."""
     if shape.kind == "mesh":
         return shape.vertices, shape.faces
     if shape.kind == "box":
-        made = trimesh.creation.box(extents=shape.size)
-    elif shape.kind == "cylinder":
-        made = trimesh.creation.cylinder(radius=shape.size[0], height=shape.size[1], sections=48)
-    else:
-        made = trimesh.creation.icosphere(subdivisions=3, radius=shape.size[0])
-    return np.asarray(made.vertices), np.asarray(made.faces)
+        return np.array(_CORNERS) * np.array(shape.size), np.array(_BOX)
+    if shape.kind == "cylinder":
+        radius, half = shape.size[0], shape.size[1] / 2
+        return _turned(np.array([[0.0, -half], [radius, -half], [radius, half], [0.0, half]]))
+    angles = np.linspace(-np.pi / 2, np.pi / 2, _SECTIONS // 2 + 1)
+    return _turned(shape.size[0] * np.stack([np.cos(angles), np.sin(angles)], axis=1))
+
+
+def _turned(outline: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Corners and faces of what an outline (k, 2), radius and height from bottom to top, covers when it turns."""
+    angles = 2 * np.pi * np.arange(_SECTIONS) / _SECTIONS
+    radius, height = outline.T
+    x, y = radius[:, None] * np.cos(angles), radius[:, None] * np.sin(angles)
+    corners = np.stack([x, y, np.repeat(height[:, None], _SECTIONS, axis=1)], axis=-1).reshape(-1, 3)
+    here = (_SECTIONS * np.arange(len(outline) - 1)[:, None] + np.arange(_SECTIONS)).ravel()
+    beside = here - here % _SECTIONS + (here + 1) % _SECTIONS
+    lower = np.stack([here, beside, beside + _SECTIONS], axis=1)
+    upper = np.stack([here, beside + _SECTIONS, here + _SECTIONS], axis=1)
+    return corners, np.concatenate([lower, upper])
 
 
 def _longest_side_first(corners: FloatArray) -> FloatArray:

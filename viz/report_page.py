@@ -26,7 +26,7 @@ from viz.report_tables import accuracy, extent, headline, judged_by, left_out, n
 from viz.scene import Scene, joints_of, scene_of_fit
 from viz.viewer_page import Page
 
-_PACKAGES = ("pin", "numpy", "scipy", "yourdfpy", "meshcat", "matplotlib")
+_PACKAGES = ("pin", "numpy", "scipy", "trimesh", "meshcat", "matplotlib")
 _DECIMALS, _MOST_DECIMALS = 4, 9
 
 

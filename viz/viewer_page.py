@@ -6,19 +6,21 @@ import html
 import json
 from dataclasses import dataclass
 from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 
 from calib.files import write_file
 from calib.version import VERSION
-from viz.drawing import load_meshcat
 from viz.scene import Scene
 from viz.scene_data import scene_data
 
 _SCRIPTS = (
     "kinematics.js",
+    "drive.js",
     "numbers.js",
     "table.js",
     "marks.js",
+    "map.js",
     "labels.js",
     "camera.js",
     "stage.js",
@@ -87,7 +89,9 @@ def scene_page(scene: Scene, *, live: bool = False, report: str = "") -> Page:
 
 def meshcat_script() -> tuple[str, str]:
     """Return meshcat's viewer (with three.js) and its licences."""
-    folder = Path(load_meshcat().__file__).parent / "viewer" / "dist"
+    found = find_spec("meshcat")  # importing it would bring IPython
+    assert found is not None, "it is among the requirements"
+    folder = Path(str(found.origin)).parent / "viewer" / "dist"
     return (
         (folder / "main.min.js").read_text(encoding="utf-8"),
         (folder / "main.min.js.LICENSE.txt").read_text(encoding="utf-8"),

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pinocchio as pin
@@ -24,7 +23,7 @@ from calib.exporting.links import possible_inertia, read_links
 from calib.exporting.urdf import with_inserted
 from calib.model.closure import residual
 from calib.model.robot import Robot
-from calib.model.urdf_text import HELD_TYPES, UrdfText, parse_urdf
+from calib.model.urdf_text import HELD_TYPES, UrdfText, parse_urdf, quoted
 
 _FREE_MASS, _FREE_INERTIA = 1e-3, 1e-6
 """Mass [kg] and moments of inertia [kg m^2] of the links between free joints: small, but what simulators can handle."""
@@ -224,11 +223,11 @@ def _free_joint(name: str, parent: str, axis: str, slides: bool) -> str:
     kind = "prismatic" if slides else "continuous"
     limit = f'lower="-{_SLIDE_LIMIT}" upper="{_SLIDE_LIMIT}" ' if slides else ""
     vector = " ".join("1" if axis == other else "0" for other in "xyz")
-    child = quoteattr(f"{name}_link")
+    child = quoted(f"{name}_link")
     moments = " ".join(f'i{a}{b}="{_FREE_INERTIA if a == b else 0}"' for a, b in ("xx", "xy", "xz", "yy", "yz", "zz"))
     return (
-        f'  <joint name={quoteattr(name)} type="{kind}">\n'
-        f"    <parent link={quoteattr(parent)}/>\n    <child link={child}/>\n"
+        f'  <joint name={quoted(name)} type="{kind}">\n'
+        f"    <parent link={quoted(parent)}/>\n    <child link={child}/>\n"
         f'    <axis xyz="{vector}"/>\n    <limit {limit}effort="0" velocity="10"/>\n  </joint>\n'
         f"  <link name={child}>\n"
         f'    <inertial><mass value="{_FREE_MASS}"/><inertia {moments}/></inertial>\n  </link>'

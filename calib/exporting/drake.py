@@ -8,7 +8,6 @@ line. Drake simulates ball constraints in discrete time (the plant's time step a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pinocchio as pin
@@ -17,7 +16,7 @@ from calib.arrays import FloatArray
 from calib.exporting.closed_model import ClosedModel, Marker, Tie, servo_gains, tie_lines
 from calib.exporting.links import element_tree
 from calib.exporting.urdf import comment, numbers, provenance_lines, with_inserted
-from calib.model.urdf_text import parse_urdf
+from calib.model.urdf_text import parse_urdf, quoted
 
 NAMESPACE = "http://drake.mit.edu"
 
@@ -50,8 +49,8 @@ def _points(tie: Tie) -> list[FloatArray]:
 def _ball(tie: Tie, point: FloatArray) -> str:
     on_b = tie.placement.act(point)
     return (
-        f"  <drake:ball_constraint>\n    <drake:ball_constraint_body_A name={quoteattr(tie.a)}/>\n"
-        f"    <drake:ball_constraint_body_B name={quoteattr(tie.b)}/>\n"
+        f"  <drake:ball_constraint>\n    <drake:ball_constraint_body_A name={quoted(tie.a)}/>\n"
+        f"    <drake:ball_constraint_body_B name={quoted(tie.b)}/>\n"
         f'    <drake:ball_constraint_p_AP value="{numbers(point)}"/>\n'
         f'    <drake:ball_constraint_p_BQ value="{numbers(on_b)}"/>\n  </drake:ball_constraint>'
     )
@@ -60,7 +59,7 @@ def _ball(tie: Tie, point: FloatArray) -> str:
 def _frame(marker: Marker) -> str:
     rpy = pin.rpy.matrixToRpy(marker.placement.rotation)
     return (
-        f"  <frame name={quoteattr(marker.name)} link={quoteattr(marker.link)}"
+        f"  <frame name={quoted(marker.name)} link={quoted(marker.link)}"
         f' xyz="{numbers(marker.placement.translation)}" rpy="{numbers(rpy)}"/>'
     )
 
@@ -79,10 +78,10 @@ def _transmissions(model: ClosedModel) -> list[str]:
 def _transmission(name: str, inertia: float) -> str:
     stiffness, damping = servo_gains(inertia)
     return (
-        f"  <transmission name={quoteattr(name + '_transmission')}>\n"
+        f"  <transmission name={quoted(name + '_transmission')}>\n"
         "    <type>transmission_interface/SimpleTransmission</type>\n"
-        f"    <joint name={quoteattr(name)}/>\n"
-        f"    <actuator name={quoteattr(name)}>"
+        f"    <joint name={quoted(name)}/>\n"
+        f"    <actuator name={quoted(name)}>"
         f'<drake:controller_gains p="{stiffness!r}" d="{damping!r}"/></actuator>\n'
         "  </transmission>"
     )

@@ -19,6 +19,8 @@ from calib.arrays import FloatArray
 from calib.errors import UrdfError
 from calib.model.urdf_text import UrdfText
 
+_KINDS = ("box", "cylinder", "sphere", "mesh")
+
 
 @dataclass(frozen=True, eq=False)
 class Inertial:
@@ -56,11 +58,12 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """A link's inertial (None where the file has none), visuals and collisions."""
+    """A link's inertial (None where the file has none), visuals and collisions; which kinds of visuals are unknown."""
 
     inertial: Inertial | None
     visuals: tuple[Shape, ...]
     collisions: tuple[Shape, ...]
+    unknown: tuple[str, ...]
 
 
 def element_tree(source: bytes) -> Element:
@@ -103,6 +106,7 @@ def _link(link: Element, colours: dict[str, tuple[float, ...]], where: str) -> L
         None if inertial is None else _inertial(inertial, f"{where}, inertial"),
         tuple(shapes["visual"]),
         tuple(shapes["collision"]),
+        tuple(kind.tag for kind in link.iterfind("visual/geometry/*") if kind.tag not in _KINDS),
     )
 
 
@@ -123,7 +127,7 @@ def _inertial(element: Element, where: str) -> Inertial:
 def _shape(element: Element, colours: dict[str, tuple[float, ...]], where: str) -> Shape | None:
     geometry = element.find("geometry")
     shape = next(iter(geometry), None) if geometry is not None else None
-    if shape is None or shape.tag not in ("box", "cylinder", "sphere", "mesh"):
+    if shape is None or shape.tag not in _KINDS:
         return None
     size: tuple[float, ...]
     if shape.tag == "box":

@@ -9,10 +9,9 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterable, Sequence
-from xml.sax.saxutils import quoteattr
 
 from calib.model.robot import Robot
-from calib.model.urdf_text import UrdfText, apply_edits, parse_urdf
+from calib.model.urdf_text import UrdfText, apply_edits, parse_urdf, quoted
 from calib.units import PER_SI
 from calib.version import PROGRAM
 
@@ -40,7 +39,7 @@ def urdf_bytes(robot: Robot, provenance: Sequence[str] | None = None) -> bytes:
 
 def with_mesh_prefix(source: bytes, prefix: str) -> bytes:
     """Return URDF bytes in which this stands before every mesh path that is relative to the URDF."""
-    start = quoteattr(prefix.rstrip("/") + "/")[1:-1].encode("ascii", "xmlcharrefreplace")
+    start = quoted(prefix.rstrip("/") + "/")[1:-1].encode("ascii", "xmlcharrefreplace")
     return _MESH.sub(lambda match: match.group() + start, source)
 
 

@@ -11,12 +11,12 @@ back, and must then have the origins that were asked for.
 
 from __future__ import annotations
 
+import html
 import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from xml.sax.saxutils import quoteattr
 
 from calib.errors import UrdfError, nearest
 from calib.files import read_bytes
@@ -148,6 +148,14 @@ def parse_urdf(source: bytes, path: str = "<urdf>") -> UrdfText:
     return UrdfText(source, path, reader.name, tuple(reader.links), tuple(reader.joints), reader.root_span, reader.end)
 
 
+def quoted(text: str) -> str:
+    """Return a text as the value of an attribute, with its quotes; `xml.sax.saxutils` would import a web client."""
+    escaped = html.escape(text)
+    for letter in "\n\r\t":
+        escaped = escaped.replace(letter, f"&#{ord(letter)};")
+    return f'"{escaped}"'
+
+
 def robot_text(name: str, note: str, links: Sequence[str], joints: Sequence[str]) -> str:
     """Return a new URDF.
 
@@ -157,8 +165,8 @@ def robot_text(name: str, note: str, links: Sequence[str], joints: Sequence[str]
         links: Names of links.
         joints: Of `joint_text`.
     """
-    body = "".join([*(f"  <link name={quoteattr(link)}/>\n" for link in links), *joints])
-    return f'<?xml version="1.0"?>\n<!-- {note} -->\n<robot name={quoteattr(name)}>\n{body}</robot>\n'
+    body = "".join([*(f"  <link name={quoted(link)}/>\n" for link in links), *joints])
+    return f'<?xml version="1.0"?>\n<!-- {note} -->\n<robot name={quoted(name)}>\n{body}</robot>\n'
 
 
 def joint_text(
@@ -180,14 +188,14 @@ def joint_text(
         axis: Three numbers; empty if it does not move.
         limits: Lowest and highest value [m or rad], if there are any.
     """
-    parent, child = map(quoteattr, links)
+    parent, child = map(quoted, links)
     lines = [f"<parent link={parent}/> <child link={child}/>", f'<origin xyz="{_spell(xyz)}" rpy="{_spell(rpy)}"/>']
     if axis:
         lines.append(f'<axis xyz="{axis}"/>')
     if axis and limits:
         lines.append(f'<limit lower="{limits[0]!r}" upper="{limits[1]!r}" effort="0" velocity="0"/>')
     inside = "".join(f"    {line}\n" for line in lines)
-    return f'  <joint name={quoteattr(name)} type="{kind}">\n{inside}  </joint>\n'
+    return f'  <joint name={quoted(name)} type="{kind}">\n{inside}  </joint>\n'
 
 
 def apply_edits(source: bytes, edits: list[Edit]) -> bytes:

@@ -108,7 +108,8 @@ def _terms(fit: Fit) -> list[str]:
                 f"poses of blocks left out {scale * one.before:.4f} -> {scale * one.after:.4f} {unit} RMS, log evidence"
                 f" {one.evidence:+.1f}"
             )
-            (added if one.added else left).append(f"{one.term} ({one.why}{': ' if one.why else ''}{numbers})")
+            alike = f"; the data cannot tell it from {listed(one.alike)}" if one.alike else ""
+            (added if one.added else left).append(f"{one.term} ({one.why}{': ' if one.why else ''}{numbers}{alike})")
     every = len(fit.terms.tried)
     lines = [f"Joint terms added: {listed(added, '; ', every) or 'none earns its place'}"]
     lines += [f"Joint terms left out: {listed(left, '; ', every)}"] if left else []

@@ -10,13 +10,13 @@ to the last digits. Its uncertainty comes from `covariance.csv`. A fit with the 
 from __future__ import annotations
 
 import hashlib
+import html
 import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import escape, unescape
 
 import numpy as np
 import scipy
@@ -116,11 +116,11 @@ def _with_meshes(urdf: UrdfText) -> bytes:
     edits = []
     for match in _FILE.finditer(urdf.source):
         group = 1 if match.group(1) is not None else 2
-        name = unescape(match.group(group).decode("utf-8", "replace"), {"&quot;": '"', "&apos;": "'"})
+        name = html.unescape(match.group(group).decode("utf-8", "replace"))
         found = find_mesh(name, urdf.path)
         if found is not None and not Path(name).is_absolute():
-            text = escape(str(found), {'"': "&quot;", "'": "&apos;"})
-            edits.append((*match.span(group), text.encode("ascii", "xmlcharrefreplace")))
+            text = html.escape(str(found)).encode("ascii", "xmlcharrefreplace")
+            edits.append((*match.span(group), text))
     return apply_edits(urdf.source, edits)
 
 

@@ -64,3 +64,24 @@ def test_a_circle_is_found_where_there_is_one():
 def test_the_contributors_guide_has_a_paragraph_for_each_room():
     for room in ROOMS:
         assert f"**{room.name}.**" in CONTRIBUTING
+
+
+def test_a_fit_with_its_pages_loads_no_reader_of_meshes_and_no_other_program(tmp_path):
+    """Of a robot of boxes and cylinders; SciPy's statistics, IPython and web clients take longer than such a fit."""
+    told = [
+        "fit",
+        "docs/examples/five_bar.yaml",
+        "docs/examples/five_bar_simulated.csv",
+        "--out",
+        str(tmp_path / "out"),
+    ]
+    heavy = ("scipy.stats", "trimesh", "meshcat", "IPython", "urllib.request", "ssl")
+    check = (
+        "import sys\nfrom calib.cli import group\n"
+        f"group.main({told}, standalone_mode=False)\n"
+        f"print([name for name in {heavy} if name in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", check], cwd=architecture.ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stderr.splitlines()[-1] == "[]"

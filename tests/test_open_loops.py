@@ -9,6 +9,7 @@ from small_robots import write_pose_loop
 
 import calib
 from calib.model.closure import gap_text, open_by
+from calib.model.loops import why_open
 from medrue import robot_file
 from medrue.closed_form import PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1
@@ -25,6 +26,14 @@ def test_a_pose_beyond_a_passive_limit_names_the_joint_and_its_angle_in_the_clos
     )
     expected = np.degrees(forward(q[None], table1().nominal).passive[0, PASSIVE_JOINTS.index(found[1])])
     assert (float(found[2]) - expected) % 360 == pytest.approx(0, abs=0.05)  # printed with four digits
+
+
+def test_no_limit_is_named_that_holds():
+    """A pose that fails among others only, because their ways lead elsewhere, is closed alone within all limits."""
+    robot = calib.load(robot_file())
+    why = why_open(robot.mechanism, robot.mode, robot.home)
+    assert why.startswith("it can be reached alone")
+    assert not any(name in why for name in robot.mechanism.passive)
 
 
 def test_a_gap_is_given_apart_in_length_and_angle():

@@ -11,7 +11,7 @@ from viz.part_plots import of_positions, residual_by_joint
 from viz.plots import all_plots, error_by_pose, histogram, normal_plot
 from viz.poses import PoseTable
 from viz.scene import Joint
-from viz.svg import shortened
+from viz.svg import finished, new_figure, shortened
 
 JOINTS = (Joint("q1", "mm", 1e3), Joint("shoulder $a_1$ <b>", "deg", 180 / np.pi))
 
@@ -167,3 +167,14 @@ def test_the_legend_of_the_histogram_stands_above_all_bars():
     assert len(legend) > 2
     assert len(bars) > 40
     assert max(legend) < min(bars)  # y downwards
+
+
+def test_no_name_leaves_its_place_in_a_picture():
+    hostile = '"><script>alert(1)</script></svg><img src=x>-->'
+    figure, (axes,) = new_figure(1, 1, (12, 6))
+    axes.set_title(hostile)
+    svg = finished("one", hostile, "text", figure).svg
+    root = ElementTree.fromstring(svg)
+    assert root.get("aria-label") == hostile
+    assert not {"script", "img"} & {element.tag.split("}")[-1] for element in root.iter()}
+    assert "<script" not in re.sub("<!--.*?-->", "", svg, flags=re.DOTALL)

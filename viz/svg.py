@@ -7,6 +7,7 @@ window can open. Text is never read as mathematics, because names come from file
 from __future__ import annotations
 
 import functools
+import html
 import io
 import re
 from collections.abc import Callable
@@ -102,7 +103,7 @@ def svg_text(figure: Figure, name: str, title: str) -> str:
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', svg)
     svg = re.sub(r'(xlink:href="#|url\(#)', rf"\g<1>{name}-", svg)
-    return svg.replace("<svg ", f'<svg role="img" aria-label="{title}" ', 1)
+    return svg.replace("<svg ", f'<svg role="img" aria-label="{html.escape(title)}" ', 1)
 
 
 def plain_ticks(*axes: Any) -> None:

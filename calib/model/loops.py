@@ -66,6 +66,7 @@ def close(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, seed: 
     if seed is not None:
         tried = np.flatnonzero(np.all(np.isfinite(seed), axis=1))
         passive[tried], slope[tried], _, ok[tried] = newton(mechanism, mode, actuated[tried], seed[tried])
+        ok &= within_limits(mechanism, wrapped(mechanism, mode, passive))
     if not np.all(ok):
         todo = np.flatnonzero(~ok)
         passive[todo], slope[todo], ok[todo] = follow(mechanism, mode, actuated[todo])
@@ -135,7 +136,10 @@ def why_open(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> 
     """
     passive, _, closes = follow(mechanism, mode, actuated[None])
     if closes[0]:
-        return "its loops close only with " + _beyond(mechanism, wrapped(mechanism, mode, passive)[0])
+        passive = wrapped(mechanism, mode, passive)
+        if within_limits(mechanism, passive)[0]:
+            return "it can be reached alone, but by way of the other poses its loops close beyond the limits of a joint"
+        return "its loops close only with " + _beyond(mechanism, passive[0])
     lengths, angles = smallest_gap(mechanism, mode, actuated)
     loop = int(np.argmax(lengths / mechanism.length + angles))
     if max(lengths[loop], angles[loop]) > _CLOSED:

@@ -137,6 +137,7 @@ def build_scene(
     size = float(np.linalg.norm(view.high - view.low))
     factors = {state: nice_factor(_typical(table.error(state)), _VECTOR_SIZE * size) for state in ("before", "after")}
     tips = _tips(table, factors, _LONGEST_TIP * size)
+    around = np.concatenate([view.outline, tips @ view.upright.T])
     moved = float("nan") if ghost is None else _moved(bodies, solid, ghost)
     return Scene(
         nominal.name,
@@ -149,7 +150,7 @@ def build_scene(
         table,
         factors,
         nice_factor(moved, _GHOST_SIZE * size),
-        replace(view, outline=np.concatenate([view.outline, tips @ view.upright.T])),
+        replace(view, outline=_outline(around, *_box(around))),
         (*notes, *shape_notes),
         comments,
         verdict,

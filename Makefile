@@ -1,6 +1,7 @@
 # make demo   calibrate MedRUE from the measurement file that ships with the project, into out/demo/
 # make test   the tests
 # make test-processors   the numerical tests again, with the sums of other processors
+# make test-search   the tests that search for bad input, with some thousand cases
 # make lint   style and types
 # make bench  speed, as ratios within one run
 # make docs   the documentation site, into out/site/ (after make ci-packages)
@@ -14,7 +15,7 @@ PIP := $(BIN)/python -m pip install --disable-pip-version-check
 COMPILE := $(BIN)/pip-compile --quiet --upgrade --strip-extras --no-header --no-emit-index-url --no-emit-find-links --no-emit-trusted-host
 JOBS ?= 2
 
-.PHONY: demo test test-processors lint bench docs pictures pins ci-packages data clean
+.PHONY: demo test test-processors test-search lint bench docs pictures pins ci-packages data clean
 
 demo: $(VENV)/.ready
 	$(BIN)/calib fit urdf/medrue.yaml docs/examples/medrue_simulated.csv --validate 0.8 --out out/demo
@@ -26,12 +27,17 @@ test: $(VENV)/.ready-dev
 test-processors: $(VENV)/.ready-dev
 	$(BIN)/python tests/processors.py -n $(JOBS)
 
+test-search: $(VENV)/.ready-dev
+	CALIB_SEARCH=200 $(BIN)/python -m pytest tests/test_searched_input.py --hypothesis-seed=1 -n $(JOBS)
+
 lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# Prints docs/performance.md and writes it, then single pieces of work; with DATA=FOLDER also of others' measurements.
 bench: $(VENV)/.ready-dev
+	$(BIN)/python tests/benchmarks/performance.py $(if $(DATA),--data $(DATA)) --write docs/performance.md
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-enable --benchmark-only -n 0 -s
 
 # The pictures of README and docs, from a fresh demo.

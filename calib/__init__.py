@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from calib.data.in_memory import as_measurements, as_poses
     from calib.data.measurement_files import read_measurements, read_poses
     from calib.data.measurements import Measurements, Poses
+    from calib.data.parameter_files import read_parameters
     from calib.exporting.formats import export
     from calib.identification.acceptance import Acceptance, verify
     from calib.identification.fitted import Fit
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from calib.pose_choice.assessment import Assessment, check
     from calib.pose_choice.pose_sampling import sample
     from calib.pose_choice.selection import Selection, select
+    from calib.reporting.loaded_result import LoadedResult, load_result, predict
     from calib.reporting.result_comparison import ResultComparison, compare
     from calib.reporting.results import load
     from calib.watching.progress import Progress
@@ -52,6 +54,7 @@ _HOMES = {
     "Compensation": "calib.inverse_kinematics.compensation",
     "Fit": "calib.identification.fitted",
     "Goals": "calib.inverse_kinematics.goals",
+    "LoadedResult": "calib.reporting.loaded_result",
     "Measurements": "calib.data.measurements",
     "Origin": "calib.model.parameters",
     "Parameter": "calib.parameter",
@@ -72,7 +75,10 @@ _HOMES = {
     "export": "calib.exporting.formats",
     "fit": "calib.calibration",
     "load": "calib.reporting.results",
+    "load_result": "calib.reporting.loaded_result",
+    "predict": "calib.reporting.loaded_result",
     "read_measurements": "calib.data.measurement_files",
+    "read_parameters": "calib.data.parameter_files",
     "read_poses": "calib.data.measurement_files",
     "robot": "calib.model.loading",
     "sample": "calib.pose_choice.pose_sampling",
@@ -96,6 +102,7 @@ __all__ = [
     "Fit",
     "Goals",
     "InputError",
+    "LoadedResult",
     "Measurements",
     "NotConvergedError",
     "NotIdentifiableError",
@@ -121,7 +128,10 @@ __all__ = [
     "export",
     "fit",
     "load",
+    "load_result",
+    "predict",
     "read_measurements",
+    "read_parameters",
     "read_poses",
     "robot",
     "sample",

@@ -24,16 +24,29 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
     return copied
 
 
+def _held_fast(value: Any) -> Any:
+    """Return an array, or a tuple or dictionary of arrays, that nobody can write to; anything else as it is."""
+    if isinstance(value, np.ndarray):
+        return read_only(value)
+    if isinstance(value, tuple) and value and isinstance(value[0], np.ndarray):
+        return tuple(read_only(array) for array in value)
+    if isinstance(value, dict) and any(isinstance(array, np.ndarray) for array in value.values()):
+        return {key: _held_fast(array) for key, array in value.items()}
+    return value
+
+
 class ReadOnlyArrays:
-    """Base of frozen dataclasses: arrays, and tuples of them, become read-only copies, also after unpickling."""
+    """Base of frozen dataclasses: arrays, tuples and dictionaries of them become read-only copies.
+
+    They are so after unpickling, too.
+    """
 
     def __post_init__(self) -> None:
         for field in fields(self):  # type: ignore[arg-type]  # only dataclasses derive from this
             value = getattr(self, field.name)
-            if isinstance(value, np.ndarray):
-                object.__setattr__(self, field.name, read_only(value))
-            elif isinstance(value, tuple) and value and isinstance(value[0], np.ndarray):
-                object.__setattr__(self, field.name, tuple(read_only(array) for array in value))
+            held = _held_fast(value)
+            if held is not value:
+                object.__setattr__(self, field.name, held)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import html
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 from calib.commands import pictures
+from calib.commands.pictures import Plots
 from calib.data.measurements import Measurements
 from calib.identification.errors_found import error_table
-from calib.identification.estimates import table_html
 from calib.identification.fit import Settings, identify
 from calib.identification.fitted import Fit
 from calib.model.robot import Robot
@@ -17,6 +16,7 @@ from calib.numerics.losses import checked_loss
 from calib.reporting.report_text import text_report, verdict_lines
 from calib.reporting.result_content import error_sets
 from calib.reporting.results import save
+from calib.tabular import titled_html
 from calib.units import ERROR_UNIT
 
 
@@ -28,7 +28,6 @@ class Calibration(Fit):
         return self.report()
 
     def _repr_html_(self) -> str:
-        told = "".join(f"<p>{html.escape(line)}</p>" for line in verdict_lines(self.verdict))
         errors: list[dict[str, object]] = [
             {
                 "rows": label,
@@ -43,7 +42,16 @@ class Calibration(Fit):
             for one, part, rows in found.parts()
             for values in (residuals[one.name],)
         ]
-        return f"<h3>{html.escape(self.nominal.name)}</h3>{told}{table_html(errors)}{self.parameters._repr_html_()}"
+        return titled_html(self.nominal.name, verdict_lines(self.verdict), errors, self.parameters.rows())
+
+    @property
+    def plot(self) -> Plots:
+        """Its figures as matplotlib axes: `plot.errors()`, `plot.by_pose()` and others.
+
+        Raises:
+            InputError: Nothing that draws is installed, or something that it needs is missing.
+        """
+        return pictures.plots(self)
 
     def report(self) -> str:
         """Return the result as text."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from calib.errors import ParameterError, nearest
-from calib.units import Dimension
+from calib.units import PER_SI, Dimension
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,20 @@ class Parameter:
     prior: bool = True
     placement: bool = False
     family: str = ""
+
+    def row(self, value: float, free: bool) -> dict[str, object]:
+        """Return the row of a table, in `unit`.
+
+        Args:
+            value: Its present value [m or rad].
+            free: Whether it is not held.
+        """
+        per_si = PER_SI[self.dimension][self.unit]
+        shown: dict[str, object] = {
+            key: float(number) * per_si
+            for key, number in (("nominal", self.nominal), ("value", value), ("sigma", self.sigma))
+        }
+        return {"name": self.name, "unit": self.unit, **shown, "free": "free" if free else "held"}
 
 
 def index_of(parameters: Sequence[Parameter], name: str, where: str = "parameters") -> int:

@@ -136,7 +136,11 @@ def replace_folder(new: Path, path: Path, obsolete: Collection[str]) -> None:
 
 
 def exchange(one: Path, other: Path) -> bool:
-    """Exchange two names in one step; False where the system or the file system cannot."""
+    """Exchange two names in one step; False where the system or the file system cannot.
+
+    Raises:
+        OSError: The system can, and one of the names may not be moved.
+    """
     function = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
     if function is None:
         return False

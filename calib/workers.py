@@ -7,26 +7,22 @@ because losing a worker has broken it, the rest is done here.
 
 The processes of `Workers` end with the program that started them, however it ends: after Ctrl-C, SIGTERM or SIGHUP they
 are stopped before the program is left, and where it dies without a chance to do so (SIGKILL), each of them notices by
-itself. SIGTERM and SIGHUP end the program from within the handler. An exception raised there would land anywhere, also
-between taking and releasing a lock of the pool, and one program in some hundred would then wait for ever.
+itself. SIGTERM and SIGHUP end the program from within the handler.
 """
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from multiprocessing.process import BaseProcess
+from concurrent.futures import Executor, Future
 from types import FrameType, TracebackType
 from typing import Any, TypeVar, cast
 
 from calib.errors import ComputationError
+from calib.processes import Processes
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -77,7 +73,8 @@ def _result(
             if losses == _LOSSES:
                 raise ComputationError(
                     f"workers were lost {losses} times at the same work ({type(lost).__name__}: {lost}); is there"
-                    " enough memory for each of them?"
+                    " enough memory for each of them, and does a program that starts processes do so under"
+                    " `if __name__ == '__main__':`?"
                 ) from lost
             for other in range(k, len(items)):
                 if _is_lost(futures[other]):
@@ -120,7 +117,7 @@ class Workers:
     """
 
     def __init__(self, jobs: int) -> None:
-        self._processes = _Processes(jobs) if jobs > 1 else None
+        self._processes = Processes(jobs) if jobs > 1 else None
         self._handlers: dict[signal.Signals, object] = {}
 
     def __enter__(self) -> Executor | None:
@@ -129,16 +126,18 @@ class Workers:
                 # what is ignored, as SIGHUP under nohup, stays ignored
                 heard = [number for number in _ENDING if signal.getsignal(number) != signal.SIG_IGN]
                 self._handlers = {number: signal.signal(number, self._end) for number in heard}
-            self._processes.start()
+            try:
+                self._processes.start()
+            except BaseException:
+                self.__exit__(*sys.exc_info())
+                raise
         return self._processes
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         if self._processes is not None:
-            if error is not None:
-                self._processes.kill()
-            self._processes.shutdown(wait=True, cancel_futures=True)
+            self._processes.shutdown()
         for number, handler in self._handlers.items():
             signal.signal(number, handler)  # type: ignore[arg-type]  # what signal.signal gave
 
@@ -150,79 +149,3 @@ class Workers:
             os.write(sys.stderr.fileno(), b"\x1b[?25h")  # show the cursor, which a progress display hides
         signal.signal(number, signal.SIG_DFL)
         os.kill(os.getpid(), number)
-
-
-class _Processes(Executor):
-    """A pool of processes that starts others in their place where some are lost.
-
-    Args:
-        jobs: How many.
-    """
-
-    def __init__(self, jobs: int) -> None:
-        self._jobs = jobs
-        self._pool: ProcessPoolExecutor | None = None
-        self._children: list[BaseProcess] = []
-
-    def start(self) -> ProcessPoolExecutor:
-        """Start the processes."""
-        others = set(multiprocessing.active_children())
-        # fresh processes: a forked one would inherit threads of the linear algebra
-        context = multiprocessing.get_context("spawn")
-        self._pool = pool = ProcessPoolExecutor(self._jobs, mp_context=context, initializer=_end_with_parent)
-        with _without_interrupts():
-            for _ in range(self._jobs):
-                pool.submit(_nothing)
-        self._children = [one for one in multiprocessing.active_children() if one not in others]
-        return pool
-
-    def submit(self, function: Callable[..., Result], /, *arguments: Any, **named: Any) -> Future[Result]:
-        """See `concurrent.futures.Executor`."""
-        if self._pool is None:
-            raise RuntimeError("these processes have been ended")
-        try:
-            return self._pool.submit(function, *arguments, **named)
-        except BrokenProcessPool:
-            self._pool.shutdown(wait=True, cancel_futures=True)
-            return self.start().submit(function, *arguments, **named)
-
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """See `concurrent.futures.Executor`."""
-        if self._pool is not None:
-            self._pool.shutdown(wait=wait, cancel_futures=cancel_futures)
-            self._pool = None
-
-    def kill(self) -> None:
-        """End the processes, whatever they do."""
-        for process in self._children:
-            process.kill()
-
-
-@contextmanager
-def _without_interrupts() -> Iterator[None]:
-    """Let processes that are started inside ignore Ctrl-C: whoever started them decides when they end."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def _nothing() -> None:
-    """Make the pool start a process."""
-
-
-def _end_with_parent() -> None:
-    """End this process as soon as the one that started it is gone."""
-    parent = multiprocessing.parent_process()
-    if parent is None:
-        return
-
-    def watch() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=watch, name="end with parent", daemon=True).start()

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -123,10 +124,15 @@ class MedrueParametrisation:
             for name in _COORDINATES
         }
 
-    def _edited(self, name: str, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    @cached_property
+    def _nominal(self) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """Xyz and rpy of each origin from the nominal parameters."""
         nominal = np.array([parameter.nominal for parameter in self.parameters])
+        return {name: _formula(name, nominal) for name in _COORDINATES}
+
+    def _edited(self, name: str, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         xyz, rpy = _formula(name, values)
-        xyz_nominal, rpy_nominal = _formula(name, nominal)
+        xyz_nominal, rpy_nominal = self._nominal[name]
         return self.origins[name].xyz + (xyz - xyz_nominal), self.origins[name].rpy + (rpy - rpy_nominal)
 
 

@@ -4,7 +4,7 @@
 
 It prints what is there after each of so many runs of `fit`, `compensate`, `export` and `study`, and ends with 1 if that
 was ever neither the old result nor the new one, or if a leftover survived the next writing. Processes are forked from
-one that has loaded everything and has done the sums of the study, so that a thousand take some minutes.
+one that has loaded everything and has done the sums and figures of the study, so that a thousand take some minutes.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ import calib.cli
 import calib.replacing
 import medrue
 import medrue.cli
+import medrue.reports
 import medrue.study
-from calib.workers import Workers
 from medrue.progress import Silent
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 _ROBOT, _DATA = str(EXAMPLES / "five_bar.yaml"), str(EXAMPLES / "five_bar_simulated.csv")
 _COMMANDS = (
-    ("calib", f"fit {_ROBOT} {_DATA} --validate 0.3 --seed {{variant}} --out out", "out"),
+    ("calib", f"fit {_ROBOT} {_DATA} --validate 0.3 --no-pages --seed {{variant}} --out out", "out"),
     ("calib", f"compensate RESULT{{variant}} {_DATA} --out program.csv", "program.csv"),
     ("calib", "export RESULT{variant} --format urdf --out robot.urdf", "robot.urdf"),
     ("medrue", "study --quick --jobs 1 --seed {variant} --out out", "out"),
@@ -51,11 +51,17 @@ def run(group: str, words: str) -> None:
     null = os.open(os.devnull, os.O_RDWR)
     os.dup2(null, 1)
     os.dup2(null, 2)
+    os._exit(called(group, words))
+
+
+def called(group: str, words: str) -> int:
+    """Call a program, and return its exit code."""
     sys.argv = [group, *words.split()]
     try:
         {"calib": calib.cli.main, "medrue": medrue.cli.main}[group]()
     except SystemExit as end:
-        os._exit(int(end.code or 0))
+        return int(end.code or 0)
+    return 0
 
 
 class Command:
@@ -69,6 +75,10 @@ class Command:
 
     def __init__(self, group: str, words: str, name: str) -> None:
         self.group, self.words, self.name = group, words, name
+        with tempfile.TemporaryDirectory() as here:  # here, so that every forked process has all modules
+            os.chdir(here)
+            assert called(group, f"{words.format(variant='1')} --quiet") == 0
+            os.chdir("/")
         self.old, self.new = self.written("0"), self.written("1")
         assert self.old
         assert {name for name, content in self.old.items() if self.new.get(name) != content}, "the variants are alike"
@@ -136,8 +146,11 @@ def commands(runs: int, seed: int) -> dict[str, Counter[str]]:
         words = f"fit {_ROBOT} {_DATA} --seed {variant} --validate 0.3 --out r{variant}"
         assert child(lambda words=words: run("calib", words)) == 0
     robot = calib.load(medrue.robot_file())
-    studies = [medrue.study.run_study(robot, medrue.study.QUICK, seed, Workers(1), Silent()) for seed in (0, 1)]
-    medrue.study.run_study = lambda robot, size, seed, workers, progress: studies[seed]
+    studies = [medrue.study.run_study(robot, medrue.study.QUICK, seed, None, Silent()) for seed in (0, 1)]
+    reports = [medrue.reports.study_report(found) for found in studies]
+    assert all(report.files() for report in reports)  # and keeps its figures
+    medrue.study.run_study = lambda robot, size, seed, executor, progress: seed
+    medrue.reports.study_report = lambda seed: reports[seed]
     chance = random.Random(seed)
     found = {}
     for group, words, name in _COMMANDS:

@@ -1,11 +1,14 @@
 """Bad input on the command line: one clear line, exit code 2, nothing written, an existing result untouched."""
 
+import json
 import os
+import re
 from pathlib import Path
 
 import pytest
 from small_robots import ARM_URDF, ARM_YAML, write_arm, write_parallelogram
 
+EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 ROWS = ["turn,slide [mm],wrist [deg],tip_x [mm],tip_y [mm],tip_z [mm]"] + [
     f"{0.1 * k},{10 * k},{-5 * k},{375 + k},{20 - k},{600 + 2 * k}" for k in range(8)
 ]
@@ -368,3 +371,33 @@ def test_nothing_is_left_in_the_folder_for_temporary_files(folder, refused, monk
     monkeypatch.setenv("TMPDIR", str(temporary))
     refused(FIT.replace("data.csv", "no.csv"))
     assert os.listdir(temporary) == []  # noqa: PTH208
+
+
+NESTED = "[" * 100_000
+TARGETS = "tip_x [mm],tip_y [mm],tip_z [mm]\n375,20,600\n"
+FOUND_BY_MUTATION = {
+    "nested result": ("out/result.json", NESTED, f"{PREDICT} --result out", "out/result.json"),
+    "nested parameters": ("out/parameters.csv", NESTED, f"{PREDICT} --parameters out/parameters.csv", "parameters.csv"),
+    "blank cells": ("data.csv", ROWS[0] + "\n" + ",,,,,\n" * 8, f"{FIT} --validate 0.3", "data.csv"),
+    "huge joint": ("data.csv", data(line3=ROWS[3].replace("20", "1e300", 1)), PREDICT, "data.csv, line 3"),
+    "huge target": ("t.csv", TARGETS.replace("375", "1e300"), "solve arm.yaml t.csv --out old.csv", "t.csv, line 2"),
+}
+
+
+@pytest.mark.parametrize(("name", "content", "command", "message"), FOUND_BY_MUTATION.values(), ids=FOUND_BY_MUTATION)
+def test_what_mutation_found_is_refused(folder, refused, name, content, command, message):
+    (folder / name).write_text(content)
+    assert message in refused(command)
+
+
+def test_a_validation_with_one_pose_has_no_number_that_is_none(tmp_path, run_calib):
+    rows = (EXAMPLES / "five_bar_simulated.csv").read_text().splitlines()
+    (tmp_path / "most.csv").write_text("\n".join(rows[:-1]) + "\n")
+    (tmp_path / "one.csv").write_text("\n".join([*rows[:3], rows[-1]]) + "\n")
+    command = f"fit {EXAMPLES / 'five_bar.yaml'} most.csv --validate one.csv --no-pages --out out --json found.json"
+    done = run_calib(*command.split(), cwd=tmp_path)
+    assert done.code == 0, done
+    assert not re.search(r"\b(nan|inf)\b", done.out + done.err)
+    found = json.loads((tmp_path / "found.json").read_text(), parse_constant=pytest.fail)
+    assert found["errors"]["validation"]["after"]["std"] is None  # of one number
+    assert "repeatability" not in done.out

@@ -5,9 +5,11 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from click.testing import CliRunner
 from six_axis_arm import write_six_axis
+from test_denavit_hartenberg import robot_of, write_table
 
 import calib
 from calib.commands.compensate import command
@@ -271,6 +273,55 @@ def test_distances_lie_within_their_limits_as_often_as_stated():
         assert np.mean((drawn > low) & (drawn < high)) == pytest.approx(0.96, abs=0.02)  # two moments are matched
 
 
+@pytest.mark.parametrize("keep", ["pose", "axis"])
+def test_orientations_are_off_by_what_is_expected(tmp_path, keep):
+    """Truths drawn from the covariance of a calibration by poses run its compensated program."""
+    nominal = six_axis(
+        tmp_path, "instruments:\n  six: {kind: pose, target: ball, sigma: 0.05 mm, sigma_angle: 0.2 mrad}\n"
+    )
+    rng = np.random.default_rng(21)
+    truth = perturbed(nominal, 20)
+    q = rng.uniform(-1.2, 1.2, (25, 6))
+    poses = truth.forward(q)
+    noisy = [pin.exp3(2e-4 * rng.standard_normal(3)) @ R for R in poses[:, :3, :3]]
+    (tmp_path / "poses.csv").write_text(
+        ",".join((*nominal.joint_names, *(f"six_{axis}" for axis in ("x", "y", "z", "qx", "qy", "qz", "qw"))))
+        + "\n"
+        + "".join(
+            ",".join(map(repr, map(float, (*row, *(p + 5e-5 * rng.standard_normal(3)), *pin.Quaternion(R).coeffs()))))
+            + "\n"
+            for row, p, R in zip(q, truth.positions(q)[:, 0], noisy, strict=True)
+        )
+    )
+    fit = calib.fit(nominal, calib.read_measurements(tmp_path / "poses.csv", nominal))
+    program = rng.uniform(-0.8, 0.8, (6, 6)) + np.array([0, 0, 0, 0, 1.2, 0])
+    found = compensate(fit.robot, program, keep=keep, predict=fit.predict)
+    assert found.ok.all()
+    meant = nominal.forward(program)[:, :3, :3]
+    root = np.linalg.cholesky(fit.statistics.covariance + 1e-30 * np.eye(len(fit.statistics.covariance)))
+    errors = []
+    for _ in range(300):
+        values = fit.robot.values.copy()
+        values[fit.unknowns.index] += root @ rng.standard_normal(len(root))
+        did = nominal.with_parameters(values).forward(found.q)[:, :3, :3]
+        cosine = np.sum(did[:, :, 2] * meant[:, :, 2], axis=1)
+        errors.append(turned(did, meant) if keep == "pose" else np.arccos(np.clip(cosine, -1, 1)))
+    errors = np.array(errors)
+    assert np.sqrt(np.mean(errors**2, axis=0)) == pytest.approx(found.expected_angle, rel=0.15)  # of 300 draws
+    inside = (errors > found.low95_angle) & (errors < found.high95_angle)
+    assert np.mean(inside) == pytest.approx(0.96, abs=0.025)
+    really = turned(truth.forward(found.q)[:, :3, :3], meant)
+    assert keep != "pose" or really.max() < 3 * found.expected_angle.max() < 0.3 * found.before_angle.max()
+    assert found.before_angle == pytest.approx(
+        turned(fit.robot.forward(program)[:, :3, :3], meant) if keep == "pose" else found.before_angle, rel=1e-4
+    )
+
+
+def test_angles_are_not_known_where_the_position_alone_is_kept(tmp_path):
+    found = compensate(perturbed(six_axis(tmp_path), 5), np.array([[0.1, 0.2, 0.3, 0.4, 0.8, 0.1]]), keep="position")
+    assert np.isnan([found.before_angle, found.expected_angle, found.low95_angle, found.high95_angle]).all()
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [({"keep": "posture"}, "keep 'posture'"), ({"program": np.zeros((2, 5))}, "expected \\(n, 6\\)")],
@@ -313,7 +364,8 @@ def test_command_writes_a_program_with_marks_and_figures(tmp_path, calibrated):
     found = run(tmp_path, text, "--skip-unreachable", "--json", str(target), result=calibrated)
     assert found.exit_code == 0, found.output
     lines = (tmp_path / "out.csv").read_text().splitlines()
-    assert lines[1].endswith("before [mm],expected [mm],low95 [mm],high95 [mm],status")
+    angles = "before_angle [mrad],expected_angle [mrad],low95_angle [mrad],high95_angle [mrad]"
+    assert lines[1].endswith(f"before [mm],expected [mm],low95 [mm],high95 [mm],{angles},status")
     assert lines[2].endswith(",ok")
     assert lines[3].startswith("B,,,,,,,")
     content = json.loads(target.read_text())
@@ -353,12 +405,17 @@ def test_command_gives_poses_for_controllers_that_take_them(tmp_path, calibrated
         (f"{NAMES}\n9,0,0\n", ("--skip-unreachable",), 2, "1 row of 1 cannot be compensated"),
         (f"{NAMES},reflector_rx\n0.5,0.1,0.6,0\n", (), 2, "no column 'reflector_ry'"),
         (f"{JOINTS}\n0,0,0,0,0,0\n", ("--keep", "all"), 2, "'all' is not one of"),
+        (f"{JOINTS}\n0,0,0,0,0,0\n", ("--grid", "5,5,5"), 2, "--grid: PROGRAM has joints"),
+        (f"{NAMES}\n0.5,0.1,0.6\n", ("--grid", "5,5"), 2, "--grid '5,5': write three numbers of nodes"),
+        (f"{NAMES}\n0.5,0.1,0.6\n", ("--grid", "5,5,x"), 2, "--grid '5,5,x': write three numbers of nodes"),
+        (f"{NAMES}\n0.5,0.1,0.6\n", ("--grid", "1,1,1"), 2, "a correction depends on the orientation"),
     ],
 )
 def test_wrong_programs_are_refused_in_one_line(tmp_path, calibrated, text, options, code, message):
     found = run(tmp_path, text, *options, result=calibrated)
     assert found.exit_code == code
     assert message in found.output
+    assert found.output.startswith("Usage") or found.output.count("\n") == 1
     assert not (tmp_path / "out.csv").exists()
 
 
@@ -402,3 +459,40 @@ def test_wrong_results_are_refused(tmp_path, calibrated, what):
         "without covariance": "no such file; run the fit again",
     }[what]
     assert (found.exit_code, message in found.output) == (code, True), found.output
+
+
+def test_a_ur10_with_gears_that_no_line_describes_runs_at_the_error_of_its_calibration(tmp_path):
+    """336 rows; its true joints are off by waves of their gears, which the calibration knows as smooth curves only."""
+    table = write_table(tmp_path, "ur10")
+    nominal = robot_of(table, tmp_path / "ur10.yaml")
+    text = (tmp_path / "ur10.yaml").read_text()
+    text = text.replace("# held:", "  - {joint: all, term: curve}\n# held:", 1)
+    (tmp_path / "curves.yaml").write_text(text)
+    described = calib.load(tmp_path / "curves.yaml")
+    rng = np.random.default_rng(30)
+    drawn = {p.name: p.nominal + p.sigma * rng.standard_normal() for p in nominal.parameters if not p.placement}
+    truth = nominal.with_parameters({**drawn, "base.x": 1.8, "base.rz": 1.0})
+    size, order, phase = 3e-4 * rng.standard_normal((2, 6)), rng.uniform(1, 5, (2, 6)), rng.uniform(0, 6, (2, 6))
+
+    def did(q):  # shares no code with the terms of the engine
+        waves = sum(size[k] * np.sin(order[k] * q + phase[k]) for k in range(2))
+        return truth.positions(q + waves)[:, 0]
+
+    q, program = (
+        rng.uniform(-1.5, 1.5, (n, 6)) * [1, 0.5, 0.6, 1, 0.7, 1] + [0, -1, 1.4, 0, 1.6, 0] for n in (400, 336)
+    )
+    measured = did(q) + 2e-5 * rng.standard_normal((400, 3))
+    with_curves, without = (calib.fit(one, calib.as_measurements(one, q, measured)) for one in (described, nominal))
+    held_out = rms(np.linalg.norm(did(program) - with_curves.robot.positions(program)[:, 0], axis=1))
+    found = compensate(with_curves.robot, program, predict=with_curves.predict)
+    assert found.ok.all()
+    error = np.linalg.norm(did(found.q) - meant_positions(with_curves.robot, program), axis=1)
+    plain = did(compensate(without.robot, program).q) - meant_positions(without.robot, program)
+    assert rms(error) < 1.1 * held_out  # 0.011 mm, from 7.4 mm
+    assert rms(found.before) > 100 * held_out
+    assert rms(np.linalg.norm(plain, axis=1)) > 5 * held_out  # the same without curves
+    assert np.mean((error > found.low95) & (error < found.high95)) > 0.85  # one calibration
+
+
+def meant_positions(robot, program):
+    return as_meant(nearest_to_nominal(robot)).positions(program)[:, 0]

@@ -198,7 +198,9 @@ def test_result_json_has_the_verdict_and_what_it_rests_on(arm, tmp_path):
     assert content["cross_validation"]["folds"] == 3
     assert content["starts"]["count"] == 2
     assert content["effective_parameters"] == pytest.approx(26)
-    assert {"kind", "name", "dimension", "p_value", "size", "amount", "significant"} == set(content["patterns"][0])
+    assert {"kind", "name", "dimension", "p_value", "size", "amount", "significant", "detail"} == set(
+        content["patterns"][0]
+    )
     assert content["errors"]["validation"]["after"]["p95"] > content["errors"]["validation"]["after"]["median"]
 
 

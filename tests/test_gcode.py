@@ -5,9 +5,11 @@ import re
 from itertools import pairwise
 from pathlib import Path
 
+import hypothesis
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from hypothesis import strategies as st
 from test_correction_grid import GANTRY
 
 import calib
@@ -274,6 +276,7 @@ FIRST = "G1 X0 Y0 Z0\n"
         (FIRST + "G1 X1 A5\n", (), "line 2: 'A' does not belong"),
         (FIRST + "/G1 X1\n", (), "line 2: whether a line behind / is run"),
         ("X1 Y1 Z1\n", (), "line 1: moves without G0 or G1"),
+        (FIRST + "G1 X1" + 300 * "0" + "\n", (), "line 2: 'X10000000000000000000' is beyond what any machine reads"),
         (FIRST + "G1 X1 \x07\n", (), "line 2: is no text"),
         ("G1 X2000 Y0 Z0\n", (), "line 1 by the nominal robot misses by 1000"),
         (FIRST, ("--tolerance-mm", "0"), "--tolerance-mm 0: must lie between"),
@@ -292,8 +295,9 @@ def test_what_is_no_program_of_straight_moves_is_refused_in_one_line(tmp_path, c
     assert not (tmp_path / "out.gcode").exists()
 
 
-def test_places_of_a_program_do_not_belong_to_tables(tmp_path, calibrated):
-    done = run(tmp_path, calibrated, "x,y,z\n0,0,0\n", "--zero", "0,0,0", name="part.csv")
+@pytest.mark.parametrize("option", [("--zero", "0,0,0"), ("--start", "0,0,0"), ("--tolerance-mm", "0.1")])
+def test_options_of_programs_do_not_belong_to_tables(tmp_path, calibrated, option):
+    done = run(tmp_path, calibrated, "x,y,z\n0,0,0\n", *option, name="part.csv")
     assert (done.exit_code, "are for G-code" in done.output) == (2, True)
 
 
@@ -318,3 +322,58 @@ def test_other_robots_and_too_sharp_bends_are_refused(tmp_path, delta):
     moves = StraightMoves(np.array([[0, -0.01, 0]]), np.array([[0, 0.01, 0.0]]), ("line 1",))
     with pytest.raises(calib.ComputationError, match=r"line 1: off by 0.0.* between points, and no pieces of 0.05 mm"):
         compensate_moves(rough, moves, 5e-7)
+
+
+NOISE = st.sampled_from(
+    [
+        "G2",
+        "G28",
+        "M117 G1 X1",
+        "T1",
+        "N5",
+        "X",
+        "E1",
+        "/",
+        "*",
+        "#1",
+        "$",
+        "X1.2.3",
+        "I1",
+        "A1",
+        "X1e3",
+        "\x00",
+        "\u0661",
+    ]
+)
+NUMBER = st.integers(-99999, 99999).map(lambda n: f"{n / 1000:g}")
+MOTION = st.tuples(
+    st.sampled_from(["G0", "G1", "g1", "G01", "", "N7 G1", "G91 G1", "G90G0", "G20 G1", "G21 G0"]),
+    st.lists(st.sampled_from("XYZ"), min_size=1, max_size=3, unique=True),
+    NUMBER,
+    st.sampled_from(["", "F600", "S9 M3", "(note)", "; X9", "F1 ; x"]),
+).map(lambda parts: f"{parts[0]} {' '.join(f'{axis}{parts[2]}' for axis in parts[1])} {parts[3]}")
+OTHER = st.sampled_from(["", "; note", "G4 P9", "M104 S200", "G92 E0", "M82", "M83", "G90", "G91", "G20", "G21", "%"])
+LINE = st.one_of(MOTION, MOTION, MOTION, OTHER)
+
+
+@hypothesis.settings(
+    max_examples=300,
+    derandomize=True,
+    deadline=None,
+    suppress_health_check=[hypothesis.HealthCheck.function_scoped_fixture],
+)
+@hypothesis.given(st.lists(LINE, max_size=12), st.lists(NOISE, max_size=1))
+def test_whatever_a_program_holds_it_is_refused_or_its_moves_end_where_they_did(tmp_path, lines, noise):
+    lines = ["G0 X0 Y0 Z0", *lines, *noise]
+    (tmp_path / "any.gcode").write_text("\n".join(lines) + "\n")
+    try:
+        program = read_gcode(tmp_path / "any.gcode", (0.0, 0.0, 0.0))
+        text = program.rewritten([np.array([move.end]) for move in program.moves])
+    except calib.CalibrationError:
+        assert noise
+        return
+    (tmp_path / "again.gcode").write_text(text)
+    again = read_gcode(tmp_path / "again.gcode", (0.0, 0.0, 0.0))
+    assert len(text.splitlines()) == len("\n".join(lines).rstrip("\n").split("\n"))
+    ends = [np.array([move.end for move in one.moves]) for one in (program, again)]
+    assert np.abs(ends[0] - ends[1]).max() < 1e-6  # a dozen roundings

@@ -331,6 +331,8 @@ def test_files_that_cannot_be(tmp_path, header, row, said):
         ),
         (("fx: 2400, ", ""), "key 'instruments.eye.intrinsics.fx' is missing"),
         (("fx: 2400", "fx: -2400"), "instruments.eye.intrinsics.fx: "),
+        (("cx: 1000", "cx: .inf"), "instruments.eye.intrinsics.cx: "),
+        (("k1: -0.1", "k1: .nan"), "instruments.eye.intrinsics.k1: "),
         (("k1: -0.1", "k4: -0.1"), "unknown key 'instruments.eye.intrinsics.k4'"),
         ((f"points: {POINTS}", "points: {}"), "instruments.eye: needs points (name: [x, y, z]) or points_file"),
         ((f"points: {POINTS}", "points_file: no.csv"), "no.csv: no such file"),

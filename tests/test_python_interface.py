@@ -1,12 +1,15 @@
 """The first guess of someone who knows numpy, lmfit or scikit-learn is right."""
 
+from inspect import Parameter, signature
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import calib
-from calib.identification.estimates import table_html
+from calib.commands import pictures
+from calib.tabular import table_html
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 
@@ -230,3 +233,155 @@ def test_python_says_what_the_command_line_says(robot, data, fit, tmp_path):
     for one in (found, chosen, compared):
         assert len(repr(one)) < 200
         assert "array(" not in repr(one)
+
+
+GUESSES = {
+    # numpy and pandas: rows, masks, length, tables
+    "len of data": lambda t: len(t.data) == 80,
+    "slice of data": lambda t: len(t.data[:60]) == 60,
+    "every other row": lambda t: len(t.data[::2]) == 40,
+    "last row": lambda t: t.data[-1].joints.shape == (1, 6),
+    "mask of data": lambda t: np.all(t.data[t.data.joints[:, 0] > 0].joints[:, 0] > 0),
+    "rows by their numbers": lambda t: t.data[[3, 1]].names == (t.data.names[3], t.data.names[1]),
+    "shuffled rows": lambda t: len(t.data[np.random.default_rng(0).permutation(len(t.data))]) == 80,
+    "slice of poses": lambda t: len(t.candidates[10:20]) == 10,
+    "mask of poses": lambda t: len(t.candidates[np.arange(40) < 5]) == 5,
+    "joints are an array": lambda t: t.data.joints.mean(axis=0).shape == (6,),
+    "repr of data is short": lambda t: len(repr(t.data)) < 200,
+    "html of data": lambda t: "<table>" in t.data._repr_html_(),
+    # scikit-learn: split, fit, predict, seed
+    "split": lambda t: [len(part) for part in t.data.split(0.25, seed=1)] == [60, 20],
+    "the same seed": lambda t: t.data.split(0.25, seed=1)[0].names == t.data.split(0.25, seed=1)[0].names,
+    "another seed": lambda t: t.data.split(0.25, seed=1)[0].names != t.data.split(0.25, seed=2)[0].names,
+    "fit then predict": lambda t: t.fit.predict(t.held.joints).positions.shape == (20, 1, 3),
+    "predict of a fit": lambda t: np.array_equal(calib.predict(t.fit, t.held).std, t.fit.predict(t.held.joints).std),
+    "predict of a list": lambda t: t.fit.predict([[0.0] * 6]).positions.shape == (1, 1, 3),
+    "predict of a robot": lambda t: np.all(np.isnan(calib.predict(t.robot, t.held).std)),
+    "predict of one pose": lambda t: calib.predict(t.fit, t.held.joints[0]).positions.shape == (1, 1, 3),
+    "score on held-out rows": lambda t: t.fit.validation.table()["after"]["rms"] < 0.1,
+    "folds with a seed": lambda t: calib.fit(t.robot, t.data, folds=2, seed=3).folds.seed == 3,
+    "starts with a seed": lambda t: calib.fit(t.robot, t.used, starts=2, seed=3).seed == 3,
+    # lmfit: parameters by name, reports, intervals, covariance
+    "value": lambda t: 0.43 < t.fit.parameters["joint_3.z"].value < 0.45,
+    "std": lambda t: t.fit.parameters["joint_3.z"].std > 0,
+    "interval": lambda t: np.diff(t.fit.parameters["joint_3.z"].interval) > 0,
+    "nominal": lambda t: t.fit.parameters["joint_3.z"].nominal == 0.44,
+    "status": lambda t: t.fit.parameters["joint_3.z"].status == "identified",
+    "names": lambda t: "joint_3.z" in list(t.fit.parameters),
+    "membership": lambda t: "joint_3.z" in t.fit.parameters and "nobody" not in t.fit.parameters,
+    "items": lambda t: all(name == one.name for name, one in t.fit.parameters.items()),
+    "values": lambda t: len(t.fit.parameters.values()) == len(t.robot.parameters),
+    "covariance by names": lambda t: t.fit.covariance["joint_3.z", "joint_3.z"] > 0,
+    "covariance as an array": lambda t: np.asarray(t.fit.covariance).shape == (len(t.fit.free_names),) * 2,
+    "residuals": lambda t: next(iter(t.fit.residuals.values())).shape == (60, 3),
+    "converged": lambda t: t.fit.converged is True,
+    "verdict": lambda t: t.fit.verdict.grade in ("PASS", "CHECK"),
+    "report": lambda t: t.fit.report().startswith("Calibration of"),
+    "print": lambda t: str(t.fit) == t.fit.report() and len(str(t.fit)) < 20000,
+    "repr of a fit": lambda t: len(repr(t.fit)) < 200 and "array(" not in repr(t.fit),
+    "html of a fit": lambda t: "joint_3.z" in t.fit._repr_html_(),
+    "hold": lambda t: calib.fit(t.robot.hold("joint_3.z"), t.used).parameters["joint_3.z"].status == "held",
+    "free again": lambda t: np.all(t.robot.hold("joint_3.z").free("joint_3.z").is_free),
+    "prior": lambda t: (
+        next(p.sigma for p in t.robot.with_prior("joint_3.z", "1 um").parameters if p.name == "joint_3.z") == 1e-6
+    ),
+    "values into a robot": lambda t: t.robot.with_parameters({"joint_3.z": 0.441}).values.max() >= 0.441,
+    "kwargs of fit": lambda t: calib.fit(t.robot, t.used, loss="huber", sigma=3e-5).converged,
+    # the words of the command line
+    "check": lambda t: calib.check(t.robot, t.candidates).n_poses == 40,
+    "html of a check": lambda t: "joint_3.z" in calib.check(t.robot, t.candidates)._repr_html_(),
+    "select": lambda t: len(calib.select(t.robot, t.candidates, 20, seed=1)) == 20,
+    "select by name": lambda t: len(calib.select(t.robot, t.candidates, count=20, index="O3").joints) == 20,
+    "html of a selection": lambda t: "O1" in calib.select(t.robot, t.candidates, 20)._repr_html_(),
+    "sample": lambda t: np.array_equal(
+        calib.sample(t.robot, 5, seed=1).joints, calib.sample(t.robot, 5, seed=1).joints
+    ),
+    "sample within": lambda t: np.all(
+        np.abs(calib.sample(t.robot, 5, seed=1, within={"joint_1": (-0.1, 0.1)}).joints[:, 0]) <= 0.1
+    ),
+    "simulate": lambda t: len(calib.simulate(t.robot, t.candidates, 3e-5, seed=1)) == 40,
+    "solve": lambda t: np.all(calib.solve(t.fit.robot, t.fit.robot.positions(t.held.joints[:2])[:, 0]).ok),
+    "forward": lambda t: t.fit.robot.forward(t.held.joints[0], "reflector").shape[-2:] == (4, 4),
+    "html of a robot": lambda t: "joint_3.z" in t.robot._repr_html_(),
+    "compare": lambda t: "fit 2" in str(calib.compare(t.fit, calib.fit(t.robot, t.held))),
+    "watch": lambda t: calib.Watch(t.robot, "0.2 mm", candidates=t.candidates, seed=1).update(t.data).n_poses == 80,
+    "load what was saved": lambda t: (
+        calib.load_result(t.folder).parameters["joint_3.z"].std == pytest.approx(t.fit.parameters["joint_3.z"].std)
+    ),
+    "predict with what was saved": lambda t: np.allclose(
+        calib.load_result(t.folder).predict(t.held.joints).std, t.fit.predict(t.held.joints).std, rtol=1e-9
+    ),
+    "covariance of what was saved": lambda t: (
+        calib.load_result(t.folder).covariance["joint_3.z", "joint_4.x"]
+        == pytest.approx(t.fit.covariance["joint_3.z", "joint_4.x"])
+    ),
+    "a saved result is a robot": lambda t: np.allclose(calib.load(t.folder).values, t.fit.robot.values, rtol=1e-14),
+    "html of what was saved": lambda t: "joint_3.z" in calib.load_result(t.folder)._repr_html_(),
+    # matplotlib: axes in, axes out
+    "plot of errors": lambda t: t.fit.plot.errors(t.axes) is t.axes,
+    "plot pose by pose": lambda t: t.fit.plot.by_pose(t.axes) is t.axes,
+    "plot of residuals": lambda t: t.fit.plot.residuals("joint_2", axes=t.axes).get_ylabel() == "residual [mm]",
+    "normal plot": lambda t: t.fit.plot.normal(t.axes) is t.axes,
+    "plot of parameters": lambda t: len(t.fit.plot.parameters(t.axes).get_yticks()) == 36,
+}
+
+
+class Tried(SimpleNamespace):
+    """What the guesses are tried on."""
+
+    @property
+    def axes(self):
+        """The same axes in one guess, empty ones in the next."""
+        return self.figure.gca()
+
+
+@pytest.fixture(scope="module")
+def tried(robot, data, fit, tmp_path_factory):
+    figure = pytest.importorskip("matplotlib.figure").Figure()
+    used, held = data.split(0.25, seed=1)
+    folder = tmp_path_factory.mktemp("saved") / "result"
+    fit.save(folder, pages=False)
+    return Tried(
+        robot=robot,
+        data=data,
+        used=used,
+        held=held,
+        fit=fit,
+        folder=folder,
+        candidates=calib.sample(robot, 40, seed=5),
+        figure=figure,
+    )
+
+
+@pytest.mark.parametrize("guess", GUESSES)
+def test_a_guess_is_right(tried, guess):
+    tried.figure.clear()
+    assert GUESSES[guess](tried)
+
+
+def test_whatever_is_random_takes_a_seed_and_no_count_is_that_of_some_robot():
+    for function in (calib.fit, calib.select, calib.simulate, calib.sample, calib.Watch, calib.Measurements.split):
+        assert "seed" in signature(function).parameters, function.__name__
+    for function in (calib.select, calib.sample):
+        assert signature(function).parameters["count"].default is Parameter.empty
+
+
+def test_what_draws_and_what_it_needs_is_said_where_it_is_missing(fit, monkeypatch):
+    monkeypatch.setattr(pictures, "entry_points", lambda **_: ())
+    with pytest.raises(calib.InputError, match="nothing that draws is installed"):
+        _ = fit.plot
+
+
+def test_wrong_words_for_a_figure_are_told(fit):
+    with pytest.raises(calib.InputError, match="did you mean 'joint_2'"):
+        fit.plot.residuals("joint2")
+    with pytest.raises(calib.InputError, match="expected matplotlib axes, not int"):
+        fit.plot.errors(3)
+
+
+def test_a_figure_of_its_own_is_made_where_no_axes_are_given(fit):
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    pyplot.switch_backend("agg")
+    axes = fit.plot.errors()
+    assert axes.get_xlabel().endswith("[mm]")
+    pyplot.close(axes.figure)

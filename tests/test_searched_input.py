@@ -1,5 +1,7 @@
 """Inputs that a search makes up: whatever a file holds, a run ends soon with 0, 2 or 3, and says nothing wrong.
 
+Soon is below 20 s, and with no more than 2 GB of memory beside what the program itself takes.
+
 Hypothesis edits the files of a good run (cells, numbers, words, lines, columns, bytes) and the options, and where a run
 breaks a promise it shrinks the edits to the fewest. The suite makes the same few cases every time; a search is
 
@@ -11,17 +13,21 @@ import json
 import math
 import os
 import re
+import resource
 import shutil
 import signal
 import warnings
+from contextlib import contextmanager
 
 import hypothesis
+import psutil
 import pytest
 from hypothesis import strategies as st
 from small_robots import PARALLELOGRAM_YAML, write_arm, write_parallelogram
 
 SEARCHED = int(os.environ.get("CALIB_SEARCH", "0"))
 SECONDS = 20  # that one run may take
+MEMORY = 2 * 10**9  # bytes that one run may ask for
 ATOMS = [
     "", " ", "0", "-0", "1", "-1", "2", "7", "1e-300", "1e-12", "1e9", "-1e9", "1e300", "1e400", "9" * 40, "0x10",
     "1_000", "nan", "NaN", "-inf", "inf", "1,5", "1.234,5", "1;2", "true", "null", "~", "None", "a", "mm", "1 mm",
@@ -215,18 +221,28 @@ def _too_long(*_):
     raise TimeoutError(f"no end after {SECONDS} s")
 
 
+@contextmanager
+def bounded():
+    """Let what runs inside take so much time and memory; more raises, and a program that catches it exits with 1."""
+    before_signal = signal.signal(signal.SIGALRM, _too_long)
+    before_limits = resource.getrlimit(resource.RLIMIT_AS)
+    taken = psutil.Process().memory_info().vms
+    resource.setrlimit(resource.RLIMIT_AS, (taken + MEMORY, before_limits[1]))
+    signal.alarm(SECONDS)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        resource.setrlimit(resource.RLIMIT_AS, before_limits)
+        signal.signal(signal.SIGALRM, before_signal)
+
+
 def keep_promises(run_calib, folder, arguments):
     """Run `calib` in a folder and check what holds for every input."""
     before = fingerprint(folder)
-    before_signal = signal.signal(signal.SIGALRM, _too_long)
-    signal.alarm(SECONDS)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            done = run_calib(*arguments, cwd=folder)
-    finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before_signal)
+    with bounded(), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        done = run_calib(*arguments, cwd=folder)
     after = fingerprint(folder)
     said = done.out + done.err
     assert done.code in (0, 2, 3), (arguments, done)
@@ -263,6 +279,13 @@ def fresh(good, tmp_path):
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(good, folder)
     return folder
+
+
+def test_a_run_that_takes_too_much_would_be_seen():
+    with bounded(), pytest.raises(MemoryError):
+        bytearray(MEMORY + 10**8)
+    with bounded(), pytest.raises(TimeoutError, match="no end"):
+        signal.raise_signal(signal.SIGALRM)
 
 
 @pytest.mark.parametrize("name", COMMANDS)

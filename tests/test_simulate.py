@@ -180,6 +180,15 @@ KINDS = {
     " b: {frame: l0, xyz: [0.4, -0.1, 0.6], rpy: [0.1, 1.1, 0.2], position: unknown, orientation: unknown}}}\n",
     "sockets": "  probe: {kind: touch, target: ball, sigma: 0.01 mm, artefact: {frame: l0, xyz: [0.5, 0.2, 0.6],"
     " rpy: [0.3, -0.4, 2], pose: unknown, points: {a: [0, 0, 0], b: [90 mm, 0, 0], c: [0, 200 mm, 100 mm]}}}\n",
+    "loose sockets": "  probe: {kind: touch, target: ball, sigma: 0.01 mm, artefact: {frame: l0, xyz: [0.5, 0.2, 0.6],"
+    " rpy: [0.3, -0.4, 2], pose: unknown, tolerance: 0.1 mm,"
+    " points: {a: [0, 0, 0], b: [90 mm, 0, 0], c: [0, 200 mm, 100 mm]}}}\n",
+    "spheres": "  probe: {kind: touch, surface: sphere, radius: 3 mm, target: ball, sigma: 0.01 mm, places: {"
+    "a: {frame: l0, xyz: [0.5, 0.2, 0.6], position: unknown, radius: 40 mm},"
+    " b: {frame: l0, xyz: [0.4, -0.3, 0.4], position: unknown, radius: unknown}}}\n",
+    "spheres of one piece": "  probe: {kind: touch, surface: sphere, target: ball, sigma: 0.01 mm, artefact: {"
+    "frame: l0, xyz: [0.5, 0.2, 0.6], pose: unknown, radius: 30 mm,"
+    " points: {a: [0, 0, 0], b: [0, 0.2, 0], c: [0.1, 0, 0.2]}}}\n",
 }
 SETUPS = {
     "positions": "setups: {first: [], tracker moved: [base], remounted: [ball]}\n",
@@ -188,6 +197,9 @@ SETUPS = {
 LATER = {
     "positions": {"base.x": 1500.0, "base@tracker moved.x": -1100.0, "ball@remounted.z": 90.0},
     "sockets": {"probe_artefact@turned.z": 40.0},
+    "loose sockets": {"probe.b.x": 0.15, "probe.c.y": -0.1},
+    "spheres": {"a.x": 510.0, "b.radius": 25.0},
+    "spheres of one piece": {"probe_artefact.x": 520.0},
 }
 """True values beside `TRUTH` [mm]."""
 
@@ -221,13 +233,23 @@ def test_every_kind_goes_through_a_file_and_the_truth_is_found_again(tmp_path, r
         assert noise.sigma == pytest.approx(noise.stated, rel=0.35)
 
 
+def centres(robot, one):
+    """Centres of what an instrument touches, (n, 3) [m]."""
+    if not one.points_of_artefact:
+        return np.array([robot.mechanism.placement(name).translation for name in one.touched])
+    place = robot.mechanism.placement("probe_artefact")
+    return np.array([place.act(np.array(point)) for point in one.points_of_artefact])
+
+
 def plan_of(robot, n):
-    """Joint values, in which setup, and what is touched, in turn; starts that are near the sockets, or anywhere."""
+    """Joint values, in which setup, and what is touched, in turn; starts near sockets and spheres, or anywhere."""
     q, touches = joints(n, 1), [one for one in robot.instruments if not one.columns()]
-    if any(one.surface == "socket" for one in touches):
-        place = robot.mechanism.placement("probe_artefact")
-        points = np.array([place.act(np.array(point)) for point in touches[0].points_of_artefact])
-        q, ok = brought(robot, joints(2 * n, 1), points[np.arange(2 * n) % 3])
+    if any(one.surface != "plane" for one in touches):
+        points = centres(robot, touches[0])[np.arange(2 * n) % len(touches[0].touched)]
+        if touches[0].surface == "sphere":  # the ball outside, at random directions of the upper half
+            away = np.random.default_rng(4).normal(size=points.shape)
+            points = points + 0.04 * np.abs(away) / np.linalg.norm(away, axis=1, keepdims=True)
+        q, ok = brought(robot, joints(2 * n, 1), points)
         q = q[ok & np.all(np.abs(q) < 2.5, axis=1)][:n] + np.random.default_rng(3).normal(0, 0.05, (n, 6))
     setups = list(robot.description.setups)
     header = [f"{name} [rad]" for name in robot.joint_names] + [one.name for one in touches]

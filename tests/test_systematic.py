@@ -1,4 +1,5 @@
 import dataclasses
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -6,6 +7,7 @@ from six_axis_arm import FREE, YAML, joints, measurements, six_axis_arm, write_s
 
 import calib
 from calib.data.measurements import directions_of_motion
+from calib.identification.effects import FAMILIES, Kind
 from calib.identification.systematic import describe
 from calib.linearisation.jacobian import joint_jacobian
 
@@ -19,9 +21,12 @@ def arm(tmp_path_factory):
 
 def fitted(arm, q_true, shift=0.0, n=80, seed=3):
     """A fit of the joint values `joints(n)`, while the robot really stood at q_true."""
-    positions = arm.positions(q_true) + shift
-    positions = positions + SIGMA * np.random.default_rng(seed).standard_normal(positions.shape)
-    return calib.fit(arm, measurements(arm, joints(n), positions))
+    return calib.fit(arm, noisy_data(arm, arm.positions(q_true) + shift, n, seed))
+
+
+def noisy_data(arm, positions, n=80, seed=3):
+    noise = SIGMA * np.random.default_rng(seed).standard_normal(positions.shape)
+    return measurements(arm, joints(n), positions + noise)
 
 
 def findings(fit):
@@ -153,3 +158,89 @@ def test_nothing_is_put_down_to_a_joint_that_never_moved(tmp_path):
     fit = calib.fit(robot, measurements(robot, q, robot.positions(q) + drift + noise))
     assert "drift" in [pattern.kind for pattern in findings(fit)]
     assert "j1" not in [pattern.name for pattern in fit.patterns]
+
+
+@pytest.fixture(scope="module")
+def stiff(tmp_path_factory):
+    """The arm with one axis unknown and all lengths known."""
+    yaml = YAML + "  - {origin: j3, components: [rx, rz], sigma: 5 mrad}\n"
+    return calib.load(write_six_axis(tmp_path_factory.mktemp("stiff"), yaml))
+
+
+def course(n=80):
+    return np.linspace(0, 1, n)[:, None, None]
+
+
+def first(fit):
+    return findings(fit)[0]
+
+
+def test_a_wrong_scale_is_found_where_lengths_are_known(stiff):
+    found = first(fitted(stiff, joints(80), shift=3e-4 * stiff.positions(joints(80))))
+    assert found.kind in ("scale", "axis")
+    scale = next(p for p in fitted(stiff, joints(80), shift=3e-4 * centred(stiff)).patterns if p.kind == "scale")
+    assert scale.significant
+    assert scale.amount == pytest.approx(3e-4, rel=0.1)  # 80 positions of 40 um over 0.6 m leave 2 %
+    assert "lengths that are all read +3" in describe(scale, stiff.mechanism.dimensions)
+
+
+def centred(arm):
+    positions = arm.positions(joints(80))
+    return positions - positions.mean(axis=0)
+
+
+def test_a_turned_frame_is_found_where_the_base_is_known(stiff):
+    turned = np.cross([0.0, 0.0, 3e-4], centred(stiff))
+    assert "turn" in [pattern.kind for pattern in findings(fitted(stiff, joints(80), shift=turned))]
+
+
+def test_a_frame_that_turns_slowly_is_found_without_stated_noise(arm):
+    found = first(fitted(arm, joints(80), shift=course() * np.cross([2e-4, 3e-4, 0.0], centred(arm))))
+    assert found.kind == "turning"
+    assert "as of a tracker or base that turned" in describe(found, arm.mechanism.dimensions)
+
+
+def test_lengths_that_grow_while_measuring_are_found(arm):
+    found = first(fitted(arm, joints(80), shift=5e-4 * course() * centred(arm)))
+    assert found.kind == "growth"
+    assert "warms up" in describe(found, arm.mechanism.dimensions)
+
+
+def test_rows_with_a_time_may_stand_in_any_order(arm):
+    shift = course() * np.cross([2e-4, 3e-4, 0.0], centred(arm))
+    data = noisy_data(arm, arm.positions(joints(80)) + shift)
+    order = np.random.default_rng(1).permutation(80)
+    shuffled = dataclasses.replace(data.subset(order), order=None, approach=None)
+    assert "turning" not in [pattern.kind for pattern in findings(calib.fit(arm, shuffled))]
+    timed = dataclasses.replace(shuffled, context={"time": 30.0 * order})
+    assert first(calib.fit(arm, timed)).kind == "turning"
+
+
+def test_a_target_that_slips_is_found_with_its_size_and_row(arm):
+    """The ball sits on link 6, whose axes the true robot turns: the slip is along its z."""
+    q = joints(80)
+    rotation = arm.forward(q, "l6")[:, :3, :3]
+    slip = np.where(np.arange(80) >= 45, 2e-4, 0.0)[:, None] * rotation[:, :, 2]
+    found = first(fitted(arm, q, shift=slip[:, None]))
+    assert (found.kind, found.name) == ("slip", "ball")
+    assert found.amount == pytest.approx(2e-4, rel=0.25)
+    row = int(found.detail.split()[2])
+    assert abs(row - 45) <= 5  # places are 5 rows apart
+    assert "elsewhere on its link from row" in describe(found, arm.mechanism.dimensions)
+
+
+@pytest.mark.parametrize("order", [20, 50])
+def test_a_fast_gear_error_is_found_with_its_cycles_and_height(arm, order):
+    q = joints(80)
+    geared = q.copy()
+    geared[:, 1] += 2e-4 * np.cos(order * q[:, 1] + 0.4)
+    found = first(fitted(arm, geared))
+    assert (found.kind, found.name, found.detail) == ("wave", "j2", f"{order} cycles a turn")
+    assert found.amount == pytest.approx(2e-4, rel=0.15)
+    assert "0.01" in describe(found, arm.mechanism.dimensions)  # 2e-4 rad are 0.0115 deg
+
+
+def test_families_share_the_chance_of_a_false_finding():
+    kinds = [kind for family in FAMILIES for kind in family]
+    assert len(kinds) == len(set(kinds))
+    assert set(kinds) == set(get_args(Kind))

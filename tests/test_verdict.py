@@ -5,12 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 from six_axis_arm import FREE, YAML, joints, measurements, noisy, six_axis_arm, write_six_axis
 
 import calib
 from calib.data.measurements import with_points
+from calib.identification.blind_spots import unordered
+from calib.identification.effects import scale
 from calib.identification.fitted import Convergence
+from calib.identification.rounding import joint_steps, rounding
 from calib.identification.starts import Minimum, Starts
+from calib.identification.systematic import visible
 
 SIGMA = 4e-5
 
@@ -354,3 +359,88 @@ def test_poses_in_one_corner_are_a_check(prior_arm):
     near[:, 2] = q[:, 2]  # one joint that moves is no corner
     again = calib.fit(prior_arm, noisy(prior_arm, near, SIGMA, 1), sigma=SIGMA)
     assert "one_corner" not in again.verdict.to_dict()["codes"]
+
+
+def rounded_to(q, degrees):
+    return np.radians(np.round(np.degrees(q) / degrees) * degrees)
+
+
+@pytest.mark.parametrize("step", [0.02, 0.1])
+def test_rounded_joint_values_are_a_check(arm, truth, step):
+    q = joints(80)
+    positions = noisy(truth, q, SIGMA, 1).points(arm)
+    fit = calib.fit(arm, measurements(arm, rounded_to(q, step), positions))
+    found = reason(fit, "rounded")
+    assert found.grade == "CHECK"
+    assert f"in steps of {step:g} deg" in found.text
+    assert rounding(fit).part == pytest.approx(1.0, abs=0.5)  # noise is next to nothing beside it
+
+
+@pytest.mark.parametrize("step", [0.02, 0.1, 5.0])
+def test_a_robot_that_was_sent_to_round_values_is_not_called_rounded(arm, truth, step):
+    fit = calib.fit(arm, noisy(truth, rounded_to(joints(80), step), SIGMA, 1))
+    assert np.degrees(joint_steps(arm, fit.identification.data.joints)) == pytest.approx(step)
+    assert "rounded" not in [reason.code for reason in fit.verdict.reasons]
+
+
+def test_the_score_for_rounding_is_that_of_whole_matrices(arm, truth):
+    """The sums over visits against Q and M written out."""
+    fit = calib.fit(arm, noisy(truth, rounded_to(joints(40), 0.01), SIGMA, 1))
+    columns = fit.setting.whitened({"ball": fit.setting.observed["ball"].by_joint}) * np.radians(0.01) / np.sqrt(12)
+    q = np.zeros((120, 120))
+    for visit in range(40):
+        rows = slice(3 * visit, 3 * visit + 3)
+        q[rows, rows] = columns[rows] @ columns[rows].T
+    m, r = fit.linear.after_fit(np.eye(120)), fit.linear.rows.residuals
+    variance = r @ r / fit.linear.freedom
+    mean, square = np.trace(m @ q), np.trace(m @ q @ m @ q)
+    found = rounding(fit)
+    assert found.part == pytest.approx(mean / variance / fit.linear.freedom, rel=1e-6)
+    freedom, statistic = mean**2 / square, r @ q @ r / variance
+    assert found.chance == pytest.approx(chi2.sf(statistic * mean / square, freedom), rel=1e-6)
+
+
+def test_a_joint_that_moved_too_little_is_a_check(prior_arm):
+    q = joints(80)
+    q[:, 2] = 0.3 + 0.01 * q[:, 2]
+    fit = calib.fit(prior_arm, noisy(prior_arm, q, SIGMA, 1), sigma=SIGMA)
+    found = reason(fit, "joint_moved_little")
+    assert fit.verdict.grade == "CHECK"
+    assert found.text.startswith("joint j3 moved through 1.7 deg only")
+    wide = calib.fit(prior_arm, noisy(prior_arm, joints(80), SIGMA, 1), sigma=SIGMA)
+    assert "joint_moved_little" not in [reason.code for reason in wide.verdict.reasons]
+
+
+def test_validation_where_the_calibration_does_not_reach_is_a_check(prior_arm):
+    near, far = noisy(prior_arm, joints(60) / 4, SIGMA, 1), noisy(prior_arm, joints(30, 5), SIGMA, 2)
+    fit = calib.fit(prior_arm, near, sigma=SIGMA, validation=far)
+    assert "hardly reaches" in reason(fit, "validated_elsewhere").text
+    same = calib.fit(prior_arm, near, sigma=SIGMA, validation=noisy(prior_arm, joints(30, 5) / 4, SIGMA, 2))
+    assert "validated_elsewhere" not in [reason.code for reason in same.verdict.reasons]
+
+
+def test_a_scale_that_nothing_shows_is_named(tmp_path, prior_arm):
+    free = calib.fit(prior_arm, noisy(prior_arm, joints(80), SIGMA, 1), sigma=SIGMA)
+    assert any("nothing here would show a scale error" in text for text in free.verdict.not_covered)
+    yaml = YAML + "  - {origin: j3, components: [rx, rz], sigma: 5 mrad}\n"
+    robot = calib.load(write_six_axis(tmp_path, yaml))
+    known = calib.fit(robot, noisy(robot, joints(3000), SIGMA, 1), sigma=SIGMA)
+    assert not any("scale" in text for text in known.verdict.not_covered)
+
+
+def test_the_scale_that_shows_is_five_standard_deviations(arm, truth):
+    """The column added to the Jacobian by hand, and its standard deviation by least squares."""
+    fit = calib.fit(arm, noisy(truth, joints(80), SIGMA, 1), sigma=SIGMA)
+    points = fit.identification.data.points(arm).reshape(-1, 3)
+    column = -((points - points.mean(axis=0)) / SIGMA).reshape(-1, 1)
+    both = np.hstack([fit.rows.jacobian, column])
+    std = np.sqrt(np.linalg.inv(both.T @ both)[-1, -1]) * fit.sigma / SIGMA
+    assert visible(fit.linear, scale(fit.setting)) == pytest.approx(5 * std, rel=1e-3)
+
+
+def test_rows_that_look_shuffled_are_named_unless_they_have_a_time(prior_arm):
+    data = noisy(prior_arm, joints(80), SIGMA, 1)
+    assert len(unordered(data)) == 1
+    assert unordered(replace(data, context={"time": np.arange(80.0)})) == ()
+    path = np.stack([np.sin(np.linspace(0, k + 2, 80)) for k in range(6)], axis=1)
+    assert unordered(noisy(prior_arm, path, SIGMA, 1)) == ()

@@ -262,9 +262,11 @@ ONE = f"{JOINTS}\n0,0,0.3,0,0.5,0\n"
     ],
 )
 def test_wrong_input_is_refused_in_one_line(folder, tmp_path, text, options, message):
-    found = run(tmp_path, text, folder, *options)
+    found = run(tmp_path, text, folder, "--json", str(tmp_path / "out.json"), *options)
     assert found.exit_code == 2, found.output
     assert message in found.output
+    assert found.output.count("\n") == 1
+    assert not (tmp_path / "out.json").exists()
 
 
 def test_a_result_without_the_noise_of_its_instruments_is_refused(folder, tmp_path):

@@ -145,6 +145,32 @@ def test_it_says_stop_only_where_both_intervals_keep_the_goal(robot, data, candi
     assert not replace(told, predicted=good, unseen=worse, n_settled=3).out_of_reach
 
 
+def test_poses_to_check_with_are_drawn_at_random(robot, data, candidates):
+    watch = calib.Watch(robot, 1e-4, candidates=candidates, seed=3)
+    first = watch.update(data[:-1])  # its predicted error meets the goal
+    assert first.predicted.high95 < 1e-4
+    second = watch.update(data)
+    assert second.next_pose.checks
+    assert "drawn at random" in replace(second, goal=1e-5).report()
+    again = calib.Watch(robot, 1e-4, candidates=candidates, seed=3)
+    again.update(data[:-1])
+    assert again.update(data).next_pose.candidate == second.next_pose.candidate
+    early = calib.Watch(robot, 1e-6, candidates=candidates, seed=3).update(data)
+    assert not early.next_pose.checks
+
+
+def test_poses_since_the_goal_was_promised_are_what_counts(robot, data, candidates):
+    watch = calib.Watch(robot, 2e-4, candidates=candidates)
+    for n in range(20, 60):
+        told = watch.update(data[:n])
+        if told.predicted.high95 <= told.goal:
+            promised = n
+            break
+    for n in range(promised + 1, promised + 1 + LEAST):
+        told = watch.update(data[:n])
+    assert (told.n_unseen, told.n_settled) == (LEAST, LEAST)
+
+
 def test_what_is_measured_again_was_seen(robot, data, candidates):
     watch = calib.Watch(robot, 1e-4, candidates=candidates)
     watch.update(data[:30])

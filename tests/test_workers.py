@@ -3,10 +3,13 @@
 import math
 import multiprocessing
 import os
+import random
 import select
 import signal
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -139,6 +142,61 @@ def test_processes_end_with_their_program_and_hold_no_pipe_open(number: signal.S
         program.send_signal(number)
         assert program.wait(BUSY) == -number
         assert ended(output)
+
+
+def test_ctrl_c_ends_program_and_processes_at_any_moment(tmp_path: Path) -> None:
+    """As a terminal sends it, to all of them; at most moments a large result is half-way through a pipe."""
+    script, chance = tmp_path / "program.py", random.Random(1)
+    script.write_text(ALWAYS_SENDING)
+    for _ in range(12):
+        reading, writing = os.pipe()
+        program = subprocess.Popen([sys.executable, str(script)], stdout=writing, start_new_session=True)
+        os.close(writing)
+        try:
+            assert select.select([reading], [], [], BUSY)[0]
+            time.sleep(chance.uniform(0, 0.7))  # processes start, and then send
+            os.killpg(program.pid, signal.SIGINT)
+            assert program.wait(BUSY) == 130
+            os.read(reading, 1)
+            assert ended(reading)
+        finally:
+            program.kill()
+            program.wait(BUSY)
+            os.close(reading)
+
+
+ALWAYS_SENDING = """
+import sys
+
+try:
+    from calib.workers import Workers, in_order
+
+    if __name__ == "__main__":
+        print(end="1", flush=True)
+        with Workers(2) as executor:
+            while True:
+                list(in_order(bytes, [300_000] * 20, executor))
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
+
+def test_work_that_was_left_half_way_does_not_mix_with_the_next() -> None:
+    with Workers(2) as executor:
+        assert next(in_order(abs, [-1, -2, -3, -4], executor)) == 1
+        assert list(in_order(abs, [-5, -6, -7, -8], executor)) == [5, 6, 7, 8]
+
+
+def test_what_cannot_be_sent_is_an_error_and_waits_for_nothing() -> None:
+    with Workers(2) as executor, pytest.raises(ComputationError, match=r"lost 3 times.*pickle"):
+        list(in_order(threading.Thread.join, [threading.current_thread()], executor))
+    with Workers(2) as executor:
+        assert executor is not None
+        left = executor.submit(time.sleep, 120.0)
+    with pytest.raises(ProcessLookupError, match="were ended"):
+        left.result()
+    with pytest.raises(RuntimeError, match="have been ended"):
+        executor.submit(abs, -1)
 
 
 def test_a_hang_up_that_is_ignored_stays_ignored(tmp_path: Path) -> None:

@@ -23,7 +23,14 @@ class PictureWarning(UserWarning):
     """The picture is not all that it should be, such as where a mesh is missing."""
 
 
-def show(robot: Robot, result: Result | None = None, *, data: Measurements | None = None, port: int = 0) -> LiveViewer:
+def show(
+    robot: Robot,
+    result: Result | None = None,
+    *,
+    data: Measurements | None = None,
+    port: int = 0,
+    mapped: int = 0,
+) -> LiveViewer:
     """Show a robot and its calibration live: open `.url` of what is returned in a browser on this computer.
 
     Args:
@@ -31,6 +38,7 @@ def show(robot: Robot, result: Result | None = None, *, data: Measurements | Non
         result: A fit, or the folder that one was saved to.
         data: Measurements to judge the robots with, instead of those of the fit.
         port: Port to listen on, on this computer only; 0 for any free one.
+        mapped: With how many poses to show what the calibration knows over the workspace; 0: not at all.
 
     Raises:
         DataError: The folder holds no result of this robot.
@@ -40,17 +48,17 @@ def show(robot: Robot, result: Result | None = None, *, data: Measurements | Non
     from viz.inputs import gather
     from viz.live import LiveViewer
 
-    viewer = LiveViewer(gather(robot, result, data), port)
+    viewer = LiveViewer(gather(robot, result, data, mapped), port)
     _warn(viewer.notes)
     return viewer
 
 
-def page(robot: Robot, result: Result | None = None, *, data: Measurements | None = None) -> Page:
+def page(robot: Robot, result: Result | None = None, *, data: Measurements | None = None, mapped: int = 0) -> Page:
     """Return the viewer as one self-contained page, with the arguments of `show`."""
     from viz.inputs import gather
     from viz.viewer_page import scene_page
 
-    scene = gather(robot, result, data).scene
+    scene = gather(robot, result, data, mapped).scene
     _warn(scene.notes)
     return scene_page(scene)
 

@@ -13,6 +13,9 @@ import click
 from calib.commands.common import Output, folder_of_values, loaded, shared_options
 from calib.errors import InputError
 
+MAP_POSES = 1000
+"""Poses of a map, where nobody says how many."""
+
 
 @click.command("view")
 @click.argument("robot")
@@ -20,6 +23,17 @@ from calib.errors import InputError
     "--result", metavar="DIR", help="Result folder of `calib fit`: robot before and after, its poses and errors."
 )
 @click.option("--data", metavar="FILE", help="Measurements (CSV) to judge the robot with, instead of those of the fit.")
+@click.option(
+    "--map",
+    "mapped",
+    is_flag=False,
+    flag_value=MAP_POSES,
+    default=0,
+    type=click.IntRange(0, 20000),
+    metavar="[COUNT]",
+    help="Show what the calibration knows over the workspace, at so many poses"
+    f" (--map alone: {MAP_POSES}): predicted error and its standard deviation, and ellipsoids at measured poses.",
+)
 @click.option("--html", metavar="FILE", help="Write one self-contained page instead, and end.")
 @click.option(
     "--port", type=click.IntRange(0, 65535), default=0, help="Port on this computer; any free one if not given."
@@ -27,7 +41,14 @@ from calib.errors import InputError
 @click.option("--no-browser", is_flag=True, help="Print the address only; open no browser.")
 @shared_options()
 def view(
-    robot: str, result: str | None, data: str | None, html: str | None, port: int, no_browser: bool, output: Output
+    robot: str,
+    result: str | None,
+    data: str | None,
+    mapped: int,
+    html: str | None,
+    port: int,
+    no_browser: bool,
+    output: Output,
 ) -> None:
     """Show ROBOT (YAML description, URDF or result folder) in a browser on this computer, until Ctrl-C."""
     from calib.data.measurement_files import read_measurements
@@ -45,7 +66,7 @@ def view(
         model = model.with_parameters([parameter.nominal for parameter in model.parameters])  # the robot before
     measurements = None if data is None else read_measurements(data, model)
     with output.working("preparing the scene"):
-        shown = gather(model, result, measurements)
+        shown = gather(model, result, measurements, mapped)
     for note in shown.scene.notes:
         output.note(f"Note: {note}")
     if html is not None:

@@ -13,8 +13,8 @@ import numpy as np
 from calib import Robot
 from calib.arrays import FloatArray
 from calib.errors import UrdfError
+from calib.exporting.links import Link, find_mesh, read_links
 from calib.exporting.links import Shape as Visual
-from calib.exporting.links import find_mesh, read_links
 from viz.shapes import GREY, Colour, Shape, mesh, primitive, stand_ins, thinned
 
 _MOST_FACES = 40_000  # of one mesh; more do not show on a screen and make the page slow
@@ -36,10 +36,7 @@ def read_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
         links = {}
     for name, link in links.items():
         try:
-            if link.unknown:
-                raise ValueError(f"a {link.unknown[0]} is no shape of a URDF")
-            for number, visual in enumerate(link.visuals):
-                shapes.extend(_visual(f"{name}/{number}", name, visual, robot.urdf.path))
+            shapes += _link(name, link, robot.urdf.path)
         except Exception as error:  # the readers of mesh files raise many kinds
             notes.append(f"link '{name}': {_first_line(error)}; drawn as plain rods")
             shapes = [shape for shape in shapes if shape.body != name] + stand_ins(robot, name)
@@ -48,6 +45,13 @@ def read_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
             notes.append(f"{robot.urdf.path}: has no shapes; drawn as plain rods")
         shapes = [shape for link in robot.urdf.links for shape in stand_ins(robot, link)]
     return tuple(shapes), tuple(notes)
+
+
+def _link(name: str, link: Link, urdf_path: str) -> list[Shape]:
+    if link.unknown:
+        raise ValueError(f"a {link.unknown[0]} is no shape of a URDF")
+    found = (_visual(f"{name}/{number}", name, visual, urdf_path) for number, visual in enumerate(link.visuals))
+    return [shape for shapes in found for shape in shapes]
 
 
 def _visual(name: str, link: str, visual: Visual, urdf_path: str) -> list[Shape]:

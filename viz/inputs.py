@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calib import Fit, Measurements, Robot
@@ -17,6 +17,7 @@ from viz.poses import IDENTIFICATION, Calibrated
 from viz.remarks import remarks
 from viz.saved_readings import read_saved
 from viz.scene import Scene, build_scene, scene_of_fit
+from viz.workspace_map import workspace_map
 
 Result = Fit | str | Path
 
@@ -36,22 +37,26 @@ class Shown:
     ghost: Robot | None
 
 
-def gather(robot: Robot, result: Result | None = None, data: Measurements | None = None) -> Shown:
+def gather(robot: Robot, result: Result | None = None, data: Measurements | None = None, mapped: int = 0) -> Shown:
     """Return what to show.
 
     Args:
         robot: The nominal robot.
         result: A fit, or the folder that one was saved to; none: the robot as it is.
         data: Measurements to judge the robots with, instead of those of the fit.
+        mapped: With how many poses to show what is known over the workspace; 0: not at all.
 
     Raises:
         DataError: The folder holds no result, or one of another robot.
+        InputError: A map without a result.
         UnreachablePoseError: A pose cannot be assembled.
     """
+    if mapped and result is None:
+        raise InputError("--map shows what a calibration knows: give its result with --result DIR")
     if isinstance(result, Fit):
-        return _from_fit(robot, result, data)
+        return _from_fit(robot, result, data, mapped)
     if result is not None:
-        return _from_folder(robot, result, data)
+        return _from_folder(robot, result, data, mapped)
     if data is not None:
         placed = _placed(robot, data)
         table = from_measurements(data, placed, None, _stated(robot, data))
@@ -59,18 +64,22 @@ def gather(robot: Robot, result: Result | None = None, data: Measurements | None
     return Shown(build_scene(robot), robot, None)
 
 
-def _from_fit(robot: Robot, fit: Fit, data: Measurements | None) -> Shown:
+def _from_fit(robot: Robot, fit: Fit, data: Measurements | None, mapped: int) -> Shown:
     if fit.nominal.urdf.source != robot.urdf.source:
         raise InputError(f"the result is of another robot than {robot.path}; give the robot that was fitted")
-    if data is None:
-        return Shown(scene_of_fit(fit), fit.robot, fit.placed)
     calibrated = Calibrated(fit.robot, fit.predict)
+    if data is None:
+        return Shown(_mapped(scene_of_fit(fit), calibrated, fit.placed, mapped), fit.robot, fit.placed)
     table = from_measurements(data, fit.placed, calibrated, noise(fit))
     scene = build_scene(fit.placed, fit.robot, table, verdict=of_verdict(fit.verdict), comments=remarks(data.comments))
-    return Shown(scene, fit.robot, fit.placed)
+    return Shown(_mapped(scene, calibrated, fit.placed, mapped), fit.robot, fit.placed)
 
 
-def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None) -> Shown:
+def _mapped(scene: Scene, calibrated: Calibrated, nominal: Robot, count: int) -> Scene:
+    return replace(scene, map=workspace_map(calibrated, nominal, scene.poses, count)) if count else scene
+
+
+def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None, mapped: int) -> Shown:
     """A failed result is shown, too: to look at it is how one finds out why; its verdict is shown with it."""
     model = load_calibrated(folder, robot, failed_too=True)
     uncertainty = load_uncertainty(folder, model)
@@ -86,7 +95,7 @@ def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None) ->
     notes = (f"not shown: left out of the fit, {counted(len(left_out), 'outlier')}",) if left_out else ()
     said = remarks(content.get("comments", ()) if data is None else data.comments)
     scene = build_scene(placed, model, table, verdict=of_result(content["verdict"]), notes=notes, comments=said)
-    return Shown(scene, model, placed)
+    return Shown(_mapped(scene, calibrated, placed, mapped), model, placed)
 
 
 def _placed(robot: Robot, data: Measurements) -> Robot:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -122,27 +123,10 @@ def residual_by_joint(errors: PartErrors, joints: tuple[Joint, ...]) -> Plot:
     columns = min(4 if len(joints) in (4, 7, 8) else 3, max(1, len(joints)))
     rows = -(-len(joints) // columns)
     figure, panels = new_figure(rows, columns, (8.9, 1.8 * rows + 0.4), sharey=True)
-    drawn, note = thinned(len(errors.after))
-    residuals = errors.shown("after")[drawn]
+    note = thinned(len(errors.after))[1]
     for number, (axes, joint) in enumerate(zip(panels, joints, strict=False)):
-        values = joint.per_si * errors.joints[drawn, number]
-        for axis, (name, component) in enumerate(zip(errors.part.axes, residuals.T, strict=True)):
-            colour, marker = _look(axis)
-            axes.plot(
-                values,
-                component,
-                marker,
-                color=colour,
-                markersize=2.6,
-                alpha=0.6,
-                linestyle="none",
-                markeredgewidth=0,
-                label=name,
-                zorder=2 + axis,
-            )
-        axes.axhline(0.0, color="black", linewidth=0.8)
+        draw_residuals(axes, errors, joint, number)
         axes.locator_params(axis="x", nbins=4 if columns > 3 else 6)
-        axes.set_xlabel(in_lines(f"{joint.name} [{joint.unit}]"))
         if number % columns == 0:
             axes.set_ylabel(f"residual [{errors.unit}]")
     for axes in panels[len(joints) :]:
@@ -154,6 +138,28 @@ def residual_by_joint(errors: PartErrors, joints: tuple[Joint, ...]) -> Plot:
         "A curve instead of a cloud points at an error of that joint that no parameter describes." + note,
         figure,
     )
+
+
+def draw_residuals(axes: Any, errors: PartErrors, joint: Joint, number: int) -> None:
+    """Draw residuals after calibration against an actuated joint, of which this is the number."""
+    drawn = thinned(len(errors.after))[0]
+    values = joint.per_si * errors.joints[drawn, number]
+    for axis, (name, component) in enumerate(zip(errors.part.axes, errors.shown("after")[drawn].T, strict=True)):
+        colour, marker = _look(axis)
+        axes.plot(
+            values,
+            component,
+            marker,
+            color=colour,
+            markersize=2.6,
+            alpha=0.6,
+            linestyle="none",
+            markeredgewidth=0,
+            label=name,
+            zorder=2 + axis,
+        )
+    axes.axhline(0.0, color="black", linewidth=0.8)
+    axes.set_xlabel(in_lines(f"{joint.name} [{joint.unit}]"))
 
 
 def _look(axis: int) -> tuple[str, str]:

@@ -11,9 +11,10 @@ from viz.command import view as command
 
 if TYPE_CHECKING:
     from calib import Fit, Robot
+    from viz.fit_plots import FitPlots
     from viz.live import LiveViewer
 
-__all__ = ["command", "figures", "live", "pages"]
+__all__ = ["command", "figures", "live", "pages", "plots"]
 
 
 def pages(fit: Fit, logo: str = "") -> dict[str, bytes]:
@@ -50,6 +51,13 @@ def figures(subject: object) -> dict[str, bytes]:
     if isinstance(subject, Selection):
         return selection_figures(subject)
     raise TypeError(f"no figures of {type(subject).__name__}")
+
+
+def plots(fit: Fit) -> FitPlots:
+    """Return the figures of a fit as methods that draw into axes."""
+    from viz.fit_plots import FitPlots
+
+    return FitPlots(fit)
 
 
 def live(robot: Robot) -> LiveViewer:

@@ -68,6 +68,18 @@ def budget_bars(budget: dict[str, Any]) -> Plot:
 def histogram(table: PoseTable) -> Plot:
     """Number of poses over the size of their error, before and after."""
     figure, (axes,) = new_figure(1, 1, (8.9, 2.6))
+    draw_histogram(axes, table)
+    figure.legend(loc="outside upper center", ncols=2)
+    return finished(
+        "histogram",
+        "Error before and after",
+        "The scale is logarithmic: one step to the left is ten times better.",
+        figure,
+    )
+
+
+def draw_histogram(axes: Any, table: PoseTable) -> None:
+    """Draw the number of poses over the size of their error, before and after."""
     lengths = {state: _lengths(table, state) for state in STATES}
     everything = np.concatenate(list(lengths.values()))
     positive = everything[everything > 0]
@@ -86,13 +98,6 @@ def histogram(table: PoseTable) -> Plot:
         )
     axes.set(xscale="log", xlabel="distance between predicted and measured position [mm]", ylabel="number of poses")
     plain_ticks(axes.xaxis)
-    figure.legend(loc="outside upper center", ncols=2)
-    return finished(
-        "histogram",
-        "Error before and after",
-        "The scale is logarithmic: one step to the left is ten times better.",
-        figure,
-    )
 
 
 @styled
@@ -101,7 +106,7 @@ def error_by_pose(table: PoseTable) -> Plot:
     series = tuple(dict.fromkeys(table.series)) or ("",)
     figure, panels = new_figure(len(series), 1, (8.9, 0.8 + 1.8 * len(series)), sharey=True)
     for axes, name in zip(panels, series, strict=True):
-        _draw_course(axes, table, np.array([entry == name for entry in table.series], dtype=bool))
+        draw_course(axes, table, np.array([entry == name for entry in table.series], dtype=bool))
         if len(series) > 1:
             axes.set_title(shortened(Path(name).name), loc="left")
     entries = [zip(*axes.get_legend_handles_labels(), strict=True) for axes in panels]
@@ -116,8 +121,14 @@ def error_by_pose(table: PoseTable) -> Plot:
     )
 
 
-def _draw_course(axes: Any, table: PoseTable, rows: BoolArray) -> None:
-    """Draw the errors of one series over the places of its poses: a line for each state, a mark for each group."""
+def draw_course(axes: Any, table: PoseTable, rows: BoolArray) -> None:
+    """Draw the errors of one series over the places of its poses: a line for each state, a mark for each group.
+
+    Args:
+        axes: Where to.
+        table: The poses.
+        rows: Those of the series, (n,).
+    """
     from matplotlib.ticker import FuncFormatter, MaxNLocator
 
     places, first = np.unique(table.place[rows], return_index=True)
@@ -158,6 +169,17 @@ def _draw_course(axes: Any, table: PoseTable, rows: BoolArray) -> None:
 def normal_plot(table: PoseTable) -> Plot:
     """Sorted residuals over sigma against normal quantiles, fitted poses only."""
     figure, (axes,) = new_figure(1, 1, (4.6, 2.9))
+    note = draw_normal(axes, table)
+    return finished(
+        "normal-plot",
+        "Residuals against normal noise",
+        "On the line they are noise; ends that bend away are outliers or something the model lacks." + note,
+        figure,
+    )
+
+
+def draw_normal(axes: Any, table: PoseTable) -> str:
+    """Draw sorted residuals over sigma against normal quantiles; return what the caption says about left-out marks."""
     chosen = np.array([group == IDENTIFICATION for group in table.group], dtype=bool)
     ratio = table.over_sigma()[chosen if np.any(chosen) else slice(None)]
     reach = 1.0
@@ -183,12 +205,7 @@ def normal_plot(table: PoseTable) -> Plot:
     axes.plot([-reach, reach], [-reach, reach], color="black", linewidth=0.9, label="normal")
     axes.set(xlabel="expected of normal noise [sigma]", ylabel="residual [sigma]")
     axes.legend(markerscale=1.6)
-    return finished(
-        "normal-plot",
-        "Residuals against normal noise",
-        "On the line they are noise; ends that bend away are outliers or something the model lacks." + note,
-        figure,
-    )
+    return note
 
 
 def _lengths(table: PoseTable, state: str) -> FloatArray:

@@ -12,12 +12,14 @@ from calib.arrays import FloatArray
 from calib.units import DISPLAY_UNIT, PER_SI
 from viz.bodies import Bodies, PosedRobot, bodies_of, posed_robot
 from viz.decorations import decorations_of
+from viz.drive import Drive, drive_of
 from viz.geometry import read_shapes
 from viz.judgement import Judgement, of_verdict
 from viz.pose_sources import from_fit
 from viz.poses import PoseTable, empty
 from viz.remarks import NO_REMARKS, Remarks, fit_remarks
 from viz.shapes import Shape
+from viz.workspace_map import WorkspaceMap
 
 _NICE = (1.0, 2.0, 5.0)
 _VECTOR_SIZE, _GHOST_SIZE = 0.025, 0.04  # of the scene: how large typical exaggerated errors should look at first
@@ -70,9 +72,11 @@ class Scene:
         vector_factors: Exaggeration of the errors of each state to start with.
         ghost_factor: Exaggeration of the ghost to start with.
         view: First camera.
+        drive: How the robot is moved by hand.
         notes: What the user should know about the picture.
         remarks: What the measurement files say about themselves.
         verdict: Verdict on the fit, if there is one.
+        map: What is known over the workspace, if that was asked for.
     """
 
     title: str
@@ -86,9 +90,11 @@ class Scene:
     vector_factors: dict[str, float]
     ghost_factor: float
     view: View
+    drive: Drive
     notes: tuple[str, ...]
     remarks: Remarks
     verdict: Judgement | None = None
+    map: WorkspaceMap | None = None
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -151,6 +157,7 @@ def build_scene(
         factors,
         nice_factor(moved, _GHOST_SIZE * size),
         replace(view, outline=_outline(around, *_box(around))),
+        drive_of(solid_robot, bodies, shown),
         (*notes, *shape_notes),
         comments,
         verdict,

@@ -14,7 +14,8 @@ from calib.units import PER_SI
 from viz.bodies import Bodies, PosedRobot
 from viz.drawing import body_path, draw
 from viz.poses import EXCLUDED, GROUPS, IDENTIFICATION, MEASURED, VALIDATION, PoseTable
-from viz.scene import Scene
+from viz.scene import Scene, nice_factor
+from viz.workspace_map import WorkspaceMap
 
 _COLOURS = "viridis"  # even in lightness, and told apart with any colour vision
 _POINT_RADIUS = (0.0012, 0.008)  # of the scene's size: of points that crowd, and of points with room
@@ -25,6 +26,7 @@ _SHORT = {IDENTIFICATION: "fit", VALIDATION: "val", MEASURED: "meas", EXCLUDED: 
 _MM = PER_SI["length"]["mm"]
 _MOST_ROWS = 20_000  # in one page, about 9 MB; more cannot be told apart on a screen
 _WORST = 1000  # rows with the largest errors of each state, which are always in
+_ELLIPSOID = 0.012  # of the scene's size: how long typical enlarged half axes look at first
 _EXACT = 1e-12  # [m]: smallest range of colours, where nothing is wrong anywhere
 
 
@@ -46,6 +48,7 @@ def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
         "frames": [{"body": body, "name": bodies.names[body]} for body in names],
         "solid": _posed(scene.solid, shown),
         "ghost": None if scene.ghost is None else _posed(scene.ghost, shown),
+        "drive": scene.drive.to_dict(),
         "commands": [base64.b64encode(command).decode() for command in draw(scene)],
         "n_decorations": len(scene.decorations),
         "vector_factors": scene.vector_factors,
@@ -60,6 +63,7 @@ def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
         "summary": summary(scene),
         "certainty": certainty(scene),
         "range": ranges(scene),
+        "map": None if scene.map is None else _map(scene, scene.map),
         "colours": _encode(colours()),
         "point_radius": point_radius(scene),
         "point_pixels": point_pixels(len(shown)),
@@ -214,6 +218,32 @@ def _table(scene: Scene, shown: IntArray) -> dict[str, Any]:
         "group": _encode(group.astype(np.uint8)),
         **{name: _encode(values.astype("<f8")) for name, values in arrays.items()},
     }
+
+
+def _map(scene: Scene, known: WorkspaceMap) -> dict[str, Any]:
+    """The map; how many times its ellipsoids are enlarged at first is such that typical ones can be seen."""
+    size = float(np.linalg.norm(scene.view.high - scene.view.low))
+    longest = np.linalg.norm(known.half_axes, axis=1).max(axis=1, initial=0.0)
+    typical = float(np.median(longest)) if len(longest) else float("nan")
+    return {
+        "n": len(known.places),
+        "beyond": int(np.sum(~known.within)),
+        "places": _encode(known.places.astype("<f4")),
+        "error": _encode(known.error.astype("<f4")),
+        "std": _encode(known.std.astype("<f4")),
+        "within": _encode(known.within.astype(np.uint8)),
+        "ranges": {name: _span(values) for name, values in (("error", known.error), ("std", known.std))},
+        "hull": _encode(known.hull.astype("<f4")),
+        "centres": known.centres.tolist(),
+        "half_axes": known.half_axes.tolist(),
+        "factor": nice_factor(typical, _ELLIPSOID * size),
+    }
+
+
+def _span(values: FloatArray) -> list[float]:
+    """Smallest and largest of the known values."""
+    known = values[np.isfinite(values)]
+    return [float(known.min()), max(float(known.max()), _EXACT)] if len(known) else [0.0, _EXACT]
 
 
 def _posed(robot: PosedRobot, shown: IntArray) -> dict[str, Any]:

@@ -16,9 +16,11 @@ from viz.scene_data import scene_data
 
 _SCRIPTS = (
     "kinematics.js",
+    "drive.js",
     "numbers.js",
     "table.js",
     "marks.js",
+    "map.js",
     "labels.js",
     "camera.js",
     "stage.js",

@@ -15,6 +15,7 @@ from calib.commands.common import (
     sigma_in_metres,
     with_values,
 )
+from calib.commands.next_steps import after_check
 from calib.commands.pictures import figures
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Measurements
@@ -89,4 +90,5 @@ def command(
     output.say(text_report(assessment, source))
     if plots is not None:
         output.say(f"Figures written to {plots}")
+    output.hint(after_check(assessment, robot, pose_set, data))
     output.json({"robot": model.path, "poses": source} | to_dict(assessment))

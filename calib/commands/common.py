@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -54,6 +55,12 @@ class Output:
         """Print text for people."""
         if not self.quiet and self.json_target != "-":
             click.echo(text)
+
+    def hint(self, lines: Sequence[str]) -> None:
+        """Print what to do next, to somebody who sits at a terminal."""
+        if sys.stdout.isatty():
+            for line in lines:
+                self.say(line)
 
     def note(self, text: str) -> None:
         """Print a warning or remark to standard error."""

@@ -12,7 +12,8 @@ import pinocchio as pin
 from calib.arrays import FloatArray
 from calib.commands.common import Output, loaded, result_folder, said_of_failure, shared_options
 from calib.commands.compensate_gcode import compensate_gcode
-from calib.commands.solve import in_display_units
+from calib.commands.compensate_grid import compensate_grid
+from calib.commands.solve import cells_of, in_display_units
 from calib.data.gcode import SUFFIXES
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
@@ -20,14 +21,17 @@ from calib.data.tables import format_table, read_table
 from calib.errors import DataError, InputError, UnreachablePoseError
 from calib.files import check_file, write_file
 from calib.inverse_kinematics.compensation import KEEP, Compensation, compensate
-from calib.inverse_kinematics.correction_grid import correction_grid
 from calib.inverse_kinematics.goals import Goals, read_goals
 from calib.model.robot import Robot
 from calib.reporting.results import load_calibrated, load_uncertainty, read_result
-from calib.units import PER_SI, millimetres
+from calib.units import ERROR_UNIT, PER_SI, error_scale, millimetres
 from calib.words import counted
 
 _FIGURES = ("before", "expected", "low95", "high95")
+_OF_POSITIONS: tuple[tuple[str, str, float], ...] = tuple(
+    (one, ERROR_UNIT["length"], error_scale("length")) for one in _FIGURES
+)
+_OF_ANGLES = tuple((f"{one}_angle", ERROR_UNIT["angle"], error_scale("angle")) for one in _FIGURES)
 
 
 @click.command("compensate")
@@ -47,9 +51,7 @@ _FIGURES = ("before", "expected", "low95", "high95")
 @click.option(
     "--tolerance-mm",
     type=float,
-    default=0.01,
-    show_default=True,
-    help="G-code: how far the tool may be off between points; moves are cut until it is not.",
+    help="G-code: how far the tool may be off between points; moves are cut until it is not.  [default: 0.01]",
 )
 @click.option(
     "--zero",
@@ -70,7 +72,7 @@ def command(
     result: str | None,
     keep: str | None,
     grid: str | None,
-    tolerance_mm: float,
+    tolerance_mm: float | None,
     zero: str | None,
     start: str | None,
     skip_unreachable: bool,
@@ -99,11 +101,11 @@ def command(
             raise InputError("--keep, --grid and --skip-unreachable are for programs in CSV; leave them out")
         compensate_gcode(calibrated, predict, program, result, (zero, start), tolerance_mm, out, output)
         return
-    if zero is not None or start is not None:
-        raise InputError(f"--zero and --start are for G-code ({', '.join(SUFFIXES)}); leave them out")
+    if any(option is not None for option in (zero, start, tolerance_mm)):
+        raise InputError(f"--zero, --start and --tolerance-mm are for G-code ({', '.join(SUFFIXES)}); leave them out")
     rows = _read(program, nominal, output)
     if grid is not None:
-        _write_grid(calibrated, rows, grid, result, out, output)
+        compensate_grid(calibrated, rows, grid, result, out, output)
         return
     with output.working(f"compensating {len(rows)} rows"):
         compensation = compensate(calibrated, rows, keep=keep, predict=predict)
@@ -130,43 +132,6 @@ def command(
         }
     )
     output.say(_said(compensation, summary, held_out, out))
-
-
-def _write_grid(calibrated: Robot, program: Poses | Goals, grid: str, result: str, out: str, output: Output) -> None:
-    """Write the table of corrections, and say how wrong interpolation in it is."""
-    if not isinstance(program, Goals):
-        raise InputError("--grid: PROGRAM has joints; give positions with one orientation")
-    try:
-        nx, ny, nz = (int(part) for part in grid.split(","))
-    except ValueError:
-        raise InputError(f"--grid '{grid}': write three numbers of nodes, such as 5,5,3") from None
-    with output.working("compensating the grid"):
-        corrections = correction_grid(calibrated, program, (nx, ny, nz))
-    name, degrees = corrections.target, PER_SI["angle"]["deg"]
-    columns: list[tuple[str, list[object]]] = []
-    for k, axis in enumerate("xyz"):
-        columns.append((f"{name}_{axis} [mm]", _cells(millimetres(corrections.nodes[:, k]))))
-    for k, axis in enumerate("xyz"):
-        columns.append((f"add_{axis} [mm]", _cells(millimetres(corrections.shift[:, k]))))
-    for k, axis in enumerate("xyz") if program.rotations is not None else ():
-        columns.append((f"turn_{axis} [deg]", _cells(corrections.turn[:, k] * degrees)))
-    off, angle = millimetres(corrections.position_errors), corrections.angle_errors * degrees
-    wrong = (
-        f"linear interpolation is off by {np.sqrt(np.mean(off**2)):.4f} mm (rms), {np.max(off):.4f} mm and"
-        f" {np.max(angle):.4f} deg at worst"
-    )
-    comments = (f"corrections from {result}; {wrong}", *said_of_failure(output, result, out))
-    write_file(out, format_table(columns, comments))
-    output.json(
-        {
-            "n_nodes": len(corrections.nodes),
-            "interpolation_mm": {"rms": float(np.sqrt(np.mean(off**2))), "max": float(np.max(off))},
-            "interpolation_deg": {"max": float(np.max(angle))},
-        }
-    )
-    output.say(
-        f"{counted(len(corrections.nodes), 'node')} written to {out}; {wrong}, at {len(off)} points between them"
-    )
 
 
 def _read(path: str, robot: Robot, output: Output) -> Poses | Goals:
@@ -201,14 +166,19 @@ def _columns(robot: Robot, program: Poses | Goals, compensation: Compensation) -
     """Columns of the file; cells without a command are empty."""
     columns: list[tuple[str, list[object]]] = [("pose", list(compensation.names))]
     for name, values in in_display_units(robot, compensation.q).items():
-        columns.append((name, _cells(values)))
+        columns.append((name, cells_of(values)))
     if isinstance(program, Goals):
         for name, values in _poses_to_command(robot, program, compensation).items():
-            columns.append((name, _cells(values)))
-    for figure in _FIGURES:
-        columns.append((f"{figure} [mm]", _cells(millimetres(getattr(compensation, figure)))))
+            columns.append((name, cells_of(values)))
+    for figure, unit, scale in _shown(compensation):
+        columns.append((f"{figure} [{unit}]", cells_of(getattr(compensation, figure) * scale)))
     columns.append(("status", [why or "ok" for why in compensation.reasons]))
     return columns
+
+
+def _shown(compensation: Compensation) -> tuple[tuple[str, str, float], ...]:
+    """Figures of each row, their unit and what that is of an SI unit; of angles where an orientation is kept."""
+    return _OF_POSITIONS + (() if compensation.keep == "position" else _OF_ANGLES)
 
 
 def _poses_to_command(robot: Robot, program: Goals, compensation: Compensation) -> dict[str, FloatArray]:
@@ -229,17 +199,14 @@ def _rpy(rotations: FloatArray) -> FloatArray:
     return np.array([np.full(3, np.nan) if np.isnan(R).any() else pin.rpy.matrixToRpy(R) for R in rotations])
 
 
-def _cells(values: FloatArray) -> list[object]:
-    return [float(f"{value:.15g}") if np.isfinite(value) else "" for value in values]
-
-
 def _summary(compensation: Compensation) -> dict[str, dict[str, float]]:
-    """Root mean square and largest error of all rows, before and after [mm]."""
-    shown = {figure: millimetres(getattr(compensation, figure)[compensation.ok]) for figure in _FIGURES[:2]}
-    return {
-        f"{figure}_mm": {"rms": float(np.sqrt(np.mean(values**2))), "max": float(np.max(values))}
-        for figure, values in shown.items()
-    }
+    """Root mean square and largest error of all rows, before and after [mm], and of orientations [mrad]."""
+    summary = {}
+    for figure, unit, scale in _shown(compensation):
+        if figure.startswith(_FIGURES[:2]):
+            values = getattr(compensation, figure)[compensation.ok] * scale
+            summary[f"{figure}_{unit}"] = {"rms": float(np.sqrt(np.mean(values**2))), "max": float(np.max(values))}
+    return summary
 
 
 def _rows(robot: Robot, compensation: Compensation) -> list[dict[str, object]]:
@@ -250,7 +217,10 @@ def _rows(robot: Robot, compensation: Compensation) -> list[dict[str, object]]:
             "pose": name,
             "status": compensation.reasons[k] or "ok",
             "joints": {joint: float(values[k]) for joint, values in joints.items()} if compensation.ok[k] else None,
-            **{f"{figure}_mm": _number(millimetres(float(getattr(compensation, figure)[k]))) for figure in _FIGURES},
+            **{
+                f"{figure}_{unit}": _number(float(getattr(compensation, figure)[k]) * scale)
+                for figure, unit, scale in _shown(compensation)
+            },
         }
         for k, name in enumerate(compensation.names)
     ]
@@ -274,6 +244,12 @@ def _said(compensation: Compensation, summary: dict[str, dict[str, float]], held
         f" expected now: {expected['rms']:.4f} mm, {expected['max']:.4f} mm at worst, from the noise of the"
         " measurements alone"
     )
+    if "expected_angle_mrad" in summary:
+        before, expected = summary["before_angle_mrad"], summary["expected_angle_mrad"]
+        text += (
+            f"\nIts {'orientation' if compensation.keep == 'pose' else 'axis'} was off by {before['rms']:.4f} mrad"
+            f" (rms); expected now: {expected['rms']:.4f} mrad, {expected['max']:.4f} mrad at worst"
+        )
     if held_out is None:
         return text
     return f"{text}\nMeasurements that the fit had not seen were off by {held_out:.4f} mm (rms), with their own noise"

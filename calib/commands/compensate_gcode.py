@@ -18,6 +18,8 @@ from calib.model.robot import Robot
 from calib.units import millimetres, quantity
 from calib.words import counted
 
+_TOLERANCE_MM = 0.01
+
 
 def compensate_gcode(
     calibrated: Robot,
@@ -25,7 +27,7 @@ def compensate_gcode(
     path: str,
     result: str,
     places: tuple[str | None, str | None],
-    tolerance_mm: float,
+    tolerance_mm: float | None,
     out: str,
     output: Output,
 ) -> None:
@@ -37,7 +39,7 @@ def compensate_gcode(
         path: The program.
         result: Folder of the calibration, for messages.
         places: --zero and --start.
-        tolerance_mm: --tolerance-mm.
+        tolerance_mm: --tolerance-mm; 0.01 if not given.
         out: File to write.
         output: Where to print.
 
@@ -46,6 +48,7 @@ def compensate_gcode(
         DataError: Several targets, or a program that is not one of straight moves; with its line.
     """
     zero, start = (_point(text, option) for text, option in zip(places, ("--zero", "--start"), strict=True))
+    tolerance_mm = _TOLERANCE_MM if tolerance_mm is None else tolerance_mm
     if not 1e-3 <= tolerance_mm <= 1e3:
         raise InputError(f"--tolerance-mm {tolerance_mm:g}: must lie between 0.001 and 1000")
     if len(calibrated.target_names) > 1:

@@ -8,6 +8,7 @@ import click
 
 from calib.calibration import fit
 from calib.commands.common import SIGMA_HELP, Output, loaded, shared_options, sigma_in_metres
+from calib.commands.next_steps import after_fit
 from calib.data.measurement_files import read_measurements
 from calib.data.measurements import Measurements
 from calib.errors import ComputationError, InputError
@@ -110,6 +111,7 @@ def command(
     result.save(out, force=force, pages=not no_pages, logo=logo)
     output.say(result.report())
     output.say(f"Written to {Path(out)}")
+    output.hint(after_fit(result, robot, data, out))
     output.json(to_dict(result, forced=failed and force))
     if failed and not force:
         raise ComputationError(

@@ -5,6 +5,7 @@ An entry is a module, called like the command that it adds, with
     command             that command
     pages(fit, logo)    the pages of a result folder, file name -> content
     figures(subject)    the figures of an assessment or a selection, file name -> content
+    plots(fit)          an object whose methods draw a fit into matplotlib axes
     live(robot)         a live page that shows a robot, and moves when it is told to
 
 so that everything below this floor writes and computes without asking what is installed.
@@ -14,7 +15,7 @@ from __future__ import annotations
 
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
@@ -27,6 +28,25 @@ if TYPE_CHECKING:
     from calib.model.robot import Robot
 
 GROUP = "calib.pictures"
+
+
+class Plots(Protocol):
+    """Figures of a fit: axes in (a new figure if not given), axes out."""
+
+    def errors(self, axes: Any = None) -> Any:
+        """Draw how many points have which error, before and after."""
+
+    def by_pose(self, axes: Any = None) -> Any:
+        """Draw the error of each pose in the order of measurement."""
+
+    def residuals(self, joint: str, axes: Any = None) -> Any:
+        """Draw residuals against a joint."""
+
+    def normal(self, axes: Any = None) -> Any:
+        """Draw residuals against normal noise."""
+
+    def parameters(self, axes: Any = None) -> Any:
+        """Draw parameters with their 95 % intervals, in sigmas of what was expected."""
 
 
 class Live(Protocol):
@@ -53,6 +73,9 @@ class Pictures(Protocol):
 
     def figures(self, subject: object) -> dict[str, bytes]:
         """Return the figures of an assessment or a selection."""
+
+    def plots(self, fit: Fit) -> Plots:
+        """Return the figures of a fit."""
 
     def live(self, robot: Robot) -> Live:
         """Return a live page."""
@@ -98,6 +121,18 @@ def figures(subject: object) -> dict[str, bytes]:
         except ImportError as error:
             raise InputError(f"--plots: {error.name} is not installed; `pip install {error.name}` first") from None
     return files
+
+
+def plots(fit: Fit) -> Plots:
+    """Return the figures of a fit as methods that draw.
+
+    Raises:
+        InputError: Nothing that draws is installed, or something that it needs is missing.
+    """
+    try:
+        return _installed("plot")[0].plots(fit)
+    except ImportError as error:
+        raise InputError(f"plot: {error.name} is not installed; `pip install {error.name}` first") from None
 
 
 def live(robot: Robot) -> Live:

@@ -16,6 +16,7 @@ from calib.commands.common import (
     sigma_in_metres,
     with_values,
 )
+from calib.commands.next_steps import after_select
 from calib.commands.pictures import figures
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
@@ -151,6 +152,7 @@ def command(
         write_folder(plots, figures(selection))
     output.say(text_report(selection, poses))
     output.say(f"Written to {out}" + (f", figure to {plots}" if plots is not None else ""))
+    output.hint(after_select(robot, out))
     output.json({"robot": model.path} | to_dict(selection, poses))
 
 

@@ -107,3 +107,8 @@ def in_display_units(robot: Robot, q: FloatArray) -> dict[str, FloatArray]:
         unit = DISPLAY_UNIT[dimension]
         columns[f"{name} [{unit}]"] = q[:, j] * PER_SI[dimension][unit]
     return columns
+
+
+def cells_of(values: FloatArray) -> list[object]:
+    """Return the cells of a column, (n,), with 15 digits; empty where there is no number."""
+    return [float(f"{value:.15g}") if np.isfinite(value) else "" for value in values]

@@ -43,9 +43,13 @@ from calib.watching.watch import CANDIDATES, Watch
     metavar="SECONDS",
     help="How often to look whether FILE has grown.",
 )
-@click.option("--view", is_flag=True, help="Show it in a browser on this computer as well.")
+@click.option(
+    "--view",
+    is_flag=True,
+    help="Show it in a browser on this computer, too: prints the address to open, and stays until Ctrl-C.",
+)
 @click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of sampled candidates.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of what is sampled.")
 @shared_options(json_output=True)
 def command(
     robot: str,

@@ -21,8 +21,9 @@ from calib.data.gcode import INCH, MILLIMETRE, GcodeProgram, Move
 from calib.errors import DataError
 from calib.files import read_text
 
+_LARGEST = 1e6  # of numbers in a program
 _COMMENT = re.compile(r"\([^()]*\)|;.*")
-_WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*")
+_WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*", re.ASCII)
 _MACRO = re.compile(r"[A-Z_]{2}\w*(\s|$)")
 _HOMING = re.compile(r"(N\d+\s*)?G\s*0*(28|29|30)(\.\d+)?(?!\d)")
 _TEXT = re.compile(r"(N\d+\s*)?M\s*0*(117|118)(?!\d)")
@@ -113,6 +114,9 @@ class _Reader:
             if words and words[0][0] == "M":
                 return None
             raise self._refuse(f"'{code[end:]:.40}' is not read; write words of a letter and a number")
+        large = next((word for word in words if abs(float(word[1])) > _LARGEST), None)
+        if large is not None:
+            raise self._refuse(f"'{large[0]}{large[1]:.20}' is beyond what any machine reads; correct it")
         return words
 
     def _take(self, number: int, words: list[tuple[str, str]], comments: str) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from calib.errors import DataError
 from calib.joint_terms.term import Context
 from calib.model.robot import Robot
 from calib.observation.kind import Instrument, Readings
+from calib.tabular import titled_html
 from calib.units import DISPLAY_UNIT, PER_SI, Dimension
 
 CONTEXT: dict[str, Dimension] = {"time": "time", "temperature": "temperature", "load": "mass"}
@@ -61,6 +63,37 @@ class Poses(ReadOnlyArrays):
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} from {self.path}: {len(self)} rows, {self.n_poses} poses>"
+
+    def _repr_html_(self) -> str:
+        return titled_html(type(self).__name__, (repr(self)[1:-1], *self.comments), *self._tables())
+
+    def _tables(self) -> tuple[list[dict[str, object]], ...]:
+        """What a notebook shows of it."""
+        return ()
+
+    def __getitem__(self, which: slice | BoolArray | IntArray | Sequence[int] | int) -> Self:
+        """Return some of the visits: a slice, a mask (n,), or indices, as of an array.
+
+        Raises:
+            DataError: A mask of another length, or an index that is no visit.
+        """
+        try:
+            return self.subset(np.atleast_1d(np.arange(len(self))[which]))
+        except IndexError as error:
+            raise DataError(f"{self.path}: {error}; it has {len(self)} rows") from None
+
+    def subset(self, index: IntArray) -> Self:
+        """Return the visits with these indices (n,), in this order."""
+        index = np.asarray(index, dtype=np.intp)
+        return replace(
+            self,
+            joints=self.joints[index],
+            labels=tuple(self.labels[i] for i in index),
+            names=tuple(self.names[i] for i in index),
+            context={key: values[index] for key, values in self.context.items()},
+            setups=None if self.setups is None else self.setups[index],
+            wanted={name: of_visits(looks, index) for name, looks in self.wanted.items()},
+        )
 
     @cached_property
     def pose_numbers(self) -> IntArray:
@@ -121,31 +154,17 @@ class Measurements(Poses):
         """`order`, the rows as they stand where it is not given, (n,)."""
         return np.arange(len(self)) if self.order is None else self.order
 
-    def __getitem__(self, which: slice | BoolArray | IntArray | Sequence[int] | int) -> Measurements:
-        """Return some of the visits: a slice, a mask (n,), or indices, as of an array.
+    def _tables(self) -> tuple[list[dict[str, object]], ...]:
+        return ([{"instrument": name, "readings": len(found)} for name, found in self.readings.items()],)
 
-        Raises:
-            DataError: A mask of another length, or an index that is no visit.
-        """
-        try:
-            return self.subset(np.atleast_1d(np.arange(len(self))[which]))
-        except IndexError as error:
-            raise DataError(f"{self.path}: {error}; it has {len(self)} rows") from None
-
-    def subset(self, index: IntArray) -> Measurements:
+    def subset(self, index: IntArray) -> Self:
         """Return the visits with these indices (n,), in this order, with their readings."""
         index = np.asarray(index, dtype=np.intp)
         return replace(
-            self,
+            super().subset(index),
             order=self.places[index],
             approach=self.approach_directions[index],
             approach_assumed=not self.states_approach,
-            joints=self.joints[index],
-            labels=tuple(self.labels[i] for i in index),
-            names=tuple(self.names[i] for i in index),
-            context={key: values[index] for key, values in self.context.items()},
-            setups=None if self.setups is None else self.setups[index],
-            wanted={name: of_visits(looks, index) for name, looks in self.wanted.items()},
             readings={name: of_visits(readings, index) for name, readings in self.readings.items()},
         )
 

@@ -7,11 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.data.measurements import Poses
-from calib.identification.effects import has_time, scale
+from calib.identification.effect_setting import has_time
+from calib.identification.effects import scale
 from calib.identification.fitted import Fit
 from calib.identification.systematic import PARTS_PER_MILLION, visible
 
-NO_MATTER = 1.0
+NO_MATTER = 0.25
 """Errors that a scale makes where it begins to show, over the noise, up to which nobody needs to know."""
 LARGE_SCALE = 1e-3
 """Error of the scale that would be noticed otherwise."""

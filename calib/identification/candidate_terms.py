@@ -9,6 +9,7 @@ import numpy as np
 from calib.data.measurements import Measurements
 from calib.errors import DescriptionError
 from calib.identification.pose_checks import unmoved_joints
+from calib.joint_terms.coupling import CouplingSection, coupling_name
 from calib.joint_terms.term import JointTerm, TermSection
 from calib.joint_terms.terms import TERMS
 from calib.model.robot import Robot
@@ -42,11 +43,14 @@ class Candidate:
 
     def resized(self, robot: Robot, factor: float) -> tuple[TermSection, ...]:
         """Return its entries, coefficients being expected to be this many times as large as is usual."""
-        section = self.sections[0]
         sigma = {term.joint: float(factor * term.parameters[0].sigma) for term in self.of(robot)}
-        if section.joint == "all" and len(set(sigma.values())) == 1:
-            return (section.model_copy(update={"sigma": next(iter(sigma.values()))}),)
-        return tuple(section.model_copy(update={"joint": joint, "sigma": size}) for joint, size in sigma.items())
+        resized: list[TermSection] = []
+        for section in self.sections:
+            own = {joint: size for joint, size in sigma.items() if section.joint in ("all", joint)}
+            if section.joint == "all" and len(set(own.values())) == 1:
+                own = {"all": next(iter(own.values()))}
+            resized += [section.model_copy(update={"joint": joint, "sigma": size}) for joint, size in own.items()]
+        return tuple(resized)
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,8 @@ class TriedTerm:
         before, after: Root mean square of the main part of the readings without it and with it, each block of poses
             left out in turn [SI]; NaN where it was not tried.
         why: Why it was left out; empty where it was added.
+        alike: Of one that was added, kinds of terms that would explain the data as well in its place: which of them is
+            there, the data do not tell.
     """
 
     term: str
@@ -68,6 +74,7 @@ class TriedTerm:
     before: float = float("nan")
     after: float = float("nan")
     why: str = ""
+    alike: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -114,16 +121,19 @@ def _candidate(name: str, robot: Robot, data: Measurements) -> Candidate:
         column = "time" if name == "drift" else name
         if np.ptp(context.time if name == "drift" else context.temperature) == 0:
             return Candidate(name, refused=f"the data have no column '{column}' that changes")
-    if name == "coupling":
-        return Candidate(name, refused="which joint drives which, only a description can state")
     joints = [joint for joint in robot.joint_names if _shows(name, joint, robot, data)]
     if not joints:
         return Candidate(name, refused=_nothing_shows(name, robot))
-    everywhere = len(joints) == len(robot.joint_names)
-    entries = tuple(kind.section(joint=joint, term=name) for joint in (["all"] if everywhere else joints))
-    sections = missing_terms(robot, entries)
+    if name == "coupling":
+        sections = _couplings(joints, robot)
+    else:
+        everywhere = len(joints) == len(robot.joint_names)
+        entries = tuple(kind.section(joint=joint, term=name) for joint in (["all"] if everywhere else joints))
+        sections = missing_terms(robot, entries)
     if not sections:
-        return Candidate(name, refused="the description has it already")
+        only_one = name == "coupling" and len(robot.joint_names) == 1
+        why = "there is no other joint" if only_one else "the description has it already"
+        return Candidate(name, refused=why)
     try:
         with_it = robot.with_terms((*robot.description.terms, *sections))
         columns = with_it.term_columns(data.joints, context)
@@ -149,7 +159,18 @@ def _shows(name: str, joint: str, robot: Robot, data: Measurements) -> bool:
         return False  # after which length a screw repeats, nobody said
     if name == "backlash":
         return bool(np.ptp(data.approach_directions[:, robot.joint_names.index(joint)]) > 0)
-    return joint not in unmoved_joints(robot, data.joints)
+    return joint not in unmoved_joints(robot, data.joints)  # of a coupling: what drives moved
+
+
+def _couplings(moving: list[str], robot: Robot) -> tuple[TermSection, ...]:
+    """Entries for every joint driven by every other one that moved, where the robot has none: who drives, data say."""
+    names = {parameter.name for parameter in robot.parameters}
+    return tuple(
+        CouplingSection(joint=joint, term="coupling", driven_by=other)
+        for joint in robot.joint_names
+        for other in moving
+        if joint != other and coupling_name(joint, other) not in names
+    )
 
 
 def _nothing_shows(name: str, robot: Robot) -> str:

@@ -21,26 +21,19 @@ explains 86 % of a step. Nothing is put down to a joint that never moved.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from numpy.polynomial import legendre
 
 from calib.arrays import FloatArray
-from calib.data.measurements import Measurements, Poses
+from calib.identification.effect_setting import Setting
 from calib.identification.pose_checks import unmoved_joints
 from calib.joint_terms.periodic import sines_and_cosines
-from calib.linearisation.observed import Observed
-from calib.linearisation.rows import Scales
-from calib.linearisation.whitening import Whitening
 from calib.model import kinematics
-from calib.model.robot import Configurations, Robot
-from calib.numerics.variance_components import SharedError
 from calib.observation.kind import Instrument
-from calib.units import Dimension
 
 Kind = Literal["axis", "turn", "scale", "drift", "turning", "growth", "slip", "joint", "wave", "approach", "zero"]
 FAMILIES: tuple[tuple[Kind, ...], ...] = (
@@ -71,79 +64,6 @@ class Effect:
     name: str
     columns: FloatArray
     detail: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class Setting:
-    """What effects are made of.
-
-    Attributes:
-        robot: The calibrated robot.
-        data: Its measurements.
-        configurations: Its assembled visits.
-        observed: The measurements compared with the robot, with derivatives by the joints.
-        whitening: What whitened the rows.
-        scales: What was assumed of the noise.
-        weights: Of each reading, (n_readings,).
-    """
-
-    robot: Robot
-    data: Measurements
-    configurations: Configurations
-    observed: Mapping[str, Observed]
-    whitening: Whitening
-    scales: Scales
-    weights: FloatArray
-
-    def whitened(self, arrays: Mapping[str, FloatArray]) -> FloatArray:
-        """Return what effects do to the rows of each instrument, (n, n_rows, k) [SI], as whitened rows, (n_all, k)."""
-        rows: FloatArray = self.whitening.flatten(arrays) / self.whitening.row_scale(self.scales.own)[:, None]
-        if self.shared is not None:
-            rows = self.shared.whiten(rows)
-        return np.sqrt(self.weights)[self.whitening.layout.reading][:, None] * rows
-
-    @cached_property
-    def shared(self) -> SharedError | None:
-        """What whitens for an error shared by visits; None without one."""
-        if not self.scales.shares:
-            return None
-        return self.whitening.shared_error(self.observed, self.scales.own, self.scales.shared)
-
-    def per_visit(self, values: FloatArray) -> FloatArray:
-        """Return values of the visits, (n_visits, ...), for each row."""
-        layout = self.whitening.layout
-        result: FloatArray = values[layout.visit[layout.reading]]
-        return result
-
-    @cached_property
-    def course(self) -> FloatArray:
-        """When each visit was made, (n_visits,): by the time, where all have it, else by the order of the rows."""
-        return course(self.data)
-
-    @property
-    def metre(self) -> float:
-        """What a whitened row of a position is in metres; of the first kind of rows where no positions are."""
-        return float(self.scales.own[self._first] * self.whitening.groups[self._first].typical)
-
-    @property
-    def dimension(self) -> Dimension:
-        """What `metre` measures."""
-        return self.whitening.groups[self._first].dimension
-
-    @property
-    def _first(self) -> int:
-        return next((g for g, group in enumerate(self.whitening.groups) if group.part == "position"), 0)
-
-
-def has_time(data: Poses) -> bool:
-    """Return whether the data say when each visit was made."""
-    time = data.context.get("time")
-    return time is not None and bool(np.all(np.isfinite(time))) and float(np.ptp(time)) > 0
-
-
-def course(data: Measurements) -> FloatArray:
-    """Return when each visit was made, (n,): by the time [s], where all have it, else by the order of the rows."""
-    return np.asarray(data.context["time"] if has_time(data) else data.places, dtype=float)
 
 
 def effects(setting: Setting) -> Iterator[Effect]:

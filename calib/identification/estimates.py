@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -15,6 +13,7 @@ from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.errors import InputError, nearest
 from calib.numerics.statistics import Statistics, status
 from calib.parameter import Parameter
+from calib.tabular import data_frame, pandas, table_html
 from calib.units import PER_SI
 
 
@@ -86,7 +85,7 @@ class Estimates(Mapping[str, Estimate]):
 
     def to_dataframe(self) -> Any:
         """Return a pandas table, in the units of tables; pandas missing is an `InputError`."""
-        return _pandas().DataFrame(self.rows()).set_index("name")
+        return data_frame(self.rows())
 
     def _repr_html_(self) -> str:
         return table_html(self.rows())
@@ -118,7 +117,7 @@ class Covariance(ReadOnlyArrays):
 
     def to_dataframe(self) -> Any:
         """Return a pandas table [SI]; pandas missing is an `InputError`."""
-        return _pandas().DataFrame(self.values, index=self.names, columns=self.names)
+        return pandas().DataFrame(self.values, index=self.names, columns=self.names)
 
 
 def estimates(parameters: tuple[Parameter, ...], values: FloatArray, free: BoolArray, found: Statistics) -> Estimates:
@@ -148,25 +147,3 @@ def estimates(parameters: tuple[Parameter, ...], values: FloatArray, free: BoolA
             PER_SI[one.dimension][one.unit],
         )
     return Estimates(result)
-
-
-def table_html(rows: list[dict[str, object]]) -> str:
-    """Return rows as an HTML table; nothing in them is markup."""
-    if not rows:
-        return "<table></table>"
-    head = "".join(f"<th>{html.escape(key)}</th>" for key in rows[0])
-    body = "".join("<tr>" + "".join(f"<td>{_cell(cell)}</td>" for cell in row.values()) + "</tr>" for row in rows)
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-
-
-def _cell(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.4f}" if np.isfinite(value) else "-"
-    return html.escape(str(value))
-
-
-def _pandas() -> Any:
-    try:
-        return import_module("pandas")
-    except ImportError:
-        raise InputError("pandas is not installed; `pip install pandas` first") from None

@@ -49,6 +49,7 @@ from calib.model.robot import Robot
 from calib.numerics.least_squares import TOLERANCE, Solution
 from calib.numerics.losses import Loss, checked_loss
 from calib.numerics.observability import observability
+from calib.numerics.prior_sizes import variance_by_sizes
 from calib.numerics.statistics import Factors, Statistics, found_factors, statistics
 from calib.numerics.variance_components import EXACT
 from calib.threads import one_blas_thread
@@ -259,6 +260,7 @@ def uncertainty_at(
         unknowns.scales,
         unknowns.has_prior,
         problem.noise_of_rows(final, scales),
+        variance_by_sizes(slowed.known.root @ slowed.known.root.T, unknowns.family, rows.deviations),
     )
     return rows, scales, uncertainty
 

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.errors import UnreachablePoseError
 from calib.identification.candidate_terms import TermChoice
-from calib.identification.effects import Setting
+from calib.identification.effect_setting import Setting
 from calib.identification.error_budget import ErrorBudget, error_budget
 from calib.identification.errors_found import ErrorSet, Folds
 from calib.identification.estimates import Covariance, Estimates, estimates
@@ -19,6 +20,7 @@ from calib.identification.judged import Outlier, blocks, outliers_of
 from calib.identification.reasons import Verdict
 from calib.identification.starts import Starts
 from calib.identification.systematic import Pattern, Residuals, patterns
+from calib.joint_terms.term import Context
 from calib.linearisation.determination import Determination
 from calib.linearisation.observed import observe
 from calib.linearisation.prediction import PositionUncertainty, position_uncertainty
@@ -240,22 +242,34 @@ class Fit(ReadOnlyArrays):
         """Whether the calibrated robot can be assembled at all its poses, starting from its home configuration."""
         return bool(np.all(self.robot.close(self.configurations.actuated).ok))
 
-    def predict(self, q: FloatArray) -> PositionUncertainty:
-        """Predict positions at actuated joints q (n, n_actuated) [m or rad], with their covariance."""
+    def predict(self, q: ArrayLike, context: Context | None = None) -> PositionUncertainty:
+        """Predict positions with their covariance.
+
+        Args:
+            q: Actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
+            context: Under which conditions they are commanded; joint terms may depend on it.
+
+        Raises:
+            DataError: Joint values of the wrong shape, or not finite.
+            UnreachablePoseError: A loop stays open.
+        """
         statistics = self.statistics
+        joints = self.robot.joint_vector(q)
         return position_uncertainty(
-            self.robot, self.unknowns.index, statistics.covariance, statistics.coverage_factor, q
+            self.robot, self.unknowns.index, statistics.covariance, statistics.coverage_factor, joints, context
         )
 
     @cached_property
     def identification_uncertainty(self) -> PositionUncertainty:
         """Predicted positions of the visits that were used, with their covariance."""
-        return self.predict(self.identification.data.joints)
+        return self.predict(self.identification.data.joints, self.identification.data.conditions)
 
     @cached_property
     def validation_uncertainty(self) -> PositionUncertainty | None:
         """Predicted positions of the visits that were not used, with their covariance."""
-        return None if self.validation is None else self.predict(self.validation.data.joints)
+        if self.validation is None:
+            return None
+        return self.predict(self.validation.data.joints, self.validation.data.conditions)
 
     @cached_property
     def studentised(self) -> Studentised:

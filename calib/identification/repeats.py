@@ -5,7 +5,7 @@ takes the one that the model predicts for the reading's own joint values; what t
 two readings is no scatter. With fewer readings the numbers are the same, only less sure; readings taken without moving
 the robot show the instrument alone. `calib.numerics.iso9283` has the equations.
 
-Reference: iso9283, section 7.2.
+Reference: iso9283.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -40,6 +40,7 @@ from calib.linearisation.jacobian import linearise
 from calib.linearisation.observed import predicted_readings
 from calib.linearisation.prediction import carried
 from calib.linearisation.simulate import noisy_readings, simulate, unstated_noise
+from calib.model.acceleration import asked, compiled
 from calib.model.robot import Robot
 from calib.numerics.losses import checked_loss
 from calib.threads import one_blas_thread
@@ -48,6 +49,7 @@ from calib.workers import Workers, in_order
 Noise = Callable[[Measurements, np.random.Generator], Measurements]
 """Makes what is read of what would be read without noise."""
 _CHUNK = 50
+_MANY = 20_000  # poses of all draws for which each process may load compiled code
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +63,7 @@ class _Setting:
         noise: What makes measurements of `exact`, if that is not what the description states.
         settings: How to fit.
         first: The fit of the first draw; None before that.
+        compiled: Whether there is so much to do that loading compiled code is worth it.
         elsewhere: Joint values of poses to predict, (n, n_actuated) [m or rad].
         near: Passive joints there, (n, n_passive) [m or rad].
         passive: Passive joints of the truth where it is measured, (n, n_passive) [m or rad].
@@ -75,6 +78,7 @@ class _Setting:
     near: FloatArray
     passive: FloatArray
     first: Fit | None = None
+    compiled: bool = False
 
     def measured(self, seed: np.random.SeedSequence) -> tuple[Robot, Measurements]:
         """Return the true robot of a draw, and what is measured of it."""
@@ -134,7 +138,8 @@ def study(
     settings = Settings(sigma=sigma, loss=checked_loss(loss), seed=seed)
     setting = _prepared(robot, poses, truth, noise, settings, elsewhere)
     seeds = np.random.SeedSequence(seed).spawn(draws)
-    setting = replace(setting, first=_first_fit(robot, setting, seeds[0]))
+    many = draws * len(setting.exact) >= _MANY or asked()
+    setting = replace(setting, first=_first_fit(robot, setting, seeds[0]), compiled=many)
     tasks = [(setting, tuple(seeds[start : start + _CHUNK])) for start in range(0, draws, _CHUNK)]
     parts = list[tuple[Draws, tuple[str, ...]]]()
     with ExitStack() as stack:
@@ -200,16 +205,17 @@ def _chunk(task: tuple[_Setting, Sequence[np.random.SeedSequence]]) -> tuple[Dra
     assert first is not None  # tasks are made after it
     repeated = Repeated(first, setting.settings)
     draws, failures = list[Draws](), list[str]()
-    for seed in seeds:
-        try:
-            truth, data = setting.measured(seed)
-            estimate = repeated.estimate(data)
-            if not estimate.convergence.converged:
-                raise NotConvergedError(estimate.convergence.message)
-            draws.append(_draw(setting, first, truth, estimate))
-        except CalibrationError as error:
-            failures.append(str(error))
-            draws.append(_unanswered(setting, first))
+    with compiled() if setting.compiled else nullcontext():
+        for seed in seeds:
+            try:
+                truth, data = setting.measured(seed)
+                estimate = repeated.estimate(data)
+                if not estimate.convergence.converged:
+                    raise NotConvergedError(estimate.convergence.message)
+                draws.append(_draw(setting, first, truth, estimate))
+            except CalibrationError as error:
+                failures.append(str(error))
+                draws.append(_unanswered(setting, first))
     return Draws.joined(draws), tuple(failures)
 
 

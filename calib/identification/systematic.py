@@ -33,7 +33,8 @@ import numpy as np
 import scipy
 
 from calib.arrays import FloatArray
-from calib.identification.effects import FAMILIES, Effect, Kind, Setting, effects
+from calib.identification.effect_setting import Setting
+from calib.identification.effects import FAMILIES, Effect, Kind, effects
 from calib.linearisation.rows import Rows
 from calib.numerics.variance_components import EXACT
 from calib.units import DISPLAY_UNIT, ERROR_UNIT, PER_SI, Dimension, error_scale, millimetres

@@ -6,22 +6,25 @@ candidate is a kind of term for all joints that can show it; how large its coeff
 
     evidence     twice its log marginal likelihood rises by more than chance makes it rise in one data set of a hundred:
                  a chi-square of as many degrees of freedom as it has sizes, the chance shared among the candidates
-    prediction   poses of blocks that were left out are predicted better: boxes of joint space, and where the data tell
-                 time, stretches of it as well
+    prediction   poses of blocks that were left out are predicted better: boxes of joint space; where the data tell
+                 time, stretches of it as well; where they have several setups, whole setups as well
 
 Both are asked because each misses what the other sees. The likelihood takes what is left for independent noise: where
 the model lacks something else, a term that resembles it gains. Poses left out at random have neighbours that were kept,
 so that a curve through errors of any cause seems to predict; blocks have not.
 
-Of the candidates that earn their place, the one with the fewest coefficients is added whose prediction is within one
-standard error of the best (breiman1984); the others are then tried beside it, until none earns its place, and each
-that was added is tried without. Sizes and noise are those of all poses, also where blocks are left out: a handful of
-numbers, and they stay the same in all blocks. What is added is then fitted as any robot is, without linearising.
+Of the candidates that earn their place, those count that no other one beats: whose evidence is within odds of 20 to 1
+of the best (kass1995), and whose prediction is not worse by two standard errors (breiman1984). The one with the fewest
+coefficients is added, and of as many the one that needs the least beside its own joint, which is the order of the
+registry. The others are then tried beside it, until none earns its place. Each that was added is tried without, and
+with each of the others in its place: those that do as well are told, for the data do not say which of them is there.
+Sizes and noise are those of all poses, also where blocks are left out: a handful of numbers, and they stay the same in
+all blocks. What is added is then fitted as any robot is, without linearising.
 
 When it fails. Errors that no candidate describes stay. Blocks of a small part of joint space are neighbours of each
 other: what predicts them need not hold elsewhere (`calib.identification.rules_reach.beyond_curves`).
 
-Reference: mackay1992; breiman1984; roberts2017.
+Reference: mackay1992; breiman1984; kass1995; roberts2017.
 """
 
 from __future__ import annotations
@@ -47,6 +50,10 @@ CHANCE = 0.01
 """Chance that some term rises in evidence by as much as is asked where there is none."""
 BLOCKS = 8
 """Number of blocks that are left out in turns."""
+TELLS = 3.0
+"""Difference in log marginal likelihood from which data tell terms apart: odds of 20 to 1 (kass1995)."""
+SURE = 2.0
+"""Standard errors by which one prediction of blocks left out must be better than another to be called better."""
 LEAST_POSES = 2 * BLOCKS
 """Different poses below which nothing is tried."""
 _RIDGE = 1e-12  # of its diagonal, added to a matrix whose null space the blocks left may widen
@@ -182,6 +189,8 @@ class _Search:
         self._partitions = [boxes(data, BLOCKS)]
         if np.ptp(data.conditions.time) > 0:
             self._partitions.append(stretches(data, BLOCKS))
+        if data.setups is not None and np.ptp(data.setups) > 0:
+            self._partitions.append([np.flatnonzero(data.setups == one) for one in np.unique(data.setups)])
         self._known: dict[tuple[str, ...], _Trial] = {}
         self._divisor = fit.whitening.row_scale(fit.scales.groups * fit.statistics.factors.found)
 
@@ -197,6 +206,8 @@ class _Search:
                 break
             best = min(earning, key=lambda trial: float(np.sum(trial.squares[0])))
             near = [trial for trial in earning if not _surely_better(best, trial)]
+            likely = max(trial.evidence for trial in near)
+            near = [trial for trial in near if trial.evidence > likely - TELLS]
             step = min(near, key=lambda trial: self.n_coefficients[trial.terms[-1]])
             brought[step.terms[-1]] = current, step
             current = step
@@ -228,7 +239,23 @@ class _Search:
         added = one.term in brought
         without, with_it = brought[one.term] if added else (chosen, self.trial((*chosen.terms, one.term)))
         why = "" if added else self.failed(without, with_it) or one.doubt
-        return TriedTerm(one.term, added, with_it.evidence - without.evidence, without.rms[0], with_it.rms[0], why)
+        alike = self.alike(one.term, chosen) if added else ()
+        gain = with_it.evidence - without.evidence
+        return TriedTerm(one.term, added, gain, without.rms[0], with_it.rms[0], why, alike)
+
+    def alike(self, term: str, chosen: _Trial) -> tuple[str, ...]:
+        """Return the terms that would do as well in the place of one that was added."""
+        others = tuple(other for other in chosen.terms if other != term)
+        without = self.trial(others)
+        free = [one.term for one in self.tried if one.term not in chosen.terms]
+        instead = {name: self.trial((*others, name)) for name in free}
+        return tuple(
+            name
+            for name, trial in instead.items()
+            if abs(chosen.evidence - trial.evidence) < TELLS
+            and not self.failed(without, trial)
+            and not _surely_better(chosen, trial)
+        )
 
     def trial(self, terms: tuple[str, ...]) -> _Trial:
         """Return the linear model with some terms; each is computed once."""
@@ -299,9 +326,9 @@ class _Search:
 
 
 def _surely_better(best: _Trial, trial: _Trial) -> bool:
-    """Whether one predicts blocks left out better than another in every partition, by more than the standard error."""
+    """Whether one predicts blocks left out better than another in every partition, by two standard errors."""
     for less, more in zip(best.squares, trial.squares, strict=True):
         gain = more - less
-        if np.sum(gain) <= np.std(gain, ddof=1) * np.sqrt(len(gain)):
+        if np.sum(gain) <= SURE * np.std(gain, ddof=1) * np.sqrt(len(gain)):
             return False
     return True

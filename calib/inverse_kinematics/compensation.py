@@ -41,7 +41,7 @@ from calib.inverse_kinematics.reaching import Configured, Reach, actuated_jacobi
 from calib.inverse_kinematics.redundancy import nearer
 from calib.joint_terms.term import Context
 from calib.linearisation.gauge import nearest_to_nominal
-from calib.linearisation.prediction import PositionUncertainty
+from calib.linearisation.prediction import PositionUncertainty, length95, rms_length
 from calib.model.robot import Robot
 from calib.units import DISPLAY_UNIT, PER_SI, millimetres
 
@@ -72,6 +72,8 @@ class Compensation(ReadOnlyArrays):
         expected: Root mean square distance that is left, from the uncertainty of the parameters, (n,) [m]; NaN where
             there is no command, or no uncertainty was given.
         low95, high95: The distance lies between them in 95 of 100 cases, (n,) [m].
+        before_angle, expected_angle, low95_angle, high95_angle: The same of the orientation where the pose is kept, and
+            of the z axis where that is, (n,) [rad]; NaN where only the position is.
         scale: What one radian of each joint is compared with, (n_actuated,).
     """
 
@@ -87,6 +89,10 @@ class Compensation(ReadOnlyArrays):
     expected: FloatArray
     low95: FloatArray
     high95: FloatArray
+    before_angle: FloatArray
+    expected_angle: FloatArray
+    low95_angle: FloatArray
+    high95_angle: FloatArray
     scale: FloatArray
 
     @property
@@ -260,9 +266,8 @@ def _compensated(
     reasons[(reasons == "") & ~closed.ok] = "cannot be assembled by the calibrated robot at the program's own joints"
     rows = np.flatnonzero(reasons == "")
     start = Configured(robot.actual(asked.joints, columns), closed.passive, np.full(n, np.inf)).subset(rows)
-    before, q, expected = np.full(n, np.nan), np.full(asked.joints.shape, np.nan), np.full((3, n), np.nan)
-    at = actuated_jacobian(robot.mechanism, reach.target, start.actuated, start.passive)[0]
-    before[rows] = np.linalg.norm(at - meant[rows], axis=1)
+    q, before, expected = np.full(asked.joints.shape, np.nan), np.full((2, n), np.nan), np.full((6, n), np.nan)
+    before[:, rows] = replace(reach, goals=asked.goals.subset(rows)).misses(start.actuated, start.passive)[1:]
     near = start if asked.nearly is None else descend(problem(robot, asked.nearly), rows, start)
     solutions = _past_limits(reach, rows, start, nearer(reach, rows, descend(reach, rows, near), near.actuated))
     commands = robot.commands(solutions.actuated, Context.of(approach[rows], {}))
@@ -270,23 +275,44 @@ def _compensated(
     good = np.flatnonzero(reasons[rows] == "")
     q[rows[good]] = commands[good]
     if predict is not None and len(good):
-        uncertainty, t = predict(commands[good]), robot.target_names.index(reach.target.name)
-        expected[:, rows[good]] = uncertainty.distance[:, t], *uncertainty.distance95[:, :, t]
+        t = robot.target_names.index(reach.target.name)
+        expected[:, rows[good]] = _expected(predict(commands[good]), t, asked.goals.subset(rows[good]))
+    if asked.goals.asks_for == "position":
+        before[1] = np.nan
     return Compensation(
-        asked.goals.names,
-        asked.goals.labels,
-        reach.target.name,
-        asked.keep,
-        program,
-        q,
-        tuple(reasons),
-        meant,
-        before,
-        expected[0],
-        expected[1],
-        expected[2],
-        robot.mechanism.joint_scale,
+        names=asked.goals.names,
+        labels=asked.goals.labels,
+        target=reach.target.name,
+        keep=asked.keep,
+        program=program,
+        q=q,
+        reasons=tuple(reasons),
+        meant=meant,
+        before=before[0],
+        expected=expected[0],
+        low95=expected[1],
+        high95=expected[2],
+        before_angle=before[1],
+        expected_angle=expected[3],
+        low95_angle=expected[4],
+        high95_angle=expected[5],
+        scale=robot.mechanism.joint_scale,
     )
+
+
+def _expected(uncertainty: PositionUncertainty, t: int, goals: Goals) -> FloatArray:
+    """Root mean square, low and high error of target t, of its position [m] and of what is kept of its orientation."""
+    errors = np.full((6, len(goals)), np.nan)
+    errors[:3] = uncertainty.distance[:, t], *uncertainty.distance95[:, :, t]
+    turn = uncertainty.turn_covariance
+    if turn is None or goals.asks_for == "position":
+        return errors
+    turn = turn[:, t]
+    if goals.directions is not None:  # turns about the axis itself do not count
+        across = np.eye(3) - goals.directions[:, :, None] * goals.directions[:, None, :]
+        turn = across @ turn @ across
+    errors[3:] = rms_length(turn), *length95(turn, uncertainty.coverage_factor)
+    return errors
 
 
 def _past_limits(reach: Reach, rows: IntArray, start: Configured, solutions: Configured) -> Configured:

@@ -16,6 +16,11 @@ EXPECTED: dict[Dimension, float] = {"angle": 1e-3, "length": 1e-3}
 """Expected error per radian or metre of the other joint, where nothing is stated [rad, m]."""
 
 
+def coupling_name(joint: str, other: str) -> str:
+    """Return the name of the coefficient of a joint that another one drives."""
+    return f"{joint}.by_{other}"
+
+
 class CouplingSection(TermSection):
     """A coupling.
 
@@ -49,7 +54,7 @@ class Coupling(JointTerm):
         if other == joint.name:
             raise ValueError("a joint that is driven by itself has a `gain`")
         size = EXPECTED[joint.dimension] if sigma is None else sigma
-        name = f"{joint.name}.by_{other}"
+        name = coupling_name(joint.name, other)
         return cls(joint.name, (coefficient(name, joint.dimension, size),), joint.actuated.index(other))
 
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:

@@ -20,15 +20,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from calib.arrays import FloatArray
 from calib.model import kinematics
+from calib.model.acceleration import kernels
 from calib.model.mechanism import Mechanism, RelativeFrame
 from calib.model.robot import Configurations, Robot
 from calib.threads import one_blas_thread
 
 _CHUNK = 64
+_CHUNK_COMPILED = 256  # compiled code needs no regressors, but its poses stay in the cache too
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,24 +38,27 @@ class Linearisation:
 
     Attributes:
         positions: Targets in the measurement frame, (n, n_targets, 3) [m].
-        jacobian: d(positions)/d(parameters), (n, n_targets, 3, n_parameters) [m per m or rad].
+        jacobian: d(positions)/d(parameters), (n, n_targets, 3, n_parameters) [m per m or rad]; where turns were asked
+            for, dw of the targets too, in the axes of the measurement frame, (n, n_targets, 6, n_parameters).
     """
 
     positions: FloatArray
     jacobian: FloatArray
 
 
-def linearise(robot: Robot, configurations: Configurations) -> Linearisation:
+def linearise(robot: Robot, configurations: Configurations, *, turns: bool = False) -> Linearisation:
     """Positions of all targets and their derivative by every parameter, at the robot's current values.
 
     Args:
         robot: The robot.
         configurations: Assembled poses, from `robot.assemble`.
+        turns: Whether the derivative of the targets' orientations is wanted too.
     """
     if not robot.terms:
-        return Linearisation(*origin_jacobian(robot.mechanism, configurations, parameter_twists(robot)))
+        twists = parameter_twists(robot)
+        return Linearisation(*origin_jacobian(robot.mechanism, configurations, twists, turns=turns))
     twists = np.hstack([parameter_twists(robot), joint_twists(robot.mechanism)])
-    positions, both = origin_jacobian(robot.mechanism, configurations, twists)
+    positions, both = origin_jacobian(robot.mechanism, configurations, twists, turns=turns)
     jacobian, by_joint = both[..., : len(robot.parameters)], both[..., len(robot.parameters) :]
     n = len(positions)
     flat = by_joint.reshape(n, -1, by_joint.shape[-1])
@@ -66,7 +70,11 @@ def linearise(robot: Robot, configurations: Configurations) -> Linearisation:
 
 @one_blas_thread
 def origin_jacobian(
-    mechanism: Mechanism, configurations: Configurations, twists: FloatArray | None = None
+    mechanism: Mechanism,
+    configurations: Configurations,
+    twists: FloatArray | None = None,
+    *,
+    turns: bool = False,
 ) -> tuple[FloatArray, FloatArray]:
     """Positions of all targets and their derivative by the right-perturbation twist of every origin.
 
@@ -74,20 +82,21 @@ def origin_jacobian(
         mechanism: The mechanism.
         configurations: Assembled poses.
         twists: If given, (6 n_joints, k), the derivative is taken along these combinations instead.
+        turns: Whether dw is wanted behind dp.
 
     Returns:
-        Positions (n, n_targets, 3) [m] and derivative (n, n_targets, 3, 6 n_joints or k), origins in the order of
+        Positions (n, n_targets, 3) [m] and derivative (n, n_targets, 3 or 6, 6 n_joints or k), origins in the order of
         `mechanism.origin_names`, six components [linear; angular] each, in the joint's own frame.
     """
     n, n_targets = len(configurations.actuated), len(mechanism.targets)
     width = 6 * mechanism.n_joints if twists is None else twists.shape[1]
     positions = np.empty((n, n_targets, 3))
-    derivative = np.empty((n, n_targets, 3, width))
+    derivative = np.empty((n, n_targets, 6 if turns else 3, width))
     for part, swept in sweeps(mechanism, configurations, mechanism.targets):
         for t, target in enumerate(mechanism.targets):
             positions[part, t] = kinematics.value(swept, target)
             derivative[part, t] = relative_motion(
-                mechanism, swept, target, configurations.slope[part], twists, angular=False
+                mechanism, swept, target, configurations.slope[part], twists, angular=turns
             )
     return positions, derivative
 
@@ -103,9 +112,15 @@ def sweeps(
         pairs: Frames that are needed.
     """
     joints = mechanism.all_joints(configurations.actuated, configurations.passive)
-    for start in range(0, len(joints), _CHUNK):
-        part = slice(start, min(start + _CHUNK, len(joints)))
-        yield part, kinematics.sweep(mechanism, joints[part], pairs + mechanism.loops, regressors=True)
+    needed = pairs + mechanism.loops
+    functions = kernels(mechanism, len(joints))
+    size = _CHUNK if functions is None else _CHUNK_COMPILED
+    for start in range(0, len(joints), size):
+        part = slice(start, min(start + size, len(joints)))
+        if functions is None:
+            yield part, kinematics.sweep(mechanism, joints[part], needed, regressors=True)
+        else:
+            yield part, kinematics.compiled_sweep(functions, mechanism, joints[part], needed)
 
 
 def relative_motion(
@@ -128,6 +143,9 @@ def relative_motion(
         angular: Whether dw is wanted too.
     """
     mapping = kinematics.motion_map(swept, pair, angular=angular)
+    if swept.compiled is not None:
+        direct = np.zeros((mapping.shape[1], len(mechanism.passive)))
+        return _compiled_motion(mechanism, swept.compiled, mapping, mechanism.between(pair), direct, slope, twists)
     by_passive = kinematics.joint_derivative(
         swept, mapping, mechanism.between(pair)[:, None] * mechanism.select_passive
     )
@@ -150,6 +168,9 @@ def passive_motion(
     n = len(swept.rotation)
     if not np.any(coordinate):
         return np.zeros((n, 1, twists.shape[1]))
+    if swept.compiled is not None:
+        nothing = np.zeros((n, 1, 6)), np.zeros(mechanism.n_joints)
+        return _compiled_motion(mechanism, swept.compiled, *nothing, coordinate[None], slope, twists)
     by_passive = np.broadcast_to(coordinate, (n, 1, len(coordinate)))
     terms = _through_loops(mechanism, swept, by_passive, slope)
     return _along(kinematics.origin_derivative(mechanism, swept, terms), twists)
@@ -168,6 +189,28 @@ def _through_loops(
         terms.append((-np.matmul(part, kinematics.twist_map(swept, loop)), mechanism.between(loop)))
         row += len(loop.rows)
     return terms
+
+
+def _compiled_motion(
+    mechanism: Mechanism,
+    by: kinematics.CompiledPoses,
+    mapping: FloatArray,
+    signs: FloatArray,
+    direct: FloatArray,
+    slope: FloatArray,
+    twists: FloatArray | None,
+) -> FloatArray:
+    """The same by compiled code; see `calib.model.kernels.motion` for the arguments."""
+    every = np.eye(6 * mechanism.n_joints) if twists is None else twists
+    blocks = every.reshape(mechanism.n_joints, 6, -1)
+    joints, columns = np.nonzero(np.any(blocks != 0.0, axis=1))
+    entries = joints, columns, np.ascontiguousarray(blocks[joints, :, columns])
+    rows, select = by.functions.loops(mechanism), mechanism.select_passive
+    slope = np.ascontiguousarray(slope)
+    result: FloatArray = by.functions.motion(
+        by.tree, rows, by.found, mapping, signs, direct, select, slope, entries, every.shape[1]
+    )
+    return result
 
 
 def _along(by_origin: FloatArray, twists: FloatArray | None) -> FloatArray:
@@ -206,14 +249,8 @@ def by_coefficient(robot: Robot, by_joint: FloatArray, columns: tuple[FloatArray
 
 def joint_twists(mechanism: Mechanism) -> FloatArray:
     """Return twists of all origins per actuated joint, (6 n_joints, n_actuated): the joint's axis at its own origin."""
-    model = mechanism.model
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    twists = np.zeros((6 * mechanism.n_joints, len(mechanism.actuated)))
-    for i in range(mechanism.n_joints):
-        axis = np.asarray(data.joints[i + 1].S).reshape(6)
-        twists[6 * i : 6 * i + 6] = np.outer(axis, mechanism.select_actuated[i])
-    return twists
+    by_joint: FloatArray = mechanism.axes[:, :, None] * mechanism.select_actuated[:, None, :]
+    return by_joint.reshape(6 * mechanism.n_joints, -1)
 
 
 def joint_jacobian(robot: Robot, configurations: Configurations) -> FloatArray:

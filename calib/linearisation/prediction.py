@@ -1,6 +1,8 @@
-"""How well a calibrated robot knows where its targets are: the parameters' covariance, carried to positions.
+"""How well a calibrated robot knows where its targets are: the parameters' covariance, carried to poses.
 
     covariance of x(q)  =  B C B^T,      B = d(position)/d(free parameters) at the pose
+
+and in the same way that of a target's orientation, as a small turn about the axes of the measurement frame.
 
 Directions of C that no measurement determined (redundant or prior-held parameters) drop out where B does not see them,
 so a position can be known to micrometres although no single parameter is. Only noise is counted: what the model leaves
@@ -33,11 +35,13 @@ class PositionUncertainty(ReadOnlyArrays):
         positions: (n_poses, n_targets, 3) [m].
         covariance: (n_poses, n_targets, 3, 3) [m^2].
         coverage_factor: How many standard deviations make half a 95 % interval of one coordinate.
+        turn_covariance: Of small turns of the targets, (n_poses, n_targets, 3, 3) [rad^2]; None where not computed.
     """
 
     positions: FloatArray
     covariance: FloatArray
     coverage_factor: float
+    turn_covariance: FloatArray | None = None
 
     @property
     def std(self) -> FloatArray:
@@ -48,19 +52,12 @@ class PositionUncertainty(ReadOnlyArrays):
     @property
     def distance(self) -> FloatArray:
         """Root mean square distance between true and predicted position, (n_poses, n_targets) [m]."""
-        result: FloatArray = np.sqrt(np.sum(self.std**2, axis=2))
-        return result
+        return rms_length(self.covariance)
 
     @property
     def distance95(self) -> FloatArray:
-        """Low and high 95 % limits of the distance between true and predicted position, (2, n_poses, n_targets) [m].
-
-        The square of the distance is a sum of squares of normal numbers with the eigenvalues of the covariance C as
-        weights: nearly g chi^2_h with the same mean and variance, g = tr(C^2) / tr(C), h = tr(C)^2 / tr(C^2);
-        where one direction outweighs the others, 97 of 100 lie between them.
-        """
-        trace = np.trace(self.covariance, axis1=2, axis2=3)
-        return _distance95(trace, np.sum(self.covariance**2, axis=(2, 3)), self.coverage_factor)
+        """Low and high 95 % limits of the distance between true and predicted position, (2, n_poses, n_targets) [m]."""
+        return length95(self.covariance, self.coverage_factor)
 
     @property
     def worst(self) -> int:
@@ -95,7 +92,7 @@ def predicted_rms(jacobian: FloatArray, covariance: FloatArray, coverage_factor:
     """Return the root mean square distance between true and predicted positions over poses.
 
     The error d of the parameters makes the mean square d^T W d, W the mean of B^T B over positions: a sum of squares
-    whose weights are the eigenvalues of C W, as in `PositionUncertainty.distance95`.
+    whose weights are the eigenvalues of C W, as in `length95`.
 
     Args:
         jacobian: B of each position, (n_poses, n_targets, 3, n_free).
@@ -104,12 +101,32 @@ def predicted_rms(jacobian: FloatArray, covariance: FloatArray, coverage_factor:
     """
     flat = jacobian.reshape(-1, jacobian.shape[-1])
     product = covariance @ (flat.T @ flat) / (len(flat) / 3)
-    trace, squares = np.array([np.trace(product)]), np.array([np.sum(product * product.T)])
-    ((low,), (high,)) = _distance95(trace, squares, coverage_factor)
-    return RootMeanSquare(float(np.sqrt(max(trace[0], 0.0))), float(low), float(high))
+    trace, squares = np.array(np.trace(product)), np.array(np.sum(product * product.T))
+    low, high = _root95(trace, squares, coverage_factor)
+    return RootMeanSquare(float(np.sqrt(np.maximum(trace, 0.0))), float(low), float(high))
 
 
-def _distance95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> FloatArray:
+def rms_length(covariance: FloatArray) -> FloatArray:
+    """Return the root mean square length of vectors with these covariances (..., 3, 3), (...)."""
+    result: FloatArray = np.sqrt(np.maximum(np.trace(covariance, axis1=-2, axis2=-1), 0.0))
+    return result
+
+
+def length95(covariance: FloatArray, coverage_factor: float) -> FloatArray:
+    """Return low and high 95 % limits of the length of vectors with these covariances (..., 3, 3), (2, ...).
+
+    The square of the length is a sum of squares of normal numbers with the eigenvalues of the covariance C as weights:
+    nearly g chi^2_h with the same mean and variance, g = tr(C^2) / tr(C), h = tr(C)^2 / tr(C^2); where one direction
+    outweighs the others, 97 of 100 lie between them.
+
+    Args:
+        covariance: C.
+        coverage_factor: How many standard deviations make half a 95 % interval of one coordinate.
+    """
+    return _root95(np.trace(covariance, axis1=-2, axis2=-1), np.sum(covariance**2, axis=(-2, -1)), coverage_factor)
+
+
+def _root95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> FloatArray:
     """95 % limits of the root of a sum of squares of normal numbers, from the sums of its weights and their squares."""
     trace = np.maximum(trace, 1e-300)
     squares = np.maximum(squares, 1e-300 * trace)
@@ -119,7 +136,7 @@ def _distance95(trace: FloatArray, squares: FloatArray, coverage_factor: float) 
 
 
 def carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return B C B^T of each position, (n_poses, n_targets, 3, 3), from B (n_poses, n_targets, 3, n_free)."""
+    """Return B C B^T of each position or turn, (n_poses, n_targets, 3, 3), from B (n_poses, n_targets, 3, n_free)."""
     result: FloatArray = (jacobian @ covariance) @ jacobian.swapaxes(2, 3)
     return result
 
@@ -132,7 +149,7 @@ def position_uncertainty(
     q: FloatArray,
     context: Context | None = None,
 ) -> PositionUncertainty:
-    """Predict positions of all targets, loops closed, with their covariance.
+    """Predict positions of all targets, loops closed, with their covariance and that of the orientations.
 
     Args:
         robot: The calibrated robot.
@@ -146,10 +163,14 @@ def position_uncertainty(
         UnreachablePoseError: A loop stays open.
     """
     context = Context.neutral(*q.shape) if context is None else context
-    positions, spread = [], []
+    positions, spread, turned = [], [], []
     for start in range(0, len(q), _CHUNK):
         some = slice(start, start + _CHUNK)
-        linear = linearise(robot, robot.assemble(q[some], context=context.at(some)))
+        linear = linearise(robot, robot.assemble(q[some], context=context.at(some)), turns=True)
         positions.append(linear.positions)
-        spread.append(carried(linear.jacobian[..., free], covariance))
-    return PositionUncertainty(np.concatenate(positions), np.concatenate(spread), coverage_factor)
+        jacobian = linear.jacobian[..., free]
+        spread.append(carried(jacobian[:, :, :3], covariance))
+        turned.append(carried(jacobian[:, :, 3:], covariance))
+    return PositionUncertainty(
+        np.concatenate(positions), np.concatenate(spread), coverage_factor, np.concatenate(turned)
+    )

@@ -27,6 +27,7 @@ import numpy as np
 import scipy
 
 from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.model.acceleration import kernels
 from calib.model.closure import AssemblyMode, residual
 from calib.model.mechanism import Mechanism
 from calib.numerics.halton import halton
@@ -69,7 +70,16 @@ def newton(
     accepted, last = np.zeros(n, dtype=bool), np.full(n, np.inf)
     active = np.arange(n)
     enough = closing_tolerance(mechanism) / 10
-    for _ in range(_MAX_NEWTON):
+    fast = kernels(mechanism, n)
+    if fast is not None:
+        select = mechanism.select_passive, mechanism.select_actuated
+        rest = actuated @ select[1].T + mechanism.constant
+        scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
+        model = fast.tree(mechanism, mechanism.loops), fast.loops(mechanism)
+        limits = enough, LARGEST_STEP, _MAX_NEWTON
+        slope, slope_actuated, accepted = fast.close(*model, rest, *select, passive, scale, *limits)
+        active = active[:0]
+    for _ in range(_MAX_NEWTON if fast is None else 0):
         values, slope_p, slope_a = residual(mechanism, actuated[active], passive[active])
         small = np.max(np.abs(values), axis=1) <= enough
         slope[active[small]], slope_actuated[active[small]] = slope_p[small], slope_a[small]

@@ -21,6 +21,7 @@ once; all further algebra runs on arrays of poses.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -40,6 +41,7 @@ class Sweep:
         jacobian: World Jacobian, columns per joint, (n, 6, n_joints).
         leaves: Joint indices whose regressors were taken.
         regressor: World kinematic regressor of each leaf, (n, n_leaves, 6, 6 n_joints); empty if not wanted.
+        compiled: What takes the place of Jacobian and regressors, if compiled code has computed the poses.
     """
 
     index: dict[int, int]
@@ -48,6 +50,38 @@ class Sweep:
     jacobian: FloatArray
     leaves: tuple[int, ...]
     regressor: FloatArray
+    compiled: CompiledPoses | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledPoses:
+    """Poses of every joint, as compiled code has computed them; see `calib.model.kernels`.
+
+    Attributes:
+        functions: The compiled functions.
+        tree: The model as arrays.
+        found: Poses of origins and joints.
+    """
+
+    functions: Any
+    tree: Any
+    found: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+
+
+def compiled_sweep(functions: Any, mechanism: Mechanism, joints: FloatArray, pairs: tuple[RelativeFrame, ...]) -> Sweep:
+    """Return the sweep of `sweep` without Jacobian and regressors, by compiled code.
+
+    Args:
+        functions: The compiled functions.
+        mechanism: The robot.
+        joints: Configurations, (n, n_joints) [m or rad].
+        pairs: Frames that are needed.
+    """
+    tree = functions.tree(mechanism, pairs)
+    found = functions.poses(tree, joints)
+    nothing = np.empty(0)
+    index = {frame: frame for frame in range(mechanism.n_joints + 1)}
+    return Sweep(index, found[2], found[3], nothing, (), nothing, CompiledPoses(functions, tree, found))
 
 
 def sweep(

@@ -75,6 +75,7 @@ class Mechanism(ReadOnlyArrays):
         places: Joint index of every place that instruments look from or at, by name.
         views: What instruments look along.
         support: `support[i, j]` is 1.0 where joint j + 1 moves frame i, (n_joints + 1, n_joints).
+        axes: Motion of each joint per unit of its value, [linear; angular] in its own frame, (n_joints, 6).
         length: Characteristic length that makes metres and radians comparable [m].
     """
 
@@ -94,6 +95,7 @@ class Mechanism(ReadOnlyArrays):
     places: dict[str, int]
     views: tuple[RelativeFrame, ...]
     support: FloatArray
+    axes: FloatArray
     length: float
 
     @property

@@ -76,9 +76,17 @@ def build_mechanism(
         places=indices,
         views=tuple(view(indices, a, b) for a, b in views),
         support=support,
+        axes=_axes(model),
         length=_length(model, support, targets, loops),
         **_selection(urdf, groups, origin_names, home_values(urdf, description, where)),
     )
+
+
+def _axes(model: pin.Model) -> FloatArray:
+    """The motion of each joint per unit of its value, [linear; angular] in its own frame, (n_joints, 6)."""
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    return np.array([np.asarray(data.joints[i].S).reshape(6) for i in range(1, model.njoints)])
 
 
 def home_values(urdf: UrdfText, description: Description, where: str) -> dict[str, float]:

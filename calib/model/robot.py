@@ -30,6 +30,7 @@ from calib.model.urdf_text import Triple, UrdfText
 from calib.observation.kind import Instrument
 from calib.parameter import Parameter, index_of
 from calib.sections import COMPONENTS, Component
+from calib.tabular import titled_html
 from calib.units import quantity
 
 _LARGEST_JOINT = 1e6  # [m or rad]
@@ -88,6 +89,11 @@ class Robot(ReadOnlyArrays):
             f"<Robot '{self.name}' from {self.path}: {len(self.joint_names)} actuated and {len(self.passive_names)}"
             f" passive joints, {len(self.parameters)} parameters>"
         )
+
+    def _repr_html_(self) -> str:
+        told = f"joints {', '.join(self.joint_names)}; targets {', '.join(self.target_names)}"
+        rows = zip(self.parameters, self.values, self.is_free, strict=True)
+        return titled_html(self.name, (repr(self)[1:-1], told), [one.row(value, free) for one, value, free in rows])
 
     @property
     def name(self) -> str:

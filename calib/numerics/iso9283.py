@@ -19,7 +19,14 @@ square of Student's t over the normal quantile, as S is found from n cycles. RP 
 that depends on n and the shape of the scatter alone; it is drawn with the shape as found. Intervals of a largest one of
 several are those of each at its share of the chance, which errs on the wide side.
 
-Reference: iso9283, section 7.2 and 7.3.
+What is checked. AP, RP, vAP and AD are as descriptions of the standard in the literature give them: the distance of the
+mean from what was commanded, mean and three standard deviations of the distances from the mean, the largest distance
+between the means of directions, the mean distance less the commanded one. The standard's own text was not at hand. RD
+and the figures of angles are the same read for one number. Of drift, the standard compares repeated values of AP and of
+RP over time; that the largest change counts, with blocks of ten cycles, is not checked. vAP, distances and drift of
+orientations are not computed.
+
+Reference: iso9283.
 """
 
 from __future__ import annotations

@@ -20,6 +20,8 @@ several groups of rows (instruments, or position and orientation), each with its
 Where rows of a visit share errors, the covariance of the whitened rows is W = diag(o_g^2) + sum of tau_j^2 h_j h_j^T
 (`calib.linearisation.rows`), and in the place of the sum stands T^T J^T W J T.
 
+Where the size of some priors was found from the same data, `calib.numerics.prior_sizes` says what that adds to C.
+
 A robust loss changes what a residual tells: see `calib.identification.robust`, which gives f and its counterpart in C.
 
 Intervals are value +- t std with Student's t at 97.5 % and the degrees of freedom above, because the noise is found
@@ -235,6 +237,7 @@ def statistics(
     scales: FloatArray,
     has_prior: BoolArray,
     noise: NoiseOfRows | None = None,
+    by_sizes: FloatArray | None = None,
 ) -> Statistics:
     """Return the statistics at the solution.
 
@@ -246,6 +249,7 @@ def statistics(
         scales: s of the module docstring, (n_free,) [m, rad].
         has_prior: Which parameters have a prior, (n_free,).
         noise: What the rows scatter by, where visits share an error.
+        by_sizes: What is added to the covariance of u where sizes of priors were found, (n_free, n_free).
     """
     root = known.root
     share = prior_shares(known, has_prior)
@@ -256,6 +260,8 @@ def statistics(
         pulled = jacobian[groups == group] @ root
         core += (factors.slope * factor) ** 2 * (pulled.T @ pulled)
     scaled_covariance = root @ core @ root.T
+    if by_sizes is not None:
+        scaled_covariance = scaled_covariance + by_sizes
     covariance = scales[:, None] * scaled_covariance * scales
     std: FloatArray = np.sqrt(np.diag(covariance))
     decided = np.where(has_prior, np.clip(1.0 - np.diag(scaled_covariance), 0.0, 1.0), 1.0)

@@ -17,7 +17,8 @@ from calib.files import read_text
 from calib.sections import Angle, Length, Section
 from calib.units import per_si, split_column
 
-_Positive = Annotated[float, Field(gt=0)]
+_Number = Annotated[float, Field(allow_inf_nan=False)]
+_Positive = Annotated[_Number, Field(gt=0)]
 _PositiveLength = Annotated[Length, Field(gt=0)]
 _PositiveAngle = Annotated[Angle, Field(gt=0)]
 _COLUMNS = ("point", "x", "y", "z")
@@ -52,13 +53,13 @@ class IntrinsicsSection(Section):
 
     fx: _Positive
     fy: _Positive
-    cx: float
-    cy: float
-    k1: float = 0.0
-    k2: float = 0.0
-    p1: float = 0.0
-    p2: float = 0.0
-    k3: float = 0.0
+    cx: _Number
+    cy: _Number
+    k1: _Number = 0.0
+    k2: _Number = 0.0
+    p1: _Number = 0.0
+    p2: _Number = 0.0
+    k3: _Number = 0.0
 
 
 class UnknownIntrinsicsSection(Section):

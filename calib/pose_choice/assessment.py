@@ -10,6 +10,7 @@ noise, the predicted standard deviation of every parameter, their correlations, 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,8 +30,9 @@ from calib.numerics.null_space import Group, null_groups
 from calib.numerics.observability import Information, TaskIndex, information, observability_of, prior_rows, task_index
 from calib.parameter import Parameter, index_of
 from calib.pose_choice.pose_count import CountRow, accuracy_by_count
+from calib.tabular import data_frame, titled_html
 from calib.threads import one_blas_thread
-from calib.units import millimetres
+from calib.units import PER_SI, millimetres
 
 CORRELATION_LIMIT = 0.95
 """Correlations above this are reported: the two values trade against each other."""
@@ -85,6 +87,23 @@ class Assessment(ReadOnlyArrays):
             f"<Assessment of {self.n_poses} poses: {self.determination.free.rank} of {int(np.sum(self.free))} free"
             f" parameters determined, predicted error {millimetres(self.accuracy.rms):.3g} mm RMS>"
         )
+
+    def _repr_html_(self) -> str:
+        return titled_html("Assessment", (repr(self)[1:-1], *self.determination.lines()), self.rows())
+
+    def rows(self) -> list[dict[str, object]]:
+        """Return one row for each free parameter with its predicted standard deviation, in the units of tables."""
+        kept = zip(self.free_parameters, self.std, strict=True)
+        per_si = {one.name: PER_SI[one.dimension][one.unit] for one in self.free_parameters}
+        return [
+            {"name": one.name, "unit": one.unit}
+            | {key: float(number) * per_si[one.name] for key, number in (("sigma", one.sigma), ("std", std))}
+            for one, std in kept
+        ]
+
+    def to_dataframe(self) -> Any:
+        """Return `rows` as a pandas table; pandas missing is an `InputError`."""
+        return data_frame(self.rows())
 
     @property
     def rank_all(self) -> Rank:

@@ -5,6 +5,9 @@ the candidates. Before the measured poses determine the robot, no error can be p
 one more pose about what all candidates would determine (log det, with a little of every direction known beforehand, so
 that the one that is missing most counts most). Of the poses that help at least `ENOUGH` times as much as the best, the
 nearest is taken: measuring takes time, most of it for the way.
+
+Once the predicted error is small enough, poses are measured to check it. What helps most is where predictions are
+worst, so errors there say nothing about the candidates as a whole: poses to check with are drawn at random.
 """
 
 from __future__ import annotations
@@ -40,6 +43,7 @@ class NextPose(ReadOnlyArrays):
         before: Predicted error over the candidates now, root mean square; infinite where it is not determined [m].
         after: The same with this pose measured; infinite likewise [m].
         way: Longest way of a joint from where the robot stands, in the range of that joint over the candidates.
+        checks: Whether it was drawn at random, to check with.
     """
 
     candidate: int
@@ -48,6 +52,7 @@ class NextPose(ReadOnlyArrays):
     before: float
     after: float
     way: float
+    checks: bool = False
 
 
 @one_blas_thread
@@ -58,6 +63,7 @@ def next_pose(
     *,
     present: FloatArray | None = None,
     sigma: float | None = None,
+    drawn: np.random.Generator | None = None,
 ) -> NextPose | None:
     """Return the pose to measure next; None where every candidate that can be reached is measured.
 
@@ -67,6 +73,7 @@ def next_pose(
         measured: What is measured already.
         present: Where the robot stands, (n_actuated,) [m or rad]; home if not given.
         sigma: Noise of one reading per axis [m]; the description's if not given.
+        drawn: Draw the pose with these random numbers, to check with.
 
     Raises:
         DataError: A candidate is given twice.
@@ -84,7 +91,10 @@ def next_pose(
         scores = Determinant.of(problem, problem.before + _KNOWN * np.eye(len(problem.before)))
     gains = np.where(usable, scores.gains(), -np.inf)
     way = ways(setting.found.joints, robot.home if present is None else present)[setting.pairs.pose]
-    best = int(np.argmin(np.where(gains >= ENOUGH * np.max(gains), way, np.inf)))
+    if drawn is None:
+        best = int(np.argmin(np.where(gains >= ENOUGH * np.max(gains), way, np.inf)))
+    else:
+        best = int(drawn.choice(np.flatnonzero(usable)))
     pose = int(setting.pairs.pose[best])
     before = problem.task_trace(problem.before) if determined else np.inf
     after = before - gains[best] if determined else np.inf
@@ -95,4 +105,5 @@ def next_pose(
         before=float(np.sqrt(before + problem.task_floor)),
         after=float(np.sqrt(max(after, 0.0) + problem.task_floor)),
         way=float(way[best]),
+        checks=drawn is not None,
     )

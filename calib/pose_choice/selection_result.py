@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.numerics.identifiability import Rank
+from calib.tabular import titled_html
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,3 +93,8 @@ class Selection(ReadOnlyArrays):
     def __repr__(self) -> str:
         before, after = self.before[self.index], self.after[self.index]
         return f"<Selection of {len(self)} poses by {self.index}: {before:.4g} before, {after:.4g} after>"
+
+    def _repr_html_(self) -> str:
+        rows = ("uniform choice", self.before), ("these poses", self.after)
+        table: list[dict[str, object]] = [{"choice": name, **values} for name, values in rows]
+        return titled_html("Selection", (repr(self)[1:-1],), table)

@@ -108,7 +108,8 @@ def _terms(fit: Fit) -> list[str]:
                 f"poses of blocks left out {scale * one.before:.4f} -> {scale * one.after:.4f} {unit} RMS, log evidence"
                 f" {one.evidence:+.1f}"
             )
-            (added if one.added else left).append(f"{one.term} ({one.why}{': ' if one.why else ''}{numbers})")
+            alike = f"; the data cannot tell it from {listed(one.alike)}" if one.alike else ""
+            (added if one.added else left).append(f"{one.term} ({one.why}{': ' if one.why else ''}{numbers}{alike})")
     every = len(fit.terms.tried)
     lines = [f"Joint terms added: {listed(added, '; ', every) or 'none earns its place'}"]
     lines += [f"Joint terms left out: {listed(left, '; ', every)}"] if left else []
@@ -265,8 +266,8 @@ def _budget(fit: Fit) -> list[Table]:
     for header in ("", f"RMS {unit}", f"mean square {unit}^2", "std", "share"):
         table.add_column(header, justify="left" if not header else "right")
     for row in cast(list[dict[str, Any]], budget["causes"]):
-        numbers = [f"{row[key]:.4f}" if key == "rms" else f"{row[key]:.3g}" for key in ("rms", "mean_square", "std")]
-        table.add_row(row["cause"], *numbers, f"{100 * row['share']:.1f} %")
+        squares = [f"{row[key]:.3g}" if np.isfinite(row[key]) else "-" for key in ("mean_square", "std")]
+        table.add_row(row["cause"], f"{row['rms']:.4f}", *squares, f"{100 * row['share']:.1f} %")
     before = cast(float, budget["rms_before"])
     table.add_row("together: before", f"{before:.4f}", f"{before**2:.3g}", "", "100.0 %")
     return [table]

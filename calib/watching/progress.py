@@ -100,6 +100,7 @@ class Progress(ReadOnlyArrays):
             if following is None
             else {
                 "pose": following.name,
+                "checks": following.checks,
                 "joints": {name: {"value": value, "unit": unit} for name, value, unit in self._joints(following)},
                 "way": following.way,
                 "predicted_mm": {
@@ -131,7 +132,9 @@ class Progress(ReadOnlyArrays):
             return [] if self.stop else ["every candidate that can be reached is measured"]
         joints = ", ".join(f"{name} {value:.4f} {unit}" for name, value, unit in self._joints(following))
         help_ = "brings in what is missing"
-        if math.isfinite(following.before) and following.before > 0:
+        if following.checks:
+            help_ = "is drawn at random, to check what is predicted"
+        elif math.isfinite(following.before) and following.before > 0:
             help_ = f"lowers the predicted error by {100 * (1 - following.after / following.before):.2g} %"
         return [f"next: pose {following.name}, which {help_}", f"  {joints}"]
 

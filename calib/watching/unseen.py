@@ -2,8 +2,8 @@
 
 The predicted error counts noise alone. What the model leaves out shows only where the robot is measured and the fit has
 not been: every new pose is predicted by the fit of the poses before it, then fitted (Dawid's prequential principle).
-The last poses are the ones that tell about the present fit: all since the predicted error met the goal, or, while these
-are fewer than `LEAST`, the last `LAST`. With s_k the mean square error at pose k and m their mean
+The last poses are the ones that tell about the present fit: the last `MOST` since the predicted error met the goal; or,
+while these are fewer than `LEAST`, the last `LAST` of all. With s_k the mean square error at pose k and m their mean
 over n poses, m is nearly g chi^2_h of the same mean and variance,
 
     h = 2 n m^2 / (var(s) (1 + 8 / n))        at most 3 n, which normal errors alike in all directions have
@@ -33,6 +33,8 @@ from calib.watching.progress import UNKNOWN
 
 LAST = 20
 """Poses that tell about the present fit while none has promised the goal yet."""
+MOST = 40
+"""Poses that tell about it at most once fits promise the goal."""
 LEAST = 10
 """Fewer tell nothing."""
 _TOO_SMALL = 8.0

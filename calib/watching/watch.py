@@ -30,7 +30,7 @@ from calib.pose_choice.next_pose import NextPose, next_pose
 from calib.pose_choice.pose_sampling import sample
 from calib.units import quantity
 from calib.watching.progress import UNKNOWN, Progress
-from calib.watching.unseen import LAST, LEAST, squares_of, unseen_rms
+from calib.watching.unseen import LAST, LEAST, MOST, squares_of, unseen_rms
 
 CANDIDATES = 300
 """Poses that are sampled where nobody gives any."""
@@ -45,7 +45,7 @@ class Watch:
         candidates: Poses that the goal is about, and to choose the next one from; or joint values alone, (n,
             n_actuated) [m or rad]. Sampled over the joint limits if not given.
         sigma: Noise of one measured position per axis [m]; the description's if not given.
-        seed: Of sampled candidates.
+        seed: Of sampled candidates, and of poses to check with.
 
     Raises:
         InputError: The goal is no positive length, or nothing measures positions.
@@ -68,7 +68,7 @@ class Watch:
         if self.goal <= 0:
             raise InputError(f"goal {goal}: must be a positive length, such as 0.1 mm")
         self.candidates = sample(robot, CANDIDATES, seed) if candidates is None else as_poses(robot, candidates)
-        self._settings = Settings(sigma)
+        self._settings, self._seed = Settings(sigma), seed
         self._data: Measurements | None = None
         self._fit: Fit | None = None
         self._squares: list[float] = []
@@ -94,7 +94,7 @@ class Watch:
             self._fit, obstacle = self._fitted(data)
             self._data = data
         predicted = self._predicted(self._fit)
-        n_unseen = self._settled if self._settled >= LEAST else min(len(self._squares), LAST)
+        n_unseen = min(self._settled, MOST) if self._settled >= LEAST else min(len(self._squares), LAST)
         self._met = predicted.high95 <= self.goal
         return Progress(
             robot=self.robot,
@@ -154,7 +154,8 @@ class Watch:
             sigma = max(fit.sigma, 1e-9)  # what was found; data without noise leave none
         robot = self.robot if fit is None else fit.robot
         present = None if measured is None else measured.joints[-1]
-        return next_pose(robot, self.candidates, measured, present=present, sigma=sigma)
+        drawn = np.random.default_rng([self._seed, measured.n_poses]) if self._met and measured is not None else None
+        return next_pose(robot, self.candidates, measured, present=present, sigma=sigma, drawn=drawn)
 
 
 def _continues(before: Measurements, data: Measurements) -> bool:

@@ -15,6 +15,19 @@ This page is what `--help` prints. `python -m calib` is the same as `calib`.
 
 **Exit codes.** 0: done. 2: the input is wrong; one line on standard error says what, where, and what to do. 3: the
 computation could not give an answer that can be trusted, and says why. An existing result is never half overwritten.
+
+**At a terminal**, `calib fit`, `calib check` and `calib select` end with what the grade means (PASS green, CHECK
+yellow, FAIL red) and the next command to type: the one that answers the first reason of the verdict, or that goes on.
+In files and pipes these lines are left out.
+
+**Completion.** Shells complete commands and options of `calib` after one of these lines; `medrue` likewise, with
+`_MEDRUE_COMPLETE`:
+
+```sh
+eval "$(_CALIB_COMPLETE=bash_source calib)"    # bash: into ~/.bashrc
+eval "$(_CALIB_COMPLETE=zsh_source calib)"     # zsh: into ~/.zshrc
+_CALIB_COMPLETE=fish_source calib | source     # fish: into ~/.config/fish/completions/calib.fish
+```
 """
 
 

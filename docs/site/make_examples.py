@@ -1,15 +1,17 @@
-"""Write the simulated measurements of the tutorials again: docs/examples/arm_*.csv and five_bar_*.csv.
+"""Write the files of docs/examples that are made: simulated measurements of every robot, and the robots of templates.
 
     python docs/site/make_examples.py [FOLDER]
 
 Each robot gets true parameters drawn at random, is sent to random poses, and is measured with normal noise. The truth
-is shipped too, so that a reader can see how near a calibration comes to it.
+is shipped too, so that a reader can see how near a calibration comes to it. Four-bar, 3-RRR, delta and hexapod are what
+`calib init --template` writes.
 """
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +21,8 @@ from calib.data.measurements import Poses
 from calib.data.parameter_files import format_parameters
 from calib.data.tables import format_table
 from calib.files import write_file
+from calib.model.loop_templates import loop_files, read_lengths
+from calib.units import DISPLAY_UNIT, PER_SI
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 Array = NDArray[np.float64]
@@ -27,6 +31,8 @@ Array = NDArray[np.float64]
 ARM_BASE = {"base.x": 2.1, "base.y": -1.4, "base.z": 0.6, "base.rx": 0.01, "base.ry": -0.02, "base.rz": 2.2}
 ARM_SIGMA, ARM_SEED, ARM_POSES = 0.03e-3, 8, 80
 FIVE_BAR_BASE = {"base.x": 0.4, "base.y": 1.1, "base.z": -0.3, "base.rx": 0.02, "base.ry": 0.03, "base.rz": -1.2}
+TEMPLATES = {"four_bar": 40, "3rrr": 60, "delta": 60, "stewart": 80}  # and how many poses
+TEMPLATE_SIGMA, TEMPLATE_SEED = 0.02e-3, 3
 FIVE_BAR_SIGMA, FIVE_BAR_SEED, FIVE_BAR_POSES = 0.02e-3, 5, 40
 
 
@@ -65,12 +71,37 @@ def five_bar() -> dict[str, str]:
     return _files(robot, "five_bar", np.array(poses), truth, FIVE_BAR_SIGMA, FIVE_BAR_SEED, rng)
 
 
+def from_template(name: str) -> dict[str, str]:
+    """Return the files of a robot with loops: its URDF, its description, and its measurements."""
+    texts = dict(
+        zip((f"{name}.urdf", f"{name}.yaml"), loop_files(name, read_lengths(name, ()), f"{name}.urdf"), strict=True)
+    )
+    with TemporaryDirectory() as folder:
+        for file, text in texts.items():
+            (Path(folder) / file).write_text(text)
+        robot = calib.load(Path(folder) / f"{name}.yaml")
+        rng = np.random.default_rng(TEMPLATE_SEED)
+        truth = _drawn(robot, rng)
+        actual = robot.with_parameters(truth)
+        scale = np.array([_scale(robot, joint) for joint in robot.joint_names])
+        found = np.round(calib.sample(robot, 2 * TEMPLATES[name], rng).joints * scale, 3) / scale
+        near = actual.close(found).ok & robot.close(found).ok
+        poses = found[near][: TEMPLATES[name]]
+        return texts | _files(robot, name, poses, truth, TEMPLATE_SIGMA, TEMPLATE_SEED, rng)
+
+
 def _drawn(robot: calib.Robot, rng: np.random.Generator) -> dict[str, float]:
     """True values: nominal plus half of what the description expects; placements stay nominal."""
     return {
         parameter.name: parameter.nominal + (0.0 if parameter.placement else 0.5 * parameter.sigma * rng.normal())
         for parameter in robot.parameters
     }
+
+
+def _scale(robot: calib.Robot, joint: str) -> float:
+    """What makes degrees or millimetres of a joint's SI value."""
+    dimension = robot.mechanism.dimensions[joint]
+    return PER_SI[dimension][DISPLAY_UNIT[dimension]]
 
 
 def _files(
@@ -91,20 +122,30 @@ def _files(
         f"Truth: {name}_truth.csv. Normal noise, sigma {1e3 * sigma:g} mm per axis; everything from seed {seed}.",
     )
     columns: list[tuple[str, list[object]]] = [("pose", list(names))]
-    for joint, degrees in zip(robot.joint_names, np.degrees(joints).T, strict=True):
-        columns.append((f"{joint} [deg]", [f"{value:.3f}" for value in degrees]))
-    for axis, millimetres in zip("xyz", 1e3 * measured.points(robot)[:, 0].T, strict=True):
-        columns.append((f"{robot.target_names[0]}_{axis} [mm]", [f"{value:.4f}" for value in millimetres]))
+    for joint, values in zip(robot.joint_names, joints.T, strict=True):
+        unit = DISPLAY_UNIT[robot.mechanism.dimensions[joint]]
+        columns.append((f"{joint} [{unit}]", [f"{value:.3f}" for value in values * _scale(robot, joint)]))
+    for target, points in zip(robot.target_names, 1e3 * measured.points(robot).transpose(1, 2, 0), strict=True):
+        for axis, millimetres in zip("xyz", points, strict=True):
+            columns.append((f"{target}_{axis} [mm]", [f"{value:.4f}" for value in millimetres]))
     return {
         f"{name}_simulated.csv": format_table(columns, comments),
         f"{name}_truth.csv": format_parameters(actual),
     }
 
 
+def every_file() -> dict[str, str]:
+    """Return all files that are made, by name."""
+    files = arm() | five_bar()
+    for name in TEMPLATES:
+        files |= from_template(name)
+    return files
+
+
 def main() -> None:
     """Run the command line."""
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else EXAMPLES
-    for name, text in (arm() | five_bar()).items():
+    for name, text in every_file().items():
         write_file(folder / name, text)
         print(f"{folder / name} written")
 

@@ -10,7 +10,9 @@ is the evaluations of the last solve of a fit; * says that the fit is not conver
 import argparse
 import shutil
 import tempfile
+from contextlib import contextmanager
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 from motoman_choice import load as motoman
@@ -34,16 +36,18 @@ columns: {x: sensor_x, y: sensor_y, z: sensor_z}
 """
 
 
-class Counted(Problem):
-    """A problem that remembers how long its last solve took."""
+@contextmanager
+def counted():
+    """Inside, how many evaluations the last solve of a fit took is the last entry of the list that this gives."""
+    counts, solve = [], Problem.solve
 
-    evaluations = 0
-
-    def solve(self, *given, **options):
-        """Solve, and count."""
-        robot, solution = super().solve(*given, **options)
-        Counted.evaluations = solution.evaluations
+    def counting(self, *given, **options):
+        robot, solution = solve(self, *given, **options)
+        counts.append(solution.evaluations)
         return robot, solution
+
+    with mock.patch.object(Problem, "solve", counting):
+        yield counts
 
 
 def example(name, every=1):
@@ -69,23 +73,34 @@ def ur10(folder, rows=300):
         return robot, calib.read_measurements(path, robot)
 
 
+def problems(folder=None):
+    """Robots and measurements by name; those of others where there is a folder."""
+    found = {"arm": example("arm"), "five-bar": example("five_bar"), "MedRUE": example("medrue", every=5)}
+    if folder:
+        found["Motoman"] = motoman(folder / "motoman_right")[:2]
+        found["UR10"] = ur10(folder / "ur10_tracker")
+    return found
+
+
+def table(robots):
+    """Lines of the table."""
+    yield "| stated [mm] |" + "".join(f" {1e3 * sigma:g} |" for sigma in SIGMAS)
+    yield "|---|" + "---:|" * len(SIGMAS)
+    for name, (robot, data) in robots.items():
+        row = f"| {name} |"
+        for sigma in SIGMAS:
+            with counted() as counts:
+                fit = calib.fit(robot, data, sigma=float(sigma))
+            row += f" {counts[-1]}{'' if fit.converged else ' *'} |"
+        yield row
+
+
 def main():
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path)
-    options = parser.parse_args()
-    problems = {"arm": example("arm"), "five-bar": example("five_bar"), "MedRUE": example("medrue", every=5)}
-    if options.data:
-        problems["Motoman"] = motoman(options.data / "motoman_right")[:2]
-        problems["UR10"] = ur10(options.data / "ur10_tracker")
-    calib.identification.fit.Problem = Counted
-    print("| stated [mm] |" + "".join(f" {1e3 * sigma:g} |" for sigma in SIGMAS) + "\n|---|" + "---:|" * len(SIGMAS))
-    for name, (robot, data) in problems.items():
-        row = f"| {name} |"
-        for sigma in SIGMAS:
-            fit = calib.fit(robot, data, sigma=float(sigma))
-            row += f" {Counted.evaluations}{'' if fit.converged else ' *'} |"
-        print(row, flush=True)
+    for line in table(problems(parser.parse_args().data)):
+        print(line, flush=True)
 
 
 if __name__ == "__main__":

@@ -137,3 +137,21 @@ def test_a_robot_without_poses_shows_the_joint_values_that_a_program_displays(ch
         assert not tab.page.locator("#stepper").is_visible()
         assert tab.problems == []
         tab.context.close()
+
+
+def test_what_is_told_stands_above_the_picture_and_another_fit_replaces_it(live):
+    viewer, tab, fit = live
+    tab.page.evaluate("window.loadedBefore = true")
+    q = fit.identification.data.joints[30]
+    viewer.show("12 poses\ngoal 0.1 mm: not yet", fit, q)
+    tab.page.wait_for_function("() => window.loadedBefore === undefined && window.calibrationViewer", timeout=10000)
+    wait(tab, "v.live !== null")
+    banner = tab.page.locator("#banner")
+    assert banner.is_visible()
+    assert banner.inner_text().splitlines() == ["12 poses", "goal 0.1 mm: not yet"]
+    box, pane = banner.bounding_box(), tab.page.locator("#stage").bounding_box()
+    assert box["x"] >= pane["x"]
+    assert box["x"] + box["width"] <= pane["x"] + pane["width"]
+    viewer.close()
+    tab.page.wait_for_function("() => document.getElementById('banner').textContent.includes('ended')", timeout=10000)
+    assert tab.page.locator("#banner.told").count() == 0

@@ -1,7 +1,16 @@
 """What moves by itself in the viewer: only where the reader lets it, and it can be stopped."""
 
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
 import pytest
-from browser_tab import Tab
+from browser_tab import Tab, slide
+
+import calib
+import viz
+from viz.bodies import posed_robot
+from viz.viewer_page import scene_page
 
 PART = "v.stage.marks.uniforms.state.value"
 
@@ -109,3 +118,95 @@ def test_nothing_plays_by_itself_and_less_motion_begins_slowly(chromium, viewer_
     assert not tab.state("v.player.playing")
     assert tab.page.locator("#speed").input_value() == speed
     tab.context.close()
+
+
+@pytest.fixture(scope="module")
+def robots():
+    from viz_examples import medrue_fit
+
+    fit = medrue_fit()
+    return {"solid": fit.robot, "ghost": fit.placed}
+
+
+def test_joints_moved_by_hand_take_the_loops_along_as_the_engine_closes_them(tab, scene, robots):
+    tab.page.locator("#drive-block summary").click()
+    for number, (joint, share) in enumerate(((1, 0.4), (2, 0.6), (4, 0.45), (0, 0.9), (5, 0.2))):
+        slider = tab.page.locator(f"#drive-{joint}")
+        low, high = (float(slider.get_attribute(end)) for end in ("min", "max"))
+        now = float(slider.input_value())
+        slide(tab, f"drive-{joint}", now + 0.3 * (low + share * (high - low) - now))
+        assert tab.state("v.live.byHand") is True, number
+        q = np.array(tab.state("v.live.joints"))
+        for name, state in (("solid", "after"), ("ghost", "before")):
+            expected = posed_robot(robots[name], scene.bodies, q[None])
+            found = np.array(tab.state(f"v.live.{name}"))
+            np.testing.assert_allclose(found, expected.values[0], atol=1e-8)
+            position = np.array(tab.state(f"v.live.predicted.{state}"))[0]
+            np.testing.assert_allclose(position, robots[name].positions(q)[0, 0], atol=1e-8)  # asked for: 1e-6 m
+    assert "Moved by hand" in tab.page.locator("#pose-head").inner_text()
+    assert "error" not in tab.page.locator("#position").inner_text()
+    tab.page.locator("#drive-back").click()
+    assert "Pose 0" in tab.page.locator("#pose-head").inner_text()
+    assert tab.state("v.live") is None
+
+
+def test_where_the_loops_do_not_close_the_robot_stays_and_the_page_says_so(tab, scene, robots):
+    tab.page.locator("#drive-block summary").click()
+    slider = tab.page.locator("#drive-1")
+    assert tab.page.locator("#drive-note").inner_text() == ""
+    slide(tab, "drive-1", slider.get_attribute("max"))
+    assert "do not close beyond here" in tab.page.locator("#drive-note").inner_text()
+    q = np.array(tab.state("v.live.joints"))
+    assert float(slider.input_value()) < float(slider.get_attribute("max"))
+    beyond = q.copy()
+    beyond[1] += 0.05
+    assert np.all(np.isfinite(posed_robot(robots["solid"], scene.bodies, q[None]).values))
+    closes = [robot.close(beyond[None]).ok[0] for robot in robots.values()]
+    assert not all(closes)
+    slide(tab, "drive-1", float(slider.input_value()) - 5)
+    assert tab.page.locator("#drive-note").inner_text() == ""
+
+
+def test_the_sliders_follow_the_pose_and_keep_the_joint_limits(tab, scene):
+    slide(tab, "pose", 40)
+    for joint, value, kind in zip(scene.joints, scene.poses.joints[40], range(6), strict=True):
+        shown = tab.page.locator(f"#drive-{kind}")
+        assert float(shown.input_value()) == pytest.approx(joint.per_si * value, rel=2e-3, abs=0.2)
+    low, high = scene.drive.range
+    assert np.all(low <= scene.poses.joints.min(axis=0))
+    assert np.all(high >= scene.poses.joints.max(axis=0))
+
+
+def test_a_robot_without_poses_can_be_moved(chromium, tmp_path):
+    robot = calib.load("docs/examples/five_bar.yaml")
+    tab = Tab(chromium).open(viz.page(robot).save(tmp_path / "viewer.html").as_uri())
+    assert tab.page.locator("#pose-block").is_hidden()
+    tab.page.locator("#drive-block summary").click()
+    now = float(tab.page.locator("#drive-0").input_value())
+    assert tab.changed(slide, tab, "drive-0", now + 15) > 0.001
+    q = np.array(tab.state("v.live.joints"))
+    assert q[0] == pytest.approx(np.radians(now + 15), abs=2e-3)
+    position = np.array(tab.state("v.live.predicted.before"))
+    np.testing.assert_allclose(position, robot.positions(q)[0], atol=1e-8)
+    assert tab.problems == []
+    tab.context.close()
+
+
+def test_joint_terms_that_the_page_leaves_out_are_said_to_be(chromium, scene, tmp_path):
+    with_terms = replace(scene, drive=replace(scene.drive, terms=True))
+    tab = Tab(chromium).open(scene_page(with_terms).save(tmp_path / "viewer.html").as_uri())
+    tab.page.locator("#drive-block summary").click()
+    assert tab.page.locator("#drive-terms").is_visible()
+    slide(tab, "drive-0", float(tab.page.locator("#drive-0").input_value()) + 1)
+    assert tab.state("v.live.predicted.after") is None
+    assert "pred. after" not in tab.page.locator("#position").inner_text()
+    tab.context.close()
+
+
+def test_the_logarithm_of_a_pose_is_pinocchios(tab):
+    rng = np.random.default_rng(4)
+    for size in (1e-9, 1e-3, 1.0, 2.5):
+        direction = rng.normal(size=3)
+        motion = np.append(rng.normal(size=3), size * direction / np.linalg.norm(direction))
+        matrix = pin.exp6(motion).homogeneous[:3].ravel().tolist()
+        np.testing.assert_allclose(tab.page.evaluate(f"logarithm({matrix})"), motion, atol=1e-7)

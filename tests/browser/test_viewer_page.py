@@ -270,6 +270,7 @@ def test_on_a_phone_nothing_is_cut_off_and_everything_can_be_reached(chromium, v
 
 
 def test_every_control_has_a_name_and_is_reached_by_tab_in_the_order_of_the_page(tab):
+    tab.page.evaluate("document.getElementById('drive-block').open = true")
     unnamed = tab.page.evaluate("""() => [...document.querySelectorAll('input, select, button')].filter((e) =>
       !e.closest('[hidden]') && !e.getAttribute('aria-label') && !e.textContent.trim()
       && ![...(e.labels || [])].some((l) => l.textContent.trim())).map((e) => e.id)""")

@@ -1,5 +1,7 @@
 """The notebooks run from top to bottom."""
 
+import re
+
 import pytest
 from snippets import DOCS
 
@@ -23,3 +25,10 @@ def test_every_tutorial_has_a_notebook_and_links_to_it():
     for page, notebook in zip(tutorials, NOTEBOOKS, strict=True):
         assert f"../notebooks/{notebook.name}" in page.read_text()
         assert f": notebooks/{notebook.name}\n" in navigation
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=[path.stem for path in NOTEBOOKS])
+def test_a_notebook_uses_only_what_the_packages_offer_in_front(path):
+    text = path.read_text()
+    assert "import calib" in text
+    assert not re.findall(r"from (?:calib|viz)\.|import (?:calib|viz)\.", text)

@@ -26,7 +26,10 @@ class Controls {
       this.stage.marks.uniforms.edge.value = EDGES[theme];
       this.stage.redraw();
     });
+    this.drive = this.makeDrive();
     this.wire();
+    this.mapPanel = new MapPanel(this.stage && this.stage.map, scene.colourBytes, this.wireFactor.bind(this),
+                                 () => this.stage.redraw());
     this.filter();
     this.applyState();
     this.applyVisibility();
@@ -42,6 +45,8 @@ class Controls {
       if (table.n) {
         stage.addMarks(new Marks(stage.THREE, table, Uint8Array.from(scene.colourBytes), scene.point_radius, scene.point_pixels));
       }
+      if (scene.map) stage.addMap(new WorkspaceMap(stage.THREE, scene.map, colourTexture(stage.THREE, Uint8Array.from(scene.colourBytes)),
+                                                   stage.viewer.renderer.getPixelRatio()));
       return stage;
     } catch (problem) {
       const text = document.createElement("p");
@@ -50,6 +55,16 @@ class Controls {
       document.getElementById("stage").append(text);
       return null;
     }
+  }
+
+  /** Sliders of the motors; they need no 3D view: the numbers work without it. */
+  makeDrive() {
+    const { scene } = this;
+    const tree = this.stage ? this.stage.tree : new Tree(scene.bodies);
+    const posed = (data) => (data ? { ...data, values: decode(data.values, Float32Array) } : null);
+    const robots = { solid: posed(scene.solid), ghost: posed(scene.ghost) };
+    document.getElementById("drive-back").addEventListener("click", () => this.go(this.row));
+    return new DrivePanel(scene, tree, robots, (state) => this.showLive(state));
   }
 
   wire() {
@@ -63,7 +78,7 @@ class Controls {
     document.getElementById("scale-label").hidden = this.scene.states.length < 2;
     document.getElementById("state-switch").hidden = this.scene.states.length === 0;
     document.getElementById("state-block").hidden = this.scene.states.length === 0 && !this.scene.ghost;
-    document.getElementById("legend").hidden = this.scene.states.length === 0 && !this.scene.ghost;
+    document.getElementById("legend").hidden = this.scene.states.length === 0 && !this.scene.ghost && !this.scene.map;
     document.getElementById("legend-errors").hidden = this.scene.states.length === 0;
     document.getElementById("pose-block").hidden = this.table.n === 0;
     document.getElementById("ghost-row").hidden = !this.scene.ghost;
@@ -244,7 +259,12 @@ class Controls {
       this.stage.live = null;
       this.stage.showPose(row);
     }
-    if (!this.table.n) return;
+    const count = this.scene.joints.length;
+    this.drive.begin(this.table.n ? Array.from(this.table.joints.subarray(row * count, (row + 1) * count)) : this.scene.drive.home, row);
+    if (!this.table.n) {
+      this.panel.home();
+      return;
+    }
     if (this.stage) this.stage.marks.choose(row);
     const slider = document.getElementById("pose");
     slider.value = Math.max(0, this.rows.indexOf(row));
@@ -333,7 +353,7 @@ class Controls {
     this.stage.look(direction[name]);
   }
 
-  /** Show joint values of a live program: `solid` and `ghost` in the order of the tree's columns. */
+  /** Show joint values of a live program, or of the sliders: `solid` and `ghost` in the order of the tree's columns. */
   showLive(live) {
     this.player.pause();
     this.live = live;

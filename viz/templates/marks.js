@@ -90,6 +90,14 @@ const RING_FRAGMENT = `
     gl_FragColor = r > 0.93 || r < 0.73 ? vec4(1.0, 1.0, 1.0, 1.0) : vec4(0.80, 0.05, 0.35, 1.0);
   }`;
 
+/** Colours from small to large, to be looked up by shaders. @param colours 256 x 4 bytes */
+function colourTexture(THREE, colours) {
+  const texture = new THREE.DataTexture(colours, colours.length / 4, 1, THREE.RGBAFormat);
+  texture.magFilter = THREE.LinearFilter;
+  texture.needsUpdate = true;
+  return texture;
+}
+
 class Marks {
   /**
    * @param THREE the library
@@ -102,9 +110,7 @@ class Marks {
     this.THREE = THREE;
     this.table = table;
     this.radius = radius;
-    const texture = new THREE.DataTexture(colours, colours.length / 4, 1, THREE.RGBAFormat);
-    texture.magFilter = THREE.LinearFilter;
-    texture.needsUpdate = true;
+    const texture = colourTexture(THREE, colours);
     this.uniforms = {
       state: { value: 0 }, low: { value: 1e-5 }, high: { value: 1e-2 }, logarithmic: { value: 1 },
       visible: { value: new Array(2 * table.nGroups).fill(1) }, colours: { value: texture }, radius: { value: radius },

@@ -65,3 +65,20 @@ function ticksBetween(low, high, logarithmic) {
   }
   return ticks;
 }
+
+/** Draw a bar of colours. @param colours 256 x 4 bytes */
+function drawBar(canvas, colours) {
+  const context = canvas.getContext("2d");
+  const image = context.createImageData(256, 1);
+  image.data.set(colours);
+  context.putImageData(image, 0, 0);
+}
+
+/** Ticks of a bar, with numbers in mm, between two lengths [m]. */
+function tickMarks(low, high, logarithmic) {
+  return ticksBetween(1e3 * low, 1e3 * high, logarithmic).map(([value, part]) => {
+    const tick = element("span", {}, String(Number(value.toPrecision(3))));
+    tick.style.left = `${100 * part}%`;
+    return tick;
+  });
+}

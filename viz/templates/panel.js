@@ -119,13 +119,19 @@ class Panel {
     this.joints(scene.joints.map((_, i) => table.joints[row * scene.joints.length + i]));
   }
 
-  /** Numbers of joint values that a live program shows; nothing was measured there, so there are no errors. */
-  live({ joints, targets, predicted }) {
+  /** Without poses there are numbers only of what moves. */
+  home() {
+    document.getElementById("pose-block").hidden = true;
+  }
+
+  /** Numbers of joint values that a live program or a hand gives; nothing was measured there, so there are no errors. */
+  live({ joints, targets, predicted, byHand }) {
     document.getElementById("pose-block").hidden = false;
-    document.getElementById("pose-head").replaceChildren(element("span", { class: "name" }, "Live configuration"),
-      element("span", { class: "tag" }, "shown by the program, not measured"));
+    document.getElementById("pose-head").replaceChildren(
+      element("span", { class: "name" }, byHand ? "Moved by hand" : "Live configuration"),
+      element("span", { class: "tag" }, byHand ? "not measured" : "shown by the program, not measured"));
     const lines = Object.entries(predicted).filter(([, positions]) => positions).flatMap(([state, positions]) =>
-      positions.map((position, k) => [`${predicted.after ? `pred. ${state}` : "predicted"}${targets.length > 1 ? `, ${targets[k]}` : ""}`,
+      positions.map((position, k) => [`${this.scene.ghost ? `pred. ${state}` : "predicted"}${targets.length > 1 ? `, ${targets[k]}` : ""}`,
         position.map((value) => 1e3 * value), 3, false]));
     this.positions(lines);
     document.getElementById("sigma-note").textContent = "";
@@ -178,17 +184,8 @@ class Panel {
 
   legend(state, low, high, logarithmic, groups, outliers) {
     document.getElementById("legend-title").textContent = `Error ${state} calibration [mm]`;
-    const canvas = document.getElementById("legend-bar");
-    const context = canvas.getContext("2d");
-    const image = context.createImageData(256, 1);
-    image.data.set(this.scene.colourBytes);
-    context.putImageData(image, 0, 0);
-    const ticks = ticksBetween(1e3 * low, 1e3 * high, logarithmic).map(([value, part]) => {
-      const tick = element("span", {}, String(Number(value.toPrecision(3))));
-      tick.style.left = `${100 * part}%`;
-      return tick;
-    });
-    document.getElementById("legend-ticks").replaceChildren(...ticks);
+    drawBar(document.getElementById("legend-bar"), this.scene.colourBytes);
+    document.getElementById("legend-ticks").replaceChildren(...tickMarks(low, high, logarithmic));
     const beyond = Array.from({ length: this.table.n }, (_, row) => this.table.error(state, row)).some((error) => error > high);
     document.getElementById("legend-beyond").textContent = beyond ? "Larger errors have the last colour" : "";
     const marks = [...groups.map(({ name, mark }) => [mark, name]), ...(outliers ? [["cross", "outlier"]] : [])];

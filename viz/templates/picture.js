@@ -28,9 +28,10 @@ function drawGround(context, node, left, top) {
 /** The legend: ground, bar of colours, marks, texts. */
 function drawLegend(context, legend, left, top) {
   drawGround(context, legend, left, top);
-  const bar = document.getElementById("legend-bar");
-  const place = bar.getBoundingClientRect();
-  context.drawImage(bar, place.left - left, place.top - top, place.width, place.height);
+  for (const bar of legend.querySelectorAll("canvas")) {
+    const place = bar.getBoundingClientRect();
+    if (place.width) context.drawImage(bar, place.left - left, place.top - top, place.width, place.height);
+  }
   for (const mark of legend.querySelectorAll(".mark path")) {
     const box = mark.ownerSVGElement.getBoundingClientRect();
     const path = new Path2D();

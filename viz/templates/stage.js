@@ -133,6 +133,12 @@ class Stage {
     this.resize();
   }
 
+  /** What is known over the workspace. */
+  addMap(map) {
+    this.map = map;
+    this.root.add(map.points, map.hull, map.ellipsoids);
+  }
+
   resize() {
     const width = Math.max(this.pane.clientWidth, 1);
     const height = Math.max(this.pane.clientHeight, 1);

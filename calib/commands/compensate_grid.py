@@ -1,0 +1,68 @@
+"""The part of `calib compensate` that is about tables of corrections."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.commands.common import Output, said_of_failure
+from calib.commands.solve import cells_of
+from calib.data.measurements import Poses
+from calib.data.tables import format_table
+from calib.errors import InputError
+from calib.files import write_file
+from calib.inverse_kinematics.correction_grid import correction_grid
+from calib.inverse_kinematics.goals import Goals
+from calib.model.robot import Robot
+from calib.units import PER_SI, millimetres
+from calib.words import counted
+
+
+def compensate_grid(
+    calibrated: Robot, program: Poses | Goals, grid: str, result: str, out: str, output: Output
+) -> None:
+    """Write the table of corrections, and say how wrong interpolation in it is.
+
+    Args:
+        calibrated: The robot.
+        program: Whose positions the table is for.
+        grid: --grid.
+        result: Folder of the calibration, for messages.
+        out: File to write.
+        output: Where to print.
+
+    Raises:
+        InputError: A program of joints, or numbers of nodes that make no grid.
+    """
+    if not isinstance(program, Goals):
+        raise InputError("--grid: PROGRAM has joints; give positions with one orientation")
+    try:
+        nx, ny, nz = (int(part) for part in grid.split(","))
+    except ValueError:
+        raise InputError(f"--grid '{grid}': write three numbers of nodes, such as 5,5,3") from None
+    with output.working("compensating the grid"):
+        corrections = correction_grid(calibrated, program, (nx, ny, nz))
+    name, degrees = corrections.target, PER_SI["angle"]["deg"]
+    columns: list[tuple[str, list[object]]] = []
+    for k, axis in enumerate("xyz"):
+        columns.append((f"{name}_{axis} [mm]", cells_of(millimetres(corrections.nodes[:, k]))))
+    for k, axis in enumerate("xyz"):
+        columns.append((f"add_{axis} [mm]", cells_of(millimetres(corrections.shift[:, k]))))
+    for k, axis in enumerate("xyz") if program.rotations is not None else ():
+        columns.append((f"turn_{axis} [deg]", cells_of(corrections.turn[:, k] * degrees)))
+    off, angle = millimetres(corrections.position_errors), corrections.angle_errors * degrees
+    wrong = (
+        f"linear interpolation is off by {np.sqrt(np.mean(off**2)):.4f} mm (rms), {np.max(off):.4f} mm and"
+        f" {np.max(angle):.4f} deg at worst"
+    )
+    comments = (f"corrections from {result}; {wrong}", *said_of_failure(output, result, out))
+    write_file(out, format_table(columns, comments))
+    output.json(
+        {
+            "n_nodes": len(corrections.nodes),
+            "interpolation_mm": {"rms": float(np.sqrt(np.mean(off**2))), "max": float(np.max(off))},
+            "interpolation_deg": {"max": float(np.max(angle))},
+        }
+    )
+    output.say(
+        f"{counted(len(corrections.nodes), 'node')} written to {out}; {wrong}, at {len(off)} points between them"
+    )

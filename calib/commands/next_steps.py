@@ -1,0 +1,95 @@
+"""What to say at the end to somebody who sits at a terminal: what the grade means, and the next command to type."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+
+import click
+
+from calib.data.measurements import Measurements
+from calib.identification.fitted import Fit
+from calib.pose_choice.assessment import Assessment
+
+_MEANINGS = {
+    "PASS": ("green", "nothing was found against this fit"),
+    "CHECK": ("yellow", "to be used by someone who has read the reasons above; intervals may be too narrow"),
+    "FAIL": ("red", "do not use these numbers; the reasons above say what to look for"),
+}
+_ANSWERS = (
+    ("--exclude-outliers", ("outliers", "doubtful_readings", "many_excluded", "leverage")),
+    ("--terms auto", ("systematic", "noise", "worse_on_validation")),
+    ("--starts 5", ("other_minimum", "not_converged", "not_linear")),
+)
+"""Options of `calib fit` that answer reasons, by the codes of these; the first that fits is offered."""
+_POSES = (
+    "joint_never_moved",
+    "joints_move_together",
+    "one_corner",
+    "too_few_poses",
+    "poses_equal",
+    "beyond_curves",
+    "noise_as_large_as_robot",
+)
+"""Codes of reasons that other poses answer."""
+
+
+def after_fit(fit: Fit, robot: str, data: Sequence[str], out: str) -> list[str]:
+    """Return what the verdict means, and the command that answers its first reason, or that goes on.
+
+    Args:
+        fit: The fit.
+        robot: ROBOT, as it was typed.
+        data: DATA, likewise.
+        out: Where the result is.
+    """
+    grade = fit.verdict.grade
+    colour, meaning = _MEANINGS[grade]
+    lines = [f"{click.style(grade, fg=colour, bold=True)}: {meaning}"]
+    again = typed("calib", "fit", robot, *data)
+    codes = [reason.code for reason in fit.verdict.reasons if reason.grade != "PASS"]
+    for code in codes:
+        option = next((option for option, answered in _ANSWERS if code in answered), None)
+        if option is not None:
+            return [*lines, f"Next: {again} {option} --out {shlex.quote(f'{out}-2')}"]
+        if code in _POSES:
+            return [*lines, f"Next: {typed('calib', 'check', robot, data[0])}    (what these poses do not tell)"]
+    if grade != "FAIL" and fit.validation is None and fit.folds is None:
+        return [*lines, f"Next: {again} --validate 0.25 --out {shlex.quote(out)}    (how good it is on other poses)"]
+    if codes:
+        return [*lines, f"Next: {typed('calib', 'view', robot, '--result', out)}    (where the errors are)"]
+    return [*lines, f"Next: {typed('calib', 'export', out, '--format', 'urdf', '--out', 'calibrated.urdf')}"]
+
+
+def after_check(found: Assessment, robot: str, poses: object, data: str | None) -> list[str]:
+    """Return the command that follows on what poses determine.
+
+    Args:
+        found: What they determine.
+        robot: ROBOT, as it was typed.
+        poses: What was looked at.
+        data: DATA, likewise; None where poses were sampled.
+    """
+    if data is None:
+        return [f"Next: {typed('calib', 'sample', robot, '--count', '1000', '--seed', '1', '--out', 'poses.csv')}"]
+    if found.determination.missing:
+        return [f"Next: hold what is named above (`held` in {robot}), or add poses; then the same command again"]
+    if isinstance(poses, Measurements):
+        return [f"Next: {typed('calib', 'fit', robot, data, '--validate', '0.25', '--out', 'out/robot')}"]
+    return [f"Next: {typed('calib', 'select', robot, data, '--count', '40', '--out', 'chosen.csv')}"]
+
+
+def after_select(robot: str, out: str) -> list[str]:
+    """Return the command that follows on chosen poses.
+
+    Args:
+        robot: ROBOT, as it was typed.
+        out: The file with the chosen poses.
+    """
+    watched = typed("calib", "watch", robot, "measured.csv", "--goal", "0.1mm", "--candidates", out)
+    return [f"Next: measure them, and while you do: {watched}"]
+
+
+def typed(*words: str) -> str:
+    """Return words as a line to type."""
+    return shlex.join(words)

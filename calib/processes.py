@@ -1,0 +1,174 @@
+"""Processes of this machine as an executor without threads and locks in the program itself.
+
+Each process has a pipe of its own, and waiting for a result is what gives out work to whoever is free. So an exception
+can be raised anywhere, as Ctrl-C does, and the processes be ended at any moment: nothing that is locked, or half-way
+through a pipe, makes the program wait for ever. In `concurrent.futures.ProcessPoolExecutor` a thread reads the results,
+and waits for the rest of one whose process is gone.
+
+A process ends with the program that started it, by itself where that died without a word.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
+from contextlib import contextmanager
+from multiprocessing import connection, resource_tracker
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from typing import Any, TypeVar
+
+Result = TypeVar("Result")
+
+
+class Processes(Executor):
+    """Processes that work while somebody waits for a result, and that are replaced where some are lost.
+
+    Args:
+        jobs: How many.
+    """
+
+    def __init__(self, jobs: int) -> None:
+        self._jobs = jobs
+        self._processes: dict[Connection, BaseProcess] = {}
+        self._busy: dict[Connection, Future[Any]] = {}
+        self._waiting: deque[tuple[Future[Any], tuple[Any, ...]]] = deque()
+
+    def start(self) -> None:
+        """Start the processes that are missing."""
+        context = multiprocessing.get_context("spawn")  # a forked one would inherit threads of the linear algebra
+        with _without_interrupts():
+            while len(self._processes) < self._jobs:
+                here, there = context.Pipe()
+                process = context.Process(target=_work, args=(there,), daemon=True)
+                process.start()
+                there.close()
+                self._processes[here] = process
+
+    def submit(self, function: Callable[..., Result], /, *arguments: Any, **named: Any) -> Future[Result]:
+        """See `concurrent.futures.Executor`."""
+        if not self._processes:
+            raise RuntimeError("these processes have been ended")
+        future = _Awaited[Result](self)
+        self._waiting.append((future, (function, arguments, named)))
+        self._send()
+        return future
+
+    def proceed(self) -> None:
+        """Wait until somebody has done something, and give out more."""
+        self._send()
+        answering = connection.wait(list(self._busy))
+        for line in [line for line in self._busy if line in answering]:
+            future = self._busy.pop(line)
+            try:
+                error, result = line.recv()
+            except (EOFError, ConnectionError):
+                future.set_exception(self._lost(line))
+                continue
+            if error is None:
+                future.set_result(result)
+            else:
+                future.set_exception(error)
+        self._send()
+
+    def _send(self) -> None:
+        """Give work to whoever is free."""
+        for line in [line for line in self._processes if line not in self._busy]:
+            while self._waiting and line not in self._busy:
+                future, work = self._waiting.popleft()
+                if not future.set_running_or_notify_cancel():
+                    continue
+                try:
+                    line.send(work)
+                except ConnectionError:
+                    future.set_exception(self._lost(line))
+                    break
+                except Exception as error:  # work that cannot be sent
+                    future.set_exception(error)
+                    continue
+                self._busy[line] = future
+
+    def _lost(self, line: Connection) -> Exception:
+        """Replace a process, and say how it ended."""
+        process = self._processes.pop(line)
+        line.close()
+        process.join()
+        self.start()
+        return ProcessLookupError(f"a process ended with exit code {process.exitcode}")
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
+        """End the processes, whatever they do; nobody waits for their results any more."""
+        self.kill()
+        for line, process in self._processes.items():
+            process.join()
+            line.close()
+        for future in (*self._busy.values(), *(future for future, _ in self._waiting)):
+            if not future.cancel():
+                future.set_exception(ProcessLookupError("the processes were ended"))
+        self._processes, self._busy = {}, {}
+        self._waiting.clear()
+
+    def kill(self) -> None:
+        """Tell the processes to end, and wait for nothing."""
+        for process in self._processes.values():
+            process.kill()
+
+
+class _Awaited(Future[Result]):
+    """A result for which the processes proceed when it is waited for."""
+
+    def __init__(self, processes: Processes) -> None:
+        super().__init__()
+        self._processes = processes
+
+    def result(self, timeout: float | None = None) -> Result:
+        """See `concurrent.futures.Future`; it waits as long as it takes."""
+        while not self.done():
+            self._processes.proceed()
+        return super().result()
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Let processes that are started inside never hear Ctrl-C: whoever started them decides when they end.
+
+    They inherit that the signal is held back. Here it is heard at the end of the block.
+    """
+    resource_tracker.ensure_running()  # which would let the signal through again when it starts
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _work(line: Connection) -> None:
+    """Do what is asked, until nobody can ask any more."""
+    _end_with_parent()
+    while True:
+        try:
+            function, arguments, named = line.recv()
+        except EOFError:
+            return
+        try:
+            line.send((None, function(*arguments, **named)))
+        except Exception as error:  # of the work, or a result that cannot be sent
+            line.send((error, None))
+
+
+def _end_with_parent() -> None:
+    """End this process as soon as the one that started it is gone."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, name="end with parent", daemon=True).start()

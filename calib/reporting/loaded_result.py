@@ -1,0 +1,109 @@
+"""A result folder as an object, with the names that a fit has: `calib.load_result`; and predictions of either."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calib.arrays import FloatArray, ReadOnlyArrays
+from calib.data.in_memory import as_poses
+from calib.data.measurements import Poses
+from calib.identification.estimates import Covariance, Estimate, Estimates
+from calib.identification.fitted import Fit
+from calib.linearisation.prediction import PositionUncertainty
+from calib.model.robot import Robot
+from calib.reporting.results import LoadedUncertainty, load, load_uncertainty, read_result
+from calib.tabular import titled_html
+from calib.units import PER_SI
+
+_NUMBERS = ("nominal", "value", "std", "low95", "high95")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LoadedResult(ReadOnlyArrays):
+    """A fit that was saved.
+
+    Attributes:
+        path: Its folder.
+        robot: The calibrated robot.
+        parameters: What was found of each parameter, by name [m or rad].
+        content: What `result.json` says, in mm and degrees.
+        uncertainty: How sure the free parameters are.
+    """
+
+    path: str
+    robot: Robot
+    parameters: Estimates
+    content: dict[str, Any]
+    uncertainty: LoadedUncertainty
+
+    def __repr__(self) -> str:
+        return f"<result of '{self.robot.name}' in {self.path}: {self.grade}, {self.content['n_poses']} poses>"
+
+    def _repr_html_(self) -> str:
+        return titled_html(self.robot.name, (repr(self)[1:-1],), self.parameters.rows())
+
+    @property
+    def grade(self) -> str:
+        """PASS, CHECK or FAIL."""
+        return str(self.content["verdict"]["grade"])
+
+    @property
+    def free_names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        return tuple(p.name for p, free in zip(self.robot.parameters, self.uncertainty.free, strict=True) if free)
+
+    @property
+    def covariance(self) -> Covariance:
+        """Covariance of the free parameters, by name."""
+        return Covariance(self.free_names, self.uncertainty.covariance)
+
+    def predict(self, q: ArrayLike) -> PositionUncertainty:
+        """Predict positions at actuated joints q (n, n_actuated) [m or rad], with their covariance."""
+        return self.uncertainty.at(self.robot, self.robot.joint_vector(q))
+
+
+def load_result(folder: Path | str) -> LoadedResult:
+    """Load what `calib fit --out`, or `save`, wrote.
+
+    Args:
+        folder: The folder.
+
+    Raises:
+        DataError: The folder holds no result, or a damaged one.
+        ComputationError: The result failed, and was not forced.
+    """
+    content, robot = read_result(folder), load(folder)
+    rows = zip(content["parameters"], robot.parameters, robot.values, strict=True)
+    found = {}
+    for row, one, value in rows:
+        per_si = PER_SI[one.dimension][one.unit]
+        numbers = {key: np.nan if row[key] is None else float(row[key]) / per_si for key in _NUMBERS}
+        numbers |= {"nominal": one.nominal, "value": float(value)}  # these to the last digit
+        found[one.name] = Estimate(
+            one.name, one.unit, **numbers, status=row["status"], family=one.family, per_si=per_si
+        )
+    return LoadedResult(str(folder), robot, Estimates(found), content, load_uncertainty(folder, robot))
+
+
+def predict(calibrated: Robot | Fit | LoadedResult, poses: Poses | ArrayLike) -> PositionUncertainty:
+    """Predict positions of all targets, loops closed.
+
+    Args:
+        calibrated: A fit or a loaded result, which know how sure they are; or a robot alone, with a covariance of NaN.
+        poses: Poses, or actuated joints alone, (n, n_actuated) [m or rad].
+
+    Raises:
+        DataError: Joint values of the wrong shape.
+        UnreachablePoseError: A loop stays open.
+    """
+    robot = calibrated if isinstance(calibrated, Robot) else calibrated.robot
+    q: FloatArray = as_poses(robot, poses).joints
+    if not isinstance(calibrated, Robot):
+        return calibrated.predict(q)
+    positions = robot.positions(q)
+    return PositionUncertainty(positions, np.full((*positions.shape, 3), np.nan), np.nan)

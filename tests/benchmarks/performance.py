@@ -1,0 +1,212 @@
+"""How fast everything is, as ratios within one run, and docs/performance.md from it.
+
+    python tests/benchmarks/performance.py [--data FOLDER] [--write FILE] [--quick]
+
+Times of shared machines mean little on their own: what is compared is run in turns, and the least processor time of
+each is taken. FOLDER holds the measurements of others, as for evaluations.py; without it, those rows are left out.
+"""
+
+import argparse
+import time
+from importlib.util import find_spec
+from pathlib import Path
+
+import evaluations
+import numpy as np
+import pinocchio as pin
+import scipy
+from hand_written import Arm, fit
+
+import calib
+from calib.linearisation.jacobian import linearise
+from calib.model.acceleration import compiled
+from calib.threads import one_blas_thread
+from medrue import robot_file
+from medrue.paper_tables import table1
+from medrue.workspace import target_workspace
+
+ARMS = {  # priors of hand-written fits: origins' lengths and angles, place of the point; the point; noise to state
+    "arm": ((1e-3, 3e-3, 5e-3), (0.02, 0.0, 0.05), 3e-5),
+    "Motoman": ((2e-3, 5e-3, 1e-2), (0.045, 0.0, 0.245), 4.26e-5),
+}
+SAME_COST = 1e-6
+"""Relative difference of costs up to which two fits reached the same minimum."""
+
+
+NUMBA = find_spec("numba") is not None
+
+
+def fast(function):
+    """The same work by compiled kinematics."""
+
+    def run():
+        with compiled():
+            return function()
+
+    return run
+
+
+def ratio(seconds, unit):
+    """Text of a ratio; a dash for work that could not be done."""
+    return "-" if seconds is None else f"{seconds / unit:.1f}" if seconds < 20 * unit else f"{seconds / unit:.0f}"
+
+
+@one_blas_thread
+def least(rounds, **work):
+    """Seconds of processor time that each piece of work takes at least, run in turns."""
+    taken = {name: [] for name in work}
+    for _ in range(rounds):
+        for name, function in work.items():
+            start = time.process_time()
+            function()
+            taken[name].append(time.process_time() - start)
+    return {name: min(times) for name, times in taken.items()}
+
+
+def kinematics(rounds):
+    """Rows of the table of kinematics: MedRUE's 420 poses after a step of the parameters."""
+    robot, q = calib.load(robot_file()), np.array(target_workspace().q)
+    moved = robot.with_parameters(robot.values + 0.1 * (table1().actual - robot.values))
+    seed, solved = robot.assemble(q).passive, moved.assemble(q)
+    model, joints = moved.mechanism.model, moved.mechanism.all_joints(q, solved.passive)
+    data = model.createData()
+
+    def loop():
+        for row in joints:
+            pin.computeJointJacobians(model, data, row)
+
+    def differences():
+        def positions(values):
+            return moved.with_parameters(values).positions(q, seed=solved.passive).ravel()
+
+        return scipy.optimize.approx_fprime(moved.values, positions, 1e-7)
+
+    def ours():
+        return linearise(moved, moved.assemble(q, seed=seed)).jacobian
+
+    error = np.max(np.abs(differences().reshape(ours()[:, 0].shape) - ours()[:, 0]))
+    assert error < 1e-4, error  # of forward differences
+    columns = {
+        "loops closed from the last solution": lambda: moved.assemble(q, seed=seed),
+        "positions and their derivative by 36 parameters": lambda: linearise(moved, solved),
+        "both: what every step of a fit needs": ours,
+        "the same by scipy's differences (`approx_fprime`)": differences,
+    }
+    quick = {f"{name} compiled": fast(function) for name, function in columns.items() if NUMBA}
+    taken = least(rounds, loop=loop, **columns, **quick)
+    return [[name, *(ratio(taken.get(key), taken["loop"]) for key in (name, f"{name} compiled"))] for name in columns]
+
+
+def fits(problems, rounds):
+    """Rows of the table of fits: name, ours over the hand-written one, evaluations of both."""
+    rows = []
+    for name, (robot, data) in problems.items():
+        if name not in ARMS:
+            continue
+        prior, point, sigma = ARMS[name]
+        arm = Arm.read(robot.urdf.source.decode(), "flange", list(robot.joint_names), point, prior)
+        (measured,) = (readings.values for readings in data.readings.values())
+        cost, hand = fit(arm, data.joints, measured, sigma)
+        with evaluations.counted() as counts:
+            found = calib.fit(robot, data, sigma=sigma)
+        assert abs(found.rows.cost / cost - 1) < SAME_COST, (found.rows.cost, cost)
+        taken = least(
+            rounds,
+            hand=lambda arm=arm, data=data, measured=measured, sigma=sigma: fit(arm, data.joints, measured, sigma),
+            ours=lambda robot=robot, data=data, sigma=sigma: calib.fit(robot, data, sigma=sigma),
+            compiled=fast(lambda robot=robot, data=data, sigma=sigma: calib.fit(robot, data, sigma=sigma)),
+        )
+        ours, quick = (ratio(taken[key], taken["hand"]) for key in ("ours", "compiled"))
+        rows.append((name, len(data), len(found.unknowns), ours, quick if NUMBA else "-", counts[-1], hand))
+    return rows
+
+
+def studies(draws, rounds):
+    """Seconds of a fit by itself, of a draw of a study, and of a draw by compiled kinematics: MedRUE, 84 poses."""
+    robot, q = calib.load(robot_file()), np.array(target_workspace().q)[::5]
+    truth = robot.with_parameters(table1().actual)
+    data = calib.simulate(truth, q, 4e-5, 1)
+
+    def study():
+        calib.study(robot, q, draws=draws, truth=truth, sigma=4e-5)
+
+    taken = least(
+        rounds,
+        study=study,
+        compiled=fast(study),
+        fit=lambda: calib.fit(robot, data, sigma=4e-5),
+    )
+    return taken["fit"], taken["study"] / draws, taken["compiled"] / draws if NUMBA else None
+
+
+def page(robots, rounds, draws):
+    """Lines of docs/performance.md."""
+    yield """# Performance
+
+Ratios of processor time, each of two things that ran in turns in the same run: times of shared machines mean little on
+their own, and none is asserted. Linear algebra has one thread. `make bench` prints this page, and more; made by
+`python tests/benchmarks/performance.py --data FOLDER --write docs/performance.md`, FOLDER holding the measurements of
+others ([benchmarks](benchmarks.md)).
+
+## Kinematics through closed loops
+
+MedRUE, 420 poses, after a small step of the parameters. The unit is Pinocchio's own loop: one `computeJointJacobians`
+of the same model for each pose, called from Python, nothing read out. With the extra `fast`, numba compiles the same
+formulas (`calib.model.kernels`, to 1e-12 the same numbers); studies of many calibrations and work on thousands of poses
+at once use that by themselves, `with calib.model.acceleration.compiled():` asks for it.
+
+| work for each pose | over Pinocchio's loop | with `fast` |
+|---|---:|---:|"""
+    for row in kinematics(rounds):
+        yield f"| {' | '.join(row)} |"
+    yield """
+## A fit against a hand-written one
+
+`tests/benchmarks/hand_written.py` is what somebody writes for one serial arm: batched numpy, Gauss and Newton's steps,
+nothing checked, no statistics. It shares no code with `calib`, has the same model, priors and stated noise, and reaches
+the same minimum: the sums of squares agree to a millionth, or the program ends. `calib.fit` judges data, rank and
+convergence, and computes covariances, intervals and errors as well.
+
+| arm | poses | unknowns | `calib.fit` over hand-written | with `fast` | evaluations | hand-written |
+|---|---:|---:|---:|---:|---:|---:|"""
+    for row in fits(robots, rounds):
+        yield f"| {' | '.join(map(str, row))} |"
+    alone, *drawn = studies(draws, max(rounds // 10, 1))
+    yield f"""
+## Many calibrations
+
+A draw of [`calib.study`](howto/many_calibrations.md) gives the numbers of a fit by itself, but shares what it can.
+MedRUE, 84 poses, {draws} draws; the times are those of the machine that made this page.
+
+| | a fit by itself takes as long as | processor time of a draw | of 10 000 draws, shared by two free cores |
+|---|---:|---:|---:|"""
+    for name, each in zip(("draws", "draws, with `fast`"), drawn, strict=True):
+        if each is not None:
+            yield f"| {name} | {alone / each:.1f} draws | {1e3 * each:.0f} ms | {1e4 * each / 120:.1f} min |"
+    yield """
+## Evaluations
+
+How many points a fit looks at, as the noise that is stated shrinks from 1 mm to 1 um (the data stay the same); * would
+say that a fit did not converge. Alone: `python tests/benchmarks/evaluations.py --data FOLDER`.
+"""
+    yield from evaluations.table(robots)
+
+
+def main():
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, help="folder with measurements of others")
+    parser.add_argument("--write", type=Path, help="page to write")
+    parser.add_argument("--quick", action="store_true", help="few rounds")
+    options = parser.parse_args()
+    rounds, draws = (3, 20) if options.quick else (25, 200)
+    lines = []
+    for line in page(evaluations.problems(options.data), rounds, draws):
+        print(line, flush=True)
+        lines.append(line)
+    if options.write:
+        options.write.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

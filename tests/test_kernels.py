@@ -1,0 +1,148 @@
+"""Compiled kinematics against Pinocchio's, which is the reference: every kind of robot that the tests have."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import test_loop_templates as templates
+from six_axis_arm import joints, six_axis_arm
+from small_robots import small_arm, write_parallelogram, write_pose_loop
+from test_kind_joint_reading import five_bar as five_bar_with_encoder
+
+import calib
+from calib.linearisation.jacobian import linearise, origin_jacobian
+from calib.linearisation.observed import observe
+from calib.model.acceleration import compiled, kernels
+from calib.model.continuation import newton
+from medrue import robot_file
+from medrue.workspace import target_workspace
+
+pytest.importorskip("numba", reason="numba is not installed (extra 'fast')")
+EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
+SAME = 1e-12
+"""Of lengths and angles of order one; both sides round."""
+
+
+def around_home(robot, reach=0.1, count=12):
+    return robot.home + np.random.default_rng(5).uniform(-reach, reach, (count, len(robot.joint_names)))
+
+
+def medrue(name):
+    return calib.load(robot_file(name)), np.array(target_workspace().q)[::20]
+
+
+def example(name):
+    robot = calib.load(EXAMPLES / f"{name}.yaml")
+    return robot, calib.read_measurements(EXAMPLES / f"{name}_simulated.csv", robot).joints[:20]
+
+
+def template(folder, name):
+    robot = templates.robot_of(folder, name)
+    return robot, templates.poses_of(robot, name, 12)
+
+
+ROBOTS = {
+    "MedRUE": lambda folder: medrue("medrue"),
+    "MedRUE, extended": lambda folder: medrue("medrue_extended"),
+    "five-bar": lambda folder: example("five_bar"),
+    "arm": lambda folder: example("arm"),
+    "six axes": lambda folder: (six_axis_arm(folder), joints(12)),
+    "small arm, sliding": lambda folder: (small_arm(folder), around_home(small_arm(folder))),
+    "parallelogram": lambda folder: ((robot := calib.load(write_parallelogram(folder))), around_home(robot)),
+    "encoder on a passive joint": lambda folder: ((robot := five_bar_with_encoder(folder)), around_home(robot)),
+} | {f"template {name}": lambda folder, name=name: template(folder, name) for name in templates.TEMPLATES}
+
+
+@pytest.fixture(params=ROBOTS)
+def case(request, tmp_path):
+    """A robot whose parameters are off by a tenth of their sigma, and poses."""
+    robot, q = ROBOTS[request.param](tmp_path)
+    sigma = np.array([parameter.sigma for parameter in robot.parameters])
+    off = np.random.default_rng(2).uniform(-0.1, 0.1, len(sigma)) * sigma * robot.is_free
+    return robot, robot.with_parameters(robot.values + off), q
+
+
+def test_closed_loops_are_those_of_the_reference(case):
+    robot, moved, q = case
+    seed = robot.assemble(q).passive
+    for start in (None, seed):
+        expected = moved.assemble(q, start)
+        with compiled():
+            assert kernels(moved.mechanism, len(q)) is not None
+            found = moved.assemble(q, start)
+        # loops are closed to 1e-12 m, and far from singular poses passive joints as well as that
+        assert np.allclose(found.passive, expected.passive, rtol=0, atol=20 * SAME)
+        assert np.allclose(found.slope, expected.slope, rtol=0, atol=20 * SAME)
+    where = moved.mechanism, robot.mode, expected.actuated, expected.passive
+    if moved.passive_names:
+        expected_slopes = newton(*where)[1:3]
+        with compiled():
+            for slope, known in zip(newton(*where)[1:3], expected_slopes, strict=True):
+                assert np.allclose(slope, known, rtol=0, atol=20 * SAME)
+
+
+def test_derivatives_are_those_of_the_reference(case):
+    _, moved, q = case
+    there = moved.assemble(q)
+    read = calib.simulate(moved, q, 0.0).readings
+    plain, every = linearise(moved, there), origin_jacobian(moved.mechanism, there)[1]
+    observed = observe(moved, there, read, joints=True)
+    with compiled():
+        assert np.allclose(linearise(moved, there).positions, plain.positions, rtol=0, atol=SAME)
+        assert np.allclose(linearise(moved, there).jacobian, plain.jacobian, rtol=SAME, atol=SAME)
+        assert np.allclose(origin_jacobian(moved.mechanism, there)[1], every, rtol=SAME, atol=SAME)
+        for name, one in observe(moved, there, read, joints=True).items():
+            assert np.allclose(one.residuals, observed[name].residuals, rtol=0, atol=SAME)
+            assert np.allclose(one.jacobian, observed[name].jacobian, rtol=SAME, atol=SAME)
+            assert np.allclose(one.by_joint, observed[name].by_joint, rtol=SAME, atol=SAME)
+
+
+def test_poses_that_cannot_close_are_refused_alike():
+    robot, q = example("five_bar")
+    q = np.vstack([q, [[3.1, 0.05]]])  # both motors stretched away from each other
+    expected = robot.close(q)
+    with compiled():
+        found = robot.close(q)
+    assert not expected.ok[-1]
+    assert np.array_equal(found.ok, expected.ok)
+
+
+def test_a_singular_system_is_told():
+    functions = __import__("calib.model.kernels", fromlist=["_solve"])
+    A, b = np.array([[1.0, 2.0], [2.0, 4.0]]), np.array([[1.0], [1.0]])
+    assert not functions._solve(A, b)
+    A, b = np.array([[0.0, 2.0], [3.0, 4.0]]), np.array([[2.0], [10.0]])
+    assert functions._solve(A, b)
+    assert np.allclose(b[:, 0], [2.0, 1.0])
+
+
+def test_a_whole_fit_gives_the_same_numbers():
+    robot = calib.load(EXAMPLES / "five_bar.yaml")
+    data = calib.read_measurements(EXAMPLES / "five_bar_simulated.csv", robot)
+    plain = calib.fit(robot, data)
+    with compiled():
+        fast = calib.fit(robot, data)
+    off = (fast.robot.values - plain.robot.values)[plain.free] / plain.statistics.std
+    assert np.max(np.abs(off)) < 1e-6
+    assert fast.statistics.std == pytest.approx(plain.statistics.std, rel=1e-6)
+
+
+def test_loops_of_directions_are_left_to_the_reference(tmp_path):
+    robot = calib.load(write_pose_loop(tmp_path))
+    with compiled():
+        assert kernels(robot.mechanism, 10) is None
+
+
+def test_numba_is_loaded_only_where_it_is_asked_for():
+    robot = calib.load(EXAMPLES / "five_bar.yaml")
+    assert kernels(robot.mechanism, 100) is None
+    assert kernels(robot.mechanism, 100_000) is not None
+    with compiled(False):
+        assert kernels(robot.mechanism, 100_000) is None
+    check = (
+        "import sys, calib; robot = calib.load(sys.argv[1]); robot.assemble(robot.home); print('numba' in sys.modules)"
+    )
+    command = [sys.executable, "-c", check, EXAMPLES / "five_bar.yaml"]
+    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "False\n"

@@ -1,0 +1,88 @@
+"""What a terminal says at the end: what the grade means, and a command that can be typed as it stands."""
+
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import calib
+from calib.commands.next_steps import after_check, after_fit, after_select
+from calib.identification.reasons import Reason, Verdict
+
+EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return calib.load(EXAMPLES / "arm.yaml")
+
+
+@pytest.fixture(scope="module")
+def data(robot):
+    return calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
+
+
+@pytest.fixture(scope="module")
+def fit(robot, data):
+    return calib.fit(robot, data)
+
+
+def judged(fit, grade, *codes):
+    return replace(fit, judge=lambda _: Verdict(grade, tuple(Reason(grade, code, "") for code in codes)))
+
+
+@pytest.mark.parametrize(
+    ("grade", "codes", "wanted"),
+    [
+        ("PASS", (), "calib fit a.yaml 'my data.csv' --validate 0.25 --out out"),
+        ("CHECK", ("outliers",), "calib fit a.yaml 'my data.csv' --exclude-outliers --out out-2"),
+        ("CHECK", ("systematic",), "calib fit a.yaml 'my data.csv' --terms auto --out out-2"),
+        ("CHECK", ("at_bounds", "joint_never_moved"), "calib check a.yaml 'my data.csv'"),
+        ("FAIL", ("likely_mistake",), "calib view a.yaml --result out"),
+        ("FAIL", ("not_converged",), "calib fit a.yaml 'my data.csv' --starts 5 --out out-2"),
+    ],
+)
+def test_the_first_reason_that_a_command_answers_says_which(fit, grade, codes, wanted):
+    meaning, following = after_fit(judged(fit, grade, *codes), "a.yaml", ("my data.csv",), "out")
+    assert grade in meaning
+    assert following.removeprefix("Next: ").startswith(wanted)
+
+
+def test_what_passed_on_other_poses_goes_on_to_be_used(robot, data):
+    used, held = data.split(0.25, seed=1)
+    validated = judged(calib.fit(robot, used, validation=held), "PASS")
+    assert after_fit(validated, "a.yaml", ("d.csv",), "out")[1].startswith("Next: calib export out ")
+
+
+def test_a_check_leads_to_poses_to_measure_or_to_a_fit(robot, data):
+    found = calib.check(robot, data)
+    assert "calib sample" in after_check(found, "a.yaml", data, None)[0]
+    assert "calib fit a.yaml d.csv --validate 0.25" in after_check(found, "a.yaml", data, "d.csv")[0]
+    poses = calib.as_poses(robot, data.joints)
+    assert "calib select a.yaml d.csv --count 40" in after_check(found, "a.yaml", poses, "d.csv")[0]
+
+
+def test_what_is_offered_can_be_typed_as_it_stands(run_calib, tmp_path, monkeypatch):
+    robot, data = EXAMPLES / "arm.yaml", EXAMPLES / "arm_simulated.csv"
+    out = tmp_path / "my result"
+    quiet = run_calib("fit", robot, data, "--out", out, "--no-pages")
+    assert "Next:" not in quiet.out  # nobody sits there
+    hints = []
+    monkeypatch.setattr(calib.commands.common.Output, "hint", lambda self, lines: hints.extend(lines))
+    run_calib("fit", robot, data, "--out", out, "--no-pages")
+    again = run_calib(*shlex.split(hints[-1].removeprefix("Next: calib ").partition("    (")[0]), "--no-pages")
+    assert again.code == 0
+    assert hints[-1].startswith("Next: calib export")
+    assert run_calib(*shlex.split(hints[-1].removeprefix("Next: calib ")), cwd=tmp_path).code == 0
+    assert after_select("a.yaml", "b.csv")[0].endswith(
+        "calib watch a.yaml measured.csv --goal 0.1mm --candidates b.csv"
+    )
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_shells_complete_commands(spawn_calib, monkeypatch, shell):
+    monkeypatch.setenv("_CALIB_COMPLETE", f"{shell}_complete")
+    monkeypatch.setenv("COMP_WORDS", "calib wat")
+    monkeypatch.setenv("COMP_CWORD", "wat" if shell == "fish" else "1")
+    assert "watch" in spawn_calib().out

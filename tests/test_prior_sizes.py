@@ -1,0 +1,85 @@
+"""What found sizes of priors add to uncertainty: against dense algebra by finite differences, and coverage."""
+
+import numpy as np
+import pytest
+
+from calib.numerics.prior_sizes import variance_by_sizes
+from calib.numerics.variance_components import LinearModel, found_with_families
+
+FAMILY = np.array([-1, -1, 0, 0, 0, 0, 1, 1, 1, 1, 1])
+STEP = 1e-4
+
+
+@pytest.fixture
+def rows():
+    """Rows by two parameters without a prior and two families, one well seen and one hardly."""
+    rng = np.random.default_rng(0)
+    jacobian = rng.standard_normal((30, len(FAMILY))) * np.where(FAMILY == 1, 0.15, 1.0)
+    return jacobian, rng.standard_normal(30)
+
+
+def posterior(rows, logs):
+    """Estimate and covariance for families whose sizes have these logarithms, in units of size 1."""
+    jacobian, measured = rows
+    prior = np.where(FAMILY < 0, 0.0, np.exp(-2.0 * np.append(logs, 0.0)[FAMILY]))
+    covariance = np.linalg.inv(jacobian.T @ jacobian + np.diag(prior))
+    return covariance @ jacobian.T @ measured, covariance
+
+
+def test_it_is_the_law_of_total_covariance(rows):
+    jacobian, _ = rows
+    u, covariance = posterior(rows, np.zeros(2))
+    slopes, bends, information = [], [], np.eye(2)
+    free = jacobian[:, FAMILY < 0]
+    kept = np.linalg.svd(free)[0][:, 2:]  # what the rows say beside the parameters without a prior
+    seen = [kept.T @ jacobian[:, f == FAMILY] for f in (0, 1)]
+    inverse = np.linalg.inv(np.eye(28) + sum(part @ part.T for part in seen))
+    for f, step in enumerate(STEP * np.eye(2)):
+        (more, wide), (less, narrow) = posterior(rows, step), posterior(rows, -step)
+        slopes.append((more - less) / (2 * STEP))
+        bends.append((wide - 2 * covariance + narrow) / STEP**2)
+        for g in (0, 1):  # of a normal distribution: half the trace of S^-1 dS S^-1 dS
+            both = inverse @ (2 * seen[f] @ seen[f].T) @ inverse @ (2 * seen[g] @ seen[g].T)
+            information[f, g] += 0.5 * np.trace(both)
+    spread = np.linalg.inv(information)
+    expected = np.array(slopes).T @ spread @ np.array(slopes)
+    expected += sum(0.5 * spread[f, f] * bend for f, bend in enumerate(bends))
+    # second differences of numbers near 1 by 1e-4 are good to 1e-7
+    assert np.allclose(variance_by_sizes(covariance, FAMILY, u), expected, rtol=0, atol=1e-6)
+
+
+def test_without_families_nothing_is_added():
+    assert not np.any(variance_by_sizes(np.eye(3), np.full(3, -1), np.ones(3)))
+
+
+def test_what_the_data_do_not_see_is_as_uncertain_as_its_size():
+    added = variance_by_sizes(np.eye(2), np.array([0, 0]), np.zeros(2))
+    assert np.allclose(added, 2.0 * np.eye(2))  # V = 1: a quarter of the way to a factor e^2 in variance
+
+
+def test_intervals_of_families_that_are_hardly_seen_hold():
+    rng = np.random.default_rng(1)
+    family = np.repeat([0, 1, 2], 12)
+    seen = np.array([2.0, 0.5, 0.25])[family] / (1 + np.arange(36) % 12)
+    inside, plainly = [], []
+    for _ in range(300):
+        jacobian = rng.standard_normal((60, 36)) * seen
+        truth = rng.standard_normal(36)
+        model = LinearModel(
+            -jacobian @ truth + rng.standard_normal(60),
+            jacobian,
+            np.ones(36, dtype=bool),
+            np.zeros(36),
+            np.zeros(60, dtype=int),
+            np.zeros(1, dtype=bool),
+            family,
+            3,
+        )
+        sizes = found_with_families(model, np.ones(1))[1][family]
+        covariance = np.linalg.inv((jacobian * sizes).T @ (jacobian * sizes) + np.eye(36))
+        u = -covariance @ (jacobian * sizes).T @ model.residuals
+        total = covariance + variance_by_sizes(covariance, family, u)
+        for variance, hits in ((total, inside), (covariance, plainly)):
+            hits.append(np.abs(sizes * u - truth) < 1.96 * sizes * np.sqrt(np.diag(variance)))
+    assert 0.93 < np.mean(inside) < 0.97
+    assert np.mean(plainly) < np.mean(inside) - 0.01

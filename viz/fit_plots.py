@@ -1,0 +1,111 @@
+"""Figures of a fit for notebooks and papers: matplotlib axes in, axes out, in the style that is set outside."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from calib import Fit
+from calib.errors import InputError, nearest
+from viz.part_plots import draw_residuals, of_positions
+from viz.plots import draw_course, draw_histogram, draw_normal
+from viz.pose_sources import from_fit
+from viz.poses import PoseTable
+from viz.scene import joints_of
+from viz.svg import BLUE, GREY
+
+
+class FitPlots:
+    """The figures of a fit; each method draws into `axes`, or into those of a new figure, and returns them.
+
+    Args:
+        fit: The fit.
+
+    Raises:
+        InputError: No errors of points are known; these figures are about them.
+    """
+
+    def __init__(self, fit: Fit) -> None:
+        self._fit = fit
+
+    def __repr__(self) -> str:
+        names = [name for name in vars(type(self)) if not name.startswith("_")]
+        return f"<plots: {', '.join(names)}>"
+
+    def errors(self, axes: Axes | None = None) -> Axes:
+        """Draw how many points have which error, before and after."""
+        drawn = _axes(axes)
+        draw_histogram(drawn, self._table())
+        drawn.legend()
+        return drawn
+
+    def by_pose(self, axes: Axes | None = None) -> Axes:
+        """Draw the error of each pose in the order of measurement."""
+        drawn, table = _axes(axes), self._table()
+        draw_course(drawn, table, np.ones(len(table), dtype=bool))
+        drawn.legend()
+        return drawn
+
+    def residuals(self, joint: str, axes: Axes | None = None) -> Axes:
+        """Draw the components of what is left against a joint.
+
+        Args:
+            joint: Its name.
+            axes: Where to.
+
+        Raises:
+            InputError: There is no such joint.
+        """
+        names = self._fit.robot.joint_names
+        if joint not in names:
+            raise InputError(f"no joint '{joint}'{nearest(joint, names)}")
+        drawn, number, errors = _axes(axes), names.index(joint), of_positions(self._table())
+        draw_residuals(drawn, errors, joints_of(self._fit.robot)[number], number)
+        drawn.set_ylabel(f"residual [{errors.unit}]")
+        drawn.legend()
+        return drawn
+
+    def normal(self, axes: Axes | None = None) -> Axes:
+        """Draw sorted residuals over sigma against what normal noise would be."""
+        drawn = _axes(axes)
+        draw_normal(drawn, self._table())
+        return drawn
+
+    def parameters(self, axes: Axes | None = None) -> Axes:
+        """Draw every free parameter of the robot itself, its change and 95 % interval, in sigmas of what was expected.
+
+        Where base and targets are says nothing about the robot, and is left out.
+        """
+        fit = self._fit
+        own = [p for p in fit.nominal.parameters if p.name in fit.free_names and not p.placement]
+        found, sigma = [fit.parameters[p.name] for p in own], np.array([p.sigma for p in own])
+        drawn = _axes(axes, height=1.0 + 0.15 * len(own))
+        change = np.array([one.value - one.nominal for one in found]) / sigma
+        half = np.array([one.high95 - one.value for one in found]) / sigma
+        place = np.arange(len(found))
+        drawn.axvline(0.0, color=GREY, linewidth=0.8)
+        drawn.errorbar(change, place, xerr=half, fmt="o", color=BLUE, markersize=3, linewidth=1)
+        drawn.set_yticks(place, [one.name for one in found], fontsize=6)
+        drawn.invert_yaxis()
+        drawn.set_xlabel("change [expected standard deviations], with 95 % interval")
+        return drawn
+
+    def _table(self) -> PoseTable:
+        table = from_fit(self._fit)
+        known = np.flatnonzero(np.isfinite(table.error("after")).all(axis=1))
+        if not len(known):
+            raise InputError("no instrument measured points, so there are no errors of points to draw")
+        return table.subset(known)
+
+
+def _axes(axes: Any, height: float = 4.8) -> Axes:
+    """Axes to draw into; a new figure goes through pyplot, so that a notebook shows it."""
+    if axes is not None and not isinstance(axes, Axes):
+        raise InputError(f"axes: expected matplotlib axes, not {type(axes).__name__}")
+    if axes is None:
+        from matplotlib import pyplot
+
+        return pyplot.subplots(figsize=(6.4, max(height, 2.0)), layout="constrained")[1]
+    return axes

@@ -1,0 +1,124 @@
+"""How wrong and how sure a robot is over its workspace: a cloud of positions that it can take, and what is known there.
+
+Poses are drawn at random with the calibrated robot (`calib.sample`): half of them within the joint limits, half within
+the ranges that the joints had in the measured poses, which are often a small part of them. At each stand two numbers:
+how far the nominal robot would be from there, which is the error that calibration takes away, and the standard
+deviation of the predicted position, from noise alone. Beyond what was measured that is extrapolation, and what the
+model leaves out can be larger there than the standard deviation says; so each point knows whether it lies within: every
+joint within the range that it had in the measured poses, and the position within the convex hull of the measured ones
+(of a robot that moves in a plane: within their outline).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import scipy
+
+import calib
+from calib import Robot
+from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from viz.poses import Calibrated, PoseTable
+
+SEED = 1
+_ELLIPSOIDS = 40  # at most: more hide the robot
+_CHANCE = 0.95
+_FLAT = 0.01  # a hull whose extent along an axis is a smaller part of its largest is flat: noise is no volume
+
+
+@dataclass(frozen=True, eq=False)
+class WorkspaceMap(ReadOnlyArrays):
+    """What is known over the workspace. Positions are in the measurement frame.
+
+    Attributes:
+        places: Predicted positions, (n, 3) [m].
+        error: Distance of the nominal robot from them, (n,) [m]; NaN where it cannot be assembled.
+        std: Standard deviation of the positions, all axes together, (n,) [m].
+        within: Which lie within what was measured, (n,).
+        hull: Edges of the convex hull of measured positions, (k, 2, 3) [m].
+        centres, half_axes: Ellipsoids that hold the true position with a chance of 95 % at poses of the table: where,
+            (m, 3) [m], and their half axes as columns, (m, 3, 3) [m].
+    """
+
+    places: FloatArray
+    error: FloatArray
+    std: FloatArray
+    within: BoolArray
+    hull: FloatArray
+    centres: FloatArray
+    half_axes: FloatArray
+
+
+def workspace_map(calibrated: Calibrated, nominal: Robot, table: PoseTable, count: int) -> WorkspaceMap:
+    """Return what is known over the workspace.
+
+    Args:
+        calibrated: The calibrated robot.
+        nominal: The robot before calibration, placed.
+        table: Measured poses.
+        count: Number of poses to draw.
+
+    Raises:
+        DataError: A sliding joint has no limits, or hardly any pose can be assembled.
+    """
+    robot, measured_too = calibrated.robot, count // 2 if len(table) else 0
+    q = calib.sample(robot, count - measured_too, seed=SEED).joints
+    if measured_too:
+        q = np.concatenate([q, calib.sample(robot, measured_too, seed=SEED, within=table.joints).joints])
+    known = calibrated.predict(q)
+    targets = known.positions.shape[1]
+    before = np.full_like(known.positions, np.nan)
+    closes = nominal.close(q).ok
+    if np.any(closes):
+        before[closes] = nominal.positions(q[closes])
+    places = known.positions.reshape(-1, 3)
+    measured = table.measured[np.isfinite(table.measured).all(axis=1)]
+    inside, edges = _within_hull(measured, places)
+    low, high = (end(table.joints, axis=0) for end in (np.min, np.max)) if len(table) else (np.inf, -np.inf)
+    centres, half_axes = _ellipsoids(calibrated, table)
+    return WorkspaceMap(
+        places,
+        np.linalg.norm(before - known.positions, axis=2).ravel(),
+        known.distance.ravel(),
+        inside & np.repeat(np.all((q >= low) & (q <= high), axis=1), targets),
+        edges,
+        centres,
+        half_axes,
+    )
+
+
+def _within_hull(points: FloatArray, places: FloatArray) -> tuple[BoolArray, FloatArray]:
+    """Which places (m, 3) lie in the hull of points (n, 3), or in their outline where these lie in a plane; its edges.
+
+    Returns:
+        (m,), and (k, 2, 3); none lies in what has neither volume nor area.
+    """
+    nowhere = np.zeros(len(places), dtype=bool), np.zeros((0, 2, 3))
+    if not len(points):
+        return nowhere
+    middle = points.mean(axis=0)
+    _, extents, axes = np.linalg.svd(points - middle, full_matrices=False)
+    axes = axes[extents > _FLAT * extents[0]]
+    if len(axes) < 2:
+        return nowhere
+    try:
+        hull = scipy.spatial.Delaunay((points - middle) @ axes.T)
+    except scipy.spatial.QhullError:
+        return nowhere
+    faces = np.sort(hull.convex_hull, axis=1)
+    pairs = np.concatenate([faces[:, pair] for pair in combinations(range(faces.shape[1]), 2)])
+    return hull.find_simplex((places - middle) @ axes.T) >= 0, points[np.unique(pairs, axis=0)]
+
+
+def _ellipsoids(calibrated: Calibrated, table: PoseTable) -> tuple[FloatArray, FloatArray]:
+    """Centres (m, 3) and half axes as columns (m, 3, 3) at poses spread over the table."""
+    if not len(table):
+        return np.zeros((0, 3)), np.zeros((0, 3, 3))
+    first = np.unique(np.round(table.joints, 9), axis=0, return_index=True)[1]
+    chosen = np.sort(first)[np.unique(np.linspace(0, len(first) - 1, _ELLIPSOIDS).astype(int))]
+    known = calibrated.predict(table.joints[chosen])
+    sizes, axes = np.linalg.eigh(known.covariance.reshape(-1, 3, 3))
+    reach = np.sqrt(scipy.stats.chi2.ppf(_CHANCE, 3)) * known.coverage_factor / scipy.stats.norm.ppf((1 + _CHANCE) / 2)
+    return known.positions.reshape(-1, 3), axes * (reach * np.sqrt(np.maximum(sizes, 0.0)))[:, None, :]

@@ -9,6 +9,7 @@ from calib.data.measurements import Poses
 from calib.linearisation.candidates import build_candidates
 from calib.linearisation.jacobian import linearise
 from calib.numerics.observability import observability, raw_columns
+from calib.pose_choice import screening
 from calib.pose_choice.selection import select
 from medrue.workspace import target_workspace
 
@@ -36,6 +37,30 @@ def test_84_of_420_are_certified_to_a_thousandth(by_o1):
     assert by_o1.efficiency >= 0.999
     assert by_o1.after["O1"] <= by_o1.bound
     assert by_o1.after["O1"] / by_o1.bound == pytest.approx(by_o1.efficiency, rel=1e-9)
+
+
+@pytest.mark.parametrize("index", ["O1", "task"])
+def test_screened_candidates_give_the_choice_of_all_and_are_in_the_bound(medrue, monkeypatch, index):
+    of_all = select(medrue, Q, 40, index, exclude=[3], starts=2, seed=4)
+    monkeypatch.setattr(screening, "SCREENED", 100)
+    monkeypatch.setattr(screening, "_SEARCHED", 180)
+    monkeypatch.setattr(screening, "_FOR_EACH", 1)
+    screened = select(medrue, Q, 40, index, exclude=[3], starts=2, seed=4)
+    assert [run.start for run in screened.runs] == ["uniform", "random", "relaxed", "best"]
+    assert len(set(screened.chosen.tolist())) == 40
+    assert 3 not in screened.chosen
+    assert screened.after[index] == pytest.approx(of_all.after[index], rel=2e-3)  # both within their certificates
+    better, worse = (
+        (screened.bound, of_all.after) if index == "O1" else (-screened.bound, {index: -of_all.after[index]})
+    )
+    assert better >= worse[index]
+    assert of_all.efficiency - 2e-3 < screened.efficiency <= 1
+
+
+def test_o2_has_no_bound_and_is_not_screened(medrue, monkeypatch):
+    of_all = select(medrue, Q[::3], 30, "O2")
+    monkeypatch.setattr(screening, "SCREENED", 10)
+    assert np.array_equal(select(medrue, Q[::3], 30, "O2").chosen, of_all.chosen)
 
 
 def test_the_chosen_poses_have_the_indices_that_are_told(medrue, by_o1):

@@ -15,6 +15,7 @@ import viz
 from calib.errors import InputError
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
+from viz import scene_data as of_scene
 from viz.drawing import draw, load_meshcat
 from viz.poses import PoseTable
 from viz.scene import build_scene
@@ -128,6 +129,26 @@ def test_summary_and_ranges_are_in_their_units(scene):
     usual = np.linalg.norm(scene.poses.error("after"), axis=1)[~scene.poses.outlier]
     assert found["after"] == [0.0, pytest.approx(usual.max())]
     assert 0 < found["both"][0] < found["after"][1] < found["both"][1]
+
+
+def test_of_very_many_rows_the_page_holds_those_that_matter_and_says_so(scene, monkeypatch):
+    whole = scene_data(scene)
+    monkeypatch.setattr(of_scene, "_MOST_ROWS", 7)
+    monkeypatch.setattr(of_scene, "_WORST", 1)
+    part, n = scene_data(scene), len(scene.poses)
+    assert n > 7 == part["table"]["n"]
+    assert any(f"7 of {n} rows" in note for note in part["notes"])
+    assert not any("rows are in this page" in note for note in whole["notes"])
+    assert (part["summary"], part["range"]) == (whole["summary"], whole["range"])
+    kept = [scene.poses.labels.index(label) for label in part["table"]["labels"]]
+    assert kept == sorted(kept)
+    for state in ("before", "after"):
+        assert int(np.argmax(np.linalg.norm(scene.poses.error(state), axis=1))) in kept
+    for robot, posed in (("solid", scene.solid), ("ghost", scene.ghost)):
+        values = np.frombuffer(base64.b64decode(part[robot]["values"]), "<f4").reshape(7, -1)
+        np.testing.assert_allclose(values, posed.values[kept], rtol=1e-6, atol=1e-7)
+    after = np.frombuffer(base64.b64decode(part["table"]["after"]), "<f8").reshape(-1, 3)
+    np.testing.assert_array_equal(after, scene.poses.error("after")[kept])
 
 
 def test_code_cannot_end_its_script():

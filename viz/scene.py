@@ -143,6 +143,7 @@ def build_scene(
     size = float(np.linalg.norm(view.high - view.low))
     factors = {state: nice_factor(_typical(table.error(state)), _VECTOR_SIZE * size) for state in ("before", "after")}
     tips = _tips(table, factors, _LONGEST_TIP * size)
+    around = np.concatenate([view.outline, tips @ view.upright.T])
     moved = float("nan") if ghost is None else _moved(bodies, solid, ghost)
     return Scene(
         nominal.name,
@@ -155,7 +156,7 @@ def build_scene(
         table,
         factors,
         nice_factor(moved, _GHOST_SIZE * size),
-        replace(view, outline=np.concatenate([view.outline, tips @ view.upright.T])),
+        replace(view, outline=_outline(around, *_box(around))),
         drive_of(solid_robot, bodies, shown),
         (*notes, *shape_notes),
         comments,

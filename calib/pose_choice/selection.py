@@ -3,7 +3,8 @@
 Order of work. Candidates are assembled and linearised at the robot's present values. The paper's exchange runs from
 each start, then single swaps until none helps. For O1 and the task index the concave relaxation gives a bound on every
 possible choice, and its weights one more start. Then, if asked for, the poses move off the grid. Last, they are put in
-an order of short travel.
+an order of short travel. Of very many candidates the exchanges look at the promising ones only
+(`calib.pose_choice.screening`).
 
 Priors and poses already measured are information that is there before the first pose is chosen; the measurement noise
 is the weight between priors and poses. Every index, O1 included, is about the directions that all candidates and the
@@ -32,6 +33,7 @@ from calib.pose_choice.instrument_choice import ALL, groups_of
 from calib.pose_choice.measurement_order import order_in_blocks, travel
 from calib.pose_choice.refinement import refine
 from calib.pose_choice.region import region_of
+from calib.pose_choice.screening import Searched, after_relaxation, before_any_choice
 from calib.pose_choice.selection_bound import CERTIFIED, log_phi, relax
 from calib.pose_choice.selection_problem import TASK
 from calib.pose_choice.selection_result import Run, Selection
@@ -150,25 +152,22 @@ class _Poses:
 
 def _run_all(setting: Setting, kinds: Sequence[str], rng: np.random.Generator) -> tuple[tuple[Run, ...], Exchange]:
     """Run the exchange from each start; return the runs and the best result."""
-    runs, results = [], []
-    for kind in kinds:
-        start = setting.uniform() if kind == "uniform" else setting.random(rng)
-        result, run = _run(setting, start, kind)
-        results.append(result)
-        runs.append(run)
-    return tuple(runs), max(results, key=lambda one: one.scores.value)
+    starts = [setting.uniform() if kind == "uniform" else setting.random(rng) for kind in kinds]
+    searched = before_any_choice(setting, np.concatenate(starts))
+    results, runs = zip(*(_run(searched, start, kind) for start, kind in zip(starts, kinds, strict=True)), strict=True)
+    return runs, max(results, key=lambda one: one.scores.value)
 
 
-def _run(setting: Setting, start: IntArray, kind: str) -> tuple[Exchange, Run]:
-    wanted = setting.wanted
-    start = setting.space.spread(start, wanted.count)
+def _run(searched: Searched, start: IntArray, kind: str) -> tuple[Exchange, Run]:
+    setting, wanted = searched.setting, searched.setting.wanted
+    start = setting.space.spread(searched.inside(start), wanted.count)
     if len(start) < wanted.count:
         raise InputError(
             f"only {len(start)} candidates were found that keep {millimetres(wanted.minimum_distance):g} mm from each"
             f" other, for {wanted.count} wanted; choose a smaller distance or count"
         )
     paper = exchange(setting.problem, wanted.index, start, setting.space)
-    result = swap(paper, setting.space)
+    result = searched.widened(swap(paper, setting.space))
     history = [index_of_score(setting.problem, wanted.index, v, wanted.count, setting.sigma) for v in result.values]
     return result, Run(kind, result.history[1:], tuple(history), len(paper.values) - 1)
 
@@ -179,16 +178,21 @@ def _certify(setting: Setting, runs: tuple[Run, ...], best: Exchange) -> tuple[t
     relaxation = relax(problem, index, best.chosen, usable, setting.space.kind)
     order = np.argsort(-np.where(usable, relaxation.weights, -1.0), kind="stable")
     heaviest = np.concatenate([own[:count] for own, count in setting.by_kind(order)])
-    more, run = _run(setting, np.sort(heaviest), "relaxed")
-    best = max(best, more, key=lambda one: one.scores.value)
+    searched = after_relaxation(setting, relaxation, best.chosen)
+    starts = {"relaxed": np.sort(heaviest)}
+    if searched.is_part:
+        starts["best"] = np.flatnonzero(best.chosen)
+    for kind, start in starts.items():
+        more, run = _run(searched, start, kind)
+        best, runs = max(best, more, key=lambda one: one.scores.value), (*runs, run)
     gathered = problem.gathered(best.chosen.astype(float))
     if index == TASK:
         least = float(np.exp(-relaxation.log_bound))
         bound = index_of_score(problem, index, -least, setting.wanted.count, setting.sigma)
         value = index_of_score(problem, index, -problem.task_trace(gathered), setting.wanted.count, setting.sigma)
-        return (*runs, run), best, min(1.0, bound / value), bound
+        return runs, best, min(1.0, bound / value), bound
     efficiency = relaxation.efficiency(log_phi(problem, index, gathered))
-    return (*runs, run), best, efficiency, index_values(problem, best.chosen, setting.sigma)[index] / efficiency
+    return runs, best, efficiency, index_values(problem, best.chosen, setting.sigma)[index] / efficiency
 
 
 def _poses(setting: Setting, best: Exchange, on_grid: dict[str, float], rng: np.random.Generator) -> _Poses:

@@ -14,7 +14,7 @@ class Run:
     """One run of the exchange.
 
     Attributes:
-        start: `uniform`, `random` or `relaxed`.
+        start: `uniform`, `random`, `relaxed`, or `best`: what was found so far, among other candidates.
         exchanges: (added, removed) candidate of each exchange.
         history: Index at the start and after each exchange (Figure 4 of the paper).
         n_paper: How many of the exchanges are the paper's; single swaps follow.

@@ -83,6 +83,19 @@ def test_medrue_runs_a_compensated_program_at_the_error_of_its_calibration():
     assert rms(found.expected) == pytest.approx(rms(error), rel=1.0)
 
 
+def test_the_temperature_of_a_program_counts(tmp_path):
+    extra = "  - {joint: j2, term: temperature}\n"
+    robot = six_axis(tmp_path, extra).with_parameters({"j2.temperature": 2e-4})  # 2 mrad at 30 degC
+    program = np.random.default_rng(3).uniform(-0.7, 0.7, (20, 6)) + np.array([0, 0.6, 0.3, 0, 1.1, 0])
+    path = tmp_path / "program.csv"
+    rows = "\n".join(",".join(map(repr, (*map(float, q), 30.0))) for q in program)
+    path.write_text(f"j1,j2,j3,j4,j5,j6,temperature [degC]\n{rows}\n")
+    warm = compensate(robot, calib.read_poses(path, robot))
+    cold = compensate(robot, program)
+    np.testing.assert_allclose(cold.q, program, atol=1e-9)
+    np.testing.assert_allclose(warm.q - program, np.eye(6)[1] * np.full((20, 1), -2e-3), atol=1e-9)
+
+
 def test_an_arm_of_unknown_base_and_reflector_is_as_good_as_its_calibration():
     robot = calib.load(EXAMPLES / "arm.yaml")
     truth = perturbed(robot, 1).with_parameters({"base.x": 2.1, "base.rz": 2.0, "reflector.y": -0.003})

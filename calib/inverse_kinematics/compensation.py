@@ -25,8 +25,8 @@ When it fails. Next to a singular pose of the robot a small correction of the to
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -145,6 +145,7 @@ class _Asked:
         reasons: Why there are none; empty where there are.
         keep: Of `KEEP`.
         nearly: What to be near, where less than the pose is kept.
+        conditions: What is known of each row's load, temperature and time, (n,) [SI, degC].
     """
 
     goals: Goals
@@ -152,6 +153,7 @@ class _Asked:
     reasons: tuple[str, ...]
     keep: str
     nearly: Goals | None = None
+    conditions: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 def compensate(
@@ -159,7 +161,7 @@ def compensate(
     program: Poses | Goals | ArrayLike,
     *,
     keep: str | None = None,
-    predict: Callable[[FloatArray], PositionUncertainty] | None = None,
+    predict: Callable[[FloatArray, Context], PositionUncertainty] | None = None,
 ) -> Compensation:
     """Change a program for the nominal robot into one with which the calibrated robot does what was meant.
 
@@ -168,7 +170,7 @@ def compensate(
         program: Joints of the nominal robot, as `Poses` or (n, n_actuated) [m or rad]; or where it was told to bring a
             target, in the measurement frame as the nominal description has it.
         keep: What of a program of joints is kept, of `KEEP`; if not given, the pose where the joints can reach any.
-        predict: Predicts positions at given joints, such as `Fit.predict`.
+        predict: Predicts positions at given joints under given conditions, such as `Fit.predict`.
 
     Raises:
         InputError: `keep` is none of `KEEP`, or is given for goals, which say themselves what they ask for.
@@ -205,7 +207,7 @@ def _of_joints(meant: Robot, program: Poses, keep: str | None) -> _Asked:
     if keep == "axis":
         goals = replace(goals, directions=rotations[:, :, 2])
     reasons = tuple("" if good else "cannot be assembled by the nominal robot" for good in closed.ok)
-    return _Asked(goals, joints, reasons, keep, None if keep == "pose" else pose)
+    return _Asked(goals, joints, reasons, keep, None if keep == "pose" else pose, program.context)
 
 
 def _moves_freely(jacobian: FloatArray, length: float) -> bool:
@@ -253,14 +255,15 @@ def _on_one_branch(robot: Robot, reach: Reach, q: FloatArray, ok: BoolArray) -> 
 
 
 def _compensated(
-    robot: Robot, asked: _Asked, predict: Callable[[FloatArray], PositionUncertainty] | None
+    robot: Robot, asked: _Asked, predict: Callable[[FloatArray, Context], PositionUncertainty] | None
 ) -> Compensation:
     """Solve all rows that can be."""
     reach, n = problem(robot, asked.goals), len(asked.goals)
     meant = np.where(np.array(asked.reasons)[:, None] == "", asked.goals.positions, np.nan)
     program = np.where(np.isfinite(meant[:, :1]), asked.joints, np.nan)
     approach = directions_of_motion(asked.joints)
-    columns = robot.term_columns(asked.joints, Context.of(approach, {}))
+    context = Context.of(approach, asked.conditions)
+    columns = robot.term_columns(asked.joints, context)
     closed = robot.close(asked.joints, columns=columns)
     reasons = np.array(asked.reasons, dtype=object)
     reasons[(reasons == "") & ~closed.ok] = "cannot be assembled by the calibrated robot at the program's own joints"
@@ -270,13 +273,15 @@ def _compensated(
     before[:, rows] = replace(reach, goals=asked.goals.subset(rows)).misses(start.actuated, start.passive)[1:]
     near = start if asked.nearly is None else descend(problem(robot, asked.nearly), rows, start)
     solutions = _past_limits(reach, rows, start, nearer(reach, rows, descend(reach, rows, near), near.actuated))
-    commands = robot.commands(solutions.actuated, Context.of(approach[rows], {}))
+    commands = robot.commands(solutions.actuated, context.at(rows))
     reasons[rows] = _reasons(robot, replace(reach, goals=asked.goals.subset(rows)), solutions, commands, program[rows])
     good = np.flatnonzero(reasons[rows] == "")
     q[rows[good]] = commands[good]
     if predict is not None and len(good):
         t = robot.target_names.index(reach.target.name)
-        expected[:, rows[good]] = _expected(predict(commands[good]), t, asked.goals.subset(rows[good]))
+        expected[:, rows[good]] = _expected(
+            predict(commands[good], context.at(rows[good])), t, asked.goals.subset(rows[good])
+        )
     if asked.goals.asks_for == "position":
         before[1] = np.nan
     return Compensation(

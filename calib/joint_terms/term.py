@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from calib.arrays import FloatArray, ReadOnlyArrays
+from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.parameter import Parameter
 from calib.sections import Quantity, Section
 from calib.units import Dimension
@@ -88,8 +88,8 @@ class Context(ReadOnlyArrays):
         nothing, none = np.zeros(n), np.zeros((n, n_actuated))
         return Context(none, nothing, nothing, nothing, none)
 
-    def at(self, which: slice) -> Context:
-        """Return the conditions of some of the commands."""
+    def at(self, which: slice | IntArray) -> Context:
+        """Return the conditions of some of the commands, a slice or places (k,)."""
         return Context(*(getattr(self, key)[which] for key in self.__dataclass_fields__))
 
     @staticmethod

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arrays import FloatArray, ReadOnlyArrays
+from calib.arrays import ReadOnlyArrays
 from calib.data.in_memory import as_poses
 from calib.data.measurements import Poses
 from calib.identification.estimates import Covariance, Estimate, Estimates
 from calib.identification.fitted import Fit
+from calib.joint_terms.term import Context
 from calib.linearisation.prediction import PositionUncertainty
 from calib.model.robot import Robot
 from calib.reporting.results import LoadedUncertainty, load, load_uncertainty, read_result
@@ -62,9 +63,9 @@ class LoadedResult(ReadOnlyArrays):
         """Covariance of the free parameters, by name."""
         return Covariance(self.free_names, self.uncertainty.covariance)
 
-    def predict(self, q: ArrayLike) -> PositionUncertainty:
-        """Predict positions at actuated joints q (n, n_actuated) [m or rad], with their covariance."""
-        return self.uncertainty.at(self.robot, self.robot.joint_vector(q))
+    def predict(self, q: ArrayLike, context: Context | None = None) -> PositionUncertainty:
+        """Predict positions with their covariance; see `calib.identification.fitted.Fit.predict`."""
+        return self.uncertainty.at(self.robot, self.robot.joint_vector(q), context)
 
 
 def load_result(folder: Path | str) -> LoadedResult:
@@ -95,15 +96,16 @@ def predict(calibrated: Robot | Fit | LoadedResult, poses: Poses | ArrayLike) ->
 
     Args:
         calibrated: A fit or a loaded result, which know how sure they are; or a robot alone, with a covariance of NaN.
-        poses: Poses, or actuated joints alone, (n, n_actuated) [m or rad].
+        poses: Poses, whose conditions (load, temperature, time) count; or actuated joints alone, (n, n_actuated)
+            [m or rad].
 
     Raises:
         DataError: Joint values of the wrong shape.
         UnreachablePoseError: A loop stays open.
     """
     robot = calibrated if isinstance(calibrated, Robot) else calibrated.robot
-    q: FloatArray = as_poses(robot, poses).joints
+    told = as_poses(robot, poses)
     if not isinstance(calibrated, Robot):
-        return calibrated.predict(q)
-    positions = robot.positions(q)
+        return calibrated.predict(told.joints, told.conditions)
+    positions = robot.positions(told.joints, told.conditions)
     return PositionUncertainty(positions, np.full((*positions.shape, 3), np.nan), np.nan)

@@ -20,6 +20,7 @@ PHONE = {"width": 390, "height": 844}
 _BEFORE = "document.getElementById('state-before').click()"
 _DARK = "for (const id of ['dark', 'same-scale']) document.getElementById(id).click()"
 _FRAMES = "document.getElementById('show-frames').click()"
+_MAP = "map.html"  # of `calib view --map --html`; taken where it is there
 PICTURES: tuple[tuple[str, str, dict[str, int], str], ...] = (
     ("viewer", "viewer.html", DESKTOP, ""),
     ("viewer-before", "viewer.html", DESKTOP, _BEFORE),
@@ -27,6 +28,7 @@ PICTURES: tuple[tuple[str, str, dict[str, int], str], ...] = (
     ("viewer-dark", "viewer.html", DESKTOP, _DARK),
     ("viewer-phone", "viewer.html", PHONE, ""),
     ("report", "report.html", {"width": 1000, "height": 1300}, ""),
+    ("viewer-map", _MAP, DESKTOP, ""),
 )
 """Name of the picture, page, size of the window [px], and what to do before taking it."""
 
@@ -48,7 +50,7 @@ def take(folder: Path, out: Path) -> list[Path]:
     """Take all pictures.
 
     Args:
-        folder: Result folder with viewer.html and report.html.
+        folder: Result folder with viewer.html and report.html; and map.html, if that picture is to be taken.
         out: Folder to write PNG files to.
 
     Raises:
@@ -58,7 +60,8 @@ def take(folder: Path, out: Path) -> list[Path]:
         from playwright.sync_api import sync_playwright
     except ImportError:
         raise InputError("playwright is not installed; in a checkout: pip install -e '.[browser]'") from None
-    for _, page, _, _ in PICTURES:
+    pictures = [picture for picture in PICTURES if picture[1] != _MAP or (folder / _MAP).is_file()]
+    for _, page, _, _ in pictures:
         if not (folder / page).is_file():
             raise InputError(f"{folder}: has no {page}; give the folder that `calib fit --out` wrote")
     out.mkdir(parents=True, exist_ok=True)
@@ -66,7 +69,7 @@ def take(folder: Path, out: Path) -> list[Path]:
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium())
         try:
-            for name, page, size, action in PICTURES:
+            for name, page, size, action in pictures:
                 written.append(_take_one(browser, (folder / page).resolve(), size, action, out / f"{name}.png"))
         finally:
             browser.close()

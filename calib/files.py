@@ -7,7 +7,7 @@ import errno
 import os
 import tempfile
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from calib.errors import CalibrationError, InputError
@@ -174,7 +174,7 @@ def write_folder(path: Path | str, files: Mapping[str, bytes], obsolete: Collect
 
 def _check_replaceable(path: Path) -> None:
     """Raise `OSError` for files, and for folders that cannot be exchanged for another one behind their users' backs."""
-    if path.exists() and not path.is_dir():
+    if path.is_file():
         raise NotADirectoryError(errno.ENOTDIR, "is a file, not a folder")
     above = next(folder for folder in path.parents if folder.exists())
     if not above.is_dir():
@@ -182,7 +182,7 @@ def _check_replaceable(path: Path) -> None:
     here = Path.cwd()
     if path == here or path in here.parents:
         raise OSError(errno.EBUSY, "it holds the current folder; a result needs a folder of its own")
-    if path.is_mount():
+    if os.path.ismount(path):  # Path.is_mount fails where another program replaces it meanwhile
         raise OSError(errno.EBUSY, "it is a mount point; a result needs a folder inside it")
 
 
@@ -193,7 +193,7 @@ def _is_stream(path: Path) -> bool:
 
 
 def _permissions(path: Path, default: int) -> int:
-    if path.exists():
+    with suppress(FileNotFoundError):
         return path.stat().st_mode & 0o777
     mask = os.umask(0)
     os.umask(mask)

@@ -9,8 +9,9 @@ program that is killed between these two steps leaves the old one, whole, in a f
 writes there puts it back.
 
 Whoever completes something holds a lock on it, which ends with the program, however it ends. What nobody holds is a
-leftover of a program that was killed, and the next one that writes beside it removes it. File systems without locks
-keep their leftovers.
+leftover of a program that was killed, and the next one that writes beside it removes it. While a folder is replaced,
+the folder above it is locked, so that what one program has set aside is never missing to another. File systems without
+locks keep their leftovers, and only the exchange is safe for two programs at once there.
 """
 
 from __future__ import annotations
@@ -114,25 +115,40 @@ def replace_folder(new: Path, path: Path, obsolete: Collection[str]) -> None:
         path: The place, in the same parent folder.
         obsolete: Names in `path` that do not stay.
     """
-    while True:
-        leave = {*os.listdir(new), *obsolete}  # noqa: PTH208  # names alone
-        carried = _carry(path, new, leave)
-        try:
-            new.rename(path)  # nothing there, or an empty folder
-            return
-        except OSError as problem:
-            if problem.errno not in _OCCUPIED:
-                raise
-        try:
-            if exchange(new, path):
-                _follow(new, path, carried, leave)
+    with _alone_in(path.parent):
+        while True:
+            leave = {*os.listdir(new), *obsolete}  # noqa: PTH208  # names alone
+            carried = _carry(path, new, leave)
+            try:
+                new.rename(path)  # nothing there, or an empty folder
                 return
-            if _set_aside(new, path):
-                return
-        except FileNotFoundError:
-            if not new.exists():
-                raise
-            # another program has just moved what was at the place: again
+            except OSError as problem:
+                if problem.errno not in _OCCUPIED:
+                    raise
+            try:
+                if exchange(new, path):
+                    _follow(new, path, carried, leave)
+                    return
+                if _set_aside(new, path):
+                    return
+            except FileNotFoundError:
+                if not new.exists():
+                    raise
+                # something else has just moved what was at the place: again
+
+
+@contextmanager
+def _alone_in(parent: Path) -> Iterator[None]:
+    """Replace while no other program of this module does so in the same folder, as far as the file system has locks."""
+    handle = os.open(parent, os.O_RDONLY)
+    try:
+        with suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        with suppress(OSError):  # a forked process may hold a copy of the handle, which closing would not unlock
+            fcntl.flock(handle, fcntl.LOCK_UN)
+        os.close(handle)
 
 
 def exchange(one: Path, other: Path) -> bool:

@@ -12,6 +12,7 @@ from six_axis_arm import joints, write_six_axis
 from test_kind_distance import FREE
 
 import calib
+from calib.data.measurement_text import format_measurements
 from calib.linearisation.observed import predicted_readings
 from calib.linearisation.registration import register
 from calib.observation.kind import Readings, View
@@ -280,7 +281,7 @@ def test_touches_are_written_as_they_are_read(tmp_path):
     q, words = touches(robot, "plate", 6, seed=2)
     words[2] = ""
     first = calib.read_measurements(written(tmp_path, q, words), robot)
-    (tmp_path / "again.csv").write_text(calib.data.measurement_files.format_measurements(robot, first))
+    (tmp_path / "again.csv").write_text(format_measurements(robot, first))
     again = calib.read_measurements(tmp_path / "again.csv", robot)
     np.testing.assert_array_equal(again.readings["probe"].details, first.readings["probe"].details)
     assert len(first) == len(again) == 5

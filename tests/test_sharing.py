@@ -41,9 +41,11 @@ def fitted(robot, data):
 
 
 @pytest.fixture(scope="module")
-def public_objects(robot, data, fitted):
+def public_objects(robot, data, fitted, tmp_path_factory):
     """One of each public class, by its name."""
     poses = calib.read_poses(DATA, robot)
+    folder = tmp_path_factory.mktemp("result") / "out"
+    fitted.save(folder, pages=False)
     watch = calib.Watch(robot, "0.1 mm", candidates=poses)
     errors = {name: getattr(calib, name)("what, where") for name in calib.__all__ if name.endswith("Error")}
     return errors | {
@@ -53,6 +55,7 @@ def public_objects(robot, data, fitted):
         "Compensation": calib.compensate(fitted.robot, calib.Goals(robot.positions(poses.joints)[:, 0])),
         "Fit": identify(robot, data, None, Settings()),
         "Goals": calib.Goals(robot.positions(poses.joints)[:, 0]),
+        "LoadedResult": calib.load_result(folder),
         "Measurements": data,
         "Origin": calib.Origin(np.arange(3.0), np.zeros(3)),
         "Parameter": robot.parameters[0],

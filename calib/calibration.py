@@ -11,7 +11,7 @@ from calib.data.measurements import Measurements
 from calib.identification.errors_found import error_table
 from calib.identification.fit import Settings, identify
 from calib.identification.fitted import Fit
-from calib.model.robot import Robot
+from calib.model.robot import Robot, require_robot
 from calib.numerics.losses import checked_loss
 from calib.reporting.report_text import text_report, verdict_lines
 from calib.reporting.result_content import error_sets
@@ -99,6 +99,7 @@ def fit(
         terms: Joint terms in place of those of the description: `none`; or in addition to them: `auto` for those that
             earn their place, or a list such as `curve,elbow=backlash`.
     """
+    require_robot(robot)
     settings = Settings(sigma, checked_loss(loss), exclude_outliers, starts, folds, seed, terms)
     found = identify(robot, data, validation, settings)
     return Calibration(**{field.name: getattr(found, field.name) for field in fields(found)})

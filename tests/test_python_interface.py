@@ -385,3 +385,18 @@ def test_a_figure_of_its_own_is_made_where_no_axes_are_given(fit):
     axes = fit.plot.errors()
     assert axes.get_xlabel().endswith("[mm]")
     pyplot.close(axes.figure)
+
+
+@pytest.mark.parametrize(
+    "call", ["check", "compensate", "export", "fit", "sample", "select", "simulate", "solve", "study"]
+)
+def test_a_fit_in_place_of_a_robot_is_answered_with_what_to_give(data, fit, call):
+    arguments = {"export": ("urdf", "calibrated.urdf"), "sample": (5,), "fit": (data,)}.get(call, (data.joints,))
+    options = {"count": 3} if call == "select" else {}
+    with pytest.raises(calib.CalibrationError, match="expected a Robot, not Calibration; load one with calib"):
+        getattr(calib, call)(fit, *arguments, **options)
+
+
+def test_joint_values_in_place_of_goals_are_answered_with_what_to_give(robot, data):
+    with pytest.raises(calib.CalibrationError, match="goals: are joint values; give positions"):
+        calib.solve(robot, data)

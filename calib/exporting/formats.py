@@ -15,7 +15,7 @@ from calib.exporting.mjcf import mjcf
 from calib.exporting.toolbox import toolbox_yaml
 from calib.exporting.urdf import urdf_bytes, with_mesh_prefix
 from calib.files import check_file, check_folder, write_files, write_folder
-from calib.model.robot import Robot
+from calib.model.robot import Robot, require_robot
 
 CONTROLLERS: dict[str, Callable[[Robot, Sequence[str]], ControllerFile]] = {
     "dh": lambda robot, lines: dh_file(robot, "standard", lines),
@@ -67,6 +67,7 @@ def export(
         InputError: Unknown format, an option that the format does not have, a place that cannot be written or is the
             robot's own input, or loops that the format cannot express.
     """
+    require_robot(robot)
     path = Path(path)
     if file_format not in (*FORMATS, JOINT_TABLES):
         raise InputError(f"format '{file_format}': unknown{nearest(file_format, (*FORMATS, JOINT_TABLES))}")

@@ -41,7 +41,7 @@ from calib.linearisation.observed import predicted_readings
 from calib.linearisation.prediction import carried
 from calib.linearisation.simulate import noisy_readings, simulate, unstated_noise
 from calib.model.acceleration import asked, compiled
-from calib.model.robot import Robot
+from calib.model.robot import Robot, require_robot
 from calib.numerics.losses import checked_loss
 from calib.threads import one_blas_thread
 from calib.workers import Workers, in_order
@@ -133,6 +133,7 @@ def study(
         NotConvergedError: The first draw did not converge, or none gave an answer.
         CalibrationError: What `calib.fit` raises, of the first draw.
     """
+    require_robot(robot)
     started = time.perf_counter()
     _require_sense(robot, draws, sigma, noise, executor)
     settings = Settings(sigma=sigma, loss=checked_loss(loss), seed=seed)

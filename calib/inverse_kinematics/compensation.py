@@ -42,7 +42,7 @@ from calib.inverse_kinematics.redundancy import nearer
 from calib.joint_terms.term import Context
 from calib.linearisation.gauge import nearest_to_nominal
 from calib.linearisation.prediction import PositionUncertainty, length95, rms_length
-from calib.model.robot import Robot
+from calib.model.robot import Robot, require_robot
 from calib.units import DISPLAY_UNIT, PER_SI, millimetres
 
 KEEP = ("pose", "axis", "position")
@@ -176,6 +176,7 @@ def compensate(
         InputError: `keep` is none of `KEEP`, or is given for goals, which say themselves what they ask for.
         DataError: Goals of an unknown target, or joint values of the wrong shape.
     """
+    require_robot(robot)
     if keep is not None and keep not in KEEP:
         raise InputError(f"keep '{keep}'{nearest(keep, KEEP)}")
     if keep is not None and isinstance(program, Goals):

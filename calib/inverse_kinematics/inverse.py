@@ -18,12 +18,13 @@ import scipy
 from numpy.typing import ArrayLike
 
 from calib.arrays import BoolArray, FloatArray, IntArray
-from calib.errors import DataError, UnreachablePoseError, nearest
+from calib.data.measurements import Poses
+from calib.errors import DataError, InputError, UnreachablePoseError, nearest
 from calib.inverse_kinematics.goals import Goals
 from calib.inverse_kinematics.reaching import Configured, Reach, actuated_jacobian, descend
 from calib.inverse_kinematics.redundancy import nearer, unwound
 from calib.model import loops
-from calib.model.robot import Robot
+from calib.model.robot import Robot, require_robot
 from calib.numerics.halton import halton
 from calib.units import millimetres
 
@@ -88,8 +89,12 @@ def solve(robot: Robot, goals: Goals | ArrayLike, *, near: ArrayLike | None = No
             if not given.
 
     Raises:
+        InputError: The robot is none, or the goals are joint values.
         DataError: Unknown target, or `near` of the wrong shape.
     """
+    require_robot(robot)
+    if isinstance(goals, Poses):
+        raise InputError("goals: are joint values; give positions (n, 3) [m], or calib.Goals")
     goals = goals if isinstance(goals, Goals) else Goals(np.atleast_2d(np.asarray(goals, dtype=float)))
     reach = problem(robot, goals)
     wanted = robot.home if near is None else robot.joint_vector(near)

@@ -24,7 +24,7 @@ from calib.errors import DataError, UnreachablePoseError
 from calib.joint_terms.term import Context
 from calib.linearisation.observed import looks_at, observe, predicted_readings, unsaid_touches
 from calib.linearisation.whitening import stated_noise
-from calib.model.robot import Configurations, Robot
+from calib.model.robot import Configurations, Robot, require_robot
 from calib.observation.kind import Instrument, Readings
 from calib.units import millimetres
 
@@ -59,9 +59,11 @@ def simulate(
             characteristic lengths].
 
     Raises:
+        InputError: The robot is none.
         DataError: Sigma is not a number >= 0, or nobody says what is touched at a pose.
         UnreachablePoseError: A pose cannot be assembled, or no contact was found near it.
     """
+    require_robot(robot)
     if sigma is not None and not (np.isfinite(sigma) and sigma >= 0):
         raise DataError(f"sigma {sigma:g} m: must be a number, zero or positive")
     rng = random_numbers(seed)

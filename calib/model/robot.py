@@ -462,6 +462,14 @@ def _edited(text: Triple, numbers: FloatArray) -> Triple:
     return (x, y, z)
 
 
+def require_robot(robot: object) -> None:
+    """Raise `InputError` for what is no robot, such as a fit, whose caller nobody checked."""
+    if not isinstance(robot, Robot):
+        raise InputError(
+            f"robot: expected a Robot, not {type(robot).__name__}; load one with calib.load; a fit has one as .robot"
+        )
+
+
 def near_singularity(label: str, value: float, limit: float) -> str:
     """Say that a pose with this smallest singular value is nearer to a singularity of the loops than the limit."""
     return f"{label}: {value:.2g} from a singularity of the loops (limit {limit:g})"

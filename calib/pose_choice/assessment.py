@@ -24,7 +24,7 @@ from calib.linearisation.determination import Determination, determination
 from calib.linearisation.observed import looks_at, observe
 from calib.linearisation.unknowns import Unknowns
 from calib.linearisation.whitening import Whitening
-from calib.model.robot import Configurations, Robot
+from calib.model.robot import Configurations, Robot, require_robot
 from calib.numerics.identifiability import Elimination, Rank, eliminate
 from calib.numerics.null_space import Group, null_groups
 from calib.numerics.observability import Information, TaskIndex, information, observability_of, prior_rows, task_index
@@ -151,9 +151,11 @@ def check(
         sigma: Noise of one reading per axis [m]; the description's if not given.
 
     Raises:
+        InputError: The robot is none.
         DataError: Fewer measured coordinates than free parameters that no prior holds.
         UnreachablePoseError: A pose cannot be assembled.
     """
+    require_robot(robot)
     require_free(robot)
     poses, task = as_poses(robot, poses), None if task is None else as_poses(robot, task)
     own = np.array([not p.family for p in robot.parameters])

@@ -22,7 +22,7 @@ from calib.data.in_memory import as_poses
 from calib.data.measurements import Poses, of_visits
 from calib.errors import DataError, InputError, nearest
 from calib.linearisation.simulate import MET, at_contact
-from calib.model.robot import Robot
+from calib.model.robot import Robot, require_robot
 from calib.observation.kind import Readings
 
 _DRAWN_IN = 2.0 / 3.0
@@ -54,6 +54,7 @@ def sample(
         InputError: The count or the seed is negative, or a range is not one.
         DataError: Not enough were found, even near home; or a sliding joint has no limits.
     """
+    require_robot(robot)
     if count < 1:
         raise InputError(f"count {count}: at least one pose is needed")
     rng, ranges = random_numbers(seed), _ranges(robot, within)

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from calib.arrays import FloatArray, IntArray, random_numbers
 from calib.data.measurements import Poses
 from calib.errors import InputError
-from calib.model.robot import Robot
+from calib.model.robot import Robot, require_robot
 from calib.numerics.observability import observability_of
 from calib.pose_choice.exchange import Exchange, exchange, swap
 from calib.pose_choice.instrument_choice import ALL, groups_of
@@ -91,6 +91,7 @@ def select(
         UnreachablePoseError: Candidates cannot be assembled.
         NotIdentifiableError: No choice determines what the index is about.
     """
+    require_robot(robot)
     started = time.perf_counter()
     rng = random_numbers(seed)
     groups = groups_of(robot, instruments, count)

@@ -144,7 +144,7 @@ class _Session:
         with contextlib.chdir(self._folder), contextlib.redirect_stdout(printed):
             try:
                 exec(compile(text, "snippet", "exec", dont_inherit=True), self._names)
-            except Exception:
+            except Exception:  # a snippet may fail in any way; the traceback goes into the error
                 raise SnippetError(f"fails:\n{traceback.format_exc()}") from None
         return printed.getvalue()
 

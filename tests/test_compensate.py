@@ -13,7 +13,8 @@ from test_denavit_hartenberg import robot_of, write_table
 
 import calib
 from calib.commands.compensate import command
-from calib.inverse_kinematics.compensation import as_meant, compensate
+from calib.inverse_kinematics.asked import as_meant
+from calib.inverse_kinematics.compensation import compensate
 from calib.inverse_kinematics.inverse import solve
 from calib.inverse_kinematics.reaching import actuated_jacobian
 from calib.linearisation.gauge import nearest_to_nominal

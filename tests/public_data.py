@@ -4,7 +4,7 @@
 
 FOLDER holds a folder for each: ur10_tracker (robot.urdf, grid.csv with a column `use`), motoman_right (robot.urdf,
 train.csv, test.csv, camera), mukca (urdf, panda_1, kuka_14). None is part of the project; docs/benchmarks.md says where
-they come from. Errors are of rows that the fit never saw. All together take about five minutes.
+they come from. Errors are of rows that the fit never saw. All together take about ten minutes.
 """
 
 import csv
@@ -152,11 +152,9 @@ def from_means(robot, holes):
 
 
 def held_out(fit, state="after"):
-    """Root mean square errors of held-out positions, and of orientations where there are any, with units."""
-    errors = fit.validation.errors(state).reshape(len(fit.validation.data), -1)
-    parts = [errors[:, :3], errors[:, 3:]] if errors.shape[1] == 6 else [errors[:, -3:]]
-    sizes = [1e3 * np.sqrt(np.nanmean(np.sum(part**2, axis=1))) for part in parts]
-    return "  ".join(f"{size:.4f} {unit}" for size, unit in zip(sizes, ("mm", "mrad"), strict=False))
+    """Root mean square errors of held-out positions [mm] and, if there are any, of orientations [mrad]."""
+    parts = [fit.validation.errors(state, part) for part in ("position", "orientation")]
+    return [round(1e3 * float(np.sqrt(np.mean(np.sum(part**2, axis=1)))), 4) for part in parts if len(part)]
 
 
 def _added(fit):
@@ -171,17 +169,23 @@ def print_ur10_tracker(folder):
         for terms in (None, "curve", "auto"):
             fit = calib.fit(robot, data[use == "train"], validation=test, terms=terms)
             added = f" ({_added(fit)})" if terms == "auto" else ""
-            print(f"{what}, {terms or 'origins'}{added}: {held_out(fit, 'before')} -> {held_out(fit)}", flush=True)
+            print(f"{what}, {terms or 'origins'}{added}:", held_out(fit, "before"), "->", held_out(fit), flush=True)
     robot, data, use = ur10_tracker(folder)
-    rng, stretch = np.random.default_rng(0), np.arange(len(use)) * 40 // len(use) % 4 == 3
-    used, held = (np.sort(rng.choice(np.flatnonzero(some), n, False)) for some, n in ((~stretch, 300), (stretch, 1000)))
-    train = {f"{n} poses": rng.choice(np.flatnonzero(use != "test"), n, False) for n in (50, 100, 200, 300, 1000)}
+    stretch, test = np.arange(len(use)) * 40 // len(use) % 4, use == "test"
     for terms in (None, "curve"):
-        fit = calib.fit(robot, data[used], validation=data[held], terms=terms)
-        print(f"contiguous, {terms or 'origins'}: {held_out(fit)}", flush=True)
-        for name, rows in train.items():
-            fit = calib.fit(robot, data[np.sort(rows)], validation=data[use == "test"], terms=terms)
-            print(f"{name}, {terms or 'origins'}: {held_out(fit)}", flush=True)
+        splits = [(stretch != k, 300, stretch == k) for k in range(4)]
+        print(f"300 poses, every fourth of 40 stretches held out, {terms or 'origins'}:", end=" ")
+        print([_drawn(robot, data, *split, terms, seed=0) for split in splits], flush=True)
+        for n in (50, 100, 200, 300, 1000):
+            errors = [_drawn(robot, data, ~test, n, test, terms, seed) for seed in range(5)]
+            print(f"{n} poses, {terms or 'origins'}:", sorted(errors), flush=True)
+
+
+def _drawn(robot, data, pool, n, test, terms, seed):
+    """Error of a fit to n random rows of the pool, on (at most 1000 of) the rows for testing."""
+    rng = np.random.default_rng(seed)
+    used, held = (rng.permutation(np.flatnonzero(some))[:most] for some, most in ((pool, n), (test, 1000)))
+    return held_out(calib.fit(robot, data[np.sort(used)], validation=data[np.sort(held)], terms=terms))[0]
 
 
 def print_motoman_right(folder):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.commands import pictures
+from calib import pictures
 from calib.tabular import table_html
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"

@@ -111,7 +111,7 @@ def svg_text(figure: Figure, name: str, title: str) -> str:
     return svg.replace("<svg ", f'<svg role="img" aria-label="{html.escape(title)}" ', 1)
 
 
-def _lay_out(figure: Figure) -> None:
+def _lay_out(figure: Any) -> None:
     """Place panels of equal size so that their labels, and a legend above them, have room.
 
     matplotlib's own layout can do more, but measures every text several times, which takes longer than drawing it.
@@ -119,31 +119,28 @@ def _lay_out(figure: Figure) -> None:
     from matplotlib.backends.backend_svg import RendererSVG
 
     width, height = figure.bbox.size
-    renderer = RendererSVG(width, height, io.StringIO(), image_dpi=_POINTS)
+    renderer = RendererSVG(width, height, io.StringIO(), image_dpi=_POINTS)  # type: ignore[no-untyped-call]
     figure.subplots_adjust(60 / width, 40 / height, 1 - 10 / width, 1 - 25 / height)  # nearly; ticks depend on it
-    above = _GAP
-    for legend in figure.legends:
-        above += legend.get_window_extent(renderer).height
+    above = _GAP + sum(legend.get_window_extent(renderer).height for legend in figure.legends)
     panels = [axes for axes in figure.axes if axes.get_visible()]
     grid = panels[0].get_gridspec()
     left, right, below, over = np.zeros(grid.ncols), np.zeros(grid.ncols), np.zeros(grid.nrows), np.zeros(grid.nrows)
     for axes in panels:
-        outer, inner, spec = axes.get_tightbbox(renderer), axes.bbox, axes.get_subplotspec()
-        column, row = spec.colspan.start, spec.rowspan.start
+        outer, inner, place = axes.get_tightbbox(renderer), axes.bbox, axes.get_subplotspec()
+        column, row = place.colspan.start, place.rowspan.start
         left[column] = max(left[column], inner.x0 - outer.x0)
         right[column] = max(right[column], outer.x1 - inner.x1)
         below[row] = max(below[row], inner.y0 - outer.y0)
         over[row] = max(over[row], outer.y1 - inner.y1)
-    beside, between = np.max(right[:-1] + left[1:], initial=0.0), np.max(below[:-1] + over[1:], initial=0.0)
-    wide = (width - left[0] - right[-1] - 2 * _GAP - (grid.ncols - 1) * (beside + _GAP)) / grid.ncols
-    high = (height - above - below[-1] - over[0] - _GAP - (grid.nrows - 1) * (between + _GAP)) / grid.nrows
+    beside = _GAP + np.max(right[:-1] + left[1:], initial=0.0)
+    between = _GAP + np.max(below[:-1] + over[1:], initial=0.0)
     figure.subplots_adjust(
         left=(_GAP + left[0]) / width,
         right=1 - (_GAP + right[-1]) / width,
         bottom=(_GAP + below[-1]) / height,
         top=1 - (above + over[0]) / height,
-        wspace=(beside + _GAP) / wide,
-        hspace=(between + _GAP) / high,
+        wspace=beside * grid.ncols / (width - left[0] - right[-1] - 2 * _GAP - (grid.ncols - 1) * beside),
+        hspace=between * grid.nrows / (height - below[-1] - over[0] - above - _GAP - (grid.nrows - 1) * between),
     )
 
 

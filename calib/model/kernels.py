@@ -23,7 +23,7 @@ from numba import njit
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.model.mechanism import Mechanism, Reduced
 
-_compiled: Any = njit(cache=True, error_model="numpy")
+_compiled: Any = njit(cache=True, error_model="numpy", fastmath={"contract"})
 
 
 class Tree(NamedTuple):
@@ -318,6 +318,7 @@ def motion(
     twist, X, transposed = np.empty((1, 6)), np.empty((n_passive, n_rows)), np.empty((n_passive, n_passive))
     rows, total = np.empty((n_passive, 6)), np.empty((n_joints, n_rows, 6))
     joints, columns, twists = entries
+    slides = np.array([np.all(twists[e, 3:] == 0.0) for e in range(len(joints))])
     alike = np.arange(n_joints)  # the first joint that moves what this one moves
     for j in range(n_joints):
         for i in range(j - 1, -1, -1):
@@ -355,7 +356,16 @@ def motion(
                             total[j, r, c] -= weight * rows[i, c]
         for e in range(len(joints)):
             j, column = joints[e], columns[e]
-            _twist(T, tree.parents[j], twists, e, twist, 0)
+            m, a = tree.parents[j], alike[j]
+            if slides[e]:
+                x, y, z = twists[e, 0], twists[e, 1], twists[e, 2]
+                u = T[m, 0] * x + T[m, 3] * y + T[m, 6] * z
+                v = T[m, 1] * x + T[m, 4] * y + T[m, 7] * z
+                w = T[m, 2] * x + T[m, 5] * y + T[m, 8] * z
+                for r in range(n_rows):
+                    result[k, r, column] += total[a, r, 0] * u + total[a, r, 1] * v + total[a, r, 2] * w
+                continue
+            _twist(T, m, twists, e, twist, 0)
             for r in range(n_rows):
-                result[k, r, column] += _dot(total[alike[j]], r, twist, 0)
+                result[k, r, column] += _dot(total[a], r, twist, 0)
     return result

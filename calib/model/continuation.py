@@ -64,23 +64,33 @@ def newton(
         Passive joints (n, n_passive), C_p (n, n_passive, n_passive) and C_a (n, n_passive, n_actuated) there, and which
         poses were accepted (n,).
     """
+    passive, enough = passive.copy(), closing_tolerance(mechanism) / 10
+    fast = kernels(mechanism, len(passive))
+    if fast is None:
+        slope, slope_actuated, accepted = _corrected(mechanism, actuated, passive, enough)
+    else:
+        reduced, _ = mechanism.around(mechanism.loops)
+        select = mechanism.select_passive[reduced.joints], mechanism.select_actuated[reduced.joints]
+        rest = actuated @ select[1].T + mechanism.constant[reduced.joints]
+        scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
+        model, limits = (fast.tree(mechanism, reduced), fast.loops(mechanism, reduced)), (LARGEST_STEP, _MAX_NEWTON)
+        slope, slope_actuated, accepted = fast.close(*model, rest, *select, passive, scale, enough, *limits)
+    good = np.flatnonzero(accepted)
+    if len(good):
+        accepted[good] = mode.holds(slope[good])
+    return passive, slope, slope_actuated, accepted
+
+
+def _corrected(
+    mechanism: Mechanism, actuated: FloatArray, passive: FloatArray, enough: float
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Correct passive joints in place until no residual is above `enough`; C_p, C_a, and which poses came there."""
     n, n_passive = passive.shape
-    passive = passive.copy()
     slope = np.full((n, n_passive, n_passive), np.nan)
     slope_actuated = np.full((n, n_passive, actuated.shape[1]), np.nan)
     accepted, last = np.zeros(n, dtype=bool), np.full(n, np.inf)
     active = np.arange(n)
-    enough = closing_tolerance(mechanism) / 10
-    fast = kernels(mechanism, n)
-    if fast is not None:
-        select = mechanism.select_passive, mechanism.select_actuated
-        rest = actuated @ select[1].T + mechanism.constant
-        scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
-        model = fast.tree(mechanism, mechanism.loops), fast.loops(mechanism)
-        limits = enough, LARGEST_STEP, _MAX_NEWTON
-        slope, slope_actuated, accepted = fast.close(*model, rest, *select, passive, scale, *limits)
-        active = active[:0]
-    for _ in range(_MAX_NEWTON if fast is None else 0):
+    for _ in range(_MAX_NEWTON):
         values, slope_p, slope_a = residual(mechanism, actuated[active], passive[active])
         small = np.max(np.abs(values), axis=1) <= enough
         slope[active[small]], slope_actuated[active[small]] = slope_p[small], slope_a[small]
@@ -96,10 +106,7 @@ def newton(
         active = still[contracts]
         if len(active) == 0:
             break
-    if np.any(accepted):
-        good = np.flatnonzero(accepted)
-        accepted[good] = mode.holds(slope[good])
-    return passive, slope, slope_actuated, accepted
+    return slope, slope_actuated, accepted
 
 
 def solved_for(matrix: FloatArray, right: FloatArray) -> FloatArray:

@@ -72,15 +72,17 @@ def close(
     passive, slope = np.full((n, n_passive), np.nan), np.full((n, n_passive, n_passive), np.nan)
     ok = np.zeros(n, dtype=bool)
     if seed is not None:
-        tried = np.flatnonzero(np.all(np.isfinite(seed), axis=1))
+        finite = np.all(np.isfinite(seed), axis=1)
+        tried = slice(None) if np.all(finite) else np.flatnonzero(finite)
         passive[tried], slope[tried], _, ok[tried] = newton(mechanism, mode, actuated[tried], seed[tried])
-        ok &= within_limits(mechanism, wrapped(mechanism, mode, passive))
+        passive = wrapped(mechanism, mode, passive)
+        ok &= within_limits(mechanism, passive)
     if not np.all(ok):
         todo = np.flatnonzero(~ok)
-        passive[todo], slope[todo], ok[todo] = follow(mechanism, mode, actuated[todo], thorough=thorough)
-    passive = wrapped(mechanism, mode, passive)
-    ok &= within_limits(mechanism, passive)
-    passive[~ok], slope[~ok] = np.nan, np.nan
+        found, slope[todo], ok[todo] = follow(mechanism, mode, actuated[todo], thorough=thorough)
+        passive[todo] = wrapped(mechanism, mode, found)
+        ok &= within_limits(mechanism, passive)
+        passive[~ok], slope[~ok] = np.nan, np.nan
     return Closed(passive, ok, slope)
 
 

@@ -143,9 +143,8 @@ def study(
     setting = replace(setting, first=_first_fit(robot, setting, seeds[0]), compiled=many)
     tasks = [(setting, tuple(seeds[start : start + _CHUNK])) for start in range(0, draws, _CHUNK)]
     parts = list[tuple[Draws, tuple[str, ...]]]()
-    with ExitStack() as stack:
-        own = stack.enter_context(Workers(executor)) if isinstance(executor, int) else executor
-        for part in in_order(_chunk, tasks, own):
+    with Workers(executor, len(tasks)) as workers:
+        for part in in_order(_chunk, tasks, workers):
             parts.append(part)
             if progress is not None:
                 progress(sum(len(one) for one, _ in parts), draws)

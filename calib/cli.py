@@ -17,6 +17,7 @@ _MODULES = {
     "compare": "calib.commands.compare",
     "select": "calib.commands.select",
     "simulate": "calib.commands.simulate",
+    "study": "calib.commands.study",
     "fit": "calib.commands.fit",
     "predict": "calib.commands.predict",
     "solve": "calib.commands.solve",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import yaml
 
@@ -15,12 +15,7 @@ _MERGE = "tag:yaml.org,2002:merge"
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
-    """YAML silently keeps the last of two equal keys; here that is an error. `No` is a word, such as of a column."""
-
-    yaml_implicit_resolvers: ClassVar[dict[str, Any]] = {
-        first: [one for one in kinds if one[0] != "tag:yaml.org,2002:bool" or first in "tTfF"]
-        for first, kinds in yaml.SafeLoader.yaml_implicit_resolvers.items()
-    }
+    """YAML silently keeps the last of two equal keys; here that is an error."""
 
 
 def _unique_mapping(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any, Any]:
@@ -37,6 +32,11 @@ def _unique_mapping(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any
     return loader.construct_mapping(node, deep=True)
 
 
+# No, Yes, On and Off are words, such as names of columns; true and false alone are truth values
+_UniqueKeyLoader.yaml_implicit_resolvers = {
+    first: [one for one in kinds if one[0] != "tag:yaml.org,2002:bool" or first in "tTfF"]
+    for first, kinds in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
 _UniqueKeyLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _unique_mapping)
 
 

@@ -43,7 +43,7 @@ _MAX_ROUNDS = 150
 _RISE = 1e-5  # relative rise of a score for which a pose moves; less is crawling
 _RIDGE = 1e-9  # of K; without one pose a direction may be lost, and must be found again
 _NEWTON_STEPS = 8
-_CHUNK = 256  # trial poses that are assembled together, by one worker
+_CHUNK = 512  # trial poses that are assembled together, by one worker
 _CLOSED = 1e-9  # closure residual from which `Robot.close` finishes at once [m, rad]
 
 

@@ -91,6 +91,12 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
     Raises:
         DataError: The message names file, line and column.
     """
+    for name in robot.joint_names:
+        if name not in table.names:
+            raise DataError(
+                f"{table.path}: no column '{name}'{nearest(name, table.names)}; under 'columns' a robot description"
+                " says what files call it"
+            )
     joints = np.stack([table.column(name, robot.mechanism.dimensions[name]) for name in robot.joint_names], axis=1)
     named = "pose" in table.names
     if named and "" in table.text("pose"):

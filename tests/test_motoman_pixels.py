@@ -69,7 +69,7 @@ def test_pixels_of_a_turned_image_do_not_pass_and_the_reason_is_said(motoman):
     fit = motoman(tracker=False, turned=False)
     assert fit.verdict.grade == "FAIL"
     words = " ".join(reason.text for reason in fit.verdict.reasons)
-    assert "noise found of left, pixel, is 3.1" in words
+    assert "noise found of left, pixel, is 7" in words
     assert "camera 'left': 284 of 601 readings lie outside an image" in words
     assert "residuals are not only noise" in words
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import click
 
-from calib.commands import pictures
+from calib import pictures
 from calib.commands.common import Output, shared_options
 from calib.files import check_file, write_file
-from calib.reporting.result_comparison import compare
+from calib.reporting.result_differences import compare
 
 
 @click.command("compare")

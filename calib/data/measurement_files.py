@@ -18,7 +18,8 @@ import numpy as np
 from calib.arrays import FloatArray, IntArray
 from calib.data.in_memory import measurements
 from calib.data.instrument_cells import columns_in, concatenated, named_columns, readings_in, setups_of
-from calib.data.measurements import APPROACH, CONTEXT, Measurements, Poses, check_repeats
+from calib.data.measurement_columns import APPROACH, CONTEXT
+from calib.data.measurements import Measurements, Poses, check_repeats
 from calib.data.tables import Table, read_table
 from calib.errors import DataError, nearest
 from calib.model.robot import Robot

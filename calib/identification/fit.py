@@ -24,7 +24,9 @@ When it fails. Fewer coordinates than unknowns, or columns that the poses cannot
 from __future__ import annotations
 
 import time
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -54,6 +56,7 @@ from calib.numerics.prior_sizes import variance_by_sizes
 from calib.numerics.statistics import Factors, Statistics, found_factors, statistics
 from calib.numerics.variance_components import EXACT
 from calib.threads import one_blas_thread
+from calib.workers import Progress, Workers
 
 _LOOSE = 1e-3  # tolerance of the solver where another solve follows
 _PLACED = 1e-6  # the same for the state before: its errors then hold to a millionth
@@ -131,7 +134,14 @@ class Solved:
 
 
 @one_blas_thread
-def identify(robot: Robot, data: Measurements, validation: Measurements | None, settings: Settings) -> Fit:
+def identify(
+    robot: Robot,
+    data: Measurements,
+    validation: Measurements | None,
+    settings: Settings,
+    executor: Executor | int | None = None,
+    progress: Progress | None = None,
+) -> Fit:
     """Calibrate a robot.
 
     Args:
@@ -139,6 +149,9 @@ def identify(robot: Robot, data: Measurements, validation: Measurements | None, 
         data: Measurements to identify with.
         validation: Measurements to judge the result with, or None.
         settings: How.
+        executor: Who does the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
+            processes on this machine; this process if not given.
+        progress: Told how many other starts are done, of how many; then how many folds.
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
@@ -149,25 +162,37 @@ def identify(robot: Robot, data: Measurements, validation: Measurements | None, 
     """
     started = time.perf_counter()
     _require_measurements(data, validation)
+    with Workers(executor, max(settings.starts - 1, settings.folds)) as workers:
+        fit = _identified(robot, data, validation, settings, workers, progress)
+    return replace(fit, seconds=time.perf_counter() - started)
+
+
+def _identified(
+    robot: Robot,
+    data: Measurements,
+    validation: Measurements | None,
+    settings: Settings,
+    workers: Executor | None,
+    progress: Progress | None,
+) -> Fit:
+    """Do all steps of the module docstring."""
     try:
         robot, choice = _with_terms(robot, data, settings)
-        fit = _fit(robot, data, validation, settings)
+        fit = _fit(robot, settings, data, validation, workers, progress)
     except UnreachablePoseError as error:
         mistake = likely_mistake(robot, data)
         raise UnreachablePoseError(f"{error}{'; ' if mistake else ''}{mistake}") from None
     plain = replace(settings, starts=1)
     if settings.exclude_outliers:
-        tukey = replace(plain, loss="tukey")
         fit = without_outliers(
             fit,
-            robust=lambda: _fit(robot, data, None, tukey),
-            again=lambda kept: _fit(robot, kept, validation, settings),
+            robust=lambda: _fit(robot, replace(plain, loss="tukey"), data),
+            again=lambda kept: _fit(robot, settings, kept, validation, workers, progress),
         )
     if settings.folds:
-        used = fit.identification.data
-        folds = cross_validate(used, settings.folds, settings.seed, lambda kept, held: _fit(robot, kept, held, plain))
-        fit = replace(fit, folds=folds)
-    return replace(fit, seconds=time.perf_counter() - started, terms=choice)
+        used, fold = fit.identification.data, partial(_fit, robot, plain)
+        fit = replace(fit, folds=cross_validate(used, settings.folds, settings.seed, fold, workers, progress))
+    return replace(fit, terms=choice)
 
 
 def _with_terms(robot: Robot, data: Measurements, settings: Settings) -> tuple[Robot, TermChoice | None]:
@@ -178,7 +203,7 @@ def _with_terms(robot: Robot, data: Measurements, settings: Settings) -> tuple[R
     if terms == "none":
         choice = TermChoice(terms, ())
     elif terms == "auto":
-        choice = choose_terms(_fit(robot, data, None, replace(settings, starts=1)))
+        choice = choose_terms(_fit(robot, replace(settings, starts=1), data))
     else:
         choice = TermChoice(terms, (*own, *missing_terms(robot, listed_terms(terms))))
     return robot.with_terms(choice.sections), choice
@@ -194,14 +219,21 @@ def _require_measurements(data: object, validation: object) -> None:
             )
 
 
-def _fit(robot: Robot, data: Measurements, validation: Measurements | None, settings: Settings) -> Fit:
+def _fit(
+    robot: Robot,
+    settings: Settings,
+    data: Measurements,
+    validation: Measurements | None = None,
+    workers: Executor | None = None,
+    progress: Progress | None = None,
+) -> Fit:
     """Do steps 1 to 5 of the module docstring."""
     check_measurements(robot, data)
     problem = Problem(robot, data, settings.sigma)
     placed = _place(problem)
     start = problem.evaluate(placed)
     determined = require_identifiable(problem, start)  # before the solver, where `calib check` looks too
-    solved = solve_from(problem, placed, settings)
+    solved = solve_from(problem, placed, settings, workers, progress)
     final = problem.evaluate(solved.robot)
     require_identifiable(problem, final)
     rows, scales, uncertainty = uncertainty_at(problem, final, solved, settings)
@@ -329,13 +361,21 @@ def _is_best_placed(problem: Problem, robot: Robot, places: Unknowns) -> bool:
     return bool(explained @ explained <= _PLACED * (rows.residuals @ rows.residuals))
 
 
-def solve_from(problem: Problem, placed: Robot, settings: Settings) -> Solved:
+def solve_from(
+    problem: Problem,
+    placed: Robot,
+    settings: Settings,
+    workers: Executor | None = None,
+    progress: Progress | None = None,
+) -> Solved:
     """Solve with the stated noise or find it; from several starts and with a robust loss, if asked for.
 
     Args:
         problem: The problem.
         placed: Where to begin.
         settings: How.
+        workers: Who does the other starts; this process if not given.
+        progress: Told after each of them.
 
     Raises:
         NotConvergedError: The noise cannot be found.
@@ -345,7 +385,7 @@ def solve_from(problem: Problem, placed: Robot, settings: Settings) -> Solved:
     solved = _solve_with_offsets(problem, placed) if plain else _solve_with_noise(problem, placed, exact)
     if settings.starts > 1:
         first = (solved.robot, solved.solution)
-        tried = explore(problem, placed, first, solved.groups, settings.starts, settings.seed)
+        tried = explore(problem, placed, first, solved.groups, settings.starts, settings.seed, workers, progress)
         best = tried.minima[0]
         if best.solution is not solved.solution:  # the noise that was found belongs to the minimum left behind
             robot = best.robot

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.data.in_memory import as_poses
+from calib.data.measurements import Poses
 from calib.errors import UnreachablePoseError
 from calib.identification.candidate_terms import TermChoice
 from calib.identification.effect_setting import Setting
@@ -253,34 +255,36 @@ class Fit(ReadOnlyArrays):
         """Whether the calibrated robot can be assembled at all its poses, starting from its home configuration."""
         return bool(np.all(self.robot.close(self.configurations.actuated).ok))
 
-    def predict(self, q: ArrayLike, context: Context | None = None) -> PositionUncertainty:
+    def predict(self, poses: Poses | ArrayLike, context: Context | None = None) -> PositionUncertainty:
         """Predict positions with their covariance.
 
         Args:
-            q: Actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
-            context: Under which conditions they are commanded; joint terms may depend on it.
+            poses: Poses, whose conditions count; or actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
+            context: Other conditions under which they are commanded; joint terms may depend on it.
 
         Raises:
             DataError: Joint values of the wrong shape, or not finite.
             UnreachablePoseError: A loop stays open.
         """
-        statistics = self.statistics
-        joints = self.robot.joint_vector(q)
+        statistics, told = self.statistics, as_poses(self.robot, poses)
         return position_uncertainty(
-            self.robot, self.unknowns.index, statistics.covariance, statistics.coverage_factor, joints, context
+            self.robot,
+            self.unknowns.index,
+            statistics.covariance,
+            statistics.coverage_factor,
+            told.joints,
+            told.conditions if context is None else context,
         )
 
     @cached_property
     def identification_uncertainty(self) -> PositionUncertainty:
         """Predicted positions of the visits that were used, with their covariance."""
-        return self.predict(self.identification.data.joints, self.identification.data.conditions)
+        return self.predict(self.identification.data)
 
     @cached_property
     def validation_uncertainty(self) -> PositionUncertainty | None:
         """Predicted positions of the visits that were not used, with their covariance."""
-        if self.validation is None:
-            return None
-        return self.predict(self.validation.data.joints, self.validation.data.conditions)
+        return None if self.validation is None else self.predict(self.validation.data)
 
     @cached_property
     def studentised(self) -> Studentised:

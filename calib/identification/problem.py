@@ -93,14 +93,19 @@ class Problem:
             data: The readings; joint values and conditions as before.
             near: Where its solution is expected.
         """
-        again = copy.copy(self)
+        again = self.apart()
         again.data = data
         again.unknowns = Unknowns.of(self.robot)
         again.whitening = Whitening(self.robot, data, self._sigma)
         again._seed = near.configurations.passive
-        again._recent = {}
         again.weigh(np.zeros(again.whitening.n_offsets))
         return again
+
+    def apart(self) -> Problem:
+        """Return the same problem with a memory of its own: what is solved there leaves no trace here."""
+        apart = copy.copy(self)
+        apart._recent = {}
+        return apart
 
     def evaluate(self, robot: Robot) -> Evaluation:
         """Evaluate a robot on the data.

@@ -12,8 +12,8 @@ Jacobian and its own closed loops, until its own stopping rule is met: the minim
 a small part of a standard deviation, after two evaluations in place of a dozen.
 
 When it fails. Where noise is not stated and priors hold something, both find the noise to one percent, along different
-ways. Where visits differ (touches move the robot until it touches), or a loop opens at the common start, a draw begins
-where the first one did.
+ways. Where visits differ (touches move the robot until it touches; poses are drawn again), or a loop opens at the
+common start, a draw begins where the first one ended.
 """
 
 from __future__ import annotations
@@ -86,11 +86,12 @@ class Repeated:
         self._near = self._problem.evaluate(first.robot)
         self._views = views(first.robot, self._near.configurations, data.readings)
 
-    def estimate(self, data: Measurements) -> Estimate:
+    def estimate(self, data: Measurements, passive: FloatArray | None = None) -> Estimate:
         """Calibrate from other readings.
 
         Args:
-            data: Of the same visits, or of others nearby.
+            data: Of the same visits, or of others.
+            passive: Passive joints near these, (n, n_passive) [m or rad], if they are known.
 
         Raises:
             ComputationError: A loop opens, or the noise cannot be found.
@@ -98,7 +99,7 @@ class Repeated:
         """
         first = self._first
         if not np.array_equal(data.joints, first.identification.data.joints):
-            return self._from(Problem(first.nominal, data, self._settings.sigma), first.robot)
+            return self._from(Problem(first.nominal, data, self._settings.sigma, passive), first.robot)
         problem = self._problem.read_again(data, self._near)
         start = self._stepped(problem)
         try:

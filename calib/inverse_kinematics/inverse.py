@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.data.measurements import Poses
 from calib.errors import DataError, InputError, UnreachablePoseError, nearest
 from calib.inverse_kinematics.goals import Goals
@@ -36,7 +36,7 @@ _LARGEST_ROUND = 8192  # searches in one round
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class Solution(ReadOnlyArrays):
     """Joint values found, and how well they reach.
 
     Attributes:

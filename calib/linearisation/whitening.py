@@ -161,11 +161,11 @@ class Whitening:
     @cached_property
     def tells_offsets(self) -> BoolArray:
         """Of which offsets enough readings share a pose with another one for them to show, (n_offsets,)."""
-        enough = []
+        enough: list[bool] = []
         for name, n_rows in self._n_rows.items():
             pose = self.layout.pose[self.layout.readings_of(name)] if name in self._names else np.zeros(0)
             enough += [len(pose) - len(np.unique(pose)) >= _AGAIN] * n_rows
-        return np.array(enough) & np.any(self.offset_columns != 0, axis=0)
+        return np.array(enough) & (np.any(self.offset_columns != 0, axis=0) if any(enough) else False)
 
     def offset_scale(self, groups: FloatArray) -> FloatArray:
         """Return the scale of the group that each offset is in, (n_offsets,); 1 for what was not read."""

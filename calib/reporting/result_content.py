@@ -248,7 +248,8 @@ def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
     blocks: list[dict[str, object]] = []
     for one in fit.nominal.instruments:
         parts = []
-        for part in one.parts:
+        offsets = fit.offsets.get(one.name, np.zeros(one.n_rows))
+        for index, part in enumerate(one.parts):
             noise = next((n for n in fit.noise if (n.group.name, n.group.part) == (one.group, part.name)), None)
             scale = error_scale(part.dimension)
             parts.append(
@@ -257,6 +258,7 @@ def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
                     "unit": ERROR_UNIT[part.dimension],
                     "sigma": None if noise is None else scale * noise.sigma,
                     "sigma_own": None if noise is None else scale * noise.own,
+                    "sigma_shared": [scale * float(size) for size in offsets[np.equal(one.part_of_row, index)]],
                     "sigma_stated": None if noise is None or noise.stated is None else scale * noise.stated,
                     "degrees_of_freedom": None if noise is None else noise.freedom,
                     "errors": {

@@ -6,14 +6,14 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from calib.commands import pictures
-from calib.commands.pictures import Plots
+from calib import pictures
 from calib.data.measurements import Measurements
 from calib.identification.errors_found import error_table
 from calib.identification.fit import Settings, identify
 from calib.identification.fitted import Fit
 from calib.model.robot import Robot, require_robot
 from calib.numerics.losses import checked_loss
+from calib.pictures import Plots
 from calib.reporting.report_text import text_report, verdict_lines
 from calib.reporting.result_content import error_sets
 from calib.reporting.results import save

@@ -6,7 +6,7 @@ from importlib import import_module
 
 import click
 
-from calib.commands import pictures
+from calib import pictures
 from calib.commands.program import run_program
 from calib.version import VERSION
 

@@ -18,13 +18,13 @@ from calib.commands.common import (
     with_values,
 )
 from calib.commands.next_steps import after_select
-from calib.commands.pictures import figures
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
 from calib.data.plan_files import read_plan
 from calib.data.tables import read_table
 from calib.errors import InputError, nearest
 from calib.files import check_file, check_folder, write_file, write_folder
+from calib.pictures import figures
 from calib.pose_choice.instrument_choice import ALL, EACH
 from calib.pose_choice.selection import select
 from calib.pose_choice.selection_scores import CHOICES

@@ -42,7 +42,8 @@ if TYPE_CHECKING:
     from calib.pose_choice.pose_sampling import sample
     from calib.pose_choice.selection import Selection, select
     from calib.reporting.loaded_result import LoadedResult, load_result, predict
-    from calib.reporting.result_comparison import ResultComparison, compare
+    from calib.reporting.result_comparison import ResultComparison
+    from calib.reporting.result_differences import compare
     from calib.reporting.results import load
     from calib.watching.progress import Progress
     from calib.watching.watch import Watch
@@ -70,7 +71,7 @@ _HOMES = {
     "as_measurements": "calib.data.in_memory",
     "as_poses": "calib.data.in_memory",
     "check": "calib.pose_choice.assessment",
-    "compare": "calib.reporting.result_comparison",
+    "compare": "calib.reporting.result_differences",
     "compensate": "calib.inverse_kinematics.compensation",
     "export": "calib.exporting.formats",
     "fit": "calib.calibration",

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import click
 
-from calib.commands import pictures
+from calib import pictures
 from calib.commands.common import Output, shared_options
 from calib.files import check_file, write_file
-from calib.reporting.result_comparison import compare
+from calib.reporting.result_differences import compare
 
 
 @click.command("compare")
@@ -17,7 +17,7 @@ from calib.reporting.result_comparison import compare
 def command(results: tuple[str, ...], html: str | None, output: Output) -> None:
     """Compare results of `calib fit`: parameters with 95 % intervals, errors, and which differences are real.
 
-    Each is compared with the first. Fits that used the same readings are shown, not tested.
+    Each two are tested against each other. Fits that used the same readings are shown, not tested.
     """
     if html is not None:
         check_file(html)

@@ -20,7 +20,8 @@ from calib.data.measurements import Poses
 from calib.data.tables import format_table, read_table
 from calib.errors import DataError, InputError, UnreachablePoseError
 from calib.files import check_file, write_file
-from calib.inverse_kinematics.compensation import KEEP, Compensation, compensate
+from calib.inverse_kinematics.asked import KEEP
+from calib.inverse_kinematics.compensation import Compensation, compensate
 from calib.inverse_kinematics.goals import Goals, read_goals
 from calib.model.robot import Robot
 from calib.reporting.results import load_calibrated, load_uncertainty, read_result

@@ -25,8 +25,8 @@ When it fails. Next to a singular pose of the robot a small correction of the to
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,8 +35,9 @@ from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.data.in_memory import as_poses
 from calib.data.measurements import Poses, directions_of_motion
 from calib.errors import InputError, nearest
+from calib.inverse_kinematics.asked import KEEP, Asked, as_meant, asked_by_goals, asked_by_joints, reached_goals
 from calib.inverse_kinematics.goals import Goals
-from calib.inverse_kinematics.inverse import TOLERANCE, problem, solve
+from calib.inverse_kinematics.inverse import TOLERANCE, problem
 from calib.inverse_kinematics.reaching import Configured, Reach, actuated_jacobian, descend
 from calib.inverse_kinematics.redundancy import nearer
 from calib.joint_terms.term import Context
@@ -45,14 +46,8 @@ from calib.linearisation.prediction import PositionUncertainty, length95, rms_le
 from calib.model.robot import Robot, require_robot
 from calib.units import DISPLAY_UNIT, PER_SI, millimetres
 
-KEEP = ("pose", "axis", "position")
-"""What of the program is kept: the full pose, position and z axis of the target, or its position."""
 _JUMP = 0.1  # more than the program itself goes between two rows [rad, or characteristic lengths]
-_FURTHER = 0.5  # step between rows that may be a change of branch [rad, or characteristic lengths]
-_ROUNDS = 200
-_SINGULAR = 1e-6  # of the largest singular value
 _BEYOND = 1e-9  # past a limit by more than rounding [m or rad]
-_STATED = {"full pose": "pose", "position and axis": "axis", "position": "position"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,27 +130,6 @@ class Compensation(ReadOnlyArrays):
         ]
 
 
-@dataclass(frozen=True, eq=False)
-class _Asked:
-    """What a program asks of the calibrated robot.
-
-    Attributes:
-        goals: Where its target is to be.
-        joints: Joints with which the nominal robot is there, (n, n_actuated) [m or rad].
-        reasons: Why there are none; empty where there are.
-        keep: Of `KEEP`.
-        nearly: What to be near, where less than the pose is kept.
-        conditions: What is known of each row's load, temperature and time, (n,) [SI, degC].
-    """
-
-    goals: Goals
-    joints: FloatArray
-    reasons: tuple[str, ...]
-    keep: str
-    nearly: Goals | None = None
-    conditions: Mapping[str, FloatArray] = field(default_factory=dict)
-
-
 def compensate(
     robot: Robot,
     program: Poses | Goals | ArrayLike,
@@ -184,79 +158,12 @@ def compensate(
     robot = nearest_to_nominal(robot)
     meant = as_meant(robot)
     if isinstance(program, Goals):
-        return _compensated(robot, _of_goals(meant, program), predict)
-    return _compensated(robot, _of_joints(meant, as_poses(robot, program), keep), predict)
-
-
-def as_meant(robot: Robot) -> Robot:
-    """Return the robot that programs were written for: nominal, but its unknown base and targets where they are."""
-    return robot.with_parameters({p.name: p.nominal for p in robot.parameters if not p.placement})
-
-
-def _of_joints(meant: Robot, program: Poses, keep: str | None) -> _Asked:
-    """What joints of the nominal robot ask for."""
-    joints = meant.joint_vector(program.joints)
-    closed = meant.close(joints)
-    mechanism, target, n = meant.mechanism, meant.mechanism.targets[0], len(joints)
-    positions, rotations = np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1))
-    pose_and_jacobian = actuated_jacobian(mechanism, target, joints[closed.ok], closed.passive[closed.ok])
-    positions[closed.ok], rotations[closed.ok], jacobian = pose_and_jacobian
-    if keep is None:
-        keep = "pose" if _moves_freely(jacobian * mechanism.joint_scale, mechanism.length) else "position"
-    pose = Goals(positions, rotations, names=program.names, labels=program.labels, target=target.name)
-    goals = pose if keep == "pose" else replace(pose, rotations=None)
-    if keep == "axis":
-        goals = replace(goals, directions=rotations[:, :, 2])
-    reasons = tuple("" if good else "cannot be assembled by the nominal robot" for good in closed.ok)
-    return _Asked(goals, joints, reasons, keep, None if keep == "pose" else pose, program.context)
-
-
-def _moves_freely(jacobian: FloatArray, length: float) -> bool:
-    """Whether some pose lets the target move in all six directions, from (n, 6, n_actuated) of scaled joints."""
-    if len(jacobian) == 0 or jacobian.shape[2] < 6:
-        return False
-    values = np.linalg.svd(jacobian / np.repeat([length, 1.0], 3)[:, None], compute_uv=False)
-    return bool(np.any(values[:, 5] > _SINGULAR * values[:, 0]))
-
-
-def _of_goals(meant: Robot, program: Goals) -> _Asked:
-    """What goals ask for, and the joints with which the nominal robot reaches them."""
-    base = meant.mechanism.origin_names[meant.mechanism.targets[0].a - 1]
-    # from the measurement frame as the description has it to where the calibration found it
-    moved = meant.mechanism.placement(base).inverse() * meant.nominal.placement(base)
-    goals = replace(
-        program,
-        positions=program.positions @ moved.rotation.T + moved.translation,
-        rotations=None if program.rotations is None else moved.rotation @ program.rotations,
-        directions=None if program.directions is None else program.directions @ moved.rotation.T,
-    )
-    solution = solve(meant, goals)
-    reasons = tuple("" if good else f"by the nominal robot {solution.miss(k)}" for k, good in enumerate(solution.ok))
-    joints = _on_one_branch(meant, problem(meant, goals), solution.q, solution.ok)
-    return _Asked(goals, joints, reasons, _STATED[program.asks_for])
-
-
-def _on_one_branch(robot: Robot, reach: Reach, q: FloatArray, ok: BoolArray) -> FloatArray:
-    """Solutions (n, n_actuated) without changes of branch between neighbouring rows, as far as that can be."""
-    q, tried = q.copy(), np.zeros(len(q), dtype=bool)
-    for _ in range(_ROUNDS):
-        step = np.max(np.abs(np.diff(q / reach.scale, axis=0)), axis=1, initial=0.0)
-        rows = np.flatnonzero((step > _FURTHER) & ok[1:] & ok[:-1] & ~tried[1:]) + 1
-        if len(rows) == 0:
-            break
-        rows = rows[np.diff(rows, prepend=-2) > 1]  # those that follow one of them come after it
-        tried[rows] = True
-        start = robot.assemble(q[rows - 1])
-        continued = descend(reach, rows, Configured(start.actuated, start.passive, np.full(len(rows), np.inf)))
-        shorter = np.max(np.abs(continued.actuated - q[rows - 1]) / reach.scale, axis=1) < step[rows - 1]
-        better = shorter & _reached(reach, continued)
-        q[rows[better]] = continued.actuated[better]
-        tried[np.minimum(rows[better] + 1, len(q) - 1)] = False
-    return q
+        return _compensated(robot, asked_by_goals(meant, program), predict)
+    return _compensated(robot, asked_by_joints(meant, as_poses(robot, program), keep), predict)
 
 
 def _compensated(
-    robot: Robot, asked: _Asked, predict: Callable[[FloatArray, Context], PositionUncertainty] | None
+    robot: Robot, asked: Asked, predict: Callable[[FloatArray, Context], PositionUncertainty] | None
 ) -> Compensation:
     """Solve all rows that can be."""
     reach, n = problem(robot, asked.goals), len(asked.goals)
@@ -324,19 +231,13 @@ def _expected(uncertainty: PositionUncertainty, t: int, goals: Goals) -> FloatAr
 def _past_limits(reach: Reach, rows: IntArray, start: Configured, solutions: Configured) -> Configured:
     """Take what would reach the goals if the actuated joints had no limits, where nothing within them does."""
     nothing = np.full(len(reach.lower), np.inf)
-    missed = np.flatnonzero(~_reached(reach, solutions))
+    missed = np.flatnonzero(~reached_goals(reach, solutions))
     free = descend(replace(reach, lower=-nothing, upper=nothing), rows[missed], start.subset(missed))
-    won = _reached(reach, free)
+    won = reached_goals(reach, free)
     actuated, passive, distance = solutions.actuated.copy(), solutions.passive.copy(), solutions.distance.copy()
     actuated[missed[won]], passive[missed[won]] = free.actuated[won], free.passive[won]
     distance[missed[won]] = free.distance[won]
     return Configured(actuated, passive, distance)
-
-
-def _reached(reach: Reach, solutions: Configured) -> BoolArray:
-    """Which goals are reached, (n,)."""
-    result: BoolArray = solutions.distance <= TOLERANCE * min(1.0, reach.mechanism.length)
-    return result
 
 
 def _reasons(robot: Robot, reach: Reach, solutions: Configured, commands: FloatArray, program: FloatArray) -> list[str]:
@@ -344,7 +245,7 @@ def _reasons(robot: Robot, reach: Reach, solutions: Configured, commands: FloatA
     _, miss, angle = reach.misses(solutions.actuated, solutions.passive)
     closed = robot.close(commands).ok  # the loops were followed from elsewhere
     result = []
-    for k, reached in enumerate(_reached(reach, solutions)):
+    for k, reached in enumerate(reached_goals(reach, solutions)):
         why = _beyond(reach, program[k], "in the program") or (_beyond(reach, commands[k], "needed") if reached else "")
         if not (why or reached):
             degrees = f" and {np.degrees(angle[k]):.3f} deg" if angle[k] > TOLERANCE else ""

@@ -50,13 +50,21 @@ class Closed:
 
 
 @one_blas_thread
-def close(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, seed: FloatArray | None = None) -> Closed:
+def close(
+    mechanism: Mechanism,
+    mode: AssemblyMode,
+    actuated: FloatArray,
+    seed: FloatArray | None = None,
+    *,
+    thorough: bool = True,
+) -> Closed:
     """Solve the loops of each pose in the assembly mode of home.
 
     Args:
         actuated: Actuated joints, (n, n_actuated) [m or rad].
         seed: Passive joints of the same poses solved with slightly different parameters, (n, n_passive); poses that do
             not follow from it at once are solved afresh.
+        thorough: See `calib.model.continuation.follow`; False may leave poses open that close.
     """
     n, n_passive = len(actuated), len(mechanism.passive)
     if not mechanism.loops:
@@ -71,7 +79,7 @@ def close(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, seed: 
         ok &= within_limits(mechanism, passive)
     if not np.all(ok):
         todo = np.flatnonzero(~ok)
-        found, slope[todo], ok[todo] = follow(mechanism, mode, actuated[todo])
+        found, slope[todo], ok[todo] = follow(mechanism, mode, actuated[todo], thorough=thorough)
         passive[todo] = wrapped(mechanism, mode, found)
         ok &= within_limits(mechanism, passive)
         passive[~ok], slope[~ok] = np.nan, np.nan

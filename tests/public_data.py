@@ -12,6 +12,7 @@ import shutil
 import sys
 import tempfile
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import yaml
@@ -30,6 +31,8 @@ ARMS = {
     "panda_1": ("panda.urdf", "panda_joint", "panda_link0", "panda_hand_tcp"),
     "kuka_14": ("iiwa14.urdf", "joint_a", "base_link", "tool0"),
 }
+EXAMPLE_ROBOTS = Path(sys.prefix, "lib", f"python3.{sys.version_info.minor}", "site-packages", "cmeel.prefix", "share",
+                      "example-robot-data", "robots")  # fmt: skip
 PLACES = {"panda_1": ("front", "right", "back-high"), "kuka_14": ("front", "left_back", "raised_left")}
 
 
@@ -108,8 +111,11 @@ def _motoman_yaml(cameras, tracker):
     return text + "columns: {u: pixel_u, v: pixel_v, marker: point}\n" + ORIGINS
 
 
-def mukca(folder, arm, places):
-    """An arm with a ball near its flange, and what it read in two sockets 50 mm apart, put up anew in each place."""
+def mukca(folder, arm, places, masses=None):
+    """An arm with a ball near its flange, and what it read in two sockets 50 mm apart, put up anew in each place.
+
+    Its links weigh what they weigh in the URDF `masses`, if there is one.
+    """
     urdf, joint, base, flange = ARMS[arm]
     setups = ", ".join(f"{place}: [{'tool_artefact' if k else ''}]" for k, place in enumerate(places))
     text = f"urdf: robot.urdf\nname_mot: [{', '.join(f'{joint}{k}' for k in range(1, 8))}]\n"
@@ -117,7 +123,10 @@ def mukca(folder, arm, places):
     text += f"  ball: {{frame: {flange}, xyz: [0, 0, 35 mm], position: unknown, sigma: 10 mm}}\n"
     text += "instruments:\n  tool:\n    kind: touch\n    target: ball\n    artefact:\n"
     text += f"      frame: {base}\n      pose: unknown\n      points: {{hole_0: [0, 0, 0], hole_1: [50 mm, 0, 0]}}\n"
-    robot = described(folder / "urdf" / urdf, f"{text}setups: {{{setups}}}\n{ORIGINS}")
+    with tempfile.TemporaryDirectory() as name:
+        weighed = Path(name) / "robot.urdf"
+        weighed.write_bytes(_weighed(folder / "urdf" / urdf, masses))
+        robot = described(weighed, f"{text}setups: {{{setups}}}\n{ORIGINS}")
     rows = [["setup", *(f"{name} [rad]" for name in robot.joint_names), "tool"]]
     for place in places:
         for k, holes in enumerate(mukca_joints(folder, arm, place)):
@@ -125,6 +134,17 @@ def mukca(folder, arm, places):
     with tempfile.TemporaryDirectory() as name:
         _write(Path(name) / "data.csv", rows)
         return robot, calib.read_measurements(Path(name) / "data.csv", robot)
+
+
+def _weighed(urdf, masses):
+    """The bytes of a URDF, with the masses that links of the same names have in another one, if there is one."""
+    robot = ElementTree.parse(urdf).getroot()
+    found = ElementTree.parse(masses).getroot().findall("link") if masses else []
+    inertial = {link.get("name"): link.find("inertial") for link in found}
+    for link in robot.findall("link"):
+        if inertial.get(link.get("name")) is not None:
+            link.append(inertial[link.get("name")])
+    return ElementTree.tostring(robot)
 
 
 def mukca_joints(folder, arm, place):
@@ -203,17 +223,26 @@ def print_motoman_right(folder):
 
 
 def print_mukca(folder):
-    """Print the table of the arms that touched two sockets."""
-    for arm, places in PLACES.items():
-        for k, held in enumerate(places):
-            robot, data = mukca(folder, arm, places[:k] + places[k + 1 :])
-            holes = mukca_joints(folder, arm, held)
-            for terms in (None, "auto"):
-                fit = calib.fit(robot, data, terms=terms)
-                before, after = (from_sockets(one, holes) for one in (fit.placed, fit.robot))
-                own = from_means(fit.robot, holes)
-                added = f" ({_added(fit)})" if terms else ""
-                print(f"{arm}, {held} held out, {terms or 'origins'}{added}: {before:.3f} -> {after:.3f} ({own:.3f})")
+    """Print the tables of the arms that touched two sockets; with the masses of a Panda, too, if they are installed."""
+    panda = EXAMPLE_ROBOTS / "panda_description" / "urdf" / "panda.urdf"
+    for arm, masses in (("panda_1", None), ("panda_1", panda), ("kuka_14", None)):
+        for held in PLACES[arm] if masses is None or masses.is_file() else ():
+            both = tuple(place for place in PLACES[arm] if place != held)
+            _print_mukca(folder, arm, both, (held,), masses)
+    _print_mukca(folder, "panda_1", ("front",), ("right", "back-high"), None)
+
+
+def _print_mukca(folder, arm, places, held, masses):
+    robot, data = mukca(folder, arm, places, masses)
+    for terms in (None, "gain", *(("compliance", "gain,compliance") if masses else ()), "auto"):
+        fit = calib.fit(robot, data, terms=terms)
+        added = f" ({_added(fit)})" if terms == "auto" else ""
+        print(f"{arm}{' with masses' * bool(masses)}, {' and '.join(places)}, {terms or 'origins'}{added}:", end=" ")
+        for place in (*places, *held):
+            holes = mukca_joints(folder, arm, place)
+            errors = [judge(one, holes) for judge in (from_sockets, from_means) for one in (fit.placed, fit.robot)]
+            print("{}: {:.2f} -> {:.3f} (from means {:.2f} -> {:.3f})".format(place, *errors), end="; ")
+        print(flush=True)
 
 
 if __name__ == "__main__":

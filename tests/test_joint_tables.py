@@ -19,7 +19,11 @@ TERMS = """\
   - {joint: slide, term: harmonics, period: 5 mm, orders: [1, 2], sigma: 30 um}
   - {joint: wrist, term: harmonics, orders: [1, 51], sigma: 0.5 mrad}
 """
-BEYOND = "  - {joint: slide, term: backlash}\n  - {joint: turn, term: drift}\n  - {joint: all, term: temperature}\n"
+BEYOND = """  - {joint: slide, term: backlash}
+  - {joint: turn, term: drift}
+  - {joint: wrist, term: coupling, driven_by: turn}
+  - {joint: all, term: temperature}
+"""
 
 
 def robot_with(folder, terms=TERMS):
@@ -123,11 +127,14 @@ def _values(robot):
 
 
 def test_what_depends_on_more_is_left_out_and_said_with_its_size(tmp_path, run_calib, robot):
-    more = robot_with(tmp_path, TERMS + BEYOND).with_parameters({"slide.backlash": -2e-4, "turn.drift": 1e-4})
+    sizes = {"slide.backlash": -2e-4, "turn.drift": 1e-4, "wrist.by_turn": 3e-4}
+    more = robot_with(tmp_path, TERMS + BEYOND).with_parameters(sizes)
     tables, left = joint_tables(more)
     assert "slide: backlash is not in the table, because it depends on the direction of approach: 0.2 mm" in left[0]
     assert "turn: drift is not in the table, because it depends on time: 0.1 mrad per hour remains" in left[1]
-    assert len(left) == 5
+    per_radian = "0.3 mrad per rad or m of it remains"
+    assert f"wrist: coupling is not in the table, because it depends on another joint: {per_radian}" in left[2]
+    assert len(left) == 6
     for one, same in zip(tables, joint_tables(robot)[0], strict=True):
         assert np.array_equal(one.actual, same.actual)
     values = "parameter,value,unit\nslide.backlash,0.2,mm\nturn.gain,1,mrad\n"

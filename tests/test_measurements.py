@@ -270,7 +270,7 @@ def test_context_and_approach_are_read(read):
 
 def test_standard_deviations_and_correlations_are_the_covariance_of_a_row(read):
     header = "turn,slide,wrist,tip_x,tip_y,tip_z,tip_std_x [mm],tip_std_y [mm],tip_std_z [mm],tip_corr_x_z\n"
-    data = read(header + "0,0,0,1,2,3,1,2,3,0.5\n0.5,0,0,1,2,3,4,5,6,0\n")
+    data = read(header + "0,0,0,1,2,3,1,2,3,0.5\n0,1,0,,,,,,,\n0.5,0,0,1,2,3,4,5,6,0\n")  # not seen in the middle
     expected = 1e-6 * np.array([[1, 0, 1.5], [0, 4, 0], [1.5, 0, 9]])
     np.testing.assert_allclose(data.readings["tip"].covariance[0], expected, rtol=1e-12, atol=1e-20)
     np.testing.assert_allclose(data.readings["tip"].covariance[1], 1e-6 * np.diag([16, 25, 36]), rtol=1e-12, atol=1e-20)
@@ -280,6 +280,12 @@ def test_standard_deviations_and_correlations_are_the_covariance_of_a_row(read):
     ("columns", "cells", "message"),
     [
         ("tip_std_x,tip_std_y", "1e-3,1e-3", "no column 'tip_std_z', but 'tip_std_x'; give all standard deviations"),
+        ("tip_corr_x_y", "0.5", "no column 'tip_std_x', but 'tip_corr_x_y'; give all standard deviations"),
+        (
+            "tip_std_x,tip_std_y,tip_std_z",
+            "1e-3,,1e-3",
+            "line 2, column 'tip_std_y': is empty; fill it in, as 'tip' read something there",
+        ),
         (
             "tip_std_x,tip_std_y,tip_std_z",
             "1e-3,0,1e-3",

@@ -14,7 +14,8 @@ def test_pixels_of_a_turned_image_do_not_pass_and_the_reason_is_said(shared_data
     fit = calib.fit(robot, train, validation=test)
     assert fit.verdict.grade == "FAIL"
     words = " ".join(reason.text for reason in fit.verdict.reasons)
-    assert "noise found of left, pixel, is 3.1" in words
+    assert "noise found of left, pixel, is" in words
+    assert all(one.sigma > 4 for one in fit.noise)
     assert "camera 'left': 284 of 601 readings lie outside an image" in words
     assert "residuals are not only noise" in words
 
@@ -25,3 +26,13 @@ def test_pixels_and_tracker_together_are_no_worse_than_the_tracker_alone(shared_
     assert all(one.sigma < 1.1 for one in fit.noise if one.group.part == "pixel")
     errors = fit.validation.errors("after")
     assert 1e3 * np.sqrt(np.mean(np.sum(errors**2, axis=1))) < 0.0726
+
+
+def test_pixels_that_do_not_fit_their_camera_do_not_spoil_what_the_tracker_finds(shared_data):
+    """Counted as so many independent readings, they make 0.0767 mm of the tracker's 0.0726."""
+    robot, train, test = motoman_cameras(shared_data / "motoman_right", tracker=True, turned=False)
+    fit = calib.fit(robot, train, validation=test)
+    errors = fit.validation.errors("after")
+    assert 1e3 * np.sqrt(np.mean(np.sum(errors**2, axis=1))) < 0.0735
+    assert set(fit.offsets) == {"left", "right"}
+    assert "All readings of right at a pose are off alike" in fit.report()

@@ -258,3 +258,25 @@ def plan_of(robot, n):
         cells = [*map(repr, row.tolist()), *(one.touched[k % len(one.touched)] for one in touches)]
         rows.append(",".join(cells + ([setups[k * len(setups) // n]] if setups else [])))
     return "\n".join(rows) + "\n"
+
+
+def test_a_stated_direction_of_approach_counts_in_plans_and_predictions(tmp_path, run_calib):
+    yaml = ARM_YAML + "  - {joint: slide, term: backlash, sigma: 0.1 mm}\n"
+    robot = calib.load(write_arm(tmp_path, yaml))
+    (tmp_path / "plan.csv").write_text(
+        "turn,slide,wrist,approach_slide\n0.1,0.2,0.3,-1\n0.1,0.3,0.3,-1\n0.1,0.4,0.3,1\n"
+    )
+    (tmp_path / "values.csv").write_text("parameter,value,unit\nslide.backlash,0.5,mm\n")
+    given = ("arm.yaml", "plan.csv", "--parameters", "values.csv")
+    assert run_calib("predict", *given, "--out", "predicted.csv", cwd=tmp_path).code == 0
+    assert (
+        run_calib("simulate", *given, "--sigma-mm", "0", "--seed", "1", "--out", "simulated.csv", cwd=tmp_path).code
+        == 0
+    )
+    actual = np.array([[0.1, 0.2 - 5e-4, 0.3], [0.1, 0.3 - 5e-4, 0.3], [0.1, 0.4 + 5e-4, 0.3]])
+    for name in ("predicted.csv", "simulated.csv"):
+        points = calib.read_measurements(tmp_path / name, robot).points(robot)
+        np.testing.assert_allclose(points, robot.positions(actual), atol=1e-12)
+    data = calib.read_measurements(tmp_path / "simulated.csv", robot)
+    assert data.states_approach
+    assert data.approach[:, 1].tolist() == [-1, -1, 1]

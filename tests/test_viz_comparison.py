@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from calib.reporting.result_comparison import Difference, ResultComparison
+from calib.reporting.result_comparison import Difference, Pair, ResultComparison
 from viz.comparison_page import comparison_page
 
 NOON = datetime(2026, 1, 2, 12, 0, tzinfo=UTC)
@@ -41,7 +41,7 @@ def found():
             Difference("wrist.x", (row(7.0, 0.02), row(7.001, 0.03)), (0.8,)),
             Difference("held.x", (row(3.0, None, "held"), None), (np.nan,)),
         ),
-        (1e-5,),
+        (Pair(("out/<b>first</b>", "out/second"), ("elbow.x",), (), 1e-5),),
         ("noise is independent",),
     )
 
@@ -58,7 +58,7 @@ def test_real_differences_are_marked_and_others_are_not(found):
     assert "*" not in rows["wrist.x"]
     assert "held" in rows["held.x"]
     assert "–" in rows["held.x"]
-    assert "1 parameter differs from out/&lt;b&gt;first" in html
+    assert "out/&lt;b&gt;first&lt;/b&gt; and out/second: 1 parameter of the robot differs (elbow.x), all" in html
     assert "noise is independent" in html
 
 
@@ -89,7 +89,7 @@ def test_three_results_have_three_columns(found):
         (*found.errors_on, found.errors_on[0]),
         (*found.sizes, found.sizes[0]),
         tuple(Difference(one.name, (*one.rows, one.rows[0]), (*one.p_values, 0.9)) for one in found.differences),
-        (*found.together, 0.5),
+        (*found.pairs, Pair((found.names[0], found.names[1]), (), (), 0.5)),
         (),
     )
     html = comparison_page(three, created=NOON).html

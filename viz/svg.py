@@ -95,8 +95,8 @@ def finished(name: str, title: str, text: str, figure: Figure) -> Plot:
 
 def svg_file(figure: Figure) -> bytes:
     """Return a figure as an SVG file; the same figure gives the same bytes."""
-    if figure.get_layout_engine() is None:
-        _lay_out(figure)
+    if figure.get_layout_engine() is None and all(axes.get_subplotspec() for axes in figure.axes):
+        _lay_out(figure)  # axes that were placed by hand stay
     stream = io.BytesIO()
     figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     return stream.getvalue()

@@ -17,7 +17,7 @@ from calib.reporting.result_differences import compare
 def command(results: tuple[str, ...], html: str | None, output: Output) -> None:
     """Compare results of `calib fit`: parameters with 95 % intervals, errors, and which differences are real.
 
-    Each is compared with the first. Fits that used the same readings are shown, not tested.
+    Each two are tested against each other. Fits that used the same readings are shown, not tested.
     """
     if html is not None:
         check_file(html)

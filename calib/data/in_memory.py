@@ -87,8 +87,10 @@ def measurements(poses: Poses, readings: Mapping[str, Readings]) -> Measurements
         poses.path,
         poses.ignored,
         readings,
+        approach_assumed=isinstance(poses, Measurements) and poses.approach_assumed,
         comments=poses.comments,
         context=poses.context,
+        approach=poses.approach,
         setups=poses.setups,
         wanted=poses.wanted,
     )

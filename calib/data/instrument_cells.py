@@ -110,28 +110,40 @@ def setups_of(robot: Robot, table: Table) -> IntArray:
 def _covariance(one: Instrument, table: Table, kept: IntArray) -> FloatArray | None:
     """The covariance that columns of standard deviations and correlations state; None without them."""
     names = _std_columns(one)
-    present = [name for name, _ in names if name in table.names]
+    correlated = [name for name in _correlation_columns(one) if name in table.names]
+    present = [name for name, _ in names if name in table.names] + correlated
     if not present:
         return None
     missing = next((name for name, _ in names if name not in table.names), None)
     if missing is not None:
         raise DataError(f"{table.path}: no column '{missing}', but '{present[0]}'; give all standard deviations")
-    std = np.stack([table.column(name, dimension)[kept] for name, dimension in names], axis=1)
+    std = np.stack([_of_readings(one, table, kept, name, dimension) for name, dimension in names], axis=1)
     if np.any(std <= 0):
         k, c = np.argwhere(std <= 0)[0]
         raise DataError(
             f"{table.path}, line {table.lines[kept[k]]}, column '{names[c][0]}': a standard deviation must be positive"
         )
     correlation = np.tile(np.eye(len(names)), (len(kept), 1, 1))
-    for name, (i, j) in _correlation_columns(one).items():
-        if name in table.names:
-            correlation[:, i, j] = correlation[:, j, i] = table.column(name, None)[kept]
+    for name in correlated:
+        i, j = _correlation_columns(one)[name]
+        correlation[:, i, j] = correlation[:, j, i] = _of_readings(one, table, kept, name, None)
     smallest = np.linalg.eigvalsh(correlation)[:, 0] if len(kept) else np.ones(0)
     if np.any(smallest <= 1e-9):
         k = int(np.argmin(smallest))
         raise DataError(f"{table.path}, line {table.lines[kept[k]]}: the correlations of '{one.name}' cannot be")
     result: FloatArray = std[:, :, None] * correlation * std[:, None, :]
     return result
+
+
+def _of_readings(one: Instrument, table: Table, kept: IntArray, name: str, dimension: Dimension | None) -> FloatArray:
+    """A column in the rows in which an instrument read; in the others it may be empty."""
+    values: FloatArray = table.column(name, dimension, gaps=True)[kept]
+    if np.any(np.isnan(values)):
+        line = table.lines[kept[int(np.argmax(np.isnan(values)))]]
+        raise DataError(
+            f"{table.path}, line {line}, column '{name}': is empty; fill it in, as '{one.name}' read something there"
+        )
+    return values
 
 
 def concatenated(parts: list[Readings]) -> Readings:

@@ -9,7 +9,6 @@ belongs, many rows to one visit if need be (pixels, for instance).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 
@@ -57,7 +56,6 @@ def read_measurements(path: Path | str | Sequence[Path | str], robot: Robot, *, 
     poses = _joined(
         [poses_of_table(table, robot, used, int(k)) for table, k in zip(with_joints, firsts[:-1], strict=True)]
     )
-    approach = _joined_approach(robot, with_joints)
     parts: dict[str, list[Readings]] = {}
     start = 0
     for table in tables:
@@ -76,7 +74,7 @@ def read_measurements(path: Path | str | Sequence[Path | str], robot: Robot, *, 
         raise DataError(f"{where}: all cells of the measured columns are empty; there is nothing to read")
     check_repeats(data, robot)
     kept = np.unique(np.concatenate([readings.visits for readings in data.readings.values()]))
-    return replace(data, approach=approach).subset(kept) if len(kept) < len(data) else replace(data, approach=approach)
+    return data.subset(kept) if len(kept) < len(data) else data
 
 
 def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -> Poses:
@@ -91,6 +89,12 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
     Raises:
         DataError: The message names file, line and column.
     """
+    for name in robot.joint_names:
+        if name not in table.names:
+            raise DataError(
+                f"{table.path}: no column '{name}'{nearest(name, table.names)}; under 'columns' a robot description"
+                " says what files call it"
+            )
     joints = np.stack([table.column(name, robot.mechanism.dimensions[name]) for name in robot.joint_names], axis=1)
     named = "pose" in table.names
     if named and "" in table.text("pose"):
@@ -102,11 +106,21 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
         for line, name in zip(table.lines, names, strict=True)
     )
     context = {key: table.column(key, CONTEXT[key], gaps=True) for key in CONTEXT if key in table.names}
-    approach = {f"{APPROACH}{name}" for name in robot.joint_names}
-    used = used | set(robot.joint_names) | {"pose", "setup", "instrument"} | set(context) | approach
+    directions = {f"{APPROACH}{name}" for name in robot.joint_names}
+    used = used | set(robot.joint_names) | {"pose", "setup", "instrument"} | set(context) | directions
     ignored = tuple(name for name in table.names if name not in used)
     setups = setups_of(robot, table) if robot.description.setups and "setup" in table.names else None
-    return Poses(joints, labels, names, table.path, ignored, comments=table.comments, context=context, setups=setups)
+    return Poses(
+        joints,
+        labels,
+        names,
+        table.path,
+        ignored,
+        comments=table.comments,
+        context=context,
+        approach=_approach(robot, table),
+        setups=setups,
+    )
 
 
 def _joined(parts: Sequence[Poses]) -> Poses:
@@ -115,6 +129,7 @@ def _joined(parts: Sequence[Poses]) -> Poses:
         return parts[0]
     keys = dict.fromkeys(key for part in parts for key in part.context)
     setups = [part.setups for part in parts if part.setups is not None]
+    approach = [part.approach for part in parts if part.approach is not None]
     return Poses(
         np.concatenate([part.joints for part in parts]),
         tuple(chain.from_iterable(part.labels for part in parts)),
@@ -123,25 +138,20 @@ def _joined(parts: Sequence[Poses]) -> Poses:
         tuple(dict.fromkeys(chain.from_iterable(part.ignored for part in parts))),
         comments=tuple(dict.fromkeys(chain.from_iterable(part.comments for part in parts))),
         setups=np.concatenate(setups) if len(setups) == len(parts) else None,
+        approach=np.concatenate(approach) if len(approach) == len(parts) else None,
         context={
             key: np.concatenate([part.context.get(key, np.full(len(part), np.nan)) for part in parts]) for key in keys
         },
     )
 
 
-def _joined_approach(robot: Robot, tables: Sequence[Table]) -> FloatArray | None:
-    """Directions of approach, where every file has a column for every joint's; None: from the order of the rows."""
-    columns = [f"{APPROACH}{name}" for name in robot.joint_names]
-    present = [[name for name in columns if name in table.names] for table in tables]
-    if not all(present):
-        return None
-    parts = []
-    for table, names in zip(tables, present, strict=True):
-        directions = np.zeros((len(table.rows), len(columns)))
-        for name in names:
-            directions[:, columns.index(name)] = np.sign(np.nan_to_num(table.column(name, None, gaps=True)))
-        parts.append(directions)
-    return np.concatenate(parts)
+def _approach(robot: Robot, table: Table) -> FloatArray | None:
+    """Directions of approach, 0 for joints without a column, (n, n_actuated); None where no joint has one."""
+    present = [(j, name) for j, one in enumerate(robot.joint_names) if (name := f"{APPROACH}{one}") in table.names]
+    directions = np.zeros((len(table.rows), len(robot.joint_names)))
+    for j, name in present:
+        directions[:, j] = np.sign(np.nan_to_num(table.column(name, None, gaps=True)))
+    return directions if present else None
 
 
 def _visits_by_pose(table: Table, poses: Poses) -> IntArray:

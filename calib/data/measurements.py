@@ -40,6 +40,8 @@ class Poses(ReadOnlyArrays):
         ignored: Columns of the file that nothing was read from.
         comments: What the file says about itself, line by line.
         context: Conditions of each visit, (n,) [SI] by name, of `CONTEXT` of columns; NaN where not known.
+        approach: Direction in which each joint moved last before the visit, +1 or -1, 0 where not known,
+            (n, n_actuated); None: not given.
         setups: Number of the setup of each visit, as the description counts them, (n,); None: the first.
         wanted: What is to be read at these visits, as far as somebody says, by instrument: visits, pairs and details,
             no values.
@@ -52,6 +54,7 @@ class Poses(ReadOnlyArrays):
     ignored: tuple[str, ...]
     comments: tuple[str, ...] = field(default=(), kw_only=True)
     context: Mapping[str, FloatArray] = field(default_factory=dict, kw_only=True)
+    approach: FloatArray | None = field(default=None, kw_only=True)
     setups: IntArray | None = field(default=None, kw_only=True)
     wanted: Mapping[str, Readings] = field(default_factory=dict, kw_only=True)
 
@@ -103,6 +106,7 @@ class Poses(ReadOnlyArrays):
             labels=tuple(self.labels[i] for i in index),
             names=tuple(self.names[i] for i in index),
             context={key: values[index] for key, values in self.context.items()},
+            approach=None if self.approach is None else self.approach[index],
             setups=None if self.setups is None else self.setups[index],
             wanted={name: of_visits(looks, index) for name, looks in self.wanted.items()},
         )
@@ -120,8 +124,8 @@ class Poses(ReadOnlyArrays):
 
     @property
     def conditions(self) -> Context:
-        """Under which conditions the robot is commanded, for its joint terms; from which side is not known."""
-        return Context.of(np.zeros_like(self.joints), self.context)
+        """Under which conditions the robot is commanded, for its joint terms; from which side, where that is given."""
+        return Context.of(np.zeros_like(self.joints) if self.approach is None else self.approach, self.context)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -130,14 +134,11 @@ class Measurements(Poses):
 
     Attributes:
         readings: Of each instrument, by its name; visits are indices into the rows.
-        approach: Direction in which each joint moved last before the visit, +1 or -1, 0 where not known,
-            (n, n_actuated). If not given: from the order of the rows.
         approach_assumed: Whether `approach` was taken from the order of the rows of a larger file.
         order: Place of each visit in the order of measurement, counted from 0, (n,). If not given: as they stand.
     """
 
     readings: Mapping[str, Readings]
-    approach: FloatArray | None = None
     order: IntArray | None = None
     approach_assumed: bool = False
 

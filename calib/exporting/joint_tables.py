@@ -164,6 +164,7 @@ def _left_out(robot: Robot, own: slice, joint: str, cause: str, depends_on: str)
         "the load": f"{size:.3g} {unit} per N m or N",
         "time": f"{size:.3g} {unit} per hour",
         "temperature": f"{size:.3g} {unit} per kelvin",
+        "another joint": f"{size:.3g} {unit} per rad or m of it",
     }.get(depends_on, f"{size:.3g} {unit} to either side")
     return f"{joint}: {cause} is not in the table, because it depends on {depends_on}: {what} remains"
 

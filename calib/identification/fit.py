@@ -14,7 +14,8 @@ are not known, they are placed alone, near where they are expected if a sigma sa
 left out and all is done again, and poses are left out in turns for cross-validation.
 
 Where nobody states the noise of an instrument, it is found from the residuals, and so is an error that the rows of a
-visit share (`calib.numerics.variance_components`): step 3 is repeated until that changes by less than one percent.
+pose share (`calib.numerics.variance_components`): step 3 is repeated until noise changes by less than one percent, and
+offsets by less than one in twenty. With a robust loss no shared errors are looked for: a gross error is one, too.
 
 When it fails. Fewer coordinates than unknowns, or columns that the poses cannot tell apart and no prior holds, is a
 `NotIdentifiableError` that names the parameters. A fit that did not converge comes back with the verdict FAIL.
@@ -62,6 +63,11 @@ _PLACED = 1e-6  # the same for the state before: its errors then hold to a milli
 _NOISE_ROUNDS = 20
 _NOISE_STANDS = 0.01  # relative change of scales below which they are found
 _FAMILIES_STAND = 5.0  # how much less exactly the sizes of families need to be found
+_RATIOS_STAND = 0.05  # the same of offsets over noise, from 1 on; they change weights and nothing else
+_NO_NOISE = (
+    "the noise of the measurements could not be found from the residuals; state it (`sigma` in the description, or"
+    " --sigma-mm)"
+)
 _STEP_LEFT = 0.05  # standard deviations that a converged fit may be away from its minimum
 _ROUNDING = 1e-8  # 10 nm and 10 nrad: below, rounding decides about a step
 
@@ -301,7 +307,8 @@ def _observability(problem: Problem, final: Evaluation, rank: int) -> dict[str, 
     """O1 to O5 of the scaled Jacobian of readings in SI units, as measured: of metres, where only positions are."""
     units = 1.0 / np.array([group.typical if group.stated else 1.0 for group in problem.whitening.groups])
     own = problem.unknowns.only(problem.unknowns.family < 0)  # of families, priors decide what counts
-    factor = problem.rows(final, units, own).factor[:, :-1]
+    rows = problem.whitening.rows(final.observed, units, own, own.deviations(final.robot.values))
+    factor = rows.factor[:, :-1]
     return observability(np.linalg.svd(factor, compute_uv=False)[:rank], len(problem.data))
 
 
@@ -374,13 +381,15 @@ def solve_from(
         NotConvergedError: The noise cannot be found.
     """
     exact = TOLERANCE if settings.loss == "none" else _LOOSE  # a robust loss goes on from there
-    solved = _solve_with_noise(problem, placed, exact)
+    plain = settings.loss == "none"
+    solved = _solve_with_offsets(problem, placed) if plain else _solve_with_noise(problem, placed, exact)
     if settings.starts > 1:
         first = (solved.robot, solved.solution)
         tried = explore(problem, placed, first, solved.groups, settings.starts, settings.seed, workers, progress)
         best = tried.minima[0]
         if best.solution is not solved.solution:  # the noise that was found belongs to the minimum left behind
-            solved = _solve_with_noise(problem, best.robot, exact)
+            robot = best.robot
+            solved = _solve_with_offsets(problem, robot) if plain else _solve_with_noise(problem, robot, exact)
         solved = replace(solved, starts=tried)
     if settings.loss == "none":
         return solved
@@ -388,6 +397,21 @@ def solve_from(
     return Solved(
         robust.robot, robust.groups, robust.solution, robust.weights, robust.factors, robust.settled, solved.starts
     )
+
+
+def _solve_with_offsets(problem: Problem, start: Robot) -> Solved:
+    """Solve; where readings of an instrument share offsets, find these and weigh by them."""
+    if not np.any(problem.whitening.tells_offsets):
+        return _solve_with_noise(problem, start, TOLERANCE)
+    solved = _solve_with_noise(problem, start, _LOOSE)
+    for _ in range(_NOISE_ROUNDS):
+        ratios = problem.found_ratios(problem.evaluate(solved.robot), solved.groups)
+        stands = np.all(np.abs(ratios - problem.ratios) <= _RATIOS_STAND * (1.0 + problem.ratios))
+        problem.weigh(ratios)
+        solved = _solve_with_noise(problem, solved.robot, TOLERANCE if stands else _LOOSE)
+        if stands:
+            return solved
+    raise NotConvergedError(_NO_NOISE)
 
 
 def _solve_with_noise(problem: Problem, start: Robot, exact: float) -> Solved:
@@ -414,10 +438,7 @@ def _solve_with_noise(problem: Problem, start: Robot, exact: float) -> Solved:
         if change > _NOISE_STANDS:
             groups = scales
             problem.unknowns = problem.unknowns.rescaled(sizes)
-    raise NotConvergedError(
-        "the noise of the measurements could not be found from the residuals; state it (`sigma` in the description, or"
-        " --sigma-mm)"
-    )
+    raise NotConvergedError(_NO_NOISE)
 
 
 def convergence_at(problem: Problem, solved: Solved, rows: Rows, std: FloatArray) -> Convergence:

@@ -188,11 +188,11 @@ class Fit(ReadOnlyArrays):
     @cached_property
     def noise(self) -> tuple[FoundNoise, ...]:
         """Noise of each group of rows, as found and as stated."""
-        factors = self.statistics.factors
+        factors, totals = self.statistics.factors, self.whitening.totals(self.scales)
         return tuple(
             FoundNoise(
                 group,
-                float(factors.found[g] * self.scales.groups[g] * group.typical),
+                float(factors.found[g] * totals[g] * group.typical),
                 float(self.scales.own[g] if self.scales.shares else factors.found[g] * self.scales.groups[g])
                 * group.typical,
                 group.typical if group.stated else None,
@@ -220,7 +220,17 @@ class Fit(ReadOnlyArrays):
     def shared_sigma(self) -> dict[str, float]:
         """Error of each joint that all rows of a visit share, as found [m or rad]; empty where there is none."""
         names = self.robot.joint_names
-        return dict(zip(names, map(float, self.scales.shared), strict=True)) if self.scales.shares else {}
+        sizes = self.scales.shared[: len(names)]
+        return dict(zip(names, map(float, sizes), strict=True)) if np.any(sizes > 0) else {}
+
+    @property
+    def offsets(self) -> dict[str, FloatArray]:
+        """Error in all readings of an instrument at a pose, (n_rows,) [SI], by name; only where one was found."""
+        instruments = self.robot.instruments
+        sizes = self.scales.shared[len(self.robot.joint_names) :] if self.scales.shares else np.zeros(0)
+        ends = np.cumsum([one.n_rows for one in instruments])[:-1]
+        parts = zip(instruments, np.split(sizes, ends), strict=True)
+        return {one.name: part for one, part in parts if np.any(part > 0)}
 
     @property
     def chi_square(self) -> ChiSquare | None:
@@ -228,7 +238,8 @@ class Fit(ReadOnlyArrays):
         if not all(group.stated for group in self.whitening.groups):
             return None
         factors = self.statistics.factors
-        mean_square = float(np.sum(factors.freedom * factors.found**2) / factors.total_freedom)
+        found = factors.found * self.whitening.totals(self.scales)
+        mean_square = float(np.sum(factors.freedom * found**2) / factors.total_freedom)
         return chi_square(float(np.sqrt(mean_square)), factors.total_freedom)
 
     @property

@@ -59,9 +59,9 @@ class Estimate:
 
     @property
     def chi_square(self) -> float:
-        """Sum of squares of the residuals in units of the noise that the fit assumed."""
-        factors = self.statistics.factors
-        return float(np.sum(factors.freedom * factors.found**2))
+        """Sum of squares of the residuals in units of the stated noise, where all of it is stated."""
+        stated = [group.typical for group in self.rows.layout.groups]
+        return float(np.sum(self.statistics.factors.freedom * (self.sigma / stated) ** 2))
 
     @property
     def names_outliers(self) -> bool:
@@ -111,10 +111,10 @@ class Repeated:
 
     def _from(self, problem: Problem, start: Robot) -> Estimate:
         solved = solve_from(problem, start, self._settings)
-        rows, _, found = uncertainty_at(problem, problem.evaluate(solved.robot), solved, self._settings)
+        rows, scales, found = uncertainty_at(problem, problem.evaluate(solved.robot), solved, self._settings)
         weights = np.ones(rows.layout.n_readings) if solved.weights is None else solved.weights
         typical = [group.typical for group in rows.layout.groups]
-        sigma = found.factors.found * solved.groups * typical
+        sigma = found.factors.found * problem.whitening.totals(scales) * typical
         return Estimate(solved.robot, rows, found, convergence_at(problem, solved, rows, found.std), weights, sigma)
 
     def _stepped(self, problem: Problem) -> Robot:
@@ -128,7 +128,10 @@ class Repeated:
             for name, view in self._views.items()
         }
         rows, root, groups = first.rows, first.rows.known.root, first.scales.groups
-        whitened = problem.whitening.flatten(residuals) / problem.whitening.row_scale(groups)
+        whitening = problem.whitening
+        weighing = whitening.weighing(first.scales.ratios)
+        whitened: FloatArray = whitening.flatten(residuals) / whitening.row_scale(groups)
+        whitened = whitened if weighing is None else weighing.whiten(whitened)
         pull = rows.jacobian.T @ whitened + np.where(rows.has_prior, rows.deviations, 0.0)
         return self._problem.moved(robot, first.unknowns, rows.deviations - root @ (root.T @ pull))
 

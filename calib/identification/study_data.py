@@ -125,7 +125,7 @@ def simulated(
 
     Args:
         robot: The nominal robot.
-        poses: Where to measure.
+        poses: Where to measure, as `Poses` or (n, n_actuated) [m or rad].
         truth: The robot that is measured; `priors`: drawn anew from the priors of `robot` each time; None: `robot`.
         sigma: Noise of positions in place of what is stated [m].
         noise: What makes measurements of exact ones, if that is not what the description states.

@@ -181,6 +181,7 @@ class _Search:
         rows = fit.whitening.rows(
             observed, np.ones(len(layout.groups)), unknowns, unknowns.deviations(self._robot.values)
         ).weighted(fit.weights)
+        rows = rows.whitened(fit.whitening.weighing(fit.scales.ratios))
         self._design = _design(rows, unknowns, [owner.get(name, "") for name in unknowns.names])
         change = unknowns.scales[:, None] * self._design.parameters
         self._residuals = {name: one.residuals for name, one in observed.items()}

@@ -36,6 +36,7 @@ class Coupling(JointTerm):
     """dq = c times the command of another joint, in radians or metres."""
 
     section = CouplingSection
+    cause = "coupling"
     depends_on = "another joint"
     joint: str
     parameters: tuple[Parameter, ...]

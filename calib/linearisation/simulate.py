@@ -13,6 +13,7 @@ searches from one start it may end elsewhere than at contact; then the pose is n
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -89,18 +90,7 @@ def simulate(
             readings[name] = Readings(predicted.visits, predicted.pairs, zeros, None, predicted.details)
     noise = "noise as the description states it" if sigma is None else _said(sigma)
     said = (f"simulated measurements of {robot.name}", noise)
-    data = measurements(poses, readings)
-    return Measurements(
-        commands,
-        data.labels,
-        data.names,
-        data.path,
-        data.ignored,
-        data.readings,
-        comments=said,
-        context=data.context,
-        setups=data.setups,
-    )
+    return replace(measurements(poses, readings), joints=commands, comments=said, wanted={})
 
 
 def noisy_readings(
@@ -242,7 +232,7 @@ def _gaps(
     Returns:
         (n, n_gaps) [m], 0 where fewer, infinite where the robot cannot be assembled; (n, n_gaps, n_actuated).
     """
-    context = Context.of(directions_of_motion(commands), poses.context)
+    context = _context(poses, commands)
     columns = tuple(part[index] for part in robot.term_columns(commands + off, context))
     q = (commands + off)[index]
     closed = robot.close(q, columns=columns)
@@ -261,9 +251,14 @@ def _gaps(
     return gaps, slopes
 
 
+def _context(poses: Poses, commands: FloatArray) -> Context:
+    """Conditions of commands (n, n_actuated); from which side, in their order where the poses do not say."""
+    return Context.of(directions_of_motion(commands) if poses.approach is None else poses.approach, poses.context)
+
+
 def _assembled(robot: Robot, poses: Poses, commands: FloatArray, off: FloatArray) -> Configurations:
     """The robot at commands (n, n_actuated) that it does not quite follow."""
-    context = Context.of(directions_of_motion(commands), poses.context)
+    context = _context(poses, commands)
     return robot.assemble(commands + off, labels=poses.labels, context=context)
 
 

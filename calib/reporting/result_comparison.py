@@ -12,7 +12,7 @@ import numpy as np
 from rich.table import Table
 
 from calib.arrays import FloatArray
-from calib.words import counted, plain_text
+from calib.words import counted, listed, plain_text
 
 CHANCE = 0.05
 """Chance that anything is called real that is not."""
@@ -28,7 +28,7 @@ class Difference:
         name: Its name.
         rows: Its row in `result.json` of each result, in its unit; None where it has no such parameter.
         p_values: Chance of a difference to the first result as large as this, for each of the others, corrected for
-            their number; NaN where there is no test.
+            the number of tests of all pairs; NaN where there is no test.
     """
 
     name: str
@@ -41,9 +41,35 @@ class Difference:
         return tuple(p < CHANCE for p in self.p_values)
 
 
+@dataclass(frozen=True)
+class Pair:
+    """Two of the results.
+
+    Attributes:
+        names: Of the two.
+        real: Parameters of the robot that differ.
+        moved: The same of places: where base, targets or instruments stand.
+        together: p-value of all parameters of the robot together, places left out; NaN where there is no test.
+    """
+
+    names: tuple[str, str]
+    real: tuple[str, ...]
+    moved: tuple[str, ...]
+    together: float
+
+    def sentence(self) -> str:
+        """Say what differs."""
+        if np.isnan(self.together):
+            return f"{' and '.join(self.names)}: not tested."
+        found = counted(len(self.real), "parameter of the robot differs", "parameters of the robot differ")
+        names = f" ({listed(self.real)})" if self.real else ""
+        places = f"; what was put elsewhere: {listed(self.moved)}" if self.moved else ""
+        return f"{' and '.join(self.names)}: {found}{names}, all together p {p_text(self.together)}{places}."
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class ResultComparison:
-    """Results side by side, the first against the others.
+    """Results side by side, each two of them against each other.
 
     Attributes:
         names: Of the results.
@@ -54,7 +80,7 @@ class ResultComparison:
         sizes: Size of the error of each reading after calibration, in that unit, of each result on the same readings
             that none of them used; empty where there are none.
         differences: One for each parameter.
-        together: p-value of all differences to the first, for each of the others; NaN where there is no test.
+        pairs: What each two of them differ in, those with the first one first.
         notes: What to know before believing it.
     """
 
@@ -66,8 +92,13 @@ class ResultComparison:
     errors_on: tuple[str, ...]
     sizes: tuple[FloatArray, ...]
     differences: tuple[Difference, ...]
-    together: tuple[float, ...]
+    pairs: tuple[Pair, ...]
     notes: tuple[str, ...]
+
+    @property
+    def together(self) -> tuple[float, ...]:
+        """p-value of all parameters of the robot together, against the first result, for each of the others."""
+        return tuple(pair.together for pair in self.pairs[: len(self.names) - 1])
 
     def __repr__(self) -> str:
         real = sum(any(one.real) for one in self.differences)
@@ -105,14 +136,9 @@ class ResultComparison:
         return sorted(tested or self.differences, key=lambda one: np.nanmin([*one.p_values, 2.0]))
 
     def conclusion(self) -> str:
-        """Return in a sentence which differences are real."""
-        real = [one.name for one in self.differences if any(one.real)]
-        found = counted(len(real), "parameter differs", "parameters differ") if real else "No single parameter differs"
-        all_of_them = ", ".join(p_text(p) for p in self.together)
-        return (
-            f"{found} from {self.names[0]} (marked *; values +- 95 %; p corrected for their number, real below"
-            f" {CHANCE:g}). All together: p {all_of_them}."
-        )
+        """Return in a sentence for each two results which differences are real."""
+        told = " ".join(pair.sentence() for pair in self.pairs)
+        return f"{told} (Marked *: differs from {self.names[0]}; values +- 95 %; p corrected, real below {CHANCE:g}.)"
 
     def to_dict(self) -> dict[str, object]:
         """Return the comparison for `--json`, in the units of tables; null where there is no test."""
@@ -134,6 +160,10 @@ class ResultComparison:
                 for one in self.differences
             ],
             "p_values_together": [*map(_number, self.together)],
+            "pairs": [
+                {"results": pair.names, "real": pair.real, "moved": pair.moved, "p_together": _number(pair.together)}
+                for pair in self.pairs
+            ],
             "chance": CHANCE,
             "notes": self.notes,
         }

@@ -11,8 +11,10 @@ different measurements is independent; what the shared prior pulls is not. So th
 
 and not S_a + S_b, with which parameters that lean on the prior would never differ. Each difference is compared with its
 standard deviation by Student's t, with the degrees of freedom of Welch and Satterthwaite; Holm's step-down then keeps
-the chance that any one difference is called real without being so below 5 %, however the parameters are correlated. All
-together are tested by Hotelling's T^2, which sees differences that correlated parameters hide from each other.
+the chance that any one difference is called real without being so below 5 %, over all pairs of results, however the
+parameters are correlated. All together are tested by Hotelling's T^2, which sees differences that correlated parameters
+hide from each other. Places (of base, targets, instruments) count there with whatever they are: a tracker that stood up
+elsewhere is no change of the robot.
 
 When it fails. Fits that used the same readings share their noise: these are not tested. Where errors are systematic
 (verdict CHECK) the covariances are too small, and too much is called real. A parameter held in one of the fits moves
@@ -26,6 +28,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +41,8 @@ from calib.errors import DataError, InputError
 from calib.identification.fitted import Fit
 from calib.model import loading
 from calib.model.robot import Robot
-from calib.reporting.result_comparison import Difference, ResultComparison
+from calib.parameter import Parameter, index_of
+from calib.reporting.result_comparison import CHANCE, Difference, Pair, ResultComparison
 from calib.reporting.results import load_calibrated, load_uncertainty, read_result, save
 from calib.words import counted
 
@@ -71,12 +75,16 @@ class _Result:
         freedom = float(content["degrees_of_freedom"])
         return cls(name, content, robot, free, known.covariance, freedom, _readings(folder / "residuals.csv"))
 
+    def parameters(self, names: Sequence[str]) -> list[Parameter]:
+        """Return the parameters of these names."""
+        return [self.robot.parameters[index_of(self.robot.parameters, name)] for name in names]
+
 
 def compare(*results: Fit | Path | str) -> ResultComparison:
     """Compare results of the same robot; see the module docstring for the tests.
 
     Args:
-        results: Two or more fits, or result folders; the others are compared with the first.
+        results: Two or more fits, or result folders; each two are compared.
 
     Raises:
         InputError: Fewer than two, or one twice.
@@ -91,11 +99,14 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
     for one in read[1:]:
         if _geometry(one.robot) != _geometry(read[0].robot):
             raise DataError(f"{one.name}: is the result of another robot than {read[0].name}; their URDFs differ")
-    notes = [note for one in read[1:] for note in _notes(read[0], one)]
-    tested = [_tested(read[0], one) for one in read[1:]]
+    pairs = list(combinations(read, 2))
+    notes = [note for first, other in pairs for note in _notes(first, other)]
+    tested = [_tested(first, other) for first, other in pairs]
     names = list(dict.fromkeys(name for one in read for name in (p.name for p in one.robot.parameters)))
     raw = np.array([[found.get(name, np.nan) for name in names] for found, _ in tested])
     corrected = holm(raw.ravel()).reshape(raw.shape)
+    places = {p.name for one in read for p in one.robot.parameters if p.placement}
+    real = [{name for name, p in zip(names, found, strict=True) if p < CHANCE} for found in corrected]
     rows = [{row["name"]: row for row in one.content["parameters"]} for one in read]
     errors, unit, where, sizes = _errors(read)
     return ResultComparison(
@@ -107,10 +118,18 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
         where,
         sizes,
         tuple(
-            Difference(name, tuple(found.get(name) for found in rows), tuple(map(float, corrected[:, k])))
+            Difference(name, tuple(found.get(name) for found in rows), tuple(map(float, corrected[: len(read) - 1, k])))
             for k, name in enumerate(names)
         ),
-        tuple(together for _, together in tested),
+        tuple(
+            Pair(
+                (first.name, other.name),
+                tuple(name for name in names if name in found - places),
+                tuple(name for name in names if name in found & places),
+                together,
+            )
+            for (first, other), found, (_, together) in zip(pairs, real, tested, strict=True)
+        ),
         tuple(notes),
     )
 
@@ -207,9 +226,11 @@ def _tested(first: _Result, other: _Result) -> tuple[dict[str, float], float]:
     change = value_b - value_a
     t = np.abs(change) / np.sqrt(np.where(testable, variance, 1.0))
     p = np.where(testable, 2.0 * scipy.special.stdtr(freedom, -t), np.nan)
-    sizes, axes = np.linalg.eigh(both / np.sqrt(np.outer(total, total)))
+    own = np.array([not p.placement for p in first.parameters(common)])
+    scale = np.sqrt(total[own])
+    sizes, axes = np.linalg.eigh(both[np.ix_(own, own)] / np.outer(scale, scale))
     kept = sizes > _OWN
-    squares = (axes[:, kept].T @ (change / np.sqrt(total))) ** 2 / sizes[kept]
+    squares = (axes[:, kept].T @ (change[own] / scale)) ** 2 / sizes[kept]
     n, least = int(np.sum(kept)), min(first.freedom, other.freedom)
     together = float(scipy.special.fdtrc(n, least, np.sum(squares) / n)) if n else np.nan
     return dict(zip(common, map(float, p), strict=True)), together
@@ -218,10 +239,9 @@ def _tested(first: _Result, other: _Result) -> tuple[dict[str, float], float]:
 def _of_common(one: _Result, common: Sequence[str]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Values, covariance, and sigmas of priors that are known beforehand (NaN: none) of these free parameters [SI]."""
     place = [one.free.index(name) for name in common]
-    by_name = {p.name: (p, value) for p, value in zip(one.robot.parameters, one.robot.values, strict=True)}
-    parameters = [by_name[name][0] for name in common]
-    sigma = np.array([p.sigma if p.prior and not p.family else np.nan for p in parameters])
-    return np.array([by_name[name][1] for name in common]), one.covariance[np.ix_(place, place)], sigma
+    values = one.robot.values[[index_of(one.robot.parameters, name) for name in common]]
+    sigma = np.array([p.sigma if p.prior and not p.family else np.nan for p in one.parameters(common)])
+    return values, one.covariance[np.ix_(place, place)], sigma
 
 
 def _errors(

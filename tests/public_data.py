@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import yaml
+import yourdfpy
 from scipy.optimize import least_squares
 
 import calib
@@ -34,6 +35,10 @@ ARMS = {
 }
 EXAMPLE_ROBOTS = Path(sys.prefix, "lib", f"python3.{sys.version_info.minor}", "site-packages", "cmeel.prefix", "share",
                       "example-robot-data", "robots")  # fmt: skip
+_POINT = """\
+<inertial>
+  <origin xyz="{x} {y} {z}"/> <mass value="{mass}"/> <inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>
+</inertial>"""
 PLACES = {"panda_1": ("front", "right", "back-high"), "kuka_14": ("front", "left_back", "raised_left")}
 
 
@@ -112,6 +117,13 @@ def _motoman_yaml(cameras, tracker):
     return text + "columns: {u: pixel_u, v: pixel_v, marker: point}\n" + ORIGINS
 
 
+def masses_of(arm):
+    """A URDF of the same arm with masses, which need not be there: of example-robot-data, or of PyBullet."""
+    packages = EXAMPLE_ROBOTS.parents[3]
+    bullet = packages / "pybullet_data" / "kuka_iiwa" / "model.urdf"
+    return EXAMPLE_ROBOTS / "panda_description" / "urdf" / "panda.urdf" if arm == "panda_1" else bullet
+
+
 def mukca(folder, arm, places, masses=None):
     """An arm with a ball near its flange, and what it read in two sockets 50 mm apart, put up anew in each place.
 
@@ -138,13 +150,16 @@ def mukca(folder, arm, places, masses=None):
 
 
 def _weighed(urdf, masses):
-    """The bytes of a URDF, with the masses that links of the same names have in another one, if there is one."""
+    """The bytes of a URDF, with the masses of another one where they lie when all joints are zero."""
     robot = ElementTree.parse(urdf).getroot()
-    found = ElementTree.parse(masses).getroot().findall("link") if masses else []
-    inertial = {link.get("name"): link.find("inertial") for link in found}
-    for link in robot.findall("link"):
-        if inertial.get(link.get("name")) is not None:
-            link.append(inertial[link.get("name")])
+    if masses is not None:
+        ours, theirs = (yourdfpy.URDF.load(str(path), load_meshes=False) for path in (urdf, masses))
+        for weight in theirs.robot.links:
+            link = robot.find(f"link[@name='{weight.name.removeprefix('lbr_iiwa_')}']")
+            if weight.inertial is not None and link is not None:
+                moved = np.linalg.inv(ours.get_transform(link.get("name"))) @ theirs.get_transform(weight.name)
+                x, y, z, _ = moved @ weight.inertial.origin[:, 3]
+                link.append(ElementTree.fromstring(_POINT.format(x=x, y=y, z=z, mass=weight.inertial.mass)))
     return ElementTree.tostring(robot)
 
 
@@ -232,9 +247,8 @@ def _judged(fit, arm, data):
 
 
 def print_mukca(folder):
-    """Print the tables of the arms that touched two sockets; with the masses of a Panda, too, if they are installed."""
-    panda = EXAMPLE_ROBOTS / "panda_description" / "urdf" / "panda.urdf"
-    for arm, masses in (("panda_1", None), ("panda_1", panda), ("kuka_14", None)):
+    """Print the tables of the arms that touched two sockets; with masses, too, if packages that know them are there."""
+    for arm, masses in [(one, known) for one in PLACES for known in (None, masses_of(one))]:
         for held in PLACES[arm] if masses is None or masses.is_file() else ():
             both = tuple(place for place in PLACES[arm] if place != held)
             _print_mukca(folder, arm, both, (held,), masses)

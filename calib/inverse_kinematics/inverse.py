@@ -101,7 +101,8 @@ def solve(robot: Robot, goals: Goals | ArrayLike, *, near: ArrayLike | None = No
     if np.ndim(wanted) == 2 and len(wanted) not in (1, len(goals)):
         raise DataError(f"near: {len(wanted)} rows for {len(goals)} goals; give one row, or one for each")
     wanted = np.clip(np.broadcast_to(wanted, (len(goals), len(robot.home))), reach.lower, reach.upper)
-    wanted = robot.actual(wanted, robot.term_columns(wanted))
+    conditions = goals.conditions(len(robot.home))
+    wanted = robot.actual(wanted, robot.term_columns(wanted, conditions))
     search = _Search(reach, _closed_start(robot, reach))
     search.run(robot)
     solved = np.flatnonzero(search.solved)
@@ -109,8 +110,10 @@ def solve(robot: Robot, goals: Goals | ArrayLike, *, near: ArrayLike | None = No
     search.keep(solved, nearer(reach, solved, turned, wanted[solved]))
     positions, miss, angle = reach.misses(search.best.actuated, search.best.passive)
     ok = (miss <= TOLERANCE) & (angle <= TOLERANCE)
-    commands = robot.commands(search.best.actuated)
-    ok[ok] = robot.close(commands[ok]).ok  # the loops were followed from elsewhere
+    commands = robot.commands(search.best.actuated, conditions)
+    reached = np.flatnonzero(ok)
+    columns = robot.term_columns(commands[reached], conditions.at(reached))
+    ok[reached] = robot.close(commands[reached], columns=columns).ok  # the loops were followed from elsewhere
     return Solution(commands, ok, miss, angle, positions, goals.labels)
 
 

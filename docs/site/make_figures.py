@@ -22,7 +22,7 @@ from calib.linearisation.jacobian import linearise
 from calib.model.kinematics import sweep
 from calib.model.mechanism import RelativeFrame
 from calib.numerics.identifiability import numerical_rank
-from viz.svg import BLUE, GREY, ORANGE, styled, svg_file
+from viz.svg import BLUE, GREY, ORANGE, plain_ticks, styled, svg_file
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "docs" / "examples"
@@ -67,6 +67,7 @@ def singular_values() -> Figure:
     )
     axes.axhline(rank.threshold, color=GREY, linestyle="--", label="threshold")
     axes.set(xlabel="number", ylabel="singular value [m]", title="MedRUE, 36 parameters, 420 poses")
+    plain_ticks(axes.yaxis)
     axes.legend(frameon=False)
     return figure
 

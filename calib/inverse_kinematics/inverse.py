@@ -63,7 +63,7 @@ class Solution:
         """Return by how much goal k is missed, in words."""
         length, angle = float(self.miss_position[k]), float(self.miss_angle[k])
         if length <= TOLERANCE and angle <= TOLERANCE:
-            return "can be reached, but no way leads there from home in its assembly mode"
+            return "can be reached, but no way there was found from home in its assembly mode"
         return f"misses by {millimetres(length):.3f} mm" + (
             f" and {np.degrees(angle):.3f} deg" if angle > TOLERANCE else ""
         )

@@ -35,11 +35,29 @@ def _held_fast(value: Any) -> Any:
     return value
 
 
+def _short(value: object) -> str:
+    """One value, or how many."""
+    if isinstance(value, np.ndarray):
+        return str(value.shape)
+    return f"of {len(value)}" if isinstance(value, (tuple, list, dict)) else repr(value)
+
+
 class ReadOnlyArrays:
     """Base of frozen dataclasses: arrays, tuples and dictionaries of them become read-only copies.
 
-    They are so after unpickling, too.
+    They are so after unpickling, too. What is printed of them are the shapes of arrays, not their numbers.
     """
+
+    def __init_subclass__(cls) -> None:
+        if cls.__repr__ is ReadOnlyArrays.__repr__:
+            cls.__repr__ = ReadOnlyArrays.__repr__  # type: ignore[method-assign]  # its own, so dataclass keeps it
+
+    def __repr__(self) -> str:
+        told = ((field.name, getattr(self, field.name)) for field in fields(self))  # type: ignore[arg-type]
+        shown = (
+            f"{name} {np.shape(value) if isinstance(value, np.ndarray) else _short(value)}" for name, value in told
+        )
+        return f"<{type(self).__name__}: {', '.join(shown)}>"
 
     def __post_init__(self) -> None:
         for field in fields(self):  # type: ignore[arg-type]  # only dataclasses derive from this

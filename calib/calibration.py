@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from calib.commands import pictures
-from calib.commands.pictures import Plots
+from calib import pictures
 from calib.data.measurements import Measurements
 from calib.identification.errors_found import error_table
 from calib.identification.fit import Settings, identify
 from calib.identification.fitted import Fit
 from calib.model.robot import Robot, require_robot
 from calib.numerics.losses import checked_loss
+from calib.pictures import Plots
 from calib.reporting.report_text import text_report, verdict_lines
 from calib.reporting.result_content import error_sets
 from calib.reporting.results import save
 from calib.tabular import titled_html
 from calib.units import ERROR_UNIT
+from calib.workers import Progress
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -83,6 +85,8 @@ def fit(
     folds: int = 0,
     seed: int = 0,
     terms: str | None = None,
+    executor: Executor | int | None = None,
+    progress: Progress | None = None,
 ) -> Calibration:
     """Calibrate a robot; see `calib.identification.fit` for the method and its errors.
 
@@ -98,8 +102,11 @@ def fit(
         seed: Seed of perturbed starts and folds.
         terms: Joint terms in place of those of the description: `none`; or in addition to them: `auto` for those that
             earn their place, or a list such as `curve,elbow=backlash`.
+        executor: Who does the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
+            processes on this machine; this process if not given.
+        progress: Called with how many other starts are done and of how many, then with how many folds.
     """
     require_robot(robot)
     settings = Settings(sigma, checked_loss(loss), exclude_outliers, starts, folds, seed, terms)
-    found = identify(robot, data, validation, settings)
+    found = identify(robot, data, validation, settings, executor, progress)
     return Calibration(**{field.name: getattr(found, field.name) for field in fields(found)})

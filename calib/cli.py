@@ -6,7 +6,7 @@ from importlib import import_module
 
 import click
 
-from calib.commands import pictures
+from calib import pictures
 from calib.commands.program import run_program
 from calib.version import VERSION
 
@@ -17,6 +17,7 @@ _MODULES = {
     "compare": "calib.commands.compare",
     "select": "calib.commands.select",
     "simulate": "calib.commands.simulate",
+    "study": "calib.commands.study",
     "fit": "calib.commands.fit",
     "predict": "calib.commands.predict",
     "solve": "calib.commands.solve",

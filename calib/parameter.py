@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import SupportsIndex, overload
 
 from calib.errors import ParameterError, nearest
 from calib.units import PER_SI, Dimension
@@ -46,6 +47,17 @@ class Parameter:
             for key, number in (("nominal", self.nominal), ("value", value), ("sigma", self.sigma))
         }
         return {"name": self.name, "unit": self.unit, **shown, "free": "free" if free else "held"}
+
+
+class Parameters(tuple[Parameter, ...]):
+    """Parameters in their order, one of which is taken by its number or its name."""
+
+    @overload
+    def __getitem__(self, which: SupportsIndex | str) -> Parameter: ...
+    @overload
+    def __getitem__(self, which: slice) -> tuple[Parameter, ...]: ...
+    def __getitem__(self, which: SupportsIndex | str | slice) -> Parameter | tuple[Parameter, ...]:
+        return super().__getitem__(index_of(self, which) if isinstance(which, str) else which)
 
 
 def index_of(parameters: Sequence[Parameter], name: str, where: str = "parameters") -> int:

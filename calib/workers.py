@@ -1,9 +1,10 @@
 """Independent work shared over workers: the same results, in the same order, however many there are.
 
-Workers are any `concurrent.futures` executor: threads, processes of this machine (`Workers`), or those of a cluster
-(docs/howto/many_calibrations.md). An error of the work travels as a value, so that whatever else a future raises means
-one thing: its worker was lost. What is done is kept, what was lost is sent again. Where the executor takes no more work
-because losing a worker has broken it, the rest is done here.
+Workers are any `concurrent.futures` executor: threads, processes of this machine (a number), or those of a cluster
+(docs/howto/many_calibrations.md). Everything that shares work takes it as `executor`, and passes it through `Workers`
+to `in_order`. An error of the work travels as a value, so that whatever else a future raises means one thing: its
+worker was lost. What is done is kept, what was lost is sent again. Where the executor takes no more work because losing
+a worker has broken it, the rest is done here.
 
 The processes of `Workers` end with the program that started them, however it ends: after Ctrl-C, SIGTERM or SIGHUP they
 are stopped before the program is left, and where it dies without a chance to do so (SIGKILL), each of them notices by
@@ -21,35 +22,43 @@ from concurrent.futures import Executor, Future
 from types import FrameType, TracebackType
 from typing import Any, TypeVar, cast
 
-from calib.errors import ComputationError
+from calib.errors import ComputationError, InputError
 from calib.processes import Processes
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Progress = Callable[[int, int], None]
+"""Is told how many pieces of work are done, and of how many."""
 
 _ENDING = (signal.SIGTERM, signal.SIGHUP)
 _LOSSES = 3  # of the same piece of work in a row; the work itself then ends its workers
 
 
-def in_order(function: Callable[[Item], Result], items: Sequence[Item], executor: Executor | None) -> Iterator[Result]:
+def in_order(
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    executor: Executor | None,
+    progress: Progress | None = None,
+) -> Iterator[Result]:
     """Yield the function's results, first item first.
 
     Args:
-        function: Of a module, so that other processes find it.
+        function: Of a module, so that other processes find it; it must leave what it is given as it was.
         items: What to call it with.
         executor: Who works; this process if not given.
+        progress: Told after each item.
 
     Raises:
         ComputationError: The same piece of work was lost several times.
     """
-    if executor is None:
-        yield from map(function, items)
-        return
-    futures = [_sent(executor, function, item) for item in items]
+    futures: list[_Sent] = [None if executor is None else _sent(executor, function, item) for item in items]
     try:
         for k in range(len(items)):
-            yield _result(k, function, items, executor, futures)
+            result = function(items[k]) if executor is None else _result(k, function, items, executor, futures)
             futures[k] = None  # what came out of it is not kept twice
+            if progress is not None:
+                progress(k + 1, len(items))
+            yield result
     finally:
         for left in futures:
             if left is not None:
@@ -107,16 +116,29 @@ def _is_lost(future: _Sent) -> bool:
 
 
 class Workers:
-    """Processes that live as long as the `with` block, which gives their executor; None where this one does the work.
+    """Who works inside a `with` block, which gives the executor; None where this process does the work.
 
-    They start at once, so that they are ready when the work is. Programs that start some need the usual
-    `if __name__ == "__main__"`, because each process imports them again.
+    Processes of its own live as long as the block. They start at once, so that they are ready when the work is.
+    Programs that start some need the usual `if __name__ == "__main__"`, because each process imports them again.
 
     Args:
-        jobs: Number of processes; with 1 everything runs in this one.
+        executor: An executor, which is given as it is; or a number of processes, with 1 everything runs in this one;
+            None: in this one, too.
+        pieces: How many pieces of work there will be at most, if that is known: no more processes than these start.
+
+    Raises:
+        InputError: It is neither.
     """
 
-    def __init__(self, jobs: int) -> None:
+    def __init__(self, executor: Executor | int | None, pieces: int | None = None) -> None:
+        jobs = executor if isinstance(executor, int) else 1
+        if jobs < 1 or not isinstance(executor, Executor | int | None):
+            raise InputError(
+                f"executor {executor!r:.60}: must be an executor of concurrent.futures, or a number of processes,"
+                " 1 or more"
+            )
+        self._given = executor if isinstance(executor, Executor) else None
+        jobs = jobs if pieces is None else min(jobs, pieces)
         self._processes = Processes(jobs) if jobs > 1 else None
         self._handlers: dict[signal.Signals, object] = {}
 
@@ -131,7 +153,7 @@ class Workers:
             except BaseException:
                 self.__exit__(*sys.exc_info())
                 raise
-        return self._processes
+        return self._given if self._processes is None else self._processes
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None

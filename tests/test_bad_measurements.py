@@ -24,7 +24,7 @@ RNG = np.random.default_rng(3)
 @pytest.fixture(autouse=True)
 def _without_pages(monkeypatch):
     """Report pages take seconds, and have tests of their own."""
-    monkeypatch.setattr("calib.commands.pictures.entry_points", lambda group: ())
+    monkeypatch.setattr("calib.pictures.entry_points", lambda group: ())
 
 
 @pytest.fixture

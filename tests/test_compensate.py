@@ -350,7 +350,7 @@ def test_wrong_arguments_are_refused(tmp_path, arguments, message):
 def calibrated(tmp_path_factory):
     """A result folder of the arm of the examples."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calib.commands.pictures.entry_points", lambda group: ())  # pages have tests of their own
+        patch.setattr("calib.pictures.entry_points", lambda group: ())  # pages have tests of their own
         robot = calib.load(EXAMPLES / "arm.yaml")
         data = calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
         folder = tmp_path_factory.mktemp("result") / "arm"

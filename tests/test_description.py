@@ -38,6 +38,12 @@ def test_yaml_anchors_and_merges_work(tmp_path):
     assert targets["elbow"].xyz == targets["tip"].xyz
 
 
+def test_a_column_may_be_called_no(tmp_path):
+    described = read_description(write_arm(tmp_path, ARM_YAML + "columns: {No: pose}\npriors: no\n"))
+    assert described.columns == {"No": "pose"}
+    assert described.priors is False
+
+
 def test_a_byte_order_mark_and_windows_line_ends_are_fine(tmp_path):
     path = write_arm(tmp_path)
     path.write_bytes(b"\xef\xbb\xbf" + ARM_YAML.replace("\n", "\r\n").encode())
@@ -79,7 +85,7 @@ KEY_MISTAKES = {
     "missing in a list": ("origin: all, components: [x", "components: [x", "key 'parametrisation[0].origin' is"),
     "number as key": ("urdf: arm.urdf", "urdf: arm.urdf\n3: 4", "key 3 should be text; put it in quotes"),
     "number as target": ("tip:", "1:", "key 1 should be text; put it in quotes"),
-    "word that YAML reads as true": ("tip:", "on:", "key True should be text; put it in quotes"),
+    "truth as key": ("tip:", "true:", "key True should be text; put it in quotes"),
 }  # fmt: skip
 
 

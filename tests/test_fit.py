@@ -40,7 +40,7 @@ def failed(good):
 @pytest.fixture(autouse=True)
 def _without_pages(monkeypatch):
     """Report pages take seconds, and have tests of their own."""
-    monkeypatch.setattr("calib.commands.pictures.entry_points", lambda group: ())
+    monkeypatch.setattr("calib.pictures.entry_points", lambda group: ())
 
 
 def test_without_priors_the_stated_noise_changes_no_parameter(arm):

@@ -226,8 +226,8 @@ def test_without_its_setups_a_tracker_that_was_moved_spoils_the_fit(tmp_path):
 def test_two_readings_of_one_visit_weigh_like_a_reading_of_half_the_variance(tmp_path):
     robot, q = calib.load(write_arm(tmp_path, with_noise_of(YAML, ", sigma: 0.05 mm"))), joints(40)
     rng = np.random.default_rng(2)
-    mean = robot.with_parameters(OFF).positions(q)[:, 0] + 5e-5 * rng.standard_normal((40, 3))
-    apart = 3e-5 * rng.standard_normal((40, 3))
+    mean = robot.with_parameters(OFF).positions(q)[:, 0] + 4e-5 * rng.standard_normal((40, 3))
+    apart = 4e-5 * rng.standard_normal((40, 3))
     visits = np.repeat(np.arange(40), 2)
     values = np.stack([mean + apart, mean - apart], axis=1).reshape(80, 3)
     once = calib.as_measurements(robot, q, mean)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from small_robots import ARM_YAML, write_arm
 
-from calib import UnreachablePoseError, load
+from calib import UnreachablePoseError, compensate, load
 from calib.commands.solve import command
 from calib.data.measurement_files import read_poses
 from calib.errors import DataError
@@ -185,7 +185,7 @@ def test_medrue_goals_out_of_reach_are_named_and_the_others_solved(medrue_robot:
     ("fields", "message"),
     [
         ({"positions": np.zeros((2, 2))}, "shape"),
-        ({"positions": np.array([[0.0, np.nan, 0.0]])}, "goal 1: positions are not finite"),
+        ({"positions": np.array([[0.0, np.inf, 0.0]])}, "goal 1: positions are not finite"),
         ({"rotations": np.zeros((2, 3, 3))}, "goal 1: the orientation"),
         ({"rotations": np.tile(-np.eye(3), (2, 1, 1))}, "not a rotation"),
         ({"directions": np.zeros((2, 3))}, "no length"),
@@ -196,6 +196,27 @@ def test_medrue_goals_out_of_reach_are_named_and_the_others_solved(medrue_robot:
 def test_wrong_goals_are_refused(fields: dict[str, Any], message: str) -> None:
     with pytest.raises(DataError, match=message):
         Goals(**{"positions": np.zeros((2, 3)), **fields})
+
+
+def test_a_coordinate_that_is_not_asked_for_is_left_as_it_comes(tmp_path: Path) -> None:
+    """A five-bar off its plane by a hair reaches x and y, and no height."""
+    nominal = load("docs/examples/five_bar.yaml")
+    robot = nominal.with_parameters({"base.z": 1e-5, "left_end.x": 0.2995})
+    wanted = nominal.positions(nominal.sample(20, seed=1))[:, 0]
+    assert not np.any(solve(robot, wanted).ok)
+    flat = wanted * [1, 1, np.nan]
+    found = solve(robot, flat)
+    reached = robot.positions(found.q[found.ok])[:, 0]
+    assert np.sum(found.ok) > 15  # a shorter link does not reach all
+    np.testing.assert_allclose(reached[:, :2], wanted[found.ok, :2], atol=1e-9)
+    np.testing.assert_allclose(reached, found.positions[found.ok], atol=1e-9)
+    cells = "\n".join(f"{1e3 * x:.12g},{1e3 * y:.12g}," for x, y, _ in flat)
+    goals = read_goals(write(tmp_path / "goals.csv", f"pen_x [mm],pen_y [mm],pen_z [mm]\n{cells}\n"), robot)
+    np.testing.assert_allclose(goals.positions, flat, atol=1e-12)
+    with pytest.raises(DataError, match="goal 1: positions are not finite"):
+        Goals(np.full((1, 3), np.nan))
+    with pytest.raises(DataError, match="goal 1: a coordinate is empty; a program needs all three"):
+        compensate(robot, Goals(flat))
 
 
 def test_an_unknown_target_and_a_wrong_start_are_refused(arm: Robot) -> None:

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from kind_checks import brought, chain_error, kind_error
-from scipy.optimize import least_squares
+from public_data import from_sockets, mukca, mukca_joints
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 from six_axis_arm import joints, write_six_axis
@@ -251,7 +251,7 @@ def written(folder, q, words, edit=("", "")):
 @pytest.fixture
 def fit_file(tmp_path, run_calib, monkeypatch):
     """Fit a file of touches of a plate; edits are (old, new) of either file."""
-    monkeypatch.setattr("calib.commands.pictures.entry_points", lambda group: ())
+    monkeypatch.setattr("calib.pictures.entry_points", lambda group: ())
 
     def fit(in_yaml=(), in_csv=("", ""), instrument=PLATE):
         robot = arm_with(tmp_path, instrument)
@@ -411,46 +411,6 @@ def test_poses_that_do_not_say_what_they_touch_tell_more_than_touches_can_and_ch
     assert "nothing says what instrument 'probe' touches at which pose" in refused.err
 
 
-REAL = {
-    "panda_1": ("panda.urdf", "panda_joint", "panda_link0", "panda_hand_tcp"),
-    "kuka_14": ("iiwa14.urdf", "joint_a", "base_link", "tool0"),
-}
-
-
-def real_description(shared_data, robot, tools):
-    """A ball near the flange, and two sockets 50 mm apart whose tool was put up again for every setup."""
-    urdf, joint, base, flange = REAL[robot]
-    setups = ", ".join(f"{tool}: [{'tool_artefact' if k else ''}]" for k, tool in enumerate(tools))
-    return (
-        f"urdf: {shared_data / 'mukca' / 'urdf' / urdf}\nname_mot: [{', '.join(f'{joint}{k}' for k in range(1, 8))}]\n"
-        f"base: {{frame: {base}}}\ntargets:\n"
-        f"  ball: {{frame: {flange}, xyz: [0, 0, 35 mm], position: unknown, sigma: 10 mm}}\n"
-        "instruments:\n  tool:\n    kind: touch\n    target: ball\n    artefact:\n"
-        f"      frame: {base}\n      pose: unknown\n      points: {{hole_0: [0, 0, 0], hole_1: [50 mm, 0, 0]}}\n"
-        f"setups: {{{setups}}}\nparametrisation:\n"
-        "  - {origin: all, components: [x, y, z], sigma: 1 mm}\n"
-        "  - {origin: all, components: [rx, ry, rz], sigma: 3 mrad}\n"
-    )
-
-
-def real_joints(shared_data, robot, tool):
-    folder = shared_data / "mukca" / robot / tool
-    return [np.loadtxt(folder / f"hole_{k}.csv", delimiter=",") for k in (0, 1)]
-
-
-def from_sockets(robot, holes):
-    """Mean distance of predicted balls from two points 50 mm apart that are laid through them [mm]."""
-    balls = [robot.positions(q)[:, 0] for q in holes]
-
-    def misses(x):
-        line = np.array([np.cos(x[3]) * np.cos(x[4]), np.sin(x[3]) * np.cos(x[4]), np.sin(x[4])])
-        return 1e3 * np.concatenate([balls[0] - x[:3], balls[1] - x[:3] - 0.05 * line]).ravel()
-
-    line = balls[1].mean(axis=0) - balls[0].mean(axis=0)
-    start = [*balls[0].mean(axis=0), np.arctan2(line[1], line[0]), np.arcsin(line[2] / np.linalg.norm(line))]
-    return float(np.mean(np.linalg.norm(misses(least_squares(misses, start).x).reshape(-1, 3), axis=1)))
-
-
 @pytest.mark.parametrize(
     ("robot", "tools", "held_out", "before", "after"),
     [
@@ -461,15 +421,9 @@ def from_sockets(robot, holes):
         ("kuka_14", ("left_back", "raised_left"), "front", 0.66, 0.16),
     ],
 )
-def test_real_robots_that_touched_two_sockets(shared_data, tmp_path, robot, tools, held_out, before, after):
-    (tmp_path / "robot.yaml").write_text(real_description(shared_data, robot, tools))
-    nominal = calib.load(tmp_path / "robot.yaml")
-    lines = [",".join(["setup", *(f"{name} [rad]" for name in nominal.joint_names), "tool"])]
-    for tool in tools:
-        for k, holes in enumerate(real_joints(shared_data, robot, tool)):
-            lines += [",".join([tool, *(repr(float(value)) for value in q), f"hole_{k}"]) for q in holes]
-    (tmp_path / "data.csv").write_text("\n".join(lines) + "\n")
-    fit = calib.fit(nominal, calib.read_measurements(tmp_path / "data.csv", nominal))
-    holes = real_joints(shared_data, robot, held_out)
+def test_real_robots_that_touched_two_sockets(shared_data, robot, tools, held_out, before, after):
+    folder = shared_data / "mukca"
+    fit = calib.fit(*mukca(folder, robot, tools))
+    holes = mukca_joints(folder, robot, held_out)
     assert from_sockets(fit.placed, holes) == pytest.approx(before, abs=0.03)
     assert from_sockets(fit.robot, holes) == pytest.approx(after, abs=0.02)

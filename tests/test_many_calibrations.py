@@ -1,4 +1,4 @@
-"""Many simulated calibrations at once: the numbers of separate fits, whoever does them, and honest sums over draws."""
+"""Many calibrations at once: the numbers of separate fits, whoever does them, and honest sums over draws."""
 
 import json
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -12,6 +12,7 @@ from six_axis_arm import FREE, YAML, joints, six_axis_arm, write_six_axis
 import calib
 from calib.identification.fit import Settings
 from calib.identification.repeated import Repeated
+from calib.identification.study_data import Resampled
 from calib.workers import Workers
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
@@ -93,6 +94,9 @@ def test_numbers_do_not_depend_on_who_works(five_bar):
             shared = calib.study(robot, data, **given, executor=executor)
             for name in ("truth", "values", "std", "chi_square", "errors", "error_half_width", "names_outliers"):
                 assert np.array_equal(getattr(shared.draws, name), getattr(alone.draws, name)), name
+        resampled = [calib.study(robot, data, draws=60, resample=True, executor=one) for one in (None, processes)]
+        assert np.array_equal(resampled[0].draws.values, resampled[1].draws.values)
+        assert np.all(resampled[0].draws.answered)
     fewer = calib.study(robot, data, **given | {"draws": 5})
     assert fewer.draws.values == pytest.approx(alone.draws.values[:5], rel=1e-9)  # a draw has its own seed
 
@@ -120,16 +124,41 @@ def test_a_lost_worker_loses_no_draw(five_bar):
     assert np.array_equal(found.draws.values, calib.study(robot, data, draws=60).draws.values)
 
 
+def test_folds_and_starts_of_a_fit_do_not_depend_on_who_works(five_bar):
+    robot, data = five_bar
+    told, losing = [], Mislaying()
+    given = {"folds": 4, "starts": 4, "seed": 5}
+    alone = calib.fit(robot, data, **given, progress=lambda done, total: told.append((done, total)))
+    assert told == [(1, 3), (2, 3), (3, 3), (1, 4), (2, 4), (3, 4), (4, 4)]
+    with ThreadPoolExecutor(2) as threads:
+        for executor in (2, threads, losing):
+            shared = calib.fit(robot, data, **given, executor=executor)
+            assert [one.cost for one in shared.starts.minima] == [one.cost for one in alone.starts.minima]
+            assert [one.count for one in shared.starts.minima] == [one.count for one in alone.starts.minima]
+            assert np.array_equal(shared.folds.errors.after["pen"], alone.folds.errors.after["pen"])
+            assert np.array_equal(shared.folds.errors.singular_value, alone.folds.errors.singular_value)
+            assert np.array_equal(shared.robot.values, alone.robot.values)
+    assert losing.sent == 8  # seven pieces of work, one of them twice
+
+
+@pytest.mark.parametrize("executor", [0, -1, 1.5, "two"])
+def test_who_cannot_work_is_refused(five_bar, executor):
+    with pytest.raises(calib.InputError, match=f"executor '?{executor}'?: must be an executor of concurrent"):
+        calib.fit(*five_bar, executor=executor)
+
+
 def test_a_dask_cluster_does_the_draws(five_bar):
     distributed = pytest.importorskip("distributed", reason="distributed is not installed (extra 'dask')")
     robot, data = five_bar
-    alone = calib.study(robot, data, draws=60)
+    alone, fit = calib.study(robot, data, draws=60), calib.fit(robot, data, folds=3)
     with (
         distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
         distributed.Client(cluster) as client,
     ):
         found = calib.study(robot, data, draws=60, executor=client.get_executor())
+        folds = calib.fit(robot, data, folds=3, executor=client.get_executor()).folds
     assert np.array_equal(found.draws.values, alone.draws.values)
+    assert np.array_equal(folds.errors.after["pen"], fit.folds.errors.after["pen"])
 
 
 def test_sums_over_draws_are_those_of_the_arrays(arm):
@@ -203,7 +232,7 @@ def test_draws_without_an_answer_are_counted_and_left_out(five_bar):
     ("given", "message"),
     [
         ({"draws": 1}, "draws 1: must be 2 or more"),
-        ({"executor": 0}, "executor 0: a number of processes"),
+        ({"executor": 0}, "executor 0: must be .* a number of processes, 1 or more"),
         ({"sigma": None}, "states no noise"),
         ({"sigma": -1.0}, "sigma -1 m"),
         ({"loss": "least"}, "least"),
@@ -211,6 +240,9 @@ def test_draws_without_an_answer_are_counted_and_left_out(five_bar):
         ({"truth": "nominal"}, "truth 'nominal'"),
         ({"seed": -1}, "seed -1"),
         ({"elsewhere": [[0.0, 1.0]]}, "joint values of shape"),
+        ({"resample": True}, "resample: needs measurements"),
+        ({"resample": True, "truth": "priors"}, "truth and noise say nothing"),
+        ({"resample": True, "noise": with_blunders}, "truth and noise say nothing"),
     ],
 )
 def test_what_makes_no_sense_is_refused(arm, given, message):
@@ -221,3 +253,105 @@ def test_what_makes_no_sense_is_refused(arm, given, message):
 def test_too_few_poses_are_refused_as_by_a_fit(arm):
     with pytest.raises(calib.DataError, match="measure at least"):
         calib.study(arm, joints(5), draws=4, sigma=SIGMA)
+
+
+def uneven(exact, rng):
+    """Noise that is eight times as large where the arm leans far to one side."""
+    readings = exact.readings["ball"]
+    size = np.where(exact.joints[readings.visits, 1:3].sum(axis=1) > 1, 8.0, 1.0)[:, None]
+    values = readings.values + SIGMA * size * rng.standard_normal(readings.values.shape)
+    return replace(exact, readings={"ball": replace(readings, values=values)})
+
+
+def sandwich(fit, data):
+    """Standard deviations H^-1 (sum over poses of g g^T) H^-1 of positions that weigh alike, by differences."""
+    free = np.flatnonzero(fit.free)
+    step = 1e-6
+    columns = []
+    for k in free:
+        change = step * np.eye(len(fit.robot.values))[k]
+        ends = [fit.robot.with_parameters(fit.robot.values + s * change).positions(data.joints) for s in (1, -1)]
+        columns.append((ends[0] - ends[1])[:, 0] / (2 * step))
+    slopes = np.stack(columns, axis=2)  # (n_poses, 3, n_free)
+    off = fit.robot.positions(data.joints)[:, 0] - data.readings["ball"].values
+    hessian = sum(slope.T @ slope for slope in slopes)
+    gradients = [slope.T @ one for slope, one in zip(slopes, off, strict=True)]
+    inverse = np.linalg.inv(hessian)
+    return np.sqrt(np.diag(inverse @ sum(np.outer(g, g) for g in gradients) @ inverse))
+
+
+def test_drawing_poses_again_finds_the_scatter_that_uneven_noise_makes(arm):
+    data = uneven(calib.simulate(bent(arm), joints(150), 0.0), np.random.default_rng(6))
+    fit = calib.fit(arm, data)
+    found = calib.study(arm, data, draws=200, resample=True)
+    spread = np.array([one.spread for one in found.parameters])
+    expected = sandwich(fit, data)
+    # 200 draws know a standard deviation to 5 %; the rest is what 150 poses are short of many
+    assert spread == pytest.approx(expected, rel=0.25)
+    assert np.mean(spread / expected) == pytest.approx(1.0, abs=0.1)
+    claimed = np.array([one.claimed for one in found.parameters]) / expected
+    assert claimed.max() / claimed.min() > 1.5  # which the fit, told that noise is even, does not know
+    assert np.array_equal(found.draws.truth[0], fit.robot.values[fit.free])
+    assert np.isnan(found.chi_square)
+    assert "200 calibrations of six axes, each from 150 of its 150 poses, with replacement" in str(found)
+    assert "intervals hold what all poses give" in str(found)
+    assert "outlier" not in str(found)
+    assert found.to_dict()["resampled"] is True
+
+
+def test_repeats_of_a_pose_are_drawn_together_and_a_pose_drawn_twice_is_two(arm):
+    q = np.repeat(joints(40), 2, axis=0)
+    measured = calib.simulate(bent(arm), q, SIGMA, 3)
+    data = replace(measured, names=tuple(f"p{k // 2}" for k in range(80)))
+    source = Resampled(arm, data, arm.assemble(q).passive)
+    drawn = source.measured(np.random.SeedSequence(1)).data
+    assert len(drawn) == 80
+    assert drawn.n_poses == 40
+    said = [name.split(": ") for name in drawn.names]
+    for turn in range(40):
+        which = [k for k, (number, _) in enumerate(said) if number == str(turn)]
+        pose = said[which[0]][1]
+        own = [k for k, name in enumerate(data.names) if name == pose]
+        assert np.array_equal(drawn.readings["ball"].values[which], data.readings["ball"].values[own])
+    assert 15 < len({pose for _, pose in said}) < 36  # 1 - 1 / e of 40 is 25
+
+
+def test_the_command_prints_and_writes_what_python_gives(five_bar, run_calib, tmp_path):
+    robot, data = five_bar
+    files = EXAMPLES / "five_bar.yaml", EXAMPLES / "five_bar_simulated.csv"
+    options = ("--draws", 4, "--seed", 2, "--jobs", 1)
+    target = tmp_path / "study.json"
+    truth = EXAMPLES / "five_bar_truth.csv"
+    given = ("--truth", truth, "--sigma-mm", 0.05, "--loss", "huber", "--elsewhere", files[1])
+    done = run_calib("study", *files, *options, *given, "--json", target)
+    true = robot.with_parameters(calib.read_parameters(truth, robot))
+    wanted = {"draws": 4, "seed": 2, "sigma": 5e-5, "loss": "huber", "elsewhere": data.joints}
+    found = calib.study(robot, data, truth=true, **wanted)
+    assert (done.code, done.out.rstrip(), done.err) == (0, str(found), "")
+    written = json.loads(target.read_text())
+    assert written | {"seconds": 0} == json.loads(json.dumps(found.to_dict())) | {"seconds": 0}
+    again = run_calib("study", *files, *options, "--resample")
+    assert again.out.rstrip() == str(calib.study(robot, data, draws=4, seed=2, resample=True))
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (("five_bar.yaml", "nothing.csv"), "nothing.csv: no such file"),
+        (("five_bar.yaml", "five_bar_simulated.csv", "--draws", 1), "1 is not in the range x>=2"),
+        (("five_bar.yaml", "five_bar_simulated.csv", "--jobs", 0), "0 is not in the range x>=1"),
+        (("five_bar.yaml", "five_bar_simulated.csv", "--sigma-mm", -1), "--sigma-mm -1: must be a number, positive"),
+        (("five_bar.yaml", "five_bar_simulated.csv", "--truth", "nowhere.csv"), "nowhere.csv: no such file"),
+        (("five_bar.yaml", "five_bar_simulated.csv", "--truth", "priors"), "has no priors"),
+        (("five_bar.yaml", "five_bar_simulated.csv", "--truth", "arm.yaml"), "has joints joint_1"),
+        (("five_bar.yaml", "five_bar_simulated.csv", "--elsewhere", "nothing.csv"), "nothing.csv: no such file"),
+        (("five_bar.yaml", "five_bar_truth.csv", "--resample"), "no column 'left_motor'"),
+        (("five_bar.yaml", "five_bar_simulated.csv", "--resample", "--truth", "priors"), "say nothing"),
+    ],
+)
+def test_wrong_input_of_the_command_is_one_line(run_calib, given, said):
+    done = run_calib("study", *given, cwd=EXAMPLES)
+    assert done.code == 2
+    assert said in done.err
+    assert done.err.count("\n") == 1
+    assert done.out == ""

@@ -14,7 +14,7 @@ SIGMA = 4e-5
 @pytest.fixture(autouse=True)
 def _without_pages(monkeypatch):
     """Report pages take seconds, and have tests of their own."""
-    monkeypatch.setattr("calib.commands.pictures.entry_points", lambda group: ())
+    monkeypatch.setattr("calib.pictures.entry_points", lambda group: ())
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,7 @@
 """The first guess of someone who knows numpy, lmfit or scikit-learn is right."""
 
+import copy
+import pickle
 from inspect import Parameter, signature
 from pathlib import Path
 from types import SimpleNamespace
@@ -8,7 +10,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.commands import pictures
+from calib import pictures
 from calib.tabular import table_html
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
@@ -104,11 +106,16 @@ def test_notebooks_show_tables_in_which_names_are_no_markup(fit):
     assert "&lt;b&gt;" in table_html([{"name": "<b>"}])
 
 
-def test_a_table_is_a_data_frame_where_pandas_is_installed(fit):
+def test_a_table_is_a_data_frame_where_pandas_is_installed(robot, data, fit, tmp_path):
     pandas = pytest.importorskip("pandas")
     table = fit.parameters.to_dataframe()
     assert isinstance(table, pandas.DataFrame)
     assert table.loc["joint_3.z", "value"] == pytest.approx(1e3 * fit.parameters["joint_3.z"].value)
+    read = data.to_dataframe(robot)
+    assert list(read.dtypes.unique()) == [read["pose"].dtype, np.dtype(float)]
+    np.testing.assert_allclose(read["reflector_x [mm]"], 1e3 * data.readings["reflector"].values[:, 0])
+    read.to_csv(tmp_path / "data.csv", index=False)
+    np.testing.assert_allclose(calib.read_measurements(tmp_path / "data.csv", robot).joints, data.joints)
     assert fit.covariance.to_dataframe().loc["joint_3.z", "joint_3.z"] == fit.covariance["joint_3.z", "joint_3.z"]
 
 
@@ -194,6 +201,10 @@ def test_a_robot_made_in_python_is_saved_and_loads_the_same(robot, tmp_path):
         (lambda robot: calib.sample(robot, 5, seed=-1), "seed -1"),
         (lambda robot: calib.sample(robot, 5, within={"joint_1": (1, 0)}), "is no range"),
         (lambda robot: calib.sample(robot, 5, within={"joint_1": 1}), "joint_1"),
+        (lambda robot: robot.sample(0), "at least one pose"),
+        (lambda robot: robot.sample(5, within={"joint_9": (0, 1)}), "no joint or coordinate 'joint_9'"),
+        (lambda robot: robot.positions(calib.sample(robot, 5)), "Poses are no array; give .joints"),
+        (lambda robot: robot.parameters["joint_3.zz"], "did you mean 'joint_3.z'"),
         (lambda robot: calib.simulate(robot, np.zeros((1, 6)), 0.0, seed=-1), "seed -1"),
         (lambda robot: calib.check(robot, np.zeros((3, 4))), "joint values of shape"),
         (lambda robot: calib.solve(robot, np.zeros((3, 4))), "positions of shape"),
@@ -230,7 +241,8 @@ def test_python_says_what_the_command_line_says(robot, data, fit, tmp_path):
     compared = calib.compare(fit, calib.fit(robot, again))
     assert np.isfinite(compared.together[0])
     assert "fit 2" in str(compared)
-    for one in (found, chosen, compared):
+    checked = fit.validation, fit.predict(candidates[:5]), reached
+    for one in (found, chosen, compared, *checked):
         assert len(repr(one)) < 200
         assert "array(" not in repr(one)
 
@@ -246,6 +258,13 @@ GUESSES = {
     "shuffled rows": lambda t: len(t.data[np.random.default_rng(0).permutation(len(t.data))]) == 80,
     "slice of poses": lambda t: len(t.candidates[10:20]) == 10,
     "mask of poses": lambda t: len(t.candidates[np.arange(40) < 5]) == 5,
+    "row after row": lambda t: [one.names[0] for one in t.data] == list(t.data.names),
+    "columns of data": lambda t: np.allclose(
+        t.data.columns(t.robot)["reflector_x [mm]"], 1e3 * t.data.readings["reflector"].values[:, 0]
+    ),
+    "columns of poses": lambda t: (
+        list(t.candidates.columns(t.robot)) == ["pose"] + [f"joint_{k} [deg]" for k in range(1, 7)]
+    ),
     "joints are an array": lambda t: t.data.joints.mean(axis=0).shape == (6,),
     "repr of data is short": lambda t: len(repr(t.data)) < 200,
     "html of data": lambda t: "<table>" in t.data._repr_html_(),
@@ -255,12 +274,15 @@ GUESSES = {
     "another seed": lambda t: t.data.split(0.25, seed=1)[0].names != t.data.split(0.25, seed=2)[0].names,
     "fit then predict": lambda t: t.fit.predict(t.held.joints).positions.shape == (20, 1, 3),
     "predict of a fit": lambda t: np.array_equal(calib.predict(t.fit, t.held).std, t.fit.predict(t.held.joints).std),
+    "predict of measurements": lambda t: np.array_equal(t.fit.predict(t.held).std, t.fit.predict(t.held.joints).std),
     "predict of a list": lambda t: t.fit.predict([[0.0] * 6]).positions.shape == (1, 1, 3),
     "predict of a robot": lambda t: np.all(np.isnan(calib.predict(t.robot, t.held).std)),
     "predict of one pose": lambda t: calib.predict(t.fit, t.held.joints[0]).positions.shape == (1, 1, 3),
     "score on held-out rows": lambda t: t.fit.validation.table()["after"]["rms"] < 0.1,
     "folds with a seed": lambda t: calib.fit(t.robot, t.data, folds=2, seed=3).folds.seed == 3,
     "starts with a seed": lambda t: calib.fit(t.robot, t.used, starts=2, seed=3).seed == 3,
+    "a fit is pickled": lambda t: str(pickle.loads(pickle.dumps(t.fit))) == str(t.fit),
+    "a robot is copied": lambda t: copy.deepcopy(t.robot).parameters == t.robot.parameters,
     # lmfit: parameters by name, reports, intervals, covariance
     "value": lambda t: 0.43 < t.fit.parameters["joint_3.z"].value < 0.45,
     "std": lambda t: t.fit.parameters["joint_3.z"].std > 0,
@@ -282,9 +304,9 @@ GUESSES = {
     "html of a fit": lambda t: "joint_3.z" in t.fit._repr_html_(),
     "hold": lambda t: calib.fit(t.robot.hold("joint_3.z"), t.used).parameters["joint_3.z"].status == "held",
     "free again": lambda t: np.all(t.robot.hold("joint_3.z").free("joint_3.z").is_free),
-    "prior": lambda t: (
-        next(p.sigma for p in t.robot.with_prior("joint_3.z", "1 um").parameters if p.name == "joint_3.z") == 1e-6
-    ),
+    "parameter of a robot": lambda t: t.robot.parameters["joint_3.z"].nominal == 0.44,
+    "parameters of a robot in a row": lambda t: t.robot.parameters[:2] == tuple(t.robot.parameters)[:2],
+    "prior": lambda t: t.robot.with_prior("joint_3.z", "1 um").parameters["joint_3.z"].sigma == 1e-6,
     "values into a robot": lambda t: t.robot.with_parameters({"joint_3.z": 0.441}).values.max() >= 0.441,
     "kwargs of fit": lambda t: calib.fit(t.robot, t.used, loss="huber", sigma=3e-5).converged,
     # the words of the command line
@@ -299,6 +321,11 @@ GUESSES = {
     "sample within": lambda t: np.all(
         np.abs(calib.sample(t.robot, 5, seed=1, within={"joint_1": (-0.1, 0.1)}).joints[:, 0]) <= 0.1
     ),
+    "sample of a robot": lambda t: np.array_equal(t.robot.sample(5, seed=1), calib.sample(t.robot, 5, seed=1).joints),
+    "sample of a robot within": lambda t: np.all(
+        t.robot.positions(t.robot.sample(5, seed=1, within={"reflector_z": (0.2, 0.4)}))[..., 2] <= 0.4
+    ),
+    "select from a sample": lambda t: len(calib.select(t.robot, t.robot.sample(60, seed=1), count=20)) == 20,
     "simulate": lambda t: len(calib.simulate(t.robot, t.candidates, 3e-5, seed=1)) == 40,
     "solve": lambda t: np.all(calib.solve(t.fit.robot, t.fit.robot.positions(t.held.joints[:2])[:, 0]).ok),
     "forward": lambda t: t.fit.robot.forward(t.held.joints[0], "reflector").shape[-2:] == (4, 4),

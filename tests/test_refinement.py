@@ -1,9 +1,13 @@
 """Poses off the grid: better, and never outside of what is allowed."""
 
+import pickle
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from small_robots import small_arm
 
+import calib
 from calib.pose_choice.refinement import refine
 from calib.pose_choice.region import region_of
 from calib.pose_choice.selection import select
@@ -82,3 +86,42 @@ def test_poses_off_a_surface_of_candidates_stay_near_it(medrue, moved):
     nearest = np.linalg.norm(moved.positions - points, axis=2).min(axis=1)  # (12, 1, 3) - (140, 3)
     assert nearest.max() > 1e-3
     assert nearest.max() <= np.percentile(gaps.min(axis=0), 95) * (1 + 1e-6)
+
+
+class Posting(Executor):
+    """Sends work as to another computer, and loses every fifth piece of it on the way."""
+
+    def __init__(self):
+        self.sent = 0
+
+    def submit(self, function, /, *arguments, **named):
+        future, self.sent = Future(), self.sent + 1
+        if self.sent % 5 == 0:
+            future.set_exception(ConnectionError("the line broke"))
+        else:
+            function, arguments = pickle.loads(pickle.dumps((function, arguments)))
+            future.set_result(pickle.loads(pickle.dumps(function(*arguments, **named))))
+        return future
+
+
+def test_numbers_do_not_depend_on_who_works(tmp_path, monkeypatch):
+    monkeypatch.setattr("calib.pose_choice.refinement._CHUNK", 30)
+    arm, told = small_arm(tmp_path), []
+    q = np.random.default_rng(0).uniform([-2, 0.1, -2], [2, 0.9, 2], (30, 3))
+    given = {"count": 6, "off_grid": True, "starts": 3, "sigma": 1e-4}
+    alone = select(arm, q, **given, progress=lambda done, total: told.append((done, total)))
+    assert told[:3] == [(1, 3), (2, 3), (3, 3)]
+    assert told[-1] == (6, 6)
+    posting = Posting()
+    with ThreadPoolExecutor(2) as threads:
+        for executor in (posting, threads):
+            shared = select(arm, q, **given, executor=executor)
+            np.testing.assert_array_equal(shared.joints, alone.joints)
+            assert shared.after == alone.after
+            assert [run.history for run in shared.runs] == [run.history for run in alone.runs]
+    assert posting.sent > 20
+
+
+def test_no_process_at_all_cannot_choose(tmp_path):
+    with pytest.raises(calib.InputError, match="executor 0: must be an executor"):
+        select(small_arm(tmp_path), np.zeros((3, 3)), 2, executor=0)

@@ -51,7 +51,7 @@ columns: {"T": "turn [deg]"}
 def _without_pages():
     """Report pages take seconds, and have tests of their own."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calib.commands.pictures.entry_points", lambda group: ())
+        patch.setattr("calib.pictures.entry_points", lambda group: ())
         yield
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.commands.pictures import figures
 from calib.data.in_memory import as_poses
+from calib.pictures import figures
 from calib.pose_choice.assessment import check
 from calib.pose_choice.selection import select
 from medrue.workspace import target_workspace
@@ -60,6 +60,6 @@ def test_the_engine_finds_them_by_entry_point(selection):
 
 
 def test_without_anything_that_draws_it_is_said(monkeypatch, selection):
-    monkeypatch.setattr("calib.commands.pictures.entry_points", lambda group: ())
+    monkeypatch.setattr("calib.pictures.entry_points", lambda group: ())
     with pytest.raises(calib.InputError, match="nothing that draws is installed"):
         figures(selection)

@@ -59,6 +59,9 @@ class TwoValleys:
     def __init__(self, scale=1.0):
         self.unknowns = One(scale)
 
+    def apart(self):
+        return self
+
     def moved(self, start, unknowns, u):
         return Point(float(unknowns.scale * u[0]))
 

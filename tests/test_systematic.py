@@ -3,6 +3,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from scipy.stats import f
 from six_axis_arm import FREE, YAML, joints, measurements, six_axis_arm, write_six_axis
 
 import calib
@@ -101,6 +102,23 @@ def test_a_joint_that_slipped_while_measuring_is_found(arm):
     found = findings(fitted(arm, q))
     assert (found[0].kind, found[0].name) == ("zero", "j3")
     assert "joint j3 that changes in the course of" in describe(found[0], arm.mechanism.dimensions)
+
+
+def test_a_wave_is_tested_as_if_its_columns_were_written_out(arm):
+    q = joints(80)
+    fit = fitted(arm, q + 2e-4 * np.eye(6)[1] * np.sin(7 * q[:, 1:2]))
+    found = next(p for p in fit.patterns if (p.kind, p.detail) == ("wave", "7 cycles a turn"))
+    by_joint = fit.setting.whitened({"ball": fit.setting.observed["ball"].by_joint})[:, 1]
+    z = by_joint[:, None] * np.repeat(np.column_stack([np.sin(7 * q[:, 1]), np.cos(7 * q[:, 1])]), 3, axis=0)
+    r = fit.linear.rows.residuals
+    left = z - fit.linear.pulled @ (fit.linear.pulled.T @ z)
+    coefficients = np.linalg.solve(z.T @ left, z.T @ r)
+    gain = r @ z @ coefficients
+    variance_ratio = (gain / 2) / ((r @ r - gain) / (fit.linear.freedom - 2))
+    assert found.amount == pytest.approx(np.linalg.norm(coefficients), rel=1e-9)
+    assert found.p_value == pytest.approx(
+        min(1.0, 3 * 120 * 6 * f.sf(variance_ratio, 2, fit.linear.freedom - 2)), rel=1e-6
+    )
 
 
 def test_good_data_show_a_pattern_in_one_set_of_a_hundred(arm):

@@ -3,6 +3,7 @@
 `python tests/test_term_choice.py choice` and `... coverage` print the tables of docs/theory/joint_terms.md.
 """
 
+import re
 import sys
 import tempfile
 from dataclasses import replace
@@ -13,7 +14,8 @@ import pytest
 from test_compliance import arm, torques, upright_five_bar
 
 import calib
-from calib.identification.candidate_terms import candidates
+from calib.identification.candidate_terms import Candidate, candidates
+from calib.identification.term_choice import _Search, _Trial
 from calib.identification.validation import boxes, stretches
 from calib.joint_terms.coupling import CouplingSection
 from calib.joint_terms.terms import listed_terms
@@ -131,14 +133,41 @@ def test_which_joint_drives_which_is_found():
     assert all(abs(value[k]) < 4 * std[k] for k in others)
 
 
-def test_terms_that_the_data_cannot_tell_apart_are_named(tmp_path):
+@pytest.mark.parametrize(("there", "number", "other"), [("gain", 28, "harmonics"), ("harmonics", 7, "gain")])
+def test_of_terms_that_look_alike_the_likelier_is_added_and_the_other_named(tmp_path, there, number, other):
     robot = five_bar(tmp_path)  # its motors turn through half a radian to either side
-    _, data, _ = simulated(robot, ("gain",), np.random.default_rng([2, 17]))
+    _, data, _ = simulated(robot, (there,), np.random.default_rng([2, number]))
     fit = calib.fit(robot, data, terms="auto")
-    gain = next(one for one in fit.terms.tried if one.term == "gain")
-    assert gain.added
-    assert "harmonics" in gain.alike
-    assert "the data cannot tell it from harmonics" in " ".join(fit.report().split())
+    told = next(one for one in fit.terms.tried if one.term == there)
+    assert told.added
+    assert other in told.alike
+    named = re.search(r"the data cannot tell it from ([a-z, ]+)", " ".join(fit.report().split()))
+    assert other in named[1]
+
+
+class Tabled(_Search):
+    """A search among terms whose evidence and errors on blocks left out are made up: boxes, and whole setups."""
+
+    def __init__(self, table):
+        self.tried = tuple(Candidate(term, sections=()) for term in ("gain", "harmonics", "curve"))
+        self.table = table
+
+    def trial(self, terms):
+        evidence, *squares = self.table["".join(sorted(term[0] for term in terms))]
+        squares = tuple(np.full(4, value) for value in squares)
+        return _Trial(terms, evidence, len(terms), dict.fromkeys(terms, 1.0), squares, tuple(map(np.sum, squares)))
+
+
+def test_what_would_make_an_added_term_superfluous_is_not_added():
+    table = {"": (0, 40, 40), "g": (50, 30, 30), "h": (40, 31, 30), "c": (20, 36, 39)}
+    search = Tabled({**table, "gh": (70, 28, 20), "cg": (55, 29, 29), "ch": (75, 26, 35), "cgh": (90, 27, 19)})
+    chosen, brought = search.chosen()  # beside curve and harmonics, gain makes boxes worse: 27 in place of 26
+    assert chosen.terms == ("gain", "harmonics")
+    assert [after.evidence - before.evidence for before, after in brought.values()] == [50, 20]
+    left_out = search.told(search.tried[2], chosen, brought)
+    assert left_out.why == "beside it gain would not earn its place: poses of blocks left out are not predicted better"
+    search = Tabled({**table, "gh": (70, 28, 20), "cg": (55, 29, 29), "ch": (75, 26, 35), "cgh": (90, 25, 19)})
+    assert search.chosen()[0].terms == ("gain", "harmonics", "curve")
 
 
 def test_through_a_loop_too_nothing_is_added_where_there_is_nothing(tmp_path):

@@ -45,7 +45,7 @@ def arm():
 @pytest.fixture(scope="module")
 def folder(arm, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calib.commands.pictures.entry_points", lambda group: ())  # pages have tests of their own
+        patch.setattr("calib.pictures.entry_points", lambda group: ())  # pages have tests of their own
         path = tmp_path_factory.mktemp("result") / "arm"
         arm[2].save(path)
     return path

@@ -101,6 +101,26 @@ def test_results_come_in_the_order_of_the_items() -> None:
         assert list(in_order(abs, items, threads)) == [3, 1, 2, 5]
 
 
+def test_there_are_no_more_processes_than_pieces_of_work() -> None:
+    with Workers(8, pieces=1) as executor:
+        assert executor is None
+    with Workers(8, pieces=2) as executor:
+        list(in_order(abs, [-1, -2, -3], executor))
+        assert len(multiprocessing.active_children()) == 2
+    with ThreadPoolExecutor(1) as threads, Workers(threads, pieces=0) as executor:
+        assert executor is threads
+
+
+def test_progress_is_told_after_each_item_whoever_works() -> None:
+    for executor in (None, Forgetful([-2])):
+        told = list[tuple[int, int]]()
+        results = in_order(abs, [-1, -2, -3], executor, lambda done, total, told=told: told.append((done, total)))
+        assert next(results) == 1
+        assert told == [(1, 3)]
+        assert list(results) == [2, 3]
+        assert told == [(1, 3), (2, 3), (3, 3)]
+
+
 def test_what_is_lost_is_sent_again_and_what_is_done_is_kept() -> None:
     executor = Forgetful([-2, 5, 5])
     assert list(in_order(abs, [-3, 1, -2, 5], executor)) == [3, 1, 2, 5]

@@ -79,7 +79,7 @@ def errors_on_same_rows(found: ResultComparison) -> Plot:
         axes.plot(np.sort(sizes), part, line, color=colour, label=shortened(name, 40), drawstyle="steps-post")
     axes.set(xscale="log", xlabel=f"error after calibration [{found.unit}]", ylabel="smaller in [% of readings]")
     plain_ticks(axes.xaxis)
-    figure.legend(loc="outside upper center", ncols=3)
+    figure.legend(loc="upper center", ncols=3)
     return finished(
         "same-rows",
         "Errors on the same readings",

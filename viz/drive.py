@@ -3,6 +3,10 @@
 The page follows the loops itself, from a pose in which they are closed, in small steps of the motors with Newton's
 method at each (`templates/drive.js`, the same equations as `calib.model.loops`). It stops where a loop does not close,
 a passive joint meets its limit, or the next step would pass a singularity, behind which another assembly mode begins.
+
+What joints of the calibrated robot do beside what they are told is a sum of functions of one motor each, but for what
+gravity bends. The page gets these as tables, and takes cubics between their numbers. Conditions are neutral, as for
+`Robot.positions` without a context: from neither side, at 20 degC, at the time 0.
 """
 
 from __future__ import annotations
@@ -14,8 +18,30 @@ import numpy as np
 
 from calib import Robot
 from calib.arrays import FloatArray
+from calib.joint_terms.term import Context
 from calib.model.mechanism import RelativeFrame
 from viz.bodies import Bodies
+
+_TABLE_STEP = 5e-3  # of a motor [rad, or characteristic lengths]: 60 waves a turn of 1 mrad are met to 2e-7 rad
+_NEGLIGIBLE = 1e-12  # error of a joint that needs no table [m or rad]
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorTable:
+    """Error of one motor as a function of what one is told.
+
+    Attributes:
+        joint: Number of the motor that is off.
+        by: Number of the motor whose command decides.
+        low, step: Commands at which the errors stand, from the first on [m or rad].
+        errors: (n,) [m or rad].
+    """
+
+    joint: int
+    by: int
+    low: float
+    step: float
+    errors: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +59,9 @@ class Drive:
         home: Motors at home, (n_actuated,) [m or rad].
         targets: Name and body of each target.
         length: Characteristic length [m].
-        terms: Whether joints of the calibrated robot do something beside what they are told, which a page leaves out.
+        tables: What joints of the robot that is drawn solid do beside what they are told.
+        remarks: What the page cannot know of that, or leaves out.
+        complete: Whether nothing is left out, so that positions are those of the robot.
     """
 
     by_actuated: FloatArray
@@ -48,7 +76,9 @@ class Drive:
     home: FloatArray
     targets: tuple[tuple[str, int], ...]
     length: float
-    terms: bool
+    tables: tuple[ErrorTable, ...]
+    remarks: tuple[str, ...]
+    complete: bool
 
     def to_dict(self) -> dict[str, Any]:
         """Return the drive as the page's script reads it; limits that are none are null."""
@@ -65,7 +95,9 @@ class Drive:
             "home": self.home.tolist(),
             "targets": [{"name": name, "body": body} for name, body in self.targets],
             "length": self.length,
-            "terms": self.terms,
+            "tables": [vars(one) | {"errors": np.round(one.errors, 13).tolist()} for one in self.tables],
+            "remarks": list(self.remarks),
+            "complete": self.complete,
         }
 
 
@@ -81,10 +113,11 @@ def drive_of(robot: Robot, bodies: Bodies, shown: FloatArray) -> Drive:
     names = [mechanism.origin_names[joint] for joint in moving]
     joints = {joint.name: joint for joint in robot.urdf.joints}
     sliding = np.array([joints[name].type == "prismatic" for name in robot.joint_names], dtype=bool)
-    reach = np.where(sliding, mechanism.length, np.pi)  # to both sides of home, where there are no limits
+    way = np.where(sliding, mechanism.length, np.pi)  # to both sides of home, where there are no limits
     low, high = (np.array([getattr(joints[name], end) for name in robot.joint_names]) for end in ("lower", "upper"))
-    low = np.where(np.isfinite(low), low, robot.home - reach)
-    high = np.where(np.isfinite(high), high, robot.home + reach)
+    low = np.where(np.isfinite(low), low, robot.home - way)
+    high = np.where(np.isfinite(high), high, robot.home + way)
+    reach = np.stack([np.min([low, *shown], axis=0), np.max([high, *shown], axis=0)])
     return Drive(
         mechanism.select_actuated[moving],
         mechanism.select_passive[moving],
@@ -94,9 +127,47 @@ def drive_of(robot: Robot, bodies: Bodies, shown: FloatArray) -> Drive:
         np.stack([mechanism.lower, mechanism.upper]),
         tuple((~mechanism.is_metre_column).tolist()),
         tuple(sliding.tolist()),
-        np.stack([np.min([low, *shown], axis=0), np.max([high, *shown], axis=0)]),
+        reach,
         robot.home,
         tuple((name, target.b) for name, target in zip(robot.target_names, mechanism.targets, strict=True)),
         mechanism.length,
-        bool(robot.terms),
+        _tables(robot, reach),
+        _remarks(robot),
+        not any(term.needs_torque for term in robot.terms),
     )
+
+
+def _tables(robot: Robot, reach: FloatArray) -> tuple[ErrorTable, ...]:
+    """Errors of motors, as far as they are functions of one motor each, over what these can be moved through."""
+    if not robot.terms:
+        return ()
+    at_home = _errors(robot, robot.home[None])[0]
+    found = []
+    for k, scale in enumerate(robot.mechanism.joint_scale):
+        count = 4 + int(np.ptp(reach[:, k]) / (_TABLE_STEP * scale))
+        q = np.tile(robot.home, (count, 1))
+        q[:, k] = np.linspace(reach[0, k], reach[1, k], count)
+        errors = _errors(robot, q) - at_home
+        errors[:, k] += at_home[k]
+        for j in np.flatnonzero(np.max(np.abs(errors), axis=0) > _NEGLIGIBLE):
+            found.append(ErrorTable(int(j), k, float(q[0, k]), float(q[1, k] - q[0, k]), errors[:, j]))
+    return tuple(found)
+
+
+def _errors(robot: Robot, q: FloatArray) -> FloatArray:
+    """What motors are off when told q, without what gravity does, under neutral conditions, (n, n_actuated)."""
+    n, names = len(q), robot.joint_names
+    neutral = Context.neutral(n, len(names))
+    columns = tuple(
+        np.zeros((n, len(term.parameters))) if term.needs_torque else term.columns(q, names.index(term.joint), neutral)
+        for term in robot.terms
+    )
+    return robot.actual(q, columns) - q
+
+
+def _remarks(robot: Robot) -> tuple[str, ...]:
+    """What the page says about joint terms that do not follow from the motors."""
+    torque = sorted({term.joint for term in robot.terms if term.needs_torque})
+    told = [f"Left out here: what gravity bends in {', '.join(torque)}."] if torque else []
+    kinds = sorted({term.depends_on for term in robot.terms} - {"", "another joint", "the load"})
+    return (*told, f"Not known here, and taken as neutral: {', '.join(kinds)}.") if kinds else tuple(told)

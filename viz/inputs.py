@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from calib import Fit, Measurements, Robot
@@ -83,7 +84,7 @@ def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None, ma
     """A failed result is shown, too: to look at it is how one finds out why; its verdict is shown with it."""
     model = load_calibrated(folder, robot, failed_too=True)
     uncertainty = load_uncertainty(folder, model)
-    calibrated = Calibrated(model, lambda q: uncertainty.at(model, q))
+    calibrated = Calibrated(model, partial(uncertainty.at, model))
     content, saved = read_result(folder), read_saved(folder, robot)
     if data is None:
         placed = _placed(robot, saved.sets[IDENTIFICATION].data)

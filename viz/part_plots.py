@@ -132,7 +132,7 @@ def residual_by_joint(errors: PartErrors, joints: tuple[Joint, ...]) -> Plot:
     for axes in panels[len(joints) :]:
         axes.set_visible(False)
     if joints:
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, markerscale=2.5)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="upper center", ncols=3, markerscale=2.5)
     return finished(
         *errors.called("residual-by-joint", "Residuals against each joint"),
         "A curve instead of a cloud points at an error of that joint that no parameter describes." + note,

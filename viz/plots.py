@@ -69,7 +69,7 @@ def histogram(table: PoseTable) -> Plot:
     """Number of poses over the size of their error, before and after."""
     figure, (axes,) = new_figure(1, 1, (8.9, 2.6))
     draw_histogram(axes, table)
-    figure.legend(loc="outside upper center", ncols=2)
+    figure.legend(loc="upper center", ncols=2)
     return finished(
         "histogram",
         "Error before and after",
@@ -111,7 +111,7 @@ def error_by_pose(table: PoseTable) -> Plot:
             axes.set_title(shortened(Path(name).name), loc="left")
     entries = [zip(*axes.get_legend_handles_labels(), strict=True) for axes in panels]
     marks = {label: mark for panel in entries for mark, label in panel}
-    figure.legend(marks.values(), marks, loc="outside upper center", ncols=5)
+    figure.legend(marks.values(), marks, loc="upper center", ncols=5)
     several = " Of several points, the largest error is drawn." if len(set(table.targets)) > 1 else ""
     return finished(
         "error-by-pose",

@@ -121,7 +121,7 @@ def from_saved(saved: Saved, placed: Robot, calibrated: Calibrated) -> PoseTable
                 placed,
                 _position_errors(errors, "before"),
                 _position_errors(errors, "after"),
-                calibrated.predict(errors.data.joints),
+                calibrated.predict(errors.data.joints, errors.data.conditions),
                 saved.sigmas,
                 saved.outliers[group],
             )
@@ -151,7 +151,7 @@ def _judged(group: str, data: Measurements, placed: Robot, calibrated: Calibrate
     if calibrated is None:
         unknown = {name: np.full_like(errors, np.nan) for name, errors in before.items()}
         return _rows(_Set(group, data, placed, before, unknown, None, sigmas))
-    after, predictions = _points_off(calibrated.robot, data), calibrated.predict(data.joints)
+    after, predictions = _points_off(calibrated.robot, data), calibrated.predict(data.joints, data.conditions)
     return _rows(_Set(group, data, placed, before, after, predictions, sigmas))
 
 

@@ -22,11 +22,11 @@ class Calibrated:
 
     Attributes:
         robot: The robot.
-        predict: Predicts positions at actuated joints (n, n_actuated), with their covariance.
+        predict: Predicts positions with their covariance, at actuated joints (n, n_actuated), under conditions if any.
     """
 
     robot: Robot
-    predict: Callable[[FloatArray], PositionUncertainty]
+    predict: Callable[..., PositionUncertainty]
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,11 @@ sight are searched and nothing is sorted, so it takes a tenth of a second for a 
 from __future__ import annotations
 
 import base64
-import io
+import struct
+import zlib
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.arrays import FloatArray, IntArray
 from viz.poses import IDENTIFICATION
@@ -22,7 +24,8 @@ WIDTH, HEIGHT = 600, 500  # of the picture [px]
 _FINER = 2  # cells of the buffer per pixel, along each side
 _DENSER = 1.25  # samples per cell, along each side of a triangle
 _STEP = 1.3  # counts of samples differ by such a factor: triangles with the same counts are drawn at once
-_AT_ONCE = 1_000_000  # samples
+_MOST_STEPS = 1 << 20  # along a side; a picture has thousands of cells
+_AT_ONCE = 100_000  # samples
 _MARGIN = 0.04
 _LIGHT = np.array([0.35, 0.8, 0.55]) / np.linalg.norm([0.35, 0.8, 0.55])  # in the camera's axes: right, up, towards it
 _SHADOW = 0.45  # brightness of what is turned away from the light
@@ -31,6 +34,7 @@ _CORNERS = [[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 
 _BOX = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
         [1, 5, 7], [1, 7, 3]]  # fmt: skip
 _POINT = 2.9  # radius of a measured point [px]
+_Samples = NDArray[np.float32]
 
 
 def picture_of(scene: Scene, pose: int = 0) -> str:
@@ -57,26 +61,35 @@ def picture_of(scene: Scene, pose: int = 0) -> str:
 
 
 class _Buffer:
-    """Colour and depth of every cell; x to the right, y upwards, z towards the camera."""
+    """Depth of every cell, and the number of the colour that it shows; x to the right, y upwards, z to the camera.
+
+    Depths have single precision: there are millions of samples, and cells are what counts.
+    """
 
     def __init__(self) -> None:
         self._width, self._height = _FINER * WIDTH, _FINER * HEIGHT
-        self._depth = np.full(self._width * self._height, -np.inf)
-        self._colour = np.zeros((self._width * self._height, 4))
+        self._depth = np.full(self._width * self._height, -np.inf, dtype=np.float32)
+        self._shown = np.zeros(self._width * self._height, dtype=np.int32)  # the first colour: none
+        self._colours = np.zeros((1, 3), dtype=np.float32)
 
     def triangles(self, corners: FloatArray, colours: FloatArray) -> None:
         """Draw triangles (m, 3, 3) [cells] in colours (m, 3)."""
-        corners = _longest_side_first(corners)
+        numbers = self._number(colours)
+        corners = _longest_side_first(corners).astype(np.float32)
         along, across = _sides(corners[..., :2])
         wanted = np.maximum(_DENSER * np.stack([along, across], axis=1), 1.0)
         steps = np.ceil(_STEP ** np.ceil(np.log(wanted) / np.log(_STEP))).astype(int)  # few different ones
-        for n_along, n_across in np.unique(steps, axis=0):
-            s, t = np.meshgrid(np.linspace(0, 1, n_along + 1), np.linspace(0, 1, n_across + 1))
+        pairs, of_triangle = np.unique(steps @ [_MOST_STEPS, 1], return_inverse=True)
+        for pair, (n_along, n_across) in enumerate(zip(*np.divmod(pairs, _MOST_STEPS), strict=True)):
+            s, t = np.meshgrid(
+                np.linspace(0, 1, n_along + 1, dtype=np.float32), np.linspace(0, 1, n_across + 1, dtype=np.float32)
+            )
             weights = np.stack([(1 - t) * (1 - s), (1 - t) * s, t], axis=-1).reshape(-1, 3)  # of the corners
-            chosen = np.flatnonzero((steps == (n_along, n_across)).all(axis=1))
-            for part in np.array_split(chosen, -(-len(chosen) * len(weights) // _AT_ONCE)):
-                samples = np.einsum("kc,mcx->mkx", weights, corners[part])
-                self._put(samples.reshape(-1, 3), np.repeat(colours[part], len(weights), axis=0))
+            chosen = np.flatnonzero(of_triangle == pair)
+            for part in np.array_split(chosen, min(len(chosen), -(-len(chosen) * len(weights) // _AT_ONCE))):
+                samples = weights @ corners[part].transpose(1, 2, 0).reshape(3, -1)
+                x, y, depth = samples.reshape(-1, 3, len(part)).transpose(1, 0, 2).reshape(3, -1)
+                self._put(x, y, depth, np.tile(numbers[part], len(weights)))
 
     def discs(self, places: FloatArray, colours: FloatArray) -> None:
         """Draw a disc at each place (n, 3) [cells]."""
@@ -86,28 +99,57 @@ class _Buffer:
         distance = np.linalg.norm(grid, axis=1)
         disc = np.column_stack([grid, np.full(len(grid), radius)])[distance <= radius]
         edge = distance[distance <= radius] > radius - 1.2 * _FINER / 2
-        shades = np.where(edge[None, :, None], 1.0, colours[:, None, :])
-        self._put((places[:, None] + disc[None]).reshape(-1, 3), shades.reshape(-1, 3))
+        white = self._number(np.ones((1, 3)))
+        numbers = np.where(edge, white, self._number(colours)[:, None])
+        x, y, depth = (places[:, None] + disc).reshape(-1, 3).astype(np.float32).T
+        self._put(x, y, depth, numbers.ravel())
 
-    def _put(self, samples: FloatArray, colours: FloatArray) -> None:
-        x, y = np.floor(samples[:, 0]).astype(int), np.floor(samples[:, 1]).astype(int)
+    def _number(self, colours: FloatArray) -> IntArray:
+        """Keep colours (m, 3), and return their numbers, (m,)."""
+        first = len(self._colours)
+        self._colours = np.concatenate([self._colours, colours.astype(np.float32)])
+        return np.arange(first, len(self._colours), dtype=np.int32)
+
+    def _put(self, x: _Samples, y: _Samples, depth: _Samples, numbers: IntArray) -> None:
+        """Show samples (n,) [cells] where nothing is nearer, in colours of these numbers, (n,)."""
         inside = (x >= 0) & (x < self._width) & (y >= 0) & (y < self._height)
-        cell, depth, colours = ((self._height - 1 - y) * self._width + x)[inside], samples[inside, 2], colours[inside]
+        if not np.all(inside):
+            x, y, depth, numbers = x[inside], y[inside], depth[inside], numbers[inside]
+        cell = (self._height - 1 - y.astype(np.int32)) * self._width + x.astype(np.int32)
         np.maximum.at(self._depth, cell, depth)
-        nearest = depth == self._depth[cell]
-        self._colour[cell[nearest]] = np.column_stack([colours[nearest], np.ones(int(nearest.sum()))])
+        nearest = np.flatnonzero(depth == self._depth[cell])
+        self._shown[cell[nearest]] = numbers[nearest]
 
     def png(self) -> bytes:
         """Return the picture; where nothing was drawn it is clear."""
-        from matplotlib.image import imsave
+        cells = np.flatnonzero(self._shown)
+        lines, columns = np.divmod(cells, self._width)
+        pixels = lines // _FINER * WIDTH + columns // _FINER
+        painted = np.zeros((HEIGHT * WIDTH, 4))
+        painted[:, 3] = np.bincount(pixels, minlength=len(painted))
+        for channel, values in enumerate(self._colours[self._shown[cells]].T):
+            painted[:, channel] = np.bincount(pixels, weights=values, minlength=len(painted))
+        painted[:, :3] *= _FINER**2 / np.maximum(painted[:, 3:], 1.0)
+        return _png(np.round(painted * (255 / _FINER**2)).astype(np.uint8).reshape(HEIGHT, WIDTH, 4))
 
-        cells = self._colour.reshape(HEIGHT, _FINER, WIDTH, _FINER, 4)
-        cover = cells[..., 3].mean(axis=(1, 3))
-        painted = cells[..., :3].sum(axis=(1, 3)) / np.maximum(_FINER**2 * cover, 1.0 / _FINER**2)[..., None]
-        stream = io.BytesIO()
-        picture = np.round(255 * np.clip(np.dstack([painted, cover]), 0, 1)).astype(np.uint8)
-        imsave(stream, picture, format="png")
-        return stream.getvalue()
+
+def _png(pixels: NDArray[np.uint8]) -> bytes:
+    """Return a picture (height, width, 4) of red, green, blue and opacity as a PNG file."""
+    height, width, _ = pixels.shape
+    lines = np.zeros((height, 1 + 4 * width), dtype=np.uint8)  # each opens with its filter
+    lines[:, 0] = 1  # bytes are differences to the pixel on the left: shorter once packed
+    lines[:, 1:5] = pixels[:, 0]
+    lines[:, 5:] = np.diff(pixels, axis=1).reshape(height, -1)
+    parts = {
+        b"IHDR": struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0),
+        b"IDAT": zlib.compress(lines.tobytes()),
+        b"IEND": b"",
+    }
+    written = (
+        struct.pack(">I", len(part)) + name + part + struct.pack(">I", zlib.crc32(name + part))
+        for name, part in parts.items()
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(written)
 
 
 def _camera(scene: Scene) -> FloatArray:
@@ -199,10 +241,8 @@ def _shaded(corners: FloatArray, colours: FloatArray) -> FloatArray:
 
 def _points(scene: Scene) -> tuple[FloatArray, FloatArray]:
     """Measured points (n, 3) [m], and their colours by whether they were used, (n, 3)."""
-    from matplotlib.colors import to_rgb
-
     table = scene.poses
     known = np.isfinite(table.measured).all(axis=1)
     used = np.array([group == IDENTIFICATION for group in table.group], dtype=bool)
-    colours = np.where(used[:, None], to_rgb(BLUE), to_rgb(ORANGE))
+    colours = np.where(used[:, None], *(np.array(list(bytes.fromhex(colour[1:]))) / 255 for colour in (BLUE, ORANGE)))
     return table.measured[known], colours[known]

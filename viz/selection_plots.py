@@ -62,6 +62,7 @@ def correlations(assessment: Assessment) -> Figure:
     names = [parameter.name for parameter in assessment.free_parameters]
     size = max(4.0, 0.17 * len(names) + 1.8)
     figure, (axes,) = new_figure(1, 1, (size + 0.8, size))
+    figure.set_layout_engine("constrained")  # for the bar of colours
     image = axes.imshow(assessment.known.correlations(), cmap="RdBu_r", vmin=-1, vmax=1)
     axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
     axes.set_yticks(range(len(names)), names, fontsize=7)

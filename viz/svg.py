@@ -14,6 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
+import numpy as np
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -26,6 +28,7 @@ STATES = {"before": (GREY, "--"), "after": (BLUE, "-")}
 """Colour and line of what was before calibration, and after."""
 
 _WIDEST_LABEL = 34  # letters under one of three panels
+_POINTS, _GAP = 72, 4.0  # to an inch, as in SVG files; between neighbours [points]
 _MOST_MARKS = 600  # drawn one by one; more would make the file large and the figure black
 _Arguments = ParamSpec("_Arguments")
 _Drawn = TypeVar("_Drawn")
@@ -80,7 +83,7 @@ def new_figure(rows: int, columns: int, size: tuple[float, float], **shared: Any
     """Return a figure of `size` [inch] and its panels, row by row; `shared` goes to `Figure.subplots`."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=size, layout="constrained")
+    figure = Figure(figsize=size, dpi=_POINTS)
     panels = figure.subplots(rows, columns, squeeze=False, **shared)
     return figure, list(panels.ravel())
 
@@ -92,6 +95,8 @@ def finished(name: str, title: str, text: str, figure: Figure) -> Plot:
 
 def svg_file(figure: Figure) -> bytes:
     """Return a figure as an SVG file; the same figure gives the same bytes."""
+    if figure.get_layout_engine() is None and all(axes.get_subplotspec() for axes in figure.axes):
+        _lay_out(figure)  # axes that were placed by hand stay
     stream = io.BytesIO()
     figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     return stream.getvalue()
@@ -104,6 +109,39 @@ def svg_text(figure: Figure, name: str, title: str) -> str:
     svg = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', svg)
     svg = re.sub(r'(xlink:href="#|url\(#)', rf"\g<1>{name}-", svg)
     return svg.replace("<svg ", f'<svg role="img" aria-label="{html.escape(title)}" ', 1)
+
+
+def _lay_out(figure: Any) -> None:
+    """Place panels of equal size so that their labels, and a legend above them, have room.
+
+    matplotlib's own layout can do more, but measures every text several times, which takes longer than drawing it.
+    """
+    from matplotlib.backends.backend_svg import RendererSVG
+
+    width, height = figure.bbox.size
+    renderer = RendererSVG(width, height, io.StringIO(), image_dpi=_POINTS)  # type: ignore[no-untyped-call]
+    figure.subplots_adjust(60 / width, 40 / height, 1 - 10 / width, 1 - 25 / height)  # nearly; ticks depend on it
+    above = _GAP + sum(legend.get_window_extent(renderer).height for legend in figure.legends)
+    panels = [axes for axes in figure.axes if axes.get_visible()]
+    grid = panels[0].get_gridspec()
+    left, right, below, over = np.zeros(grid.ncols), np.zeros(grid.ncols), np.zeros(grid.nrows), np.zeros(grid.nrows)
+    for axes in panels:
+        outer, inner, place = axes.get_tightbbox(renderer), axes.bbox, axes.get_subplotspec()
+        column, row = place.colspan.start, place.rowspan.start
+        left[column] = max(left[column], inner.x0 - outer.x0)
+        right[column] = max(right[column], outer.x1 - inner.x1)
+        below[row] = max(below[row], inner.y0 - outer.y0)
+        over[row] = max(over[row], outer.y1 - inner.y1)
+    beside = _GAP + np.max(right[:-1] + left[1:], initial=0.0)
+    between = _GAP + np.max(below[:-1] + over[1:], initial=0.0)
+    figure.subplots_adjust(
+        left=(_GAP + left[0]) / width,
+        right=1 - (_GAP + right[-1]) / width,
+        bottom=(_GAP + below[-1]) / height,
+        top=1 - (above + over[0]) / height,
+        wspace=beside * grid.ncols / (width - left[0] - right[-1] - 2 * _GAP - (grid.ncols - 1) * beside),
+        hspace=between * grid.nrows / (height - below[-1] - over[0] - above - _GAP - (grid.nrows - 1) * between),
+    )
 
 
 def plain_ticks(*axes: Any) -> None:

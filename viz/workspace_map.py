@@ -1,6 +1,6 @@
 """How wrong and how sure a robot is over its workspace: a cloud of positions that it can take, and what is known there.
 
-Poses are drawn at random with the calibrated robot (`calib.sample`): half of them within the joint limits, half within
+Poses are drawn at random with the calibrated robot (`Robot.sample`): half of them within the joint limits, half within
 the ranges that the joints had in the measured poses, which are often a small part of them. At each stand two numbers:
 how far the nominal robot would be from there, which is the error that calibration takes away, and the standard
 deviation of the predicted position, from noise alone. Beyond what was measured that is extrapolation, and what the
@@ -17,7 +17,6 @@ from itertools import combinations
 import numpy as np
 import scipy
 
-import calib
 from calib import Robot
 from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from viz.poses import Calibrated, PoseTable
@@ -64,9 +63,9 @@ def workspace_map(calibrated: Calibrated, nominal: Robot, table: PoseTable, coun
         DataError: A sliding joint has no limits, or hardly any pose can be assembled.
     """
     robot, measured_too = calibrated.robot, count // 2 if len(table) else 0
-    q = calib.sample(robot, count - measured_too, seed=SEED).joints
+    q = robot.sample(count - measured_too, SEED)
     if measured_too:
-        q = np.concatenate([q, calib.sample(robot, measured_too, seed=SEED, within=table.joints).joints])
+        q = np.concatenate([q, robot.sample(measured_too, SEED, within=table.joints)])
     known = calibrated.predict(q)
     targets = known.positions.shape[1]
     before = np.full_like(known.positions, np.nan)

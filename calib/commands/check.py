@@ -16,13 +16,13 @@ from calib.commands.common import (
     with_values,
 )
 from calib.commands.next_steps import after_check
-from calib.commands.pictures import figures
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Measurements
 from calib.errors import InputError
 from calib.files import check_folder, write_folder
 from calib.identification.blind_spots import unordered
 from calib.linearisation.observed import unsaid_touches
+from calib.pictures import figures
 from calib.pose_choice.assessment import check
 from calib.pose_choice.pose_sampling import sample
 from calib.reporting.assessment_text import text_report, to_dict

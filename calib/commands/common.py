@@ -30,6 +30,7 @@ from calib.model.robot import Robot
 from calib.observation.kind import Readings
 from calib.reporting.results import forced_lines, load, load_calibrated
 from calib.units import quantity
+from calib.workers import Progress
 
 SIGMA_HELP = (
     "Standard deviation of one position reading per axis [mm]; the description's if not given. Of positions only: other"
@@ -85,14 +86,14 @@ class Output:
             write_file(self.json_target, text)
 
     @contextmanager
-    def working(self, what: str) -> Iterator[None]:
-        """Show a spinner on a terminal while something takes its time."""
+    def working(self, what: str) -> Iterator[Progress]:
+        """Show a spinner on a terminal while something takes its time; tell what is given how far it is."""
         console = Console(stderr=True)
         if self.quiet or not console.is_terminal:
-            yield
+            yield lambda done, total: None
             return
-        with console.status(what):
-            yield
+        with console.status(what) as status:
+            yield lambda done, total: status.update(f"{what}: {done} of {total}")
 
 
 def shared_options(*, json_output: bool = False) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -145,6 +146,22 @@ def shared_options(*, json_output: bool = False) -> Callable[[Callable[..., None
         return run
 
     return decorate
+
+
+def jobs_option(shared: str, default: int = 1) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return the option --jobs.
+
+    Args:
+        shared: What the processes share.
+        default: How many of them, if not told.
+    """
+    return click.option(
+        "--jobs",
+        type=click.IntRange(min=1),
+        default=default,
+        show_default="all cores" if default > 1 else True,
+        help=f"Processes to share {shared}; the numbers do not depend on it.",
+    )
 
 
 def sigma_in_metres(sigma_mm: float, *, zero: bool = False) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from calib.commands import pictures
+from calib import pictures
 from calib.commands.common import Output, shared_options
 from calib.files import check_file, write_file
 from calib.reporting.result_differences import compare

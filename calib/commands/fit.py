@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from calib.calibration import fit
-from calib.commands.common import SIGMA_HELP, Output, loaded, shared_options, sigma_in_metres
+from calib.commands.common import SIGMA_HELP, Output, jobs_option, loaded, shared_options, sigma_in_metres
 from calib.commands.next_steps import after_fit
 from calib.data.measurement_files import read_measurements
 from calib.data.measurements import Measurements
@@ -56,6 +56,7 @@ from calib.words import counted
     show_default=True,
     help="Seed of the random choice of held-out poses, folds and starting points.",
 )
+@jobs_option("folds and starts")
 @click.option("--force", is_flag=True, help="Export calibrated.urdf even if the verdict is FAIL; it says so inside.")
 @click.option("--no-pages", is_flag=True, help="Write no report.html and no viewer.html, which take most of the time.")
 @click.option("--logo", metavar="FILE", help="PNG, JPEG or SVG image (up to 512 kB) to put into report.html.")
@@ -72,6 +73,7 @@ def command(
     exclude_outliers: bool,
     starts: int,
     seed: int,
+    jobs: int,
     force: bool,
     no_pages: bool,
     logo: str | None,
@@ -94,7 +96,7 @@ def command(
     if validate is not None:
         identification, validation = _hold_out(model, identification, validate, seed)
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
-    with output.working(f"fitting {counted(len(identification), 'pose')}"):
+    with output.working(f"fitting {counted(len(identification), 'pose')}") as progress:
         result = fit(
             model,
             identification,
@@ -106,6 +108,8 @@ def command(
             folds=folds,
             seed=seed,
             terms=terms,
+            executor=jobs,
+            progress=progress,
         )
     failed = result.verdict.grade == "FAIL"
     result.save(out, force=force, pages=not no_pages, logo=logo)

@@ -9,6 +9,7 @@ from calib.commands.common import (
     Output,
     different_poses,
     folder_of_values,
+    jobs_option,
     loaded,
     placed,
     read_pose_file,
@@ -17,13 +18,13 @@ from calib.commands.common import (
     with_values,
 )
 from calib.commands.next_steps import after_select
-from calib.commands.pictures import figures
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
 from calib.data.plan_files import read_plan
 from calib.data.tables import read_table
 from calib.errors import InputError, nearest
 from calib.files import check_file, check_folder, write_file, write_folder
+from calib.pictures import figures
 from calib.pose_choice.instrument_choice import ALL, EACH
 from calib.pose_choice.selection import select
 from calib.pose_choice.selection_scores import CHOICES
@@ -78,6 +79,7 @@ from calib.units import metres
     is_flag=True,
     help="Then move the chosen poses continuously, within joint limits and the range of the candidates.",
 )
+@jobs_option("starts and moves off the grid")
 @click.option(
     "--skip-unreachable", is_flag=True, help="List candidates that cannot be assembled, and go on without them."
 )
@@ -103,6 +105,7 @@ def command(
     starts: int,
     seed: int,
     off_grid: bool,
+    jobs: int,
     skip_unreachable: bool,
     sigma_mm: float | None,
     parameters: str | None,
@@ -128,7 +131,7 @@ def command(
     if parameters is None and result is None:
         model = placed(model, done, poses)
     poses = different_poses(read_plan(candidates, model))
-    with output.working(f"choosing from {len(poses)} poses"):
+    with output.working(f"choosing from {len(poses)} poses") as progress:
         selection = select(
             model,
             poses,
@@ -145,6 +148,8 @@ def command(
             off_grid=off_grid,
             skip_unreachable=skip_unreachable,
             sigma=sigma,
+            executor=jobs,
+            progress=progress,
         )
     table = read_table(candidates, model.description.columns)
     write_file(out, format_poses(model, selection, poses, table))

@@ -8,11 +8,11 @@ import time
 import click
 
 from calib.commands.common import SIGMA_HELP, Output, different_poses, loaded, shared_options, sigma_in_metres
-from calib.commands.pictures import Live, live
 from calib.data.measurement_files import read_measurements
 from calib.data.plan_files import read_plan
 from calib.errors import InputError
 from calib.files import write_file
+from calib.pictures import Live, live
 from calib.units import quantity
 from calib.watching.growing_file import GrowingFile
 from calib.watching.progress import Progress

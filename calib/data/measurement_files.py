@@ -17,7 +17,8 @@ import numpy as np
 from calib.arrays import FloatArray, IntArray
 from calib.data.in_memory import measurements
 from calib.data.instrument_cells import columns_in, concatenated, named_columns, readings_in, setups_of
-from calib.data.measurements import APPROACH, CONTEXT, Measurements, Poses, check_repeats
+from calib.data.measurement_columns import APPROACH, CONTEXT
+from calib.data.measurements import Measurements, Poses, check_repeats
 from calib.data.tables import Table, read_table
 from calib.errors import DataError, nearest
 from calib.model.robot import Robot
@@ -88,6 +89,12 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
     Raises:
         DataError: The message names file, line and column.
     """
+    for name in robot.joint_names:
+        if name not in table.names:
+            raise DataError(
+                f"{table.path}: no column '{name}'{nearest(name, table.names)}; under 'columns' a robot description"
+                " says what files call it"
+            )
     joints = np.stack([table.column(name, robot.mechanism.dimensions[name]) for name in robot.joint_names], axis=1)
     named = "pose" in table.names
     if named and "" in table.text("pose"):

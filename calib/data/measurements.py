@@ -6,26 +6,23 @@ pose; nothing is averaged. An instrument may have read nothing at a visit, and s
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Self
+from typing import Any, NoReturn, Self
 
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.data.grouping import shuffled_poses
-from calib.errors import DataError
+from calib.data.measurement_columns import approach_columns, condition_columns, pose_columns, reading_columns
+from calib.errors import DataError, InputError
 from calib.joint_terms.term import Context
 from calib.model.robot import Robot
 from calib.observation.kind import Instrument, Readings
-from calib.tabular import titled_html
+from calib.tabular import pandas, titled_html
 from calib.units import DISPLAY_UNIT, PER_SI, Dimension
 
-CONTEXT: dict[str, Dimension] = {"time": "time", "temperature": "temperature", "load": "mass"}
-"""Columns that say under which conditions a visit was made, and what they measure."""
-APPROACH = "approach_"
-"""Start of the names of columns that say from which side a joint came."""
 _JOINTS_AGREE: dict[Dimension, float] = {"length": 1e-3, "angle": 2e-3}
 """Largest spread of a joint among repeats of one pose [m, rad]; more means that they are different poses."""
 _MOVED = 1e-4  # change of a joint between two rows that counts as motion [m, rad]
@@ -42,7 +39,7 @@ class Poses(ReadOnlyArrays):
         path: Where they came from.
         ignored: Columns of the file that nothing was read from.
         comments: What the file says about itself, line by line.
-        context: Conditions of each visit, (n,) [SI] by name, of `CONTEXT`; NaN where not known.
+        context: Conditions of each visit, (n,) [SI] by name, of `CONTEXT` of columns; NaN where not known.
         approach: Direction in which each joint moved last before the visit, +1 or -1, 0 where not known,
             (n, n_actuated); None: not given.
         setups: Number of the setup of each visit, as the description counts them, (n,); None: the first.
@@ -84,6 +81,21 @@ class Poses(ReadOnlyArrays):
             return self.subset(np.atleast_1d(np.arange(len(self))[which]))
         except IndexError as error:
             raise DataError(f"{self.path}: {error}; it has {len(self)} rows") from None
+
+    def __array__(self, *_: object, **__: object) -> NoReturn:
+        raise InputError(f"{self.path}: {type(self).__name__} are no array; give .joints for the joint values alone")
+
+    def __iter__(self) -> Iterator[Self]:
+        return (self[k] for k in range(len(self)))
+
+    def columns(self, robot: Robot) -> dict[str, list[object]]:
+        """Return a table of the visits, in mm and degrees: the cells below each header, as in files."""
+        return pose_columns(robot, self.names, self.joints)
+
+    def to_dataframe(self, robot: Robot) -> Any:
+        """Return `columns` as a pandas table, empty cells as NaN; pandas missing is an `InputError`."""
+        columns = self.columns(robot)
+        return pandas().DataFrame({key: [np.nan if x == "" else x for x in cells] for key, cells in columns.items()})
 
     def subset(self, index: IntArray) -> Self:
         """Return the visits with these indices (n,), in this order."""
@@ -157,6 +169,17 @@ class Measurements(Poses):
 
     def _tables(self) -> tuple[list[dict[str, object]], ...]:
         return ([{"instrument": name, "readings": len(found)} for name, found in self.readings.items()],)
+
+    def columns(self, robot: Robot) -> dict[str, list[object]]:
+        """Return a table of what was read, in mm and degrees: the cells below each header, as in files.
+
+        Raises:
+            DataError: Simulated readings of an instrument that reads no numbers.
+        """
+        visits, read = reading_columns(robot, len(self), self.readings)
+        told = super().columns(robot)
+        told |= condition_columns(robot, len(self), self.setups, self.context) | approach_columns(robot, self.approach)
+        return {key: [cells[k] for k in visits] for key, cells in told.items()} | read
 
     def subset(self, index: IntArray) -> Self:
         """Return the visits with these indices (n,), in this order, with their readings."""
@@ -247,15 +270,6 @@ def of_visits(readings: Readings, index: IntArray) -> Readings:
 def in_setups(robot: Robot, one: Instrument, setups: IntArray) -> IntArray:
     """Return what the setup of each visit (n,) adds to the number of the pair that an instrument looks along, (n,)."""
     return setups * (len(robot.pairs(one)) // max(1, len(robot.description.setups)))
-
-
-def rank_in_visit(visits: IntArray) -> IntArray:
-    """Return how many readings before it each reading's visit has, (n,) -> (n,)."""
-    order = np.argsort(visits, kind="stable")
-    sorted_visits = visits[order]
-    result = np.empty(len(visits), dtype=np.intp)
-    result[order] = np.arange(len(visits)) - np.searchsorted(sorted_visits, sorted_visits)
-    return result
 
 
 def directions_of_motion(joints: FloatArray) -> FloatArray:

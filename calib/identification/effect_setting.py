@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.arrays import FloatArray, IntArray
 from calib.data.measurements import Measurements, Poses
 from calib.linearisation.observed import Observed
 from calib.linearisation.rows import Scales
@@ -56,9 +56,14 @@ class Setting:
 
     def per_visit(self, values: FloatArray) -> FloatArray:
         """Return values of the visits, (n_visits, ...), for each row."""
-        layout = self.whitening.layout
-        result: FloatArray = values[layout.visit[layout.reading]]
+        result: FloatArray = values[self.visit]
         return result
+
+    @cached_property
+    def visit(self) -> IntArray:
+        """Visit of each row, (n_rows,)."""
+        layout = self.whitening.layout
+        return layout.visit[layout.reading]
 
     @cached_property
     def course(self) -> FloatArray:

@@ -28,10 +28,10 @@ from typing import Literal
 import numpy as np
 from numpy.polynomial import legendre
 
-from calib.arrays import FloatArray
+from calib.arrays import FloatArray, IntArray
 from calib.identification.effect_setting import Setting
 from calib.identification.pose_checks import unmoved_joints
-from calib.joint_terms.periodic import sines_and_cosines
+from calib.joint_terms.periodic import TURN
 from calib.model import kinematics
 from calib.observation.kind import Instrument
 
@@ -66,7 +66,26 @@ class Effect:
     detail: str = ""
 
 
-def effects(setting: Setting) -> Iterator[Effect]:
+@dataclass(frozen=True, eq=False)
+class Waves:
+    """The waves of one joint: sine and cosine of each of `ORDERS` times a phase, times one column.
+
+    Attributes:
+        name: The joint.
+        column: What an error of 1 of the joint adds to the whitened rows, (n_rows,).
+        visit: Visit of each row, (n_rows,).
+        phase: Phase of the first order at each visit, (n_visits,) [rad].
+        words: What follows the number of cycles.
+    """
+
+    name: str
+    column: FloatArray
+    visit: IntArray
+    phase: FloatArray
+    words: str
+
+
+def effects(setting: Setting) -> Iterator[Effect | Waves]:
     """Yield every effect."""
     yield from _of_frames(setting)
     yield from _of_targets(setting)
@@ -104,7 +123,7 @@ def _of_targets(setting: Setting) -> Iterator[Effect]:
             yield Effect("slip", target, moved * late, f"from {setting.data.labels[order[first]]} on")
 
 
-def _of_joints(setting: Setting) -> Iterator[Effect]:
+def _of_joints(setting: Setting) -> Iterator[Effect | Waves]:
     robot, data = setting.robot, setting.data
     by_joint = setting.whitened({name: observed.by_joint for name, observed in setting.observed.items()})
     in_course = setting.per_visit(_curves(setting.course))
@@ -117,10 +136,8 @@ def _of_joints(setting: Setting) -> Iterator[Effect]:
         yield Effect("approach", name, column * setting.per_visit(data.approach_directions[:, j])[:, None])
         yield Effect("zero", name, column * in_course)
         turns = robot.mechanism.dimensions[name] == "angle"
-        waves = setting.per_visit(sines_and_cosines(q, tuple(ORDERS), 2 * np.pi if turns else float(np.ptp(q))))
-        for k, order in enumerate(ORDERS):
-            words = f"{order} cycles {'a turn' if turns else 'over the range measured'}"
-            yield Effect("wave", name, column * waves[:, 2 * k : 2 * k + 2], words)
+        words = "cycles a turn" if turns else "cycles over the range measured"
+        yield Waves(name, column[:, 0], setting.visit, q if turns else q * (TURN / float(np.ptp(q))), words)
 
 
 def _position_rows(one: Instrument) -> list[int]:

@@ -14,7 +14,8 @@ are not known, they are placed alone, near where they are expected if a sigma sa
 left out and all is done again, and poses are left out in turns for cross-validation.
 
 Where nobody states the noise of an instrument, it is found from the residuals, and so is an error that the rows of a
-visit share (`calib.numerics.variance_components`): step 3 is repeated until that changes by less than one percent.
+pose share (`calib.numerics.variance_components`): step 3 is repeated until noise changes by less than one percent, and
+offsets by less than one in twenty. With a robust loss no shared errors are looked for: a gross error is one, too.
 
 When it fails. Fewer coordinates than unknowns, or columns that the poses cannot tell apart and no prior holds, is a
 `NotIdentifiableError` that names the parameters. A fit that did not converge comes back with the verdict FAIL.
@@ -23,7 +24,9 @@ When it fails. Fewer coordinates than unknowns, or columns that the poses cannot
 from __future__ import annotations
 
 import time
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -53,12 +56,18 @@ from calib.numerics.prior_sizes import variance_by_sizes
 from calib.numerics.statistics import Factors, Statistics, found_factors, statistics
 from calib.numerics.variance_components import EXACT
 from calib.threads import one_blas_thread
+from calib.workers import Progress, Workers
 
 _LOOSE = 1e-3  # tolerance of the solver where another solve follows
 _PLACED = 1e-6  # the same for the state before: its errors then hold to a millionth
 _NOISE_ROUNDS = 20
 _NOISE_STANDS = 0.01  # relative change of scales below which they are found
 _FAMILIES_STAND = 5.0  # how much less exactly the sizes of families need to be found
+_RATIOS_STAND = 0.05  # the same of offsets over noise, from 1 on; they change weights and nothing else
+_NO_NOISE = (
+    "the noise of the measurements could not be found from the residuals; state it (`sigma` in the description, or"
+    " --sigma-mm)"
+)
 _STEP_LEFT = 0.05  # standard deviations that a converged fit may be away from its minimum
 _ROUNDING = 1e-8  # 10 nm and 10 nrad: below, rounding decides about a step
 
@@ -125,7 +134,14 @@ class Solved:
 
 
 @one_blas_thread
-def identify(robot: Robot, data: Measurements, validation: Measurements | None, settings: Settings) -> Fit:
+def identify(
+    robot: Robot,
+    data: Measurements,
+    validation: Measurements | None,
+    settings: Settings,
+    executor: Executor | int | None = None,
+    progress: Progress | None = None,
+) -> Fit:
     """Calibrate a robot.
 
     Args:
@@ -133,6 +149,9 @@ def identify(robot: Robot, data: Measurements, validation: Measurements | None, 
         data: Measurements to identify with.
         validation: Measurements to judge the result with, or None.
         settings: How.
+        executor: Who does the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
+            processes on this machine; this process if not given.
+        progress: Told how many other starts are done, of how many; then how many folds.
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
@@ -143,25 +162,37 @@ def identify(robot: Robot, data: Measurements, validation: Measurements | None, 
     """
     started = time.perf_counter()
     _require_measurements(data, validation)
+    with Workers(executor, max(settings.starts - 1, settings.folds)) as workers:
+        fit = _identified(robot, data, validation, settings, workers, progress)
+    return replace(fit, seconds=time.perf_counter() - started)
+
+
+def _identified(
+    robot: Robot,
+    data: Measurements,
+    validation: Measurements | None,
+    settings: Settings,
+    workers: Executor | None,
+    progress: Progress | None,
+) -> Fit:
+    """Do all steps of the module docstring."""
     try:
         robot, choice = _with_terms(robot, data, settings)
-        fit = _fit(robot, data, validation, settings)
+        fit = _fit(robot, settings, data, validation, workers, progress)
     except UnreachablePoseError as error:
         mistake = likely_mistake(robot, data)
         raise UnreachablePoseError(f"{error}{'; ' if mistake else ''}{mistake}") from None
     plain = replace(settings, starts=1)
     if settings.exclude_outliers:
-        tukey = replace(plain, loss="tukey")
         fit = without_outliers(
             fit,
-            robust=lambda: _fit(robot, data, None, tukey),
-            again=lambda kept: _fit(robot, kept, validation, settings),
+            robust=lambda: _fit(robot, replace(plain, loss="tukey"), data),
+            again=lambda kept: _fit(robot, settings, kept, validation, workers, progress),
         )
     if settings.folds:
-        used = fit.identification.data
-        folds = cross_validate(used, settings.folds, settings.seed, lambda kept, held: _fit(robot, kept, held, plain))
-        fit = replace(fit, folds=folds)
-    return replace(fit, seconds=time.perf_counter() - started, terms=choice)
+        used, fold = fit.identification.data, partial(_fit, robot, plain)
+        fit = replace(fit, folds=cross_validate(used, settings.folds, settings.seed, fold, workers, progress))
+    return replace(fit, terms=choice)
 
 
 def _with_terms(robot: Robot, data: Measurements, settings: Settings) -> tuple[Robot, TermChoice | None]:
@@ -172,7 +203,7 @@ def _with_terms(robot: Robot, data: Measurements, settings: Settings) -> tuple[R
     if terms == "none":
         choice = TermChoice(terms, ())
     elif terms == "auto":
-        choice = choose_terms(_fit(robot, data, None, replace(settings, starts=1)))
+        choice = choose_terms(_fit(robot, replace(settings, starts=1), data))
     else:
         choice = TermChoice(terms, (*own, *missing_terms(robot, listed_terms(terms))))
     return robot.with_terms(choice.sections), choice
@@ -188,14 +219,21 @@ def _require_measurements(data: object, validation: object) -> None:
             )
 
 
-def _fit(robot: Robot, data: Measurements, validation: Measurements | None, settings: Settings) -> Fit:
+def _fit(
+    robot: Robot,
+    settings: Settings,
+    data: Measurements,
+    validation: Measurements | None = None,
+    workers: Executor | None = None,
+    progress: Progress | None = None,
+) -> Fit:
     """Do steps 1 to 5 of the module docstring."""
     check_measurements(robot, data)
     problem = Problem(robot, data, settings.sigma)
     placed = _place(problem)
     start = problem.evaluate(placed)
     determined = require_identifiable(problem, start)  # before the solver, where `calib check` looks too
-    solved = solve_from(problem, placed, settings)
+    solved = solve_from(problem, placed, settings, workers, progress)
     final = problem.evaluate(solved.robot)
     require_identifiable(problem, final)
     rows, scales, uncertainty = uncertainty_at(problem, final, solved, settings)
@@ -269,7 +307,8 @@ def _observability(problem: Problem, final: Evaluation, rank: int) -> dict[str, 
     """O1 to O5 of the scaled Jacobian of readings in SI units, as measured: of metres, where only positions are."""
     units = 1.0 / np.array([group.typical if group.stated else 1.0 for group in problem.whitening.groups])
     own = problem.unknowns.only(problem.unknowns.family < 0)  # of families, priors decide what counts
-    factor = problem.rows(final, units, own).factor[:, :-1]
+    rows = problem.whitening.rows(final.observed, units, own, own.deviations(final.robot.values))
+    factor = rows.factor[:, :-1]
     return observability(np.linalg.svd(factor, compute_uv=False)[:rank], len(problem.data))
 
 
@@ -322,25 +361,35 @@ def _is_best_placed(problem: Problem, robot: Robot, places: Unknowns) -> bool:
     return bool(explained @ explained <= _PLACED * (rows.residuals @ rows.residuals))
 
 
-def solve_from(problem: Problem, placed: Robot, settings: Settings) -> Solved:
+def solve_from(
+    problem: Problem,
+    placed: Robot,
+    settings: Settings,
+    workers: Executor | None = None,
+    progress: Progress | None = None,
+) -> Solved:
     """Solve with the stated noise or find it; from several starts and with a robust loss, if asked for.
 
     Args:
         problem: The problem.
         placed: Where to begin.
         settings: How.
+        workers: Who does the other starts; this process if not given.
+        progress: Told after each of them.
 
     Raises:
         NotConvergedError: The noise cannot be found.
     """
     exact = TOLERANCE if settings.loss == "none" else _LOOSE  # a robust loss goes on from there
-    solved = _solve_with_noise(problem, placed, exact)
+    plain = settings.loss == "none"
+    solved = _solve_with_offsets(problem, placed) if plain else _solve_with_noise(problem, placed, exact)
     if settings.starts > 1:
         first = (solved.robot, solved.solution)
-        tried = explore(problem, placed, first, solved.groups, settings.starts, settings.seed)
+        tried = explore(problem, placed, first, solved.groups, settings.starts, settings.seed, workers, progress)
         best = tried.minima[0]
         if best.solution is not solved.solution:  # the noise that was found belongs to the minimum left behind
-            solved = _solve_with_noise(problem, best.robot, exact)
+            robot = best.robot
+            solved = _solve_with_offsets(problem, robot) if plain else _solve_with_noise(problem, robot, exact)
         solved = replace(solved, starts=tried)
     if settings.loss == "none":
         return solved
@@ -348,6 +397,21 @@ def solve_from(problem: Problem, placed: Robot, settings: Settings) -> Solved:
     return Solved(
         robust.robot, robust.groups, robust.solution, robust.weights, robust.factors, robust.settled, solved.starts
     )
+
+
+def _solve_with_offsets(problem: Problem, start: Robot) -> Solved:
+    """Solve; where readings of an instrument share offsets, find these and weigh by them."""
+    if not np.any(problem.whitening.tells_offsets):
+        return _solve_with_noise(problem, start, TOLERANCE)
+    solved = _solve_with_noise(problem, start, _LOOSE)
+    for _ in range(_NOISE_ROUNDS):
+        ratios = problem.found_ratios(problem.evaluate(solved.robot), solved.groups)
+        stands = np.all(np.abs(ratios - problem.ratios) <= _RATIOS_STAND * (1.0 + problem.ratios))
+        problem.weigh(ratios)
+        solved = _solve_with_noise(problem, solved.robot, TOLERANCE if stands else _LOOSE)
+        if stands:
+            return solved
+    raise NotConvergedError(_NO_NOISE)
 
 
 def _solve_with_noise(problem: Problem, start: Robot, exact: float) -> Solved:
@@ -374,10 +438,7 @@ def _solve_with_noise(problem: Problem, start: Robot, exact: float) -> Solved:
         if change > _NOISE_STANDS:
             groups = scales
             problem.unknowns = problem.unknowns.rescaled(sizes)
-    raise NotConvergedError(
-        "the noise of the measurements could not be found from the residuals; state it (`sigma` in the description, or"
-        " --sigma-mm)"
-    )
+    raise NotConvergedError(_NO_NOISE)
 
 
 def convergence_at(problem: Problem, solved: Solved, rows: Rows, std: FloatArray) -> Convergence:

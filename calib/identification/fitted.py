@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.data.in_memory import as_poses
+from calib.data.measurements import Poses
 from calib.errors import UnreachablePoseError
 from calib.identification.candidate_terms import TermChoice
 from calib.identification.effect_setting import Setting
@@ -186,11 +188,11 @@ class Fit(ReadOnlyArrays):
     @cached_property
     def noise(self) -> tuple[FoundNoise, ...]:
         """Noise of each group of rows, as found and as stated."""
-        factors = self.statistics.factors
+        factors, totals = self.statistics.factors, self.whitening.totals(self.scales)
         return tuple(
             FoundNoise(
                 group,
-                float(factors.found[g] * self.scales.groups[g] * group.typical),
+                float(factors.found[g] * totals[g] * group.typical),
                 float(self.scales.own[g] if self.scales.shares else factors.found[g] * self.scales.groups[g])
                 * group.typical,
                 group.typical if group.stated else None,
@@ -218,7 +220,17 @@ class Fit(ReadOnlyArrays):
     def shared_sigma(self) -> dict[str, float]:
         """Error of each joint that all rows of a visit share, as found [m or rad]; empty where there is none."""
         names = self.robot.joint_names
-        return dict(zip(names, map(float, self.scales.shared), strict=True)) if self.scales.shares else {}
+        sizes = self.scales.shared[: len(names)]
+        return dict(zip(names, map(float, sizes), strict=True)) if np.any(sizes > 0) else {}
+
+    @property
+    def offsets(self) -> dict[str, FloatArray]:
+        """Error in all readings of an instrument at a pose, (n_rows,) [SI], by name; only where one was found."""
+        instruments = self.robot.instruments
+        sizes = self.scales.shared[len(self.robot.joint_names) :] if self.scales.shares else np.zeros(0)
+        ends = np.cumsum([one.n_rows for one in instruments])[:-1]
+        parts = zip(instruments, np.split(sizes, ends), strict=True)
+        return {one.name: part for one, part in parts if np.any(part > 0)}
 
     @property
     def chi_square(self) -> ChiSquare | None:
@@ -226,7 +238,8 @@ class Fit(ReadOnlyArrays):
         if not all(group.stated for group in self.whitening.groups):
             return None
         factors = self.statistics.factors
-        mean_square = float(np.sum(factors.freedom * factors.found**2) / factors.total_freedom)
+        found = factors.found * self.whitening.totals(self.scales)
+        mean_square = float(np.sum(factors.freedom * found**2) / factors.total_freedom)
         return chi_square(float(np.sqrt(mean_square)), factors.total_freedom)
 
     @property
@@ -242,34 +255,36 @@ class Fit(ReadOnlyArrays):
         """Whether the calibrated robot can be assembled at all its poses, starting from its home configuration."""
         return bool(np.all(self.robot.close(self.configurations.actuated).ok))
 
-    def predict(self, q: ArrayLike, context: Context | None = None) -> PositionUncertainty:
+    def predict(self, poses: Poses | ArrayLike, context: Context | None = None) -> PositionUncertainty:
         """Predict positions with their covariance.
 
         Args:
-            q: Actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
-            context: Under which conditions they are commanded; joint terms may depend on it.
+            poses: Poses, whose conditions count; or actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
+            context: Other conditions under which they are commanded; joint terms may depend on it.
 
         Raises:
             DataError: Joint values of the wrong shape, or not finite.
             UnreachablePoseError: A loop stays open.
         """
-        statistics = self.statistics
-        joints = self.robot.joint_vector(q)
+        statistics, told = self.statistics, as_poses(self.robot, poses)
         return position_uncertainty(
-            self.robot, self.unknowns.index, statistics.covariance, statistics.coverage_factor, joints, context
+            self.robot,
+            self.unknowns.index,
+            statistics.covariance,
+            statistics.coverage_factor,
+            told.joints,
+            told.conditions if context is None else context,
         )
 
     @cached_property
     def identification_uncertainty(self) -> PositionUncertainty:
         """Predicted positions of the visits that were used, with their covariance."""
-        return self.predict(self.identification.data.joints, self.identification.data.conditions)
+        return self.predict(self.identification.data)
 
     @cached_property
     def validation_uncertainty(self) -> PositionUncertainty | None:
         """Predicted positions of the visits that were not used, with their covariance."""
-        if self.validation is None:
-            return None
-        return self.predict(self.validation.data.joints, self.validation.data.conditions)
+        return None if self.validation is None else self.predict(self.validation.data)
 
     @cached_property
     def studentised(self) -> Studentised:

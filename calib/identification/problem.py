@@ -27,7 +27,13 @@ from calib.linearisation.whitening import Whitening
 from calib.model.robot import Configurations, Robot, describe_open
 from calib.numerics.least_squares import TOLERANCE, Solution, minimise
 from calib.numerics.statistics import NoiseOfRows
-from calib.numerics.variance_components import LinearModel, found_components, found_scales, found_with_families
+from calib.numerics.variance_components import (
+    Components,
+    LinearModel,
+    found_components,
+    found_scales,
+    found_with_families,
+)
 
 _ROUNDING = 1e-14  # a parameter that moves by less stays nominal, to the last digit [m or rad]
 _REMEMBERED = 3  # evaluations: the start, where the solver is, and its trial step
@@ -74,6 +80,11 @@ class Problem:
         self._columns = robot.term_columns(data.joints, data.conditions)
         self._seed = robot.assemble(data.joints, near, data.labels, data.conditions).passive
         self._recent: dict[bytes, Evaluation | None] = {}
+        self.weigh(np.zeros(self.whitening.n_offsets))
+
+    def weigh(self, ratios: FloatArray) -> None:
+        """Weigh all that comes by these ratios of offsets to the scales of their groups, (n_offsets,)."""
+        self.ratios, self.weighing = ratios, self.whitening.weighing(ratios)
 
     def read_again(self, data: Measurements, near: Evaluation) -> Problem:
         """Return the same problem with other readings of the same visits; no pose is closed again from home.
@@ -82,13 +93,19 @@ class Problem:
             data: The readings; joint values and conditions as before.
             near: Where its solution is expected.
         """
-        again = copy.copy(self)
+        again = self.apart()
         again.data = data
         again.unknowns = Unknowns.of(self.robot)
         again.whitening = Whitening(self.robot, data, self._sigma)
         again._seed = near.configurations.passive
-        again._recent = {}
+        again.weigh(np.zeros(again.whitening.n_offsets))
         return again
+
+    def apart(self) -> Problem:
+        """Return the same problem with a memory of its own: what is solved there leaves no trace here."""
+        apart = copy.copy(self)
+        apart._recent = {}
+        return apart
 
     def evaluate(self, robot: Robot) -> Evaluation:
         """Evaluate a robot on the data.
@@ -130,12 +147,12 @@ class Problem:
             unknowns: Parameters that count; the free ones if not given.
         """
         chosen = self.unknowns if unknowns is None else unknowns
-        return self.whitening.rows(evaluation.observed, groups, chosen, chosen.deviations(evaluation.robot.values))
+        rows = self.whitening.rows(evaluation.observed, groups, chosen, chosen.deviations(evaluation.robot.values))
+        return rows.whitened(self.weighing)
 
-    def _model(self, evaluation: Evaluation) -> LinearModel:
-        """Rows around an evaluation, whitened by what is stated alone."""
+    def _model(self, rows: Rows) -> LinearModel:
+        """What rows whitened by what is stated say of the noise."""
         layout = self.whitening.layout
-        rows = self.rows(evaluation, np.ones(len(layout.groups)))
         unstated = np.array([not group.stated for group in layout.groups])
         unknowns = self.unknowns
         return LinearModel(
@@ -159,31 +176,58 @@ class Problem:
         Returns:
             Scales of the groups (n_groups,), factors of the families (n_families,).
         """
+        model = self._model(self.rows(evaluation, np.ones(len(groups))))
         if self.unknowns.families:
-            return found_with_families(self._model(evaluation), groups)
-        return found_scales(self._model(evaluation), groups).scales, np.ones(0)
+            return found_with_families(model, groups)
+        return found_scales(model, groups).scales, np.ones(0)
+
+    def found_ratios(self, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
+        """Find offsets that the readings of an instrument at a pose share, over the scale of their group, (n_offsets,).
+
+        Args:
+            evaluation: An evaluation near the minimum.
+            groups: Scales to start from, (n_groups,).
+        """
+        whitening = self.whitening
+        wanted = self.ratios > 0 if np.any(self.ratios) else whitening.tells_offsets
+        if not np.any(wanted):
+            return self.ratios
+        known = self.ratios * whitening.offset_scale(groups)
+        found = self._found(evaluation, groups, whitening.offset_columns * wanted, known)
+        ratios: FloatArray = found.shared / whitening.offset_scale(found.scales)
+        return ratios
 
     def found_shared(self, evaluation: Evaluation, groups: FloatArray) -> Scales:
-        """Find what of the residuals around a minimum all rows of a visit share.
+        """Find what of the residuals around a minimum the rows of a pose share.
 
         Args:
             evaluation: An evaluation at the minimum.
             groups: Scales of the noise without that, (n_groups,).
         """
-        if not self.whitening.shares_visits:
+        whitening = self.whitening
+        if not whitening.shares_visits:
             return Scales.of(groups)
-        layout = self.whitening.layout
-        columns = self.whitening.joint_columns(evaluation.observed)
-        components = found_components(self._model(evaluation), groups, columns, layout.pose[layout.reading])
-        found_any = bool(np.any(components.shared > 0))
-        return Scales(groups, components.scales, components.shared) if found_any else Scales.of(groups)
+        joints = whitening.joint_columns(evaluation.observed)
+        offsets = self.ratios * whitening.offset_scale(groups)
+        known = np.concatenate([np.zeros(joints.shape[1]), offsets])
+        columns = np.hstack([joints, whitening.offset_columns * (offsets > 0)])
+        found = self._found(evaluation, groups, columns, known)
+        found_any = bool(np.any(found.shared > 0))
+        return Scales(groups, found.scales, found.shared, self.ratios) if found_any else Scales.of(groups)
+
+    def _found(self, evaluation: Evaluation, groups: FloatArray, columns: FloatArray, known: FloatArray) -> Components:
+        """Find errors with these columns, beside those that are known, in rows whitened by what is stated alone."""
+        whitening, own = self.whitening, self.unknowns
+        deviations = own.deviations(evaluation.robot.values)
+        rows = whitening.rows(evaluation.observed, np.ones(len(groups)), own, deviations)
+        return found_components(self._model(rows), groups, columns, whitening.pose_of_row, known)
 
     def noise_of_rows(self, evaluation: Evaluation, scales: Scales) -> NoiseOfRows | None:
         """Return what the rows of an evaluation scatter by, where visits share an error; None where they do not."""
         if not scales.shares:
             return None
         shared = self.whitening.shared_error(evaluation.observed, scales.groups, scales.shared)
-        return NoiseOfRows(scales.own / scales.groups, shared, self.whitening.layout.group)
+        return NoiseOfRows(scales.own / scales.groups, shared, self.whitening.layout.group, self.weighing)
 
     def moved(self, start: Robot, unknowns: Unknowns, u: FloatArray) -> Robot:
         """Return `start` with these parameters at nominal + scale u, u (n_unknowns,)."""

@@ -44,6 +44,7 @@ class Promise:
         freedom: Degrees of freedom that the noise was found with.
         sigma: Noise of one component by group and part of the instruments, without what visits share [SI].
         shared: Error of each joint that all rows of a visit share, (n_actuated,) [m or rad]; zeros for none.
+        offsets: Error in all readings of an instrument at a pose, (n_rows,) [SI], by name; only where it has one.
     """
 
     robot: Robot
@@ -51,13 +52,20 @@ class Promise:
     freedom: float
     sigma: Mapping[tuple[str, str], float]
     shared: FloatArray
+    offsets: Mapping[str, FloatArray]
 
     @staticmethod
     def of(fit: Fit) -> Promise:
         """Return what a fit promises."""
         sigma = {(one.group.name, one.group.part): one.own for one in fit.noise}
         shared = np.array([fit.shared_sigma.get(name, 0.0) for name in fit.robot.joint_names])
-        return Promise(fit.robot, fit.statistics.covariance, fit.statistics.freedom, sigma, shared)
+        return Promise(fit.robot, fit.statistics.covariance, fit.statistics.freedom, sigma, shared, fit.offsets)
+
+    @property
+    def alike(self) -> FloatArray:
+        """All errors that rows of a pose share, (n_actuated + n_offsets,) [SI]; see `Scales.shared`."""
+        offsets = [self.offsets.get(one.name, np.zeros(one.n_rows)) for one in self.robot.instruments]
+        return np.concatenate([self.shared, *offsets])
 
 
 @dataclass(frozen=True)
@@ -158,8 +166,8 @@ class System:
                 scales[g] = max(promise.sigma[group.name, group.part], 1e-30) / group.typical
         rows = whitening.rows(observed, scales, unknowns, unknowns.deviations(robot.values))
         joints = whitening.joint_columns(observed) / whitening.row_scale(scales)[:, None]
-        if np.any(promise.shared > 0):
-            shared = whitening.shared_error(observed, scales, promise.shared)
+        if np.any(promise.alike > 0):
+            shared = whitening.shared_error(observed, scales, promise.alike)
             rows, joints = rows.whitened(shared), np.asarray(shared.whiten(joints))
         own = np.ones(len(unknowns), dtype=bool) if same_setup else ~unknowns.placement
         covariance = promise.covariance / np.outer(unknowns.scales, unknowns.scales)
@@ -350,6 +358,8 @@ def _promised(
             slopes.append(derivatives.jacobian[:, rows][:, :, free].reshape(-1, len(free)))
             square += len(rows) * len(derivatives.jacobian) * promise.sigma.get((one.group, "position"), np.nan) ** 2
             square += float(np.sum((derivatives.by_joint[:, rows] * promise.shared) ** 2))
+            offsets = promise.offsets.get(name, np.zeros(one.n_rows))[rows]
+            square += len(derivatives.jacobian) * float(offsets @ offsets)
     if not n:
         return float("nan")
     slope = np.concatenate(slopes)

@@ -12,8 +12,8 @@ Jacobian and its own closed loops, until its own stopping rule is met: the minim
 a small part of a standard deviation, after two evaluations in place of a dozen.
 
 When it fails. Where noise is not stated and priors hold something, both find the noise to one percent, along different
-ways. Where visits differ (touches move the robot until it touches), or a loop opens at the common start, a draw begins
-where the first one did.
+ways. Where visits differ (touches move the robot until it touches; poses are drawn again), or a loop opens at the
+common start, a draw begins where the first one ended.
 """
 
 from __future__ import annotations
@@ -59,9 +59,9 @@ class Estimate:
 
     @property
     def chi_square(self) -> float:
-        """Sum of squares of the residuals in units of the noise that the fit assumed."""
-        factors = self.statistics.factors
-        return float(np.sum(factors.freedom * factors.found**2))
+        """Sum of squares of the residuals in units of the stated noise, where all of it is stated."""
+        stated = [group.typical for group in self.rows.layout.groups]
+        return float(np.sum(self.statistics.factors.freedom * (self.sigma / stated) ** 2))
 
     @property
     def names_outliers(self) -> bool:
@@ -86,11 +86,12 @@ class Repeated:
         self._near = self._problem.evaluate(first.robot)
         self._views = views(first.robot, self._near.configurations, data.readings)
 
-    def estimate(self, data: Measurements) -> Estimate:
+    def estimate(self, data: Measurements, passive: FloatArray | None = None) -> Estimate:
         """Calibrate from other readings.
 
         Args:
-            data: Of the same visits, or of others nearby.
+            data: Of the same visits, or of others.
+            passive: Passive joints near these, (n, n_passive) [m or rad], if they are known.
 
         Raises:
             ComputationError: A loop opens, or the noise cannot be found.
@@ -98,7 +99,7 @@ class Repeated:
         """
         first = self._first
         if not np.array_equal(data.joints, first.identification.data.joints):
-            return self._from(Problem(first.nominal, data, self._settings.sigma), first.robot)
+            return self._from(Problem(first.nominal, data, self._settings.sigma, passive), first.robot)
         problem = self._problem.read_again(data, self._near)
         start = self._stepped(problem)
         try:
@@ -110,10 +111,10 @@ class Repeated:
 
     def _from(self, problem: Problem, start: Robot) -> Estimate:
         solved = solve_from(problem, start, self._settings)
-        rows, _, found = uncertainty_at(problem, problem.evaluate(solved.robot), solved, self._settings)
+        rows, scales, found = uncertainty_at(problem, problem.evaluate(solved.robot), solved, self._settings)
         weights = np.ones(rows.layout.n_readings) if solved.weights is None else solved.weights
         typical = [group.typical for group in rows.layout.groups]
-        sigma = found.factors.found * solved.groups * typical
+        sigma = found.factors.found * problem.whitening.totals(scales) * typical
         return Estimate(solved.robot, rows, found, convergence_at(problem, solved, rows, found.std), weights, sigma)
 
     def _stepped(self, problem: Problem) -> Robot:
@@ -127,7 +128,10 @@ class Repeated:
             for name, view in self._views.items()
         }
         rows, root, groups = first.rows, first.rows.known.root, first.scales.groups
-        whitened = problem.whitening.flatten(residuals) / problem.whitening.row_scale(groups)
+        whitening = problem.whitening
+        weighing = whitening.weighing(first.scales.ratios)
+        whitened: FloatArray = whitening.flatten(residuals) / whitening.row_scale(groups)
+        whitened = whitened if weighing is None else weighing.whiten(whitened)
         pull = rows.jacobian.T @ whitened + np.where(rows.has_prior, rows.deviations, 0.0)
         return self._problem.moved(robot, first.unknowns, rows.deviations - root @ (root.T @ pull))
 

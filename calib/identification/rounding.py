@@ -67,8 +67,8 @@ def rounding(fit: Fit) -> Rounding | None:
         if step > 0:
             words[f"{step * PER_SI[dimension][unit]:.3g} {unit}"] = None
     scatter = steps / np.sqrt(12.0)
-    if fit.scales.shares:  # then what the joints are off by was found
-        found = float(np.sum((fit.scales.shared * (steps > 0)) ** 2))
+    if fit.shared_sigma:  # then what the joints are off by was found
+        found = float(np.sum((np.array(list(fit.shared_sigma.values())) * (steps > 0)) ** 2))
         return Rounding(listed(list(words), " and "), float(np.sum(scatter**2)) / max(found, 1e-30), 0.0)
     return Rounding(listed(list(words), " and "), *_score(fit, scatter))
 

@@ -26,6 +26,8 @@ from calib.words import counted, listed
 
 NOISE_RATIO = 3.0
 """Found over stated noise from which the statement, or the model, is wrong."""
+GROSS = 2.0
+"""Noise of every instrument, over the largest that it has, from which the result rests on what the model leaves out."""
 ELSEWHERE = 0.2
 """Errors of the nominal robot with its base placed by the data, over those where it is stated, if it is elsewhere."""
 UNUSED_RATIO = 1.5
@@ -93,14 +95,22 @@ def _of(fit: Fit, one: FoundNoise) -> str:
 def _against_usual(fit: Fit, one: FoundNoise) -> Iterator[Reason]:
     usual = one.group.usual
     if one.sigma > usual:
+        none_fits = all(other.stated is None and other.sigma > GROSS * other.group.usual for other in fit.noise)
         yield Reason(
-            "CHECK",
+            "FAIL" if none_fits and not _proven_by_another(fit) else "CHECK",
             "noise",
             f"noise found{_of(fit, one)} is {_in_words(one, one.sigma)} per axis, more than such an instrument has"
             f" ({_in_words(one, usual)} at most): the model does not explain the measurements, and what is left may"
             " have moved the parameters; look for what is missing or wrong in the description of the instrument, and"
             " prove the result by another instrument",
         )
+
+
+def _proven_by_another(fit: Fit) -> bool:
+    """Whether poses get better that an instrument judged with which nothing was fitted."""
+    used = fit.identification.data.readings.keys()
+    another = fit.validation is not None and bool(fit.validation.data.readings.keys() - used)
+    return another and any(comparison.better for comparison in comparisons(fit))
 
 
 def _against_statement(fit: Fit, one: FoundNoise) -> Iterator[Reason]:

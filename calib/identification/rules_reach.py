@@ -47,7 +47,7 @@ def moved_little(fit: Fit) -> Iterator[Reason]:
     still = np.isin(robot.joint_names, unmoved_joints(robot, data.joints))
     if np.all(part[~still] < CORNER):  # that is one corner
         return
-    here = _uncertainty(fit, data.joints)
+    here = _rms(fit.identification_uncertainty.distance)
     for j in np.flatnonzero((part < CORNER) & ~still):
         there = _uncertainty(fit, _elsewhere(fit, int(j), float(allowed[j])))
         if there > max(LESS_KNOWN * here, np.sqrt(3.0) * fit.sigma):

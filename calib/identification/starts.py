@@ -11,7 +11,9 @@ When it fails. Not finding another minimum is no proof that there is none.
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -20,6 +22,8 @@ from calib.errors import ComputationError
 from calib.identification.problem import Problem
 from calib.model.robot import Robot
 from calib.numerics.least_squares import Solution
+from calib.threads import one_blas_thread
+from calib.workers import Progress, in_order
 
 _HALVINGS = 5
 _SAME = 0.1  # root mean square difference of predictions, over the smaller residuals, within one minimum
@@ -68,7 +72,14 @@ class Starts:
 
 
 def explore(
-    problem: Problem, placed: Robot, first: tuple[Robot, Solution], groups: FloatArray, n: int, seed: int
+    problem: Problem,
+    placed: Robot,
+    first: tuple[Robot, Solution],
+    groups: FloatArray,
+    n: int,
+    seed: int,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
 ) -> Starts:
     """Fit again from n - 1 perturbed starts.
 
@@ -79,14 +90,15 @@ def explore(
         groups: Scale of the noise of each group, (n_groups,).
         n: Number of starts, the first included.
         seed: Seed of the random steps.
+        executor: Who fits; this process if not given.
+        progress: Told after each start.
     """
     rng = np.random.default_rng(seed)
     distinct: list[tuple[Minimum, FloatArray]] = []
     failed = 0
     _add(distinct, problem, groups, first)
-    for _ in range(n - 1):
-        step = rng.standard_normal(len(problem.unknowns))
-        end = _from(problem, placed, step, groups)
+    steps = [rng.standard_normal(len(problem.unknowns)) for _ in range(n - 1)]
+    for end in in_order(partial(_from, problem, placed, groups), steps, executor, progress):
         if end is None:
             failed += 1
         else:
@@ -95,7 +107,10 @@ def explore(
     return Starts(minima, failed, seed, groups)
 
 
-def _from(problem: Problem, placed: Robot, step: FloatArray, groups: FloatArray) -> tuple[Robot, Solution] | None:
+@one_blas_thread
+def _from(problem: Problem, placed: Robot, groups: FloatArray, step: FloatArray) -> tuple[Robot, Solution] | None:
+    """Where one start ends, whichever ended before it; None where it ends nowhere."""
+    problem = problem.apart()
     base = problem.unknowns.deviations(placed.values)
     for halving in range(_HALVINGS + 1):
         start = problem.moved(placed, problem.unknowns, base + step / 2**halving)

@@ -1,4 +1,4 @@
-"""What many simulated calibrations say about a fit's statistics: bias, scatter, coverage and chi-square."""
+"""What many calibrations say about a fit's statistics: bias, scatter, coverage and chi-square."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class ParameterStudy:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Study(ReadOnlyArrays):
-    """Many simulated calibrations of one robot.
+    """Many calibrations of one robot.
 
     Attributes:
         robot: Name of the robot.
@@ -105,6 +105,7 @@ class Study(ReadOnlyArrays):
         n_poses: How many poses were measured.
         seed: Seed of everything random.
         seconds: Duration of the whole computation.
+        resampled: Whether poses of real measurements were drawn again; else everything is simulated.
     """
 
     robot: str
@@ -115,6 +116,7 @@ class Study(ReadOnlyArrays):
     n_poses: int
     seed: int
     seconds: float
+    resampled: bool
 
     def __repr__(self) -> str:
         return f"<study of '{self.robot}': {len(self)} calibrations, {len(self.failures)} without an answer>"
@@ -193,10 +195,10 @@ class Study(ReadOnlyArrays):
 
     def _summary(self) -> list[str]:
         n = int(np.sum(self.draws.answered))
-        lines = [
-            f"{counted(len(self), 'simulated calibration')} of {self.robot}, {counted(self.n_poses, 'pose')} each, seed"
-            f" {self.seed}"
-        ]
+        done, poses = "simulated calibration", f"{counted(self.n_poses, 'pose')} each"
+        if self.resampled:
+            done, poses = "calibration", f"each from {self.n_poses} of its {self.n_poses} poses, with replacement"
+        lines = [f"{counted(len(self), done)} of {self.robot}, {poses}, seed {self.seed}"]
         if self.failures:
             lines.append(f"{counted(len(self) - n, 'draw')} gave no answer: {listed(self.failures, '; ', 2)}")
         return lines
@@ -205,8 +207,9 @@ class Study(ReadOnlyArrays):
         n = int(np.sum(self.draws.answered))
         chance = 100 * np.sqrt(0.95 * 0.05 / n)
         coverage = 100 * np.array([one.coverage for one in self.parameters])
+        truth = "what all poses give" if self.resampled else "the truth"
         lines = [
-            f"95 % intervals hold the truth in {_range(coverage)} % of the draws; one standard deviation of a coverage"
+            f"95 % intervals hold {truth} in {_range(coverage)} % of the draws; one standard deviation of a coverage"
             f" is {chance:.1f} %"
         ]
         biased = [one.name for one in self.parameters if abs(one.bias) > _SURE * one.bias_std]
@@ -215,14 +218,15 @@ class Study(ReadOnlyArrays):
         if self.draws.errors.size:
             lines.append(
                 f"predicted positions elsewhere: rms error {millimetres(self.position_error):.4f} mm, intervals hold"
-                f" the truth in {_range(100 * self.position_coverage)} %"
+                f" {truth} in {_range(100 * self.position_coverage)} %"
             )
         if np.isfinite(self.chi_square):
             lines.append(
                 f"chi-square over its degrees of freedom: {self.chi_square:.3f} on average; a test at 5 % refuses"
                 f" {100 * self.chi_square_refused:.1f} % of the draws"
             )
-        lines.append(f"{100 * self.outliers:.1f} % of the draws name an outlier")
+        if not self.resampled:
+            lines.append(f"{100 * self.outliers:.1f} % of the draws name an outlier")
         return lines
 
     def to_dict(self) -> dict[str, object]:
@@ -235,6 +239,7 @@ class Study(ReadOnlyArrays):
             "answered": int(np.sum(kept)),
             "failures": list(self.failures),
             "n_poses": self.n_poses,
+            "resampled": self.resampled,
             "seed": self.seed,
             "seconds": self.seconds,
             "parameters": [{key: _known(value) for key, value in one.row().items()} for one in self.parameters],

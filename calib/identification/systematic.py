@@ -17,6 +17,11 @@ is kept.
 The direction of approach and, without a time, the course of the measurement come from the order of the rows in the data
 file, which must be the order of measurement.
 
+Waves. A test needs Z^T Z, (J T)^T Z with the span J T of the fit, and Z^T r only. The waves of a joint have columns
+h_i sin(k q_i), h_i cos(k q_i) that differ by a factor of each visit, so the sums over the rows of a visit are made once
+and serve all orders; the powers exp(i k q) follow from one another. Time and memory grow with the rows, and no order
+has columns of its own.
+
 When it fails. Effects in other shapes stay in the noise; two effects that look alike at the poses measured are both
 named. F supposes normal noise.
 
@@ -25,7 +30,7 @@ Reference: cook1982, chapter 2.4 (added variables).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -34,7 +39,7 @@ import scipy
 
 from calib.arrays import FloatArray
 from calib.identification.effect_setting import Setting
-from calib.identification.effects import FAMILIES, Effect, Kind, effects
+from calib.identification.effects import FAMILIES, ORDERS, Effect, Kind, Waves, effects
 from calib.linearisation.rows import Rows
 from calib.numerics.variance_components import EXACT
 from calib.units import DISPLAY_UNIT, ERROR_UNIT, PER_SI, Dimension, error_scale, millimetres
@@ -46,6 +51,7 @@ SMALLEST_EFFECT = 0.1
 PARTS_PER_MILLION = 1e6
 _ABSORBED = 1e-6  # part of an effect's square that must be left after the fit for it to be seen
 _BEST_ONLY = ("wave", "slip")
+_VISITS_AT_ONCE = 2048
 _SURELY = 5.0  # standard deviations of an effect from which it is found nine times of ten, among so many
 
 
@@ -101,12 +107,29 @@ class Residuals:
         """J T, whose span the fit has absorbed, (n_rows, rank)."""
         return np.asarray(self.rows.jacobian @ self.root)
 
+    @cached_property
+    def square(self) -> float:
+        """Their sum of squares."""
+        return float(np.sum(self.rows.residuals**2))
+
+
+@dataclass(frozen=True, eq=False)
+class _Moments:
+    """What a test needs to know of an effect with columns Z: Z^T Z, (J T)^T Z and Z^T r."""
+
+    kind: Kind
+    name: str
+    detail: str
+    squares: FloatArray
+    absorbed: FloatArray
+    score: FloatArray
+
 
 @dataclass(frozen=True)
 class _Tested:
     """What the test of one effect gave: chance, root mean square of what it explains (whitened), coefficients."""
 
-    effect: Effect
+    effect: _Moments
     p_value: float
     size: float
     coefficients: FloatArray
@@ -121,7 +144,8 @@ def patterns(residuals: Residuals, setting: Setting) -> tuple[Pattern, ...]:
     """
     if residuals.factor * setting.metre < EXACT:
         return ()
-    tested = [one for effect in effects(setting) if (one := _test(residuals, effect)) is not None]
+    all_moments = (moments for effect in effects(setting) for moments in _moments(residuals, effect))
+    tested = [one for moments in all_moments if (one := _test(residuals, moments)) is not None]
     result = []
     for family in FAMILIES:
         members = [one for one in tested if one.effect.kind in family]
@@ -164,26 +188,58 @@ def visible(residuals: Residuals, column: FloatArray) -> float:
     return _SURELY * residuals.factor / (size * float(np.sqrt(left))) if left > _ABSORBED else float("inf")
 
 
-def _test(residuals: Residuals, effect: Effect) -> _Tested | None:
+def _moments(residuals: Residuals, effect: Effect | Waves) -> Iterator[_Moments]:
+    """Yield the moments of an effect, or those of all waves of a joint."""
+    if isinstance(effect, Waves):
+        yield from _moments_of_waves(residuals, effect)
+    else:
+        z = effect.columns
+        score = z.T @ residuals.rows.residuals
+        yield _Moments(effect.kind, effect.name, effect.detail, z.T @ z, residuals.pulled.T @ z, score)
+
+
+def _moments_of_waves(residuals: Residuals, waves: Waves) -> Iterator[_Moments]:
+    """Yield the moments of all waves of a joint; see the module docstring."""
+    n_visits, n_orders, rank = len(waves.phase), len(ORDERS), residuals.pulled.shape[1]
+
+    def by_visit(values: FloatArray) -> FloatArray:
+        return np.asarray(np.bincount(waves.visit, weights=values, minlength=n_visits), dtype=float)
+
+    weights = by_visit(waves.column**2)
+    others = [*residuals.pulled.T, residuals.rows.residuals]
+    sums = np.stack([by_visit(waves.column * other) for other in others])
+    squares, products = np.zeros((3, n_orders)), np.zeros((len(others), 2 * n_orders))
+    for first in range(0, n_visits, _VISITS_AT_ONCE):
+        block = slice(first, first + _VISITS_AT_ONCE)
+        turned = np.exp(1j * waves.phase[block, None])
+        powers = np.cumprod(np.broadcast_to(turned, (len(turned), n_orders)), axis=1)  # orders count from 1
+        cosine, sine = powers.real, powers.imag
+        squares += [weights[block] @ product for product in (cosine * cosine, cosine * sine, sine * sine)]
+        products += sums[:, block] @ powers.view(float)
+    for k, order in enumerate(ORDERS):
+        one = squares[[[0, 1], [1, 2]], k]
+        own = products[:, 2 * k : 2 * k + 2]
+        yield _Moments("wave", waves.name, f"{order} {waves.words}", one, own[:rank], own[rank])
+
+
+def _test(residuals: Residuals, effect: _Moments) -> _Tested | None:
     """Test one effect; None if it cannot be seen.
 
     The size is the root mean square of what it explains of a point's three rows.
     """
-    size = np.linalg.norm(effect.columns, axis=0)
+    size = np.sqrt(np.diag(effect.squares))
     if not np.all(size > 0):
         return None
-    unit = effect.columns / size
-    values, vectors = np.linalg.eigh(unit.T @ residuals.after_fit(unit))
+    absorbed = effect.absorbed / size
+    values, vectors = np.linalg.eigh(effect.squares / np.outer(size, size) - absorbed.T @ absorbed)
     determined = values > _ABSORBED
     k = int(np.sum(determined))
     if k == 0 or residuals.freedom - k < 1:
         return None
     values, vectors = values[determined], vectors[:, determined]
-    residual = residuals.rows.residuals
-    score = vectors.T @ (unit.T @ residual)
+    score = vectors.T @ (effect.score / size)
     gain = float(np.sum(score**2 / values))
-    total = float(residual @ residual)
-    rest = max(total - gain, 1e-12 * total) / (residuals.freedom - k)
+    rest = max(residuals.square - gain, 1e-12 * residuals.square) / (residuals.freedom - k)
     p_value = float(scipy.special.fdtrc(k, residuals.freedom - k, max(gain / k / rest, 0.0)))
     coefficients = vectors @ (score / values) / size
     return _Tested(effect, p_value, float(np.sqrt(3.0 * gain / residuals.rows.layout.n_read)), coefficients)

@@ -13,11 +13,11 @@ Both are asked because each misses what the other sees. The likelihood takes wha
 the model lacks something else, a term that resembles it gains. Poses left out at random have neighbours that were kept,
 so that a curve through errors of any cause seems to predict; blocks have not.
 
-Of the candidates that earn their place, those count that no other one beats: whose evidence is within odds of 20 to 1
-of the best (kass1995), and whose prediction is not worse by two standard errors (breiman1984). The one with the fewest
-coefficients is added, and of as many the one that needs the least beside its own joint, which is the order of the
-registry. The others are then tried beside it, until none earns its place. Each that was added is tried without, and
-with each of the others in its place: those that do as well are told, for the data do not say which of them is there.
+Of the candidates that earn their place, the one is added whose evidence rises furthest beyond chance, among those whose
+prediction no other one beats by two standard errors (breiman1984). The others are then tried beside it, until none
+earns its place. What would make an added term superfluous is not added: every term earns its place beside all others.
+Each of the others is tried in the place of each that was added: those that do as well, within odds of 20 to 1
+(kass1995), are told, for the data do not say which of them is there.
 Sizes and noise are those of all poses, also where blocks are left out: a handful of numbers, and they stay the same in
 all blocks. What is added is then fitted as any robot is, without linearising.
 
@@ -178,10 +178,10 @@ class _Search:
         observed = observe(self._robot, configurations, data.readings)
         unknowns = Unknowns.of(self._robot)
         owner = {p.name: one.term for one in tried for term in one.of(self._robot) for p in term.parameters}
-        self.n_coefficients = {one.term: sum(own == one.term for own in owner.values()) for one in tried}
         rows = fit.whitening.rows(
             observed, np.ones(len(layout.groups)), unknowns, unknowns.deviations(self._robot.values)
         ).weighted(fit.weights)
+        rows = rows.whitened(fit.whitening.weighing(fit.scales.ratios))
         self._design = _design(rows, unknowns, [owner.get(name, "") for name in unknowns.names])
         change = unknowns.scales[:, None] * self._design.parameters
         self._residuals = {name: one.residuals for name, one in observed.items()}
@@ -201,29 +201,35 @@ class _Search:
         while True:
             free = [one.term for one in self.tried if not one.doubt and one.term not in current.terms]
             trials = [self.trial((*current.terms, term)) for term in free]
-            earning = [trial for trial in trials if self.failed(current, trial) == ""]
+            earning = [trial for trial in trials if self.refused(trial) == ""]
             if not earning:
-                break
+                return current, brought
             best = min(earning, key=lambda trial: float(np.sum(trial.squares[0])))
             near = [trial for trial in earning if not _surely_better(best, trial)]
-            likely = max(trial.evidence for trial in near)
-            near = [trial for trial in near if trial.evidence > likely - TELLS]
-            step = min(near, key=lambda trial: self.n_coefficients[trial.terms[-1]])
+            rises = [self.beyond_chance(current, trial) for trial in near]
+            step = near[int(np.argmax(rises))]
             brought[step.terms[-1]] = current, step
             current = step
-        for term in current.terms[:-1]:
-            without = self.trial(tuple(other for other in current.terms if other != term))
-            if self.failed(without, current):
-                current = without
-        return current, {term: brought[term] for term in current.terms}
+
+    def beyond_chance(self, without: _Trial, trial: _Trial) -> float:
+        """Return by how much more twice the log evidence rises than chance makes it rise."""
+        share, n_sizes = CHANCE / len(self.tried), trial.n_sizes - without.n_sizes
+        return float(2.0 * (trial.evidence - without.evidence) - scipy.stats.chi2.isf(share, n_sizes))
 
     def failed(self, without: _Trial, trial: _Trial) -> str:
-        """Return why a trial has not earned its last term; empty if it has."""
-        share = CHANCE / len(self.tried)
-        if 2.0 * (trial.evidence - without.evidence) <= scipy.stats.chi2.isf(share, trial.n_sizes - without.n_sizes):
+        """Return why a trial has not earned the term that it has more; empty if it has."""
+        if self.beyond_chance(without, trial) <= 0.0:
             return "no more evidence than chance gives"
         if any(np.sum(after) >= np.sum(before) for before, after in zip(without.squares, trial.squares, strict=True)):
             return "poses of blocks left out are not predicted better"
+        return ""
+
+    def refused(self, trial: _Trial) -> str:
+        """Return why not every term of a trial earns its place beside the others; empty if all do."""
+        for term in trial.terms:
+            why = self.failed(self.trial(tuple(other for other in trial.terms if other != term)), trial)
+            if why:
+                return f"beside it {term} would not earn its place: {why}"
         return ""
 
     def entries(self, one: Candidate, trial: _Trial) -> tuple[TermSection, ...]:
@@ -238,7 +244,7 @@ class _Search:
             return TriedTerm(one.term, why=one.refused)
         added = one.term in brought
         without, with_it = brought[one.term] if added else (chosen, self.trial((*chosen.terms, one.term)))
-        why = "" if added else self.failed(without, with_it) or one.doubt
+        why = "" if added else self.failed(without, with_it) or one.doubt or self.refused(with_it)
         alike = self.alike(one.term, chosen) if added else ()
         gain = with_it.evidence - without.evidence
         return TriedTerm(one.term, added, gain, without.rms[0], with_it.rms[0], why, alike)
@@ -246,14 +252,13 @@ class _Search:
     def alike(self, term: str, chosen: _Trial) -> tuple[str, ...]:
         """Return the terms that would do as well in the place of one that was added."""
         others = tuple(other for other in chosen.terms if other != term)
-        without = self.trial(others)
         free = [one.term for one in self.tried if one.term not in chosen.terms]
         instead = {name: self.trial((*others, name)) for name in free}
         return tuple(
             name
             for name, trial in instead.items()
             if abs(chosen.evidence - trial.evidence) < TELLS
-            and not self.failed(without, trial)
+            and not self.refused(trial)
             and not _surely_better(chosen, trial)
         )
 

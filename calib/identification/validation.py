@@ -7,6 +7,8 @@ as such) go into the same fold, because a repeat is no new pose. Or they are cut
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Executor
+from functools import partial
 
 import numpy as np
 
@@ -17,6 +19,11 @@ from calib.errors import InputError
 from calib.identification.errors_found import ErrorSet, Folds
 from calib.identification.fitted import Fit
 from calib.observation.kind import Instrument, Readings
+from calib.threads import one_blas_thread
+from calib.workers import Progress, in_order
+
+FitBoth = Callable[[Measurements, Measurements], Fit]
+"""Fits the first measurements and predicts the second (as its validation)."""
 
 
 def deal(data: Measurements, count: int, seed: int = 0) -> list[IntArray]:
@@ -32,7 +39,12 @@ def deal(data: Measurements, count: int, seed: int = 0) -> list[IntArray]:
 
 
 def cross_validate(
-    data: Measurements, count: int, seed: int, fit: Callable[[Measurements, Measurements], Fit]
+    data: Measurements,
+    count: int,
+    seed: int,
+    fit: FitBoth,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
 ) -> Folds:
     """Fit once for each fold, without it.
 
@@ -40,7 +52,9 @@ def cross_validate(
         data: All measurements.
         count: Number of folds, 2 or more.
         seed: Seed of the random choice.
-        fit: Fits the first measurements and predicts the second (as its validation).
+        fit: Fits one part and predicts the other; of a module, so that other processes find it.
+        executor: Who fits; this process if not given.
+        progress: Told after each fold.
 
     Raises:
         InputError: More folds than poses, or fewer than 2.
@@ -53,11 +67,8 @@ def cross_validate(
     singular: FloatArray = np.empty(len(data))
     rms, converged = [], True
     instruments: tuple[Instrument, ...] = ()
-    for held in folds:
-        kept = np.setdiff1d(np.arange(len(data)), held)
-        fitted = fit(data.subset(kept), data.subset(held))
-        errors = fitted.validation
-        assert errors is not None
+    fitted = in_order(partial(_left_out, fit, data), folds, executor, progress)
+    for held, (errors, well) in zip(folds, fitted, strict=True):
         instruments = errors.instruments
         for whole, part in ((before, errors.before), (after, errors.after)):
             for name, rows in part.items():
@@ -66,8 +77,16 @@ def cross_validate(
                 whole[name][_readings_at(data.readings[name], held)] = rows
         singular[held] = errors.singular_value
         rms.append(float(np.sqrt(np.mean(np.sum(errors.errors("after", errors.parts()[0][1].name) ** 2, axis=1)))))
-        converged &= fitted.converged
+        converged &= well
     return Folds(count, seed, ErrorSet(data, instruments, before, after, singular), tuple(rms), converged)
+
+
+@one_blas_thread
+def _left_out(fit: FitBoth, data: Measurements, held: IntArray) -> tuple[ErrorSet, bool]:
+    """Errors at the visits of one fold (n_in_fold,) by the fit of all others, and whether that converged."""
+    fitted = fit(data.subset(np.setdiff1d(np.arange(len(data)), held)), data.subset(held))
+    assert fitted.validation is not None
+    return fitted.validation, fitted.converged
 
 
 def _readings_at(readings: Readings, visits: IntArray) -> IntArray:

@@ -12,6 +12,7 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
 from calib.data.measurements import Poses
+from calib.errors import DataError
 from calib.inverse_kinematics.goals import Goals
 from calib.inverse_kinematics.inverse import TOLERANCE, problem, solve
 from calib.inverse_kinematics.reaching import Configured, Reach, actuated_jacobian, descend
@@ -78,7 +79,14 @@ def _moves_freely(jacobian: FloatArray, length: float) -> bool:
 
 
 def asked_by_goals(meant: Robot, program: Goals) -> Asked:
-    """Return what goals ask for, and the joints with which the nominal robot reaches them."""
+    """Return what goals ask for, and the joints with which the nominal robot reaches them.
+
+    Raises:
+        DataError: A coordinate is not asked for.
+    """
+    whole = np.isfinite(program.positions).all(axis=1)
+    if not np.all(whole):
+        raise DataError(f"{program.labels[int(np.argmin(whole))]}: a coordinate is empty; a program needs all three")
     base = meant.mechanism.origin_names[meant.mechanism.targets[0].a - 1]
     # from the measurement frame as the description has it to where the calibration found it
     moved = meant.mechanism.placement(base).inverse() * meant.nominal.placement(base)

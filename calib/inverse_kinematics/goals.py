@@ -3,7 +3,8 @@
 Columns, with units as everywhere: `<target>_x`, `_y`, `_z` (position in the measurement frame). For an orientation also
 `<target>_rx`, `_ry`, `_rz` (roll, pitch, yaw about fixed axes, as URDF's rpy, of the target's link), or for a direction
 `<target>_ax`, `_ay`, `_az` (the z axis of the target's link; any length). A column `pose` names the rows; `load`,
-`temperature`, `time` and `approach_<joint>` say under which conditions the robot shall be there.
+`temperature`, `time` and `approach_<joint>` say under which conditions the robot shall be there. A coordinate of the
+position whose cell is empty is not asked for: a robot that moves in a plane cannot choose how high that lies.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ class Goals:
     """Where a target is wanted, seen from the measurement frame.
 
     Attributes:
-        positions: (n, 3) [m].
+        positions: (n, 3) [m]; NaN for coordinates that are not asked for.
         rotations: Orientation of the target's link, (n, 3, 3), or None.
         directions: Direction of the z axis of the target's link, (n, 3), or None; made unit vectors.
         names: Pose name of each; a running number if not given.
@@ -72,7 +73,10 @@ class Goals:
         values = np.array(getattr(self, what), dtype=float)
         if values.shape != shape:
             raise DataError(f"goals: {what} of shape {values.shape}; expected {shape}")
-        finite = np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+        stated = np.isfinite(values)
+        if what == "positions":
+            stated |= np.isnan(values) & stated.any(axis=1, keepdims=True)
+        finite = stated.all(axis=tuple(range(1, values.ndim)))
         if not finite.all():
             raise DataError(f"{self.labels[int(np.argmin(finite))]}: {what} are not finite")
         object.__setattr__(self, what, values)
@@ -97,6 +101,11 @@ class Goals:
         """Return under which conditions a robot with so many motors shall be there."""
         approach = np.zeros((len(self), n_actuated)) if self.approach is None else self.approach
         return Context.of(approach, self.context)
+
+    def off(self, positions: FloatArray, index: IntArray | slice = slice(None)) -> FloatArray:
+        """Return how far positions (n, 3) are from those of the goals `index`, 0 where nothing is asked, (n, 3) [m]."""
+        wanted = self.positions[index]
+        return np.where(np.isnan(wanted), 0.0, positions - wanted)
 
     @property
     def asks_for(self) -> str:
@@ -151,7 +160,8 @@ def _target(table: Table, robot: Robot) -> str:
 
 def _three(table: Table, target: str, axes: str | tuple[str, ...], dimension: str) -> FloatArray:
     kind = "length" if dimension == "length" else "angle"
-    return np.stack([table.column(f"{target}_{axis}", kind) for axis in axes], axis=1)  # type: ignore[arg-type]
+    columns = [table.column(f"{target}_{axis}", kind, gaps=kind == "length") for axis in axes]  # type: ignore[arg-type]
+    return np.stack(columns, axis=1)
 
 
 def _pure_numbers(table: Table, name: str) -> FloatArray:

@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.data.measurements import Poses
 from calib.errors import DataError, InputError, UnreachablePoseError, nearest
 from calib.inverse_kinematics.goals import Goals
@@ -36,7 +36,7 @@ _LARGEST_ROUND = 8192  # searches in one round
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class Solution(ReadOnlyArrays):
     """Joint values found, and how well they reach.
 
     Attributes:
@@ -75,7 +75,8 @@ class Solution:
             more = f" (and {len(misses) - 5} more)" if len(misses) > 5 else ""
             raise UnreachablePoseError(
                 f"out of reach within the joint limits, in home's assembly mode:"
-                f" {'; '.join(misses[:5])}{more}; move these goals, or leave them out"
+                f" {'; '.join(misses[:5])}{more}; move these goals, leave them out, or leave"
+                " the cells of coordinates empty that need not be met"
             )
 
 
@@ -84,7 +85,8 @@ def solve(robot: Robot, goals: Goals | ArrayLike, *, near: ArrayLike | None = No
 
     Args:
         robot: The robot, with nominal or calibrated parameters.
-        goals: Where the target is wanted; or positions of the first target alone, (n, 3) [m].
+        goals: Where the target is wanted; or positions of the first target alone, (n, 3) [m], NaN for
+            coordinates that are not asked for.
         near: Joint values to stay near where a goal leaves a choice, (n_actuated,) or (n, n_actuated) [m or rad]; home
             if not given.
 
@@ -151,9 +153,8 @@ class _Search:
         self.best = Configured(
             np.repeat(home.actuated, n, axis=0), np.repeat(home.passive, n, axis=0), np.full(n, np.inf)
         )
-        self._features = _features(
-            reach.goals.positions, reach.goals.rotations, reach.goals.directions, reach.mechanism.length
-        )
+        told = _features(reach.goals.positions, reach.goals.rotations, reach.goals.directions, reach.mechanism.length)
+        self._features = np.where(np.isnan(told), self._features_at(home), told)
 
     @property
     def solved(self) -> BoolArray:

@@ -130,7 +130,8 @@ class Reach:
         """
         position, rotation, jacobian, by_joint = _motion(self.mechanism, self.target, actuated, passive, closures)
         jacobian = jacobian * self.scale
-        error, slope = [position - self.goals.positions[index]], [jacobian[:, :3]]
+        asked = ~np.isnan(self.goals.positions[index])
+        error, slope = [self.goals.off(position, index)], [jacobian[:, :3] * asked[:, :, None]]
         length = self.mechanism.length
         if self.goals.rotations is not None:
             relative = self.goals.rotations[index].transpose(0, 2, 1) @ rotation
@@ -160,7 +161,7 @@ class Reach:
         if self.goals.directions is not None:
             wanted, axis = self.goals.directions, rotation[:, :, 2]
             angle = np.arctan2(np.linalg.norm(np.cross(wanted, axis), axis=1), np.sum(wanted * axis, axis=1))
-        return position, np.linalg.norm(position - self.goals.positions, axis=1), angle
+        return position, np.linalg.norm(self.goals.off(position), axis=1), angle
 
     def follow(self, at: Configured, linear: Linear, trial: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Follow the loops from one configuration of each goal to another by the tangent and Newton.

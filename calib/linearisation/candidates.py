@@ -10,7 +10,8 @@ import scipy
 
 from calib.arrays import BoolArray, FloatArray
 from calib.data.in_memory import measurements
-from calib.data.measurements import Measurements, Poses, of_visits, rank_in_visit
+from calib.data.measurement_columns import rank_in_visit
+from calib.data.measurements import Measurements, Poses, of_visits
 from calib.errors import DataError, InputError, UnreachablePoseError
 from calib.linearisation.jacobian import linearise
 from calib.linearisation.observed import Observed, looks_at, observe, predicted_readings

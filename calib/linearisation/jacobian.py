@@ -5,8 +5,8 @@ With passive joints p decided by the closures r(xi, p) = 0, and x a frame b seen
     dx/dxi = X_xi - W C_xi        W = X_p C_p^-1
 
 (implicit function theorem), where X and C are the derivatives of x and r by origin twists xi and passive joints. W is
-found first, so that one small solve per pose serves all origins; then both terms are one sum of twist maps times
-Pinocchio's kinematic regressor. Finally d(parameters) enters through the twists of the parametrisation. Moving an
+found first, so that one small solve per pose serves all origins; then both terms are one sum of twist maps times the
+kinematic regressor. Finally d(parameters) enters through the twists of the parametrisation. Moving an
 actuated joint by dq is the same as turning its origin by dq about the joint's own axis, so that derivatives by joints
 are columns of the same kind.
 
@@ -28,7 +28,6 @@ from calib.model.mechanism import Mechanism, RelativeFrame
 from calib.model.robot import Configurations, Robot
 from calib.threads import one_blas_thread
 
-_CHUNK = 64
 _CHUNK_COMPILED = 256  # compiled code needs no regressors, but its poses stay in the cache too
 
 
@@ -104,7 +103,7 @@ def origin_jacobian(
 def sweeps(
     mechanism: Mechanism, configurations: Configurations, pairs: tuple[RelativeFrame, ...]
 ) -> Iterator[tuple[slice, kinematics.Sweep]]:
-    """Yield the kinematics of chunks of poses, with regressors, for these pairs and the loops.
+    """Yield the kinematics of chunks of poses, for these pairs and the loops.
 
     Args:
         mechanism: The mechanism.
@@ -114,11 +113,11 @@ def sweeps(
     joints = mechanism.all_joints(configurations.actuated, configurations.passive)
     needed = pairs + mechanism.loops
     functions = kernels(mechanism, len(joints))
-    size = _CHUNK if functions is None else _CHUNK_COMPILED
+    size = kinematics.CHUNK if functions is None else _CHUNK_COMPILED
     for start in range(0, len(joints), size):
         part = slice(start, min(start + size, len(joints)))
         if functions is None:
-            yield part, kinematics.sweep(mechanism, joints[part], needed, regressors=True)
+            yield part, kinematics.sweep(mechanism, joints[part], needed)
         else:
             yield part, kinematics.compiled_sweep(functions, mechanism, joints[part], needed)
 
@@ -145,12 +144,12 @@ def relative_motion(
     mapping = kinematics.motion_map(swept, pair, angular=angular)
     if swept.compiled is not None:
         direct = np.zeros((mapping.shape[1], len(mechanism.passive)))
-        return _compiled_motion(mechanism, swept.compiled, mapping, mechanism.between(pair), direct, slope, twists)
+        return _compiled_motion(mechanism, swept, mapping, mechanism.between(pair), direct, slope, twists)
     by_passive = kinematics.joint_derivative(
         swept, mapping, mechanism.between(pair)[:, None] * mechanism.select_passive
     )
     terms = [(mapping, mechanism.between(pair)), *_through_loops(mechanism, swept, by_passive, slope)]
-    return _along(kinematics.origin_derivative(mechanism, swept, terms), twists)
+    return kinematics.origin_derivative(mechanism, swept, terms, twists)
 
 
 def passive_motion(
@@ -170,10 +169,10 @@ def passive_motion(
         return np.zeros((n, 1, twists.shape[1]))
     if swept.compiled is not None:
         nothing = np.zeros((n, 1, 6)), np.zeros(mechanism.n_joints)
-        return _compiled_motion(mechanism, swept.compiled, *nothing, coordinate[None], slope, twists)
+        return _compiled_motion(mechanism, swept, *nothing, coordinate[None], slope, twists)
     by_passive = np.broadcast_to(coordinate, (n, 1, len(coordinate)))
     terms = _through_loops(mechanism, swept, by_passive, slope)
-    return _along(kinematics.origin_derivative(mechanism, swept, terms), twists)
+    return kinematics.origin_derivative(mechanism, swept, terms, twists)
 
 
 def _through_loops(
@@ -183,17 +182,18 @@ def _through_loops(
     if not mechanism.loops:
         return []
     weights = np.linalg.solve(slope.transpose(0, 2, 1), by_passive.transpose(0, 2, 1)).transpose(0, 2, 1)
+    maps = kinematics.gaps(swept, mechanism.loops)[1]
     terms, row = [], 0
     for loop in mechanism.loops:
-        part = weights[:, :, row : row + len(loop.rows)]
-        terms.append((-np.matmul(part, kinematics.twist_map(swept, loop)), mechanism.between(loop)))
+        part = slice(row, row + len(loop.rows))
+        terms.append((-np.matmul(weights[:, :, part], maps[:, part]), mechanism.between(loop)))
         row += len(loop.rows)
     return terms
 
 
 def _compiled_motion(
     mechanism: Mechanism,
-    by: kinematics.CompiledPoses,
+    swept: kinematics.Sweep,
     mapping: FloatArray,
     signs: FloatArray,
     direct: FloatArray,
@@ -201,23 +201,24 @@ def _compiled_motion(
     twists: FloatArray | None,
 ) -> FloatArray:
     """The same by compiled code; see `calib.model.kernels.motion` for the arguments."""
-    every = np.eye(6 * mechanism.n_joints) if twists is None else twists
-    blocks = every.reshape(mechanism.n_joints, 6, -1)
+    reduced, by = swept.reduced, swept.compiled
+    assert by is not None
+    blocks = mechanism.twists_before(twists)[reduced.joints]
     joints, columns = np.nonzero(np.any(blocks != 0.0, axis=1))
     entries = joints, columns, np.ascontiguousarray(blocks[joints, :, columns])
-    rows, select = by.functions.loops(mechanism), mechanism.select_passive
-    slope = np.ascontiguousarray(slope)
+    rows, select = by.functions.loops(mechanism, reduced), mechanism.select_passive[reduced.joints]
     result: FloatArray = by.functions.motion(
-        by.tree, rows, by.found, mapping, signs, direct, select, slope, entries, every.shape[1]
+        by.tree,
+        rows,
+        by.found,
+        mapping,
+        signs[reduced.joints],
+        direct,
+        select,
+        np.ascontiguousarray(slope),
+        entries,
+        blocks.shape[2],
     )
-    return result
-
-
-def _along(by_origin: FloatArray, twists: FloatArray | None) -> FloatArray:
-    if twists is None:
-        return by_origin
-    n, rows = by_origin.shape[:2]
-    result: FloatArray = (by_origin.reshape(rows * n, len(twists)) @ twists).reshape(n, rows, twists.shape[1])
     return result
 
 

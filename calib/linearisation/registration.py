@@ -25,7 +25,6 @@ from calib.model.mechanism import RelativeFrame
 from calib.model.robot import Robot
 from calib.numerics.placement import MovingPoint, Placement, place
 from calib.observation.kind import Guess, Instrument, Scene
-from calib.parameter import index_of
 from calib.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component
 
 _EXACT = 1e-30  # squares below are rounding
@@ -240,7 +239,7 @@ def _expected(robot: Robot, target: str, origin: str) -> tuple[FloatArray, Float
     if robot.description.targets[target].position == "known":
         return point, sigma
     for k, axis in enumerate("xyz"):
-        parameter = robot.parameters[index_of(robot.parameters, f"{origin}.{axis}")]
+        parameter = robot.parameters[f"{origin}.{axis}"]
         if parameter.name not in robot.description.held:
             sigma[k] = parameter.sigma if parameter.prior else np.inf
             point[k] = parameter.nominal if parameter.prior else point[k]

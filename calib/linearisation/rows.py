@@ -6,16 +6,24 @@ the parameters' sigma) are whitened reading by reading,
 
     [rw, Jw] = D^(-1/2) [r, J],        D = blocks s_g^2 C_k
 
-Rows of one visit also share what the robot itself is off there: joints that do not come back to the same place, and
-what the model leaves out. With an error N(0, tau_j^2) of each joint and the derivatives h_j of the rows by the joints,
+Where an instrument reads several times at a pose (markers before a camera, repeats of a point), these readings share
+what the model leaves out there, so that they tell less than as many readings elsewhere. With e_c what an offset of
+component c does to the instrument's rows,
 
-    covariance of the rows of a visit      V = D_own + sum of tau_j^2 h_j h_j^T,     D_own = blocks o_g^2 C_k
+    D = R (blocks s_g^2 C_k) R,        R = (I + sum of (kappa_c / s_g)^2 e_c e_c^T)^(1/2) in whitened rows, pose by pose
 
-with o_g what is left to the instrument alone. Estimates are weighed by D, whatever the robot does: what is shared is
-mostly what the model leaves out, and weighing by a guess at its shape made a real robot's predictions worse (UR10, full
-poses: 0.467 mm in place of 0.442 on rows not used). How sure they are is judged by V (`calib.numerics.statistics`),
-which holds for any weights. Visits that repeat one pose share one error: what the model leaves out there is the same
-each time.
+with kappa_c^2 the variance of that offset: n readings weigh like n / (1 + n kappa^2 / s^2), many like one or two.
+
+All rows of a visit also share what the robot itself is off there: joints that do not come back to the same place. With
+an error N(0, tau_j^2) of each joint and the derivatives h_j of the rows by the joints,
+
+    covariance of the rows of a visit      V = D_own + sum of kappa_c^2 e_c e_c^T + sum of tau_j^2 h_j h_j^T
+
+with D_own = blocks o_g^2 C_k, o_g what is left to a single reading, and kappa_c found anew beside tau_j. Estimates are
+weighed by D, whatever the robot's joints do: weighing by a guess at the shape of what the model leaves out made real
+robots' predictions worse (UR10, full poses: 0.467 mm in place of 0.442 on rows not used; Motoman, tracker and cameras:
+0.076 in place of 0.072). How sure they are is judged by V (`calib.numerics.statistics`), which holds for any weights.
+Visits that repeat one pose share one error: what the model leaves out there is the same each time.
 
 A component that was not read has a row of zeros, which says nothing; it is not counted.
 """
@@ -61,17 +69,20 @@ class Scales(ReadOnlyArrays):
     Attributes:
         groups: s_g of the module docstring, (n_groups,).
         own: o_g of the module docstring, (n_groups,); s_g without an error shared by visits.
-        shared: tau_j of the module docstring, (n_actuated,) [m or rad]; all 0 for none.
+        shared: tau_j and then kappa_c of the module docstring, (n_actuated + n_offsets,) [SI]; all 0, or empty, for
+            none.
+        ratios: kappa_c over s_g, by which estimates are weighed, (n_offsets,); all 0, or empty, for none.
     """
 
     groups: FloatArray
     own: FloatArray
     shared: FloatArray
+    ratios: FloatArray
 
     @staticmethod
     def of(groups: FloatArray) -> Scales:
         """Return scales (n_groups,) without errors shared by visits."""
-        return Scales(groups, groups, np.zeros(0))
+        return Scales(groups, groups, np.zeros(0), np.zeros(0))
 
     @property
     def shares(self) -> bool:
@@ -175,8 +186,10 @@ class Rows:
         root = np.sqrt(weights)[self.layout.reading]
         return Rows(root * self.residuals, root[:, None] * self.jacobian, self.has_prior, self.deviations, self.layout)
 
-    def whitened(self, shared: SharedError) -> Rows:
-        """Return the rows whitened for errors that the rows of a visit share."""
+    def whitened(self, shared: SharedError | None) -> Rows:
+        """Return the rows whitened for errors that the rows of a pose share; as they are without any."""
+        if shared is None:
+            return self
         return replace(self, residuals=shared.whiten(self.residuals), jacobian=shared.whiten(self.jacobian))
 
     def at_minimum(self) -> Rows:

@@ -10,7 +10,7 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.data.measurements import Measurements
 from calib.linearisation.observed import Observed
-from calib.linearisation.rows import Group, Layout, Rows
+from calib.linearisation.rows import Group, Layout, Rows, Scales
 from calib.linearisation.unknowns import Unknowns
 from calib.model.robot import Robot
 from calib.numerics.variance_components import SharedError
@@ -20,6 +20,9 @@ from calib.units import Dimension
 
 ASSUMED: dict[Dimension, float] = {"length": 1e-4, "angle": 1e-4, "pixel": 0.5}
 """Noise of one component where nobody states it and no residuals tell [SI]; whoever uses it must say so."""
+
+
+_AGAIN = 10  # readings beyond the first of their pose from which an offset that they share is looked for
 
 
 class Whitening:
@@ -33,6 +36,7 @@ class Whitening:
 
     def __init__(self, robot: Robot, data: Measurements, sigma: float | None = None) -> None:
         self._names = tuple(one.name for one in robot.instruments if len(data.readings.get(one.name, ())))
+        self._n_rows = {one.name: one.n_rows for one in robot.instruments}
         self._inverse: dict[str, FloatArray] = {}
         groups: dict[tuple[str, str, bool], Group] = {}
         numbers: list[IntArray] = []
@@ -106,15 +110,67 @@ class Whitening:
         return Rows(residuals, columns, unknowns.has_prior, deviations, self.layout)
 
     def shared_error(self, observed: Mapping[str, Observed], groups: FloatArray, tau: FloatArray) -> SharedError:
-        """Return errors of the joints that all rows of a visit share, for rows whitened by these scales.
+        """Return errors that the rows of a pose share, for rows whitened by these scales.
 
         Args:
             observed: Of each instrument, with derivatives by the joints.
             groups: Scale of the noise of each group, (n_groups,).
-            tau: Standard deviation of each joint's error, (n_actuated,) [m or rad].
+            tau: Standard deviation of each joint's error and of each offset, (n_actuated + n_offsets,) [SI].
         """
-        columns = self.joint_columns(observed) * tau / self.row_scale(groups)[:, None]
-        return SharedError(columns, self.layout.pose[self.layout.reading])
+        columns = np.hstack([self.joint_columns(observed), self.offset_columns])[:, tau > 0] * tau[tau > 0]
+        return SharedError(columns / self.row_scale(groups)[:, None], self.pose_of_row)
+
+    def weighing(self, ratios: FloatArray) -> SharedError | None:
+        """Return offsets as estimates are weighed for them, whatever the scales are; None without any.
+
+        Args:
+            ratios: Of the standard deviation of each offset to the scale of its group, (n_offsets,).
+        """
+        there = ratios > 0
+        return SharedError(self.offset_columns[:, there] * ratios[there], self.pose_of_row) if np.any(there) else None
+
+    def totals(self, scales: Scales) -> FloatArray:
+        """Return the scale of a reading of each group with the offsets that it is weighed for, (n_groups,)."""
+        weighing = self.weighing(scales.ratios)
+        if weighing is None:
+            return scales.groups
+        read = self.layout.group >= 0
+        number = self.layout.group[read]
+        squares = np.bincount(number, weighing.variances()[read]) / np.bincount(number)
+        result: FloatArray = scales.groups * np.sqrt(squares)
+        return result
+
+    @property
+    def pose_of_row(self) -> IntArray:
+        """Pose of each row, (n_rows,)."""
+        return self.layout.pose[self.layout.reading]
+
+    @property
+    def n_offsets(self) -> int:
+        """Number of components that all instruments of the robot have."""
+        return sum(self._n_rows.values())
+
+    @cached_property
+    def offset_columns(self) -> FloatArray:
+        """What an offset of each component of each instrument of the robot does to the rows, (n_rows, n_offsets)."""
+        every = np.eye(self.n_offsets)
+        own = dict(zip(self._n_rows, np.split(every, np.cumsum(list(self._n_rows.values()))[:-1]), strict=True))
+        readings = {name: len(self.layout.pose[self.layout.readings_of(name)]) for name in self._names}
+        return self.flatten({name: np.tile(own[name], (n, 1, 1)) for name, n in readings.items()})
+
+    @cached_property
+    def tells_offsets(self) -> BoolArray:
+        """Of which offsets enough readings share a pose with another one for them to show, (n_offsets,)."""
+        enough: list[bool] = []
+        for name, n_rows in self._n_rows.items():
+            pose = self.layout.pose[self.layout.readings_of(name)] if name in self._names else np.zeros(0)
+            enough += [len(pose) - len(np.unique(pose)) >= _AGAIN] * n_rows
+        return np.array(enough) & (np.any(self.offset_columns != 0, axis=0) if any(enough) else False)
+
+    def offset_scale(self, groups: FloatArray) -> FloatArray:
+        """Return the scale of the group that each offset is in, (n_offsets,); 1 for what was not read."""
+        rows = self.offset_columns != 0
+        return np.where(rows.any(axis=0), self.row_scale(groups)[np.argmax(rows, axis=0)], 1.0)
 
     def joint_columns(self, observed: Mapping[str, Observed]) -> FloatArray:
         """Return the derivative of the rows by the joints, whitened by what is stated, (n_rows, n_actuated)."""

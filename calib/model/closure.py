@@ -23,12 +23,16 @@ def residual(
     mechanism: Mechanism, actuated: FloatArray, passive: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return r (n, n_rows), C_p = dr/dp (n, n_rows, n_passive) and C_a = dr/da (n, n_rows, n_actuated)."""
-    swept = kinematics.sweep(mechanism, mechanism.all_joints(actuated, passive), mechanism.loops)
-    values, maps = kinematics.gaps(swept, mechanism.loops)
-    by_joint = np.matmul(maps, swept.jacobian) * mechanism.loop_signs
-    n, n_rows, n_joints = by_joint.shape
-    select, n_passive = mechanism.select_moving, len(mechanism.passive)
-    slope = (by_joint.reshape(n * n_rows, n_joints) @ select).reshape(n, n_rows, select.shape[1])
+    joints, n_passive = mechanism.all_joints(actuated, passive), len(mechanism.passive)
+    select = mechanism.select_moving
+    values = np.empty((len(joints), len(mechanism.loop_signs)))
+    slope = np.empty((*values.shape, select.shape[1]))
+    for start in range(0, len(joints), kinematics.CHUNK):
+        part = slice(start, start + kinematics.CHUNK)
+        swept = kinematics.sweep(mechanism, joints[part], mechanism.loops)
+        values[part], maps = kinematics.gaps(swept, mechanism.loops)
+        left = swept.reduced.joints
+        np.matmul(np.matmul(maps, swept.jacobian) * mechanism.loop_signs[:, left], select[left], out=slope[part])
     return values, slope[:, :, :n_passive], slope[:, :, n_passive:]
 
 

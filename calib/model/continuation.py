@@ -39,6 +39,7 @@ LARGEST_STEP = 0.5
 """Of any passive joint in one correction [rad, or characteristic lengths]."""
 _MAX_NEWTON = 12
 _SMALLEST_PART = 1 / 256  # of the way from start to goal, before continuation gives up
+_SMALLEST_AT_ONCE = 1 / 16  # the same where a pose that is hard to reach may be left out
 _SMALLEST_CHANGE = 1 / 64  # part of the change of the origins that is not halved any more
 _TOGETHER = 64  # steps that are tried at once while few poses are left
 _NEIGHBOURS = 3  # solved poses to start from
@@ -63,23 +64,33 @@ def newton(
         Passive joints (n, n_passive), C_p (n, n_passive, n_passive) and C_a (n, n_passive, n_actuated) there, and which
         poses were accepted (n,).
     """
+    passive, enough = passive.copy(), closing_tolerance(mechanism) / 10
+    fast = kernels(mechanism, len(passive))
+    if fast is None:
+        slope, slope_actuated, accepted = _corrected(mechanism, actuated, passive, enough)
+    else:
+        reduced, _ = mechanism.around(mechanism.loops)
+        select = mechanism.select_passive[reduced.joints], mechanism.select_actuated[reduced.joints]
+        rest = actuated @ select[1].T + mechanism.constant[reduced.joints]
+        scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
+        model, limits = (fast.tree(mechanism, reduced), fast.loops(mechanism, reduced)), (LARGEST_STEP, _MAX_NEWTON)
+        slope, slope_actuated, accepted = fast.close(*model, rest, *select, passive, scale, enough, *limits)
+    good = np.flatnonzero(accepted)
+    if len(good):
+        accepted[good] = mode.holds(slope[good])
+    return passive, slope, slope_actuated, accepted
+
+
+def _corrected(
+    mechanism: Mechanism, actuated: FloatArray, passive: FloatArray, enough: float
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Correct passive joints in place until no residual is above `enough`; C_p, C_a, and which poses came there."""
     n, n_passive = passive.shape
-    passive = passive.copy()
     slope = np.full((n, n_passive, n_passive), np.nan)
     slope_actuated = np.full((n, n_passive, actuated.shape[1]), np.nan)
     accepted, last = np.zeros(n, dtype=bool), np.full(n, np.inf)
     active = np.arange(n)
-    enough = closing_tolerance(mechanism) / 10
-    fast = kernels(mechanism, n)
-    if fast is not None:
-        select = mechanism.select_passive, mechanism.select_actuated
-        rest = actuated @ select[1].T + mechanism.constant
-        scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
-        model = fast.tree(mechanism, mechanism.loops), fast.loops(mechanism)
-        limits = enough, LARGEST_STEP, _MAX_NEWTON
-        slope, slope_actuated, accepted = fast.close(*model, rest, *select, passive, scale, *limits)
-        active = active[:0]
-    for _ in range(_MAX_NEWTON if fast is None else 0):
+    for _ in range(_MAX_NEWTON):
         values, slope_p, slope_a = residual(mechanism, actuated[active], passive[active])
         small = np.max(np.abs(values), axis=1) <= enough
         slope[active[small]], slope_actuated[active[small]] = slope_p[small], slope_a[small]
@@ -95,10 +106,7 @@ def newton(
         active = still[contracts]
         if len(active) == 0:
             break
-    if np.any(accepted):
-        good = np.flatnonzero(accepted)
-        accepted[good] = mode.holds(slope[good])
-    return passive, slope, slope_actuated, accepted
+    return slope, slope_actuated, accepted
 
 
 def solved_for(matrix: FloatArray, right: FloatArray) -> FloatArray:
@@ -118,13 +126,16 @@ def in_radians(mechanism: Mechanism, passive: FloatArray) -> FloatArray:
     return result
 
 
-def follow(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+def follow(
+    mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, *, thorough: bool = True
+) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Solve poses in the assembly mode of home, by one of the ways of the module docstring.
 
     Args:
         mechanism: The robot.
         mode: Home and its assembly mode.
         actuated: Actuated joints, (n, n_actuated) [m or rad].
+        thorough: Whether poses are tried in every way that do not follow from the nearest solved one.
 
     Returns:
         Passive joints (n, n_passive), C_p there (n, n_passive, n_passive), and which poses were solved (n,); limits of
@@ -133,6 +144,8 @@ def follow(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> tu
     solutions = _Solutions(len(actuated), len(mechanism.passive))
     home_p, _, home_ok = carry(mechanism, mode, mode.actuated[None], mode.passive[None])
     known = (mode.actuated[None], home_p)
+    if home_ok[0] and not thorough:
+        return _spread_out(mechanism, mode, known, actuated, thorough=False)
     if home_ok[0]:
         solutions.take(*_spread_out(mechanism, mode, known, actuated))
     todo = np.flatnonzero(~solutions.ok)
@@ -198,22 +211,28 @@ def carry(
 
 
 def _spread_out(
-    mechanism: Mechanism, mode: AssemblyMode, known: tuple[FloatArray, FloatArray], actuated: FloatArray
+    mechanism: Mechanism,
+    mode: AssemblyMode,
+    known: tuple[FloatArray, FloatArray],
+    actuated: FloatArray,
+    *,
+    thorough: bool = True,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Solve poses nearest to home first, each from the nearest pose solved so far; those left, once more from all."""
     solutions = _Solutions(len(actuated), len(mechanism.passive))
+    effort = (_NEIGHBOURS, _SMALLEST_PART) if thorough else (1, _SMALLEST_AT_ONCE)
     points = actuated / mechanism.joint_scale
     order = np.argsort(np.linalg.norm(points - known[0][0] / mechanism.joint_scale, axis=1), kind="stable")
     start, size = 0, 8
     while start < len(order):
         batch = order[start : start + size]
-        solutions.take(*_nearest(mechanism, mode, known, actuated[batch], _NEIGHBOURS), batch)
+        solutions.take(*_nearest(mechanism, mode, known, actuated[batch], *effort), batch)
         solved = batch[solutions.ok[batch]]
         known = np.vstack([known[0], actuated[solved]]), np.vstack([known[1], solutions.passive[solved]])
         start, size = start + size, size * 2
     left = np.flatnonzero(~solutions.ok)
     if len(left) and len(known[0]) > _NEIGHBOURS:
-        solutions.take(*_nearest(mechanism, mode, known, actuated[left], _NEIGHBOURS), left)
+        solutions.take(*_nearest(mechanism, mode, known, actuated[left], *effort), left)
     return solutions.passive, solutions.slope, solutions.ok
 
 
@@ -223,6 +242,7 @@ def _nearest(
     known: tuple[FloatArray, FloatArray],
     actuated: FloatArray,
     neighbours: int,
+    smallest: float = _SMALLEST_PART,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Solve poses from known ones, the nearest first; another way round where the straight line is blocked."""
     solutions, scale = _Solutions(len(actuated), len(mechanism.passive)), mechanism.joint_scale
@@ -236,7 +256,7 @@ def _nearest(
         if starts.size == 0:
             break
         goals, starts = np.repeat(todo, starts.shape[1]), starts.ravel()
-        passive, slope, ok = _continue(mechanism, mode, known[0][starts], known[1][starts], actuated[goals])
+        passive, slope, ok = _continue(mechanism, mode, (known[0][starts], known[1][starts]), actuated[goals], smallest)
         arrived, first = np.unique(goals[ok], return_index=True)
         solutions.take(passive[ok][first], slope[ok][first], np.ones(len(first), dtype=bool), arrived)
     return solutions.passive, solutions.slope, solutions.ok
@@ -253,20 +273,21 @@ def _stepping_stones(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatAr
 
 
 def _continue(
-    mechanism: Mechanism, mode: AssemblyMode, start_a: FloatArray, start_p: FloatArray, goal: FloatArray
+    mechanism: Mechanism, mode: AssemblyMode, start: tuple[FloatArray, FloatArray], goal: FloatArray, smallest: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Follow the solution from (start_a, start_p) to the actuated joints `goal` with adaptive steps.
+    """Follow the solution from actuated and passive joints to the actuated joints `goal` with adaptive steps.
 
     Where the last step failed, several shorter ones are tried together while few poses are left; the longest counts
     that is accepted, as if they had been tried one after the other.
     """
-    at_a, at_p = start_a.copy(), start_p.copy()
+    start_a = start[0]
+    at_a, at_p = start_a.copy(), start[1].copy()
     _, slope, slope_a = residual(mechanism, at_a, at_p)
     done, part = np.zeros(len(goal)), np.ones(len(goal))
     active, lengths = np.arange(len(goal)), 1
     while len(active):
         halved = part[active, None] / 2 ** np.arange(lengths)
-        row, length = np.nonzero(halved >= _SMALLEST_PART)
+        row, length = np.nonzero(halved >= smallest)
         who = active[row]
         step = np.minimum(halved[row, length], 1 - done[who])[:, None]
         next_a = np.where(done[who, None] + step >= 1, goal[who], at_a[who] + step * (goal - start_a)[who])
@@ -283,5 +304,5 @@ def _continue(
         done[good[np.all(at_a[good] == goal[good], axis=1)]] = 1.0
         part[good] = 2 * halved[row[took], length[took]]
         lengths = 1 if len(good) == len(active) else max(1, _TOGETHER // len(active))
-        active = active[(done[active] < 1) & (part[active] >= _SMALLEST_PART)]
+        active = active[(done[active] < 1) & (part[active] >= smallest)]
     return at_p, slope, done >= 1

@@ -5,8 +5,9 @@ stay the reference and work without numba; tests hold both together to 1e-12 on 
 from Python cost: a closed pose of twenty joints takes a few microseconds. Loops whose directions are constrained
 (type 6d) are left to the reference.
 
-A joint i has the pose (R_i, p_i) in the world, its origin (O_i, o_i) before the joint moves; its axis is S_i = [v; w]
-in the joint's own frame. World twists are [v; w] with v at the world's origin.
+A frame i has the pose T_i in the world, twelve numbers: its rotation column by column, then its position
+(`calib.model.mechanism.flat_poses`). Frame 0 is the world; joint i, behind an origin, moves frame i + 1; its axis is
+S_i = [v; w] in its own frame. World twists are [v; w] with v at the world's origin.
 
 Compiled code is kept beside this file, or where numba may write, so that only the first program ever waits for it. All
 of it is in this one file, because numba compiles again only where the file of a function has changed.
@@ -20,23 +21,22 @@ import numpy as np
 from numba import njit
 
 from calib.arrays import BoolArray, FloatArray, IntArray
-from calib.model.mechanism import Mechanism, RelativeFrame
+from calib.model.mechanism import Mechanism, Reduced
 
-_compiled: Any = njit(cache=True, error_model="numpy")
+_compiled: Any = njit(cache=True, error_model="numpy", fastmath={"contract"})
 
 
 class Tree(NamedTuple):
-    """A model as arrays; joint 0 is the world.
+    """What counts of a model, as arrays.
 
     Attributes:
-        parents: Joint before each, (n_joints + 1,).
-        rotation, translation: Placement of each origin in its parent, (n_joints + 1, 3, 3), (n_joints + 1, 3).
-        axes: S of each joint, (n_joints + 1, 6).
+        parents: Frame before each origin, (n_joints,).
+        origins: Placement of each in that frame, (n_joints, 12).
+        axes: S of each joint, (n_joints, 6).
     """
 
     parents: IntArray
-    rotation: FloatArray
-    translation: FloatArray
+    origins: FloatArray
     axes: FloatArray
 
 
@@ -47,95 +47,79 @@ class Loops(NamedTuple):
         a, b: Frames of the loop that each row belongs to, (n_rows,).
         axis: Which coordinate, in the axes of a, (n_rows,).
         signs: What each joint moves: +1 only b, -1 only a, else 0, (n_rows, n_joints).
-        needed: How many joints, the world included, up to the last that the loops need.
     """
 
     a: IntArray
     b: IntArray
     axis: IntArray
     signs: FloatArray
-    needed: int
 
 
-def tree(mechanism: Mechanism, pairs: tuple[RelativeFrame, ...]) -> Tree:
-    """Return the model around some pairs of frames as arrays; joints that do not count there stay where they are."""
-    model, moving = mechanism.around(pairs)
-    placements = np.array([placement.homogeneous for placement in model.jointPlacements])
-    axes = np.vstack([np.zeros(6), mechanism.axes * moving[:, None]])
-    parents = np.array(model.parents.tolist(), dtype=np.intp)
-    return Tree(parents, placements[:, :3, :3].copy(), placements[:, :3, 3].copy(), axes)
+def tree(mechanism: Mechanism, reduced: Reduced) -> Tree:
+    """Return what is left of a mechanism as arrays."""
+    return Tree(reduced.parents, mechanism.placements[reduced.joints], mechanism.axes[reduced.joints])
 
 
-def loops(mechanism: Mechanism) -> Loops:
-    """Return the loops of a mechanism, none of which constrains directions."""
-    rows = [(loop, row) for loop in mechanism.loops for row in loop.rows]
-    return Loops(
-        np.array([loop.a for loop, _ in rows], dtype=np.intp),
-        np.array([loop.b for loop, _ in rows], dtype=np.intp),
-        np.array([row for _, row in rows], dtype=np.intp),
-        np.array([mechanism.between(loop) for loop, _ in rows]).reshape(len(rows), mechanism.n_joints),
-        1 + max((max(loop.a, loop.b) for loop in mechanism.loops), default=0),
+def loops(mechanism: Mechanism, reduced: Reduced) -> Loops:
+    """Return the loops of a mechanism, none of which constrains directions, in what is left of it."""
+    ends = np.array([(loop.a, loop.b, row) for loop in mechanism.loops for row in loop.rows], dtype=np.intp).reshape(
+        -1, 3
     )
+    a, b = reduced.places[ends[:, 0]], reduced.places[ends[:, 1]]
+    return Loops(a, b, ends[:, 2].copy(), mechanism.loop_signs[:, reduced.joints])
 
 
 @_compiled
-def _walk(
-    tree: Tree,
-    count: int,
-    q: FloatArray,
-    O: FloatArray,  # noqa: E741
-    o: FloatArray,
-    R: FloatArray,
-    p: FloatArray,
-) -> None:
-    """Fill in the poses of the first `count` joints, the world included, in one configuration q (n_joints,)."""
-    A, t, S = tree.rotation, tree.translation, tree.axes
-    for r in range(3):
-        for c in range(3):
-            O[0, r, c] = R[0, r, c] = 1.0 if r == c else 0.0
-        o[0, r] = p[0, r] = 0.0
-    for i in range(1, count):
-        m, angle = tree.parents[i], q[i - 1]
-        for r in range(3):
-            for c in range(3):
-                O[i, r, c] = R[m, r, 0] * A[i, 0, c] + R[m, r, 1] * A[i, 1, c] + R[m, r, 2] * A[i, 2, c]
-            o[i, r] = p[m, r] + R[m, r, 0] * t[i, 0] + R[m, r, 1] * t[i, 1] + R[m, r, 2] * t[i, 2]
-        x, y, z = S[i, 3], S[i, 4], S[i, 5]
-        if x == 0.0 and y == 0.0 and z == 0.0:
-            for r in range(3):
-                for c in range(3):
-                    R[i, r, c] = O[i, r, c]
-                p[i, r] = o[i, r] + angle * (O[i, r, 0] * S[i, 0] + O[i, r, 1] * S[i, 1] + O[i, r, 2] * S[i, 2])
+def _walk(tree: Tree, moved: BoolArray, q: FloatArray, T: FloatArray) -> None:
+    """Fill in the poses T (n_joints + 1, 12) of the frames that have moved, in one configuration q (n_joints,)."""
+    P, S = tree.origins, tree.axes
+    for i in range(len(q)):
+        if not moved[i]:
             continue
-        s, c = np.sin(angle), np.cos(angle)  # Rodrigues' formula, column by column
+        m, f = tree.parents[i], i + 1
+        x, y, z = S[i, 3], S[i, 4], S[i, 5]
+        s, c = 0.0, 1.0
+        if q[i] != 0.0 and (x != 0.0 or y != 0.0 or z != 0.0):
+            s, c = np.sin(q[i]), np.cos(q[i])
         v = 1.0 - c
         for r in range(3):
-            d, e, f = O[i, r, 0], O[i, r, 1], O[i, r, 2]
-            R[i, r, 0] = d * (c + v * x * x) + e * (v * x * y + s * z) + f * (v * x * z - s * y)
-            R[i, r, 1] = d * (v * x * y - s * z) + e * (c + v * y * y) + f * (v * y * z + s * x)
-            R[i, r, 2] = d * (v * x * z + s * y) + e * (v * y * z - s * x) + f * (c + v * z * z)
-            p[i, r] = o[i, r]
+            j, k, l = T[m, r], T[m, 3 + r], T[m, 6 + r]  # noqa: E741
+            d = j * P[i, 0] + k * P[i, 1] + l * P[i, 2]
+            e = j * P[i, 3] + k * P[i, 4] + l * P[i, 5]
+            g = j * P[i, 6] + k * P[i, 7] + l * P[i, 8]
+            T[f, r] = d * (c + v * x * x) + e * (v * x * y + s * z) + g * (v * x * z - s * y)  # Rodrigues' formula
+            T[f, 3 + r] = d * (v * x * y - s * z) + e * (c + v * y * y) + g * (v * y * z + s * x)
+            T[f, 6 + r] = d * (v * x * z + s * y) + e * (v * y * z - s * x) + g * (c + v * z * z)
+            slid = q[i] * (d * S[i, 0] + e * S[i, 1] + g * S[i, 2])
+            T[f, 9 + r] = T[m, 9 + r] + j * P[i, 9] + k * P[i, 10] + l * P[i, 11] + slid
 
 
 @_compiled
-def _twist(O: FloatArray, o: FloatArray, i: int, xi: FloatArray, e: int, out: FloatArray, j: int) -> None:  # noqa: E741
-    """Put the world twist of xi[e] in the frame of origin i, [O v + o x O w; O w], into out[j]."""
+def _stand(T: FloatArray) -> None:
+    """Put the world's own pose into T[0]."""
+    for r in range(12):
+        T[0, r] = 1.0 if r in (0, 4, 8) else 0.0
+
+
+@_compiled
+def _twist(T: FloatArray, i: int, xi: FloatArray, e: int, out: FloatArray, j: int) -> None:
+    """Put the world twist of xi[e] in frame i, [R v + p x R w; R w], into out[j]."""
     for r in range(3):
-        out[j, r] = O[i, r, 0] * xi[e, 0] + O[i, r, 1] * xi[e, 1] + O[i, r, 2] * xi[e, 2]
-        out[j, 3 + r] = O[i, r, 0] * xi[e, 3] + O[i, r, 1] * xi[e, 4] + O[i, r, 2] * xi[e, 5]
-    out[j, 0] += o[i, 1] * out[j, 5] - o[i, 2] * out[j, 4]
-    out[j, 1] += o[i, 2] * out[j, 3] - o[i, 0] * out[j, 5]
-    out[j, 2] += o[i, 0] * out[j, 4] - o[i, 1] * out[j, 3]
+        out[j, r] = T[i, r] * xi[e, 0] + T[i, 3 + r] * xi[e, 1] + T[i, 6 + r] * xi[e, 2]
+        out[j, 3 + r] = T[i, r] * xi[e, 3] + T[i, 3 + r] * xi[e, 4] + T[i, 6 + r] * xi[e, 5]
+    out[j, 0] += T[i, 10] * out[j, 5] - T[i, 11] * out[j, 4]
+    out[j, 1] += T[i, 11] * out[j, 3] - T[i, 9] * out[j, 5]
+    out[j, 2] += T[i, 9] * out[j, 4] - T[i, 10] * out[j, 3]
 
 
 @_compiled
-def _row(R: FloatArray, a: int, axis: int, p: FloatArray, b: int, out: FloatArray, r: int) -> None:
+def _row(T: FloatArray, a: int, axis: int, b: int, out: FloatArray, r: int) -> None:
     """Put what a world twist moves at p_b, along an axis x of frame a, into out[r]: [x, p x x]."""
-    x, y, z = R[a, 0, axis], R[a, 1, axis], R[a, 2, axis]
+    x, y, z = T[a, 3 * axis], T[a, 3 * axis + 1], T[a, 3 * axis + 2]
     out[r, 0], out[r, 1], out[r, 2] = x, y, z
-    out[r, 3] = p[b, 1] * z - p[b, 2] * y
-    out[r, 4] = p[b, 2] * x - p[b, 0] * z
-    out[r, 5] = p[b, 0] * y - p[b, 1] * x
+    out[r, 3] = T[b, 10] * z - T[b, 11] * y
+    out[r, 4] = T[b, 11] * x - T[b, 9] * z
+    out[r, 5] = T[b, 9] * y - T[b, 10] * x
 
 
 @_compiled
@@ -182,6 +166,17 @@ def _solve(A: FloatArray, B: FloatArray) -> bool:
 
 
 @_compiled
+def _leads(select: FloatArray, signs: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return which coordinate each joint follows, or -1 where no loop feels it, and by what factor, (n_joints,)."""
+    leader, factor = np.full(len(select), -1), np.zeros(len(select))
+    for j in range(len(select)):
+        for c in range(select.shape[1]):
+            if select[j, c] != 0.0 and np.any(signs[:, j] != 0.0):
+                leader[j], factor[j] = c, select[j, c]  # one at most
+    return leader, factor
+
+
+@_compiled
 def close(
     tree: Tree,
     loops: Loops,
@@ -216,50 +211,48 @@ def close(
     """
     n, n_passive = passive.shape
     n_joints, n_actuated = motors.shape
-    by_motor = np.full((n, n_passive, n_actuated), np.nan)
-    slope, closed = np.full((n, n_passive, n_passive), np.nan), np.zeros(n, dtype=np.bool_)
-    O, o = np.empty((n_joints + 1, 3, 3)), np.empty((n_joints + 1, 3))  # noqa: E741
-    R, p = np.empty((n_joints + 1, 3, 3)), np.empty((n_joints + 1, 3))
+    slope, by_motor = np.empty((n, n_passive, n_passive)), np.empty((n, n_passive, n_actuated))
+    closed, T = np.zeros(n, dtype=np.bool_), np.empty((n_joints + 1, 12))
     twists, rows, q = np.empty((n_joints, 6)), np.empty((n_passive, 6)), np.empty(n_joints)
     values, C = np.empty((n_passive, 1)), np.empty((n_passive, n_passive))
-    moves, drives = np.zeros(n_joints, dtype=np.bool_), np.zeros(n_joints, dtype=np.bool_)
+    follows, factor = _leads(select, loops.signs)
+    driven, gear = _leads(motors, loops.signs)
+    every, moved = np.ones(n_joints, dtype=np.bool_), np.zeros(n_joints + 1, dtype=np.bool_)
     for j in range(n_joints):
-        moves[j] = np.any(select[j] != 0.0) and np.any(loops.signs[:, j] != 0.0)
-        drives[j] = np.any(motors[j] != 0.0) and np.any(loops.signs[:, j] != 0.0)
+        moved[j + 1] = follows[j] >= 0 or moved[tree.parents[j]]
+    _stand(T)
     for k in range(n):
         last = np.inf
-        for _ in range(rounds):
+        for j in range(n_joints):
+            q[j] = rest[k, j]
+        for attempt in range(rounds):
             for j in range(n_joints):
-                q[j] = rest[k, j]
-                for c in range(n_passive if moves[j] else 0):
-                    q[j] += select[j, c] * passive[k, c]
-            _walk(tree, loops.needed, q, O, o, R, p)
+                if follows[j] >= 0:
+                    q[j] = rest[k, j] + factor[j] * passive[k, follows[j]]
+            _walk(tree, moved[1:] if attempt else every, q, T)
             for j in range(n_joints):
-                if moves[j]:
-                    _twist(O, o, j + 1, tree.axes, j + 1, twists, j)
+                if follows[j] >= 0:
+                    _twist(T, j + 1, tree.axes, j, twists, j)
             C[:] = 0.0
             worst = 0.0
             for r in range(n_passive):
                 a, b, axis = loops.a[r], loops.b[r], loops.axis[r]
                 values[r, 0] = 0.0
                 for i in range(3):
-                    values[r, 0] += R[a, i, axis] * (p[b, i] - p[a, i])
+                    values[r, 0] += T[a, 3 * axis + i] * (T[b, 9 + i] - T[a, 9 + i])
                 worst = max(worst, abs(values[r, 0]))
-                _row(R, a, axis, p, b, rows, r)
+                _row(T, a, axis, b, rows, r)
                 for j in range(n_joints):
-                    if loops.signs[r, j] != 0.0 and moves[j]:
-                        rate = loops.signs[r, j] * _dot(rows, r, twists, j)
-                        for c in range(n_passive):
-                            C[r, c] += rate * select[j, c]
+                    if follows[j] >= 0 and loops.signs[r, j] != 0.0:
+                        C[r, follows[j]] += loops.signs[r, j] * factor[j] * _dot(rows, r, twists, j)
             if worst <= enough:
                 slope[k], by_motor[k], closed[k] = C, 0.0, True
                 for j in range(n_joints):
-                    if drives[j]:
-                        _twist(O, o, j + 1, tree.axes, j + 1, twists, j)
+                    if driven[j] >= 0:
+                        _twist(T, j + 1, tree.axes, j, twists, j)
                         for r in range(n_passive):
-                            rate = loops.signs[r, j] * _dot(rows, r, twists, j)
-                            for c in range(n_actuated):
-                                by_motor[k, r, c] += rate * motors[j, c]
+                            if loops.signs[r, j] != 0.0:
+                                by_motor[k, r, driven[j]] += loops.signs[r, j] * gear[j] * _dot(rows, r, twists, j)
                 break
             if not _solve(C, values):
                 break
@@ -272,25 +265,27 @@ def close(
             for c in range(n_passive):
                 passive[k, c] -= values[c, 0]
             last = size
+        if not closed[k]:
+            slope[k], by_motor[k] = np.nan, np.nan
     return slope, by_motor, closed
 
 
 @_compiled
-def poses(tree: Tree, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return O, o, R, p of configurations q (n, n_joints): (n, n_joints + 1, 3, 3) and (n, n_joints + 1, 3), twice."""
-    n, count = len(q), len(tree.parents)
-    O, o = np.empty((n, count, 3, 3)), np.empty((n, count, 3))  # noqa: E741
-    R, p = np.empty((n, count, 3, 3)), np.empty((n, count, 3))
+def poses(tree: Tree, q: FloatArray) -> FloatArray:
+    """Return the poses of all frames in configurations q (n, n_joints), (n, n_joints + 1, 12)."""
+    n, n_joints = q.shape
+    T, every = np.empty((n, n_joints + 1, 12)), np.ones(n_joints, dtype=np.bool_)
     for k in range(n):
-        _walk(tree, count, q[k], O[k], o[k], R[k], p[k])
-    return O, o, R, p
+        _stand(T[k])
+        _walk(tree, every, q[k], T[k])
+    return T
 
 
 @_compiled
 def motion(
     tree: Tree,
     loops: Loops,
-    found: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    found: FloatArray,
     mapping: FloatArray,
     signs: FloatArray,
     direct: FloatArray,
@@ -310,50 +305,67 @@ def motion(
         direct: Its derivative by the passive joints beside that, (n_rows, n_passive).
         select: Of the passive joints, (n_joints, n_passive).
         slope: C_p, (n, n_passive, n_passive).
-        entries: Twists of origins along which to differentiate: joint and column of each, (n_entries,), and twist,
-            (n_entries, 6).
+        entries: Twists of origins along which to differentiate: joint and column of each, (n_entries,), one joint's
+            behind each other, and twist in the frame before the origin, (n_entries, 6).
         width: Number of columns.
 
     Returns:
         (n, n_rows, width).
     """
-    O, o, R, p = found  # noqa: E741
     n, n_rows = mapping.shape[:2]
     n_joints, n_passive = select.shape
     result = np.zeros((n, n_rows, width))
     twist, X, transposed = np.empty((1, 6)), np.empty((n_passive, n_rows)), np.empty((n_passive, n_passive))
-    rows = np.empty((n_passive, 6))
-    moves = np.zeros(n_joints, dtype=np.bool_)
-    for j in range(n_joints):
-        moves[j] = signs[j] != 0.0 and np.any(select[j] != 0.0)
+    rows, total = np.empty((n_passive, 6)), np.empty((n_joints, n_rows, 6))
     joints, columns, twists = entries
+    slides = np.array([np.all(twists[e, 3:] == 0.0) for e in range(len(joints))])
+    alike = np.arange(n_joints)  # the first joint that moves what this one moves
+    for j in range(n_joints):
+        for i in range(j - 1, -1, -1):
+            if signs[i] == signs[j] and np.all(loops.signs[:, i] == loops.signs[:, j]):
+                alike[j] = alike[i]
+                break
+    follows, factor = _leads(select, np.ones((1, n_joints)))
     for k in range(n):
-        Ok, ok, Rk, pk, map_k = O[k], o[k], R[k], p[k], mapping[k]
+        T, map_k = found[k], mapping[k]
         for c in range(n_passive):
             for r in range(n_rows):
                 X[c, r] = direct[r, c]
             for r in range(n_passive):
                 transposed[c, r] = slope[k, r, c]
         for j in range(n_joints):
-            if moves[j]:
-                _twist(Ok, ok, j + 1, tree.axes, j + 1, twist, 0)
+            if follows[j] >= 0 and signs[j] != 0.0:
+                _twist(T, j + 1, tree.axes, j, twist, 0)
                 for r in range(n_rows):
-                    rate = signs[j] * _dot(map_k, r, twist, 0)
-                    for c in range(n_passive):
-                        X[c, r] += rate * select[j, c]
+                    X[follows[j], r] += signs[j] * factor[j] * _dot(map_k, r, twist, 0)
         if n_passive and not _solve(transposed, X):
             X[:] = np.nan
         for i in range(n_passive):
-            _row(Rk, loops.a[i], loops.axis[i], pk, loops.b[i], rows, i)
-        for e in range(len(joints)):
-            j, column = joints[e], columns[e]
-            _twist(Ok, ok, j + 1, twists, e, twist, 0)
-            if signs[j] != 0.0:
-                for r in range(n_rows):
-                    result[k, r, column] += signs[j] * _dot(map_k, r, twist, 0)
+            _row(T, loops.a[i], loops.axis[i], loops.b[i], rows, i)
+        for j in range(n_joints):
+            if alike[j] != j:
+                continue
+            for r in range(n_rows):
+                for c in range(6):
+                    total[j, r, c] = signs[j] * map_k[r, c]
             for i in range(n_passive):
                 if loops.signs[i, j] != 0.0:
-                    opened = loops.signs[i, j] * _dot(rows, i, twist, 0)
                     for r in range(n_rows):
-                        result[k, r, column] -= X[i, r] * opened
+                        weight = loops.signs[i, j] * X[i, r]
+                        for c in range(6):
+                            total[j, r, c] -= weight * rows[i, c]
+        for e in range(len(joints)):
+            j, column = joints[e], columns[e]
+            m, a = tree.parents[j], alike[j]
+            if slides[e]:
+                x, y, z = twists[e, 0], twists[e, 1], twists[e, 2]
+                u = T[m, 0] * x + T[m, 3] * y + T[m, 6] * z
+                v = T[m, 1] * x + T[m, 4] * y + T[m, 7] * z
+                w = T[m, 2] * x + T[m, 5] * y + T[m, 8] * z
+                for r in range(n_rows):
+                    result[k, r, column] += total[a, r, 0] * u + total[a, r, 1] * v + total[a, r, 2] * w
+                continue
+            _twist(T, m, twists, e, twist, 0)
+            for r in range(n_rows):
+                result[k, r, column] += _dot(total[a], r, twist, 0)
     return result

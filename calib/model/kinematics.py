@@ -11,23 +11,27 @@ Both are a (rows, 6) `map` of the twist difference, exact also where a loop is o
 alike drop out of V_b - V_a.
 
 * A joint's column of Pinocchio's world Jacobian is its V per joint rate.
-* An origin's block of Pinocchio's kinematic regressor (world frame) is its V per twist xi of the **right**
-  perturbation `placement * exp6(xi)`, xi = [linear; angular] in the joint's own frame.
+* A twist xi of the frame before origin i, in its own axes, is V = Ad(T_before) xi in the world. So a **right**
+  perturbation `placement * exp6(xi)`, xi = [linear; angular] in the joint's own frame, is Ad(T_before placement) xi.
 
 Pinocchio has no batch interface, so the poses are looped over in Python, through views of its data that are fetched
-once; all further algebra runs on arrays of poses.
+once; all further algebra runs on arrays of poses. Joints that do not matter have left the model (`Reduced`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from calib.arrays import FloatArray
-from calib.model.mechanism import Mechanism, RelativeFrame
+from calib.arrays import FloatArray, IntArray
+from calib.model.mechanism import Mechanism, Reduced, RelativeFrame, flat_poses
+
+CHUNK = 64
+"""Poses at once: all arrays of theirs stay in the processor's cache, and none needs new pages of memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,22 +39,37 @@ class Sweep:
     """Kinematics of `n` configurations.
 
     Attributes:
-        index: Position of a joint index in the second axis of `rotation` and `translation`.
-        rotation: World rotation of each wanted frame, (n, n_frames, 3, 3).
-        translation: World position of each wanted frame [m], (n, n_frames, 3).
-        jacobian: World Jacobian, columns per joint, (n, 6, n_joints).
-        leaves: Joint indices whose regressors were taken.
-        regressor: World kinematic regressor of each leaf, (n, n_leaves, 6, 6 n_joints); empty if not wanted.
-        compiled: What takes the place of Jacobian and regressors, if compiled code has computed the poses.
+        reduced: The joints that count.
+        rotation: World rotation of each of their frames, behind that of the world, (n, n_reduced + 1, 3, 3).
+        translation: World position of each of them [m], (n, n_reduced + 1, 3).
+        jacobian: World Jacobian, columns per joint that counts, (n, 6, n_reduced).
+        compiled: What takes the place of the Jacobian, if compiled code has computed the poses.
     """
 
-    index: dict[int, int]
+    reduced: Reduced
     rotation: FloatArray
     translation: FloatArray
     jacobian: FloatArray
-    leaves: tuple[int, ...]
-    regressor: FloatArray
     compiled: CompiledPoses | None = None
+
+    @property
+    def index(self) -> IntArray:
+        """Position of a joint index in the second axis of `rotation` and `translation`, (n_joints + 1,)."""
+        return self.reduced.places
+
+    @cached_property
+    def regressor(self) -> FloatArray:
+        """Ad(T_before) of every origin that counts, side by side, (n, 6, 6 n_reduced): one for all frames."""
+        rotation, translation = (part[:, self.reduced.parents] for part in (self.rotation, self.translation))
+        n, count = rotation.shape[:2]
+        result = np.zeros((n, 6, count, 6))
+        axes = rotation.transpose(0, 2, 1, 3)  # (n, 3, n_reduced, 3)
+        x, y, z = (translation[:, :, k, None] for k in range(3))
+        result[:, :3, :, :3] = result[:, 3:, :, 3:] = axes
+        result[:, 0, :, 3:] = y * axes[:, 2] - z * axes[:, 1]
+        result[:, 1, :, 3:] = z * axes[:, 0] - x * axes[:, 2]
+        result[:, 2, :, 3:] = x * axes[:, 1] - y * axes[:, 0]
+        return result.reshape(n, 6, 6 * count)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,17 +78,17 @@ class CompiledPoses:
 
     Attributes:
         functions: The compiled functions.
-        tree: The model as arrays.
-        found: Poses of origins and joints.
+        tree: What counts of the model, as arrays.
+        found: `flat_poses` of the world and all joints that count, (n, n_reduced + 1, 12).
     """
 
     functions: Any
     tree: Any
-    found: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+    found: FloatArray
 
 
 def compiled_sweep(functions: Any, mechanism: Mechanism, joints: FloatArray, pairs: tuple[RelativeFrame, ...]) -> Sweep:
-    """Return the sweep of `sweep` without Jacobian and regressors, by compiled code.
+    """Return the sweep of `sweep` without the Jacobian, by compiled code.
 
     Args:
         functions: The compiled functions.
@@ -77,79 +96,67 @@ def compiled_sweep(functions: Any, mechanism: Mechanism, joints: FloatArray, pai
         joints: Configurations, (n, n_joints) [m or rad].
         pairs: Frames that are needed.
     """
-    tree = functions.tree(mechanism, pairs)
-    found = functions.poses(tree, joints)
-    nothing = np.empty(0)
-    index = {frame: frame for frame in range(mechanism.n_joints + 1)}
-    return Sweep(index, found[2], found[3], nothing, (), nothing, CompiledPoses(functions, tree, found))
+    reduced, _ = mechanism.around(pairs)
+    tree = functions.tree(mechanism, reduced)
+    found = functions.poses(tree, joints[:, reduced.joints])
+    return Sweep(reduced, *_parts(found), np.empty(0), CompiledPoses(functions, tree, found))
 
 
-def sweep(
-    mechanism: Mechanism, joints: FloatArray, pairs: tuple[RelativeFrame, ...], *, regressors: bool = False
-) -> Sweep:
+def sweep(mechanism: Mechanism, joints: FloatArray, pairs: tuple[RelativeFrame, ...]) -> Sweep:
     """Run Pinocchio over the configurations `joints`, (n, n_joints) [m or rad].
 
     "World" is where the robot stands after the joints that move all frames of `pairs` alike (`Mechanism.around`).
     """
-    model, moving = mechanism.around(pairs)
-    joints = joints * moving
-    spare = mechanism.workspaces.setdefault(pairs, [])
+    reduced, spare = mechanism.around(pairs)
     try:
         space = spare.pop()  # a list, so that two threads never get the same one
     except IndexError:
-        space = _Workspace.of(model, pairs)
-    data, jacobian_view, translation_views = space.data, space.jacobian, space.translations
-    leaves = regressor_leaves(mechanism, pairs) if regressors else ()
-    n = len(joints)
-    rotation = np.empty((n, len(space.frames), 3, 3))
-    translation = np.empty((n, len(space.frames), 3))
-    jacobian = np.empty((n, 6, model.nv))
-    regressor = np.empty((n, len(leaves), 6, 6 * model.nv))
-    compute, regress, world = pin.computeJointJacobians, pin.computeJointKinematicRegressor, pin.ReferenceFrame.WORLD
-    for k in range(n):
-        compute(model, data, joints[k])
-        jacobian[k] = jacobian_view
-        for f, view in enumerate(space.rotations):
-            rotation[k, f] = view
-            translation[k, f] = translation_views[f]
-        for f, leaf in enumerate(leaves):
-            regressor[k, f] = regress(model, data, leaf, world)
+        space = _Workspace.of(mechanism, reduced)
+    model, data, poses, jacobian = space.model, space.data, space.poses, space.jacobian
+    space.origins[:] = mechanism.placements[reduced.joints]
+    n, count = len(joints), len(reduced.joints)
+    every_pose, every_jacobian = np.empty((n, count + 1, 12)), np.empty((n, count, 6))
+    compute = pin.computeJointJacobians
+    for q, to_poses, to_jacobian in zip(joints[:, reduced.joints], every_pose, every_jacobian, strict=True):
+        compute(model, data, q)
+        to_poses[:] = poses
+        to_jacobian[:] = jacobian
     spare.append(space)
-    index = {frame: f for f, frame in enumerate(space.frames)}
-    return Sweep(index, rotation, translation, jacobian, leaves, regressor)
+    return Sweep(reduced, *_parts(every_pose), every_jacobian.transpose(0, 2, 1))
+
+
+def _parts(flat: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rotations and translations from `flat_poses`, (n, n_frames, 12)."""
+    n, count, _ = flat.shape
+    return flat[:, :, :9].reshape(n, count, 3, 3).transpose(0, 1, 3, 2), flat[:, :, 9:]
 
 
 @dataclass(frozen=True, eq=False)
 class _Workspace:
-    """Pinocchio's data and views of it, which follow every later computation; dearer to make than one pose to compute.
+    """A model, Pinocchio's data and views of both, which follow every change; dearer to make than one pose to compute.
 
     Attributes:
+        model: Joints that count.
         data: Of the model.
-        frames: Joint indices of the wanted frames, in order.
-        rotations, translations: World pose of each of them, (3, 3) and (3,) [m].
-        jacobian: World Jacobian, (6, n_joints).
+        origins, poses: `flat_poses` of origins (n_reduced, 12), and of the world and all joints (n_reduced + 1, 12).
+        jacobian: World Jacobian, transposed, (n_reduced, 6).
     """
 
+    model: pin.Model
     data: pin.Data
-    frames: tuple[int, ...]
-    rotations: tuple[FloatArray, ...]
-    translations: tuple[FloatArray, ...]
+    origins: FloatArray
+    poses: FloatArray
     jacobian: FloatArray
 
     @classmethod
-    def of(cls, model: pin.Model, pairs: tuple[RelativeFrame, ...]) -> _Workspace:
+    def of(cls, mechanism: Mechanism, reduced: Reduced) -> _Workspace:
+        model = pin.Model()
+        for joint, parent in zip(reduced.joints.tolist(), reduced.parents.tolist(), strict=True):
+            name = mechanism.origin_names[joint]
+            model.addJoint(parent, mechanism.model.joints[joint + 1], pin.SE3.Identity(), name)
         data = model.createData()
         pin.computeJointJacobians(model, data, pin.neutral(model))  # sizes the views
-        frames = tuple(sorted({frame for pair in pairs for frame in (pair.a, pair.b)}))
-        poses = [data.oMi[frame] for frame in frames]
-        return cls(data, frames, tuple(p.rotation for p in poses), tuple(p.translation for p in poses), data.J)
-
-
-def regressor_leaves(mechanism: Mechanism, pairs: tuple[RelativeFrame, ...]) -> tuple[int, ...]:
-    """Return frames whose regressors together cover every origin that the pairs depend on."""
-    frames = {frame for pair in pairs for frame in (pair.a, pair.b)} - {0}
-    support = mechanism.support
-    return tuple(sorted(f for f in frames if not any(support[other, f - 1] for other in frames if other != f)))
+        return cls(model, data, flat_poses(model.jointPlacements)[1:], flat_poses(data.oMi), data.J.T)
 
 
 def value(swept: Sweep, pair: RelativeFrame) -> FloatArray:
@@ -238,31 +245,38 @@ def joint_derivative(swept: Sweep, mapping: FloatArray, columns: FloatArray) -> 
     """Return d(value)/d(joint coordinates), (n, n_rows, n_columns).
 
     Args:
+        swept: Of the poses.
         mapping: From `twist_map`.
         columns: `mechanism.between(pair)[:, None] * selection`, (n_joints, n_columns).
     """
-    n = len(mapping)
-    rates = (swept.jacobian.reshape(6 * n, len(columns)) @ columns).reshape(n, 6, columns.shape[1])
-    result: FloatArray = np.matmul(mapping, rates)
+    result: FloatArray = np.matmul(np.matmul(mapping, swept.jacobian), columns[swept.reduced.joints])
     return result
 
 
-def origin_derivative(mechanism: Mechanism, swept: Sweep, terms: list[tuple[FloatArray, FloatArray]]) -> FloatArray:
-    """Return sum over terms of map (V_b - V_a) per origin twist, (n, n_rows, 6 n_joints).
+def origin_derivative(
+    mechanism: Mechanism, swept: Sweep, terms: list[tuple[FloatArray, FloatArray]], twists: FloatArray | None
+) -> FloatArray:
+    """Return sum over terms of map (V_b - V_a) along origin twists, (n, n_rows, k).
 
     Args:
+        mechanism: The mechanism.
+        swept: Of the poses.
         terms: (twist map (n, n_rows, 6), sign per joint from `Mechanism.between` (n_joints,)) of each pair.
+        twists: Combinations to take the derivative along, (6 n_joints, k); None: every origin twist.
     """
+    joints = swept.reduced.joints
     n, n_rows = terms[0][0].shape[:2]
-    result = np.zeros((n, n_rows, 6 * mechanism.n_joints))
-    signs = np.array([sign for _, sign in terms])
-    groups: dict[tuple[int, tuple[float, ...]], list[int]] = {}
-    for origin in range(mechanism.n_joints):
-        if np.any(signs[:, origin]):
-            leaf = next(f for f, frame in enumerate(swept.leaves) if mechanism.support[frame, origin])
-            groups.setdefault((leaf, tuple(signs[:, origin])), []).append(origin)
-    for (leaf, pattern), origins in groups.items():
-        combined = sum(sign * terms[t][0] for t, sign in enumerate(pattern) if sign)
-        columns = (6 * np.array(origins)[:, None] + np.arange(6)).ravel()
-        result[:, :, columns] = np.matmul(combined, swept.regressor[:, leaf][:, :, columns])
+    by_origin = np.zeros((n, n_rows, len(joints), 6))
+    signs = np.array([sign[joints] for _, sign in terms])
+    groups: dict[tuple[float, ...], list[int]] = {}
+    for origin, pattern in enumerate(map(tuple, signs.T.tolist())):
+        groups.setdefault(pattern, []).append(origin)
+    for pattern, origins in groups.items():
+        if any(pattern):
+            combined = sum(sign * terms[t][0] for t, sign in enumerate(pattern) if sign)
+            columns = (6 * np.array(origins)[:, None] + np.arange(6)).ravel()
+            moved = np.matmul(combined, swept.regressor[:, :, columns])
+            by_origin[:, :, origins] = moved.reshape(n, n_rows, len(origins), 6)
+    along = mechanism.twists_before(twists)[joints].reshape(6 * len(joints), -1)
+    result: FloatArray = (by_origin.reshape(n_rows * n, -1) @ along).reshape(n, n_rows, along.shape[1])
     return result

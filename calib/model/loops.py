@@ -50,13 +50,21 @@ class Closed:
 
 
 @one_blas_thread
-def close(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, seed: FloatArray | None = None) -> Closed:
+def close(
+    mechanism: Mechanism,
+    mode: AssemblyMode,
+    actuated: FloatArray,
+    seed: FloatArray | None = None,
+    *,
+    thorough: bool = True,
+) -> Closed:
     """Solve the loops of each pose in the assembly mode of home.
 
     Args:
         actuated: Actuated joints, (n, n_actuated) [m or rad].
         seed: Passive joints of the same poses solved with slightly different parameters, (n, n_passive); poses that do
             not follow from it at once are solved afresh.
+        thorough: See `calib.model.continuation.follow`; False may leave poses open that close.
     """
     n, n_passive = len(actuated), len(mechanism.passive)
     if not mechanism.loops:
@@ -64,15 +72,17 @@ def close(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray, seed: 
     passive, slope = np.full((n, n_passive), np.nan), np.full((n, n_passive, n_passive), np.nan)
     ok = np.zeros(n, dtype=bool)
     if seed is not None:
-        tried = np.flatnonzero(np.all(np.isfinite(seed), axis=1))
+        finite = np.all(np.isfinite(seed), axis=1)
+        tried = slice(None) if np.all(finite) else np.flatnonzero(finite)
         passive[tried], slope[tried], _, ok[tried] = newton(mechanism, mode, actuated[tried], seed[tried])
-        ok &= within_limits(mechanism, wrapped(mechanism, mode, passive))
+        passive = wrapped(mechanism, mode, passive)
+        ok &= within_limits(mechanism, passive)
     if not np.all(ok):
         todo = np.flatnonzero(~ok)
-        passive[todo], slope[todo], ok[todo] = follow(mechanism, mode, actuated[todo])
-    passive = wrapped(mechanism, mode, passive)
-    ok &= within_limits(mechanism, passive)
-    passive[~ok], slope[~ok] = np.nan, np.nan
+        found, slope[todo], ok[todo] = follow(mechanism, mode, actuated[todo], thorough=thorough)
+        passive[todo] = wrapped(mechanism, mode, found)
+        ok &= within_limits(mechanism, passive)
+        passive[~ok], slope[~ok] = np.nan, np.nan
     return Closed(passive, ok, slope)
 
 

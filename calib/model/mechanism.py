@@ -16,14 +16,14 @@ with selection matrices E that also hold `<mimic>` multipliers, so that a follow
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.errors import DescriptionError, nearest
 from calib.units import Dimension
 
@@ -46,11 +46,45 @@ class RelativeFrame:
     rows: tuple[int, ...]
 
 
-class Workspaces(dict[tuple[RelativeFrame, ...], list[Any]]):
-    """What sweeps work in, kept for the next ones; views of Pinocchio's memory, so a pickle or copy starts empty."""
+@dataclass(frozen=True, eq=False)
+class Reduced:
+    """The joints that decide some pairs of frames: those that move both frames of every pair alike are left out.
+
+    They cancel, but for rounding: coordinates of size L are wrong by eps L, so that a robot that stands kilometres from
+    the root link's origin would otherwise lose the digits that closed loops need. Joints of other branches cost time.
+
+    Attributes:
+        joints: Which origins stay, parents first, (n_reduced,).
+        places: Where each frame is among them, 1 and up, or 0: it does not move, (n_joints + 1,).
+        parents: `places` of the frame before each origin that stays, (n_reduced,).
+    """
+
+    joints: IntArray
+    places: IntArray
+    parents: IntArray
+
+
+class Workspaces(dict[tuple[RelativeFrame, ...], tuple[Reduced, list[Any]]]):
+    """By pairs of frames: what is left of the model, and what sweeps work in, kept for the next ones.
+
+    Shared by all placements of a mechanism. Views of Pinocchio's memory, so a pickle or copy starts empty.
+    """
 
     def __reduce__(self) -> tuple[type[Workspaces], tuple[()]]:
         return Workspaces, ()
+
+
+def flat_poses(poses: Any) -> FloatArray:
+    """Return a view of Pinocchio's vector of poses as numbers, (n, 12): rotations column by column, then positions.
+
+    C++ keeps the elements of a vector one behind the other, the two parts of each alike.
+    """
+    rotation, translation = poses[0].rotation, poses[0].translation
+    start = rotation.__array_interface__["data"][0]
+    assert translation.__array_interface__["data"][0] - start == 72
+    assert rotation.strides == (8, 24)
+    step = poses[1].rotation.__array_interface__["data"][0] - start if len(poses) > 1 else 96
+    return np.lib.stride_tricks.as_strided(rotation.T, (len(poses), 12), (step, 8))
 
 
 def view(places: Mapping[str, int], a: str, b: str) -> RelativeFrame:
@@ -77,6 +111,7 @@ class Mechanism(ReadOnlyArrays):
         support: `support[i, j]` is 1.0 where joint j + 1 moves frame i, (n_joints + 1, n_joints).
         axes: Motion of each joint per unit of its value, [linear; angular] in its own frame, (n_joints, 6).
         length: Characteristic length that makes metres and radians comparable [m].
+        workspaces: See `around`.
     """
 
     model: pin.Model
@@ -97,6 +132,7 @@ class Mechanism(ReadOnlyArrays):
     support: FloatArray
     axes: FloatArray
     length: float
+    workspaces: Workspaces = field(default_factory=Workspaces)
 
     @property
     def n_joints(self) -> int:
@@ -125,34 +161,38 @@ class Mechanism(ReadOnlyArrays):
         values = {key: getattr(self, key) for key in self.__dataclass_fields__} | {"model": model}
         return Mechanism(**values)
 
-    def around(self, pairs: tuple[RelativeFrame, ...]) -> tuple[pin.Model, FloatArray]:
-        """Return the model with all joints that move both frames of every pair alike left out, and which joints remain.
+    def around(self, pairs: tuple[RelativeFrame, ...]) -> tuple[Reduced, list[Any]]:
+        """Return what is left of the model where only these pairs count, and workspaces that no sweep uses now."""
+        if pairs not in self.workspaces:
+            signs = np.array([self.between(pair) for pair in pairs]).reshape(-1, self.n_joints)
+            moving, parents = signs.any(axis=0), self.model.parents.tolist()
+            places = np.concatenate([[0], np.cumsum(moving)])
+            for joint in np.flatnonzero(~moving):
+                places[joint + 1] = places[parents[joint + 1]]
+            joints = np.flatnonzero(moving)
+            self.workspaces[pairs] = Reduced(joints, places, places[[parents[joint + 1] for joint in joints]]), []
+        return self.workspaces[pairs]
 
-        Such joints cancel in every pair, but for rounding: coordinates of size L are wrong by eps L, so that a robot
-        that stands kilometres from the root link's origin would otherwise lose the digits that closed loops need.
+    @cached_property
+    def placements(self) -> FloatArray:
+        """All origins as `flat_poses`, (n_joints, 12)."""
+        return flat_poses(self.model.jointPlacements)[1:].copy()
+
+    def twists_before(self, twists: FloatArray | None) -> FloatArray:
+        """Return Ad(placement) xi, twists of origins in the frames before them, (n_joints, 6, k).
 
         Args:
-            pairs: What is looked at.
-
-        Returns:
-            The model, and by what to multiply joint values, (n_joints,).
+            twists: Combinations of xi, of all origins, (6 n_joints, k); None: every one alone.
         """
-        if pairs not in self._around:
-            moving = np.any([self.between(pair) != 0 for pair in pairs], axis=0)
-            model = self.model.copy()
-            for joint in np.flatnonzero(~moving):
-                model.jointPlacements[int(joint) + 1] = pin.SE3.Identity()
-            self._around[pairs] = model, moving.astype(float)
-        return self._around[pairs]
-
-    @cached_property
-    def workspaces(self) -> Workspaces:
-        """Pinocchio data that no sweep uses at the moment, by the pairs that they are for."""
-        return Workspaces()
-
-    @cached_property
-    def _around(self) -> dict[tuple[RelativeFrame, ...], tuple[pin.Model, FloatArray]]:
-        return {}
+        n = self.n_joints
+        rotation = self.placements[:, :9].reshape(n, 3, 3).transpose(0, 2, 1)
+        x, y, z = self.placements[:, 9:].T[:, :, None]
+        action = np.zeros((n, 6, 6))
+        action[:, :3, :3] = action[:, 3:, 3:] = rotation
+        crossed = y * rotation[:, 2] - z * rotation[:, 1], z * rotation[:, 0] - x * rotation[:, 2]
+        action[:, :3, 3:] = np.stack([*crossed, x * rotation[:, 1] - y * rotation[:, 0]], axis=1)
+        every = np.eye(6 * n) if twists is None else twists
+        return np.matmul(action, every.reshape(n, 6, -1))
 
     def between_origins(self, other: Mechanism, part: float) -> Mechanism:
         """Return the mechanism whose origins have moved by this part (0 to 1) of the way to those of `other`."""

@@ -76,8 +76,10 @@ def twist_of_edit(rpy: FloatArray, d_xyz: FloatArray, d_rpy: FloatArray) -> Floa
     Returns:
         (6, n_parameters).
     """
-    rotation = pin.rpy.rpyToMatrix(*rpy)
-    return np.vstack([rotation.T @ d_xyz, pin.rpy.computeRpyJacobian(rpy, pin.ReferenceFrame.LOCAL) @ d_rpy])
+    twist = np.empty((6, d_xyz.shape[1]))
+    twist[:3] = pin.rpy.rpyToMatrix(rpy).T @ d_xyz
+    twist[3:] = pin.rpy.computeRpyJacobian(rpy, pin.ReferenceFrame.LOCAL) @ d_rpy
+    return twist
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays, read_only
+from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, random_numbers, read_only
 from calib.errors import DataError, DescriptionError, InputError, ParameterError, UnreachablePoseError, nearest
 from calib.files import write_file
 from calib.joint_terms.term import Context, JointTerm, TermSection
@@ -22,13 +22,14 @@ from calib.model.closure import AssemblyMode, singular_values
 from calib.model.description import Description, description_yaml
 from calib.model.instruments import pair_names, places_of
 from calib.model.joint_errors import build_terms, gravity_torque, joint_errors, term_columns, with_torque
+from calib.model.joint_sampling import Ranges, checked_ranges, joint_box, spread
 from calib.model.loops import why_open
 from calib.model.mechanism import Mechanism, RelativeFrame, view
 from calib.model.parameters import Parametrisation
 from calib.model.parametrisation import build_parametrisation
 from calib.model.urdf_text import Triple, UrdfText
 from calib.observation.kind import Instrument
-from calib.parameter import Parameter, index_of
+from calib.parameter import Parameters, index_of
 from calib.sections import COMPONENTS, Component
 from calib.tabular import titled_html
 from calib.units import quantity
@@ -116,12 +117,11 @@ class Robot(ReadOnlyArrays):
         return tuple(target.name for target in self.mechanism.targets)
 
     @cached_property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters, in the order of `values`."""
+    def parameters(self) -> Parameters:
+        """Parameters, in the order of `values`, and by name."""
         of_instruments = tuple(p for one in self.instruments for p in one.unknowns)
-        return (
-            self.parametrisation.parameters + of_instruments + tuple(p for term in self.terms for p in term.parameters)
-        )
+        of_terms = tuple(p for term in self.terms for p in term.parameters)
+        return Parameters(self.parametrisation.parameters + of_instruments + of_terms)
 
     @cached_property
     def n_origin_parameters(self) -> int:
@@ -340,7 +340,12 @@ class Robot(ReadOnlyArrays):
         return values
 
     def close(
-        self, q: ArrayLike, seed: FloatArray | None = None, columns: tuple[FloatArray, ...] | None = None
+        self,
+        q: ArrayLike,
+        seed: FloatArray | None = None,
+        columns: tuple[FloatArray, ...] | None = None,
+        *,
+        thorough: bool = True,
     ) -> loops.Closed:
         """Solve the loops of each pose without raising; see `calib.model.loops.close`.
 
@@ -348,10 +353,11 @@ class Robot(ReadOnlyArrays):
             q: Commanded joints, (n, n_actuated) [m or rad].
             seed: Passive joints to start from, (n, n_passive).
             columns: Of `term_columns`, if they are known.
+            thorough: Whether to try every way; False is faster, and may leave poses open that close.
         """
         values = self.joint_vector(q)
         actual = self.actual(values, self.term_columns(values) if columns is None else columns)
-        return loops.close(self.mechanism, self.mode, actual, seed)
+        return loops.close(self.mechanism, self.mode, actual, seed, thorough=thorough)
 
     def configurations(
         self, q: FloatArray, closed: loops.Closed, columns: tuple[FloatArray, ...] | None = None
@@ -443,6 +449,54 @@ class Robot(ReadOnlyArrays):
         joints = self.mechanism.all_joints(configurations.actuated, configurations.passive)
         swept = kinematics.sweep(self.mechanism, joints, self.mechanism.targets)
         return np.stack([kinematics.value(swept, target) for target in self.mechanism.targets], axis=1)
+
+    def sample(
+        self, count: int, seed: int | np.random.Generator = 0, *, within: Ranges | ArrayLike | None = None
+    ) -> FloatArray:
+        """Return joint values at random over the joint limits, loops closed; see `calib.model.joint_sampling`.
+
+        Nothing is brought to what the robot touches: `calib.sample` does that, and gives poses with names.
+
+        Args:
+            count: How many.
+            seed: Of the random numbers; or where they come from.
+            within: Ranges to stay in, inside the joint limits: by name [SI], or joint values that span them,
+                (n, n_actuated) [m or rad].
+
+        Returns:
+            (count, n_actuated) [m or rad].
+
+        Raises:
+            InputError: The count or the seed is negative, or a range is not one.
+            DataError: Not enough were found, even near home; or a sliding joint has no limits.
+        """
+        if count < 1:
+            raise InputError(f"count {count}: at least one pose is needed")
+        if within is not None and not isinstance(within, Mapping):
+            joints = self.joint_vector(within)
+            spans = zip(joints.min(axis=0).tolist(), joints.max(axis=0).tolist(), strict=True)
+            within = dict(zip(self.joint_names, spans, strict=True))
+        coordinates = [f"{target}_{axis}" for target in self.target_names for axis in "xyz"]
+        ranges = checked_ranges(within or {}, (*self.joint_names, *coordinates))
+        box = joint_box(self.mechanism, self.urdf, self.home, ranges, self.path)
+        low, high = np.array([ranges.get(name, (-np.inf, np.inf)) for name in coordinates]).reshape(-1, 2).T
+        bounded = not ranges.keys().isdisjoint(coordinates)
+
+        def taken(q: FloatArray) -> IntArray:
+            closed = self.close(q, thorough=False)  # others are tried in place of those that are hard to reach
+            good = np.flatnonzero(closed.ok)
+            distance = self.singular_values(self.configurations(q[good], closed.at(good)))
+            good = good[distance >= self.description.singularity_limit]
+            if not bounded or len(good) == 0:
+                return good
+            points = self.positions(q[good]).reshape(len(good), -1)
+            return good[np.all((points >= low) & (points <= high), axis=1)]
+
+        found = spread(count, random_numbers(seed), box, self.home, taken, draw_in=not bounded)
+        if len(found) < count:
+            what = "are within these ranges; widen them" if ranges else "can be assembled; give a file of poses"
+            raise DataError(f"{self.path}: only {len(found)} of {count} random poses {what}")
+        return found
 
     def calibrated_urdf(self) -> bytes:
         """Return the URDF with the origins that the current values give; unchanged numbers keep their bytes."""

@@ -17,8 +17,9 @@ several groups of rows (instruments, or position and orientation), each with its
 
     f_g^2 = |r_g|^2 / (rows_g - trace(T^T J_g^T J_g T)),         C = T (sum of f_g^2 T^T J_g^T J_g T + S) T^T
 
-Where rows of a visit share errors, the covariance of the whitened rows is W = diag(o_g^2) + sum of tau_j^2 h_j h_j^T
-(`calib.linearisation.rows`), and in the place of the sum stands T^T J^T W J T.
+Where rows of a visit share errors, the covariance of rows divided by the noise of a single reading is
+W = diag(o_g^2) + sum of tau_j^2 h_j h_j^T, and of rows that were then multiplied by R^-1, R^-1 W R^-1
+(`calib.linearisation.rows`). That stands between J T and its transpose in the place of the sum.
 
 Where the size of some priors was found from the same data, `calib.numerics.prior_sizes` says what that adds to C.
 
@@ -85,15 +86,18 @@ class NoiseOfRows:
         own: o_g of the module docstring, over what was assumed, (n_groups,).
         shared: The errors shared by the rows of a visit.
         group: Of each row, -1 for rows that were not read, (n_rows,).
+        weighing: The part of it that the rows were whitened for; None for none.
     """
 
     own: FloatArray
     shared: SharedError
     group: IntArray
+    weighing: SharedError | None
 
     def core(self, pulled: FloatArray) -> FloatArray:
         """Return B^T W B of rows B, (n_rows, k) -> (k, k)."""
         read = self.group >= 0
+        pulled = pulled if self.weighing is None else self.weighing.whiten(pulled)
         scaled = np.where(read, self.own[np.where(read, self.group, 0)], 0.0)[:, None] * pulled
         felt = self.shared.felt(pulled).reshape(-1, pulled.shape[1])
         result: FloatArray = scaled.T @ scaled + felt.T @ felt

@@ -10,7 +10,8 @@ Model. Rows y (whitened by what is stated) of a linear problem with priors, and
 
     covariance      V = S (I + sum of tau_j^2 h_j h_j^T) S        S = diag(s_g), h_j in units of the scaled rows
 
-with one h_j for the error of each joint. s_g is 1 for groups whose noise is stated; the other s_g and the tau_j are
+with one h_j for the error of each joint and for each component of the offsets that instruments have at a pose
+(`calib.linearisation.rows`). s_g is 1 for groups whose noise is stated; the other s_g and the tau_j are
 found by restricted maximum likelihood: with A = J^T V^-1 J + P and Q = V^-1 - V^-1 J A^-1 J^T V^-1, its stationary
 point has for every component V_i of V
 
@@ -21,7 +22,8 @@ one group this is sigma^2 = |r|^2 / (rows - effective parameters). Components st
 shrinks towards zero.
 
 Shared errors have to earn their place: they are taken only where they raise twice the restricted log-likelihood by more
-than chance does to one data set in a thousand (a chi-square of as many degrees of freedom as there are joints).
+than chance does to one data set in a thousand (a chi-square of as many degrees of freedom as there are h_j). Offsets,
+which change weights, come first; joints are then tried beside them.
 
 When it fails. A group with fewer rows than parameters that it alone determines says nothing about its noise.
 
@@ -48,6 +50,7 @@ _SETTLED = 1e-4
 _FAMILY_ROUNDS = 100
 _SMALLEST_FAMILY = 1e-3  # factor below which a family does not fall at once
 _SEEN = 0.05  # coefficients that the data must decide of a family for its size to be found
+_GONE = 0.03  # size of a shared error beside the scales below which one that falls is none
 _STANDS = 0.01  # relative change of a shared error at which it is found
 
 
@@ -110,6 +113,15 @@ class SharedError:
         kept = self._values**2 / (1.0 + self._values**2)
         result: FloatArray = np.sum(self._right**2 * kept[:, :, None], axis=(0, 1))
         return result
+
+    def squares(self) -> FloatArray:
+        """Return the square of each column of C in each block, (n_blocks, n_joints)."""
+        result: FloatArray = np.sum(self._columns**2, axis=1)
+        return result
+
+    def variances(self) -> FloatArray:
+        """Return the diagonal of I + C C^T, (n_rows,)."""
+        return 1.0 + self._unpacked(np.sum(self._columns**2, axis=2, keepdims=True))[:, 0]
 
     def log_determinant(self) -> float:
         """Return log det (I + C C^T)."""
@@ -270,31 +282,59 @@ def log_evidence(model: LinearModel, scales: FloatArray, sizes: FloatArray) -> f
     return -0.5 * (2.0 * float(np.sum(np.log(divisor[read]))) + known.log_determinant + cost)
 
 
-def found_components(model: LinearModel, start: FloatArray, columns: FloatArray, block: IntArray) -> Components:
-    """Find the scales and, where it earns its place, an error shared by the rows of each block.
+def found_components(
+    model: LinearModel, start: FloatArray, columns: FloatArray, block: IntArray, known: FloatArray | None = None
+) -> Components:
+    """Find the scales and, where they earn their place, errors shared by the rows of each block.
 
     Args:
         model: The rows.
         start: Scales to start from, (n_groups,).
-        columns: H0: derivative of the rows by the joints, whitened by what is stated, (n_rows, n_joints).
+        columns: H0: derivative of the rows by the errors, whitened by what is stated, (n_rows, n_columns).
         block: Of each row, (n_rows,).
+        known: About the sizes of errors that have earned their place already, 0 for the others, (n_columns,).
 
     Raises:
         NotIdentifiableError: No degrees of freedom are left.
     """
-    without = found_scales(model, start)
+    known = np.zeros(columns.shape[1]) if known is None else known
+    if np.any(known > 0):
+        without = _with_shared(model, start, known, columns, block)
+    else:
+        without = replace(found_scales(model, start), shared=known)
     if np.all(without.scales[model.unstated] < EXACT) and np.any(model.unstated):
         return without
-    none = Components(without.scales, np.zeros(columns.shape[1]), without.log_likelihood)
     read = model.group >= 0
     sizes = np.sqrt(np.mean(columns[read] ** 2, axis=0))
     level = float(np.sqrt(np.mean(model.residuals[read] ** 2)))
-    if not np.any(sizes > 0) or level == 0:
-        return none
-    start_tau = np.where(sizes > 0, 0.5 * level / np.maximum(sizes, 1e-300) / np.sqrt(np.sum(sizes > 0)), 0.0)
-    with_shared = _with_shared(model, without.scales, start_tau, columns, block)
-    needed = float(scipy.special.chdtri(int(np.sum(sizes > 0)), CHANCE))
-    return with_shared if 2.0 * (with_shared.log_likelihood - without.log_likelihood) > needed else none
+    new = (sizes > 0) & (known == 0)
+    needed = float(scipy.special.chdtri(max(int(np.sum(new)), 1), CHANCE))
+    if not np.any(new) or level == 0 or _rise(model, without, columns, new, block) < 0.5 * needed:
+        return without
+    guess = 0.5 * level / np.maximum(sizes, 1e-300) / np.sqrt(np.sum(new))
+    tried = _with_shared(model, without.scales, np.where(new, guess, without.shared), columns, block)
+    earned = 2.0 * (tried.log_likelihood - without.log_likelihood) > needed
+    exact = np.any(tried.scales[model.unstated] < EXACT)  # the same reading several times shares all it has
+    return tried if earned and not exact else without
+
+
+def _rise(model: LinearModel, found: Components, columns: FloatArray, new: BoolArray, block: IntArray) -> float:
+    """About how much new errors can raise twice the log-likelihood: the sum of squares of their positive scores.
+
+    The score of tau_j^2 at zero is half of (h_j^T Q y)^2 - trace(Q h_j h_j^T); correlations of scores are not negative.
+    """
+    read = model.group >= 0
+    divisor = np.where(read, found.scales[np.where(read, model.group, 0)], 1.0)
+    shared = SharedError(columns * found.shared / divisor[:, None], block)
+    n_free = model.jacobian.shape[1]
+    white = shared.whiten(np.hstack([model.jacobian, model.residuals[:, None], columns[:, new]]) / divisor[:, None])
+    known, step = _solved_fast(model, white[:, : n_free + 1])
+    tried = SharedError(white[:, n_free + 1 :], block)
+    felt = np.sum(tried.felt((white[:, :n_free] @ step + white[:, n_free])[:, None]) ** 2, axis=(0, 2))
+    sizes = tried.squares()
+    traced = np.sum(sizes, axis=0) - np.sum(tried.felt(white[:, :n_free] @ known.root) ** 2, axis=(0, 2))
+    scores = (felt - traced) / np.sqrt(2.0 * np.sum(sizes**2, axis=0))
+    return float(np.sum(np.maximum(scores, 0.0) ** 2))
 
 
 def _with_shared(
@@ -321,7 +361,9 @@ def _with_shared(
         traced = shared.traces() - np.sum(shared.felt(pulled) ** 2, axis=(0, 2))
         felt = np.sum(shared.felt(left[:, None]) ** 2, axis=(0, 2))
         growth = np.where((tau > 0) & (traced > 0), np.sqrt(felt / np.maximum(traced, 1e-300)), 1.0)
-        scales, tau = np.maximum(scales * change, EXACT / 10), tau * growth
+        gone = (growth < 1.0) & (np.sum(shared.squares(), axis=0) < _GONE**2 * len(block))
+        growth = np.where(gone, 1.0, growth)
+        scales, tau = np.maximum(scales * change, EXACT / 10), np.where(gone, 0.0, tau * growth)
         if np.all(np.abs(change - 1.0) <= 10 * _SETTLED) and np.all(np.abs(growth - 1.0) <= _STANDS):
             break
     return Components(scales, tau, likelihood)

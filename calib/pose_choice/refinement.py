@@ -18,7 +18,10 @@ Reference: Kolda, Lewis and Torczon 2003.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -30,6 +33,8 @@ from calib.model.robot import Robot
 from calib.pose_choice.region import Region
 from calib.pose_choice.selection_problem import Problem
 from calib.pose_choice.selection_scores import Scores, scores_of
+from calib.threads import one_blas_thread
+from calib.workers import Progress, in_order
 
 _FIRST_STEP = 0.1  # of a joint's range
 _LARGEST_STEP = 0.25
@@ -38,6 +43,7 @@ _MAX_ROUNDS = 150
 _RISE = 1e-5  # relative rise of a score for which a pose moves; less is crawling
 _RIDGE = 1e-9  # of K; without one pose a direction may be lost, and must be found again
 _NEWTON_STEPS = 8
+_CHUNK = 512  # trial poses that are assembled together, by one worker
 _CLOSED = 1e-9  # closure residual from which `Robot.close` finishes at once [m, rad]
 
 
@@ -66,6 +72,8 @@ def refine(
     region: Region,
     rng: np.random.Generator,
     sigma: float | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
 ) -> Refined:
     """Move poses until no trial pose raises the index.
 
@@ -77,9 +85,13 @@ def refine(
         region: Where they may go.
         rng: Source of the random directions.
         sigma: Noise of positions per axis in place of what is stated [m], or None.
+        executor: Who assembles trial poses; this process if not given.
+        progress: Told in each round how many poses have found their place, of how many.
     """
     q, width = joints.copy(), region.upper - region.lower
-    _, positions, rows, passive = _evaluate(robot, problem, q, region, None, sigma)
+    whiten = problem.known.directions / problem.known.strengths
+    evaluate = partial(_evaluate, partial(_assembled, robot, whiten, problem.rows.shape[1], sigma), region, executor)
+    _, positions, rows, passive = evaluate(q, None)
     step, last = np.full(len(q), _FIRST_STEP), np.zeros_like(q)
     rounds = 0
     while rounds < _MAX_ROUNDS and np.any(step > _SMALLEST_STEP):
@@ -88,7 +100,7 @@ def refine(
         trials = np.stack([_trials(q[k], last[k], step[k], width, rng) for k in active])
         trials = np.clip(trials, region.lower, region.upper)
         seeds = np.repeat(passive[active], trials.shape[1], axis=0)
-        flat = _evaluate(robot, problem, trials.reshape(-1, q.shape[1]), region, seeds, sigma)
+        flat = evaluate(trials.reshape(-1, q.shape[1]), seeds)
         inside, points, trial_rows, closed = (part.reshape(*trials.shape[:2], *part.shape[1:]) for part in flat)
         gathered = problem.before + np.einsum("nki,nkj->ij", rows, rows)
         for a, k in enumerate(active):
@@ -107,6 +119,8 @@ def refine(
             )
             gathered = rest + rows[k].T @ rows[k]
             step[k] = min(2 * step[k], _LARGEST_STEP)
+        if progress is not None:
+            progress(int(np.sum(step <= _SMALLEST_STEP)), len(q))
     return Refined(q, positions.reshape(len(q), -1, 3), rows, rounds)
 
 
@@ -120,16 +134,35 @@ def _trials(q: FloatArray, last: FloatArray, step: float, width: FloatArray, rng
     return result
 
 
-def _evaluate(
-    robot: Robot, problem: Problem, q: FloatArray, region: Region, seed: FloatArray | None, sigma: float | None
-) -> tuple[BoolArray, FloatArray, FloatArray, FloatArray]:
-    """Assemble poses.
+_Assembled = tuple[BoolArray, FloatArray, FloatArray, FloatArray]
+"""Which poses may stand there (n,), points (n, 3 n_targets) [m], whitened rows (n, k, r), passive joints; NaN: open."""
+_Poses = tuple[FloatArray, FloatArray | None]
+"""Joint values (n, n_actuated), and passive joints nearby (n, n_passive), if they are known."""
 
-    Returns:
-        Which lie in the region, (n,), points (n, 3 n_targets) [m], whitened rows (n, k, r), passive joints; NaN: open.
-    """
-    n, k, r = len(q), *problem.rows.shape[1:]
-    allowed, rows = np.zeros(n, dtype=bool), np.full((n, k, r), np.nan)
+
+def _evaluate(
+    assemble: Callable[[_Poses], _Assembled],
+    region: Region,
+    executor: Executor | None,
+    q: FloatArray,
+    seed: FloatArray | None,
+) -> _Assembled:
+    """Assemble poses, in chunks of one size, so that the numbers do not depend on who does them."""
+    starts = range(0, len(q), _CHUNK)
+    chunks = [(q[k : k + _CHUNK], None if seed is None else seed[k : k + _CHUNK]) for k in starts]
+    parts = list(in_order(assemble, chunks, executor))
+    allowed, points, rows, passive = (np.concatenate([part[k] for part in parts]) for k in range(4))
+    closed = np.flatnonzero(allowed)
+    allowed[closed] = region.holds(q[closed], points[closed])
+    return allowed, points, rows, passive
+
+
+@one_blas_thread
+def _assembled(robot: Robot, whiten: FloatArray, width: int, sigma: float | None, poses: _Poses) -> _Assembled:
+    """Assemble poses near others, as rows of that width; those near a singularity may not stand there."""
+    q, seed = poses
+    n = len(q)
+    allowed, rows = np.zeros(n, dtype=bool), np.full((n, width, whiten.shape[1]), np.nan)
     points = np.full((n, 3 * len(robot.target_names)), np.nan)
     passive = np.full((n, len(robot.passive_names)), np.nan)
     near = np.arange(n)
@@ -141,11 +174,9 @@ def _evaluate(
     good = near[closed.ok]
     passive[good] = closed.passive[closed.ok]
     configurations = robot.configurations(q[good], closed.at(np.flatnonzero(closed.ok)))
-    far = robot.singular_values(configurations) >= robot.description.singularity_limit
+    allowed[good] = robot.singular_values(configurations) >= robot.description.singularity_limit
     pose_rows = rows_of_poses(robot, configurations, sigma)
     points[good] = pose_rows.positions.reshape(len(good), -1)
-    allowed[good] = far & region.holds(q[good], points[good])
-    whiten = problem.known.directions / problem.known.strengths
     rows[good] = pose_rows.rows @ whiten
     return allowed, points, rows, passive
 

@@ -17,7 +17,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import scipy
@@ -28,19 +30,20 @@ from calib.data.measurements import Poses
 from calib.errors import InputError
 from calib.model.robot import Robot, require_robot
 from calib.numerics.observability import observability_of
-from calib.pose_choice.exchange import Exchange, exchange, swap
+from calib.pose_choice.exchange import Exchange, Spacing, exchange, swap
 from calib.pose_choice.instrument_choice import ALL, groups_of
 from calib.pose_choice.measurement_order import order_in_blocks, travel
 from calib.pose_choice.refinement import refine
 from calib.pose_choice.region import region_of
 from calib.pose_choice.screening import Searched, after_relaxation, before_any_choice
 from calib.pose_choice.selection_bound import CERTIFIED, log_phi, relax
-from calib.pose_choice.selection_problem import TASK
+from calib.pose_choice.selection_problem import TASK, Problem
 from calib.pose_choice.selection_result import Run, Selection
 from calib.pose_choice.selection_scores import index_of_score, index_values, values_of_rows
 from calib.pose_choice.selection_setting import Setting, Wanted, prepare, require_count
 from calib.threads import one_blas_thread
 from calib.units import millimetres
+from calib.workers import Progress, Workers, in_order
 
 __all__ = ["Run", "Selection", "select"]
 
@@ -63,6 +66,8 @@ def select(
     off_grid: bool = False,
     skip_unreachable: bool = False,
     sigma: float | None = None,
+    executor: Executor | int | None = None,
+    progress: Progress | None = None,
 ) -> Selection:
     """Choose the poses that determine the parameters best.
 
@@ -84,6 +89,10 @@ def select(
             go.
         skip_unreachable: Leave out candidates that cannot be assembled, instead of an error.
         sigma: Noise of one reading per axis [m]; the description's if not given.
+        executor: Who does the starts, and the moves off the grid: any `concurrent.futures` executor, or a number of
+            processes on this machine; this process if not given.
+        progress: Called with how many starts are done and of how many; then with how many poses have found their place
+            off the grid.
 
     Raises:
         InputError: An argument is wrong; count above the candidates, or too small for the parameters.
@@ -97,16 +106,17 @@ def select(
     groups = groups_of(robot, instruments, count)
     total = sum(count.values()) if isinstance(count, Mapping) else count
     wanted = Wanted(index, total, minimum_distance, off_grid, groups)
-    setting = prepare(robot, candidates, wanted, measured, task, exclude, skip_unreachable, sigma)
-    require_count(setting)
-    prepared = time.perf_counter()
     kinds = _start_kinds(random_start, starts)
-    runs, best = _run_all(setting, kinds, rng)
-    efficiency, bound = None, None
-    if wanted.index in CERTIFIED:
-        runs, best, efficiency, bound = _certify(setting, runs, best)
-    on_grid = index_values(setting.problem, best.chosen, setting.sigma)
-    poses = _poses(setting, best, on_grid, rng)
+    with Workers(executor, None if off_grid else starts) as workers:
+        setting = prepare(robot, candidates, wanted, measured, task, exclude, skip_unreachable, sigma)
+        require_count(setting)
+        prepared = time.perf_counter()
+        runs, best = _run_all(setting, kinds, rng, workers, progress)
+        efficiency, bound = None, None
+        if wanted.index in CERTIFIED:
+            runs, best, efficiency, bound = _certify(setting, runs, best)
+        on_grid = index_values(setting.problem, best.chosen, setting.sigma)
+        poses = _poses(setting, best, on_grid, rng, workers, progress)
     order = order_in_blocks(poses.joints, robot.home, _blocks(setting, poses.chosen))
     uniform = np.isin(np.arange(len(setting.problem)), setting.uniform())
     return Selection(
@@ -151,26 +161,50 @@ class _Poses:
     distance: float
 
 
-def _run_all(setting: Setting, kinds: Sequence[str], rng: np.random.Generator) -> tuple[tuple[Run, ...], Exchange]:
+def _run_all(
+    setting: Setting,
+    kinds: Sequence[str],
+    rng: np.random.Generator,
+    workers: Executor | None,
+    progress: Progress | None,
+) -> tuple[tuple[Run, ...], Exchange]:
     """Run the exchange from each start; return the runs and the best result."""
     starts = [setting.uniform() if kind == "uniform" else setting.random(rng) for kind in kinds]
     searched = before_any_choice(setting, np.concatenate(starts))
-    results, runs = zip(*(_run(searched, start, kind) for start, kind in zip(starts, kinds, strict=True)), strict=True)
+    results, runs = zip(*_run(searched, kinds, starts, workers, progress), strict=True)
     return runs, max(results, key=lambda one: one.scores.value)
 
 
-def _run(searched: Searched, start: IntArray, kind: str) -> tuple[Exchange, Run]:
+def _run(
+    searched: Searched,
+    kinds: Sequence[str],
+    starts: Sequence[IntArray],
+    workers: Executor | None = None,
+    progress: Progress | None = None,
+) -> list[tuple[Exchange, Run]]:
+    """Run the exchange from some starts, each of a kind."""
     setting, wanted = searched.setting, searched.setting.wanted
-    start = setting.space.spread(searched.inside(start), wanted.count)
-    if len(start) < wanted.count:
+    spread = [setting.space.spread(searched.inside(start), wanted.count) for start in starts]
+    fewest = min(map(len, spread))
+    if fewest < wanted.count:
         raise InputError(
-            f"only {len(start)} candidates were found that keep {millimetres(wanted.minimum_distance):g} mm from each"
+            f"only {fewest} candidates were found that keep {millimetres(wanted.minimum_distance):g} mm from each"
             f" other, for {wanted.count} wanted; choose a smaller distance or count"
         )
-    paper = exchange(setting.problem, wanted.index, start, setting.space)
-    result = searched.widened(swap(paper, setting.space))
-    history = [index_of_score(setting.problem, wanted.index, v, wanted.count, setting.sigma) for v in result.values]
-    return result, Run(kind, result.history[1:], tuple(history), len(paper.values) - 1)
+    found = []
+    search = partial(_search, setting.problem, wanted.index, setting.space)
+    for kind, (inside, n_paper) in zip(kinds, in_order(search, spread, workers, progress), strict=True):
+        result = searched.widened(inside)
+        history = [index_of_score(setting.problem, wanted.index, v, wanted.count, setting.sigma) for v in result.values]
+        found.append((result, Run(kind, result.history[1:], tuple(history), n_paper)))
+    return found
+
+
+@one_blas_thread
+def _search(problem: Problem, index: str, space: Spacing, start: IntArray) -> tuple[Exchange, int]:
+    """The exchange and the swaps after it, from one start; how many exchanges there were before the swaps."""
+    paper = exchange(problem, index, start, space)
+    return swap(paper, space), len(paper.values) - 1
 
 
 def _certify(setting: Setting, runs: tuple[Run, ...], best: Exchange) -> tuple[tuple[Run, ...], Exchange, float, float]:
@@ -183,8 +217,7 @@ def _certify(setting: Setting, runs: tuple[Run, ...], best: Exchange) -> tuple[t
     starts = {"relaxed": np.sort(heaviest)}
     if searched.is_part:
         starts["best"] = np.flatnonzero(best.chosen)
-    for kind, start in starts.items():
-        more, run = _run(searched, start, kind)
+    for more, run in _run(searched, tuple(starts), tuple(starts.values())):
         best, runs = max(best, more, key=lambda one: one.scores.value), (*runs, run)
     gathered = problem.gathered(best.chosen.astype(float))
     if index == TASK:
@@ -196,7 +229,14 @@ def _certify(setting: Setting, runs: tuple[Run, ...], best: Exchange) -> tuple[t
     return runs, best, efficiency, index_values(problem, best.chosen, setting.sigma)[index] / efficiency
 
 
-def _poses(setting: Setting, best: Exchange, on_grid: dict[str, float], rng: np.random.Generator) -> _Poses:
+def _poses(
+    setting: Setting,
+    best: Exchange,
+    on_grid: dict[str, float],
+    rng: np.random.Generator,
+    workers: Executor | None,
+    progress: Progress | None,
+) -> _Poses:
     """The chosen candidates, moved off the grid if that is wanted."""
     chosen, candidates, usable = np.flatnonzero(best.chosen), setting.found, setting.space.usable
     if not setting.wanted.off_grid:
@@ -215,6 +255,8 @@ def _poses(setting: Setting, best: Exchange, on_grid: dict[str, float], rng: np.
         region,
         rng,
         setting.sigma_given,
+        workers,
+        progress,
     )
     values = values_of_rows(setting.problem, moved.rows, setting.sigma)
     return _Poses(chosen, moved.joints, moved.positions, moved.rows, values, distance)

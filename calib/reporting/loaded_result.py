@@ -63,9 +63,10 @@ class LoadedResult(ReadOnlyArrays):
         """Covariance of the free parameters, by name."""
         return Covariance(self.free_names, self.uncertainty.covariance)
 
-    def predict(self, q: ArrayLike, context: Context | None = None) -> PositionUncertainty:
+    def predict(self, poses: Poses | ArrayLike, context: Context | None = None) -> PositionUncertainty:
         """Predict positions with their covariance; see `calib.identification.fitted.Fit.predict`."""
-        return self.uncertainty.at(self.robot, self.robot.joint_vector(q), context)
+        told = as_poses(self.robot, poses)
+        return self.uncertainty.at(self.robot, told.joints, told.conditions if context is None else context)
 
 
 def load_result(folder: Path | str) -> LoadedResult:
@@ -103,9 +104,8 @@ def predict(calibrated: Robot | Fit | LoadedResult, poses: Poses | ArrayLike) ->
         DataError: Joint values of the wrong shape.
         UnreachablePoseError: A loop stays open.
     """
-    robot = calibrated if isinstance(calibrated, Robot) else calibrated.robot
-    told = as_poses(robot, poses)
     if not isinstance(calibrated, Robot):
-        return calibrated.predict(told.joints, told.conditions)
-    positions = robot.positions(told.joints, told.conditions)
+        return calibrated.predict(poses)
+    told = as_poses(calibrated, poses)
+    positions = calibrated.positions(told.joints, told.conditions)
     return PositionUncertainty(positions, np.full((*positions.shape, 3), np.nan), np.nan)

@@ -85,6 +85,17 @@ def _scatter(fit: Fit) -> list[str]:
             "All readings of a visit share an error, as of joints that are off there (what the model leaves out, or"
             f" places that the robot does not come back to): {', '.join(sizes)}; intervals count it"
         )
+    for name, offsets in fit.offsets.items():
+        one = fit.nominal.instrument(name)
+        axes = [(axis, part) for part in one.parts for axis in part.axes]
+        sizes = [
+            f"{axis} {error_scale(part.dimension) * size:.3g} {ERROR_UNIT[part.dimension]}"
+            for (axis, part), size in zip(axes, offsets, strict=True)
+        ]
+        lines.append(
+            f"All readings of {name} at a pose are off alike (what the model leaves out): {', '.join(sizes)}; they are"
+            " weighed for it, and intervals count it"
+        )
     if fit.chi_square is not None:
         chi = fit.chi_square
         chance = f"{chi.p_larger:.2g} of a larger, {chi.p_smaller:.2g} of a smaller value"

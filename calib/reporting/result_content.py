@@ -8,7 +8,7 @@ from dataclasses import asdict
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.arrays import IntArray
 from calib.data.tables import format_table
 from calib.identification.errors_found import STATES, ErrorSet
 from calib.identification.fitted import Fit
@@ -16,7 +16,7 @@ from calib.identification.joint_curves import joint_curves
 from calib.identification.judged import Outlier
 from calib.identification.repeats import repeatability, repeats
 from calib.linearisation.prediction import PositionUncertainty
-from calib.observation.kind import Instrument
+from calib.linearisation.rows import Rows
 from calib.units import DISPLAY_UNIT, ERROR_UNIT, PER_SI, Dimension, error_scale
 from calib.version import PROGRAM
 
@@ -248,7 +248,8 @@ def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
     blocks: list[dict[str, object]] = []
     for one in fit.nominal.instruments:
         parts = []
-        for part in one.parts:
+        offsets = fit.offsets.get(one.name, np.zeros(one.n_rows))
+        for index, part in enumerate(one.parts):
             noise = next((n for n in fit.noise if (n.group.name, n.group.part) == (one.group, part.name)), None)
             scale = error_scale(part.dimension)
             parts.append(
@@ -257,6 +258,7 @@ def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
                     "unit": ERROR_UNIT[part.dimension],
                     "sigma": None if noise is None else scale * noise.sigma,
                     "sigma_own": None if noise is None else scale * noise.own,
+                    "sigma_shared": [scale * float(size) for size in offsets[np.equal(one.part_of_row, index)]],
                     "sigma_stated": None if noise is None or noise.stated is None else scale * noise.stated,
                     "degrees_of_freedom": None if noise is None else noise.freedom,
                     "errors": {
@@ -284,81 +286,78 @@ def residual_table(fit: Fit) -> str:
 
     A cell is empty where there is no number: of readings that were not fitted, of robots without loops.
     """
-    sets = [entry for entry in error_sets(fit) if entry[0] != "cross_validation"]
-    rows = [row for label, found in sets for row in _residual_rows(fit, label, found)]
-    headers = dict.fromkeys(header for row in rows for header in row)
-    return format_table([(header, [_cell(row.get(header, "")) for row in rows]) for header in headers])
+    blocks: list[tuple[IntArray, dict[str, Sequence[object]]]] = []
+    count = 0
+    for label, found in error_sets(fit):
+        if label == "cross_validation":
+            continue
+        rows = fit.rows if label == "identification" else fit.validation_rows
+        assert rows is not None
+        place = np.empty(rows.layout.n_readings, dtype=np.intp)
+        place[np.argsort(rows.layout.visit, kind="stable")] = count + np.arange(len(place))
+        count += len(place)
+        own = [(place[rows.layout.readings_of(name)], name) for name in rows.layout.instruments]
+        blocks += [(places, _residual_columns(fit, label, found, rows, name)) for places, name in own]
+    blocks.sort(key=lambda block: int(np.min(block[0], initial=count)))
+    columns: dict[str, list[object]] = {}
+    for places, block in blocks:
+        for header, values in block.items():
+            column = columns.setdefault(header, [""] * count)
+            for place_of_row, value in zip(places.tolist(), values, strict=True):
+                column[place_of_row] = _cell(value)
+    return format_table(list(columns.items()))
 
 
 def _cell(value: object) -> object:
     return "" if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _residual_rows(fit: Fit, label: str, found: ErrorSet) -> list[dict[str, object]]:
-    """One row per reading of a set, in the order of the visits."""
+def _residual_columns(fit: Fit, label: str, found: ErrorSet, rows: Rows, name: str) -> dict[str, Sequence[object]]:
+    """A column of cells for each header, for the readings of one instrument in a set."""
     used = label == "identification"
-    rows = fit.rows if used else fit.validation_rows
     judged = fit.studentised if used else fit.validation_studentised
-    assert rows is not None
     assert judged is not None
     layout, factor = rows.layout, float(np.sqrt(np.mean(fit.statistics.factors.found**2))) if used else 1.0
-    lengths = rows.distances() / max(factor, 1e-30) / np.sqrt(np.maximum(layout.width, 1))
-    result = []
-    for name in layout.instruments:
-        one, own = fit.nominal.instrument(name), layout.readings_of(name)
-        cells = one.cells(found.data.readings[name].values)
-        texts = one.texts(found.data.readings[name].pairs, found.data.readings[name].details)
-        dimensions = {column.name: column.dimension for column in one.columns()}
-        for k in range(own.stop - own.start):
-            reading, visit = own.start + k, int(layout.visit[own.start + k])
-            row: dict[str, object] = {"set": label, "pose": found.data.names[visit], "target": name}
-            row |= _setup_cell(fit, one, int(found.data.readings[name].pairs[k]))
-            row |= {f"looked_at_{column}": words[k] for column, words in texts.items()}
-            row |= _joint_cells(fit, found, visit)
-            for state in STATES:
-                row |= _error_cells(one, state, getattr(found, state)[name][k])
-            for column, numbers in cells.items():
-                row |= _measured_cell(one, column, dimensions[column], float(numbers[k]))
-            row["over_sigma"] = float(lengths[reading]) if factor > 0 else math.nan
-            row["studentised"] = float(judged.ratio[reading]) if used else math.nan
-            row["leverage"] = float(judged.leverage[reading]) if used else math.nan
-            row["weight"] = float(fit.weights[reading]) if used else math.nan
-            row["loop_singular_value"] = float(found.singular_value[visit])
-            result.append((visit, row))
-    return [row for _, row in sorted(result, key=lambda entry: entry[0])]
-
-
-def _setup_cell(fit: Fit, one: Instrument, pair: int) -> dict[str, object]:
-    """The setup of a reading, where there are several: errors are in its measurement frame."""
-    names, pairs = list(fit.nominal.description.setups), fit.nominal.pairs(one)
-    return {"setup": names[pair * len(names) // len(pairs)]} if names and pairs else {}
-
-
-def _joint_cells(fit: Fit, found: ErrorSet, visit: int) -> dict[str, object]:
-    cells: dict[str, object] = {}
+    one, own, readings = fit.nominal.instrument(name), layout.readings_of(name), found.data.readings[name]
+    visits, n = layout.visit[own], len(readings)
+    columns: dict[str, Sequence[object]] = {
+        "set": [label] * n,
+        "pose": [found.data.names[visit] for visit in visits],
+        "target": [name] * n,
+    }
+    setups, n_pairs = list(fit.nominal.description.setups), len(fit.nominal.pairs(one))
+    if setups and n_pairs:  # errors are in its measurement frame
+        columns["setup"] = [setups[pair * len(setups) // n_pairs] for pair in readings.pairs]
+    columns |= {f"looked_at_{key}": words for key, words in one.texts(readings.pairs, readings.details).items()}
     for j, joint in enumerate(fit.robot.joint_names):
-        dimension = fit.robot.mechanism.dimensions[joint]
-        unit = DISPLAY_UNIT[dimension]
-        cells[f"{joint} [{unit}]"] = float(found.data.joints[visit, j] * PER_SI[dimension][unit])
-    return cells
+        unit, scale = _shown_in(fit.robot.mechanism.dimensions[joint])
+        columns[f"{joint} [{unit}]"] = (scale * found.data.joints[visits, j]).tolist()
+    for state in STATES:
+        for row, number in enumerate(one.part_of_row):
+            part = one.parts[number]
+            axis = part.axes[row - one.part_of_row.index(number)]
+            errors = error_scale(part.dimension) * getattr(found, state)[name][:, row]
+            columns[f"error_{state}_{axis} [{ERROR_UNIT[part.dimension]}]"] = errors.tolist()
+    dimensions = {column.name: column.dimension for column in one.columns()}
+    for column, numbers in one.cells(readings.values).items():
+        unit, scale = _shown_in(dimensions[column])
+        header = f"measured_{column.removeprefix(f'{name}_')}" + (f" [{unit}]" if unit else "")
+        columns[header] = (scale * numbers).tolist()
+    lengths = rows.distances()[own] / max(factor, 1e-30) / np.sqrt(np.maximum(layout.width[own], 1))
+    unknown = np.full(n, np.nan)
+    judgements = {
+        "over_sigma": lengths if factor > 0 else unknown,
+        "studentised": judged.ratio[own] if used else unknown,
+        "leverage": judged.leverage[own] if used else unknown,
+        "weight": fit.weights[own] if used else unknown,
+        "loop_singular_value": found.singular_value[visits],
+    }
+    return columns | {header: values.tolist() for header, values in judgements.items()}
 
 
-def _error_cells(one: Instrument, state: str, errors: FloatArray) -> dict[str, object]:
-    cells: dict[str, object] = {}
-    for row, number in enumerate(one.part_of_row):
-        part = one.parts[number]
-        axis = part.axes[row - one.part_of_row.index(number)]
-        header = f"error_{state}_{axis} [{ERROR_UNIT[part.dimension]}]"
-        cells[header] = float(errors[row] * error_scale(part.dimension))
-    return cells
-
-
-def _measured_cell(one: Instrument, column: str, dimension: Dimension | None, value: float) -> dict[str, object]:
-    name = column.removeprefix(f"{one.name}_")
-    if dimension is None:
-        return {f"measured_{name}": value}
-    unit = DISPLAY_UNIT[dimension]
-    return {f"measured_{name} [{unit}]": value * PER_SI[dimension][unit]}
+def _shown_in(dimension: Dimension | None) -> tuple[str, float]:
+    """The unit to show a dimension in, and how many of it make one SI unit; no unit for what has none."""
+    return ("", 1.0) if dimension is None else (DISPLAY_UNIT[dimension], PER_SI[dimension][DISPLAY_UNIT[dimension]])
 
 
 def parameter_table(fit: Fit, comments: Sequence[str]) -> str:

@@ -309,13 +309,16 @@ def load_promise(folder: Path | str, robot: Robot) -> Promise:
     """
     calibrated, known, content = load_calibrated(folder, robot), load_uncertainty(folder, robot), read_result(folder)
     sigma: dict[tuple[str, str], float] = {}
+    offsets: dict[str, list[float]] = {}
     try:
         for block in content["instruments"]:
             one = robot.instrument(block["name"])
             dimensions = {part.name: part.dimension for part in one.parts}
             for part in block["parts"]:
+                scale = error_scale(dimensions[part["name"]])
+                for size in part.get("sigma_shared", ()):
+                    offsets.setdefault(one.name, []).append(float(size) / scale)
                 if part["sigma_own"] is not None:
-                    scale = error_scale(dimensions[part["name"]])
                     sigma[one.group, part["name"]] = float(part["sigma_own"]) / scale
         shared = {
             row["joint"]: float(row["sigma"]) / error_scale(robot.mechanism.dimensions[row["joint"]])
@@ -325,7 +328,8 @@ def load_promise(folder: Path | str, robot: Robot) -> Promise:
     except (KeyError, TypeError, ValueError):
         raise DataError(f"{folder}: does not say the noise of each instrument; run the fit again") from None
     errors = np.array([shared.get(name, 0.0) for name in robot.joint_names])
-    return Promise(calibrated, known.covariance, freedom, sigma, errors)
+    alike = {name: np.array(sizes) for name, sizes in offsets.items()}
+    return Promise(calibrated, known.covariance, freedom, sigma, errors, alike)
 
 
 def read_result(folder: Path | str) -> dict[str, Any]:

@@ -17,6 +17,7 @@ import time
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib.arrays import FloatArray
 from calib.data.in_memory import as_poses
 from calib.data.measurements import Measurements, Poses
 from calib.errors import CalibrationError, DataError, InputError, NotConvergedError, NotIdentifiableError
@@ -71,6 +72,7 @@ class Watch:
         self._settings, self._seed = Settings(sigma), seed
         self._data: Measurements | None = None
         self._fit: Fit | None = None
+        self._passive: FloatArray | None = None  # of the candidates at the fit before: near those of the next
         self._squares: list[float] = []
         self._met = False  # whether the predicted error of the fit meets the goal
         self._settled = 0  # how many of the last squares are by fits of which that is so
@@ -136,7 +138,8 @@ class Watch:
     def _predicted(self, fit: Fit | None) -> RootMeanSquare:
         if fit is None:
             return UNKNOWN
-        closed = fit.robot.close(self.candidates.joints)
+        closed = fit.robot.close(self.candidates.joints, self._passive)
+        self._passive = closed.passive
         reached = np.flatnonzero(closed.ok)
         if not len(reached):
             return UNKNOWN

@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
 ROOT = Path(__file__).resolve().parents[2]
-FRONT = ("calibration", "cli")
-"""Files of `calib` itself that stand on the top floor: what users hold, and the program."""
+FRONT = ("calibration", "cli", "pictures")
+"""Files of `calib` itself that stand on the top floor: what users hold, who draws, and the program."""
 
 
 @dataclass(frozen=True)

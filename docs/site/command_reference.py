@@ -14,6 +14,7 @@ EXAMPLES = {
     "calib check": "calib check docs/examples/arm.yaml docs/examples/arm_simulated.csv",
     "calib select": "calib select docs/examples/arm.yaml candidates.csv --count 30 --index O1 --out poses.csv",
     "calib simulate": "calib simulate docs/examples/arm.yaml poses.csv --sigma-mm 0.04 --seed 1 --out simulated.csv",
+    "calib study": "calib study docs/examples/arm.yaml poses.csv --draws 200 --truth priors",
     "calib fit": "calib fit docs/examples/arm.yaml docs/examples/arm_simulated.csv --validate 0.25 --out out/arm",
     "calib watch": "calib watch docs/examples/arm.yaml growing.csv --goal 0.1mm",
     "calib view": "calib view out/arm --map",

@@ -89,6 +89,7 @@ def errors_before_after() -> Figure:
     ):
         distance = 1e3 * np.linalg.norm(errors, axis=1)
         axes.hist(distance, bins=24, color=colour)
+        axes.locator_params(axis="x", nbins=6)
         axes.axvline(float(distance.mean()), color="black", linestyle=":")
         axes.set(xlabel="position error [mm]", ylabel="poses", title=f"{title}: mean {distance.mean():.3g} mm")
     return figure

@@ -17,9 +17,7 @@ import re
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +29,7 @@ from calib.data.tables import format_table
 from calib.errors import CalibrationError
 from calib.files import write_file
 from calib.model.instruments import instruments_of
+from calib.workers import Workers, in_order
 
 PAGE = EXAMPLES.parent / "verdict.md"
 EACH = 1
@@ -119,8 +118,8 @@ def carry_out(wanted: Sequence[Run], processes: int, kept: Path | None = None) -
     """
     done = _read(kept) if kept is not None and kept.exists() else {}
     left = [run for run in wanted if run not in done]
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        for outcome in pool.map(calibrate, left, chunksize=1):
+    with Workers(processes, len(left)) as workers:
+        for outcome in in_order(calibrate, left, workers):
             done[outcome.run] = outcome
             if kept is not None:
                 with kept.open("a", encoding="utf-8") as file:

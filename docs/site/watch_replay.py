@@ -11,7 +11,7 @@ so is the first pose.
 
 from __future__ import annotations
 
-import csv
+import shutil
 import sys
 import tempfile
 from dataclasses import dataclass
@@ -22,24 +22,14 @@ from matplotlib.figure import Figure
 
 import calib
 from calib.arrays import FloatArray, IntArray
-from calib.data.tables import format_table
+from calib.data.tables import read_table
 from calib.units import millimetres
 from viz.svg import BLUE, GREY, ORANGE, styled, svg_file
 
 FIGURE = Path(__file__).resolve().parents[1] / "figures" / "watch_replay.svg"
+DESCRIPTION = FIGURE.parents[1] / "examples" / "ur10_tracker.yaml"
 GOAL = 0.6e-3
 POOL, SEEDS, MOST = 400, 8, 90
-DESCRIPTION = """\
-urdf: robot.urdf
-name_mot: [shoulder_pan_joint, shoulder_lift_joint, elbow_joint, wrist_1_joint, wrist_2_joint, wrist_3_joint]
-base: {frame: base_link, pose: unknown}
-targets:
-  sensor: {frame: flange, position: unknown}
-parametrisation:
-- {origin: all, components: [x, y, z], sigma: 1 mm}
-- {origin: all, components: [rx, ry, rz], sigma: 3 mrad}
-columns: {x: sensor_x, y: sensor_y, z: sensor_z}
-"""
 
 
 @dataclass(frozen=True)
@@ -64,22 +54,15 @@ class Replay:
 
 def read(folder: Path) -> tuple[calib.Robot, calib.Measurements, calib.Measurements]:
     """Return the robot, the poses to choose from, and the rows for testing."""
-    with (folder / "grid.csv").open() as stream:
-        rows = list(csv.DictReader(stream))
-    test = [row for row in rows if row["use"] == "test"]
-    others = [row for row in rows if row["use"] != "test"]
-    kept = np.random.default_rng(0).choice(len(others), POOL, replace=False)
     with tempfile.TemporaryDirectory() as together:
-        (Path(together) / "robot.urdf").write_bytes((folder / "robot.urdf").read_bytes())
-        (Path(together) / "ur10.yaml").write_text(DESCRIPTION)
-        robot = calib.load(Path(together) / "ur10.yaml")
-        sets = []
-        for chosen in ([others[k] for k in kept], test):
-            names = [name for name in chosen[0] if name.split()[0] in (*robot.joint_names, "x", "y", "z")]
-            path = Path(together) / "rows.csv"
-            path.write_text(format_table([(name, [row[name] for row in chosen]) for name in names]))
-            sets.append(calib.read_measurements(path, robot))
-    return robot, sets[0], sets[1]
+        shutil.copy(folder / "robot.urdf", together)
+        shutil.copy(DESCRIPTION, together)
+        robot = calib.load(Path(together) / DESCRIPTION.name)
+    table = read_table(folder / "grid.csv")
+    test = np.array([row[table.names.index("use")] == "test" for row in table.rows])
+    data = calib.read_measurements(folder / "grid.csv", robot)
+    kept = np.random.default_rng(0).choice(int(np.sum(~test)), POOL, replace=False)
+    return robot, data[np.flatnonzero(~test)[kept]], data[test]
 
 
 def replay(

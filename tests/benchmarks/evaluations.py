@@ -2,9 +2,9 @@
 
     python tests/benchmarks/evaluations.py [--data FOLDER]
 
-FOLDER holds the measurements of others: motoman_right (docs/examples/motoman_right.yaml), and ur10_tracker (as in
-docs/benchmarks.md, 300 random rows, positions). Without it, only robots that ship with the project are fitted. A number
-is the evaluations of the last solve of a fit; * says that the fit is not converged.
+FOLDER holds the measurements of others: motoman_right (docs/examples/motoman_right.yaml), and ur10_tracker
+(docs/examples/ur10_tracker.yaml, 300 random rows). Without it, only robots that ship with the project are fitted. A
+number is the evaluations of the last solve of a fit; * says that the fit is not converged.
 """
 
 import argparse
@@ -23,17 +23,6 @@ from medrue import robot_file
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 SIGMAS = np.array([1000, 300, 100, 42.6, 10, 7, 3, 1]) * 1e-6
-UR10 = """\
-urdf: robot.urdf
-name_mot: [shoulder_pan_joint, shoulder_lift_joint, elbow_joint, wrist_1_joint, wrist_2_joint, wrist_3_joint]
-base: {frame: base_link, pose: unknown}
-targets:
-  sensor: {frame: flange, position: unknown}
-parametrisation:
-- {origin: all, components: [x, y, z], sigma: 1 mm}
-- {origin: all, components: [rx, ry, rz], sigma: 3 mrad}
-columns: {x: sensor_x, y: sensor_y, z: sensor_z}
-"""
 
 
 @contextmanager
@@ -61,16 +50,10 @@ def ur10(folder, rows=300):
     """The UR10 and some rows of its file, positions alone."""
     with tempfile.TemporaryDirectory() as together:
         shutil.copy(folder / "robot.urdf", together)
-        (Path(together) / "ur10.yaml").write_text(UR10)
-        robot = calib.load(Path(together) / "ur10.yaml")
-        header, *lines = (folder / "grid.csv").read_text().splitlines()
-        names = header.split(",")
-        kept = [k for k, name in enumerate(names) if name.split()[0] in (*robot.joint_names, "x", "y", "z")]
-        chosen = np.sort(np.random.default_rng(0).choice(len(lines), rows, replace=False))
-        table = [[row.split(",")[k] for k in kept] for row in (header, *(lines[k] for k in chosen))]
-        path = Path(together) / "rows.csv"
-        path.write_text("\n".join(",".join(cells) for cells in table) + "\n")
-        return robot, calib.read_measurements(path, robot)
+        shutil.copy(EXAMPLES / "ur10_tracker.yaml", together)
+        robot = calib.load(Path(together) / "ur10_tracker.yaml")
+    data = calib.read_measurements(folder / "grid.csv", robot)
+    return robot, data[np.sort(np.random.default_rng(0).choice(len(data), rows, replace=False))]
 
 
 def problems(folder=None):

@@ -1,6 +1,6 @@
 """What moves by itself in the viewer: only where the reader lets it, and it can be stopped."""
 
-from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -10,6 +10,7 @@ from browser_tab import Tab, slide
 import calib
 import viz
 from viz.bodies import posed_robot
+from viz.scene import build_scene
 from viz.viewer_page import scene_page
 
 PART = "v.stage.marks.uniforms.state.value"
@@ -192,11 +193,59 @@ def test_a_robot_without_poses_can_be_moved(chromium, tmp_path):
     tab.context.close()
 
 
-def test_joint_terms_that_the_page_leaves_out_are_said_to_be(chromium, scene, tmp_path):
-    with_terms = replace(scene, drive=replace(scene.drive, terms=True))
-    tab = Tab(chromium).open(scene_page(with_terms).save(tmp_path / "viewer.html").as_uri())
+def with_terms(folder, name, terms, generator):
+    """An example robot, and the same one with joint terms of random size."""
+    (folder / f"{name}.urdf").write_text(Path(f"docs/examples/{name}.urdf").read_text())
+    described = Path(f"docs/examples/{name}.yaml").read_text()
+    (folder / "robot.yaml").write_text("\n".join([described, "joint_terms:", *(f"  - {{{term}}}" for term in terms)]))
+    robot = calib.load(folder / "robot.yaml")
+    values = robot.values.copy()
+    sigma = [one.sigma for one in robot.parameters[robot.coefficients]]
+    values[robot.coefficients] = generator.normal(scale=sigma)
+    return robot, robot.with_parameters(values)
+
+
+@pytest.mark.parametrize(
+    ("name", "terms", "remark"),
+    [
+        (
+            "arm",
+            (
+                "joint: all, term: curve",
+                "joint: joint_2, term: harmonics, orders: [1, 40]",
+                "joint: joint_4, term: coupling, driven_by: joint_3",
+                "joint: joint_5, term: backlash",
+                "joint: joint_6, term: temperature",
+            ),
+            "Not known here, and taken as neutral: temperature, the direction of approach.",
+        ),
+        ("five_bar", ("joint: all, term: gain", "joint: all, term: harmonics, orders: [1, 17]"), ""),
+    ],
+)
+def test_motors_moved_by_hand_are_off_as_the_calibrated_robot_is(chromium, tmp_path, name, terms, remark):
+    generator = np.random.default_rng(3)
+    nominal, calibrated = with_terms(tmp_path, name, terms, generator)
+    page = scene_page(build_scene(nominal, calibrated)).save(tmp_path / "viewer.html")
+    tab = Tab(chromium).open(page.as_uri())
     tab.page.locator("#drive-block summary").click()
-    assert tab.page.locator("#drive-terms").is_visible()
+    assert tab.page.locator("#drive-terms").inner_text() == remark
+    for joint in generator.integers(len(nominal.joint_names), size=12):
+        now = float(tab.page.locator(f"#drive-{joint}").input_value())
+        slide(tab, f"drive-{joint}", now + generator.uniform(-20, 20))
+        q = np.array(tab.state("v.live.joints"))
+        for robot, state in ((nominal, "before"), (calibrated, "after")):
+            position = np.array(tab.state(f"v.live.predicted.{state}"))[0]
+            np.testing.assert_allclose(position, robot.positions(q)[0, 0], atol=1e-6)
+    assert np.linalg.norm(calibrated.positions(q) - nominal.positions(q)) > 1e-4
+    assert tab.problems == []
+    tab.context.close()
+
+
+def test_what_the_page_leaves_out_is_said_and_no_position_is_claimed(chromium, tmp_path):
+    robots = with_terms(tmp_path, "arm", ("joint: joint_2, term: compliance",), np.random.default_rng(3))
+    tab = Tab(chromium).open(scene_page(build_scene(*robots)).save(tmp_path / "viewer.html").as_uri())
+    tab.page.locator("#drive-block summary").click()
+    assert tab.page.locator("#drive-terms").inner_text() == "Left out here: what gravity bends in joint_2."
     slide(tab, "drive-0", float(tab.page.locator("#drive-0").input_value()) + 1)
     assert tab.state("v.live.predicted.after") is None
     assert "pred. after" not in tab.page.locator("#position").inner_text()

@@ -52,9 +52,12 @@ function solveLinear(A, b) {
 
 /** One robot, moved by its motors from a pose in which its loops are closed. */
 class DrivenRobot {
-  /** @param robot placements of the tree, as Tree.poses reads them */
-  constructor(tree, drive, robot) {
-    Object.assign(this, { tree, drive, robot });
+  /**
+   * @param robot placements of the tree, as Tree.poses reads them
+   * @param tables what its motors do beside what they are told
+   */
+  constructor(tree, drive, robot, tables) {
+    Object.assign(this, { tree, drive, robot, tables });
   }
 
   /** Start in a pose. @param values moving joints of that pose, loops closed. Returns whether they are. */
@@ -70,10 +73,25 @@ class DrivenRobot {
     return found !== null;
   }
 
+  /** Where motors are when they are told these values: cubics through four numbers of each table. */
+  actual(motors) {
+    const actual = [...motors];
+    this.tables.forEach(({ joint, by, low, step, errors }) => {
+      const place = (motors[by] - low) / step;
+      const first = Math.min(Math.max(Math.floor(place) - 1, 0), errors.length - 4);
+      const t = place - first;
+      const weights = [-(t - 1) * (t - 2) * (t - 3) / 6, t * (t - 2) * (t - 3) / 2, -t * (t - 1) * (t - 3) / 2,
+        t * (t - 1) * (t - 2) / 6];
+      weights.forEach((weight, i) => { actual[joint] += weight * errors[first + i]; });
+    });
+    return actual;
+  }
+
   values(motors = this.motors, passive = this.passive) {
     const { by_actuated, by_passive, constant } = this.drive;
     const dot = (row, x) => row.reduce((sum, entry, i) => sum + entry * x[i], 0);
-    return constant.map((value, i) => value + dot(by_actuated[i], motors) + dot(by_passive[i], passive));
+    const actual = this.actual(motors);
+    return constant.map((value, i) => value + dot(by_actuated[i], actual) + dot(by_passive[i], passive));
   }
 
   /** How far the loops are open, in radians and characteristic lengths. */
@@ -154,10 +172,12 @@ class DrivePanel {
   constructor(scene, tree, robots, show) {
     Object.assign(this, { scene, robots, show });
     this.driven = Object.entries(robots).filter(([, robot]) => robot)
-      .map(([name, robot]) => [name, new DrivenRobot(tree, scene.drive, robot)]);
+      .map(([name, robot]) => [name, new DrivenRobot(tree, scene.drive, robot, name === "solid" ? scene.drive.tables : [])]);
     this.note = document.getElementById("drive-note");
     this.sliders = scene.joints.map((joint, i) => this.slider(joint, i));
-    document.getElementById("drive-terms").hidden = !scene.drive.terms;
+    const remarks = document.getElementById("drive-terms");
+    remarks.textContent = scene.drive.remarks.join(" ");
+    remarks.hidden = !scene.drive.remarks.length;
     document.getElementById("drive-block").hidden = !this.sliders.length;
   }
 
@@ -214,7 +234,7 @@ class DrivePanel {
 
   state() {
     const robots = Object.fromEntries(this.driven);
-    const solid = this.scene.drive.terms ? null : robots.solid.targets();
+    const solid = this.scene.drive.complete ? robots.solid.targets() : null;
     const [before, after] = robots.ghost ? [robots.ghost.targets(), solid] : [solid, null];
     return { joints: this.driven[0][1].motors, solid: robots.solid.values(), ghost: robots.ghost ? robots.ghost.values() : null,
       targets: this.scene.drive.targets.map(({ name }) => name), byHand: true,

@@ -1,0 +1,134 @@
+"""Visits and what was read there as columns of tables, in mm and degrees: a header and a cell for each line.
+
+A visit at which an instrument read several things (points of a camera) has a line for each of them, which repeat its
+joint values. Cells that nothing stands in are empty text.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from calib.arrays import FloatArray, IntArray
+from calib.errors import DataError
+from calib.model.robot import Robot
+from calib.observation.kind import Readings
+from calib.units import DISPLAY_UNIT, PER_SI, Dimension
+
+CONTEXT: dict[str, Dimension] = {"time": "time", "temperature": "temperature", "load": "mass"}
+"""Columns that say under which conditions a visit was made, and what they measure."""
+APPROACH = "approach_"
+"""Start of the names of columns that say from which side a joint came."""
+
+
+def pose_columns(robot: Robot, names: Sequence[str], joints: FloatArray) -> dict[str, list[object]]:
+    """Return pose names and joint values (n, n_actuated) [m or rad]."""
+    columns: dict[str, list[object]] = {"pose": list(names)}
+    for j, name in enumerate(robot.joint_names):
+        dimension = robot.mechanism.dimensions[name]
+        # 15 digits: 30 degrees come out as 30, not as what the way through radians leaves of them
+        columns[header(name, dimension)] = [float(f"{value:.15g}") for value in shown(joints[:, j], dimension)]
+    return columns
+
+
+def condition_columns(
+    robot: Robot, n_visits: int, setups: IntArray | None, context: Mapping[str, FloatArray]
+) -> dict[str, list[object]]:
+    """Return in which setup and under which conditions the visits were made; see `calib.data.measurements.Poses`."""
+    columns: dict[str, list[object]] = {}
+    names = list(robot.description.setups)
+    if names:
+        columns["setup"] = [names[k] for k in (np.zeros(n_visits, dtype=np.intp) if setups is None else setups)]
+    for key, values in context.items():
+        cells = shown(values, CONTEXT[key])
+        columns[header(key, CONTEXT[key])] = ["" if np.isnan(value) else value for value in cells]
+    return columns
+
+
+def approach_columns(robot: Robot, approach: FloatArray | None) -> dict[str, list[object]]:
+    """Return directions of approach (n, n_actuated) where they are given, of the joints of which any is known.
+
+    A column says that they are given, also where none is known.
+    """
+    if approach is None:
+        return {}
+    known = np.any(approach != 0, axis=0)
+    seen = known if np.any(known) else ~known
+    return {
+        f"{APPROACH}{name}": [int(direction) for direction in approach[:, j]]
+        for j, name in enumerate(robot.joint_names)
+        if seen[j]
+    }
+
+
+def reading_columns(
+    robot: Robot, n_visits: int, all_readings: Mapping[str, Readings]
+) -> tuple[IntArray, dict[str, list[object]]]:
+    """Return the visit of each line of the table, (n_lines,), and what was read, by instrument.
+
+    Raises:
+        DataError: Simulated readings of an instrument that reads no numbers.
+    """
+    visits, line_of = _lines(robot, n_visits, all_readings)
+    columns: dict[str, list[object]] = {}
+    for one in robot.instruments:
+        readings = all_readings.get(one.name)
+        if readings is None:
+            continue
+        dimensions = {column.name: column.dimension for column in one.columns()}
+        cells: dict[str, Sequence[object]] = {
+            header(name, dimensions[name]): list(shown(numbers, dimensions[name]))
+            for name, numbers in one.cells(readings.values).items()
+        }
+        if one.label_column is not None:
+            cells[one.label_column] = [one.name] * len(readings)
+        for name, told in (cells | one.texts(readings.pairs, readings.details)).items():
+            column = columns.setdefault(name, [""] * len(visits))
+            for line, cell in zip(line_of[one.name], told, strict=True):
+                column[line] = cell
+        if not dimensions and np.any(readings.values):
+            raise DataError(
+                f"instrument '{one.name}' reads no numbers, so that no file can say by how much it missed: what it"
+                " touches must be touched; give joint values at which it is"
+            )
+    return visits, columns
+
+
+def _lines(robot: Robot, n_visits: int, all_readings: Mapping[str, Readings]) -> tuple[IntArray, dict[str, IntArray]]:
+    """The visit of each line, and the line of each reading; what shares columns needs lines of its own."""
+    sharing: dict[str, list[str]] = {}
+    for one in robot.instruments:
+        if one.name in all_readings:
+            sharing.setdefault(f"column {one.label_column}" if one.label_column else one.name, []).append(one.name)
+    place: dict[str, IntArray] = {}
+    for names in sharing.values():
+        places = rank_in_visit(np.concatenate([all_readings[name].visits for name in names]))
+        ends = np.cumsum([len(all_readings[name]) for name in names])[:-1]
+        place |= dict(zip(names, np.split(places, ends), strict=True))
+    count = np.ones(n_visits, dtype=np.intp)
+    for name, places in place.items():
+        np.maximum.at(count, all_readings[name].visits, places + 1)
+    first = np.cumsum(count) - count
+    return np.repeat(np.arange(n_visits), count), {
+        name: first[all_readings[name].visits] + places for name, places in place.items()
+    }
+
+
+def rank_in_visit(visits: IntArray) -> IntArray:
+    """Return how many readings before it each reading's visit has, (n,) -> (n,)."""
+    order = np.argsort(visits, kind="stable")
+    sorted_visits = visits[order]
+    result = np.empty(len(visits), dtype=np.intp)
+    result[order] = np.arange(len(visits)) - np.searchsorted(sorted_visits, sorted_visits)
+    return result
+
+
+def header(name: str, dimension: Dimension | None) -> str:
+    """Return the header of a column, with its unit."""
+    return name if dimension is None else f"{name} [{DISPLAY_UNIT[dimension]}]"
+
+
+def shown(numbers: FloatArray, dimension: Dimension | None) -> FloatArray:
+    """Return numbers (n,) [SI] in the unit of tables."""
+    return numbers if dimension is None else numbers * PER_SI[dimension][DISPLAY_UNIT[dimension]]

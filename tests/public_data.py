@@ -1,0 +1,231 @@
+"""Real robots measured by others: how their files are read here, and the figures of docs/benchmarks.md.
+
+    python tests/public_data.py FOLDER [ur10_tracker] [motoman_right] [mukca]
+
+FOLDER holds a folder for each: ur10_tracker (robot.urdf, grid.csv with a column `use`), motoman_right (robot.urdf,
+train.csv, test.csv, camera), mukca (urdf, panda_1, kuka_14). None is part of the project; docs/benchmarks.md says where
+they come from. Errors are of rows that the fit never saw. All together take about ten minutes.
+"""
+
+import csv
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import yaml
+from scipy.optimize import least_squares
+
+import calib
+from calib.data.tables import read_table
+from calib.linearisation.registration import register
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "docs" / "examples"
+ORIGINS = """\
+parametrisation:
+  - {origin: all, components: [x, y, z], sigma: 1 mm}
+  - {origin: all, components: [rx, ry, rz], sigma: 3 mrad}
+"""
+ARMS = {
+    "panda_1": ("panda.urdf", "panda_joint", "panda_link0", "panda_hand_tcp"),
+    "kuka_14": ("iiwa14.urdf", "joint_a", "base_link", "tool0"),
+}
+PLACES = {"panda_1": ("front", "right", "back-high"), "kuka_14": ("front", "left_back", "raised_left")}
+
+
+def described(urdf, description):
+    """The robot of a description whose URDF lies elsewhere."""
+    with tempfile.TemporaryDirectory() as folder:
+        shutil.copy(urdf, Path(folder) / "robot.urdf")
+        (Path(folder) / "robot.yaml").write_text(description)
+        return calib.load(Path(folder) / "robot.yaml")
+
+
+def _write(path, rows):
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        csv.writer(stream).writerows(rows)
+
+
+def ur10_tracker(folder, full_poses=False):
+    """The UR10, all its rows, and what each row is for."""
+    description = yaml.safe_load((EXAMPLES / "ur10_tracker.yaml").read_text())
+    if full_poses:
+        description["targets"] = {"sensor": {"frame": "flange", "position": "unknown", "orientation": "unknown"}}
+        description["instruments"] = {"sensor": {"kind": "pose", "rotation": "intrinsic_xyz"}}
+        description["columns"] |= {name: f"sensor_{name}" for name in ("rx", "ry", "rz")}
+    robot = described(folder / "robot.urdf", yaml.safe_dump(description))
+    table = read_table(folder / "grid.csv")
+    use = np.array([row[table.names.index("use")] for row in table.rows])
+    return robot, calib.read_measurements(folder / "grid.csv", robot), use
+
+
+def motoman_cameras(folder, tracker, turned):
+    """The Motoman, its readings for training and for testing, by two cameras and, if `tracker`, by the tracker.
+
+    With `turned`, pixels are in the image as the intrinsics have it, a quarter turn from the files.
+    """
+    poses, pixels, cameras = (
+        list(csv.DictReader((folder / "camera" / f"{name}.csv").read_text().splitlines()))
+        for name in ("poses", "pixels", "cameras")
+    )
+    with tempfile.TemporaryDirectory() as scratch:
+        together = Path(scratch)
+        markers = (folder / "camera" / "markers.csv").read_text().replace("marker,", "point,", 1)
+        (together / "markers.csv").write_text(markers)
+        shutil.copy(folder / "robot.urdf", together)
+        (together / "robot.yaml").write_text(_motoman_yaml(cameras, tracker))
+        robot = calib.load(together / "robot.yaml")
+        measured = ["x [m]", "y [m]", "z [m]"] if tracker else []
+        data = []
+        for use in ("train", "test"):
+            some = [row for row in poses if row["use"] == use]
+            keys = ["pose", *(f"{joint} [rad]" for joint in "ESLURBT")]
+            head = [*keys, *(f"ball_{column}" for column in measured)]
+            _write(together / "joints.csv", [head, *([row[key] for key in [*keys, *measured]] for row in some)])
+            names = {row["pose"] for row in some}
+            seen = [row for row in pixels if row["pose"] in names]
+            places = [(float(row["u [px]"]), float(row["v [px]"])) for row in seen]
+            places = [(v, 5999 - u) if turned else (u, v) for u, v in places]
+            rows = [
+                [row["pose"], row["camera"], row["marker"], f"{u}", f"{v}"]
+                for row, (u, v) in zip(seen, places, strict=True)
+            ]
+            _write(together / "pixels.csv", [["pose", "camera", "marker", "u", "v"], *rows])
+            data.append(calib.read_measurements([together / "joints.csv", together / "pixels.csv"], robot))
+    return robot, *data
+
+
+def _motoman_yaml(cameras, tracker):
+    text = "urdf: robot.urdf\nname_mot: [E, S, L, U, R, B, T]\n"
+    text += f"base: {{frame: l0, pose: {'unknown' if tracker else 'known'}}}\ntargets:\n"
+    text += "  body: {frame: flange, position: unknown, orientation: unknown}\n"
+    text += "  ball: {frame: flange, xyz: [0.045, 0, 0.245], position: unknown}\n" if tracker else ""
+    text += "instruments:\n" + ("  ball: {kind: position}\n" if tracker else "")
+    for row in cameras:
+        numbers = ", ".join(f"{key.partition(' ')[0]}: {value}" for key, value in row.items() if key != "camera")
+        text += f"  {row['camera']}: {{kind: pixel, target: body, camera: {{frame: l0}}, columns: pixel,"
+        text += f" intrinsics: {{{numbers}}}, points_file: markers.csv}}\n"
+    return text + "columns: {u: pixel_u, v: pixel_v, marker: point}\n" + ORIGINS
+
+
+def mukca(folder, arm, places):
+    """An arm with a ball near its flange, and what it read in two sockets 50 mm apart, put up anew in each place."""
+    urdf, joint, base, flange = ARMS[arm]
+    setups = ", ".join(f"{place}: [{'tool_artefact' if k else ''}]" for k, place in enumerate(places))
+    text = f"urdf: robot.urdf\nname_mot: [{', '.join(f'{joint}{k}' for k in range(1, 8))}]\n"
+    text += f"base: {{frame: {base}}}\ntargets:\n"
+    text += f"  ball: {{frame: {flange}, xyz: [0, 0, 35 mm], position: unknown, sigma: 10 mm}}\n"
+    text += "instruments:\n  tool:\n    kind: touch\n    target: ball\n    artefact:\n"
+    text += f"      frame: {base}\n      pose: unknown\n      points: {{hole_0: [0, 0, 0], hole_1: [50 mm, 0, 0]}}\n"
+    robot = described(folder / "urdf" / urdf, f"{text}setups: {{{setups}}}\n{ORIGINS}")
+    rows = [["setup", *(f"{name} [rad]" for name in robot.joint_names), "tool"]]
+    for place in places:
+        for k, holes in enumerate(mukca_joints(folder, arm, place)):
+            rows += [[place, *(repr(float(value)) for value in q), f"hole_{k}"] for q in holes]
+    with tempfile.TemporaryDirectory() as name:
+        _write(Path(name) / "data.csv", rows)
+        return robot, calib.read_measurements(Path(name) / "data.csv", robot)
+
+
+def mukca_joints(folder, arm, place):
+    """Joints in the first and in the second socket, (n, 7) each [rad]."""
+    return [np.loadtxt(folder / arm / place / f"hole_{k}.csv", delimiter=",") for k in (0, 1)]
+
+
+def from_sockets(robot, holes):
+    """Mean distance of predicted balls from two points 50 mm apart that are laid through them [mm]."""
+    balls = [robot.positions(q)[:, 0] for q in holes]
+
+    def misses(x):
+        line = np.array([np.cos(x[3]) * np.cos(x[4]), np.sin(x[3]) * np.cos(x[4]), np.sin(x[4])])
+        return 1e3 * np.concatenate([balls[0] - x[:3], balls[1] - x[:3] - 0.05 * line]).ravel()
+
+    line = balls[1].mean(axis=0) - balls[0].mean(axis=0)
+    start = [*balls[0].mean(axis=0), np.arctan2(line[1], line[0]), np.arcsin(line[2] / np.linalg.norm(line))]
+    return float(np.mean(np.linalg.norm(misses(least_squares(misses, start).x).reshape(-1, 3), axis=1)))
+
+
+def from_means(robot, holes):
+    """Mean distance of predicted balls from the mean of those in the same socket [mm]."""
+    balls = [robot.positions(q)[:, 0] for q in holes]
+    return 1e3 * float(np.mean(np.concatenate([np.linalg.norm(b - b.mean(axis=0), axis=1) for b in balls])))
+
+
+def held_out(fit, state="after"):
+    """Root mean square errors of held-out positions [mm] and, if there are any, of orientations [mrad]."""
+    parts = [fit.validation.errors(state, part) for part in ("position", "orientation")]
+    return [round(1e3 * float(np.sqrt(np.mean(np.sum(part**2, axis=1)))), 4) for part in parts if len(part)]
+
+
+def _added(fit):
+    return "+".join(one.term for one in fit.terms.tried if one.added) or "nothing"
+
+
+def print_ur10_tracker(folder):
+    """Print the tables of the UR10."""
+    for full_poses in (False, True):
+        robot, data, use = ur10_tracker(folder, full_poses)
+        what, test = "poses" if full_poses else "positions", data[use == "test"]
+        for terms in (None, "curve", "auto"):
+            fit = calib.fit(robot, data[use == "train"], validation=test, terms=terms)
+            added = f" ({_added(fit)})" if terms == "auto" else ""
+            print(f"{what}, {terms or 'origins'}{added}:", held_out(fit, "before"), "->", held_out(fit), flush=True)
+    robot, data, use = ur10_tracker(folder)
+    stretch, test = np.arange(len(use)) * 40 // len(use) % 4, use == "test"
+    for terms in (None, "curve"):
+        splits = [(stretch != k, 300, stretch == k) for k in range(4)]
+        print(f"300 poses, every fourth of 40 stretches held out, {terms or 'origins'}:", end=" ")
+        print([_drawn(robot, data, *split, terms, seed=0) for split in splits], flush=True)
+        for n in (50, 100, 200, 300, 1000):
+            errors = [_drawn(robot, data, ~test, n, test, terms, seed) for seed in range(5)]
+            print(f"{n} poses, {terms or 'origins'}:", sorted(errors), flush=True)
+
+
+def _drawn(robot, data, pool, n, test, terms, seed):
+    """Error of a fit to n random rows of the pool, on (at most 1000 of) the rows for testing."""
+    rng = np.random.default_rng(seed)
+    used, held = (rng.permutation(np.flatnonzero(some))[:most] for some, most in ((pool, n), (test, 1000)))
+    return held_out(calib.fit(robot, data[np.sort(used)], validation=data[np.sort(held)], terms=terms))[0]
+
+
+def print_motoman_right(folder):
+    """Print the table of the Motoman."""
+    arm = described(folder / "robot.urdf", (EXAMPLES / "motoman_right.yaml").read_text())
+    by_tracker = [calib.read_measurements(folder / f"{name}.csv", arm) for name in ("train", "test")]
+    for tracker, turned in ((True, False), (True, True), (False, False), (False, True)):
+        robot, train, test = motoman_cameras(folder, tracker, turned)
+        fit = calib.fit(robot, train, validation=test if tracker else None)
+        error = held_out(fit) if tracker else _judged(fit, arm, by_tracker[1])
+        print(f"pixels{' turned back' * turned}{' and tracker' * tracker}: {fit.verdict.grade} {error}", flush=True)
+    for terms in (None, "auto"):
+        fit = calib.fit(arm, by_tracker[0], validation=by_tracker[1], terms=terms)
+        print(f"tracker, priors of the example, {terms}: {fit.verdict.grade} {held_out(fit)}", flush=True)
+
+
+def _judged(fit, arm, data):
+    """Root mean square error of an arm with origins that were found, its base and target placed by the data [mm]."""
+    found = {p.name: value for p, value in zip(fit.robot.parameters, fit.robot.values, strict=True)}
+    own = {p.name: found[p.name] for p in arm.parameters if not p.placement}
+    errors = register(arm.with_parameters(own), data).positions(data.joints) - data.points(arm)
+    return round(1e3 * float(np.sqrt(np.mean(np.sum(errors**2, axis=-1)))), 4)
+
+
+def print_mukca(folder):
+    """Print the table of the arms that touched two sockets."""
+    for arm, places in PLACES.items():
+        for k, held in enumerate(places):
+            robot, data = mukca(folder, arm, places[:k] + places[k + 1 :])
+            holes = mukca_joints(folder, arm, held)
+            for terms in (None, "auto"):
+                fit = calib.fit(robot, data, terms=terms)
+                before, after = (from_sockets(one, holes) for one in (fit.placed, fit.robot))
+                own = from_means(fit.robot, holes)
+                added = f" ({_added(fit)})" if terms else ""
+                print(f"{arm}, {held} held out, {terms or 'origins'}{added}: {before:.3f} -> {after:.3f} ({own:.3f})")
+
+
+if __name__ == "__main__":
+    printers = {name.removeprefix("print_"): one for name, one in globals().items() if name.startswith("print_")}
+    for name in sys.argv[2:] or printers:
+        printers[name](Path(sys.argv[1]) / name)

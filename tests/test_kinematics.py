@@ -1,0 +1,105 @@
+"""Sweeps over many configurations against Pinocchio's own kinematics of the whole tree, one pose at a time."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from urdf_trees import described, random_tree
+
+import calib
+from calib.linearisation.jacobian import linearise
+from calib.model import kinematics
+from calib.model.mechanism import flat_poses
+from medrue import robot_file
+from medrue.workspace import target_workspace
+
+ROUNDING = 1e-13
+"""Of coordinates of order one, over some ten frames."""
+
+
+def medrue(folder):
+    robot, q = calib.load(robot_file()), np.array(target_workspace().q)[::40]
+    return robot, robot.assemble(q)
+
+
+def tree(folder):
+    """A humanoid's worth of branches, of which one leads to the target."""
+    rng = np.random.default_rng(17)
+    text, actuated = random_tree(rng, 60)
+    (folder / "tree.urdf").write_text(text)
+    robot = described(folder / "tree.urdf", actuated, "l0", "l59")
+    return robot, robot.assemble(rng.uniform(-1, 1, (5, len(actuated))))
+
+
+@pytest.fixture(params=[medrue, tree], ids=["MedRUE", "tree"])
+def case(request, tmp_path):
+    """Mechanism, joint values of its whole tree, and the sweep that positions and their derivatives are made of."""
+    robot, there = request.param(tmp_path)
+    mechanism = robot.mechanism
+    joints = mechanism.all_joints(there.actuated, there.passive)
+    pairs = mechanism.targets + mechanism.loops
+    return mechanism, joints, pairs, kinematics.sweep(mechanism, joints, pairs)
+
+
+def test_frames_seen_from_each_other_are_those_of_the_whole_tree(case):
+    mechanism, joints, pairs, swept = case
+    data = mechanism.model.createData()
+    for k, q in enumerate(joints):
+        pin.forwardKinematics(mechanism.model, data, q)
+        for pair in pairs:
+            expected = data.oMi[pair.a].actInv(data.oMi[pair.b]).homogeneous
+            assert np.allclose(kinematics.relative_pose(swept, pair)[k], expected, rtol=0, atol=ROUNDING)
+
+
+def test_one_regressor_serves_every_frame_as_pinocchios_own_would(case):
+    mechanism, joints, pairs, swept = case
+    left = swept.reduced.joints
+    before = mechanism.twists_before(None)[left]  # of every origin twist
+    of_origins = np.einsum("nrkc,kcj->nrj", swept.regressor.reshape(len(joints), 6, len(left), 6), before)
+    data = mechanism.model.createData()
+    for k, q in enumerate(joints):
+        pin.computeJointJacobians(mechanism.model, data, q)
+        for pair in pairs:
+            both = [
+                pin.computeJointKinematicRegressor(mechanism.model, data, frame, pin.ReferenceFrame.WORLD)
+                if frame
+                else np.zeros((6, 6 * mechanism.n_joints))
+                for frame in (pair.a, pair.b)
+            ]
+            sign = np.repeat(mechanism.between(pair), 6)
+            assert np.allclose(of_origins[k] * sign, both[1] - both[0], rtol=0, atol=10 * ROUNDING)
+
+
+def test_joints_of_other_branches_leave_the_model(tmp_path):
+    robot, there = tree(tmp_path)
+    mechanism = robot.mechanism
+    joints = mechanism.all_joints(there.actuated, there.passive)
+    swept = kinematics.sweep(mechanism, joints, mechanism.targets)
+    on_the_way = np.flatnonzero(mechanism.between(mechanism.targets[0]))
+    assert list(swept.reduced.joints) == list(on_the_way)
+    assert len(on_the_way) < mechanism.n_joints / 4
+    assert swept.rotation.shape == (len(joints), len(on_the_way) + 1, 3, 3)
+    columns = linearise(robot, there).jacobian
+    assert np.isfinite(columns).all()
+    assert np.count_nonzero(np.any(columns, axis=(0, 1, 2))) == len(robot.parameters)  # free are those on the way
+
+
+def test_the_view_of_poses_follows_pinocchio():
+    model = pin.buildSampleModelManipulator()
+    data = model.createData()
+    seen = flat_poses(data.oMi)
+    pin.forwardKinematics(model, data, pin.neutral(model) + 0.3)
+    for k, pose in enumerate(data.oMi):
+        assert np.array_equal(seen[k], [*pose.rotation.T.ravel(), *pose.translation])
+
+
+def test_a_moved_robot_uses_the_workspace_of_the_one_before(tmp_path):
+    robot, there = medrue(tmp_path)
+    step = 0.1 * np.array([parameter.sigma for parameter in robot.parameters])
+    moved = robot.with_parameters(robot.values + step)
+    assert moved.mechanism.workspaces is robot.mechanism.workspaces
+    again, fresh = robot.positions(there.actuated), calib.load(robot_file())
+    assert np.array_equal(
+        moved.positions(there.actuated), fresh.with_parameters(moved.values).positions(there.actuated)
+    )
+    assert np.array_equal(again, robot.positions(there.actuated))
+    assert np.abs(moved.positions(there.actuated) - again).max() > 1e-4

@@ -9,9 +9,11 @@ import pytest
 from click.testing import CliRunner
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from small_robots import ARM_YAML, write_arm
 
 from calib import UnreachablePoseError, compensate, load
 from calib.commands.solve import command
+from calib.data.measurement_files import read_poses
 from calib.errors import DataError
 from calib.inverse_kinematics.goals import Goals, read_goals
 from calib.inverse_kinematics.inverse import solve
@@ -277,3 +279,19 @@ def test_command_names_unreachable_targets_and_skips_them_only_on_request(tmp_pa
     assert run.exit_code == 0
     assert "pose far" in run.stderr
     assert [line.split(",")[0] for line in out.read_text().splitlines()[2:]] == ["near"]
+
+
+def test_conditions_of_goals_count(tmp_path, run_calib):
+    path = write_arm(tmp_path, ARM_YAML + "  - {joint: slide, term: backlash}\n  - {joint: turn, term: drift}\n")
+    robot = load(path)
+    goal = robot.positions([0.3, 0.2, 0.4])[0, 0]
+    rows = [",".join(map(str, (*map(float, goal), side, 3600))) for side in (1, -1)]
+    (tmp_path / "goals.csv").write_text("\n".join(["tip_x,tip_y,tip_z,approach_slide,time [s]", *rows]))
+    (tmp_path / "values.csv").write_text("parameter,value,unit\nslide.backlash,0.5,mm\nturn.drift,2,mrad\n")
+    run = run_calib(
+        *("solve", "arm.yaml", "goals.csv", "--parameters", "values.csv", "--out", "solved.csv"), cwd=tmp_path
+    )
+    assert run.code == 0, run.err
+    q = read_poses(tmp_path / "solved.csv", robot).joints
+    there = q + np.array([[2e-3, 5e-4, 0.0], [2e-3, -5e-4, 0.0]])
+    np.testing.assert_allclose(robot.positions(there)[:, 0], [goal, goal], atol=1e-9)

@@ -39,8 +39,9 @@ def command(
     orientation of the target's link too, or TARGET_ax, _ay, _az (no unit) to ask for the direction of its z axis.
     Leave the cells of a coordinate empty that is not asked for, as z of a robot that moves in the plane of x and y.
 
-    A column 'pose' names the rows. Joint limits and the home's assembly mode are kept; what a target leaves open
-    stays near home.
+    A column 'pose' names the rows; 'load', 'temperature', 'time' and 'approach_JOINT' say under which conditions the
+    robot will be there, which joint terms may depend on. Joint limits and the home's assembly mode are kept; what a
+    target leaves open stays near home.
     """
     check_file(out)
     model = with_values(loaded(robot, output), parameters, result)

@@ -105,7 +105,7 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
         f"{table.path}, line {line}" + (f" (pose {name})" if named else "")
         for line, name in zip(table.lines, names, strict=True)
     )
-    context = {key: table.column(key, CONTEXT[key], gaps=True) for key in CONTEXT if key in table.names}
+    context, approach = conditions_of_table(table, robot)
     directions = {f"{APPROACH}{name}" for name in robot.joint_names}
     used = used | set(robot.joint_names) | {"pose", "setup", "instrument"} | set(context) | directions
     ignored = tuple(name for name in table.names if name not in used)
@@ -118,7 +118,7 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
         ignored,
         comments=table.comments,
         context=context,
-        approach=_approach(robot, table),
+        approach=approach,
         setups=setups,
     )
 
@@ -145,13 +145,19 @@ def _joined(parts: Sequence[Poses]) -> Poses:
     )
 
 
-def _approach(robot: Robot, table: Table) -> FloatArray | None:
-    """Directions of approach, 0 for joints without a column, (n, n_actuated); None where no joint has one."""
+def conditions_of_table(table: Table, robot: Robot) -> tuple[dict[str, FloatArray], FloatArray | None]:
+    """Return under which conditions the robot is in each row of a table.
+
+    Returns:
+        Columns of `CONTEXT`, (n,) [SI] by name, NaN where empty; directions of approach, 0 for joints without a column,
+        (n, n_actuated), None where no joint has one.
+    """
+    context = {key: table.column(key, CONTEXT[key], gaps=True) for key in CONTEXT if key in table.names}
     present = [(j, name) for j, one in enumerate(robot.joint_names) if (name := f"{APPROACH}{one}") in table.names]
     directions = np.zeros((len(table.rows), len(robot.joint_names)))
     for j, name in present:
         directions[:, j] = np.sign(np.nan_to_num(table.column(name, None, gaps=True)))
-    return directions if present else None
+    return context, directions if present else None
 
 
 def _visits_by_pose(table: Table, poses: Poses) -> IntArray:

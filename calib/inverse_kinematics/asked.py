@@ -99,7 +99,7 @@ def asked_by_goals(meant: Robot, program: Goals) -> Asked:
     solution = solve(meant, goals)
     reasons = tuple("" if good else f"by the nominal robot {solution.miss(k)}" for k, good in enumerate(solution.ok))
     joints = _on_one_branch(meant, problem(meant, goals), solution.q, solution.ok)
-    return Asked(goals, joints, reasons, _STATED[program.asks_for])
+    return Asked(goals, joints, reasons, _STATED[program.asks_for], conditions=program.context)
 
 
 def _on_one_branch(robot: Robot, reach: Reach, q: FloatArray, ok: BoolArray) -> FloatArray:

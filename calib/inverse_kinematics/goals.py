@@ -2,12 +2,14 @@
 
 Columns, with units as everywhere: `<target>_x`, `_y`, `_z` (position in the measurement frame). For an orientation also
 `<target>_rx`, `_ry`, `_rz` (roll, pitch, yaw about fixed axes, as URDF's rpy, of the target's link), or for a direction
-`<target>_ax`, `_ay`, `_az` (the z axis of the target's link; any length). A column `pose` names the rows. A coordinate
-of the position whose cell is empty is not asked for: a robot that moves in a plane cannot choose how high that lies.
+`<target>_ax`, `_ay`, `_az` (the z axis of the target's link; any length). A column `pose` names the rows; `load`,
+`temperature`, `time` and `approach_<joint>` say under which conditions the robot shall be there. A coordinate of the
+position whose cell is empty is not asked for: a robot that moves in a plane cannot choose how high that lies.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,8 +17,10 @@ import numpy as np
 import pinocchio as pin
 
 from calib.arrays import FloatArray, IntArray
+from calib.data.measurement_files import conditions_of_table
 from calib.data.tables import Table, read_table
 from calib.errors import DataError
+from calib.joint_terms.term import Context
 from calib.model.robot import Robot
 
 
@@ -31,6 +35,8 @@ class Goals:
         names: Pose name of each; a running number if not given.
         labels: What to call each one in messages.
         target: Name of the measured point; the robot's first if empty.
+        context: Conditions, as of `Poses`, (n,) [SI] by name.
+        approach: Direction from which each joint comes, +1 or -1, (n, n_actuated); None: not known.
     """
 
     positions: FloatArray
@@ -39,6 +45,8 @@ class Goals:
     names: tuple[str, ...] = field(default=())
     labels: tuple[str, ...] = field(default=())
     target: str = ""
+    context: Mapping[str, FloatArray] = field(default_factory=dict)
+    approach: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n = len(self.positions)
@@ -85,7 +93,14 @@ class Goals:
             tuple(self.names[k] for k in index),
             tuple(self.labels[k] for k in index),
             self.target,
+            {key: values[index] for key, values in self.context.items()},
+            None if self.approach is None else self.approach[index],
         )
+
+    def conditions(self, n_actuated: int) -> Context:
+        """Return under which conditions a robot with so many motors shall be there."""
+        approach = np.zeros((len(self), n_actuated)) if self.approach is None else self.approach
+        return Context.of(approach, self.context)
 
     def off(self, positions: FloatArray, index: IntArray | slice = slice(None)) -> FloatArray:
         """Return how far positions (n, 3) are from those of the goals `index`, 0 where nothing is asked, (n, 3) [m]."""
@@ -129,7 +144,7 @@ def read_goals(path: Path | str, robot: Robot) -> Goals:
         f"{table.path}, line {line}" + (f" (pose {name})" if "pose" in table.names else "")
         for line, name in zip(table.lines, names, strict=True)
     )
-    return Goals(positions, rotations, directions, names, labels, target)
+    return Goals(positions, rotations, directions, names, labels, target, *conditions_of_table(table, robot))
 
 
 def _target(table: Table, robot: Robot) -> str:

@@ -63,7 +63,7 @@ class Solution(ReadOnlyArrays):
         """Return by how much goal k is missed, in words."""
         length, angle = float(self.miss_position[k]), float(self.miss_angle[k])
         if length <= TOLERANCE and angle <= TOLERANCE:
-            return "can be reached, but no way leads there from home in its assembly mode"
+            return "can be reached, but no way there was found from home in its assembly mode"
         return f"misses by {millimetres(length):.3f} mm" + (
             f" and {np.degrees(angle):.3f} deg" if angle > TOLERANCE else ""
         )
@@ -103,7 +103,8 @@ def solve(robot: Robot, goals: Goals | ArrayLike, *, near: ArrayLike | None = No
     if np.ndim(wanted) == 2 and len(wanted) not in (1, len(goals)):
         raise DataError(f"near: {len(wanted)} rows for {len(goals)} goals; give one row, or one for each")
     wanted = np.clip(np.broadcast_to(wanted, (len(goals), len(robot.home))), reach.lower, reach.upper)
-    wanted = robot.actual(wanted, robot.term_columns(wanted))
+    conditions = goals.conditions(len(robot.home))
+    wanted = robot.actual(wanted, robot.term_columns(wanted, conditions))
     search = _Search(reach, _closed_start(robot, reach))
     search.run(robot)
     solved = np.flatnonzero(search.solved)
@@ -111,8 +112,10 @@ def solve(robot: Robot, goals: Goals | ArrayLike, *, near: ArrayLike | None = No
     search.keep(solved, nearer(reach, solved, turned, wanted[solved]))
     positions, miss, angle = reach.misses(search.best.actuated, search.best.passive)
     ok = (miss <= TOLERANCE) & (angle <= TOLERANCE)
-    commands = robot.commands(search.best.actuated)
-    ok[ok] = robot.close(commands[ok]).ok  # the loops were followed from elsewhere
+    commands = robot.commands(search.best.actuated, conditions)
+    reached = np.flatnonzero(ok)
+    columns = robot.term_columns(commands[reached], conditions.at(reached))
+    ok[reached] = robot.close(commands[reached], columns=columns).ok  # the loops were followed from elsewhere
     return Solution(commands, ok, miss, angle, positions, goals.labels)
 
 

@@ -154,7 +154,7 @@ def why_open(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> 
     loop = int(np.argmax(lengths / mechanism.length + angles))
     if max(lengths[loop], angles[loop]) > _CLOSED:
         return f"loop {mechanism.loops[loop].name} stays open by {gap_text(lengths[loop], angles[loop])} at best"
-    return "its loops close there, but no way leads there from home in its assembly mode"
+    return "its loops close there, but no way there was found from home in its assembly mode"
 
 
 def _beyond(mechanism: Mechanism, passive: FloatArray) -> str:

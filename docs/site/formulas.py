@@ -31,6 +31,9 @@ def to_mathml(html: str, where: str) -> str:
 def _mathml(match: re.Match[str], display: str, where: str) -> str:
     latex = entities.unescape(match.group(1)).strip()
     try:
-        return convert(latex, display=display)
+        mathml = convert(latex, display=display)
     except Exception as error:
         raise ValueError(f"{where}: formula {latex!r} cannot be converted: {type(error).__name__} {error}") from error
+    if "<mi>&</mi>" in mathml:  # `aligned`, whose columns would be printed as they are written
+        raise ValueError(f"{where}: formula {latex!r} has columns that cannot be converted; write several formulas")
+    return mathml

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -35,7 +36,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the generated pages."""
     pages = {
         "reference/commands.md": command_reference.page(),
-        "changelog.md": (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"),
+        "changelog.md": _as_site_page((ROOT / "CHANGELOG.md").read_text(encoding="utf-8")),
         "contributing.md": _as_site_page((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")),
         **api_reference.pages(),
         **notebook_pages.pages(),
@@ -51,10 +52,13 @@ def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -
 
 
 def on_post_page(output: str, page: Page, config: MkDocsConfig) -> str:
-    """Refuse a page that asks another computer for something, or that shows a formula as its source."""
+    """Refuse a page that asks another computer for something, shows a formula as its source, or links to no page."""
     for wrong in ('<script src="http', '<link rel="stylesheet" href="http', 'class="arithmatex"'):
         if wrong in output:
             raise PluginError(f"{page.file.src_uri}: contains {wrong}")
+    source = re.search(r'href="(?!https?:)([^"]*\.md(#[^"]*)?)"', output)
+    if source:
+        raise PluginError(f"{page.file.src_uri}: links to {source.group(1)}, which is no page of the site")
     return output
 
 

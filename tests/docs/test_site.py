@@ -1,5 +1,7 @@
 """Parts of the site. `make docs` builds the whole with warnings as errors, in continuous integration."""
 
+import re
+
 import pytest
 import yaml
 from snippets import DOCS, ROOT
@@ -22,6 +24,25 @@ def test_formulas_become_mathml(formulas):
 def test_a_formula_that_cannot_be_read_names_its_page(formulas):
     with pytest.raises(ValueError, match=r"page\.md: formula .* cannot be converted"):
         formulas.to_mathml(r'<span class="arithmatex">\(\left( a\)</span>', "page.md")
+
+
+def test_columns_of_a_formula_are_refused_where_they_would_be_printed_as_they_are_written(formulas):
+    for environment, refused in (("aligned", True), ("bmatrix", False)):
+        latex = rf"\begin{{{environment}}} a &amp; b \end{{{environment}}}"
+        html = rf'<span class="arithmatex">\({latex}\)</span>'
+        if refused:
+            with pytest.raises(ValueError, match="has columns"):
+                formulas.to_mathml(html, "page.md")
+        else:
+            assert "<mtable" in formulas.to_mathml(html, "page.md")
+
+
+def test_every_table_of_a_page_has_a_header():
+    for page in (*DOCS.rglob("*.md"), ROOT / "README.md"):
+        lines = page.read_text().splitlines()
+        for before, line, after in zip(["", *lines], lines, [*lines[1:], ""], strict=False):
+            if line.startswith("|") and not before.startswith("|"):
+                assert re.fullmatch(r"[|:\- ]+", after), f"{page.name}: {line[:60]}"
 
 
 def test_grouped_arguments_become_one_entry_each():

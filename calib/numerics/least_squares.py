@@ -36,7 +36,7 @@ close answers NaN). D is one of
 Many unknowns that are hardly seen, a start far away and small noise are a trap: the linear model takes what the
 curvature left for a message from directions in which the rows say little, and the first step is absurdly long. With D
 = 1 that shows: n unknowns that are off by one each are sqrt(n) away. Where the first of Newton's steps is longer than
-4 sqrt(n), steps start from half of sqrt(n), as if the noise were larger at first. After each that is cut there and
+3.5 sqrt(n), steps start from half of sqrt(n), as if the noise were larger at first. After each that is cut there and
 lowers the cost, they may be twice as long; or as long as they are, once what curvature left of that step, and grows
 with its square, would be less than the residuals at full length, as it is at once where only the scales are wrong.
 
@@ -79,7 +79,9 @@ _SINGULAR = 1e-14  # the same for directions that the rows do not see
 _SHORTER = 0.25  # how much of the radius is left after a step that failed
 _GOOD, _POOR = 0.75, 0.25  # part of the promised decrease that came, beyond which the radius changes
 _ON_RADIUS = 0.1  # relative length within which a step counts as being on the ball
-_ABSURD = 4.0  # root mean square of a first step in units of the unknowns, above which the linear model is not trusted
+_ABSURD = (
+    3.5  # root mean square of a first step in units of the unknowns; real arms with noise stated far too small: 3.4
+)
 _REACH, _FARTHER = 0.5, 2.0  # how far the steps may then go instead, in the same units, and by what factor that grows
 _LIMIT, _COST_STANDS, _STEP_VANISHES = (
     "the limit of evaluations was reached",

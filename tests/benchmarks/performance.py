@@ -7,6 +7,7 @@ each is taken. FOLDER holds the measurements of others, as for evaluations.py; w
 """
 
 import argparse
+import resource
 import time
 from importlib.util import find_spec
 from pathlib import Path
@@ -69,7 +70,7 @@ def least(rounds, **work):
 
 
 def kinematics(rounds):
-    """Rows of the table of kinematics: MedRUE's 420 poses after a step of the parameters."""
+    """Rows of the table of kinematics, MedRUE's 420 poses after a step of the parameters; and page faults of a step."""
     robot, q = calib.load(robot_file()), np.array(target_workspace().q)
     moved = robot.with_parameters(robot.values + 0.1 * (table1().actual - robot.values))
     seed, solved = robot.assemble(q).passive, moved.assemble(q)
@@ -99,7 +100,11 @@ def kinematics(rounds):
     }
     quick = {f"{name} compiled": fast(function) for name, function in columns.items() if NUMBA}
     taken = least(rounds, loop=loop, **columns, **quick)
-    return [[name, *(ratio(taken.get(key), taken["loop"]) for key in (name, f"{name} compiled"))] for name in columns]
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    one_blas_thread(ours)()
+    faults = resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+    rows = [[name, *(ratio(taken.get(key), taken["loop"]) for key in (name, f"{name} compiled"))] for name in columns]
+    return rows, faults
 
 
 def fits(problems, rounds):
@@ -163,9 +168,14 @@ at once use that by themselves, `with calib.model.acceleration.compiled():` asks
 
 | work for each pose | over Pinocchio's loop | with `fast` |
 |---|---:|---:|"""
-    for row in kinematics(rounds):
+    rows, faults = kinematics(rounds)
+    for row in rows:
         yield f"| {' | '.join(row)} |"
-    yield """
+    yield f"""
+Page faults of one more such step, without numba: {faults}. One kinematic regressor serves all frames, and joints that
+move none of them, or all of them alike, are not in the model.
+"""
+    yield """\
 ## A fit against a hand-written one
 
 `tests/benchmarks/hand_written.py` is what somebody writes for one serial arm: batched numpy, Gauss and Newton's steps,

@@ -132,7 +132,7 @@ class Mechanism(ReadOnlyArrays):
     support: FloatArray
     axes: FloatArray
     length: float
-    workspaces: Workspaces = field(default_factory=Workspaces)
+    workspaces: Workspaces = field(default_factory=Workspaces, compare=False)
 
     @property
     def n_joints(self) -> int:

@@ -9,8 +9,9 @@ from pathlib import Path
 from calib import pictures
 from calib.data.measurements import Measurements
 from calib.identification.errors_found import error_table
-from calib.identification.fit import Settings, identify
+from calib.identification.fit import identify
 from calib.identification.fitted import Fit
+from calib.identification.settings import Settings
 from calib.model.robot import Robot, require_robot
 from calib.numerics.losses import checked_loss
 from calib.pictures import Plots

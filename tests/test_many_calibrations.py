@@ -10,8 +10,8 @@ import pytest
 from six_axis_arm import FREE, YAML, joints, six_axis_arm, write_six_axis
 
 import calib
-from calib.identification.fit import Settings
 from calib.identification.repeated import Repeated
+from calib.identification.settings import Settings
 from calib.identification.study_data import Resampled
 from calib.workers import Workers
 

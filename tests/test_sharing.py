@@ -17,7 +17,8 @@ import pytest
 
 import calib
 from calib.arrays import ReadOnlyArrays
-from calib.identification.fit import Settings, identify
+from calib.identification.fit import identify
+from calib.identification.settings import Settings
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 ROBOT, DATA = EXAMPLES / "five_bar.yaml", EXAMPLES / "five_bar_simulated.csv"

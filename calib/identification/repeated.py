@@ -25,10 +25,11 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.data.measurements import Measurements
 from calib.errors import ComputationError
-from calib.identification.fit import Settings, convergence_at, solve_from, uncertainty_at
 from calib.identification.fitted import Convergence, Fit
 from calib.identification.judged import blocks
 from calib.identification.problem import Problem
+from calib.identification.settings import Settings
+from calib.identification.solving import convergence_at, solve_from, uncertainty_at
 from calib.linearisation.observed import views
 from calib.linearisation.rows import Rows
 from calib.model.robot import Robot

@@ -34,9 +34,10 @@ from numpy.typing import ArrayLike
 from calib.arrays import FloatArray
 from calib.data.measurements import Measurements, Poses
 from calib.errors import CalibrationError, InputError, NotConvergedError
-from calib.identification.fit import Settings, identify
+from calib.identification.fit import identify
 from calib.identification.fitted import Fit
 from calib.identification.repeated import Estimate, Repeated
+from calib.identification.settings import Settings
 from calib.identification.study_data import Noise, Resampled, Simulated, simulated
 from calib.identification.study_result import Draws, Study
 from calib.linearisation.jacobian import linearise

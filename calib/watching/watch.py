@@ -21,8 +21,9 @@ from calib.arrays import FloatArray
 from calib.data.in_memory import as_poses
 from calib.data.measurements import Measurements, Poses
 from calib.errors import CalibrationError, DataError, InputError, NotConvergedError, NotIdentifiableError
-from calib.identification.fit import Settings, identify
+from calib.identification.fit import identify
 from calib.identification.fitted import Fit
+from calib.identification.settings import Settings
 from calib.linearisation.candidates import require_free
 from calib.linearisation.jacobian import linearise
 from calib.linearisation.prediction import RootMeanSquare, predicted_rms

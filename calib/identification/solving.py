@@ -1,0 +1,252 @@
+"""From placed base and targets to the minimum, with the noise that nobody states found on the way.
+
+Where nobody states the noise of an instrument, it is found from the residuals, and so is an error that the rows of a
+pose share (`calib.numerics.variance_components`): the solve is repeated until noise changes by less than one percent,
+and offsets by less than one in twenty. With a robust loss no shared errors are looked for: a gross error is one, too.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.errors import NotConvergedError
+from calib.identification.fitted import Convergence
+from calib.identification.problem import Evaluation, Problem
+from calib.identification.robust import solve_robust
+from calib.identification.settings import Settings
+from calib.identification.starts import Starts, explore
+from calib.linearisation.registration import register
+from calib.linearisation.rows import Rows, Scales
+from calib.linearisation.unknowns import Unknowns
+from calib.model.robot import Robot
+from calib.numerics.least_squares import TOLERANCE, Solution
+from calib.numerics.prior_sizes import variance_by_sizes
+from calib.numerics.statistics import Factors, Statistics, found_factors, statistics
+from calib.numerics.variance_components import EXACT
+from calib.workers import Progress
+
+_LOOSE = 1e-3  # tolerance of the solver where another solve follows
+_PLACED = 1e-6  # the same for the state before: its errors then hold to a millionth
+_NOISE_ROUNDS = 20
+_NOISE_STANDS = 0.01  # relative change of scales below which they are found
+_FAMILIES_STAND = 5.0  # how much less exactly the sizes of families need to be found
+_RATIOS_STAND = 0.05  # the same of offsets over noise, from 1 on; they change weights and nothing else
+_NO_NOISE = (
+    "the noise of the measurements could not be found from the residuals; state it (`sigma` in the description, or"
+    " --sigma-mm)"
+)
+_STEP_LEFT = 0.05  # standard deviations that a converged fit may be away from its minimum
+_ROUNDING = 1e-8  # 10 nm and 10 nrad: below, rounding decides about a step
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A minimum, and what weighed its rows.
+
+    Attributes:
+        robot: The parameters there.
+        groups: Scale of the noise of each group, (n_groups,).
+        solution: What the solver said.
+        weights: Of each reading, (n_readings,); None without a robust loss.
+        factors: What the residuals say about the noise, with a robust loss.
+        settled: Whether the weights of a robust loss stand.
+        starts: Ends of perturbed starts, if they were asked for.
+    """
+
+    robot: Robot
+    groups: FloatArray
+    solution: Solution
+    weights: FloatArray | None = None
+    factors: Factors | None = None
+    settled: bool = True
+    starts: Starts | None = None
+
+
+def place(problem: Problem) -> Robot:
+    """Return the nominal robot with unknown frames and targets placed by registration alone.
+
+    A target that is expected somewhere stays near, as far as the noise of these residuals lets it: the nominal robot's
+    own errors are part of that noise, so that it is found, whatever is stated for the sensor.
+
+    Raises:
+        NotConvergedError: They cannot be placed.
+    """
+    robot = problem.robot
+    places = problem.unknowns.only(problem.unknowns.placement)
+    if not len(places):
+        return robot
+    registered = register(robot, problem.data)
+    if not np.any(places.has_prior) and _is_best_placed(problem, registered, places):
+        return registered
+    first = problem.evaluate(registered)
+    placed, solution = registered, None
+    groups = _as_found(problem, first, problem.whitening.start(first.residuals))
+    for _ in range(_NOISE_ROUNDS):
+        placed, solution = problem.solve(placed, groups, places, tolerance=_PLACED)
+        again = _as_found(problem, problem.evaluate(placed), groups)
+        if not np.any(places.has_prior) or np.all(np.abs(again / groups - 1.0) <= _NOISE_STANDS):
+            break
+        groups = again
+    if solution is None or not solution.converged:
+        raise NotConvergedError(
+            "placing the base and the targets did not converge; check units and axes of the measurements"
+        )
+    return placed
+
+
+def _as_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
+    """Scales of all groups, stated or not, as the residuals of placing are."""
+    flat, group = problem.whitening.flatten(evaluation.residuals), problem.whitening.layout.group
+    places = problem.unknowns.only(problem.unknowns.placement)
+    result = groups.copy()
+    for g in range(len(result)):
+        rows = group == g
+        left = max(int(np.sum(rows)) - len(places), 1)
+        result[g] = np.sqrt(float(flat[rows] @ flat[rows]) / left) + EXACT
+    return result
+
+
+def _is_best_placed(problem: Problem, robot: Robot, places: Unknowns) -> bool:
+    """Whether no other place of base and targets promises errors that are smaller by more than `_PLACED`."""
+    evaluation = problem.evaluate(robot)
+    rows = problem.rows(evaluation, problem.whitening.start(evaluation.residuals), places)
+    explained = np.linalg.qr(rows.jacobian)[0].T @ rows.residuals
+    return bool(explained @ explained <= _PLACED * (rows.residuals @ rows.residuals))
+
+
+def solve_from(
+    problem: Problem,
+    placed: Robot,
+    settings: Settings,
+    workers: Executor | None = None,
+    progress: Progress | None = None,
+) -> Solved:
+    """Solve with the stated noise or find it; from several starts and with a robust loss, if asked for.
+
+    Args:
+        problem: The problem.
+        placed: Where to begin.
+        settings: How.
+        workers: Who does the other starts; this process if not given.
+        progress: Told after each of them.
+
+    Raises:
+        NotConvergedError: The noise cannot be found.
+    """
+    exact = TOLERANCE if settings.loss == "none" else _LOOSE  # a robust loss goes on from there
+    plain = settings.loss == "none"
+    solved = _solve_with_offsets(problem, placed) if plain else _solve_with_noise(problem, placed, exact)
+    if settings.starts > 1:
+        first = (solved.robot, solved.solution)
+        tried = explore(problem, placed, first, solved.groups, settings.starts, settings.seed, workers, progress)
+        best = tried.minima[0]
+        if best.solution is not solved.solution:  # the noise that was found belongs to the minimum left behind
+            robot = best.robot
+            solved = _solve_with_offsets(problem, robot) if plain else _solve_with_noise(problem, robot, exact)
+        solved = replace(solved, starts=tried)
+    if settings.loss == "none":
+        return solved
+    robust = solve_robust(problem, solved.robot, settings.loss, solved.groups)
+    return Solved(
+        robust.robot, robust.groups, robust.solution, robust.weights, robust.factors, robust.settled, solved.starts
+    )
+
+
+def _solve_with_offsets(problem: Problem, start: Robot) -> Solved:
+    """Solve; where readings of an instrument share offsets, find these and weigh by them."""
+    if not np.any(problem.whitening.tells_offsets):
+        return _solve_with_noise(problem, start, TOLERANCE)
+    solved = _solve_with_noise(problem, start, _LOOSE)
+    for _ in range(_NOISE_ROUNDS):
+        ratios = problem.found_ratios(problem.evaluate(solved.robot), solved.groups)
+        stands = np.all(np.abs(ratios - problem.ratios) <= _RATIOS_STAND * (1.0 + problem.ratios))
+        problem.weigh(ratios)
+        solved = _solve_with_noise(problem, solved.robot, TOLERANCE if stands else _LOOSE)
+        if stands:
+            return solved
+    raise NotConvergedError(_NO_NOISE)
+
+
+def _solve_with_noise(problem: Problem, start: Robot, exact: float) -> Solved:
+    """Solve with the stated noise; find what is not stated of it."""
+    groups = problem.whitening.start(problem.evaluate(start).residuals)
+    unstated = np.array([not group.stated for group in problem.whitening.groups])
+    matters = np.any(problem.unknowns.has_prior) or len(unstated) > 1
+    if (
+        not (np.any(unstated) and matters) and not problem.unknowns.families
+    ):  # without priors and with one instrument, the noise weighs nothing
+        robot, solution = problem.solve(start, groups, tolerance=exact)
+        return Solved(robot, groups, solution)
+    robot, tolerance = start, _LOOSE
+    for _ in range(_NOISE_ROUNDS):
+        robot, solution = problem.solve(robot, groups, tolerance=tolerance)
+        scales, sizes = problem.found_scales(problem.evaluate(robot), groups)
+        counts = unstated & (scales > EXACT)
+        change = float(np.max(np.abs(scales / groups - 1.0)[counts], initial=0.0))
+        change = max(change, float(np.max(np.abs(sizes - 1.0), initial=0.0)) / _FAMILIES_STAND)
+        if change <= _NOISE_STANDS and tolerance == exact:
+            return Solved(robot, groups, solution)
+        if change <= 10 * _NOISE_STANDS:
+            tolerance = exact
+        if change > _NOISE_STANDS:
+            groups = scales
+            problem.unknowns = problem.unknowns.rescaled(sizes)
+    raise NotConvergedError(_NO_NOISE)
+
+
+def uncertainty_at(
+    problem: Problem, final: Evaluation, solved: Solved, settings: Settings
+) -> tuple[Rows, Scales, Statistics]:
+    """Return the rows at a minimum, what is assumed of their noise, and the uncertainty of the parameters.
+
+    Args:
+        problem: The problem.
+        final: The evaluation at the minimum.
+        solved: The minimum.
+        settings: How it was found.
+
+    Raises:
+        NotIdentifiableError: No degrees of freedom are left.
+    """
+    rows = problem.rows(final, solved.groups)
+    scales = problem.found_shared(final, solved.groups) if settings.loss == "none" else Scales.of(solved.groups)
+    layout, unknowns = problem.whitening.layout, problem.unknowns
+    factors = solved.factors or found_factors(
+        rows.residuals, rows.jacobian, layout.group, len(layout.groups), rows.known
+    )
+    slowed = rows if factors.slope == 1.0 else rows.weighted(np.full(layout.n_readings, factors.slope))
+    uncertainty = statistics(
+        rows.jacobian,
+        layout.group,
+        slowed.known,
+        factors,
+        unknowns.scales,
+        unknowns.has_prior,
+        problem.noise_of_rows(final, scales),
+        variance_by_sizes(slowed.known.root @ slowed.known.root.T, unknowns.family, rows.deviations),
+    )
+    return rows, scales, uncertainty
+
+
+def convergence_at(problem: Problem, solved: Solved, rows: Rows, std: FloatArray) -> Convergence:
+    """Judge the end of the iteration by its stopping rule and by the Gauss-Newton step that is left.
+
+    Args:
+        problem: The problem.
+        solved: The minimum.
+        rows: The rows there.
+        std: Standard deviations of the free parameters, (n_free,) [m, rad].
+    """
+    weighted = rows if solved.weights is None else rows.weighted(solved.weights)
+    pull = weighted.jacobian.T @ weighted.residuals + np.where(rows.has_prior, rows.deviations, 0.0)
+    root = weighted.known.root
+    left = np.abs(problem.unknowns.scales * (root @ (root.T @ pull))) / (std + _ROUNDING)
+    largest = int(np.argmax(left))
+    converged = solved.solution.converged and solved.settled and bool(left[largest] < _STEP_LEFT)
+    return Convergence(
+        converged, solved.solution.message, float(left[largest]), problem.unknowns.names[largest], solved.settled
+    )

@@ -11,8 +11,8 @@ Order of work: (1) close every pose at nominal, or name those that cannot be; (2
 are not known, they are placed alone, near where they are expected if a sigma says so: this is the honest state
 `before`; (3) all free parameters together, with the noise that nobody states, from several starts if asked for
 (`calib.identification.solving`); (4) with a robust loss, again with weights (`calib.identification.robust`); (5) rank,
-statistics and error tables at the solution; (6) if asked for, outliers are left out and all is done again, and poses are
-left out in turns for cross-validation.
+statistics and error tables at the solution; (6) if asked for, outliers are left out and all is done again, and poses
+are left out in turns for cross-validation.
 
 When it fails. Fewer coordinates than unknowns, or columns that the poses cannot tell apart and no prior holds, is a
 `NotIdentifiableError` that names the parameters. A fit that did not converge comes back with the verdict FAIL.

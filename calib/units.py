@@ -25,6 +25,7 @@ PER_SI: dict[Dimension, dict[str, float]] = {
     "mass": {"kg": 1.0},
     "number": {"1": 1.0},
 }
+_SIGNS = {"°": "deg", "°C": "degC", "\N{MICRO SIGN}m": "um", "\N{GREEK SMALL LETTER MU}m": "um"}
 DISPLAY_UNIT: dict[Dimension, str] = {
     "length": "mm",
     "angle": "deg",
@@ -37,7 +38,7 @@ DISPLAY_UNIT: dict[Dimension, str] = {
 """Units of values in files and tables."""
 ERROR_UNIT: dict[Dimension, str] = DISPLAY_UNIT | {"angle": "mrad"}
 """Units of errors."""
-_QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-zµ]*)\s*$")
+_QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z°µ\u03bc]*)\s*$")
 _COLUMN = re.compile(r"^\s*(?P<name>.*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*$", re.DOTALL)
 _SMALLEST, _LARGEST = 1e-30, 1e9  # [SI]
 
@@ -56,6 +57,7 @@ def per_si(unit: str | None, dimension: Dimension, where: str) -> float:
     units = PER_SI[dimension]
     if not unit:
         return 1.0
+    unit = _SIGNS.get(unit, unit)
     if unit in units:
         return units[unit]
     other = next((name for name, of_other in PER_SI.items() if unit in of_other), None)

@@ -43,7 +43,7 @@ def in_order(
     """Yield the function's results, first item first.
 
     Args:
-        function: Of a module, so that other processes find it; it must leave what it is given as it was.
+        function: Of a module, so that other processes find it. Neither it nor the caller may change what it works on.
         items: What to call it with.
         executor: Who works; this process if not given.
         progress: Told after each item.

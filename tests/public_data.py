@@ -12,9 +12,11 @@ import shutil
 import sys
 import tempfile
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import yaml
+import yourdfpy
 from scipy.optimize import least_squares
 
 import calib
@@ -31,6 +33,12 @@ ARMS = {
     "panda_1": ("panda.urdf", "panda_joint", "panda_link0", "panda_hand_tcp"),
     "kuka_14": ("iiwa14.urdf", "joint_a", "base_link", "tool0"),
 }
+EXAMPLE_ROBOTS = Path(sys.prefix, "lib", f"python3.{sys.version_info.minor}", "site-packages", "cmeel.prefix", "share",
+                      "example-robot-data", "robots")  # fmt: skip
+_POINT = """\
+<inertial>
+  <origin xyz="{x} {y} {z}"/> <mass value="{mass}"/> <inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>
+</inertial>"""
 PLACES = {"panda_1": ("front", "right", "back-high"), "kuka_14": ("front", "left_back", "raised_left")}
 
 
@@ -109,8 +117,18 @@ def _motoman_yaml(cameras, tracker):
     return text + "columns: {u: pixel_u, v: pixel_v, marker: point}\n" + ORIGINS
 
 
-def mukca(folder, arm, places):
-    """An arm with a ball near its flange, and what it read in two sockets 50 mm apart, put up anew in each place."""
+def masses_of(arm):
+    """A URDF of the same arm with masses, which need not be there: of example-robot-data, or of PyBullet."""
+    packages = EXAMPLE_ROBOTS.parents[3]
+    bullet = packages / "pybullet_data" / "kuka_iiwa" / "model.urdf"
+    return EXAMPLE_ROBOTS / "panda_description" / "urdf" / "panda.urdf" if arm == "panda_1" else bullet
+
+
+def mukca(folder, arm, places, masses=None):
+    """An arm with a ball near its flange, and what it read in two sockets 50 mm apart, put up anew in each place.
+
+    Its links weigh what they weigh in the URDF `masses`, if there is one.
+    """
     urdf, joint, base, flange = ARMS[arm]
     setups = ", ".join(f"{place}: [{'tool_artefact' if k else ''}]" for k, place in enumerate(places))
     text = f"urdf: robot.urdf\nname_mot: [{', '.join(f'{joint}{k}' for k in range(1, 8))}]\n"
@@ -118,7 +136,10 @@ def mukca(folder, arm, places):
     text += f"  ball: {{frame: {flange}, xyz: [0, 0, 35 mm], position: unknown, sigma: 10 mm}}\n"
     text += "instruments:\n  tool:\n    kind: touch\n    target: ball\n    artefact:\n"
     text += f"      frame: {base}\n      pose: unknown\n      points: {{hole_0: [0, 0, 0], hole_1: [50 mm, 0, 0]}}\n"
-    robot = described(folder / "urdf" / urdf, f"{text}setups: {{{setups}}}\n{ORIGINS}")
+    with tempfile.TemporaryDirectory() as name:
+        weighed = Path(name) / "robot.urdf"
+        weighed.write_bytes(_weighed(folder / "urdf" / urdf, masses))
+        robot = described(weighed, f"{text}setups: {{{setups}}}\n{ORIGINS}")
     rows = [["setup", *(f"{name} [rad]" for name in robot.joint_names), "tool"]]
     for place in places:
         for k, holes in enumerate(mukca_joints(folder, arm, place)):
@@ -126,6 +147,20 @@ def mukca(folder, arm, places):
     with tempfile.TemporaryDirectory() as name:
         _write(Path(name) / "data.csv", rows)
         return robot, calib.read_measurements(Path(name) / "data.csv", robot)
+
+
+def _weighed(urdf, masses):
+    """The bytes of a URDF, with the masses of another one where they lie when all joints are zero."""
+    robot = ElementTree.parse(urdf).getroot()
+    if masses is not None:
+        ours, theirs = (yourdfpy.URDF.load(str(path), load_meshes=False) for path in (urdf, masses))
+        for weight in theirs.robot.links:
+            link = robot.find(f"link[@name='{weight.name.removeprefix('lbr_iiwa_')}']")
+            if weight.inertial is not None and link is not None:
+                moved = np.linalg.inv(ours.get_transform(link.get("name"))) @ theirs.get_transform(weight.name)
+                x, y, z, _ = moved @ weight.inertial.origin[:, 3]
+                link.append(ElementTree.fromstring(_POINT.format(x=x, y=y, z=z, mass=weight.inertial.mass)))
+    return ElementTree.tostring(robot)
 
 
 def mukca_joints(folder, arm, place):
@@ -212,17 +247,25 @@ def _judged(fit, arm, data):
 
 
 def print_mukca(folder):
-    """Print the table of the arms that touched two sockets."""
-    for arm, places in PLACES.items():
-        for k, held in enumerate(places):
-            robot, data = mukca(folder, arm, places[:k] + places[k + 1 :])
-            holes = mukca_joints(folder, arm, held)
-            for terms in (None, "auto"):
-                fit = calib.fit(robot, data, terms=terms)
-                before, after = (from_sockets(one, holes) for one in (fit.placed, fit.robot))
-                own = from_means(fit.robot, holes)
-                added = f" ({_added(fit)})" if terms else ""
-                print(f"{arm}, {held} held out, {terms or 'origins'}{added}: {before:.3f} -> {after:.3f} ({own:.3f})")
+    """Print the tables of the arms that touched two sockets; with masses, too, if packages that know them are there."""
+    for arm, masses in [(one, known) for one in PLACES for known in (None, masses_of(one))]:
+        for held in PLACES[arm] if masses is None or masses.is_file() else ():
+            both = tuple(place for place in PLACES[arm] if place != held)
+            _print_mukca(folder, arm, both, (held,), masses)
+    _print_mukca(folder, "panda_1", ("front",), ("right", "back-high"), None)
+
+
+def _print_mukca(folder, arm, places, held, masses):
+    robot, data = mukca(folder, arm, places, masses)
+    for terms in (None, "gain", *(("compliance", "gain,compliance") if masses else ()), "auto"):
+        fit = calib.fit(robot, data, terms=terms)
+        added = f" ({_added(fit)})" if terms == "auto" else ""
+        print(f"{arm}{' with masses' * bool(masses)}, {' and '.join(places)}, {terms or 'origins'}{added}:", end=" ")
+        for place in (*places, *held):
+            holes = mukca_joints(folder, arm, place)
+            errors = [judge(one, holes) for judge in (from_sockets, from_means) for one in (fit.placed, fit.robot)]
+            print("{}: {:.2f} -> {:.3f} (from means {:.2f} -> {:.3f})".format(place, *errors), end="; ")
+        print(flush=True)
 
 
 if __name__ == "__main__":

@@ -353,6 +353,10 @@ def test_no_command_shows_the_help(run_calib):
 @pytest.mark.parametrize(
     ("command", "message"),
     [
+        (
+            "predict out/robot data.csv --out p.csv",
+            "calib: out/robot: is not there; give a robot description (YAML), a URDF, or a result's folder\n",
+        ),
         ("fit no.yaml data.csv --out out", "calib: no.yaml: no such file; give a robot description (YAML) or a URDF\n"),
         ("fit arm.yaml bad.csv --out out", "calib: bad.csv, line 2, column 'turn': 'a' is not a number\n"),
         ("fitt", "calib: No such command 'fitt'. Did you mean 'fit'? (see calib --help)\n"),

@@ -1,12 +1,12 @@
 """Forward kinematics of any tree against yourdfpy, and of an edited URDF against the robot that wrote it."""
 
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yourdfpy
+from public_data import EXAMPLE_ROBOTS
 from small_robots import small_arm
 from urdf_trees import described, random_tree
 
@@ -15,8 +15,6 @@ from calib.errors import DescriptionError
 
 ONE_PICOMETRE = 1e-12
 """Rounding over 20 transforms of lengths up to a few metres stays below 1e-14 m; this leaves room."""
-EXAMPLE_ROBOTS = Path(sys.prefix, "lib", f"python3.{sys.version_info.minor}", "site-packages", "cmeel.prefix", "share",
-                      "example-robot-data", "robots")  # fmt: skip
 
 
 def assert_same_kinematics_as_yourdfpy(robot, path, generator, count=3):

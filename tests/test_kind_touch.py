@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from kind_checks import brought, chain_error, kind_error
-from public_data import from_sockets, mukca, mukca_joints
+from public_data import from_sockets, masses_of, mukca, mukca_joints
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 from six_axis_arm import joints, write_six_axis
@@ -427,3 +427,20 @@ def test_real_robots_that_touched_two_sockets(shared_data, robot, tools, held_ou
     holes = mukca_joints(folder, robot, held_out)
     assert from_sockets(fit.placed, holes) == pytest.approx(before, abs=0.03)
     assert from_sockets(fit.robot, holes) == pytest.approx(after, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("arm", "places", "held", "added", "after"),
+    [
+        ("panda_1", ("front", "back-high"), "right", {"compliance"}, 0.44),
+        ("kuka_14", ("front", "raised_left"), "left_back", {"compliance"}, 0.09),
+    ],
+)
+def test_joint_terms_chosen_on_two_places_help_in_a_third(shared_data, arm, places, held, added, after):
+    folder, masses = shared_data / "mukca", masses_of(arm)
+    if not masses.is_file():
+        pytest.skip(f"no package with the masses of {arm} is installed")
+    fit = calib.fit(*mukca(folder, arm, places, masses), terms="auto")
+    assert {one.term for one in fit.terms.tried if one.added} == added
+    found = from_sockets(fit.robot, mukca_joints(folder, arm, held))
+    assert found == pytest.approx(after, abs=0.02)  # origins alone: 0.76 and 0.16

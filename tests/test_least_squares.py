@@ -70,3 +70,38 @@ def test_curvature_of_residuals_that_stay_does_not_spoil_convergence():
     assert found.converged
     assert found.x[0] == pytest.approx(at, abs=1e-6)
     assert found.evaluations <= 10  # 35 with a trust region around plain steps
+
+
+def hardly_seen(seed, n=40, n_rows=120, sigma=1e-4):
+    """Residuals with a prior of 1 on each unknown, whose effects are 1 to 1e-4, bend, and are 0.3 from zero."""
+    rng = np.random.default_rng(seed)
+    left, right = (np.linalg.qr(rng.normal(size=(rows, n)))[0] for rows in (n_rows, n))
+    effects, bent = left * np.logspace(0, -4, n) @ right.T, rng.normal(size=(n_rows, n)) / np.sqrt(n)
+
+    def read(u):
+        return effects @ u + 0.5 * (bent @ u) ** 2 / np.sqrt(n)
+
+    measured = read(0.3 * rng.normal(size=n)) + sigma * rng.normal(size=n_rows)
+
+    def jacobian(u):
+        return np.vstack([(effects + (bent @ u)[:, None] * bent / np.sqrt(n)) / sigma, np.eye(n)])
+
+    return lambda u: np.concatenate([(read(u) - measured) / sigma, u]), jacobian
+
+
+def test_wrong_scales_of_a_linear_problem_cost_one_evaluation():
+    effects = np.random.default_rng(0).normal(size=(60, 20))
+    found = minimise(lambda x: effects @ (x - 1000.0), lambda x: effects, np.zeros(20))
+    assert found.x == pytest.approx(1000.0)
+    assert found.evaluations == 3
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_an_absurdly_long_first_step_is_not_taken(seed):
+    residuals, jacobian = hardly_seen(seed)
+    first = np.linalg.lstsq(jacobian(np.zeros(40)), -residuals(np.zeros(40)), rcond=None)[0]
+    assert np.linalg.norm(first) > 10 * np.sqrt(40)  # where the truth is 0.3 sqrt(40) away
+    found = minimise(residuals, jacobian, np.zeros(40))
+    assert found.converged
+    assert found.cost < 2 * 120  # noise alone; from where that step leads, minima 1000 times as high are found
+    assert found.evaluations <= 20  # 9 and 11; 37 and 76 with that step

@@ -138,6 +138,7 @@ def test_folds_and_starts_of_a_fit_do_not_depend_on_who_works(five_bar):
             assert np.array_equal(shared.folds.errors.after["pen"], alone.folds.errors.after["pen"])
             assert np.array_equal(shared.folds.errors.singular_value, alone.folds.errors.singular_value)
             assert np.array_equal(shared.robot.values, alone.robot.values)
+            assert np.array_equal(shared.statistics.std, alone.statistics.std)
     assert losing.sent == 8  # seven pieces of work, one of them twice
 
 

@@ -6,6 +6,7 @@ from small_robots import small_arm, write_arm
 
 import calib
 from calib.data.measurements import Poses
+from calib.errors import InputError
 from calib.linearisation.candidates import build_candidates
 from calib.linearisation.jacobian import linearise
 from calib.numerics.observability import observability, raw_columns
@@ -249,3 +250,22 @@ def test_minimal_count_still_determines_everything(medrue):
     found = select(medrue, Q, 10, "O1")
     assert found.after["O3"] > 0
     assert singular_values(medrue, found.joints)[-1] > 0
+
+
+def test_candidates_that_do_not_fit_into_memory_are_refused_before_any_work(medrue, monkeypatch):
+    q = as_poses(Q[:100])
+    rows = 100 * 3 * int(np.sum(medrue.is_free)) * 8.0
+    monkeypatch.setattr("calib.linearisation.candidates.free_memory", lambda: 3.1 * rows)
+    build_candidates(medrue, q)
+    monkeypatch.setattr("calib.linearisation.candidates.free_memory", lambda: 2.9 * rows)
+    with pytest.raises(InputError, match=r"100 candidates need about .* GB of memory, and .* are free; choose from"):
+        calib.select(medrue, q, 20)
+
+
+def test_rows_of_positions_in_parts_say_what_all_say(medrue, monkeypatch):
+    whole = select(medrue, Q[::4], 30, "task")
+    monkeypatch.setattr("calib.linearisation.candidates._PART", 20)
+    monkeypatch.setattr("calib.numerics.identifiability._AT_ONCE", 50)
+    parts = select(medrue, Q[::4], 30, "task")
+    assert parts.before == pytest.approx(whole.before, rel=1e-9)
+    assert parts.after["task"] == pytest.approx(whole.after["task"], rel=1e-9)

@@ -1,6 +1,7 @@
 """Which joint terms a fit adds: what is there is found, what is not there is left out, intervals cover, real robots.
 
-`python tests/test_term_choice.py choice` and `... coverage` print the tables of docs/theory/joint_terms.md.
+`python tests/test_term_choice.py choice 30` and `... coverage 100` print the tables of docs/theory/joint_terms.md; a
+further number is the seed.
 """
 
 import re
@@ -367,4 +368,4 @@ def _print_tables(what, n, seed=1):
 
 
 if __name__ == "__main__":
-    _print_tables(sys.argv[1], int(sys.argv[2]))
+    _print_tables(sys.argv[1], *map(int, sys.argv[2:]))

@@ -28,6 +28,15 @@ def test_a_quantity_is_read_exactly_in_si(text, dimension, expected):
 
 
 @pytest.mark.parametrize(
+    ("sign", "dimension", "name"),
+    [("°", "angle", "deg"), ("\N{MICRO SIGN}m", "length", "um"), ("\N{GREEK SMALL LETTER MU}m", "length", "um")],
+)
+def test_signs_of_units_mean_what_their_names_do(sign, dimension, name):
+    assert per_si(sign, dimension, "here") == per_si(name, dimension, "here")
+    assert quantity(f"2 {sign}", dimension, "here") == quantity(f"2 {name}", dimension, "here")
+
+
+@pytest.mark.parametrize(
     ("value", "dimension", "message"),
     [
         ("1 deg", "length", "here: unit 'deg' is for an angle; a length is expected (m, mm, um)"),

@@ -14,6 +14,9 @@ from calib.linearisation.prediction import PositionUncertainty
 
 IDENTIFICATION, VALIDATION, MEASURED, EXCLUDED = "identification", "validation", "measured", "left out"
 GROUPS = (IDENTIFICATION, VALIDATION, MEASURED, EXCLUDED)
+WORST = 1000
+"""Rows with the largest errors of each state, which are always in a page."""
+_MOST_ROWS = 20_000  # in one page, about 9 MB; more cannot be told apart on a screen
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +118,25 @@ class PoseTable(ReadOnlyArrays):
         sigma = np.where(self.sigma > 0, self.sigma, np.nan)
         ratio: FloatArray = self.error("after") / sigma[:, None]
         return ratio
+
+
+def rows_shown(table: PoseTable) -> IntArray:
+    """Return the rows that the page holds, ascending, (n,): all, or those that matter and others evenly spread."""
+    n = len(table)
+    if n <= _MOST_ROWS:
+        return np.arange(n)
+    first = table.outlier.copy()
+    for state in ("before", "after"):
+        lengths = np.nan_to_num(np.linalg.norm(table.error(state), axis=1), nan=-1.0)
+        first[np.argsort(-lengths, kind="stable")[:WORST]] = True
+    matter, others = np.flatnonzero(first), np.flatnonzero(~first)
+    matter = _spread(matter, min(len(matter), _MOST_ROWS // 2))
+    return np.union1d(matter, _spread(others, min(len(others), _MOST_ROWS - len(matter)))).astype(np.intp)
+
+
+def _spread(rows: IntArray, count: int) -> IntArray:
+    """`count` of some rows (n,), evenly spread."""
+    return rows[np.arange(count) * len(rows) // max(count, 1)]
 
 
 def averaged(table: PoseTable) -> PoseTable:

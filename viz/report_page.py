@@ -85,7 +85,7 @@ def report_page(
             signatures=signatures(fit),
             logo=logo,
             picture="" if shown is None else picture_of(shown),
-            pictured=None if shown is None or not len(shown.poses) else shown.poses.labels[0],
+            pictured=None if shown is None or not len(shown.poses) else shown.poses.labels[shown.shown[0]],
             plots=all_plots(table, joints_of(fit.nominal)) + part_plots(fit, joints_of(fit.nominal)),
             parameters=[row for row in parameter_rows(fit) if not row["family"]],
             notes=notes(fit, brief=True),

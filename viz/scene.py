@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 
 from calib import Fit, Robot
-from calib.arrays import FloatArray
+from calib.arrays import FloatArray, IntArray
 from calib.units import DISPLAY_UNIT, PER_SI
 from viz.bodies import Bodies, PosedRobot, bodies_of, posed_robot
 from viz.decorations import decorations_of
@@ -16,7 +16,7 @@ from viz.drive import Drive, drive_of
 from viz.geometry import read_shapes
 from viz.judgement import Judgement, of_verdict
 from viz.pose_sources import from_fit
-from viz.poses import PoseTable, empty
+from viz.poses import PoseTable, empty, rows_shown
 from viz.remarks import NO_REMARKS, Remarks, fit_remarks
 from viz.shapes import Shape
 from viz.workspace_map import WorkspaceMap
@@ -69,6 +69,7 @@ class Scene:
         solid: The robot as well as it is known: calibrated, or nominal without a result.
         ghost: The robot before calibration; None without a result.
         poses: The points.
+        shown: Rows of these that a page holds, (n_shown,): the robots are posed in them; at home where there are none.
         vector_factors: Exaggeration of the errors of each state to start with.
         ghost_factor: Exaggeration of the ghost to start with.
         view: First camera.
@@ -87,6 +88,7 @@ class Scene:
     solid: PosedRobot
     ghost: PosedRobot | None
     poses: PoseTable
+    shown: IntArray
     vector_factors: dict[str, float]
     ghost_factor: float
     view: View
@@ -130,7 +132,8 @@ def build_scene(
         UnreachablePoseError: A pose cannot be assembled.
     """
     table = empty(nominal) if poses is None else poses
-    shown = table.joints if len(table) else nominal.home[None, :]
+    rows = rows_shown(table)
+    shown = table.joints[rows] if len(table) else nominal.home[None, :]
     solid_robot = nominal if calibrated is None else calibrated
     bodies = bodies_of(solid_robot)
     solid = posed_robot(solid_robot, bodies, shown)
@@ -154,6 +157,7 @@ def build_scene(
         solid,
         ghost,
         table,
+        rows,
         factors,
         nice_factor(moved, _GHOST_SIZE * size),
         replace(view, outline=_outline(around, *_box(around))),

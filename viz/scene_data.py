@@ -13,7 +13,7 @@ from calib.arrays import FloatArray, IntArray
 from calib.units import PER_SI
 from viz.bodies import Bodies, PosedRobot
 from viz.drawing import body_path, draw
-from viz.poses import EXCLUDED, GROUPS, IDENTIFICATION, MEASURED, VALIDATION, PoseTable
+from viz.poses import EXCLUDED, GROUPS, IDENTIFICATION, MEASURED, VALIDATION, WORST
 from viz.scene import Scene, nice_factor
 from viz.workspace_map import WorkspaceMap
 
@@ -24,15 +24,13 @@ _FEW_POINTS = 500  # so many have room
 _MARKS = {IDENTIFICATION: "disc", VALIDATION: "diamond", MEASURED: "square", EXCLUDED: "disc"}
 _SHORT = {IDENTIFICATION: "fit", VALIDATION: "val", MEASURED: "meas", EXCLUDED: "out"}  # where names repeat
 _MM = PER_SI["length"]["mm"]
-_MOST_ROWS = 20_000  # in one page, about 9 MB; more cannot be told apart on a screen
-_WORST = 1000  # rows with the largest errors of each state, which are always in
 _ELLIPSOID = 0.012  # of the scene's size: how long typical enlarged half axes look at first
 _EXACT = 1e-12  # [m]: smallest range of colours, where nothing is wrong anywhere
 
 
 def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
     """Return the scene as the page's script reads it; arrays as base64, unknown numbers as NaN inside these."""
-    bodies, table, shown = scene.bodies, scene.poses, rows_shown(scene.poses)
+    bodies, table, shown = scene.bodies, scene.poses, scene.shown
     names = [body for body, name in enumerate(bodies.names) if not name.startswith("(")]
     return {
         "title": scene.title,
@@ -46,8 +44,8 @@ def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
         "bodies": _bodies(scene.bodies),
         "body_paths": [body_path(scene, body) for body in range(len(bodies.names))],
         "frames": [{"body": body, "name": bodies.names[body]} for body in names],
-        "solid": _posed(scene.solid, shown),
-        "ghost": None if scene.ghost is None else _posed(scene.ghost, shown),
+        "solid": _posed(scene.solid),
+        "ghost": None if scene.ghost is None else _posed(scene.ghost),
         "drive": scene.drive.to_dict(),
         "commands": [base64.b64encode(command).decode() for command in draw(scene)],
         "n_decorations": len(scene.decorations),
@@ -168,30 +166,11 @@ def _places(scene: Scene) -> FloatArray:
     return places
 
 
-def rows_shown(table: PoseTable) -> IntArray:
-    """Return the rows that the page holds, ascending, (n,): all, or those that matter and others evenly spread."""
-    n = len(table)
-    if n <= _MOST_ROWS:
-        return np.arange(n)
-    first = table.outlier.copy()
-    for state in ("before", "after"):
-        lengths = np.nan_to_num(np.linalg.norm(table.error(state), axis=1), nan=-1.0)
-        first[np.argsort(-lengths, kind="stable")[:_WORST]] = True
-    matter, others = np.flatnonzero(first), np.flatnonzero(~first)
-    matter = _spread(matter, min(len(matter), _MOST_ROWS // 2))
-    return np.union1d(matter, _spread(others, min(len(others), _MOST_ROWS - len(matter)))).astype(np.intp)
-
-
-def _spread(rows: IntArray, count: int) -> IntArray:
-    """`count` of some rows (n,), evenly spread."""
-    return rows[np.arange(count) * len(rows) // max(count, 1)]
-
-
 def _of_left_out(shown: int, n: int) -> list[str]:
     if shown == n:
         return []
     return [
-        f"{shown} of {n} rows are in this page: outliers, the {_WORST} largest errors before and after, others evenly"
+        f"{shown} of {n} rows are in this page: outliers, the {WORST} largest errors before and after, others evenly"
         " spread; counts, means and largest errors are of all rows, and residuals.csv has them all"
     ]
 
@@ -246,13 +225,12 @@ def _span(values: FloatArray) -> list[float]:
     return [float(known.min()), max(float(known.max()), _EXACT)] if len(known) else [0.0, _EXACT]
 
 
-def _posed(robot: PosedRobot, shown: IntArray) -> dict[str, Any]:
-    values = robot.values[shown] if len(shown) else robot.values  # without a table, the robot at home
+def _posed(robot: PosedRobot) -> dict[str, Any]:
     return {
         "placements": robot.placements[:, :3].reshape(-1, 12).tolist(),
         "stretches": robot.stretches[:, :3].reshape(-1, 12).tolist(),
-        "width": values.shape[1],
-        "values": _encode(values.astype("<f4")),
+        "width": robot.values.shape[1],
+        "values": _encode(robot.values.astype("<f4")),
         "root": None if robot.root is None else robot.root[:3].ravel().tolist(),
     }
 

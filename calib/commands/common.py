@@ -20,7 +20,7 @@ from calib.commands.program import OneLineError
 from calib.data.measurement_files import read_measurements
 from calib.data.measurements import Measurements, Poses, check_repeats
 from calib.data.parameter_files import read_parameters
-from calib.data.plan_files import INSTRUMENT, read_plan
+from calib.data.plan_files import INSTRUMENT, plan_of_table
 from calib.data.tables import Table, read_table
 from calib.errors import CalibrationError, DataError, InputError
 from calib.files import check_file, write_file
@@ -224,16 +224,21 @@ def with_values(robot: Robot, parameters: str | None, result: str | None) -> Rob
     return load_calibrated(result, robot) if result else robot
 
 
-def read_pose_file(path: str, robot: Robot) -> Poses:
+def read_pose_file(path: str, robot: Robot, table: Table | None = None) -> Poses:
     """Read poses; as `Measurements` where some instrument read in every row: these may repeat a pose.
+
+    Args:
+        path: The file.
+        robot: The robot.
+        table: What is in it, if it has been read.
 
     Raises:
         DataError: The file is not valid, or poses that are not measured have the same name.
     """
-    table = read_table(path, robot.description.columns)
+    table = read_table(path, robot.description.columns) if table is None else table
     if _measured(table, robot):
         return read_measurements(path, robot)
-    poses = read_plan(path, robot)
+    poses = plan_of_table(table, robot)
     if robot.description.instruments and INSTRUMENT in table.names:  # a row for each instrument, if need be
         check_repeats(poses, robot)
         return poses

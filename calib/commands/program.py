@@ -41,6 +41,9 @@ def run_program(group: click.Group) -> None:
     except CalibrationError as error:  # only with --debug
         traceback.print_exc()
         sys.exit(error.exit_code)
+    except MemoryError:
+        click.echo(f"{group.name}: there is not enough memory; give fewer poses or candidates at once", err=True)
+        sys.exit(3)
     except (click.Abort, KeyboardInterrupt):
         click.echo(f"{group.name}: interrupted", err=True)
         sys.exit(130)

@@ -20,7 +20,7 @@ from calib.commands.common import (
 from calib.commands.next_steps import after_select
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
-from calib.data.plan_files import read_plan
+from calib.data.plan_files import plan_of_table
 from calib.data.tables import read_table
 from calib.errors import InputError, nearest
 from calib.files import check_file, check_folder, write_file, write_folder
@@ -126,11 +126,12 @@ def command(
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
     model = with_values(loaded(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)
-    poses = read_pose_file(candidates, model)
+    table = read_table(candidates, model.description.columns)
+    poses = read_pose_file(candidates, model, table)
     done = None if measured is None else read_pose_file(measured, model)
     if parameters is None and result is None:
         model = placed(model, done, poses)
-    poses = different_poses(read_plan(candidates, model))
+    poses = different_poses(plan_of_table(table, model))
     with output.working(f"choosing from {len(poses)} poses") as progress:
         selection = select(
             model,
@@ -151,7 +152,6 @@ def command(
             executor=jobs,
             progress=progress,
         )
-    table = read_table(candidates, model.description.columns)
     write_file(out, format_poses(model, selection, poses, table))
     if plots is not None:
         write_folder(plots, figures(selection))

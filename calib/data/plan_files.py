@@ -35,7 +35,11 @@ def read_plan(path: Path | str, robot: Robot) -> Poses:
     Raises:
         DataError: The message names file, line and column.
     """
-    table = read_table(path, robot.description.columns)
+    return plan_of_table(read_table(path, robot.description.columns), robot)
+
+
+def plan_of_table(table: Table, robot: Robot) -> Poses:
+    """Return what `read_plan` does of a table that was read."""
     used = {column for one in robot.instruments for column in columns_in(one, table)}
     poses = poses_of_table(table, robot, used)
     reading = _reading(robot, table)

@@ -207,9 +207,11 @@ def read_table(path: Path | str, renamed: Mapping[str, str] | None = None, *, gr
     for row, number in zip(cells[1:], numbers[1:], strict=True):
         if len(row) != len(names):
             hint = "; write decimals with a point, or separate columns by semicolons"
+            if len(names) == 1:
+                hint = f"; if line {numbers[0]} is not the header, begin it with #"
             raise DataError(
                 f"{path}, line {number}: {len(row)} cells for {len(names)} columns"
-                + (hint if len(row) > len(names) and separator == "," else "")
+                + (hint if len(row) > len(names) and (separator == "," or len(names) == 1) else "")
             )
     if len(cells) == 1:
         raise DataError(f"{path}: has a header but no rows")

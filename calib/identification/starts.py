@@ -98,7 +98,8 @@ def explore(
     failed = 0
     _add(distinct, problem, groups, first)
     steps = [rng.standard_normal(len(problem.unknowns)) for _ in range(n - 1)]
-    for end in in_order(partial(_from, problem, placed, groups), steps, executor, progress):
+    begin = partial(_from, problem.apart(), placed, groups)  # which no end that is looked at below changes
+    for end in in_order(begin, steps, executor, progress):
         if end is None:
             failed += 1
         else:

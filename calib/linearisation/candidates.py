@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.arrays import BoolArray, FloatArray
+from calib.arrays import BoolArray, FloatArray, free_memory
 from calib.data.in_memory import measurements
 from calib.data.measurement_columns import rank_in_visit
 from calib.data.measurements import Measurements, Poses, of_visits
@@ -19,10 +19,13 @@ from calib.linearisation.unknowns import Unknowns
 from calib.linearisation.whitening import ASSUMED, Whitening, stated_noise
 from calib.model.loops import why_open
 from calib.model.robot import Configurations, Robot, near_singularity
+from calib.numerics.identifiability import reduced
 from calib.observation.kind import Readings
 from calib.observation.position import Position
 
 _PART = 8192
+_COPIES = 3
+"""How many times the rows of all candidates are in memory at once: as they are, whitened, and in parts."""
 _SAME = 1e-9
 """Joint values that differ by less are the same pose [m, rad]."""
 _MEASURED_AGAIN = 1e-4
@@ -169,7 +172,8 @@ class Candidates:
 
     Attributes:
         joints: (n, n_actuated) [m or rad].
-        found: Rows and positions of all; rows 0 and positions NaN where not usable.
+        found: Rows and positions of all; rows 0 and positions NaN where not usable. Of the rows of positions only their
+            R (`calib.numerics.identifiability.reduced`), (at most n_parameters, n_parameters) [m].
         usable: Which can be assembled far enough from singularities, (n,).
         skipped: What to call each pose that is not usable, and why.
     """
@@ -200,8 +204,10 @@ def build_candidates(
     looks = looks_at(robot, poses)
     blocks = blocks_of(robot, looks)
     per_pose = max(block.stop for block in blocks.values())
+    _require_memory(n, per_pose * len(unknowns))
     rows, read = np.zeros((n, per_pose, len(unknowns))), np.zeros((n, per_pose), dtype=bool)
-    positions, position_rows = np.full((n, n_targets, 3), np.nan), np.zeros((n, 3 * n_targets, len(unknowns)))
+    positions = np.full((n, n_targets, 3), np.nan)
+    position_rows: FloatArray = np.zeros((0, len(unknowns)))
     usable, reasons = np.zeros(n, dtype=bool), list[str]()
     for start in range(0, n, _PART):
         q = poses.joints[start : min(start + _PART, n)]
@@ -214,7 +220,7 @@ def build_candidates(
         here = {name: of_visits(readings, start + good) for name, readings in looks.items()}
         part = rows_of_poses(robot, configurations, sigma, unknowns, here, blocks)
         rows[start + good], read[start + good], positions[start + good] = part.rows, part.read, part.positions
-        position_rows[start + good] = part.position_rows
+        position_rows = reduced(np.vstack([position_rows, part.position_rows.reshape(-1, len(unknowns))]))
         usable[start + good] = True
         if len(good) < len(q):
             labels = poses.labels[start : start + len(q)]
@@ -222,6 +228,16 @@ def build_candidates(
     if reasons and not skip_unreachable:
         raise UnreachablePoseError(_listed(reasons) + "; remove these poses, or leave them out with --skip-unreachable")
     return Candidates(poses.joints, PoseRows(rows, read, blocks, positions, position_rows), usable, tuple(reasons))
+
+
+def _require_memory(n: int, numbers: int) -> None:
+    """Raise `InputError` where the rows of n candidates, so many numbers each, will not fit into what is free."""
+    needed, free = _COPIES * 8.0 * n * numbers, free_memory()
+    if needed > free:
+        raise InputError(
+            f"{n} candidates need about {needed / 1e9:.2g} GB of memory, and {free / 1e9:.2g} GB are free; choose from"
+            " each part of them, and then from what was chosen, or hold parameters"
+        )
 
 
 def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -30,6 +30,7 @@ import numpy as np
 
 from calib.arrays import FloatArray, ReadOnlyArrays
 
+_AT_ONCE = 1 << 16  # rows of one factorisation
 RANK_TOLERANCE = 1e-9
 """Singular values of the scaled Jacobian below this part of the largest count as zero."""
 NO_EFFECT = 1e-7
@@ -74,12 +75,17 @@ class Rank(ReadOnlyArrays):
 def reduced(rows: FloatArray) -> FloatArray:
     """Return at most n_columns rows with the same singular values and null space: the R of a QR factorisation.
 
+    Of very many rows, R of some and the next ones takes the place of both, so that no copy of all is made.
+
     Args:
         rows: (n_rows, n_columns).
     """
     if len(rows) <= rows.shape[1]:
         return rows
-    return np.asarray(np.linalg.qr(rows, mode="r"))
+    factor = np.linalg.qr(rows[:_AT_ONCE], mode="r")
+    for start in range(_AT_ONCE, len(rows), _AT_ONCE):
+        factor = np.linalg.qr(np.vstack([factor, rows[start : start + _AT_ONCE]]), mode="r")
+    return np.asarray(factor)
 
 
 def unit_columns(columns: FloatArray) -> tuple[FloatArray, FloatArray]:

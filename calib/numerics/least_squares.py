@@ -33,6 +33,13 @@ close answers NaN). D is one of
     `jacobian`   the largest norm so far of each column of J, for unknowns of any size and unit; the first step is no
                  longer than the start is away from zero
 
+Many unknowns that are hardly seen, a start far away and small noise are a trap: the linear model takes what the
+curvature left for a message from directions in which the rows say little, and the first step is absurdly long. With D
+= 1 that shows: n unknowns that are off by one each are sqrt(n) away. Where the first of Newton's steps is longer than
+4 sqrt(n), steps start from half of sqrt(n), as if the noise were larger at first. After each that is cut there and
+lowers the cost, they may be twice as long; or as long as they are, once what curvature left of that step, and grows
+with its square, would be less than the residuals at full length, as it is at once where only the scales are wrong.
+
 The iteration ends as converged when the decrease that the linear model still promises, |R f|^2, is at most `tolerance`
 of the cost. That is a rule in standard deviations: with noise s^2 = cost / N, from N rows more than unknowns, the
 covariance is s^2 G^-1, and |R f|^2 / s^2 the sum of (step left / its standard deviation)^2 over independent directions,
@@ -72,6 +79,8 @@ _SINGULAR = 1e-14  # the same for directions that the rows do not see
 _SHORTER = 0.25  # how much of the radius is left after a step that failed
 _GOOD, _POOR = 0.75, 0.25  # part of the promised decrease that came, beyond which the radius changes
 _ON_RADIUS = 0.1  # relative length within which a step counts as being on the ball
+_ABSURD = 4.0  # root mean square of a first step in units of the unknowns, above which the linear model is not trusted
+_REACH, _FARTHER = 0.5, 2.0  # how far the steps may then go instead, in the same units, and by what factor that grows
 _LIMIT, _COST_STANDS, _STEP_VANISHES = (
     "the limit of evaluations was reached",
     "the sum of squares no longer changes",
@@ -224,6 +233,8 @@ class _Path:
         self._scale = np.zeros(len(start.x)) if self._by_columns else np.ones(len(start.x))
         self._rescale(start)
         self._radius = (self._length(start.x) or 1.0) if self._by_columns else np.inf
+        typical = np.inf if self._by_columns else float(np.sqrt(len(start.x)))
+        self._reach = _REACH * typical if self._length(start.newton) > _ABSURD * typical else np.inf
         self._past: list[_Point] = []
         self._patience = _PATIENCE
 
@@ -246,10 +257,11 @@ class _Path:
 
     def step(self) -> FloatArray:
         """Return the next step, (n,): accelerated, plain, or cut, the first that is short enough."""
+        limit = min(self._radius, self._reach)
         for step in (self.here.accelerated(self._past), self.here.newton):
-            if self._length(step) <= self._radius:
+            if self._length(step) <= limit:
                 return step
-        return self.here.within(self._radius, self._scale)
+        return self.here.within(limit, self._scale)
 
     def go_on(self, step: FloatArray, values: FloatArray, jacobian: Callable[[FloatArray], FloatArray]) -> None:
         """Take a step that led to these residuals (m,), or go back to the best point with a smaller radius."""
@@ -259,7 +271,7 @@ class _Path:
             x = self.here.x + step
             trial = _Point(x, values, jacobian(x))
             if reached < self.best.cost:
-                self._radius = self._adapted(step, trial)
+                self._radius, self._reach = self._adapted(step, trial), self._grown(step, trial)
                 self._move(trial)
                 self.best, self._patience = trial, _PATIENCE
                 return
@@ -275,6 +287,15 @@ class _Path:
         self._past = [*self._past, self.here][-_KEPT:]
         self.here = trial
         self._rescale(trial)
+
+    def _grown(self, step: FloatArray, trial: _Point) -> float:
+        """Return how far steps may go after one that lowered the cost; what curvature leaves grows with the square."""
+        length = self._length(step)
+        if length < (1.0 - _ON_RADIUS) * self._reach:
+            return self._reach
+        left = float(np.linalg.norm(trial.residuals - self.here.residuals - self.here.jacobian @ step))
+        harmless = left * (self._length(trial.newton) / length) ** 2 <= np.sqrt(trial.cost)
+        return np.inf if harmless else _FARTHER * self._reach
 
     def _adapted(self, step: FloatArray, trial: _Point) -> float:
         """Return the radius after a step that lowered the cost, from how well the linear model predicted that."""

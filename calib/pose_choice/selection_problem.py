@@ -99,6 +99,7 @@ def build_problem(
     priors: FloatArray | None = None,
     n_before: int = 0,
     task_rows: FloatArray | None = None,
+    n_task: int | None = None,
 ) -> Problem:
     """Whiten candidates.
 
@@ -107,7 +108,8 @@ def build_problem(
         measured: Rows of the poses already measured, (n_rows, n_parameters) [m].
         priors: Rows of the priors, (n_priors, n_parameters) [m].
         n_before: Poses already measured.
-        task_rows: Scaled Jacobian at the poses whose accuracy counts, (n_task, 3 n_targets, n_parameters) [m].
+        task_rows: Scaled Jacobian at the positions whose accuracy counts, (..., n_parameters) [m], or its R.
+        n_task: How many positions these are; a third of the rows if not given.
     """
     width = rows.shape[2]
     measured = np.zeros((0, width)) if measured is None else measured
@@ -121,7 +123,7 @@ def build_problem(
     before = measured @ whiten
     prior_part = priors @ clear / strengths
     everything = information(np.vstack([reduced(rows.reshape(-1, width)), measured]), priors).rank
-    task, floor = _task(task_rows, clear / strengths, others, held)
+    task, floor = _task(task_rows, n_task, clear / strengths, others, held)
     return Problem(
         rows=np.ascontiguousarray(rows @ whiten),
         before=before.T @ before + prior_part.T @ prior_part,
@@ -135,13 +137,13 @@ def build_problem(
 
 
 def _task(
-    task_rows: FloatArray | None, clear: FloatArray, others: FloatArray, held: FloatArray
+    task_rows: FloatArray | None, n_task: int | None, clear: FloatArray, others: FloatArray, held: FloatArray
 ) -> tuple[FloatArray, float]:
     """L and c of the task."""
     if task_rows is None:
         return np.zeros((clear.shape[1], 0)), 0.0
-    flat = task_rows.reshape(-1, task_rows.shape[2])
-    n_positions = len(flat) // 3
+    flat = task_rows.reshape(-1, task_rows.shape[-1])
+    n_positions = len(flat) // 3 if n_task is None else n_task
     factor = reduced(flat @ clear).T / np.sqrt(n_positions)
     outside = flat @ others
     held_part = outside @ held

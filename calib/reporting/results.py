@@ -150,11 +150,13 @@ def load(path: Path | str) -> Robot:
 
     Raises:
         UrdfError: The URDF is not valid.
-        DescriptionError: The description is not valid, or does not fit the URDF.
+        DescriptionError: There is nothing, or the description is not valid, or does not fit the URDF.
         DataError: The folder holds no result, or a damaged one.
         ComputationError: The result failed, and was not forced.
     """
     folder = Path(path)
+    if not folder.suffix and not folder.exists():
+        raise DescriptionError(f"{path}: is not there; give a robot description (YAML), a URDF, or a result's folder")
     if not folder.is_dir():
         return loading.load(path)
     checksums = read_result(folder).get("sha256", {})

@@ -11,6 +11,7 @@ import argparse
 import shutil
 import tempfile
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from unittest import mock
 
@@ -19,7 +20,10 @@ from motoman_choice import load as motoman
 
 import calib
 from calib.identification.problem import Problem
+from calib.joint_terms.term import Context
 from medrue import robot_file
+from medrue.imperfections import from_direction
+from medrue.workspace import target_workspace
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 SIGMAS = np.array([1000, 300, 100, 42.6, 10, 7, 3, 1]) * 1e-6
@@ -56,9 +60,21 @@ def ur10(folder, rows=300):
     return robot, data[np.sort(np.random.default_rng(0).choice(len(data), rows, replace=False))]
 
 
+def extended_medrue(off=0.3):
+    """MedRUE with 130 parameters, each off by a random part of its prior sigma, and 84 simulated poses."""
+    robot, q = calib.load(robot_file("medrue_extended")), np.array(target_workspace().q)[::5]
+    rng = np.random.default_rng(1)
+    sigma = np.array([parameter.sigma for parameter in robot.parameters])
+    truth = robot.with_parameters(robot.values + off * sigma * rng.standard_normal(len(sigma)))
+    directions = from_direction(rng.choice([-1.0, 1.0], len(q)))
+    positions = truth.positions(q, Context.of(directions, {}))[:, 0] + 4e-5 * rng.standard_normal((len(q), 3))
+    return robot, replace(calib.as_measurements(robot, q, positions), approach=directions)
+
+
 def problems(folder=None):
     """Robots and measurements by name; those of others where there is a folder."""
     found = {"arm": example("arm"), "five-bar": example("five_bar"), "MedRUE": example("medrue", every=5)}
+    found["MedRUE, extended"] = extended_medrue()
     if folder:
         found["Motoman"] = motoman(folder / "motoman_right")[:2]
         found["UR10"] = ur10(folder / "ur10_tracker")

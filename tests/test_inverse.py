@@ -292,6 +292,8 @@ def test_conditions_of_goals_count(tmp_path, run_calib):
         *("solve", "arm.yaml", "goals.csv", "--parameters", "values.csv", "--out", "solved.csv"), cwd=tmp_path
     )
     assert run.code == 0, run.err
-    q = read_poses(tmp_path / "solved.csv", robot).joints
-    there = q + np.array([[2e-3, 5e-4, 0.0], [2e-3, -5e-4, 0.0]])
+    told = read_poses(tmp_path / "solved.csv", robot)  # the conditions with it, for whoever predicts from the file
+    real = robot.with_parameters({"slide.backlash": 5e-4, "turn.drift": 2e-3})
+    np.testing.assert_allclose(real.positions(told.joints, told.conditions)[:, 0], [goal, goal], atol=1e-9)
+    there = told.joints + np.array([[2e-3, 5e-4, 0.0], [2e-3, -5e-4, 0.0]])
     np.testing.assert_allclose(robot.positions(there)[:, 0], [goal, goal], atol=1e-9)

@@ -15,6 +15,7 @@ from calib.commands.compensate_gcode import compensate_gcode
 from calib.commands.compensate_grid import compensate_grid
 from calib.commands.solve import cells_of, in_display_units
 from calib.data.gcode import SUFFIXES
+from calib.data.measurement_columns import approach_columns, condition_columns
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
 from calib.data.tables import format_table, read_table
@@ -171,6 +172,9 @@ def _columns(robot: Robot, program: Poses | Goals, compensation: Compensation) -
     if isinstance(program, Goals):
         for name, values in _poses_to_command(robot, program, compensation).items():
             columns.append((name, cells_of(values)))
+    setups = program.setups if isinstance(program, Poses) else None
+    columns += condition_columns(robot, len(program), setups, program.context).items()
+    columns += approach_columns(robot, program.approach).items()
     for figure, unit, scale in _shown(compensation):
         columns.append((f"{figure} [{unit}]", cells_of(getattr(compensation, figure) * scale)))
     columns.append(("status", [why or "ok" for why in compensation.reasons]))

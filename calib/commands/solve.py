@@ -7,6 +7,7 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
+from calib.data.measurement_columns import approach_columns, condition_columns
 from calib.data.tables import format_table
 from calib.files import check_file, write_file
 from calib.inverse_kinematics.goals import Goals, read_goals
@@ -77,14 +78,16 @@ def command(
 
 
 def _table(robot: Robot, goals: Goals, solution: Solution, comments: tuple[str, ...]) -> str:
-    """CSV text of the targets that are reached."""
+    """CSV text of the targets that are reached, with the conditions under which they are."""
     reached = np.flatnonzero(solution.ok)
-    columns: list[tuple[str, list[object]]] = [("pose", [goals.names[k] for k in reached])]
+    told = goals.subset(reached)
+    columns: dict[str, list[object]] = {"pose": list(told.names)}
     for name, values in in_display_units(robot, solution.q[reached]).items():
-        columns.append((name, list(values)))
+        columns[name] = list(values)
     for axis, values in zip("xyz", millimetres(solution.positions[reached].T), strict=True):
-        columns.append((f"{goals.target}_{axis} [mm]", list(values)))
-    return format_table(columns, comments)
+        columns[f"{goals.target}_{axis} [mm]"] = list(values)
+    columns |= condition_columns(robot, len(told), None, told.context) | approach_columns(robot, told.approach)
+    return format_table(list(columns.items()), comments)
 
 
 def _rows(robot: Robot, goals: Goals, solution: Solution) -> list[dict[str, object]]:

@@ -227,6 +227,7 @@ def build_candidates(
             reasons += _reasons(robot, q, closed.ok, distance, labels, len(reasons))
     if reasons and not skip_unreachable:
         raise UnreachablePoseError(_listed(reasons) + "; remove these poses, or leave them out with --skip-unreachable")
+    rows.flags.writeable = False  # who holds it needs no copy
     return Candidates(poses.joints, PoseRows(rows, read, blocks, positions, position_rows), usable, tuple(reasons))
 
 

@@ -43,6 +43,7 @@ _SMALLEST_AT_ONCE = 1 / 16  # the same where a pose that is hard to reach may be
 _SMALLEST_CHANGE = 1 / 64  # part of the change of the origins that is not halved any more
 _TOGETHER = 64  # steps that are tried at once while few poses are left
 _NEIGHBOURS = 3  # solved poses to start from
+_MOST_KNOWN = 10_000  # of the poses solved together: more are no nearer by much, and looking among them takes longer
 _STONES, _FROM_STONES = 64, 6
 
 
@@ -227,7 +228,7 @@ def _spread_out(
     while start < len(order):
         batch = order[start : start + size]
         solutions.take(*_nearest(mechanism, mode, known, actuated[batch], *effort), batch)
-        solved = batch[solutions.ok[batch]]
+        solved = batch[solutions.ok[batch]][:: 1 + len(batch) // _MOST_KNOWN]
         known = np.vstack([known[0], actuated[solved]]), np.vstack([known[1], solutions.passive[solved]])
         start, size = start + size, size * 2
     left = np.flatnonzero(~solutions.ok)
@@ -249,13 +250,13 @@ def _nearest(
     count = min(neighbours, len(known[0]))
     if count == 0 or len(actuated) == 0:
         return solutions.passive, solutions.slope, solutions.ok
-    nearest = scipy.spatial.cKDTree(known[0] / scale).query(actuated / scale, k=range(1, count + 1))[1]
-    for ranks in (slice(0, 1), slice(1, count)):  # all others at once: each way that fails takes many steps
+    places = scipy.spatial.cKDTree(known[0] / scale)
+    for ranks in (range(1, 2), range(2, count + 1)):  # all others at once: each way that fails takes many steps
         todo = np.flatnonzero(~solutions.ok)
-        starts = nearest[todo, ranks]
-        if starts.size == 0:
+        if len(todo) == 0 or len(ranks) == 0:
             break
-        goals, starts = np.repeat(todo, starts.shape[1]), starts.ravel()
+        starts = places.query(actuated[todo] / scale, k=ranks)[1].ravel()
+        goals = np.repeat(todo, len(ranks))
         passive, slope, ok = _continue(mechanism, mode, (known[0][starts], known[1][starts]), actuated[goals], smallest)
         arrived, first = np.unique(goals[ok], return_index=True)
         solutions.take(passive[ok][first], slope[ok][first], np.ones(len(first), dtype=bool), arrived)

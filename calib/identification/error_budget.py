@@ -196,11 +196,11 @@ def _along(
     steps = (members * way[unknowns.index]).T
     places = _cause_of_places(unknowns, members)
     removed, gradient = np.zeros((int(np.sum(counted)), len(members))), np.zeros(members.shape)
+    passive = None
     for node, weight in zip(*np.polynomial.legendre.leggauss(3), strict=True):
         robot = before.with_parameters(before.values + (node + 1.0) / 2.0 * way)
-        observed = observe(
-            robot, robot.assemble(data.joints, labels=data.labels, context=data.conditions), data.readings
-        )
+        configurations = robot.assemble(data.joints, passive, data.labels, data.conditions)
+        observed, passive = observe(robot, configurations, data.readings), configurations.passive
         residuals = _flat({name: one.residuals for name, one in observed.items()}, layout)[counted]
         jacobian = _flat({name: one.jacobian[:, :, unknowns.index] for name, one in observed.items()}, layout)[counted]
         placing, moved = _span(jacobian[:, unknowns.placement]), jacobian @ steps

@@ -1,0 +1,121 @@
+"""What whole commands take: processor time, and memory, from the shell's prompt to the next.
+
+    python tests/benchmarks/whole_commands.py [--quick]
+
+The unit is a program that imports the libraries that a fit with pages needs, and ends. Measurements are simulated.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+import calib
+from calib.data.tables import format_table
+from calib.units import PER_SI, millimetres
+from medrue import robot_file
+from medrue.workspace import target_workspace
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = ROOT / "docs" / "examples"
+IMPORTS = ["-c", "import numpy, scipy.linalg, pinocchio, yourdfpy, matplotlib.figure"]
+MANY = 100_000
+
+
+def taken(arguments, folder):
+    """Processor time [s] and peak memory [GB] of one run of Python, with one thread of linear algebra."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment |= {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
+    process = subprocess.Popen(
+        [sys.executable, *arguments], cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    assert process.returncode == 0, arguments
+    return usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1e6
+
+
+def some_rows(source, path, n=30):
+    """Write every so many of a file's rows, n in all."""
+    lines = source.read_text().splitlines(keepends=True)
+    head = next(k for k, line in enumerate(lines) if not line.startswith("#")) + 1
+    step = max((len(lines) - head) // n, 1)
+    path.write_text("".join(lines[:head] + lines[head::step][:n]))
+
+
+def joint_columns(robot, q):
+    """Columns of joint values (n, n_actuated) [m or rad] in degrees and mm."""
+    units = {"angle": "deg", "length": "mm"}
+    for name, values in zip(robot.joint_names, q.T, strict=True):
+        dimension = robot.mechanism.dimensions[name]
+        yield f"{name} [{units[dimension]}]", list(values * PER_SI[dimension][units[dimension]])
+
+
+def prepared(folder):
+    """Write the inputs, and return the commands by name."""
+    robots = {"arm": EXAMPLES / "arm.yaml", "five-bar": EXAMPLES / "five_bar.yaml", "MedRUE": Path(robot_file())}
+    medrue, rng = calib.load(robots["MedRUE"]), np.random.default_rng(0)
+    q = np.array(target_workspace().q)
+    places = millimetres(medrue.positions(q[rng.integers(len(q), size=1000)])[:, 0])
+    target = medrue.target_names[0]
+    columns = [(f"{target}_{axis} [mm]", list(column)) for axis, column in zip("xyz", places.T, strict=True)]
+    (folder / "targets.csv").write_text(format_table(columns))
+    spread = 0.03 * medrue.mechanism.joint_scale * rng.standard_normal((MANY, q.shape[1]))
+    many = q[rng.integers(len(q), size=MANY)] + spread
+    (folder / "candidates.csv").write_text(format_table(list(joint_columns(medrue, many))))
+    found = {"`calib --version`": ["--version"]}
+    for pages in (False, True):
+        for name, path in robots.items():
+            some_rows(EXAMPLES / f"{path.stem}_simulated.csv", folder / f"{name}.csv")
+            arguments = ["fit", str(path), f"{name}.csv", "--out", f"{name}-{pages}", *["--no-pages"] * (not pages)]
+            found[f"`calib fit`, 30 poses, {name}{', with pages' * pages}"] = arguments
+    found["`calib check` without data, MedRUE"] = ["check", str(robots["MedRUE"])]
+    found["`calib solve`, 1000 targets, MedRUE"] = [
+        *("solve", str(robots["MedRUE"]), "targets.csv"),
+        *("--skip-unreachable", "--out", "solved.csv"),
+    ]
+    found[f"`calib select`, 84 of {MANY} poses, MedRUE"] = [
+        *("select", str(robots["MedRUE"]), "candidates.csv", "--count", "84", "--out", "chosen.csv")
+    ]
+    for name in ("arm", "MedRUE"):
+        robot = calib.load(robots[name])
+        poses = robot.sample(MANY, seed=1) if name == "arm" else many
+        (folder / f"{name}-many.csv").write_text(format_table(list(joint_columns(robot, poses))))
+        simulate = ["simulate", str(robots[name]), f"{name}-many.csv", "--seed", "2", "--out", f"{name}-read.csv"]
+        taken(["-m", "calib", *simulate], folder)
+        fit = ["fit", str(robots[name]), f"{name}-read.csv", "--no-pages", "--out", f"{name}-many"]
+        found[f"`calib fit`, {MANY} poses, {name}"] = fit
+    return found
+
+
+def table(rounds):
+    """Lines of the table: ratio to the unit, seconds and memory of this machine, the least of some rounds."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        commands = prepared(folder)
+        times = {None: []} | {command: [] for command in commands}
+        for turn in range(rounds):
+            for command in times:
+                if turn == 0 or str(MANY) not in str(command):
+                    arguments = IMPORTS if command is None else ["-m", "calib", *commands[command]]
+                    times[command].append(taken(arguments, folder))
+    unit = min(times.pop(None))[0]
+    yield "| command | over importing the libraries | processor time | memory |"
+    yield "|---|---:|---:|---:|"
+    for command, runs in times.items():
+        seconds, memory = min(runs)
+        shown = (
+            f"{memory:.1f} GB" if str(MANY) in command else ""
+        )  # else it may be that of this program before the start
+        yield f"| {command} | {seconds / unit:.1f} | {seconds:.1f} s | {shown} |"
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="one round")
+    for line in table(1 if parser.parse_args().quick else 5):
+        print(line, flush=True)

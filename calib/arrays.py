@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -77,23 +76,3 @@ def random_numbers(seed: int | np.random.Generator) -> np.random.Generator:
     if isinstance(seed, int) and seed < 0:
         raise InputError(f"seed {seed}: must be zero or positive")
     return np.random.default_rng(seed)
-
-
-def free_memory() -> float:
-    """Return how many bytes a program can still take: of the machine, or less where a container may not; else inf."""
-    found = [float("inf")]
-    for line in _lines("/proc/meminfo"):
-        if line.startswith("MemAvailable:"):
-            found.append(1024.0 * int(line.split()[1]))
-    limit, used = (_lines(f"/sys/fs/cgroup/memory.{name}") for name in ("max", "current"))
-    if limit and used and limit[0].isdecimal():
-        found.append(max(float(limit[0]) - float(used[0]), 0.0))
-    return min(found)
-
-
-def _lines(path: str) -> list[str]:
-    """The lines of a file of the system; none where there is no such file."""
-    try:
-        return Path(path).read_text(encoding="ascii").splitlines()
-    except OSError:
-        return []

@@ -1,5 +1,7 @@
 """Choosing MedRUE's poses: certified, complementing what is measured, within what is asked for."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from small_robots import small_arm, write_arm
@@ -252,14 +254,23 @@ def test_minimal_count_still_determines_everything(medrue):
     assert singular_values(medrue, found.joints)[-1] > 0
 
 
-def test_candidates_that_do_not_fit_into_memory_are_refused_before_any_work(medrue, monkeypatch):
-    q = as_poses(Q[:100])
-    rows = 100 * 3 * int(np.sum(medrue.is_free)) * 8.0
-    monkeypatch.setattr("calib.linearisation.candidates.free_memory", lambda: 3.1 * rows)
-    build_candidates(medrue, q)
-    monkeypatch.setattr("calib.linearisation.candidates.free_memory", lambda: 2.9 * rows)
-    with pytest.raises(InputError, match=r"100 candidates need about .* GB of memory, and .* are free; choose from"):
-        calib.select(medrue, q, 20)
+@pytest.mark.parametrize("index", ["O1", "task"])
+def test_candidates_that_do_not_fit_into_memory_go_through_a_file(medrue, monkeypatch, index):
+    inside = select(medrue, Q, 40, index)
+    monkeypatch.setattr("calib.memory.free_memory", lambda: 1e5)
+    monkeypatch.setattr("calib.pose_choice.selection_problem._PART", 50)
+    outside = select(medrue, Q, 40, index)
+    assert outside.after[index] == pytest.approx(inside.after[index], rel=1e-9)
+    assert outside.bound == pytest.approx(inside.bound, rel=1e-6)
+
+
+def test_what_has_no_room_says_where_it_would_have_been(medrue, monkeypatch):
+    monkeypatch.setattr("calib.memory.free_memory", lambda: 1e5)
+    with pytest.raises(InputError, match=r"looks at all at once; it needs about .* GB of memory, and .* are free"):
+        select(medrue, Q[:100], 20, "O3")
+    monkeypatch.setattr("calib.memory.shutil.disk_usage", lambda folder: SimpleNamespace(free=1e4))
+    with pytest.raises(InputError, match=r"rows of 100 candidates need .* free in .*; name a folder .* in TMPDIR"):
+        select(medrue, Q[:100], 20, "O1")
 
 
 def test_rows_of_positions_in_parts_say_what_all_say(medrue, monkeypatch):

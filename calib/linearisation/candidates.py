@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.arrays import BoolArray, FloatArray, free_memory
+from calib.arrays import BoolArray, FloatArray
 from calib.data.in_memory import measurements
 from calib.data.measurement_columns import rank_in_visit
 from calib.data.measurements import Measurements, Poses, of_visits
@@ -17,6 +17,7 @@ from calib.linearisation.jacobian import linearise
 from calib.linearisation.observed import Observed, looks_at, observe, predicted_readings
 from calib.linearisation.unknowns import Unknowns
 from calib.linearisation.whitening import ASSUMED, Whitening, stated_noise
+from calib.memory import zeros_with_room
 from calib.model.loops import why_open
 from calib.model.robot import Configurations, Robot, near_singularity
 from calib.numerics.identifiability import reduced
@@ -24,8 +25,6 @@ from calib.observation.kind import Readings
 from calib.observation.position import Position
 
 _PART = 8192
-_COPIES = 3
-"""How many times the rows of all candidates are in memory at once: as they are, whitened, and in parts."""
 _SAME = 1e-9
 """Joint values that differ by less are the same pose [m, rad]."""
 _MEASURED_AGAIN = 1e-4
@@ -204,8 +203,8 @@ def build_candidates(
     looks = looks_at(robot, poses)
     blocks = blocks_of(robot, looks)
     per_pose = max(block.stop for block in blocks.values())
-    _require_memory(n, per_pose * len(unknowns))
-    rows, read = np.zeros((n, per_pose, len(unknowns))), np.zeros((n, per_pose), dtype=bool)
+    rows = zeros_with_room((n, per_pose, len(unknowns)), f"rows of {n} candidates")
+    read = np.zeros((n, per_pose), dtype=bool)
     positions = np.full((n, n_targets, 3), np.nan)
     position_rows: FloatArray = np.zeros((0, len(unknowns)))
     usable, reasons = np.zeros(n, dtype=bool), list[str]()
@@ -229,16 +228,6 @@ def build_candidates(
         raise UnreachablePoseError(_listed(reasons) + "; remove these poses, or leave them out with --skip-unreachable")
     rows.flags.writeable = False  # who holds it needs no copy
     return Candidates(poses.joints, PoseRows(rows, read, blocks, positions, position_rows), usable, tuple(reasons))
-
-
-def _require_memory(n: int, numbers: int) -> None:
-    """Raise `InputError` where the rows of n candidates, so many numbers each, will not fit into what is free."""
-    needed, free = _COPIES * 8.0 * n * numbers, free_memory()
-    if needed > free:
-        raise InputError(
-            f"{n} candidates need about {needed / 1e9:.2g} GB of memory, and {free / 1e9:.2g} GB are free; choose from"
-            " each part of them, and then from what was chosen, or hold parameters"
-        )
 
 
 def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> tuple[FloatArray, FloatArray, FloatArray]:

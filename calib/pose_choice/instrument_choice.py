@@ -18,6 +18,7 @@ from calib.data.plan_files import TOGETHER
 from calib.errors import InputError, nearest
 from calib.linearisation.candidates import PoseRows, near_measured
 from calib.linearisation.observed import unsaid_touches
+from calib.memory import zeros_with_room
 from calib.model.robot import Robot
 
 ALL, EACH = "all", "each"
@@ -107,7 +108,7 @@ def pairs_of(groups: Groups, poses: PoseRows) -> Pairs:
     width = max(len(columns) for columns in own)
     rows = poses.rows
     if groups.chosen:
-        rows = np.zeros((n_groups * n, width, poses.rows.shape[2]))
+        rows = zeros_with_room((n_groups * n, width, poses.rows.shape[2]), f"rows of {n_groups * n} candidates")
         for g, columns in enumerate(own):
             rows[g * n : (g + 1) * n, : len(columns)] = poses.rows[:, columns]
     read = [[np.any(poses.read[:, poses.blocks[name]], axis=1) for name in members] for members in groups.members]

@@ -38,11 +38,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
+from calib.memory import zeros_with_room
 from calib.numerics.identifiability import Rank, reduced
 from calib.numerics.observability import OUTSIDE, Information, information
 
 TASK = "task"
 """Name of the task index where an index is chosen."""
+_PART = 8192  # candidates at once
 DETERMINED = 1e-10
 """A direction of which a choice has less than this part of the information of all candidates is not determined."""
 
@@ -80,9 +82,12 @@ class Problem:
         Args:
             weights: One for each candidate, (n_candidates,).
         """
-        used = np.flatnonzero(weights)
-        flat = (self.rows[used] * np.sqrt(weights[used])[:, None, None]).reshape(-1, self.rows.shape[2])
-        return self.before + flat.T @ flat
+        used, total = np.flatnonzero(weights), self.before
+        for start in range(0, len(used), _PART):
+            some = used[start : start + _PART]
+            flat = (self.rows[some] * np.sqrt(weights[some])[:, None, None]).reshape(-1, self.rows.shape[2])
+            total = total + flat.T @ flat
+        return total
 
     def task_trace(self, gathered: FloatArray) -> float:
         """Return trace(W K^-1) for K (r, r)."""
@@ -125,7 +130,7 @@ def build_problem(
     everything = information(np.vstack([reduced(rows.reshape(-1, width)), measured]), priors).rank
     task, floor = _task(task_rows, n_task, clear / strengths, others, held)
     return Problem(
-        rows=np.ascontiguousarray(rows @ whiten),
+        rows=_whitened(rows, whiten),
         before=before.T @ before + prior_part.T @ prior_part,
         strengths=strengths,
         task=task,
@@ -134,6 +139,16 @@ def build_problem(
         known=known,
         rank=everything,
     )
+
+
+def _whitened(rows: FloatArray, whiten: FloatArray) -> FloatArray:
+    """B of each candidate, (n_candidates, 3 n_targets, r), part by part: there may be more than memory holds."""
+    n, k, width = rows.shape
+    result = zeros_with_room((n, k, whiten.shape[1]), f"whitened rows of {n} candidates")
+    for start in range(0, n, _PART):
+        part = rows[start : start + _PART]
+        result[start : start + _PART] = (part.reshape(-1, width) @ whiten).reshape(len(part), k, -1)
+    return result
 
 
 def _task(

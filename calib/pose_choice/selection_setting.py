@@ -26,11 +26,12 @@ from calib.linearisation.candidates import (
 )
 from calib.linearisation.observed import looks_at
 from calib.linearisation.unknowns import Unknowns
+from calib.memory import require_memory
 from calib.model.robot import Robot
 from calib.numerics.observability import prior_rows
 from calib.pose_choice.exchange import Spacing, uniform_start
 from calib.pose_choice.instrument_choice import Groups, Pairs, already_read, pairs_of, require_touches_said
-from calib.pose_choice.selection_bound import largest
+from calib.pose_choice.selection_bound import CERTIFIED, largest
 from calib.pose_choice.selection_problem import TASK, Problem, build_problem
 from calib.pose_choice.selection_scores import CHOICES
 
@@ -145,6 +146,8 @@ def prepare(
     assembled = build_candidates(robot, poses, sigma, skip_unreachable=skip_unreachable)
     candidate_rows = assembled.found
     pairs = pairs_of(wanted.groups, candidate_rows)
+    if wanted.index not in CERTIFIED or wanted.minimum_distance > 0:
+        require_memory(2 * pairs.rows.size, "an index without a bound, or a least distance, looks at all at once; it")
     done_rows, n_before, points, again = None, 0, points_of(candidate_rows.positions[:0]), 0
     usable = pairs.possible & (assembled.usable & ~_excluded(exclude, len(poses)))[pairs.pose]
     pose_points = points_of(candidate_rows.positions)

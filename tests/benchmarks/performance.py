@@ -16,6 +16,7 @@ import evaluations
 import numpy as np
 import pinocchio as pin
 import scipy
+import whole_commands
 from hand_written import Arm, fit
 
 import calib
@@ -199,6 +200,14 @@ MedRUE, 84 poses, {draws} draws; the times are those of the machine that made th
     for name, each in zip(("draws", "draws, with `fast`"), drawn, strict=True):
         if each is not None:
             yield f"| {name} | {alone / each:.1f} draws | {1e3 * each:.0f} ms | {1e4 * each / 120:.1f} min |"
+    yield """
+## Whole commands
+
+From the prompt to the next, simulated measurements, one thread of linear algebra. The unit is a program that imports
+the libraries that a fit with pages needs, and ends; times are those of the machine that made this page. Many rows ran
+once. Alone: `python tests/benchmarks/whole_commands.py`.
+"""
+    yield from whole_commands.table(max(rounds // 5, 1))
     yield """
 ## Evaluations
 

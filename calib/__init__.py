@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from calib.reporting.loaded_result import LoadedResult, load_result, predict
     from calib.reporting.result_comparison import ResultComparison
     from calib.reporting.result_differences import compare
-    from calib.reporting.results import load
+    from calib.reporting.result_reading import load
     from calib.watching.progress import Progress
     from calib.watching.watch import Watch
 
@@ -75,7 +75,7 @@ _HOMES = {
     "compensate": "calib.inverse_kinematics.compensation",
     "export": "calib.exporting.formats",
     "fit": "calib.calibration",
-    "load": "calib.reporting.results",
+    "load": "calib.reporting.result_reading",
     "load_result": "calib.reporting.loaded_result",
     "predict": "calib.reporting.loaded_result",
     "read_measurements": "calib.data.measurement_files",

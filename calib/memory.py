@@ -34,14 +34,15 @@ def zeros_with_room(shape: tuple[int, ...], what: str) -> FloatArray:
     if 2 * needed <= free_memory():
         return np.zeros(shape)
     folder = tempfile.gettempdir()
-    room = shutil.disk_usage(folder).free
-    if needed > room:
-        raise InputError(
-            f"{what} need {needed / 1e9:.2g} GB, which is more than half of the free memory, and more than the"
-            f" {room / 1e9:.2g} GB that are free in {folder}; name a folder with more room in TMPDIR"
-        )
     with tempfile.TemporaryFile() as file:
-        os.truncate(file.fileno(), needed)
+        try:
+            # the place itself, since a full disk would end the program at the first write
+            os.posix_fallocate(file.fileno(), 0, needed) if hasattr(os, "posix_fallocate") else file.truncate(needed)
+        except OSError:
+            raise InputError(
+                f"{what} need {needed / 1e9:.2g} GB, which is more than half of the free memory, and {folder} has only"
+                f" {shutil.disk_usage(folder).free / 1e9:.2g} GB free; name a folder with more room in TMPDIR"
+            ) from None
         return np.asarray(np.memmap(file, dtype=float, mode="r+", shape=shape))
 
 

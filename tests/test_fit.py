@@ -11,7 +11,8 @@ from six_axis_arm import FREE, YAML, joints, measurements, noisy, six_axis_arm, 
 
 import calib
 from calib.identification.fitted import Convergence
-from calib.reporting.results import load_calibrated, read_result, save
+from calib.reporting.result_reading import load_calibrated, read_result
+from calib.reporting.results import save
 
 SIGMA = 4e-5
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"

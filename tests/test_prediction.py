@@ -6,7 +6,7 @@ import pytest
 from six_axis_arm import joints, noisy, six_axis_arm
 
 import calib
-from calib.reporting.results import load_calibrated, load_uncertainty
+from calib.reporting.result_reading import load_calibrated, load_uncertainty
 
 SIGMA = 4e-5
 

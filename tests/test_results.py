@@ -13,7 +13,8 @@ import calib
 from calib.data.tables import read_table
 from calib.errors import CalibrationError, ComputationError, DataError, InputError
 from calib.model.description import description_yaml, read_description
-from calib.reporting.results import load_calibrated, load_uncertainty, read_result, save
+from calib.reporting.result_reading import load_calibrated, load_uncertainty, read_result
+from calib.reporting.results import save
 
 CONTRACT = ("version", "robot", "converged", "message", "seconds", "n_poses", "n_rows", "n_parameters", "rank",
             "redundant", "sigma", "observability", "parameters", "errors")  # fmt: skip

@@ -1,6 +1,6 @@
 """Choosing MedRUE's poses: certified, complementing what is measured, within what is asked for."""
 
-from types import SimpleNamespace
+import errno
 
 import numpy as np
 import pytest
@@ -268,8 +268,12 @@ def test_what_has_no_room_says_where_it_would_have_been(medrue, monkeypatch):
     monkeypatch.setattr("calib.memory.free_memory", lambda: 1e5)
     with pytest.raises(InputError, match=r"looks at all at once; it needs about .* GB of memory, and .* are free"):
         select(medrue, Q[:100], 20, "O3")
-    monkeypatch.setattr("calib.memory.shutil.disk_usage", lambda folder: SimpleNamespace(free=1e4))
-    with pytest.raises(InputError, match=r"rows of 100 candidates need .* free in .*; name a folder .* in TMPDIR"):
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("calib.memory.os.posix_fallocate", full)
+    with pytest.raises(InputError, match=r"rows of 100 candidates need .* has only .* free; .* in TMPDIR"):
         select(medrue, Q[:100], 20, "O1")
 
 

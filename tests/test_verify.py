@@ -16,7 +16,7 @@ from calib.identification.acceptance import poses_needed, verify, visible_change
 from calib.identification.promise import Promise
 from calib.identification.repeats import CONDITIONS, conditions, iso_figures
 from calib.reporting.acceptance_text import text_report
-from calib.reporting.results import load_promise
+from calib.reporting.result_reading import load_promise
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 SIGMA = 3e-5

@@ -10,7 +10,7 @@ from calib import Fit, Measurements, Robot
 from calib.errors import InputError
 from calib.linearisation.registration import register
 from calib.linearisation.whitening import Whitening
-from calib.reporting.results import load_calibrated, load_uncertainty, read_result
+from calib.reporting.result_reading import load_calibrated, load_uncertainty, read_result
 from calib.words import counted
 from viz.judgement import of_result, of_verdict
 from viz.pose_sources import Sigmas, from_measurements, from_saved, noise

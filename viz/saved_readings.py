@@ -20,7 +20,7 @@ from calib.data.tables import Table, read_table
 from calib.errors import DataError
 from calib.identification.errors_found import STATES, ErrorSet
 from calib.observation.kind import Instrument, Readings
-from calib.reporting.results import read_result
+from calib.reporting.result_reading import read_result
 from calib.units import error_scale
 
 

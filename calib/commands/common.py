@@ -28,7 +28,7 @@ from calib.linearisation.registration import register
 from calib.model.arm_chain import arm_chain
 from calib.model.robot import Robot
 from calib.observation.kind import Readings
-from calib.reporting.results import forced_lines, load, load_calibrated
+from calib.reporting.result_reading import forced_lines, load, load_calibrated
 from calib.units import quantity
 from calib.workers import Progress
 

@@ -25,7 +25,7 @@ from calib.inverse_kinematics.asked import KEEP
 from calib.inverse_kinematics.compensation import Compensation, compensate
 from calib.inverse_kinematics.goals import Goals, read_goals
 from calib.model.robot import Robot
-from calib.reporting.results import load_calibrated, load_uncertainty, read_result
+from calib.reporting.result_reading import load_calibrated, load_uncertainty, read_result
 from calib.units import ERROR_UNIT, PER_SI, error_scale, millimetres
 from calib.words import counted
 

@@ -11,7 +11,7 @@ from calib.commands.common import Output, folder_of_values, loaded, said_of_fail
 from calib.exporting import CONTROLLERS, FORMATS, JOINT_TABLES, export
 from calib.exporting.links import read_links
 from calib.model.urdf_text import UrdfText
-from calib.reporting.results import read_result
+from calib.reporting.result_reading import read_result
 from calib.units import millimetres
 
 _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]

@@ -15,7 +15,7 @@ from calib.errors import ComputationError, InputError
 from calib.files import check_folder, image_address
 from calib.model.robot import Robot
 from calib.numerics.losses import LOSSES
-from calib.reporting.results import to_dict
+from calib.reporting.result_content import to_dict
 from calib.words import counted
 
 

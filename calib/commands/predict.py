@@ -10,7 +10,7 @@ from calib.data.measurement_text import format_positions
 from calib.data.measurements import Poses
 from calib.files import check_file, write_file
 from calib.model.robot import Robot
-from calib.reporting.results import load_uncertainty, poses_beyond_curves
+from calib.reporting.result_reading import load_uncertainty, poses_beyond_curves
 from calib.words import counted
 
 

@@ -21,7 +21,7 @@ from calib.data.parameter_files import read_parameters
 from calib.identification.study import study
 from calib.model.robot import Robot
 from calib.numerics.losses import LOSSES
-from calib.reporting.results import load
+from calib.reporting.result_reading import load
 
 
 @click.command("study")

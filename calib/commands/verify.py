@@ -13,7 +13,7 @@ from calib.identification.promise import POWER, Promise, candidates
 from calib.identification.repeats import iso_figures
 from calib.model.robot import Robot
 from calib.reporting.acceptance_text import changes_as_data, plan_report, text_report, to_dict
-from calib.reporting.results import load_promise
+from calib.reporting.result_reading import load_promise
 from calib.units import quantity
 from calib.words import counted
 

@@ -17,7 +17,7 @@ from calib.identification.fitted import Fit
 from calib.joint_terms.term import Context
 from calib.linearisation.prediction import PositionUncertainty
 from calib.model.robot import Robot
-from calib.reporting.results import LoadedUncertainty, load, load_uncertainty, read_result
+from calib.reporting.result_reading import LoadedUncertainty, load, load_uncertainty, read_result
 from calib.tabular import titled_html
 from calib.units import PER_SI
 

@@ -21,6 +21,8 @@ from calib.units import DISPLAY_UNIT, ERROR_UNIT, PER_SI, Dimension, error_scale
 from calib.version import PROGRAM
 
 FORMAT_VERSION = 1
+NOMINAL_YAML, NOMINAL_URDF = "nominal.yaml", "nominal.urdf"
+"""Files of a result folder that hold the robot as it was before."""
 _PARAMETER_COLUMNS = ("name", "nominal", "value", "std", "low95", "high95", "unit", "status")
 CORRELATED = 0.95
 """Correlation coefficients from here on are listed."""

@@ -43,7 +43,8 @@ from calib.model import loading
 from calib.model.robot import Robot
 from calib.parameter import Parameter, index_of
 from calib.reporting.result_comparison import CHANCE, Difference, Pair, ResultComparison
-from calib.reporting.results import load_calibrated, load_uncertainty, read_result, save
+from calib.reporting.result_reading import load_calibrated, load_uncertainty, read_result
+from calib.reporting.results import save
 from calib.words import counted
 
 _OWN = 1e-3  # of the variance of both, from which on a difference is more than what the prior leaves of it

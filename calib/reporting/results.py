@@ -1,10 +1,11 @@
-"""The result folder: what a fit found, in files that people and programs read, and reading it back.
+"""The result folder: what a fit found, in files that people and programs read.
 
 `result.json` holds everything in mm and degrees; unknown numbers are null, never zero. The folder has all that the
 calibrated robot is made of, so that it can be moved, and loads like any robot: the nominal robot (`nominal.yaml`,
 `nominal.urdf`) and the values of all its parameters (`parameters.csv`), joint terms and places included. It is the same
 to the last digits. Its uncertainty comes from `covariance.csv`. A fit with the verdict FAIL is written without
-`calibrated.urdf`, and is not read back as a calibrated robot, unless that is forced; then the files say so.
+`calibrated.urdf`, and is not read back as a calibrated robot (`calib.reporting.result_reading`), unless that is forced;
+then the files say so.
 """
 
 from __future__ import annotations
@@ -14,60 +15,25 @@ import html
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-import scipy
-
-from calib.arrays import BoolArray, FloatArray
-from calib.data.measurements import Poses
-from calib.data.parameter_files import read_parameters
-from calib.data.tables import read_table
-from calib.errors import ComputationError, DataError, DescriptionError
 from calib.exporting.links import find_mesh
 from calib.exporting.urdf import urdf_bytes
-from calib.files import read_text, write_folder
+from calib.files import write_folder
 from calib.identification.fitted import Fit
-from calib.identification.joint_curves import beyond_learned
-from calib.identification.promise import Promise
 from calib.identification.reasons import Verdict
-from calib.joint_terms.term import Context
-from calib.joint_terms.terms import stored_terms
-from calib.linearisation.prediction import PositionUncertainty, position_uncertainty
-from calib.model import loading
 from calib.model.description import description_yaml
-from calib.model.robot import Robot
 from calib.model.urdf_text import UrdfText, apply_edits
 from calib.reporting.result_content import (
-    FORMAT_VERSION,
+    NOMINAL_URDF,
+    NOMINAL_YAML,
     covariance_table,
-    parameter_rows,
     parameter_table,
     residual_table,
     to_dict,
 )
-from calib.units import PER_SI, error_scale, per_si
-from calib.words import counted, listed
 
-__all__ = [
-    "forced_lines",
-    "load",
-    "load_calibrated",
-    "load_promise",
-    "load_uncertainty",
-    "parameter_rows",
-    "poses_beyond_curves",
-    "read_result",
-    "save",
-    "to_dict",
-]
-
-_AGREE = 1e-9  # of the same value in two files [m or rad]
-_MOST_FREEDOM = 1e9  # degrees of freedom: more than any file has rows; tails of F and t are not found far beyond
 _URDF = "calibrated.urdf"
-_NOMINAL_YAML, _NOMINAL_URDF = "nominal.yaml", "nominal.urdf"
 _FILE = re.compile(rb"""\bfilename\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 _NO_TERMS = ("a URDF cannot hold joint terms (curves, backlash, ...): they are in parameters.csv, and missing here",)
 _OF_GOOD_FITS = (_URDF, "report.html", "viewer.html")  # an old one must not stay beside a new result
@@ -90,8 +56,8 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
     """
     failed = fit.verdict.grade == "FAIL"
     nominal = {
-        _NOMINAL_YAML: description_yaml(fit.nominal.description.model_copy(update={"urdf": _NOMINAL_URDF})).encode(),
-        _NOMINAL_URDF: _with_meshes(fit.nominal.urdf),
+        NOMINAL_YAML: description_yaml(fit.nominal.description.model_copy(update={"urdf": NOMINAL_URDF})).encode(),
+        NOMINAL_URDF: _with_meshes(fit.nominal.urdf),
     }
     checksums = {name: hashlib.sha256(content).hexdigest() for name, content in nominal.items()}
     result = to_dict(fit, forced=failed and force) | {"sha256": checksums}
@@ -132,224 +98,3 @@ def _forced_urdf(fit: Fit) -> bytes:
 def _said_inside(verdict: Verdict, how: str) -> list[str]:
     """What a file with the numbers of a failed fit says in a comment."""
     return [f"verdict: FAIL, {how}:", *(f"  {reason.text}" for reason in verdict.reasons if reason.grade == "FAIL")]
-
-
-def forced_lines(folder: Path | str) -> list[str]:
-    """Return what an exported file must say about the result that it comes from: nothing, unless that failed."""
-    verdict = read_result(folder).get("verdict", {})
-    if verdict.get("grade") != "FAIL":
-        return []
-    return ["verdict: FAIL, exported by force:", *(f"  {reason}" for reason in verdict["reasons"])]
-
-
-def load(path: Path | str) -> Robot:
-    """Load a robot from a description (YAML), a plain URDF (`calib.model.loading.load`), or calibrated from a result.
-
-    Args:
-        path: Of the file, or of the folder of the result.
-
-    Raises:
-        UrdfError: The URDF is not valid.
-        DescriptionError: There is nothing, or the description is not valid, or does not fit the URDF.
-        DataError: The folder holds no result, or a damaged one.
-        ComputationError: The result failed, and was not forced.
-    """
-    folder = Path(path)
-    if not folder.suffix and not folder.exists():
-        raise DescriptionError(f"{path}: is not there; give a robot description (YAML), a URDF, or a result's folder")
-    if not folder.is_dir():
-        return loading.load(path)
-    checksums = read_result(folder).get("sha256", {})
-    for name in (_NOMINAL_YAML, _NOMINAL_URDF):
-        if not (folder / name).is_file():
-            raise DataError(f"{folder}: has no {name}, and so gives no robot; run the fit again")
-        if hashlib.sha256((folder / name).read_bytes()).hexdigest() != checksums.get(name):
-            raise DataError(f"{folder / name}: was changed after the fit, which holds no more; run the fit again")
-    return replace(load_calibrated(folder, loading.load(folder / _NOMINAL_YAML)), path=str(path))
-
-
-def load_calibrated(folder: Path | str, robot: Robot, *, failed_too: bool = False) -> Robot:
-    """Return `robot` with the parameters of a result folder.
-
-    Args:
-        folder: Of `save`.
-        robot: The nominal robot.
-        failed_too: Whether to load a result that failed and was not forced, to look at it.
-
-    Raises:
-        DataError: The folder holds no result, or one of another robot.
-        ComputationError: The result failed, and was not forced.
-    """
-    content = read_result(folder)
-    robot = _with_stored_terms(folder, content, robot)
-    names = [row.get("name") for row in content["parameters"]]
-    if names != [parameter.name for parameter in robot.parameters]:
-        raise DataError(f"{folder}: is the result of another robot ({content['robot']}); its parameters differ")
-    verdict = content.get("verdict", {})
-    if verdict.get("grade") == "FAIL" and not verdict.get("forced") and not failed_too:
-        raise ComputationError(
-            f"{folder}: the fit failed and gives no calibrated robot ({verdict['reasons'][0]}); fit again, with --force"
-            " if you want these numbers all the same"
-        )
-    calibrated = robot.with_parameters(read_parameters(Path(folder) / "parameters.csv", robot, complete=True))
-    for row, parameter, value in zip(content["parameters"], robot.parameters, calibrated.values, strict=True):
-        shown, per_si = row.get("value"), PER_SI[parameter.dimension][parameter.unit]
-        if not isinstance(shown, (int, float)) or not abs(shown / per_si - value) <= _AGREE:
-            raise DataError(
-                f"{folder}: parameters.csv and result.json give different values of '{parameter.name}';"
-                " run the fit again"
-            )
-    return calibrated
-
-
-def _with_stored_terms(folder: Path | str, content: dict[str, Any], robot: Robot) -> Robot:
-    """The robot with the joint terms that the fit was asked for; its own where it was asked for none."""
-    stored = content.get("joint_terms") or {}
-    if stored.get("asked") is None:
-        return robot
-    try:
-        return robot.with_terms(stored_terms(stored.get("entries")))
-    except ValueError:
-        raise DataError(f"{folder}: its joint terms cannot be read; run the fit again") from None
-    except DescriptionError:
-        raise DataError(
-            f"{folder}: is the result of another robot ({content['robot']}); its joint terms do not fit this one"
-        ) from None
-
-
-def poses_beyond_curves(folder: Path | str, robot: Robot, poses: Poses) -> list[str]:
-    """Return a remark on poses that lie where no error curve of a joint of the result was learned.
-
-    Args:
-        folder: Of `save`.
-        robot: The calibrated robot.
-        poses: Where it shall predict.
-
-    Raises:
-        DataError: The folder holds no result.
-    """
-    learned = np.zeros((2, len(robot.joint_names)))
-    curves = (read_result(folder).get("joint_terms") or {}).get("curves", [])
-    for curve in curves:
-        joint = robot.joint_names.index(curve["joint"])
-        scale = PER_SI[robot.mechanism.dimensions[curve["joint"]]][curve["unit"]]
-        learned[:, joint] = curve["low"] / scale, curve["high"] / scale
-    outside = beyond_learned(robot, learned, poses.joints) if curves else np.zeros((0, 0), dtype=bool)
-    found = np.flatnonzero(np.any(outside, axis=1))
-    if not len(found):
-        return []
-    joints = [robot.joint_names[j] for j in np.flatnonzero(np.any(outside, axis=0))]
-    return [
-        f"{counted(len(found), 'pose lies', 'poses lie')} where no error curve of {listed(joints)} was learned"
-        f" ({listed([poses.labels[k] for k in found])}): its band there is as wide as before measuring"
-    ]
-
-
-@dataclass(frozen=True, eq=False)
-class LoadedUncertainty:
-    """The uncertainty of a result folder.
-
-    Attributes:
-        free: Which parameters were free, (n_parameters,).
-        covariance: Of these, (n_free, n_free) [m, rad].
-        coverage_factor: How many standard deviations make half a 95 % interval.
-    """
-
-    free: BoolArray
-    covariance: FloatArray
-    coverage_factor: float
-
-    def at(self, robot: Robot, q: FloatArray, context: Context | None = None) -> PositionUncertainty:
-        """Predict positions of the calibrated robot at actuated joints q (n, n_actuated), with their covariance.
-
-        Args:
-            robot: The calibrated robot.
-            q: Commands, (n, n_actuated) [m or rad].
-            context: Under which conditions they are given.
-        """
-        free = np.flatnonzero(self.free)
-        return position_uncertainty(robot, free, self.covariance, self.coverage_factor, q, context)
-
-
-def load_uncertainty(folder: Path | str, robot: Robot) -> LoadedUncertainty:
-    """Return the uncertainty of a result folder.
-
-    Raises:
-        DataError: The file is missing or broken, or belongs to another robot.
-    """
-    path = Path(folder) / "covariance.csv"
-    if not path.is_file():
-        raise DataError(f"{path}: no such file; run the fit again")
-    table = read_table(path)
-    names = table.text("parameter") if "parameter" in table.names else []
-    known = [p for p in robot.parameters if p.name in names]
-    if table.names != ("parameter", "unit", *names) or names != [p.name for p in known]:
-        raise DataError(f"{path}: is not the covariance of parameters of {robot.path}; run the fit again")
-    units = zip(known, table.text("unit"), strict=True)
-    scale = np.array([per_si(unit, one.dimension, f"{path}, parameter '{one.name}'") for one, unit in units])
-    try:
-        covariance = np.array([[float(cell) for cell in row[2:]] for row in table.rows]) / scale[:, None] / scale
-    except ValueError:
-        raise DataError(f"{path}: holds text where a number is expected; run the fit again") from None
-    freedom = read_result(folder).get("degrees_of_freedom")
-    if not np.all(np.isfinite(covariance)) or not isinstance(freedom, (int, float)) or not 0 < freedom < _MOST_FREEDOM:
-        raise DataError(f"{folder}: its covariance or degrees of freedom are not numbers; run the fit again")
-    free = np.array([p.name in names for p in robot.parameters])
-    return LoadedUncertainty(free, covariance, float(scipy.special.stdtrit(freedom, 0.975)))
-
-
-def load_promise(folder: Path | str, robot: Robot) -> Promise:
-    """Return what the calibration in a result folder promises of its robot.
-
-    Args:
-        folder: Of `save`.
-        robot: The nominal robot.
-
-    Raises:
-        DataError: The folder holds no result, one of another robot, or one without the noise of each instrument.
-        ComputationError: The result failed, and was not forced.
-    """
-    calibrated, known, content = load_calibrated(folder, robot), load_uncertainty(folder, robot), read_result(folder)
-    sigma: dict[tuple[str, str], float] = {}
-    offsets: dict[str, list[float]] = {}
-    try:
-        for block in content["instruments"]:
-            one = robot.instrument(block["name"])
-            dimensions = {part.name: part.dimension for part in one.parts}
-            for part in block["parts"]:
-                scale = error_scale(dimensions[part["name"]])
-                for size in part.get("sigma_shared", ()):
-                    offsets.setdefault(one.name, []).append(float(size) / scale)
-                if part["sigma_own"] is not None:
-                    sigma[one.group, part["name"]] = float(part["sigma_own"]) / scale
-        shared = {
-            row["joint"]: float(row["sigma"]) / error_scale(robot.mechanism.dimensions[row["joint"]])
-            for row in content["shared_sigma"]
-        }
-        freedom = float(content["degrees_of_freedom"])
-    except (KeyError, TypeError, ValueError):
-        raise DataError(f"{folder}: does not say the noise of each instrument; run the fit again") from None
-    errors = np.array([shared.get(name, 0.0) for name in robot.joint_names])
-    alike = {name: np.array(sizes) for name, sizes in offsets.items()}
-    return Promise(calibrated, known.covariance, freedom, sigma, errors, alike)
-
-
-def read_result(folder: Path | str) -> dict[str, Any]:
-    """Return `result.json` of a result folder as a dictionary.
-
-    Raises:
-        DataError: Missing, broken, or of another version.
-    """
-    path = Path(folder) / "result.json"
-    if not path.exists():
-        raise DataError(f"{folder}: holds no result (no result.json); give the folder that `calib fit --out` wrote")
-    try:
-        content = json.loads(read_text(path, "a result that `calib fit` wrote", DataError))
-    except (ValueError, RecursionError) as error:
-        raise DataError(f"{path}: cannot be read ({error}); run the fit again") from None
-    if not isinstance(content, dict) or content.get("version") != FORMAT_VERSION:
-        raise DataError(f"{path}: is not a result of format version {FORMAT_VERSION}; run the fit again")
-    rows = content.get("parameters")
-    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows) or "robot" not in content:
-        raise DataError(f"{path}: is incomplete; run the fit again")
-    return content

@@ -56,8 +56,9 @@ where only the scales are wrong.
 The iteration ends as converged when the decrease that the linear model still promises, |R f|^2, is at most `tolerance`
 of the cost. That is a rule in standard deviations: with noise s^2 = cost / N, from N rows more than unknowns, the
 covariance is s^2 G^-1, and |R f|^2 / s^2 the sum of (step left / its standard deviation)^2 over independent directions,
-at most N tolerance. A cost above the best by no more than that, at a point that ends the iteration, is rounding. It
-also ends where the step is below 1e-12 of the unknowns; and as not converged after `max_evaluations` trial points.
+at most N tolerance. Where a step that promised less than ten times as much did not lower the cost, rounding decides
+about it, and it ends too; or where the step is below 1e-12 of the unknowns; and as not converged after
+`max_evaluations` trial points.
 
 When it fails. It finds the minimum in whose valley it starts; `calib.identification.starts` looks for others. Along
 directions that the residuals hardly see, convergence is judged by the cost: the caller must check what step is left.
@@ -85,6 +86,7 @@ MAX_EVALUATIONS = 200
 TOLERANCE = 1e-12
 """Promised decrease, relative to the cost, that ends the iteration: 1e-4 standard deviations at ten thousand rows."""
 _SMALL_STEP = 1e-12
+_ROUNDING = 10.0  # how many tolerances may be left where a step did not lower the cost
 _KEPT = 8  # steps whose Jacobians are remembered
 _PATIENCE = 5  # trial points in a row above the best cost
 _DOWN = 3  # how many of them are left without curvature
@@ -287,8 +289,11 @@ class _Path:
         self._past: list[_Point] = []
         self._climbs = 0 if self._by_columns else _PATIENCE
         self._patience = self._climbs
+        self._undone = False  # whether the last step was
         self._first = np.inf  # length of the step that left the best point
-        self._step, self._promised = self._next()
+        self._planned: _Point | None = None  # from where the next step is known
+        self._step: FloatArray = np.zeros(len(start.x))
+        self._promised = start.cost
 
     def _length(self, step: FloatArray) -> float:
         return float(np.linalg.norm(self._scale * step))
@@ -302,17 +307,20 @@ class _Path:
         """Return which stopping rule is met; nothing if none is."""
         if self.here is not self.best:
             return ""
-        if self.here.decrease <= self._tolerance * self.here.cost:
+        allowed = (_ROUNDING if self._undone else 1.0) * self._tolerance
+        if self.here.decrease <= allowed * self.here.cost:
             return _COST_STANDS
         size = self._length(self.here.x) + (0.0 if self._by_columns else 1.0)
         return _STEP_VANISHES if min(self._length(self.here.newton), self._radius) <= _SMALL_STEP * size else ""
 
     def trial(self) -> FloatArray:
         """Return where to look next, (n,)."""
+        if self._planned is not self.here:
+            self._plan()
         return self.here.x + self._step
 
-    def _next(self) -> tuple[FloatArray, float]:
-        """The next step, (n,), and the cost that the model promises after it."""
+    def _plan(self) -> None:
+        """Find the next step, and the cost that the model promises after it."""
         here, limit = self.here, self._radius
         above = self._climbs - self._patience
         bends = above == 0 or above > _DOWN or np.isinf(limit)
@@ -320,10 +328,10 @@ class _Path:
         curvature = here.curvature(self._past) if bends and met else None
         if here is not self.best:
             limit = min(limit, _ASTRAY * self._first)
-        step, promised = here.step(curvature, limit, self._scale, here.x - self.best.x)
+        self._step, self._promised = here.step(curvature, limit, self._scale, here.x - self.best.x)
+        self._planned = here
         if here is self.best:
-            self._first = self._length(step)
-        return step, promised
+            self._first = self._length(self._step)
 
     def go_on(self, values: FloatArray, jacobian: Callable[[FloatArray], FloatArray]) -> None:
         """Take the step that led to these residuals (m,), or go back to the best point with a smaller radius."""
@@ -331,26 +339,20 @@ class _Path:
         if reached < self.best.cost or (self._patience > 0 and np.isfinite(reached)):
             x = self.trial()
             trial = _Point(x, values, jacobian(x))
-            if reached < self.best.cost or self._stands(trial):
+            if reached < self.best.cost:
                 self._radius = self._adapted(trial)
                 self._move(trial)
-                self.best, self._patience = trial, self._climbs
-                self._step, self._promised = self._next()
+                self.best, self._patience, self._undone = trial, self._climbs, False
                 return
             self._move(trial)
             self._patience -= 1
-            self._step, self._promised = self._next()
+            self._plan()
             if self._promised < self.best.cost:
                 return
         self._radius = _SHORTER * min(self._first, self._radius)
-        self._cautious = False
+        self._cautious, self._undone = False, True
         self.here, self._past, self._patience = self.best, [], self._climbs
-        self._step, self._promised = self._next()
-
-    def _stands(self, trial: _Point) -> bool:
-        """Whether a point is as good as the best, and an end: their costs differ by less than what counts."""
-        allowed = self._tolerance * self.best.cost
-        return trial.cost - self.best.cost <= allowed and trial.decrease <= allowed
+        self._planned = None
 
     def _move(self, trial: _Point) -> None:
         self._past = [*self._past, self.here][-_KEPT:]

@@ -37,8 +37,8 @@ below the best predicted it. So a step may be as long as the valley is straight;
 once are no longer than it is wide. A trial point without residuals (a loop that cannot close answers NaN) has a cost
 that does not come back.
 
-K is left out where rows come first: while more than half of the cost is promised to go, and in the first three steps
-down from a wall. Where steps climb without a ball it is not, for there it ends the swinging between two walls.
+K is left out where rows come first: while more than half of the cost is promised to go, and goes; and in a ball, in the
+first three steps down from a wall. Elsewhere it ends the swinging between two walls.
 
 D is one of
 
@@ -96,6 +96,7 @@ _DEPENDENT = 1e-4  # part of a remembered step that later ones do not say, below
 _SINGULAR = 1e-14  # the same for directions that the rows do not see
 _SHORTER = 0.25  # how much of the radius is left after a step that failed
 _GOOD, _POOR = 0.75, 0.25  # part of the promised decrease that came, beyond which the radius changes
+_PAID = 0.5  # the same, from which on the next step does without curvature
 _ON_RADIUS = 0.1  # relative length within which a step counts as being on the ball
 _ABSURD = (
     3.5  # root mean square of a first step in units of the unknowns; real arms with noise stated far too small: 3.4
@@ -289,6 +290,7 @@ class _Path:
         self._past: list[_Point] = []
         self._climbs = 0 if self._by_columns else _PATIENCE
         self._patience = self._climbs
+        self._paid = True  # whether the last step lowered the cost about as promised
         self._undone = False  # whether the last step was
         self._first = np.inf  # length of the step that left the best point
         self._planned: _Point | None = None  # from where the next step is known
@@ -324,7 +326,7 @@ class _Path:
         here, limit = self.here, self._radius
         above = self._climbs - self._patience
         bends = above == 0 or above > _DOWN or np.isinf(limit)
-        met = 2.0 * here.decrease <= here.cost or (above > 0 and np.isinf(limit))
+        met = 2.0 * here.decrease <= here.cost or not self._paid
         curvature = here.curvature(self._past) if bends and met else None
         if here is not self.best:
             limit = min(limit, _ASTRAY * self._first)
@@ -340,12 +342,14 @@ class _Path:
             x = self.trial()
             trial = _Point(x, values, jacobian(x))
             if reached < self.best.cost:
-                self._radius = self._adapted(trial)
+                promised = self.best.cost - self._promised
+                part = (self.best.cost - reached) / promised if promised > 0 else 0.0
+                self._radius, self._paid = self._adapted(trial, part), part >= _PAID
                 self._move(trial)
                 self.best, self._patience, self._undone = trial, self._climbs, False
                 return
             self._move(trial)
-            self._patience -= 1
+            self._patience, self._paid = self._patience - 1, False
             self._plan()
             if self._promised < self.best.cost:
                 return
@@ -359,8 +363,8 @@ class _Path:
         self.here = trial
         self._rescale(trial)
 
-    def _adapted(self, trial: _Point) -> float:
-        """Return the radius after a step that lowered the cost, from how well the model predicted that."""
+    def _adapted(self, trial: _Point, part: float) -> float:
+        """Return the radius after a step that lowered the cost, by this part of what the model promised."""
         if np.isinf(self._radius):
             return self._radius
         length = self._length(trial.x - self.best.x)
@@ -368,8 +372,6 @@ class _Path:
             left = float(np.linalg.norm(trial.residuals - self.here.residuals - self.here.jacobian @ self._step))
             if left * (self._length(trial.newton) / length) ** 2 <= np.sqrt(trial.cost):
                 return np.inf
-        promised = self.best.cost - self._promised
-        part = (self.best.cost - trial.cost) / promised if promised > 0 else 0.0
         if part < _POOR:
             return _SHORTER * self._first
         return self._radius if part < _GOOD else max(self._radius, 2.0 * length)

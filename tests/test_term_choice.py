@@ -70,13 +70,16 @@ def _measured(robot, true, q, rng):
 
 @one_blas_thread
 def choices(robot, terms, n, seed):
-    """How often each kind of term is added when these are there, of n simulated calibrations."""
-    counts = dict.fromkeys(KINDS, 0)
+    """Of n simulated calibrations with these terms, how often what is there is added, and anything else.
+
+    Each in two numbers: where its kind is said to be proven, and where it is not.
+    """
+    counts = np.zeros((2, 2), dtype=int)
     for number in range(n):
         _, data, _ = simulated(robot, terms, np.random.default_rng([seed, number]))
         for one in calib.fit(robot, data, terms="auto").terms.tried:
-            counts[one.term] += one.added
-    return counts
+            counts[int(one.term not in terms), int(not one.proven)] += one.added
+    return counts.ravel()
 
 
 @one_blas_thread
@@ -363,7 +366,7 @@ def _print_tables(what, n, seed=1):
                     coefficients, positions = coverage(robot, terms, n, seed)
                     cells = f"{100 * coefficients:.1f} | {100 * positions:.1f}"
                 else:
-                    cells = " | ".join(str(count) for count in choices(robot, terms, n, seed).values())
+                    cells = " | ".join(str(count) for count in choices(robot, terms, n, seed))
                 print(f"| {robot.name} | {', '.join(terms) or 'none'} | {cells} |", flush=True)
 
 

@@ -16,8 +16,17 @@ so that a curve through errors of any cause seems to predict; blocks have not.
 Of the candidates that earn their place, the one is added whose evidence rises furthest beyond chance, among those whose
 prediction no other one beats by two standard errors (breiman1984). The others are then tried beside it, until none
 earns its place. What would make an added term superfluous is not added: every term earns its place beside all others.
-Each of the others is tried in the place of each that was added: those that do as well, within odds of 20 to 1
-(kass1995), are told, for the data do not say which of them is there.
+
+Kinds that look alike at the poses measured say different things elsewhere. Each of the others is tried in the place of
+each that is added. Where one comes within odds of 20 to 1 (kass1995), the kind is a guess, and so is what the term says
+of poses unlike those measured. It must then bring more than it costs, both mean squares of positions:
+
+    brought      what poses of blocks left out are predicted better
+    lost         what positions become less sure with it where the joint values measured are combined in other ways,
+                 base and tool placed anew
+
+A kind is called proven only if its evidence leads that of every other one by these odds, also beyond what chance gives
+for its sizes, and none that would earn the place predicts blocks left out as well; else the others are named.
 Sizes and noise are those of all poses, also where blocks are left out: a handful of numbers, and they stay the same in
 all blocks. What is added is then fitted as any robot is, without linearising.
 
@@ -40,11 +49,15 @@ from calib.identification.candidate_terms import Candidate, TermChoice, TriedTer
 from calib.identification.fitted import Fit
 from calib.identification.validation import boxes, stretches
 from calib.joint_terms.term import TermSection
+from calib.linearisation.jacobian import linearise
 from calib.linearisation.observed import observe
+from calib.linearisation.prediction import beside_common_motion, other_combinations
 from calib.linearisation.rows import Rows
 from calib.linearisation.unknowns import Unknowns
 from calib.numerics.variance_components import LinearModel, found_with_families, log_evidence
 from calib.threads import one_blas_thread
+from calib.units import millimetres
+from calib.words import listed
 
 CHANCE = 0.01
 """Chance that some term rises in evidence by as much as is asked where there is none."""
@@ -56,6 +69,7 @@ SURE = 2.0
 """Standard errors by which one prediction of blocks left out must be better than another to be called better."""
 LEAST_POSES = 2 * BLOCKS
 """Different poses below which nothing is tried."""
+_COMBINATIONS = 200
 _RIDGE = 1e-12  # of its diagonal, added to a matrix whose null space the blocks left may widen
 _NOTHING = 1e-6  # singular value over the largest, below which a principal component says nothing
 _LOST = 1e-9  # part of a place's information below which only the poses that are left out see it
@@ -72,6 +86,8 @@ class _Trial(ReadOnlyArrays):
         sizes: Largest size found of each term, over what is expected.
         squares: Of each partition, whitened squares of what each block is off when left out, (n_blocks,) each.
         rms: Of each partition, root mean square of the main part, left out in turns [SI].
+        unsure: Variance of positions at other combinations of joint values, mean over these [m^2]; 0 where the main
+            part of the readings is no length, which nothing can be weighed against.
     """
 
     terms: tuple[str, ...]
@@ -80,6 +96,7 @@ class _Trial(ReadOnlyArrays):
     sizes: dict[str, float]
     squares: tuple[FloatArray, ...]
     rms: tuple[float, ...]
+    unsure: float = 0.0
 
 
 @one_blas_thread
@@ -161,6 +178,33 @@ def _design(rows: Rows, unknowns: Unknowns, owner: list[str]) -> _Design:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Normal(ReadOnlyArrays):
+    """Normal equations of a trial: matrix x step = -pull.
+
+    Attributes:
+        rows, right: Whitened, (n_rows, n_columns) and (n_rows,).
+        matrix: (n_columns, n_columns).
+        pull: (n_columns,).
+        factor: By which columns are larger than those of the design, (n_columns,).
+        has_prior: (n_columns,).
+    """
+
+    rows: FloatArray
+    right: FloatArray
+    matrix: FloatArray
+    pull: FloatArray
+    factor: FloatArray
+    has_prior: BoolArray
+
+    @staticmethod
+    def of(model: LinearModel, divisor: FloatArray, factor: FloatArray) -> _Normal:
+        """Set them up, rows divided by their noise (n_rows,)."""
+        rows, right = model.jacobian * factor / divisor[:, None], model.residuals / divisor
+        pull = rows.T @ right + np.where(model.has_prior, model.deviations / factor, 0.0)
+        return _Normal(rows, right, rows.T @ rows + np.diag(1.0 * model.has_prior), pull, factor, model.has_prior)
+
+
 class _Search:
     """Trials on the fit's linear model, which has the columns of all candidates.
 
@@ -186,6 +230,7 @@ class _Search:
         change = unknowns.scales[:, None] * self._design.parameters
         self._residuals = {name: one.residuals for name, one in observed.items()}
         self._by_column = {name: one.jacobian[:, :, unknowns.index] @ change for name, one in observed.items()}
+        self._elsewhere = self._combined()[:, unknowns.index] @ change
         self._partitions = [boxes(data, BLOCKS)]
         if np.ptp(data.conditions.time) > 0:
             self._partitions.append(stretches(data, BLOCKS))
@@ -193,6 +238,17 @@ class _Search:
             self._partitions.append([np.flatnonzero(data.setups == one) for one in np.unique(data.setups)])
         self._known: dict[tuple[str, ...], _Trial] = {}
         self._divisor = fit.whitening.row_scale(fit.scales.groups * fit.statistics.factors.found)
+
+    def _combined(self) -> FloatArray:
+        """Derivatives of positions where joint values are combined in other ways, (n_coordinates, n_parameters)."""
+        data, robot = self.fit.identification.data, self._robot
+        q = other_combinations(data.joints, _COMBINATIONS)
+        closes = robot.close(q).ok
+        if self.fit.identification.main_part.dimension != "length" or not np.any(closes):
+            return np.zeros((0, len(robot.parameters)))
+        places = np.linspace(0, len(data) - 1, len(q)).astype(np.intp)
+        linear = linearise(robot, robot.assemble(q[closes], context=data.conditions.at(places[closes])))
+        return beside_common_motion(linear).reshape(-1, len(robot.parameters))
 
     def chosen(self) -> tuple[_Trial, dict[str, tuple[_Trial, _Trial]]]:
         """Return the trial with all terms that earn their place, and for each the trials without and with it."""
@@ -220,17 +276,37 @@ class _Search:
         """Return why a trial has not earned the term that it has more; empty if it has."""
         if self.beyond_chance(without, trial) <= 0.0:
             return "no more evidence than chance gives"
-        if any(np.sum(after) >= np.sum(before) for before, after in zip(without.squares, trial.squares, strict=True)):
+        if not _predicts_better(trial, without):
             return "poses of blocks left out are not predicted better"
         return ""
 
     def refused(self, trial: _Trial) -> str:
         """Return why not every term of a trial earns its place beside the others; empty if all do."""
         for term in trial.terms:
-            why = self.failed(self.trial(tuple(other for other in trial.terms if other != term)), trial)
+            without = self.trial(tuple(other for other in trial.terms if other != term))
+            why = self.failed(without, trial) or self.guessed(term, without, trial)
             if why:
-                return f"beside it {term} would not earn its place: {why}"
+                return why if term == trial.terms[-1] else f"beside it {term} would not earn its place: {why}"
         return ""
+
+    def guessed(self, term: str, without: _Trial, trial: _Trial) -> str:
+        """Return why a term of a trial is a guess that costs more than it brings; empty if it is not."""
+        if trial.unsure - without.unsure <= without.rms[0] ** 2 - trial.rms[0] ** 2:
+            return ""
+        alike = [name for name, other in self.instead(term, trial).items() if trial.evidence - other.evidence < TELLS]
+        if not alike:
+            return ""
+        known, before = (millimetres(float(np.sqrt(one.unsure))) for one in (trial, without))
+        return (
+            f"the data cannot tell it from {listed(alike)}, and it costs more than it brings: positions at other"
+            f" combinations of the joint values measured are known to {known:.3g} mm, to {before:.3g} mm without it"
+        )
+
+    def instead(self, term: str, trial: _Trial) -> dict[str, _Trial]:
+        """Return the trials with each of the other kinds in the place of one."""
+        others = tuple(other for other in trial.terms if other != term)
+        free = [one.term for one in self.tried if one.term not in trial.terms]
+        return {name: self.trial((*others, name)) for name in free}
 
     def entries(self, one: Candidate, trial: _Trial) -> tuple[TermSection, ...]:
         """Return the entries of a candidate, with a larger sigma than is usual where the data ask for it."""
@@ -245,22 +321,20 @@ class _Search:
         added = one.term in brought
         without, with_it = brought[one.term] if added else (chosen, self.trial((*chosen.terms, one.term)))
         why = "" if added else self.failed(without, with_it) or one.doubt or self.refused(with_it)
-        alike = self.alike(one.term, chosen) if added else ()
+        alike = self.alike(one.term, chosen) if added else {}
         gain = with_it.evidence - without.evidence
         return TriedTerm(one.term, added, gain, without.rms[0], with_it.rms[0], why, alike)
 
-    def alike(self, term: str, chosen: _Trial) -> tuple[str, ...]:
-        """Return the terms that would do as well in the place of one that was added."""
-        others = tuple(other for other in chosen.terms if other != term)
-        free = [one.term for one in self.tried if one.term not in chosen.terms]
-        instead = {name: self.trial((*others, name)) for name in free}
-        return tuple(
-            name
-            for name, trial in instead.items()
-            if abs(chosen.evidence - trial.evidence) < TELLS
-            and not self.refused(trial)
-            and not _surely_better(chosen, trial)
-        )
+    def alike(self, term: str, chosen: _Trial) -> dict[str, float]:
+        """Return the terms that may be there in the place of one that was added, and how much less likely they are."""
+        without = self.trial(tuple(other for other in chosen.terms if other != term))
+        rise = self.beyond_chance(without, chosen)
+        return {
+            name: chosen.evidence - other.evidence
+            for name, other in self.instead(term, chosen).items()
+            if rise - self.beyond_chance(without, other) < 2.0 * TELLS
+            or not (self.failed(without, other) or _predicts_better(chosen, other))
+        }
 
     def trial(self, terms: tuple[str, ...]) -> _Trial:
         """Return the linear model with some terms; each is computed once."""
@@ -285,7 +359,10 @@ class _Search:
             len(names),
         )
         scales, sizes = found_with_families(model, self.fit.scales.groups * self.fit.statistics.factors.found)
-        left_out = [self._left_out(model, scales, sizes, use, blocks) for blocks in self._partitions]
+        normal = _Normal.of(model, self.fit.whitening.row_scale(scales), np.append(sizes, 1.0)[family])
+        left_out = [self._left_out(normal, use, blocks) for blocks in self._partitions]
+        elsewhere = self._elsewhere[:, use] * normal.factor
+        variances = np.sum(elsewhere * np.linalg.solve(normal.matrix, elsewhere.T).T, axis=1)
         of_term = {
             term: max(float(sizes[number]) for k, number in zip(use, family, strict=True) if design.owner[k] == term)
             for term in terms
@@ -297,23 +374,19 @@ class _Search:
             of_term,
             tuple(squares for squares, _ in left_out),
             tuple(rms for _, rms in left_out),
+            3.0 * float(np.mean(variances)) if len(variances) else 0.0,
         )
 
-    def _left_out(
-        self, model: LinearModel, scales: FloatArray, sizes: FloatArray, use: IntArray, blocks: list[IntArray]
-    ) -> tuple[FloatArray, float]:
+    def _left_out(self, normal: _Normal, use: IntArray, blocks: list[IntArray]) -> tuple[FloatArray, float]:
         """Whitened squares of each block when it is left out, and the root mean square of the main part [SI]."""
         layout, data = self.fit.whitening.layout, self.fit.identification.data
-        divisor, factor = self.fit.whitening.row_scale(scales), np.append(sizes, 1.0)[model.family]
-        rows, right = model.jacobian * factor / divisor[:, None], model.residuals / divisor
-        matrix, pull = rows.T @ rows, rows.T @ right + np.where(model.has_prior, model.deviations / factor, 0.0)
-        matrix[np.diag_indices(len(matrix))] += model.has_prior
+        rows, right, matrix, factor = normal.rows, normal.right, normal.matrix, normal.factor
         visit = layout.visit[layout.reading]
         after = {name: residuals.copy() for name, residuals in self._residuals.items()}
         for held in blocks:
             own = np.isin(visit, held)
-            kept, known = matrix - rows[own].T @ rows[own], pull - rows[own].T @ right[own]
-            lost = ~model.has_prior & (np.diag(kept) <= _LOST * np.diag(matrix))
+            kept, known = matrix - rows[own].T @ rows[own], normal.pull - rows[own].T @ right[own]
+            lost = ~normal.has_prior & (np.diag(kept) <= _LOST * np.diag(matrix))
             step = np.zeros(len(known))
             ridge = np.diag(_RIDGE * np.diag(matrix)[~lost])
             step[~lost] = -np.linalg.solve(kept[np.ix_(~lost, ~lost)] + ridge, known[~lost])
@@ -328,6 +401,11 @@ class _Search:
         errors = replace(self.fit.identification, after=after)
         lengths = np.nansum(errors.errors("after", errors.main_part.name) ** 2, axis=1)
         return squares, float(np.sqrt(np.mean(lengths)))
+
+
+def _predicts_better(one: _Trial, other: _Trial) -> bool:
+    """Whether one predicts blocks left out better than another in every partition."""
+    return all(np.sum(less) < np.sum(more) for less, more in zip(one.squares, other.squares, strict=True))
 
 
 def _surely_better(best: _Trial, trial: _Trial) -> bool:

@@ -252,7 +252,8 @@ def print_mukca(folder):
         for held in PLACES[arm] if masses is None or masses.is_file() else ():
             both = tuple(place for place in PLACES[arm] if place != held)
             _print_mukca(folder, arm, both, (held,), masses)
-    _print_mukca(folder, "panda_1", ("front",), ("right", "back-high"), None)
+    for place in PLACES["panda_1"]:
+        _print_mukca(folder, "panda_1", (place,), tuple(one for one in PLACES["panda_1"] if one != place), None)
 
 
 def _print_mukca(folder, arm, places, held, masses):

@@ -144,22 +144,35 @@ def test_of_terms_that_look_alike_the_likelier_is_added_and_the_other_named(tmp_
     fit = calib.fit(robot, data, terms="auto")
     told = next(one for one in fit.terms.tried if one.term == there)
     assert told.added
+    assert not told.proven
     assert other in told.alike
+    assert told.alike[other] == pytest.approx(told.evidence - evidence_of(fit, robot, data, other))
     named = re.search(r"the data cannot tell it from ([a-z, ]+)", " ".join(fit.report().split()))
     assert other in named[1]
 
 
-class Tabled(_Search):
-    """A search among terms whose evidence and errors on blocks left out are made up: boxes, and whole setups."""
+def evidence_of(fit, robot, data, term):
+    """By how much the log evidence rises with one term alone."""
+    search = _Search(calib.fit(robot, data), tuple(one for one in candidates(robot, data) if not one.refused))
+    return search.trial((term,)).evidence - search.trial(()).evidence
 
-    def __init__(self, table):
+
+class Tabled(_Search):
+    """A search among terms whose evidence and errors on blocks left out are made up: boxes, and whole setups.
+
+    Squares are in mm^2, as is the variance of positions where joint values are combined in other ways, if there is one.
+    """
+
+    def __init__(self, table, unsure=None):
         self.tried = tuple(Candidate(term, sections=()) for term in ("gain", "harmonics", "curve"))
-        self.table = table
+        self.table, self.unsure = table, unsure or {}
 
     def trial(self, terms):
-        evidence, *squares = self.table["".join(sorted(term[0] for term in terms))]
+        key = "".join(sorted(term[0] for term in terms))
+        evidence, *squares = self.table[key]
         squares = tuple(np.full(4, value) for value in squares)
-        return _Trial(terms, evidence, len(terms), dict.fromkeys(terms, 1.0), squares, tuple(map(np.sum, squares)))
+        rms, unsure = tuple(1e-3 * np.sqrt(np.sum(one)) for one in squares), 1e-6 * self.unsure.get(key, 0.0)
+        return _Trial(terms, evidence, len(terms), dict.fromkeys(terms, 1.0), squares, rms, unsure)
 
 
 def test_what_would_make_an_added_term_superfluous_is_not_added():
@@ -172,6 +185,48 @@ def test_what_would_make_an_added_term_superfluous_is_not_added():
     assert left_out.why == "beside it gain would not earn its place: poses of blocks left out are not predicted better"
     search = Tabled({**table, "gh": (70, 28, 20), "cg": (55, 29, 29), "ch": (75, 26, 35), "cgh": (90, 25, 19)})
     assert search.chosen()[0].terms == ("gain", "harmonics", "curve")
+
+
+@pytest.mark.parametrize(
+    ("evidence", "unsure", "chosen"),
+    [
+        ((20, 18), (90, 1), ("harmonics",)),  # gain loses 89 mm^2 and brings 80; harmonics are the likelier guess then
+        ((20, 18), (90, 90), ()),
+        ((20, 18), (70, 90), ("gain",)),
+        ((20, 16), (90, 90), ("gain",)),  # its kind is known, whatever it costs
+    ],
+)
+def test_a_guess_must_bring_more_than_it_costs_where_joint_values_are_combined_otherwise(evidence, unsure, chosen):
+    gain, harmonics = evidence
+    table = {"": (0, 40), "g": (gain, 20), "h": (harmonics, 20), "c": (-1, 41)}
+    table |= {"gh": (gain + 1, 20), "cg": (gain, 21), "ch": (harmonics, 21)}
+    search = Tabled(table, {"": 1, "g": unsure[0], "h": unsure[1]})
+    found, _ = search.chosen()
+    assert found.terms == chosen
+    if not chosen:
+        why = search.told(search.tried[0], found, {}).why
+        assert why.startswith("the data cannot tell it from harmonics, and it costs more than it brings: ")
+        assert why.endswith("are known to 9.49 mm, to 1 mm without it")
+
+
+@pytest.mark.parametrize(
+    ("harmonics", "proven"),
+    [
+        ((16.9, 21), True),
+        ((17.1, 21), False),  # odds below 20 to 1
+        ((10, 20), False),  # predicts blocks as well
+        ((3, 20), True),  # the same, but would not earn its place: less evidence than chance gives
+    ],
+)
+def test_a_kind_is_proven_where_evidence_and_blocks_left_out_both_say_so(harmonics, proven):
+    table = {"": (0, 40), "g": (20, 20), "h": harmonics, "c": (-1, 41)}
+    table |= {"gh": (20, 20), "cg": (19, 21), "ch": (harmonics[0], 21)}
+    search = Tabled(table)
+    found, brought = search.chosen()
+    told = search.told(search.tried[0], found, brought)
+    assert found.terms == ("gain",)
+    assert told.proven == proven
+    assert told.alike == ({} if proven else {"harmonics": pytest.approx(20 - harmonics[0])})
 
 
 def test_through_a_loop_too_nothing_is_added_where_there_is_nothing(tmp_path):

@@ -1,6 +1,6 @@
 """Which joint terms a fit adds: what is there is found, what is not there is left out, intervals cover, real robots.
 
-`python tests/test_term_choice.py choice 30` and `... coverage 100` print the tables of docs/theory/joint_terms.md; a
+`python tests/test_term_choice.py choice 200` and `... coverage 100` print the tables of docs/theory/joint_terms.md; a
 further number is the seed.
 """
 
@@ -16,7 +16,8 @@ from test_compliance import arm, torques, upright_five_bar
 
 import calib
 from calib.identification.candidate_terms import Candidate, candidates
-from calib.identification.term_choice import _Search, _Trial
+from calib.identification.term_choice import _Search
+from calib.identification.term_trials import Trial, Trials
 from calib.identification.validation import boxes, stretches
 from calib.joint_terms.coupling import CouplingSection
 from calib.joint_terms.terms import listed_terms
@@ -153,37 +154,41 @@ def test_of_terms_that_look_alike_the_likelier_is_added_and_the_other_named(tmp_
 
 def evidence_of(fit, robot, data, term):
     """By how much the log evidence rises with one term alone."""
-    search = _Search(calib.fit(robot, data), tuple(one for one in candidates(robot, data) if not one.refused))
-    return search.trial((term,)).evidence - search.trial(()).evidence
+    trials = Trials(calib.fit(robot, data), tuple(one for one in candidates(robot, data) if not one.refused))
+    return trials.of((term,)).evidence - trials.of(()).evidence
 
 
-class Tabled(_Search):
-    """A search among terms whose evidence and errors on blocks left out are made up: boxes, and whole setups.
+class Tabled:
+    """Trials of terms whose evidence and errors on blocks left out are made up: boxes, and whole setups.
 
     Squares are in mm^2, as is the variance of positions where joint values are combined in other ways, if there is one.
     """
 
     def __init__(self, table, unsure=None):
-        self.tried = tuple(Candidate(term, sections=()) for term in ("gain", "harmonics", "curve"))
         self.table, self.unsure = table, unsure or {}
 
-    def trial(self, terms):
+    def of(self, terms):
         key = "".join(sorted(term[0] for term in terms))
         evidence, *squares = self.table[key]
         squares = tuple(np.full(4, value) for value in squares)
         rms, unsure = tuple(1e-3 * np.sqrt(np.sum(one)) for one in squares), 1e-6 * self.unsure.get(key, 0.0)
-        return _Trial(terms, evidence, len(terms), dict.fromkeys(terms, 1.0), squares, rms, unsure)
+        return Trial(terms, evidence, len(terms), dict.fromkeys(terms, 1.0), squares, rms, unsure)
+
+
+def search_in(*made_up):
+    """A search among three terms."""
+    return _Search(Tabled(*made_up), tuple(Candidate(term) for term in ("gain", "harmonics", "curve")))
 
 
 def test_what_would_make_an_added_term_superfluous_is_not_added():
     table = {"": (0, 40, 40), "g": (50, 30, 30), "h": (40, 31, 30), "c": (20, 36, 39)}
-    search = Tabled({**table, "gh": (70, 28, 20), "cg": (55, 29, 29), "ch": (75, 26, 35), "cgh": (90, 27, 19)})
+    search = search_in({**table, "gh": (70, 28, 20), "cg": (55, 29, 29), "ch": (75, 26, 35), "cgh": (90, 27, 19)})
     chosen, brought = search.chosen()  # beside curve and harmonics, gain makes boxes worse: 27 in place of 26
     assert chosen.terms == ("gain", "harmonics")
     assert [after.evidence - before.evidence for before, after in brought.values()] == [50, 20]
     left_out = search.told(search.tried[2], chosen, brought)
     assert left_out.why == "beside it gain would not earn its place: poses of blocks left out are not predicted better"
-    search = Tabled({**table, "gh": (70, 28, 20), "cg": (55, 29, 29), "ch": (75, 26, 35), "cgh": (90, 25, 19)})
+    search = search_in({**table, "gh": (70, 28, 20), "cg": (55, 29, 29), "ch": (75, 26, 35), "cgh": (90, 25, 19)})
     assert search.chosen()[0].terms == ("gain", "harmonics", "curve")
 
 
@@ -200,7 +205,7 @@ def test_a_guess_must_bring_more_than_it_costs_where_joint_values_are_combined_o
     gain, harmonics = evidence
     table = {"": (0, 40), "g": (gain, 20), "h": (harmonics, 20), "c": (-1, 41)}
     table |= {"gh": (gain + 1, 20), "cg": (gain, 21), "ch": (harmonics, 21)}
-    search = Tabled(table, {"": 1, "g": unsure[0], "h": unsure[1]})
+    search = search_in(table, {"": 1, "g": unsure[0], "h": unsure[1]})
     found, _ = search.chosen()
     assert found.terms == chosen
     if not chosen:
@@ -221,7 +226,7 @@ def test_a_guess_must_bring_more_than_it_costs_where_joint_values_are_combined_o
 def test_a_kind_is_proven_where_evidence_and_blocks_left_out_both_say_so(harmonics, proven):
     table = {"": (0, 40), "g": (20, 20), "h": harmonics, "c": (-1, 41)}
     table |= {"gh": (20, 20), "cg": (19, 21), "ch": (harmonics[0], 21)}
-    search = Tabled(table)
+    search = search_in(table)
     found, brought = search.chosen()
     told = search.told(search.tried[0], found, brought)
     assert found.terms == ("gain",)

@@ -22,6 +22,7 @@ from calib.arrays import FloatArray, ReadOnlyArrays
 from calib.data.tables import format_table
 from calib.errors import InputError
 from calib.joint_terms.term import Context
+from calib.model.joint_errors import term_columns
 from calib.model.robot import Robot
 from calib.units import ERROR_UNIT, Dimension, error_scale
 
@@ -140,9 +141,7 @@ def _table(robot: Robot, joint: str, curvature: float) -> JointTable:
     def actual(commands: FloatArray) -> FloatArray:
         q = np.zeros((len(commands), len(robot.joint_names)))
         q[:, j] = commands
-        columns = tuple(
-            term.columns(q, robot.joint_names.index(term.joint), Context.neutral(*q.shape)) for term in robot.terms
-        )
+        columns = term_columns(robot.terms, robot.mechanism, q, Context.neutral(*q.shape))
         result: FloatArray = robot.actual(q, columns)[:, j]
         return result
 

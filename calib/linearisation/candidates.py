@@ -289,7 +289,7 @@ def _reasons(
             reasons.append(near_singularity(labels[k], distance[k], limit))
             continue
         shown = already + len(reasons) < _SHOWN  # a search each: not for thousands
-        why = f" ({why_open(robot.mechanism, robot.mode, q[k])})" if shown else ""
+        why = f" ({why_open(robot.mechanism, robot.mode, robot.mechanism.untilted(q[k : k + 1])[0])})" if shown else ""
         reasons.append(f"{labels[k]}: cannot be assembled{why}")
     return reasons
 

@@ -7,7 +7,7 @@ little further, so that the way back (which command gives a wanted value) holds 
 is NaN.
 
 Only errors that depend on the joint's own command fit into a table. What else the model has (backlash, compliance,
-drift) is left out, and said with its size.
+bending, drift) is left out, and said with its size.
 """
 
 from __future__ import annotations

@@ -253,7 +253,9 @@ def print_mukca(folder):
         for held in PLACES[arm] if masses is None or masses.is_file() else ():
             both = tuple(place for place in PLACES[arm] if place != held)
             _print_mukca(folder, arm, both, (held,), masses)
-    _print_mukca(folder, "panda_1", ("front",), ("right", "back-high"), None)
+    for masses in (None, masses_of("panda_1")):
+        if masses is None or masses.is_file():
+            _print_mukca(folder, "panda_1", ("front",), ("right", "back-high"), masses)
 
 
 def _print_mukca(folder, arm, places, held, masses):

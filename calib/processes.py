@@ -158,8 +158,11 @@ def _work(line: Connection) -> None:
     while True:
         try:
             function, arguments, named = line.recv()
-        except EOFError:
+        except (EOFError, OSError):
             return
+        except Exception as error:  # work that cannot be read, such as a function that is not in a module
+            line.send((error, None))
+            continue
         try:
             line.send((None, function(*arguments, **named)))
         except Exception as error:  # of the work, or a result that cannot be sent

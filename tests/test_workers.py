@@ -172,10 +172,11 @@ def test_a_process_that_dies_half_way_through_its_answer_is_replaced(tmp_path: P
     assert answers == [bytes([k] * 1000) for k in range(6)]
 
 
-def test_an_answer_that_cannot_be_read_is_an_error_and_waits_for_nothing() -> None:
+def test_work_or_an_answer_that_cannot_be_read_is_an_error_and_waits_for_nothing() -> None:
     with Workers(2) as executor:
-        with pytest.raises(ComputationError, match=r"lost 3 times.*no number"):
-            list(in_order(unreadable, [1, 2, 3], executor))
+        for function, items in ((unreadable, [1, 2, 3]), (str, [Unreadable()] * 3)):
+            with pytest.raises(ComputationError, match=r"lost 3 times.*no number"):
+                list(in_order(function, items, executor))
         assert list(in_order(abs, [-1], executor)) == [1]
 
 

@@ -130,9 +130,9 @@ def _root95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> F
     """95 % limits of the root of a sum of squares of normal numbers, from the sums of its weights and their squares."""
     trace = np.maximum(trace, 1e-300)
     squares = np.maximum(squares, 1e-300 * trace)
-    limits = [scipy.stats.chi2.ppf(tail, trace**2 / squares) * squares / trace for tail in (0.025, 0.975)]
+    limits = [scipy.special.chdtri(trace**2 / squares, tail) * squares / trace for tail in (0.975, 0.025)]
     low, high = np.sqrt(limits)
-    return np.stack([low, high * coverage_factor / scipy.stats.norm.ppf(0.975)])
+    return np.stack([low, high * coverage_factor / scipy.special.ndtri(0.975)])
 
 
 def carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -81,14 +81,11 @@ def reduced(rows: FloatArray, right: FloatArray | None = None) -> FloatArray:
         rows: (n_rows, n_columns).
         right: One more column, (n_rows,).
     """
-    wide = rows.shape[1] + (right is not None)
-    factor = np.zeros((0, wide))
-    for start in range(0, max(len(rows), 1), _AT_ONCE):
+    factor = np.zeros((0, rows.shape[1] + (right is not None)))
+    for start in range(0, len(rows), _AT_ONCE):
         part = slice(start, start + _AT_ONCE)
         more = rows[part] if right is None else np.column_stack([rows[part], right[part]])
-        factor = np.vstack([factor, more]) if start else more
-        if len(factor) > wide:
-            factor = np.asarray(np.linalg.qr(factor, mode="r"))
+        factor = np.asarray(np.linalg.qr(np.vstack([factor, more]) if start else more, mode="r"))
     return factor
 
 

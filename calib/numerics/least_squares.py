@@ -164,7 +164,7 @@ class _Point:
         self.x, self.residuals, self.jacobian = x, residuals, jacobian
         self.cost = float(residuals @ residuals)
         n = len(x)
-        factor = np.asarray(np.linalg.qr(reduced(jacobian, residuals), mode="r"))
+        factor = reduced(jacobian, residuals)
         self.triangle, self.projected = factor[:n, :n], factor[:n, n]  # R, and Q^T r
 
     @cached_property

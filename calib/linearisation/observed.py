@@ -118,7 +118,7 @@ class _Work:
         by_twist = comparison.by_twist[:, :, : motion.shape[1]]
         if len(at) != len(motion) or np.any(at != np.arange(len(at))):
             motion = motion[at]
-        self._columns[chosen] += motion if _is_identity(by_twist) else np.matmul(by_twist, motion)
+        self._columns[_run(chosen)] += motion if _is_identity(by_twist) else np.matmul(by_twist, motion)
 
     def _fill_joint(
         self,
@@ -172,6 +172,12 @@ def _some(readings: Readings, chosen: IntArray) -> Readings:
         None if readings.covariance is None else readings.covariance[chosen],
         readings.details[chosen],
     )
+
+
+def _run(chosen: IntArray) -> IntArray | slice:
+    """Indices that follow each other as a slice: what it selects is changed in place, not copied there and back."""
+    whole = slice(int(chosen[0]), int(chosen[0]) + len(chosen))
+    return whole if np.array_equal(chosen, np.arange(whole.start, whole.stop)) else chosen
 
 
 def _is_identity(matrices: FloatArray) -> bool:

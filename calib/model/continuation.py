@@ -283,7 +283,7 @@ def _continue(
     """
     start_a = start[0]
     at_a, at_p = start_a.copy(), start[1].copy()
-    _, slope, slope_a = residual(mechanism, at_a, at_p)
+    _, slope, slope_a, _ = newton(mechanism, mode, at_a, at_p)  # of solved poses: only their slopes
     done, part = np.zeros(len(goal)), np.ones(len(goal))
     active, lengths = np.arange(len(goal)), 1
     while len(active):

@@ -253,7 +253,9 @@ class Fit(ReadOnlyArrays):
     @cached_property
     def assembles(self) -> bool:
         """Whether the calibrated robot can be assembled at all its poses, starting from its home configuration."""
-        return bool(np.all(self.robot.close(self.configurations.actuated).ok))
+        return bool(
+            np.all(self.robot.close(self.identification.data.joints, columns=self.configurations.term_columns).ok)
+        )
 
     def predict(self, poses: Poses | ArrayLike, context: Context | None = None) -> PositionUncertainty:
         """Predict positions with their covariance.

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import click
 
 from calib.data.measurements import Measurements
 from calib.identification.fitted import Fit
-from calib.pose_choice.assessment import Assessment
+
+if TYPE_CHECKING:
+    from calib.pose_choice.assessment import Assessment
 
 _MEANINGS = {
     "PASS": ("green", "nothing was found against this fit"),
@@ -29,6 +32,7 @@ _POSES = (
     "too_few_poses",
     "poses_equal",
     "beyond_curves",
+    "terms_untested",
     "noise_as_large_as_robot",
 )
 """Codes of reasons that other poses answer."""

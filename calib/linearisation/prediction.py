@@ -20,7 +20,7 @@ import scipy
 
 from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.joint_terms.term import Context
-from calib.linearisation.jacobian import linearise
+from calib.linearisation.jacobian import Linearisation, linearise
 from calib.model.robot import Robot
 from calib.units import millimetres
 
@@ -106,6 +106,34 @@ def predicted_rms(jacobian: FloatArray, covariance: FloatArray, coverage_factor:
     return RootMeanSquare(float(np.sqrt(np.maximum(trace, 0.0))), float(low), float(high))
 
 
+def other_combinations(q: FloatArray, most: int) -> FloatArray:
+    """Return the joint values of poses q (n, n_actuated) in combinations that need not be among them [m or rad].
+
+    The values of each joint are moved on by another number of poses. So every joint stays where it was measured, and
+    what the poses leave open because joints moved along with each other shows.
+
+    Args:
+        q: The poses.
+        most: Number of combinations at most.
+    """
+    n, n_joints = q.shape
+    mixed = np.stack([np.roll(q[:, j], j * n // n_joints) for j in range(n_joints)], axis=1)
+    return np.asarray(mixed[np.unique(np.linspace(0, n - 1, most).astype(np.intp))])
+
+
+def beside_common_motion(linear: Linearisation) -> FloatArray:
+    """Return derivatives of positions beside what moves all of them as one body, (n, n_targets, 3, n_parameters).
+
+    Where base and tool are placed anew, nothing else is seen of an error of the parameters.
+    """
+    points = linear.positions.reshape(-1, 3)
+    turns = np.cross(np.eye(3), (points - points.mean(axis=0))[:, None]).swapaxes(1, 2)
+    common = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2).reshape(-1, 6)
+    basis = scipy.linalg.orth(common)
+    flat = linear.jacobian.reshape(len(common), -1)
+    return np.asarray(flat - basis @ (basis.T @ flat)).reshape(linear.jacobian.shape)
+
+
 def rms_length(covariance: FloatArray) -> FloatArray:
     """Return the root mean square length of vectors with these covariances (..., 3, 3), (...)."""
     result: FloatArray = np.sqrt(np.maximum(np.trace(covariance, axis1=-2, axis2=-1), 0.0))
@@ -130,9 +158,9 @@ def _root95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> F
     """95 % limits of the root of a sum of squares of normal numbers, from the sums of its weights and their squares."""
     trace = np.maximum(trace, 1e-300)
     squares = np.maximum(squares, 1e-300 * trace)
-    limits = [scipy.stats.chi2.ppf(tail, trace**2 / squares) * squares / trace for tail in (0.025, 0.975)]
+    limits = [scipy.special.chdtri(trace**2 / squares, tail) * squares / trace for tail in (0.975, 0.025)]
     low, high = np.sqrt(limits)
-    return np.stack([low, high * coverage_factor / scipy.stats.norm.ppf(0.975)])
+    return np.stack([low, high * coverage_factor / scipy.special.ndtri(0.975)])
 
 
 def carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -148,6 +176,7 @@ def position_uncertainty(
     coverage_factor: float,
     q: FloatArray,
     context: Context | None = None,
+    near: FloatArray | None = None,
 ) -> PositionUncertainty:
     """Predict positions of all targets, loops closed, with their covariance and that of the orientations.
 
@@ -158,6 +187,7 @@ def position_uncertainty(
         coverage_factor: Of the fit's 95 % intervals.
         q: Actuated joints, (n_poses, n_actuated) [m or rad].
         context: Under which conditions they are commanded; joint terms may depend on it.
+        near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
 
     Raises:
         UnreachablePoseError: A loop stays open.
@@ -166,7 +196,8 @@ def position_uncertainty(
     positions, spread, turned = [], [], []
     for start in range(0, len(q), _CHUNK):
         some = slice(start, start + _CHUNK)
-        linear = linearise(robot, robot.assemble(q[some], context=context.at(some)), turns=True)
+        seed = None if near is None else near[some]
+        linear = linearise(robot, robot.assemble(q[some], seed, context=context.at(some)), turns=True)
         positions.append(linear.positions)
         jacobian = linear.jacobian[..., free]
         spread.append(carried(jacobian[:, :, :3], covariance))

@@ -203,9 +203,9 @@ MedRUE, 84 poses, {draws} draws; the times are those of the machine that made th
     yield """
 ## Whole commands
 
-From the prompt to the next, simulated measurements, one thread of linear algebra. The unit is a program that imports
-the libraries that a fit with pages needs, and ends; times are those of the machine that made this page. Many rows ran
-once. Alone: `python tests/benchmarks/whole_commands.py`.
+From the prompt to the next, simulated measurements, one thread of linear algebra, byte code of all modules there. The
+unit is a program that imports the libraries that a fit with pages needs, and ends; times are those of the machine that
+made this page. Many rows ran once. Alone: `python tests/benchmarks/whole_commands.py`.
 """
     yield from whole_commands.table(max(rounds // 5, 1))
     yield """

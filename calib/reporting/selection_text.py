@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from rich.table import Table as Printed
@@ -93,14 +94,11 @@ def format_poses(robot: Robot, selection: Selection, poses: Poses, table: Table)
         if "pose" not in table.names:
             columns.insert(0, ("pose", [poses.names[k] for k in selection.chosen]))
         return format_table(columns, (comment,))
-    names = tuple(poses.names[k] for k in selection.chosen)
-    moved = Poses(selection.joints, names, names, "off the grid", ())
-    text = format_positions(
-        robot, moved, selection.positions, (f"{comment}, then moved off the grid; positions are predicted",)
-    )
+    moved = replace(poses.subset(selection.chosen), joints=selection.joints)
+    comment += ", then moved off the grid"
     if all(f"{target}_{axis}" in table.names for target in robot.target_names for axis in "xyz"):
-        return text
-    return _without_positions(text, 1 + len(robot.joint_names))
+        return format_positions(robot, moved, selection.positions, (f"{comment}; positions are predicted",))
+    return format_table(list(moved.columns(robot).items()), (comment,))
 
 
 def _plan(
@@ -131,11 +129,6 @@ def _lines_of(table: Table) -> dict[str, list[int]]:
     for line, name in enumerate(table.text("pose")):
         lines.setdefault(name, []).append(line)
     return lines
-
-
-def _without_positions(text: str, n_columns: int) -> str:
-    lines = [line if line.startswith("#") else ",".join(line.split(",")[:n_columns]) for line in text.splitlines()]
-    return "\n".join(lines).replace("; positions are predicted", "") + "\n"
 
 
 def _summary(s: Selection, poses: Poses) -> list[str]:

@@ -29,6 +29,8 @@ _SAME = 1e-9
 """Joint values that differ by less are the same pose [m, rad]."""
 _MEASURED_AGAIN = 1e-4
 """A candidate within this of a measured pose is that pose [m, rad]."""
+WHITENED = 1.0
+"""Unit of rows where no instrument measures a length, in place of its noise."""
 _SHOWN = 10
 
 
@@ -65,8 +67,7 @@ def require_free(robot: Robot) -> None:
 def assumed_sigma(robot: Robot, sigma: float | None) -> tuple[float, bool]:
     """Return the noise of one measured position per axis [m] and whether some noise is only assumed.
 
-    Without instruments that measure positions: that of other lengths, such as distances; without these: 1, the unit of
-    whitened rows.
+    Without instruments that measure positions: that of other lengths, such as distances; without these: `WHITENED`.
 
     Args:
         robot: Its instruments may state their noise.
@@ -87,7 +88,7 @@ def assumed_sigma(robot: Robot, sigma: float | None) -> tuple[float, bool]:
     for part, noise in sorted(lengths, key=lambda length: length[0].name != "position"):
         typical = np.sqrt(np.median(np.diag(noise.covariance(np.full((1, 3), 1.0), 1, len(part.axes))[0])))
         return float(typical) if noise.stated else ASSUMED[part.dimension], assumed
-    return 1.0, assumed
+    return WHITENED, assumed
 
 
 def rows_of_poses(

@@ -14,6 +14,7 @@ from calib.data.measurement_text import format_positions
 from calib.data.measurements import Poses
 from calib.data.plan_files import INSTRUMENT, TOGETHER
 from calib.data.tables import Table, format_table
+from calib.linearisation.candidates import WHITENED
 from calib.model.robot import Robot
 from calib.numerics.observability import INDICES
 from calib.pose_choice.selection import Run, Selection
@@ -58,7 +59,7 @@ def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
         "rank": s.rank.rank,
         "rank_of_poses": s.rank_of_poses.rank,
         "n_parameters": s.rank.n_columns,
-        "sigma_mm": millimetres(s.sigma),
+        "sigma_mm": None if s.sigma == WHITENED else millimetres(s.sigma),
         "sigma_assumed": s.sigma_assumed,
         "skipped": list(s.skipped),
         "already_measured": s.already_measured,
@@ -192,9 +193,7 @@ def _remarks(s: Selection) -> list[str]:
             " parameters, which the indices are about; priors hold the rest"
         )
     if s.sigma_assumed:
-        lines.append(
-            f"Noise {millimetres(s.sigma):g} mm per axis is assumed; state it with --sigma-mm or in the description"
-        )
+        lines.append("Noise that nobody states is assumed; state it with --sigma-mm or in the description")
     if s.already_measured:
         lines.append(f"{counted(s.already_measured, 'candidate')} already measured and left out")
     if s.skipped:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
 from collections import deque
@@ -66,10 +67,14 @@ class Processes(Executor):
         for line in [line for line in self._busy if line in answering]:
             future = self._busy.pop(line)
             try:
-                error, result = line.recv()
-            except (EOFError, ConnectionError):
+                answer = line.recv_bytes()
+            except (EOFError, OSError):  # the process is gone, perhaps half-way through its answer
                 future.set_exception(self._lost(line))
                 continue
+            try:
+                error, result = pickle.loads(answer)
+            except Exception as unreadable:
+                error = unreadable
             if error is None:
                 future.set_result(result)
             else:
@@ -153,8 +158,11 @@ def _work(line: Connection) -> None:
     while True:
         try:
             function, arguments, named = line.recv()
-        except EOFError:
+        except (EOFError, OSError):
             return
+        except Exception as error:  # work that cannot be read, such as a function that is not in a module
+            line.send((error, None))
+            continue
         try:
             line.send((None, function(*arguments, **named)))
         except Exception as error:  # of the work, or a result that cannot be sent

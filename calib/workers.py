@@ -82,8 +82,8 @@ def _result(
             if losses == _LOSSES:
                 raise ComputationError(
                     f"workers were lost {losses} times at the same work ({type(lost).__name__}: {lost}); is there"
-                    " enough memory for each of them, and does a program that starts processes do so under"
-                    " `if __name__ == '__main__':`?"
+                    " enough memory for each of them, are functions of your own in a module, and does a program that"
+                    " starts processes do so under `if __name__ == '__main__':`?"
                 ) from lost
             for other in range(k, len(items)):
                 if _is_lost(futures[other]):

@@ -33,6 +33,7 @@ ARMS = {
     "panda_1": ("panda.urdf", "panda_joint", "panda_link0", "panda_hand_tcp"),
     "kuka_14": ("iiwa14.urdf", "joint_a", "base_link", "tool0"),
 }
+BY_HAND = ("compliance", "compliance,bending", "gain,compliance", "gain,compliance,bending")
 EXAMPLE_ROBOTS = Path(sys.prefix, "lib", f"python3.{sys.version_info.minor}", "site-packages", "cmeel.prefix", "share",
                       "example-robot-data", "robots")  # fmt: skip
 _POINT = """\
@@ -252,12 +253,14 @@ def print_mukca(folder):
         for held in PLACES[arm] if masses is None or masses.is_file() else ():
             both = tuple(place for place in PLACES[arm] if place != held)
             _print_mukca(folder, arm, both, (held,), masses)
-    _print_mukca(folder, "panda_1", ("front",), ("right", "back-high"), None)
+    for masses in (None, masses_of("panda_1")):
+        if masses is None or masses.is_file():
+            _print_mukca(folder, "panda_1", ("front",), ("right", "back-high"), masses)
 
 
 def _print_mukca(folder, arm, places, held, masses):
     robot, data = mukca(folder, arm, places, masses)
-    for terms in (None, "gain", *(("compliance", "gain,compliance") if masses else ()), "auto"):
+    for terms in (None, "gain", *(BY_HAND if masses else ()), "auto"):
         fit = calib.fit(robot, data, terms=terms)
         added = f" ({_added(fit)})" if terms == "auto" else ""
         print(f"{arm}{' with masses' * bool(masses)}, {' and '.join(places)}, {terms or 'origins'}{added}:", end=" ")

@@ -9,7 +9,7 @@ from six_axis_arm import FREE, YAML, joints, measurements, write_six_axis
 from small_robots import write_arm
 
 import calib
-from calib.exporting import FORMATS
+from calib.exporting.formats import FORMATS
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace

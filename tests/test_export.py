@@ -15,8 +15,10 @@ from click.testing import CliRunner, Result
 import calib
 from calib.commands.export import command
 from calib.errors import InputError
-from calib.exporting import FORMATS, closed_model, export, mjcf, urdf_bytes
-from calib.exporting.closed_model import home_values, link_poses
+from calib.exporting.closed_model import closed_model, home_values, link_poses
+from calib.exporting.formats import FORMATS, export
+from calib.exporting.mjcf import mjcf
+from calib.exporting.urdf import urdf_bytes
 from calib.model.urdf_text import parse_urdf
 from medrue.closed_form import ACTUATED_JOINTS, PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1

@@ -1,6 +1,8 @@
 """Many calibrations at once: the numbers of separate fits, whoever does them, and honest sums over draws."""
 
 import json
+import os
+import signal
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -160,6 +162,20 @@ def test_a_dask_cluster_does_the_draws(five_bar):
         folds = calib.fit(robot, data, folds=3, executor=client.get_executor()).folds
     assert np.array_equal(found.draws.values, alone.draws.values)
     assert np.array_equal(folds.errors.after["pen"], fit.folds.errors.after["pen"])
+
+
+def test_processes_of_loky_do_the_draws_and_one_that_is_killed_loses_none(five_bar):
+    loky = pytest.importorskip("loky", reason="loky is not installed (extra 'loky')")
+    robot, data = five_bar
+    alone, executor = calib.study(robot, data, draws=60), loky.get_reusable_executor(max_workers=2)
+    try:
+        found = calib.study(robot, data, draws=60, executor=executor)
+        os.kill(executor.submit(os.getpid).result(), signal.SIGKILL)
+        after_loss = calib.study(robot, data, draws=60, executor=executor)
+    finally:
+        executor.shutdown(kill_workers=True)
+    assert np.array_equal(found.draws.values, alone.draws.values)
+    assert np.array_equal(after_loss.draws.values, alone.draws.values)
 
 
 def test_sums_over_draws_are_those_of_the_arrays(arm):

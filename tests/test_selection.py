@@ -13,6 +13,7 @@ from calib.linearisation.candidates import build_candidates
 from calib.linearisation.jacobian import linearise
 from calib.numerics.observability import observability, raw_columns
 from calib.pose_choice import screening
+from calib.pose_choice.instrument_choice import groups_of, pairs_of
 from calib.pose_choice.selection import select
 from medrue.workspace import target_workspace
 
@@ -259,6 +260,8 @@ def test_candidates_that_do_not_fit_into_memory_go_through_a_file(medrue, monkey
     inside = select(medrue, Q, 40, index)
     monkeypatch.setattr("calib.memory.free_memory", lambda: 1e5)
     monkeypatch.setattr("calib.pose_choice.selection_problem._PART", 50)
+    rows = build_candidates(medrue, as_poses(Q)).found
+    assert np.shares_memory(pairs_of(groups_of(medrue, "all", 40), rows).rows, rows.rows)  # no copy in memory either
     outside = select(medrue, Q, 40, index)
     assert outside.after[index] == pytest.approx(inside.after[index], rel=1e-9)
     assert outside.bound == pytest.approx(inside.bound, rel=1e-6)

@@ -19,13 +19,13 @@ from calib.identification.candidate_terms import Candidate, candidates
 from calib.identification.term_choice import _Search, _Trial
 from calib.identification.validation import boxes, stretches
 from calib.joint_terms.coupling import CouplingSection
-from calib.joint_terms.terms import listed_terms
+from calib.joint_terms.terms import TERMS, listed_terms
 from calib.threads import one_blas_thread
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 NOISE = 2e-5
 """Standard deviation of simulated measurements per axis [m]."""
-KINDS = ("gain", "harmonics", "curve", "backlash", "coupling", "drift", "temperature", "compliance")
+KINDS = tuple(TERMS)
 
 
 def example_arm(_):

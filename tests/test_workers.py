@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import pytest
@@ -90,6 +91,32 @@ def killed_once(task: tuple[str, int]) -> int:
     return number**2
 
 
+def dies_half_way(task: tuple[str, int]) -> bytes:
+    """Return some bytes; the first worker that is asked for the third dies when half of its answer is in the pipe."""
+    folder, number = task
+    grave = Path(folder) / "grave"
+
+    def send_half(line: Connection, message: bytes) -> None:
+        os.write(line.fileno(), message[: len(message) // 2])
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    if number == 2 and not grave.exists():
+        grave.touch()
+        Connection._send = send_half  # type: ignore[attr-defined]
+    return bytes([number] * 1000)
+
+
+class Unreadable:
+    """Can be sent, and not be read again."""
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (int, ("no number",))
+
+
+def unreadable(_: int) -> Unreadable:
+    return Unreadable()
+
+
 def test_results_come_in_the_order_of_the_items() -> None:
     items = [-3, 1, -2, 5]
     assert list(in_order(abs, items, None)) == [3, 1, 2, 5]
@@ -136,6 +163,20 @@ def test_processes_that_die_are_replaced(tmp_path: Path) -> None:
     tasks = [(str(tmp_path), k) for k in range(6)]
     with Workers(2) as executor:
         assert list(in_order(killed_once, tasks, executor)) == [0, 1, 4, 9, 16, 25]
+        assert list(in_order(abs, [-1], executor)) == [1]
+
+
+def test_a_process_that_dies_half_way_through_its_answer_is_replaced(tmp_path: Path) -> None:
+    with Workers(2) as executor:
+        answers = list(in_order(dies_half_way, [(str(tmp_path), k) for k in range(6)], executor))
+    assert answers == [bytes([k] * 1000) for k in range(6)]
+
+
+def test_work_or_an_answer_that_cannot_be_read_is_an_error_and_waits_for_nothing() -> None:
+    with Workers(2) as executor:
+        for function, items in ((unreadable, [1, 2, 3]), (str, [Unreadable()] * 3)):
+            with pytest.raises(ComputationError, match=r"lost 3 times.*no number"):
+                list(in_order(function, items, executor))
         assert list(in_order(abs, [-1], executor)) == [1]
 
 

@@ -121,7 +121,7 @@ def bodies_of(robot: Robot) -> Bodies:
     for i, name in enumerate(mechanism.origin_names):
         sliding.append(name in joints and joints[name].type == "prismatic")
         if moves[i]:
-            axes[i] = joints[name].axis
+            axes[i] = mechanism.axes[i, :3] + mechanism.axes[i, 3:]
     names = tuple(links.get(i, f"({mechanism.origin_names[i - 1]})") for i in range(mechanism.n_joints + 1))
     parents = np.array([model.parents[i + 1] for i in range(mechanism.n_joints)], dtype=np.intp)
     return Bodies(names, parents, tuple(sliding), axes, columns, mechanism.targets[0].a)

@@ -19,6 +19,7 @@ import numpy as np
 from calib import Robot
 from calib.arrays import FloatArray
 from calib.joint_terms.term import Context
+from calib.model.joint_errors import term_columns
 from calib.model.mechanism import RelativeFrame
 from viz.bodies import Bodies
 
@@ -119,7 +120,7 @@ def drive_of(robot: Robot, bodies: Bodies, shown: FloatArray) -> Drive:
     high = np.where(np.isfinite(high), high, robot.home + way)
     reach = np.stack([np.min([low, *shown], axis=0), np.max([high, *shown], axis=0)])
     return Drive(
-        mechanism.select_actuated[moving],
+        mechanism.select_actuated[moving, : len(mechanism.actuated)],
         mechanism.select_passive[moving],
         mechanism.constant[moving],
         tuple(names.index(name) for name in mechanism.passive),
@@ -156,13 +157,8 @@ def _tables(robot: Robot, reach: FloatArray) -> tuple[ErrorTable, ...]:
 
 def _errors(robot: Robot, q: FloatArray) -> FloatArray:
     """What motors are off when told q, without what gravity does, under neutral conditions, (n, n_actuated)."""
-    n, names = len(q), robot.joint_names
-    neutral = Context.neutral(n, len(names))
-    columns = tuple(
-        np.zeros((n, len(term.parameters))) if term.needs_torque else term.columns(q, names.index(term.joint), neutral)
-        for term in robot.terms
-    )
-    return robot.actual(q, columns) - q
+    columns = term_columns(robot.terms, robot.mechanism, q, Context.neutral(*q.shape))
+    return robot.actual(q, columns)[:, : q.shape[1]] - q
 
 
 def _remarks(robot: Robot) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.arrays import FloatArray, IntArray
+from calib.threads import one_blas_thread
 from viz.poses import IDENTIFICATION
 from viz.scene import Scene
 from viz.shapes import Shape
@@ -37,6 +38,7 @@ _POINT = 2.9  # radius of a measured point [px]
 _Samples = NDArray[np.float32]
 
 
+@one_blas_thread
 def picture_of(scene: Scene, pose: int = 0) -> str:
     """Return the robot in one pose with the measured points, as the address of a PNG that a page holds itself.
 
@@ -122,15 +124,13 @@ class _Buffer:
 
     def png(self) -> bytes:
         """Return the picture; where nothing was drawn it is clear."""
-        cells = np.flatnonzero(self._shown)
-        lines, columns = np.divmod(cells, self._width)
-        pixels = lines // _FINER * WIDTH + columns // _FINER
-        painted = np.zeros((HEIGHT * WIDTH, 4))
-        painted[:, 3] = np.bincount(pixels, minlength=len(painted))
-        for channel, values in enumerate(self._colours[self._shown[cells]].T):
-            painted[:, channel] = np.bincount(pixels, weights=values, minlength=len(painted))
-        painted[:, :3] *= _FINER**2 / np.maximum(painted[:, 3:], 1.0)
-        return _png(np.round(painted * (255 / _FINER**2)).astype(np.uint8).reshape(HEIGHT, WIDTH, 4))
+        colours = np.column_stack([self._colours, np.arange(len(self._colours)) > 0])
+        cells = self._shown.reshape(HEIGHT, _FINER, WIDTH, _FINER)
+        painted = np.zeros((HEIGHT, WIDTH, 4), dtype=np.float32)
+        for line, column in np.ndindex(_FINER, _FINER):
+            painted += colours[cells[:, line, :, column]]
+        painted[..., :3] *= _FINER**2 / np.maximum(painted[..., 3:], 1)
+        return _png(np.round(painted * (255 / _FINER**2)).astype(np.uint8))
 
 
 def _png(pixels: NDArray[np.uint8]) -> bytes:

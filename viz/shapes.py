@@ -13,6 +13,7 @@ from calib.arrays import FloatArray, IntArray
 Colour = tuple[float, float, float, float]
 GREY: Colour = (0.62, 0.66, 0.7, 1.0)
 DARK: Colour = (0.3, 0.34, 0.4, 1.0)
+_UPPER = np.array(np.meshgrid(*[(False, True)] * 3)).reshape(3, -1).T  # coordinates of the corners of a box
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +48,7 @@ class Shape:
             if self.kind == "cylinder":
                 high[2] = self.size[1] / 2
             low = -high
-        grid = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
-        corners: FloatArray = grid @ self.T_body_shape[:3, :3].T + self.T_body_shape[:3, 3]
+        corners: FloatArray = np.where(_UPPER, high, low) @ self.T_body_shape[:3, :3].T + self.T_body_shape[:3, 3]
         return corners
 
 

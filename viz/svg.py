@@ -125,8 +125,11 @@ def _lay_out(figure: Any) -> None:
     panels = [axes for axes in figure.axes if axes.get_visible()]
     grid = panels[0].get_gridspec()
     left, right, below, over = np.zeros(grid.ncols), np.zeros(grid.ncols), np.zeros(grid.nrows), np.zeros(grid.nrows)
+    labels = []
     for axes in panels:
-        outer, inner, place = axes.get_tightbbox(renderer), axes.bbox, axes.get_subplotspec()
+        outer, inner, place = axes.get_tightbbox(renderer), axes.bbox.frozen(), axes.get_subplotspec()
+        x_label, y_label = axes.xaxis.label, axes.yaxis.label
+        labels.append((axes, x_label.get_position()[1] - inner.y0, y_label.get_position()[0] - inner.x0))
         column, row = place.colspan.start, place.rowspan.start
         left[column] = max(left[column], inner.x0 - outer.x0)
         right[column] = max(right[column], outer.x1 - inner.x1)
@@ -142,6 +145,9 @@ def _lay_out(figure: Any) -> None:
         wspace=beside * grid.ncols / (width - left[0] - right[-1] - 2 * _GAP - (grid.ncols - 1) * beside),
         hspace=between * grid.nrows / (height - below[-1] - over[0] - above - _GAP - (grid.nrows - 1) * between),
     )
+    for axes, under, aside in labels:  # stay where they are beside their axis, and need not be measured again
+        axes.xaxis.set_label_coords(0.5, axes.bbox.y0 + under, axes.xaxis.label.get_transform())
+        axes.yaxis.set_label_coords(axes.bbox.x0 + aside, 0.5, axes.yaxis.label.get_transform())
 
 
 def plain_ticks(*axes: Any) -> None:

@@ -119,5 +119,7 @@ def _ellipsoids(calibrated: Calibrated, table: PoseTable) -> tuple[FloatArray, F
     chosen = np.sort(first)[np.unique(np.linspace(0, len(first) - 1, _ELLIPSOIDS).astype(int))]
     known = calibrated.predict(table.joints[chosen])
     sizes, axes = np.linalg.eigh(known.covariance.reshape(-1, 3, 3))
-    reach = np.sqrt(scipy.stats.chi2.ppf(_CHANCE, 3)) * known.coverage_factor / scipy.stats.norm.ppf((1 + _CHANCE) / 2)
+    reach = (
+        np.sqrt(scipy.special.chdtri(3, 1 - _CHANCE)) * known.coverage_factor / scipy.special.ndtri((1 + _CHANCE) / 2)
+    )
     return known.positions.reshape(-1, 3), axes * (reach * np.sqrt(np.maximum(sizes, 0.0)))[:, None, :]

@@ -8,7 +8,7 @@ from typing import cast
 import click
 
 from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
-from calib.exporting import CONTROLLERS, FORMATS, JOINT_TABLES, export
+from calib.exporting.formats import CONTROLLERS, FORMATS, JOINT_TABLES, export
 from calib.exporting.links import read_links
 from calib.model.urdf_text import UrdfText
 from calib.reporting.result_reading import read_result

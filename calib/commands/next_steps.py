@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import click
 
 from calib.data.measurements import Measurements
 from calib.identification.fitted import Fit
-from calib.pose_choice.assessment import Assessment
+
+if TYPE_CHECKING:
+    from calib.pose_choice.assessment import Assessment
 
 _MEANINGS = {
     "PASS": ("green", "nothing was found against this fit"),

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 import traceback
 
 import click
 
 from calib.errors import CalibrationError
+
+_COLLECTED_AFTER = 50_000  # new objects; Python's 700 make a command look through all that it imported dozens of times
 
 
 def _one_line(message: str) -> str:
@@ -25,6 +28,7 @@ class OneLineError(click.ClickException):
 
 def run_program(group: click.Group) -> None:
     """Run a command line; every error is one line on standard error and an exit code."""
+    gc.set_threshold(_COLLECTED_AFTER)
     try:
         result = group.main(prog_name=group.name, standalone_mode=False)
         sys.exit(result if isinstance(result, int) else 0)

@@ -7,7 +7,7 @@ little further, so that the way back (which command gives a wanted value) holds 
 is NaN.
 
 Only errors that depend on the joint's own command fit into a table. What else the model has (backlash, compliance,
-drift) is left out, and said with its size.
+bending, drift) is left out, and said with its size.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from calib.arrays import FloatArray, ReadOnlyArrays
 from calib.data.tables import format_table
 from calib.errors import InputError
 from calib.joint_terms.term import Context
+from calib.model.joint_errors import term_columns
 from calib.model.robot import Robot
 from calib.units import ERROR_UNIT, Dimension, error_scale
 
@@ -140,9 +141,7 @@ def _table(robot: Robot, joint: str, curvature: float) -> JointTable:
     def actual(commands: FloatArray) -> FloatArray:
         q = np.zeros((len(commands), len(robot.joint_names)))
         q[:, j] = commands
-        columns = tuple(
-            term.columns(q, robot.joint_names.index(term.joint), Context.neutral(*q.shape)) for term in robot.terms
-        )
+        columns = term_columns(robot.terms, robot.mechanism, q, Context.neutral(*q.shape))
         result: FloatArray = robot.actual(q, columns)[:, j]
         return result
 

@@ -53,9 +53,10 @@ def joint_zeros(robot: Robot, q: FloatArray) -> JointZeros:
     """Return the joint zeros that bring the nominal robot nearest at q (n, n_joints) [m or rad]."""
     origins = [robot.mechanism.origin(place) for place in robot.mechanism.places]
     places = {origin: robot.mechanism.placement(origin) for origin in origins}
-    plain = replace(robot, mechanism=robot.nominal.with_placements(places), terms=())
+    bare = robot.with_terms(())
+    plain = replace(bare, mechanism=bare.nominal.with_placements(places))
     positions = robot.positions(q)
-    actual = robot.actual(q, robot.term_columns(q))
+    actual = robot.actual(q, robot.term_columns(q))[:, : q.shape[1]]
     signs = np.where(np.sum((q - q.mean(axis=0)) * (actual - actual.mean(axis=0)), axis=0) < 0, -1.0, 1.0)
     some = slice(int(np.ceil(_FITTED * len(q))))
     start = np.mean(actual - signs * q, axis=0)

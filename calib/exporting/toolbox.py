@@ -33,7 +33,7 @@ def calibrated_description(robot: Robot, urdf_name: str) -> Description:
     description, mechanism = robot.description, robot.mechanism
     changes: dict[str, Any] = {"urdf": urdf_name}
     if mechanism.loops:
-        moving = home_values(robot)
+        moving = home_values(robot.with_terms(()))
         listed = dict.fromkeys((*mechanism.actuated, *mechanism.passive, *description.home))
         changes["home"] = {name: moving[name] for name in listed}
     base = mechanism.targets[0].a

@@ -109,19 +109,19 @@ def verify(promise: Promise | Fit, data: Measurements, *, same_setup: bool = Fal
     promise = Promise.of(promise) if isinstance(promise, Fit) else promise
     system = System.of(promise, data, same_setup)
     system, left_out = without_outliers(system)
-    p_value = float(scipy.stats.f.sf(system.square / system.freedom, system.freedom, promise.freedom))
+    p_value = float(scipy.special.fdtrc(system.freedom, promise.freedom, system.square / system.freedom))
     changes, distinct = system.changes()
     p_drift = p_rest = 1.0
     if changes:
-        p_drift = min(1.0, distinct * 2.0 * float(scipy.stats.t.sf(abs(changes[0].z), promise.freedom)))
+        p_drift = min(1.0, distinct * 2.0 * float(scipy.special.stdtr(promise.freedom, -abs(changes[0].z))))
         rest = max(system.square - changes[0].z ** 2, 0.0) / max(system.freedom - 1, 1)
-        p_rest = float(scipy.stats.f.sf(rest, max(system.freedom - 1, 1), promise.freedom))
+        p_rest = float(scipy.special.fdtrc(max(system.freedom - 1, 1), promise.freedom, rest))
     level = FALSE_ALARM / 2
     verdict = "agrees"
     if p_value < level or p_drift < level:
         explained = "drifted" if p_drift < level <= p_rest else "calibrate again"
         verdict = "noisier" if p_drift >= level and _is_noise(promise, system, level) else explained
-    low, high = scipy.stats.f.ppf([0.025, 0.975], system.freedom, promise.freedom)
+    low, high = scipy.special.fdtri(system.freedom, promise.freedom, [0.025, 0.975])
     alike = tuple(c.name for c in changes if c.z**2 > changes[0].z ** 2 - _SUPPORT)
     return Acceptance(
         verdict,
@@ -207,6 +207,6 @@ def _is_noise(promise: Promise, system: System, level: float) -> bool:
     if freedom == 0 or len(sigma) != 1 or sigma[0] <= 0:
         return False
     more = (scatter / sigma[0]) ** 2
-    if scipy.stats.f.sf(more, freedom, promise.freedom) >= level:
+    if scipy.special.fdtrc(freedom, promise.freedom, more) >= level:
         return False
-    return bool(scipy.stats.f.sf(system.square / system.freedom / more, system.freedom, freedom) >= level)
+    return bool(scipy.special.fdtrc(system.freedom, freedom, system.square / system.freedom / more) >= level)

@@ -141,11 +141,11 @@ def _candidate(name: str, robot: Robot, data: Measurements) -> Candidate:
         columns = with_it.term_columns(data.joints, context)
     except DescriptionError as error:  # no masses, a prismatic joint without limits
         return Candidate(name, refused=str(error).removeprefix(f"{robot.path}: "))
-    if name == "compliance":
+    if kind.needs_torque:
         loaded = [
             term.joint
             for term, torque in zip(with_it.terms, columns, strict=True)
-            if isinstance(term, kind) and np.ptp(torque) > _SAME_TORQUE
+            if type(term) is kind and np.ptp(torque, axis=0).max() > _SAME_TORQUE
         ]
         sections = missing_terms(robot, tuple(kind.section(joint=joint, term=name) for joint in loaded))
         if not sections:

@@ -196,7 +196,7 @@ def _along(
     steps = (members * way[unknowns.index]).T
     places = _cause_of_places(unknowns, members)
     removed, gradient = np.zeros((int(np.sum(counted)), len(members))), np.zeros(members.shape)
-    passive = None
+    passive = errors.passive
     for node, weight in zip(*np.polynomial.legendre.leggauss(3), strict=True):
         robot = before.with_parameters(before.values + (node + 1.0) / 2.0 * way)
         configurations = robot.assemble(data.joints, passive, data.labels, data.conditions)

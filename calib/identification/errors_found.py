@@ -28,6 +28,8 @@ class ErrorSet(ReadOnlyArrays):
         before, after: Errors before and after calibration of each instrument, by name, (n, n_rows) [SI]; NaN where a
             component was not read.
         singular_value: Each visit's distance to a singularity of the loops; infinite without loops, (n_visits,).
+        passive: Passive joints after calibration, to close the loops from again, (n_visits, n_passive) [m or rad]; None
+            where they were not kept.
     """
 
     data: Measurements
@@ -35,6 +37,7 @@ class ErrorSet(ReadOnlyArrays):
     before: Mapping[str, FloatArray]
     after: Mapping[str, FloatArray]
     singular_value: FloatArray
+    passive: FloatArray | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

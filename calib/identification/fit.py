@@ -43,7 +43,7 @@ from calib.identification.validation import cross_validate
 from calib.identification.verdict import judge
 from calib.joint_terms.terms import listed_terms
 from calib.linearisation.observed import observe
-from calib.model.robot import Robot
+from calib.model.robot import Configurations, Robot
 from calib.numerics.observability import observability
 from calib.threads import one_blas_thread
 from calib.workers import Progress, Workers
@@ -164,6 +164,7 @@ def _fit(
             start.residuals,
             final.residuals,
             solved.robot.singular_values(final.configurations),
+            final.configurations.passive,
         ),
         validation=None if validation is None else errors_on(placed, solved.robot, validation),
         configurations=final.configurations,
@@ -209,13 +210,13 @@ def errors_on(placed: Robot, calibrated: Robot, data: Measurements) -> ErrorSet:
     """
     before, _ = _errors_of(placed, data)
     try:
-        after, singular = _errors_of(calibrated, data)
+        after, found = _errors_of(calibrated, data)
     except UnreachablePoseError as error:
         raise ComputationError(f"with the parameters found, the robot cannot be assembled: {error}") from None
-    return ErrorSet(data, placed.instruments, before, after, singular)
+    return ErrorSet(data, placed.instruments, before, after, calibrated.singular_values(found), found.passive)
 
 
-def _errors_of(robot: Robot, data: Measurements) -> tuple[dict[str, FloatArray], FloatArray]:
+def _errors_of(robot: Robot, data: Measurements) -> tuple[dict[str, FloatArray], Configurations]:
     configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
     observed = observe(robot, configurations, data.readings)
-    return {name: one.residuals for name, one in observed.items()}, robot.singular_values(configurations)
+    return {name: one.residuals for name, one in observed.items()}, configurations

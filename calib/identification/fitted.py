@@ -253,7 +253,9 @@ class Fit(ReadOnlyArrays):
     @cached_property
     def assembles(self) -> bool:
         """Whether the calibrated robot can be assembled at all its poses, starting from its home configuration."""
-        return bool(np.all(self.robot.close(self.configurations.actuated).ok))
+        return bool(
+            np.all(self.robot.close(self.identification.data.joints, columns=self.configurations.term_columns).ok)
+        )
 
     def predict(self, poses: Poses | ArrayLike, context: Context | None = None) -> PositionUncertainty:
         """Predict positions with their covariance.
@@ -266,25 +268,29 @@ class Fit(ReadOnlyArrays):
             DataError: Joint values of the wrong shape, or not finite.
             UnreachablePoseError: A loop stays open.
         """
-        statistics, told = self.statistics, as_poses(self.robot, poses)
+        told = as_poses(self.robot, poses)
+        return self._predicted(told.joints, told.conditions if context is None else context)
+
+    def _predicted(self, q: FloatArray, context: Context, near: FloatArray | None = None) -> PositionUncertainty:
+        """`predict`, with passive joints to start from, (n, n_passive) [m or rad]."""
+        found = self.statistics
         return position_uncertainty(
-            self.robot,
-            self.unknowns.index,
-            statistics.covariance,
-            statistics.coverage_factor,
-            told.joints,
-            told.conditions if context is None else context,
+            self.robot, self.unknowns.index, found.covariance, found.coverage_factor, q, context, near
         )
 
     @cached_property
     def identification_uncertainty(self) -> PositionUncertainty:
         """Predicted positions of the visits that were used, with their covariance."""
-        return self.predict(self.identification.data)
+        data = self.identification.data
+        return self._predicted(data.joints, data.conditions, self.identification.passive)
 
     @cached_property
     def validation_uncertainty(self) -> PositionUncertainty | None:
         """Predicted positions of the visits that were not used, with their covariance."""
-        return None if self.validation is None else self.predict(self.validation.data)
+        if self.validation is None:
+            return None
+        data = self.validation.data
+        return self._predicted(data.joints, data.conditions, self.validation.passive)
 
     @cached_property
     def studentised(self) -> Studentised:
@@ -314,7 +320,7 @@ class Fit(ReadOnlyArrays):
         """
         data = errors.data
         whitening = Whitening(self.robot, data, self.sigma_given)
-        configurations = self.robot.assemble(data.joints, labels=data.labels, context=data.conditions)
+        configurations = self.robot.assemble(data.joints, errors.passive, data.labels, data.conditions)
         observed = observe(self.robot, configurations, data.readings, joints=self.scales.shares)
         known = {(one.group.name, one.group.part, one.group.stated): one for one in self.noise}
         factors = whitening.start(errors.after)  # of instruments that the fit has not seen

@@ -151,10 +151,10 @@ def require_identifiable(problem: Problem, evaluation: Evaluation) -> Determinat
     """
     robot = problem.robot
     columns = problem.whitening.flatten({name: one.jacobian for name, one in evaluation.observed.items()})
-    columns = columns / problem.whitening.row_scale(problem.whitening.start())[:, None]
+    columns /= problem.whitening.row_scale(problem.whitening.start())[:, None]
     own = [k for k, p in enumerate(robot.parameters) if not p.family]  # families have priors
     parameters, free = [robot.parameters[k] for k in own], robot.is_free[own]
-    determined = determination(columns[:, own], parameters, free)
+    determined = determination(columns if len(own) == columns.shape[1] else columns[:, own], parameters, free)
     if determined.missing == 0:
         return determined
     names = [p.name for p, use in zip(parameters, free, strict=True) if use]

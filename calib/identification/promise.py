@@ -265,7 +265,7 @@ class System:
             determined = values > 1e-6
             square = float(np.sum((vectors.T @ left[own])[determined] ** 2 / values[determined]))
             n = int(np.sum(determined))
-            chance = float(scipy.stats.f.sf(square / n, n, self.promise.freedom)) if n else 1.0
+            chance = float(scipy.special.fdtrc(n, self.promise.freedom, square / n)) if n else 1.0
             if chance < smallest:
                 best, smallest = int(reading), chance
         return best, min(1.0, smallest * len(np.unique(self.reading[order])))
@@ -333,9 +333,9 @@ def without_outliers(system: System) -> tuple[System, list[int]]:
 
 def _noncentrality(level: float, freedom: float) -> float:
     """The noncentrality with which Student's t is beyond its two-sided level with the chance `POWER`."""
-    limit = float(scipy.stats.t.isf(level / 2, freedom))
+    limit = -float(scipy.special.stdtrit(freedom, level / 2))
     most = 2.0 * limit + 10.0  # sqrt(chi2 / m) is below 1.65 with the chance POWER for one degree of freedom or more
-    return float(scipy.optimize.brentq(lambda d: scipy.stats.nct.sf(limit, freedom, d) - POWER, 0.0, most))
+    return float(scipy.optimize.brentq(lambda d: 1.0 - scipy.special.nctdtr(freedom, d, limit) - POWER, 0.0, most))
 
 
 def _promised(

@@ -103,14 +103,16 @@ def _repeated(errors: ErrorSet, part_name: str = "position") -> list[Scatter]:
         if part.name != part_name:
             continue
         readings = errors.data.readings[one.name]
-        keys = np.stack([errors.data.pose_numbers[readings.visits], readings.pairs], axis=1)
-        _, number, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-        order = np.argsort(number.reshape(-1), kind="stable")
-        for group in np.split(order, np.cumsum(count)[:-1]):
-            if len(group) > 1:
-                before, after = errors.before[one.name][group], errors.after[one.name][group]
-                pose = int(keys[group[0], 0])
-                result.append(Scatter(one.name, pose, group, readings.visits[group], before[:, rows], after[:, rows]))
+        pose = errors.data.pose_numbers[readings.visits]
+        _, number, count = np.unique(
+            pose * (1 + np.max(readings.pairs, initial=0)) + readings.pairs, return_inverse=True, return_counts=True
+        )
+        several = np.flatnonzero(count[number] > 1)
+        several = several[np.argsort(number[several], kind="stable")]
+        for group in np.split(several, np.cumsum(count[count > 1])[:-1]) if len(several) else ():
+            before, after = errors.before[one.name][group], errors.after[one.name][group]
+            visits = readings.visits[group]
+            result.append(Scatter(one.name, int(pose[group[0]]), group, visits, before[:, rows], after[:, rows]))
     return result
 
 

@@ -214,7 +214,7 @@ class _Search:
     def beyond_chance(self, without: _Trial, trial: _Trial) -> float:
         """Return by how much more twice the log evidence rises than chance makes it rise."""
         share, n_sizes = CHANCE / len(self.tried), trial.n_sizes - without.n_sizes
-        return float(2.0 * (trial.evidence - without.evidence) - scipy.stats.chi2.isf(share, n_sizes))
+        return float(2.0 * (trial.evidence - without.evidence) - scipy.special.chdtri(n_sizes, share))
 
     def failed(self, without: _Trial, trial: _Trial) -> str:
         """Return why a trial has not earned the term that it has more; empty if it has."""

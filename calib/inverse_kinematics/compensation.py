@@ -37,7 +37,7 @@ from calib.data.measurements import Poses, directions_of_motion
 from calib.errors import InputError, nearest
 from calib.inverse_kinematics.asked import KEEP, Asked, as_meant, asked_by_goals, asked_by_joints, reached_goals
 from calib.inverse_kinematics.goals import Goals
-from calib.inverse_kinematics.inverse import TOLERANCE, problem
+from calib.inverse_kinematics.inverse import TOLERANCE, problem, settled
 from calib.inverse_kinematics.reaching import Configured, Reach, actuated_jacobian, descend
 from calib.inverse_kinematics.redundancy import nearer
 from calib.joint_terms.term import Context
@@ -109,7 +109,8 @@ class Compensation(ReadOnlyArrays):
             Positions (n, 3) [m] in the measurement frame of the description and rotations (n, 3, 3); NaN where there is
             no command.
         """
-        nominal = robot.with_parameters([parameter.nominal for parameter in robot.parameters])
+        bare = robot.with_terms(())
+        nominal = bare.with_parameters([parameter.nominal for parameter in bare.parameters])
         positions, rotations = np.full((len(self.q), 3), np.nan), np.full((len(self.q), 3, 3), np.nan)
         rows = np.flatnonzero(self.ok)
         closed = nominal.close(self.q[rows])
@@ -181,6 +182,7 @@ def _compensated(
     before[:, rows] = replace(reach, goals=asked.goals.subset(rows)).misses(start.actuated, start.passive)[1:]
     near = start if asked.nearly is None else descend(problem(robot, asked.nearly), rows, start)
     solutions = _past_limits(reach, rows, start, nearer(reach, rows, descend(reach, rows, near), near.actuated))
+    solutions = settled(robot, reach, rows, solutions, context.at(rows))
     commands = robot.commands(solutions.actuated, context.at(rows))
     reasons[rows] = _reasons(robot, replace(reach, goals=asked.goals.subset(rows)), solutions, commands, program[rows])
     good = np.flatnonzero(reasons[rows] == "")
@@ -256,7 +258,8 @@ def _reasons(robot: Robot, reach: Reach, solutions: Configured, commands: FloatA
 
 def _beyond(reach: Reach, q: FloatArray, what: str) -> str:
     """Say which joint of q (n_actuated,) is past its limit by most; empty where none is."""
-    past = np.maximum(q - reach.upper, reach.lower - q) / reach.scale
+    n = len(q)
+    past = np.maximum(q - reach.upper[:n], reach.lower[:n] - q) / reach.scale[:n]
     j = int(np.argmax(past))
     if past[j] <= _BEYOND:
         return ""

@@ -23,6 +23,7 @@ from calib.errors import DataError, InputError, UnreachablePoseError, nearest
 from calib.inverse_kinematics.goals import Goals
 from calib.inverse_kinematics.reaching import Configured, Reach, actuated_jacobian, descend
 from calib.inverse_kinematics.redundancy import nearer, unwound
+from calib.joint_terms.term import Context
 from calib.model import loops
 from calib.model.robot import Robot, require_robot
 from calib.numerics.halton import halton
@@ -32,6 +33,8 @@ TOLERANCE = 1e-9
 """Largest miss of a goal that counts as reached [m, rad]."""
 _NEIGHBOURS = 3
 _SPREAD, _SPREAD_NEIGHBOURS = 256, (8, 64)
+_ROUNDS = 20
+_SETTLED = 1e-14  # change of a tilt [rad]
 _LARGEST_ROUND = 8192  # searches in one round
 
 
@@ -109,7 +112,7 @@ def solve(robot: Robot, goals: Goals | ArrayLike, *, near: ArrayLike | None = No
     wanted = robot.home if near is None else robot.joint_vector(near)
     if np.ndim(wanted) == 2 and len(wanted) not in (1, len(goals)):
         raise DataError(f"near: {len(wanted)} rows for {len(goals)} goals; give one row, or one for each")
-    wanted = np.clip(np.broadcast_to(wanted, (len(goals), len(robot.home))), reach.lower, reach.upper)
+    wanted = _inside(reach, np.broadcast_to(wanted, (len(goals), len(robot.home))))
     conditions = goals.conditions(len(robot.home))
     wanted = robot.actual(wanted, robot.term_columns(wanted, conditions))
     search = _Search(reach, _closed_start(robot, reach))
@@ -117,9 +120,10 @@ def solve(robot: Robot, goals: Goals | ArrayLike, *, near: ArrayLike | None = No
     solved = np.flatnonzero(search.solved)
     turned = unwound(reach, search.best.subset(solved), wanted[solved])
     search.keep(solved, nearer(reach, solved, turned, wanted[solved]))
-    positions, miss, angle = reach.misses(search.best.actuated, search.best.passive)
+    best = settled(robot, reach, np.arange(len(goals)), search.best, conditions)
+    positions, miss, angle = reach.misses(best.actuated, best.passive)
     ok = (miss <= TOLERANCE) & (angle <= TOLERANCE)
-    commands = robot.commands(search.best.actuated, conditions)
+    commands = robot.commands(best.actuated, conditions)
     reached = np.flatnonzero(ok)
     columns = robot.term_columns(commands[reached], conditions.at(reached))
     ok[reached] = robot.close(commands[reached], columns=columns).ok  # the loops were followed from elsewhere
@@ -135,14 +139,44 @@ def problem(robot: Robot, goals: Goals) -> Reach:
             raise DataError(f"no target '{goals.target}'{nearest(goals.target, named)}")
         target = named[goals.target]
     limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
-    lower, upper = np.array([limits[name] for name in robot.joint_names]).T
+    unlimited = (-np.inf, np.inf)
+    lower, upper = np.array([limits.get(name, unlimited) for name in robot.mechanism.driven]).T
     return Reach(robot.mechanism, robot.mode, target, goals, lower, upper)
+
+
+def settled(robot: Robot, reach: Reach, index: IntArray, found: Configured, context: Context) -> Configured:
+    """Descend again until links are tilted as they are at the commands that are found.
+
+    They tilt so little, and so nearly alike at neighbouring joint values, that each round gains digits.
+
+    Args:
+        robot: The robot.
+        reach: The problem.
+        index: Which goals, (n,).
+        found: What was found for them.
+        context: The conditions of each.
+    """
+    tilts = reach.mechanism.is_tilt
+    for _ in range(_ROUNDS if np.any(tilts) else 0):
+        commands = robot.commands(found.actuated, context)
+        driven = robot.actual(commands, robot.term_columns(commands, context))
+        if np.max(np.abs(driven - found.actuated)[:, tilts], initial=0.0) < _SETTLED:
+            break
+        closed = loops.close(reach.mechanism, reach.mode, driven, found.passive)
+        passive = np.where(closed.ok[:, None], closed.passive, found.passive)
+        found = descend(reach, index, Configured(driven, passive, found.distance))
+    return found
+
+
+def _inside(reach: Reach, q: FloatArray) -> FloatArray:
+    """Joint values (..., n_actuated) moved inside the joint limits where they are not."""
+    n = q.shape[-1]
+    return np.clip(q, reach.lower[:n], reach.upper[:n])
 
 
 def _closed_start(robot: Robot, reach: Reach) -> Configured:
     """Home, moved inside the joint limits where it is not."""
-    inside = np.clip(robot.home, reach.lower, reach.upper)[None]
-    found = robot.assemble(inside)
+    found = robot.assemble(_inside(reach, robot.home))
     return Configured(found.actuated, found.passive, np.array([np.inf]))
 
 
@@ -247,10 +281,11 @@ def _features(
 
 def _spread(robot: Robot, reach: Reach) -> Configured:
     """Configurations spread over the joint limits (one turn about home where there are none) that close."""
-    turn = np.pi * reach.scale
-    lower = np.where(np.isfinite(reach.lower), reach.lower, robot.home - turn)
-    upper = np.where(np.isfinite(reach.upper), reach.upper, robot.home + turn)
-    sample = halton(_SPREAD, len(lower))
-    actuated = np.array(lower + sample * (upper - lower), dtype=np.float64)
+    turn, n_actuated = np.pi * robot.mechanism.joint_scale, len(robot.home)
+    lower, upper = reach.lower[:n_actuated], reach.upper[:n_actuated]
+    lower = np.where(np.isfinite(lower), lower, robot.home - turn)
+    upper = np.where(np.isfinite(upper), upper, robot.home + turn)
+    sample = halton(_SPREAD, n_actuated)
+    actuated = reach.mechanism.untilted(np.array(lower + sample * (upper - lower), dtype=np.float64))
     closed = loops.close(reach.mechanism, reach.mode, actuated)
     return Configured(actuated[closed.ok], closed.passive[closed.ok], np.full(int(closed.ok.sum()), np.inf))

@@ -15,6 +15,8 @@ its limit is kept there by a heavy row of its own, dp = -C_p^-1 C_a da, and a st
 limit is cut. The loops follow each trial step by its tangent and Newton, which keeps the assembly mode of home (see
 `calib.model.loops`); a step that they cannot follow counts as too long. All goals advance together in arrays.
 
+How far links are tilted (`calib.model.mechanism`) belongs to the start, and stays.
+
 When it fails. Local minima of |e| exist; `calib.inverse_kinematics.inverse` starts from several places. At a singular
 pose of the robot convergence is slow, and the joint values are only as sharp as the pose determines them.
 
@@ -51,7 +53,7 @@ class Configured:
     """Configurations on the way to goals.
 
     Attributes:
-        actuated: (n, n_actuated) [m or rad].
+        actuated: The driven joints, (n, n_driven) [m or rad].
         passive: (n, n_passive) [m or rad].
         distance: Norm of e, (n,) [m]; infinite where nothing is known yet.
     """
@@ -97,7 +99,7 @@ class Reach:
         mode: Its assembly mode.
         target: The measured point seen from the measurement frame.
         goals: Where it is wanted.
-        lower, upper: Limits of the actuated joints, (n_actuated,) [m or rad].
+        lower, upper: Limits of the driven joints, (n_driven,) [m or rad].
     """
 
     mechanism: Mechanism
@@ -109,8 +111,8 @@ class Reach:
 
     @property
     def scale(self) -> FloatArray:
-        """What one radian of each actuated joint is compared with, (n_actuated,)."""
-        return self.mechanism.joint_scale
+        """What one radian of each driven joint is compared with, (n_driven,)."""
+        return self.mechanism.driven_scale
 
     @cached_property
     def passive_scale(self) -> FloatArray:
@@ -308,6 +310,7 @@ def _damped_step(
         "nij,ni->nj", weighted, weight * aim * np.sqrt(size)
     )
     held = ((at.actuated <= reach.lower) & (gradient > 0)) | ((at.actuated >= reach.upper) & (gradient < 0))
+    held |= reach.mechanism.is_tilt
     rows = np.where(held[:, None, :], 0.0, np.concatenate([slope, weighted], axis=1))
     normal = rows.transpose(0, 2, 1) @ rows + (damping[:, None] * size)[:, :, None] * np.eye(n_joints)
     step: FloatArray = -np.linalg.solve(normal, np.where(held, 0.0, gradient)[:, :, None])[:, :, 0]

@@ -24,4 +24,5 @@ class Compliance(OneCoefficient):
 
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
         """Return the torque, (n, 1)."""
+        assert context.torque is not None
         return np.asarray(context.torque[:, j : j + 1])

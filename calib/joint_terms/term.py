@@ -9,6 +9,9 @@ alone. So derivatives are exact, d(anything)/dc_k = d(anything)/d(joint j) phi_k
 term is one small file and a line in `calib.joint_terms.terms`.
 
 Every coefficient has the dimension of its joint (an angle or a length): it is the error at phi_k = 1.
+
+A term may tilt the link behind its joint instead: about each axis about which the joint itself does not turn, by an
+angle c_k phi_k, all with the same coefficients.
 """
 
 from __future__ import annotations
@@ -72,25 +75,26 @@ class Context(ReadOnlyArrays):
         time: As the file counts it, (n,) [s]; 0 where not known.
         temperature: Above 20 degC, the reference of ISO 1, (n,) [K]; 0 where not known.
         load: Mass at the tool, (n,) [kg]; 0 where not known.
-        torque: Torque or force of gravity that each actuated joint holds, (n, n_actuated) [N m or N]; 0 where nothing
-            asks for it.
+        torque: Torque or force of gravity that each driven joint holds (`calib.model.mechanism`), (n, n_driven)
+            [N m or N]; None where it is not known: what depends on it counts as nothing.
     """
 
     approach: FloatArray
     time: FloatArray
     temperature: FloatArray
     load: FloatArray
-    torque: FloatArray
+    torque: FloatArray | None = None
 
     @staticmethod
     def neutral(n: int, n_actuated: int) -> Context:
         """Return a context of which nothing is known."""
         nothing, none = np.zeros(n), np.zeros((n, n_actuated))
-        return Context(none, nothing, nothing, nothing, none)
+        return Context(none, nothing, nothing, nothing)
 
     def at(self, which: slice | IntArray) -> Context:
         """Return the conditions of some of the commands, a slice or places (k,)."""
-        return Context(*(getattr(self, key)[which] for key in self.__dataclass_fields__))
+        known = {key: value for key, value in vars(self).items() if value is not None}
+        return Context(**{key: value[which] for key, value in known.items()})
 
     @staticmethod
     def of(approach: FloatArray, conditions: Mapping[str, FloatArray]) -> Context:
@@ -106,7 +110,7 @@ class Context(ReadOnlyArrays):
             return np.nan_to_num(conditions.get(name, np.zeros(n)))
 
         warmer = np.nan_to_num(conditions.get("temperature", np.full(n, np.nan)) - REFERENCE_TEMPERATURE)
-        return Context(approach, known("time"), warmer, known("load"), np.zeros_like(approach))
+        return Context(approach, known("time"), warmer, known("load"))
 
 
 class JointTerm(ABC):
@@ -117,12 +121,14 @@ class JointTerm(ABC):
         joint: The joint.
         parameters: Its coefficients.
         needs_torque: Whether it asks for `Context.torque` (class attribute).
+        tilts: Whether it tilts the link behind its joint, in place of moving the joint (class attribute).
         cause: Under which name an error budget counts it (class attribute).
         depends_on: What it depends on beside the joint's own command; empty: nothing (class attribute).
     """
 
     section: ClassVar[type[TermSection]] = TermSection
     needs_torque: ClassVar[bool] = False
+    tilts: ClassVar[bool] = False
     cause: ClassVar[str] = "gain and harmonics"
     depends_on: ClassVar[str] = ""
     joint: str
@@ -148,13 +154,19 @@ class JointTerm(ABC):
 
         Args:
             q: Commanded actuated joints, (n, n_actuated) [m or rad].
-            j: Place of the term's joint among them.
-            context: Conditions of the commands.
+            j: Place of the term's joint among them; of a term that tilts, of one of the rotations among the driven
+                joints.
+            context: Conditions of the commands, the torque among them if the term asks for it.
         """
 
     def curvature(self, values: FloatArray) -> float:
         """Return a bound of |d^2(dq)/dq^2| [1/rad or 1/m], from the coefficients (n_coefficients,); 0 if straight."""
         return 0.0
+
+
+def tilts_of(joint: str, dimension: Dimension) -> tuple[str, ...]:
+    """Return the names of the rotations that tilt the link behind a joint: two if it turns, else three."""
+    return tuple(f"{joint}:tilt_{k}" for k in range(2 if dimension == "angle" else 3))
 
 
 UNIT: dict[Dimension, str] = {"angle": "mrad", "length": "mm"}

@@ -8,6 +8,7 @@ from pydantic import Discriminator, Tag, TypeAdapter, ValidationError
 
 from calib.errors import InputError, nearest
 from calib.joint_terms.backlash import Backlash
+from calib.joint_terms.bending import Bending
 from calib.joint_terms.compliance import Compliance
 from calib.joint_terms.coupling import Coupling
 from calib.joint_terms.curve import Curve
@@ -25,6 +26,7 @@ TERMS: dict[str, type[JointTerm]] = {
     "drift": Drift,
     "temperature": Temperature,
     "compliance": Compliance,
+    "bending": Bending,
 }
 
 

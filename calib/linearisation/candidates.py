@@ -115,7 +115,7 @@ def rows_of_poses(
     chosen = Unknowns.chosen_by_poses(robot) if unknowns is None else unknowns
     n = len(configurations.actuated)
     names = tuple(str(k) for k in range(n))
-    poses = Poses(configurations.actuated, names, names, "", ())
+    poses = Poses(configurations.actuated[:, : len(robot.joint_names)], names, names, "", ())
     looks = looks_at(robot, poses) if looks is None else looks
     places = blocks_of(robot, looks) if blocks is None else blocks
     readings = predicted_readings(robot, configurations, looks)
@@ -302,7 +302,7 @@ def _reasons(
             reasons.append(near_singularity(labels[k], distance[k], limit))
             continue
         shown = already + len(reasons) < _SHOWN  # a search each: not for thousands
-        why = f" ({why_open(robot.mechanism, robot.mode, q[k])})" if shown else ""
+        why = f" ({why_open(robot.mechanism, robot.mode, robot.mechanism.untilted(q[k : k + 1])[0])})" if shown else ""
         reasons.append(f"{labels[k]}: cannot be assembled{why}")
     return reasons
 

@@ -24,6 +24,7 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.model import kinematics
 from calib.model.acceleration import kernels
+from calib.model.joint_errors import driven_by
 from calib.model.mechanism import Mechanism, RelativeFrame
 from calib.model.robot import Configurations, Robot
 from calib.threads import one_blas_thread
@@ -238,22 +239,23 @@ def by_coefficient(robot: Robot, by_joint: FloatArray, columns: tuple[FloatArray
 
     Args:
         robot: Knows the joints of the terms.
-        by_joint: Derivative by the actuated joints, (n, n_rows, n_actuated).
-        columns: phi of each term, (n, n_coefficients) each.
+        by_joint: Derivative by the driven joints, (n, n_rows, n_driven).
+        columns: phi of each term, (n, n_moved, n_coefficients) each.
     """
     parts = [
-        by_joint[:, :, robot.joint_names.index(term.joint), None] * phi[:, None, :]
+        np.matmul(by_joint[:, :, driven_by(term, robot.mechanism)], phi)
         for term, phi in zip(robot.terms, columns, strict=True)
     ]
     return np.concatenate(parts, axis=2)
 
 
 def joint_twists(mechanism: Mechanism) -> FloatArray:
-    """Return twists of all origins per actuated joint, (6 n_joints, n_actuated): the joint's axis at its own origin."""
+    """Return twists of all origins per driven joint, (6 n_joints, n_driven): the joint's axis at its own origin."""
     by_joint: FloatArray = mechanism.axes[:, :, None] * mechanism.select_actuated[:, None, :]
     return by_joint.reshape(6 * mechanism.n_joints, -1)
 
 
 def joint_jacobian(robot: Robot, configurations: Configurations) -> FloatArray:
     """Return d(position)/d(actuated joint), loops closed, (n_poses, n_targets, 3, n_actuated) [m per m or rad]."""
-    return origin_jacobian(robot.mechanism, configurations, joint_twists(robot.mechanism))[1]
+    n_actuated = len(robot.joint_names)
+    return origin_jacobian(robot.mechanism, configurations, joint_twists(robot.mechanism)[:, :n_actuated])[1]

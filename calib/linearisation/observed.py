@@ -61,11 +61,11 @@ def observe(
         joints: Whether derivatives by the actuated joints are wanted too.
     """
     mechanism = robot.mechanism
-    n_actuated = len(mechanism.actuated) if joints or robot.terms else 0
+    n_driven = len(mechanism.driven) if joints or robot.terms else 0
     twists = parameter_twists(robot)
-    if n_actuated:
+    if n_driven:
         twists = np.hstack([twists, joint_twists(mechanism)])
-    work = [_Work(robot, robot.instrument(name), own, n_actuated) for name, own in readings.items()]
+    work = [_Work(robot, robot.instrument(name), own, n_driven) for name, own in readings.items()]
     pairs = tuple(dict.fromkeys(pair for one in work for pair in one.pairs))
     for part, swept in sweeps(mechanism, configurations, pairs):
         for one in work:
@@ -118,7 +118,7 @@ class _Work:
         by_twist = comparison.by_twist[:, :, : motion.shape[1]]
         if len(at) != len(motion) or np.any(at != np.arange(len(at))):
             motion = motion[at]
-        self._columns[chosen] += motion if _is_identity(by_twist) else np.matmul(by_twist, motion)
+        self._columns[_run(chosen)] += motion if _is_identity(by_twist) else np.matmul(by_twist, motion)
 
     def _fill_joint(
         self,
@@ -139,8 +139,7 @@ class _Work:
             raise TypeError(f"{type(self.instrument).__name__} reads a joint, but gives no derivative by it")
         motion = passive_motion(mechanism, swept, mechanism.select_passive[index], configurations.slope[part], twists)
         self._columns[chosen] += comparison.by_joint[:, :, None] * motion[at]
-        n_actuated = self._columns.shape[2] - self._n_parameters
-        if n_actuated:
+        if self._columns.shape[2] > self._n_parameters:
             self._columns[chosen, :, self._n_parameters :] += (
                 comparison.by_joint[:, :, None] * mechanism.select_actuated[index]
             )
@@ -160,7 +159,7 @@ class _Work:
         if self.robot.terms:
             phi = tuple(columns[self.readings.visits] for columns in configurations.term_columns)
             jacobian[:, :, self.robot.coefficients] = by_coefficient(self.robot, by_joint, phi)
-        return Observed(self._residuals, jacobian, by_joint)
+        return Observed(self._residuals, jacobian, by_joint[:, :, : len(self.robot.joint_names)])
 
 
 def _some(readings: Readings, chosen: IntArray) -> Readings:
@@ -173,6 +172,12 @@ def _some(readings: Readings, chosen: IntArray) -> Readings:
         None if readings.covariance is None else readings.covariance[chosen],
         readings.details[chosen],
     )
+
+
+def _run(chosen: IntArray) -> IntArray | slice:
+    """Indices that follow each other as a slice: what it selects is changed in place, not copied there and back."""
+    whole = slice(int(chosen[0]), int(chosen[0]) + len(chosen))
+    return whole if np.array_equal(chosen, np.arange(whole.start, whole.stop)) else chosen
 
 
 def _is_identity(matrices: FloatArray) -> bool:

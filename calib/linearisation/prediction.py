@@ -130,9 +130,9 @@ def _root95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> F
     """95 % limits of the root of a sum of squares of normal numbers, from the sums of its weights and their squares."""
     trace = np.maximum(trace, 1e-300)
     squares = np.maximum(squares, 1e-300 * trace)
-    limits = [scipy.stats.chi2.ppf(tail, trace**2 / squares) * squares / trace for tail in (0.025, 0.975)]
+    limits = [scipy.special.chdtri(trace**2 / squares, tail) * squares / trace for tail in (0.975, 0.025)]
     low, high = np.sqrt(limits)
-    return np.stack([low, high * coverage_factor / scipy.stats.norm.ppf(0.975)])
+    return np.stack([low, high * coverage_factor / scipy.special.ndtri(0.975)])
 
 
 def carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -148,6 +148,7 @@ def position_uncertainty(
     coverage_factor: float,
     q: FloatArray,
     context: Context | None = None,
+    near: FloatArray | None = None,
 ) -> PositionUncertainty:
     """Predict positions of all targets, loops closed, with their covariance and that of the orientations.
 
@@ -158,6 +159,7 @@ def position_uncertainty(
         coverage_factor: Of the fit's 95 % intervals.
         q: Actuated joints, (n_poses, n_actuated) [m or rad].
         context: Under which conditions they are commanded; joint terms may depend on it.
+        near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
 
     Raises:
         UnreachablePoseError: A loop stays open.
@@ -166,7 +168,8 @@ def position_uncertainty(
     positions, spread, turned = [], [], []
     for start in range(0, len(q), _CHUNK):
         some = slice(start, start + _CHUNK)
-        linear = linearise(robot, robot.assemble(q[some], context=context.at(some)), turns=True)
+        seed = None if near is None else near[some]
+        linear = linearise(robot, robot.assemble(q[some], seed, context=context.at(some)), turns=True)
         positions.append(linear.positions)
         jacobian = linear.jacobian[..., free]
         spread.append(carried(jacobian[:, :, :3], covariance))

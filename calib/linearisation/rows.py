@@ -36,6 +36,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.numerics.identifiability import reduced
 from calib.numerics.observability import Information, information, prior_rows
 from calib.numerics.variance_components import SharedError
 from calib.units import Dimension
@@ -163,8 +164,7 @@ class Rows:
     @cached_property
     def factor(self) -> FloatArray:
         """The triangular factor of [J r], all that a linear model needs: (n_free + 1, n_free + 1) or fewer rows."""
-        both = np.hstack([self.jacobian, self.residuals[:, None]])
-        return both if len(both) <= both.shape[1] else np.asarray(np.linalg.qr(both, mode="r"))
+        return reduced(self.jacobian, self.residuals)
 
     @cached_property
     def known(self) -> Information:

@@ -64,18 +64,24 @@ class Whitening:
         n_readings = np.bincount(self.layout.pose)
         return bool(np.any(n_readings > 1) or np.any(n_rows > 3))
 
-    def flatten(self, arrays: Mapping[str, FloatArray]) -> FloatArray:
+    def flatten(self, arrays: Mapping[str, FloatArray], columns: IntArray | None = None) -> FloatArray:
         """Whiten what each instrument has, (n, n_rows) or (n, n_rows, k), by the stated covariance; NaN become 0.
+
+        Args:
+            arrays: By instrument.
+            columns: Which of the k count; all if not given.
 
         Returns:
             (n_all_rows,) or (n_all_rows, k).
         """
         parts = []
         for name in self._names:
-            array = np.nan_to_num(arrays[name]) if np.isnan(arrays[name]).any() else arrays[name]
+            array = arrays[name] if columns is None else arrays[name][:, :, columns]
+            array = np.nan_to_num(array) if np.isnan(array).any() else array
             inverse = self._inverse[name]
             if inverse.ndim == 2:  # no correlations: divide
-                scaled = array * (inverse if array.ndim == 2 else inverse[:, :, None])
+                own = None if array is arrays[name] else array  # what is a copy already need not be copied again
+                scaled = np.multiply(array, inverse if array.ndim == 2 else inverse[:, :, None], out=own)
             elif array.ndim == 2:
                 scaled = np.matmul(inverse, array[:, :, None])[:, :, 0]
             else:
@@ -105,7 +111,7 @@ class Whitening:
         """
         divisor = self.row_scale(groups)
         residuals = self.flatten({name: observed[name].residuals for name in self._names}) / divisor
-        columns = self.flatten({name: observed[name].jacobian[:, :, unknowns.index] for name in self._names})
+        columns = self.flatten({name: observed[name].jacobian for name in self._names}, unknowns.index)
         columns *= unknowns.scales / divisor[:, None]
         return Rows(residuals, columns, unknowns.has_prior, deviations, self.layout)
 

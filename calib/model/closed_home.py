@@ -26,7 +26,7 @@ def closed_home(mechanism: Mechanism, home: dict[str, float], singularity_limit:
     Raises:
         DescriptionError: Home does not close, or is singular.
     """
-    actuated = np.array([[home.get(name, 0.0) for name in mechanism.actuated]])
+    actuated = np.array([[home.get(name, 0.0) for name in mechanism.driven]])
     passive = np.array([[home.get(name, 0.0) for name in mechanism.passive]])
     if not mechanism.loops:
         return AssemblyMode(mechanism, actuated[0], passive[0], (), (), np.ones(0))

@@ -11,11 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.model import kinematics
 from calib.model.mechanism import Mechanism
+from calib.numerics.graphs import connected_parts
 from calib.units import millimetres
 
 
@@ -106,16 +106,28 @@ def blocks(pattern: BoolArray) -> tuple[tuple[IntArray, ...], tuple[IntArray, ..
     Returns:
         Row indices and column indices of each block.
     """
-    column_of_row = scipy.sparse.csgraph.maximum_bipartite_matching(
-        scipy.sparse.csr_matrix(pattern), perm_type="column"
-    )
-    matched = pattern[:, column_of_row]
-    count, label = scipy.sparse.csgraph.connected_components(
-        scipy.sparse.csr_matrix(matched), directed=True, connection="strong"
-    )
-    rows = tuple(np.flatnonzero(label == k) for k in range(count))
-    columns = tuple(np.sort(column_of_row[label == k]) for k in range(count))
-    return rows, columns
+    column_of_row = _matched(pattern)
+    rows = connected_parts(pattern[:, column_of_row])
+    return rows, tuple(np.sort(column_of_row[part]) for part in rows)
+
+
+def _matched(pattern: BoolArray) -> IntArray:
+    """Give every row a column of its own among its entries: rows without one make others change theirs. (n,)."""
+    row_of_column = np.full(len(pattern), -1)
+
+    def finds_place(row: int, asked: set[int]) -> bool:
+        for column in np.flatnonzero(pattern[row]).tolist():
+            if column in asked:
+                continue
+            asked.add(column)
+            if row_of_column[column] < 0 or finds_place(int(row_of_column[column]), asked):
+                row_of_column[column] = row
+                return True
+        return False
+
+    for row in range(len(pattern)):
+        finds_place(row, set())
+    return np.argsort(row_of_column)
 
 
 def block_signs(slope: FloatArray, rows: tuple[IntArray, ...], columns: tuple[IntArray, ...]) -> FloatArray:

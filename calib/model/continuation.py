@@ -222,8 +222,8 @@ def _spread_out(
     """Solve poses nearest to home first, each from the nearest pose solved so far; those left, once more from all."""
     solutions = _Solutions(len(actuated), len(mechanism.passive))
     effort = (_NEIGHBOURS, _SMALLEST_PART) if thorough else (1, _SMALLEST_AT_ONCE)
-    points = actuated / mechanism.joint_scale
-    order = np.argsort(np.linalg.norm(points - known[0][0] / mechanism.joint_scale, axis=1), kind="stable")
+    points = actuated / mechanism.driven_scale
+    order = np.argsort(np.linalg.norm(points - known[0][0] / mechanism.driven_scale, axis=1), kind="stable")
     start, size = 0, 8
     while start < len(order):
         batch = order[start : start + size]
@@ -246,7 +246,7 @@ def _nearest(
     smallest: float = _SMALLEST_PART,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Solve poses from known ones, the nearest first; another way round where the straight line is blocked."""
-    solutions, scale = _Solutions(len(actuated), len(mechanism.passive)), mechanism.joint_scale
+    solutions, scale = _Solutions(len(actuated), len(mechanism.passive)), mechanism.driven_scale
     count = min(neighbours, len(known[0]))
     if count == 0 or len(actuated) == 0:
         return solutions.passive, solutions.slope, solutions.ok
@@ -267,7 +267,7 @@ def _stepping_stones(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatAr
     """Joint values spread over the box of home and these poses and a bit beyond, (n, n_actuated) [m or rad]."""
     corners = np.vstack([mode.actuated[None], actuated])
     low, high = corners.min(axis=0), corners.max(axis=0)
-    beyond = 0.1 * mechanism.joint_scale
+    beyond = 0.1 * mechanism.driven_scale
     sample = halton(_STONES, corners.shape[1])
     stones: FloatArray = low - beyond + sample * (high - low + 2 * beyond)
     return stones
@@ -283,7 +283,7 @@ def _continue(
     """
     start_a = start[0]
     at_a, at_p = start_a.copy(), start[1].copy()
-    _, slope, slope_a = residual(mechanism, at_a, at_p)
+    _, slope, slope_a, _ = newton(mechanism, mode, at_a, at_p)  # of solved poses: only their slopes
     done, part = np.zeros(len(goal)), np.ones(len(goal))
     active, lengths = np.arange(len(goal)), 1
     while len(active):

@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from calib.arrays import FloatArray
 from calib.errors import DescriptionError, InputError, nearest
-from calib.joint_terms.term import Context, Joint, JointTerm, TermSection
+from calib.joint_terms.term import Context, Joint, JointTerm, TermSection, tilts_of
 from calib.joint_terms.terms import TERMS
 from calib.model import kinematics
 from calib.model.description import Description
@@ -58,21 +58,41 @@ def _term(section: TermSection, name: str, joint: UrdfJoint, mechanism: Mechanis
         raise DescriptionError(text if text.startswith(where) else f"{place}: {text}") from None
 
 
+def driven_by(term: JointTerm, mechanism: Mechanism) -> list[int]:
+    """Return which of the driven joints a term moves."""
+    names = tilts_of(term.joint, mechanism.dimensions[term.joint]) if term.tilts else (term.joint,)
+    return [mechanism.driven.index(name) for name in names]
+
+
 def term_columns(
-    terms: tuple[JointTerm, ...], actuated: tuple[str, ...], q: FloatArray, context: Context
+    terms: tuple[JointTerm, ...], mechanism: Mechanism, q: FloatArray, context: Context
 ) -> tuple[FloatArray, ...]:
-    """Return phi of each term, (n, n_coefficients) each, at commands q (n, n_actuated) [m or rad]."""
-    return tuple(term.columns(q, actuated.index(term.joint), context) for term in terms)
+    """Return phi of each term for each joint that it moves, (n, n_moved, n_coefficients) each.
+
+    Args:
+        terms: The terms.
+        mechanism: The robot.
+        q: Commands, (n, n_actuated) [m or rad].
+        context: Their conditions.
+    """
+    columns = []
+    for term in terms:
+        moved = driven_by(term, mechanism)
+        if term.needs_torque and context.torque is None:
+            columns.append(np.zeros((len(q), len(moved), len(term.parameters))))
+        else:
+            columns.append(np.stack([term.columns(q, j, context) for j in moved], axis=1))
+    return tuple(columns)
 
 
 def joint_errors(
-    terms: tuple[JointTerm, ...], actuated: tuple[str, ...], columns: tuple[FloatArray, ...], values: FloatArray, n: int
+    terms: tuple[JointTerm, ...], mechanism: Mechanism, columns: tuple[FloatArray, ...], values: FloatArray, n: int
 ) -> FloatArray:
-    """Return dq of every actuated joint, (n, n_actuated), from the columns and the coefficients (n_coefficients,)."""
-    errors, start = np.zeros((n, len(actuated))), 0
+    """Return dq of every driven joint, (n, n_driven), from the columns and the coefficients (n_coefficients,)."""
+    errors, start = np.zeros((n, len(mechanism.driven))), 0
     for term, phi in zip(terms, columns, strict=True):
         stop = start + len(term.parameters)
-        errors[:, actuated.index(term.joint)] += phi @ values[start:stop]
+        errors[:, driven_by(term, mechanism)] += phi @ values[start:stop]
         start = stop
     return errors
 
@@ -87,7 +107,7 @@ def gravity_torque(
     payload: str | None,
     where: str,
 ) -> FloatArray:
-    """Return the torque of gravity that each actuated joint holds, loops closed, (n, n_actuated) [N m or N].
+    """Return the torque of gravity that each driven joint holds, loops closed, (n, n_driven) [N m or N].
 
     With the generalized gravity g of the tree, of its masses and of the payload m at the point x, and dp/da of the
     passive joints, virtual work gives
@@ -97,7 +117,7 @@ def gravity_torque(
     Args:
         urdf: The URDF with its masses.
         mechanism: The nominal mechanism.
-        q: Actuated joints, (n, n_actuated).
+        q: Driven joints, (n, n_driven).
         passive: Passive joints there, (n, n_passive).
         slope: C_p there, (n, n_passive, n_passive).
         load: Mass of the payload, (n,) [kg].
@@ -114,8 +134,8 @@ def gravity_torque(
         gravity += _gravity(masses, joints)
     elif payload is None:
         raise DescriptionError(
-            f"{where}: joint term 'compliance' needs masses, and the URDF has none; add <inertial> to its links, or say"
-            " with `payload` which frame carries the masses of a column 'load', or leave the term out"
+            f"{where}: what gravity bends needs masses, and the URDF has none; add <inertial> to its"
+            " links, or say with `payload` which frame carries the masses of a column 'load', or leave the term out"
         )
     if np.any(load):
         gravity += load[:, None] * _gravity(_with_one_kilogram(mechanism, payload), joints)
@@ -134,7 +154,7 @@ def _gravity(model: pin.Model, joints: FloatArray) -> FloatArray:
 
 
 def _closure_by_actuated(mechanism: Mechanism, joints: FloatArray) -> FloatArray:
-    """C_a, (n, n_passive, n_actuated)."""
+    """C_a, (n, n_passive, n_driven)."""
     swept = kinematics.sweep(mechanism, joints, mechanism.loops)
     parts = []
     for loop in mechanism.loops:
@@ -150,9 +170,9 @@ def _with_masses(urdf: UrdfText, mechanism: Mechanism) -> pin.Model | None:
     if not inertias.keys() & {*mechanism.origin_names}:
         return None
     model = mechanism.model.copy()
-    for k, name in enumerate(mechanism.origin_names):
-        if name in inertias:
-            model.inertias[k + 1] = inertias[name]
+    for joint in urdf.joints:
+        if joint.name in inertias:
+            model.inertias[mechanism.frames[joint.child]] = inertias[joint.name]
     return model
 
 
@@ -166,5 +186,5 @@ def _with_one_kilogram(mechanism: Mechanism, payload: str | None) -> pin.Model:
 
 
 def with_torque(context: Context, torque: FloatArray) -> Context:
-    """Return a context with the torque of gravity, (n, n_actuated)."""
+    """Return a context with the torque of gravity, (n, n_driven)."""
     return replace(context, torque=torque)

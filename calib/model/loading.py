@@ -13,7 +13,7 @@ from calib.errors import DescriptionError, InputError, nearest
 from calib.model.arm_chain import arm_chain
 from calib.model.closed_home import closed_home
 from calib.model.description import Description, checked_description, read_description
-from calib.model.instruments import instruments_of, pair_names, places_of
+from calib.model.instruments import instruments_of, places_of
 from calib.model.joint_errors import build_terms
 from calib.model.mechanism import Mechanism
 from calib.model.mechanism_builder import build_mechanism, home_values
@@ -88,8 +88,7 @@ def _built(description: Description, urdf: UrdfText, where: str) -> Robot:
     """Put a robot together at its nominal values."""
     instruments = instruments_of(description, where)
     places = places_of(description, instruments, where)
-    views = tuple(dict.fromkeys(pair for one in instruments for pair in pair_names(description, one)))
-    nominal = build_mechanism(urdf, description, places, views, where)
+    nominal = build_mechanism(urdf, description, instruments, where)
     _check_columns(description, nominal, instruments, where)
     _check_joints(nominal, instruments, where)
     home = home_values(urdf, description, where)

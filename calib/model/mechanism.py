@@ -11,6 +11,10 @@ Joint values. The user gives the actuated ones; a loop decides the passive ones;
     q_all = E_actuated q_actuated + E_passive q_passive + q_constant
 
 with selection matrices E that also hold `<mimic>` multipliers, so that a follower joint moves with its leader.
+
+Where a joint term tilts the link behind a joint (`calib.joint_terms.term.Tilting`), that link hangs on joints of its
+own, one for each rotation that the joint itself does not make. They are given like the actuated ones and come after
+them in q_actuated; nobody commands them, and what they are follows from the commands.
 """
 
 from __future__ import annotations
@@ -99,9 +103,10 @@ class Mechanism(ReadOnlyArrays):
     Attributes:
         model: Pinocchio model with one joint per URDF joint, then `base` and the targets.
         origin_names: Name of origin i; its joint index is i + 1.
-        frames: Joint index of every link and joint name.
+        frames: Joint index of every link and joint name: of a joint, that of the link behind it.
         actuated, passive: Names of the joints that the user gives, and that the loops decide.
-        select_actuated, select_passive: E of the module docstring, (n_joints, n_actuated or n_passive).
+        tilts: Names of the joints that tilt links.
+        select_actuated, select_passive: E of the module docstring, (n_joints, n_driven or n_passive).
         constant: Value of each joint that is neither, (n_joints,).
         lower, upper: Limits of the passive joints [m or rad], (n_passive,).
         loops: Closures, in the order of the description.
@@ -119,6 +124,7 @@ class Mechanism(ReadOnlyArrays):
     frames: dict[str, int]
     actuated: tuple[str, ...]
     passive: tuple[str, ...]
+    tilts: tuple[str, ...]
     dimensions: dict[str, Dimension]
     select_actuated: FloatArray
     select_passive: FloatArray
@@ -138,6 +144,20 @@ class Mechanism(ReadOnlyArrays):
     def n_joints(self) -> int:
         """Number of joints, which is also the number of origins."""
         return len(self.origin_names)
+
+    @cached_property
+    def driven(self) -> tuple[str, ...]:
+        """Names of the actuated joints, then of those that tilt links."""
+        return self.actuated + self.tilts
+
+    @cached_property
+    def is_tilt(self) -> BoolArray:
+        """Which of the driven joints tilt links, (n_driven,)."""
+        return np.arange(len(self.driven)) >= len(self.actuated)
+
+    def untilted(self, actuated: FloatArray) -> FloatArray:
+        """Return the driven joints, (n, n_driven), where no link is tilted, from the actuated ones (n, n_actuated)."""
+        return np.pad(actuated, ((0, 0), (0, len(self.tilts)))) if self.tilts else actuated
 
     def joint(self, name: str) -> int:
         """Return the index of a link's or joint's frame; an unknown name is a `DescriptionError`."""
@@ -205,7 +225,7 @@ class Mechanism(ReadOnlyArrays):
         return self.with_placements(moved)
 
     def all_joints(self, actuated: FloatArray, passive: FloatArray) -> FloatArray:
-        """Assemble q_all of the module docstring, (n_poses, n_joints)."""
+        """Assemble q_all of the module docstring, (n_poses, n_joints), from the driven and the passive joints."""
         return actuated @ self.select_actuated.T + passive @ self.select_passive.T + self.constant
 
     def between(self, relative: RelativeFrame) -> FloatArray:
@@ -226,7 +246,7 @@ class Mechanism(ReadOnlyArrays):
 
     @cached_property
     def select_moving(self) -> FloatArray:
-        """E of the passive joints, then of the actuated ones, (n_joints, n_passive + n_actuated)."""
+        """E of the passive joints, then of the driven ones, (n_joints, n_passive + n_driven)."""
         return np.hstack([self.select_passive, self.select_actuated])
 
     @cached_property
@@ -238,7 +258,12 @@ class Mechanism(ReadOnlyArrays):
     @cached_property
     def joint_scale(self) -> FloatArray:
         """What one radian of each actuated joint is compared with: 1, or the characteristic length, (n_actuated,)."""
-        lengths = [self.dimensions[name] == "length" for name in self.actuated]
+        return self.driven_scale[: len(self.actuated)]
+
+    @cached_property
+    def driven_scale(self) -> FloatArray:
+        """The same of each driven joint, (n_driven,)."""
+        lengths = [self.dimensions[name] == "length" for name in self.driven]
         return np.where(np.array(lengths, dtype=bool), self.length, 1.0)
 
     @cached_property

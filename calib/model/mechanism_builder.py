@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,11 +11,13 @@ import pinocchio as pin
 
 from calib.arrays import FloatArray
 from calib.errors import DescriptionError, InputError, UrdfError, nearest
+from calib.joint_terms.term import tilts_of
+from calib.joint_terms.terms import TERMS
 from calib.model.description import Description
-from calib.model.instruments import MEASUREMENT_FRAME
+from calib.model.instruments import MEASUREMENT_FRAME, pair_names, places_of
 from calib.model.mechanism import Mechanism, RelativeFrame, view
 from calib.model.urdf_text import HELD_TYPES, UrdfJoint, UrdfText
-from calib.observation.kind import Place
+from calib.observation.kind import Instrument, Place
 from calib.sections import ANGLE_COMPONENTS, COMPONENTS
 from calib.units import Dimension, quantity
 from calib.words import counted
@@ -26,8 +28,7 @@ Loops = tuple[RelativeFrame, ...]
 def build_mechanism(
     urdf: UrdfText,
     description: Description,
-    places: tuple[Place, ...],
-    views: tuple[tuple[str, str], ...],
+    instruments: tuple[Instrument, ...],
     where: str,
 ) -> Mechanism:
     """Build the mechanism of a URDF and its description.
@@ -35,18 +36,17 @@ def build_mechanism(
     Args:
         urdf: The URDF.
         description: What the URDF cannot say.
-        places: Of `calib.model.instruments.places_of`, the measurement frame first, then the targets.
-        views: Names of the places (a, b) that instruments look from and at.
+        instruments: What is measured.
         where: File of the description, for messages.
 
     Raises:
         DescriptionError: A name that the URDF does not have, or loops that do not determine the passive joints.
         UrdfError: A joint mimics itself.
     """
-    model, frames = _tree(urdf)
-    origin_names = [joint.name for joint in _topological(urdf)]
+    model, frames, tilts = _tree(urdf, tilted_joints(description))
+    origin_names = list(model.names[1:])
     indices: dict[str, int] = {}
-    for place in places:
+    for place in places_of(description, instruments, where):
         link = _frame(frames, place.link, f"{where}: {_entry(place, description)}.frame")
         origin = _new_name(*_origin_names(place), origin_names)
         pose = _pose(place.xyz, place.rpy)
@@ -58,6 +58,7 @@ def build_mechanism(
             frames.setdefault(place.name, indices[place.name])
     base = indices[MEASUREMENT_FRAME]
     targets = [RelativeFrame(name, base, indices[name], False, (0, 1, 2)) for name in description.targets]
+    views = dict.fromkeys(pair for one in instruments for pair in pair_names(description, one))
     support = _support(model)
     loops = tuple(_loop(description, frames, index, where) for index in range(len(description.closed_loop)))
     groups = _joint_groups(urdf, description, origin_names, _in_loops(support, loops), where)
@@ -68,7 +69,8 @@ def build_mechanism(
         frames=frames,
         actuated=groups.actuated,
         passive=groups.passive,
-        dimensions={name: _dimension(joint) for name, joint in groups.moving.items()},
+        tilts=tilts,
+        dimensions={name: _dimension(joint) for name, joint in groups.moving.items()} | dict.fromkeys(tilts, "angle"),
         lower=np.array([groups.moving[name].lower for name in groups.passive]),
         upper=np.array([groups.moving[name].upper for name in groups.passive]),
         loops=loops,
@@ -78,8 +80,14 @@ def build_mechanism(
         support=support,
         axes=_axes(model),
         length=_length(model, support, targets, loops),
-        **_selection(urdf, groups, origin_names, home_values(urdf, description, where)),
+        **_selection(urdf, groups, tilts, origin_names, home_values(urdf, description, where)),
     )
+
+
+def tilted_joints(description: Description) -> tuple[str, ...]:
+    """Return the actuated joints of which a term tilts the link behind."""
+    named = {section.joint for section in description.terms if TERMS[section.term].tilts}
+    return tuple(name for name in description.name_mot if named & {name, "all"})
 
 
 def _axes(model: pin.Model) -> FloatArray:
@@ -144,11 +152,12 @@ def _topological(urdf: UrdfText) -> list[UrdfJoint]:
     return order
 
 
-def _tree(urdf: UrdfText) -> tuple[pin.Model, dict[str, int]]:
-    """Return the model, and the joint index of every link and joint name (a link's where both have the name)."""
+def _tree(urdf: UrdfText, tilted: Collection[str]) -> tuple[pin.Model, dict[str, int], tuple[str, ...]]:
+    """Return the model, the joint index of every link and joint name (a link's where both have the name), and tilts."""
     model = pin.Model()
     frames = {urdf.root: 0}
     indices: dict[str, int] = {}
+    tilts: list[str] = []
     for joint in _topological(urdf):
         axis = np.array(joint.axis)
         kind: pin.JointModel = pin.JointModelRX()
@@ -156,9 +165,21 @@ def _tree(urdf: UrdfText) -> tuple[pin.Model, dict[str, int]]:
             kind = pin.JointModelPrismaticUnaligned(axis)
         elif joint.type not in HELD_TYPES:
             kind = pin.JointModelRevoluteUnaligned(axis)
-        indices[joint.name] = int(model.addJoint(frames[joint.parent], kind, _pose(joint.xyz, joint.rpy), joint.name))
-        frames[joint.child] = indices[joint.name]
-    return model, indices | frames
+        index = int(model.addJoint(frames[joint.parent], kind, _pose(joint.xyz, joint.rpy), joint.name))
+        for name, direction in _tilts(joint) if joint.name in tilted else ():
+            index = int(model.addJoint(index, pin.JointModelRevoluteUnaligned(direction), pin.SE3.Identity(), name))
+            tilts.append(name)
+        indices[joint.name] = frames[joint.child] = index
+    return model, indices | frames, tuple(tilts)
+
+
+def _tilts(joint: UrdfJoint) -> Iterator[tuple[str, FloatArray]]:
+    """The name and axis of each rotation that a joint does not make itself: two across its axis if it turns."""
+    axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
+    first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    first /= np.linalg.norm(first)
+    directions = [first, np.cross(axis, first), *([axis] if joint.type == "prismatic" else [])]
+    return zip(tilts_of(joint.name, _dimension(joint)), directions, strict=True)
 
 
 def _new_name(name: str, other: str, taken: list[str]) -> str:
@@ -258,16 +279,17 @@ def _check_count(passive: tuple[str, ...], loops: Loops, where: str) -> None:
 
 
 def _selection(
-    urdf: UrdfText, groups: _JointGroups, origin_names: list[str], home: Mapping[str, float]
+    urdf: UrdfText, groups: _JointGroups, tilts: tuple[str, ...], origin_names: list[str], home: Mapping[str, float]
 ) -> dict[str, Any]:
     """Return the selection matrices and the constant of `Mechanism`."""
-    select_actuated = np.zeros((len(origin_names), len(groups.actuated)))
+    driven = groups.actuated + tilts
+    select_actuated = np.zeros((len(origin_names), len(driven)))
     select_passive = np.zeros((len(origin_names), len(groups.passive)))
     constant = np.zeros(len(origin_names))
     for i, name in enumerate(origin_names):
         leader, multiplier, constant[i] = _leader(urdf, groups, name)
-        if leader in groups.actuated:
-            select_actuated[i, groups.actuated.index(leader)] = multiplier
+        if leader in driven:
+            select_actuated[i, driven.index(leader)] = multiplier
         elif leader in groups.passive:
             select_passive[i, groups.passive.index(leader)] = multiplier
         elif leader in home:

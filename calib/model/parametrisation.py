@@ -122,15 +122,16 @@ def _unknown_components(place: Place, origin: str) -> list[tuple[OriginSection, 
 
 
 def _origins_of(section: OriginSection, mechanism: Mechanism, where: str) -> list[str]:
+    known = {name: i + 1 for i, name in enumerate(mechanism.origin_names) if name not in mechanism.tilts}
     if section.origin != "all":
-        if section.origin not in mechanism.origin_names:
+        if section.origin not in known:
             raise DescriptionError(
                 f"{where}: parametrisation: no joint origin '{section.origin}'"
-                f"{nearest(section.origin, (*mechanism.origin_names, 'all'))}"
+                f"{nearest(section.origin, (*known, 'all'))}"
             )
         return [section.origin]
     virtual = set(mechanism.places.values())
-    return [name for i, name in enumerate(mechanism.origin_names) if i + 1 not in virtual and mechanism.is_seen[i]]
+    return [name for name, index in known.items() if index not in virtual and mechanism.is_seen[index - 1]]
 
 
 def _component_parameter(

@@ -26,6 +26,7 @@ from calib.model.joint_errors import build_terms, gravity_torque, joint_errors, 
 from calib.model.joint_sampling import Ranges, checked_ranges, joint_box, spread
 from calib.model.loops import why_open
 from calib.model.mechanism import Mechanism, RelativeFrame, view
+from calib.model.mechanism_builder import build_mechanism, tilted_joints
 from calib.model.parameters import Parametrisation
 from calib.model.parametrisation import build_parametrisation
 from calib.model.urdf_text import Triple, UrdfText
@@ -45,10 +46,11 @@ class Configurations(ReadOnlyArrays):
     """Assembled configurations of a robot.
 
     Attributes:
-        actuated: What the actuated joints really are, (n, n_actuated) [m or rad]: commands and the joints' errors.
+        actuated: What the driven joints really are, (n, n_driven) [m or rad]: commands and the joints' errors, then
+            how links are tilted (`calib.model.mechanism`).
         passive: (n, n_passive) [m or rad].
         slope: Derivative of the closures by the passive joints, (n, n_passive, n_passive).
-        term_columns: phi of each joint term, (n, n_coefficients) each.
+        term_columns: phi of each joint term, (n, n_moved, n_coefficients) each.
     """
 
     actuated: FloatArray
@@ -152,38 +154,46 @@ class Robot(ReadOnlyArrays):
         return slice(n - sum(len(term.parameters) for term in self.terms), n)
 
     def term_columns(self, q: FloatArray, context: Context | None = None) -> tuple[FloatArray, ...]:
-        """Return phi of each joint term at commands q (n, n_actuated), (n, n_coefficients) each."""
+        """Return phi of each joint term at commands q (n, n_actuated), (n, n_moved, n_coefficients) each."""
         if not self.terms:
             return ()
         context = Context.neutral(len(q), len(self.joint_names)) if context is None else context
         if any(term.needs_torque for term in self.terms):
-            closed = loops.close(self.nominal, self.mode, q)
+            driven = self.nominal.untilted(q)
+            closed = loops.close(self.nominal, self.mode, driven)
             passive = np.where(np.isfinite(closed.passive), closed.passive, 0.0)
             slope = np.where(closed.ok[:, None, None], closed.slope, np.eye(passive.shape[1]))
             load, payload = context.load, self.description.payload
-            torque = gravity_torque(self.urdf, self.nominal, q, passive, slope, load, payload, self.path)
+            torque = gravity_torque(self.urdf, self.nominal, driven, passive, slope, load, payload, self.path)
             context = with_torque(context, torque)
-        return term_columns(self.terms, self.joint_names, q, context)
+        return term_columns(self.terms, self.mechanism, q, context)
 
     def actual(self, q: FloatArray, columns: tuple[FloatArray, ...]) -> FloatArray:
-        """Return what the actuated joints are when they are told q (n, n_actuated), from phi of the joint terms."""
+        """Return what the driven joints are, (n, n_driven), when the actuated ones are told q (n, n_actuated).
+
+        Args:
+            q: The commands [m or rad].
+            columns: phi of the joint terms.
+        """
         if not self.terms:
             return q
-        return q + joint_errors(self.terms, self.joint_names, columns, self.values[self.coefficients], len(q))
+        errors = joint_errors(self.terms, self.mechanism, columns, self.values[self.coefficients], len(q))
+        return self.mechanism.untilted(q) + errors
 
     def commands(self, actual: FloatArray, context: Context | None = None) -> FloatArray:
-        """Return what the actuated joints must be told to be at `actual` (n, n_actuated) [m or rad].
+        """Return what the actuated joints must be told to be at `actual`, (n, n_actuated) [m or rad].
 
         q = actual - dq(q) is repeated until it stands; joint errors change so little with q that each round gains
         digits.
 
         Args:
-            actual: What they shall be.
+            actual: What they shall be; where all driven joints are given, (n, n_driven), the others do not count.
             context: Under which conditions.
         """
-        q = actual
+        n_actuated = len(self.joint_names)
+        wanted = q = actual[:, :n_actuated]
         for _ in range(_COMMAND_ROUNDS if self.terms else 0):
-            again = actual - (self.actual(q, self.term_columns(q, context)) - q)
+            again = wanted - (self.actual(q, self.term_columns(q, context))[:, :n_actuated] - q)
             change, q = float(np.max(np.abs(again - q), initial=0.0)), again
             if change < _ROUNDING:
                 break
@@ -196,7 +206,7 @@ class Robot(ReadOnlyArrays):
     @property
     def home(self) -> FloatArray:
         """Actuated joints of the home configuration, (n_actuated,) [m or rad]."""
-        return read_only(self.mode.actuated)
+        return read_only(self.mode.actuated[: len(self.joint_names)])
 
     @property
     def is_free(self) -> BoolArray:
@@ -307,6 +317,13 @@ class Robot(ReadOnlyArrays):
         description = self.description.with_terms(sections)
         terms = build_terms(description, self.urdf, self.nominal, self.path)
         changed = replace(self, description=description, terms=terms)
+        if tilted_joints(description) != tilted_joints(self.description):
+            nominal = build_mechanism(self.urdf, description, self.instruments, self.path)
+            mechanism = nominal.with_placements(
+                self.parametrisation.placements(self.values[: self.n_origin_parameters])
+            )
+            mode = replace(self.mode, mechanism=nominal, actuated=nominal.untilted(self.home[None])[0])
+            changed = replace(changed, nominal=nominal, mechanism=mechanism, mode=mode)
         changed.check_names()
         value_of = dict(zip((parameter.name for parameter in self.parameters), self.values, strict=True))
         return replace(changed, values=np.array([value_of.get(p.name, p.nominal) for p in changed.parameters]))
@@ -536,6 +553,6 @@ def describe_open(robot: Robot, q: FloatArray, closed: loops.Closed, labels: Seq
     poses = np.flatnonzero(~closed.ok)
     names = labels or [f"pose {k}" for k in range(len(closed.ok))]
     k = int(poses[0])
-    why = why_open(robot.mechanism, robot.mode, q[k])
+    why = why_open(robot.mechanism, robot.mode, robot.mechanism.untilted(q[k : k + 1])[0])
     more = f" (and {len(poses) - 1} more poses)" if len(poses) > 1 else ""
     return f"{names[k]}{more}: {why}; check these joint values, or leave the pose out"

@@ -30,7 +30,7 @@ import numpy as np
 
 from calib.arrays import FloatArray, ReadOnlyArrays
 
-_AT_ONCE = 1 << 16  # rows of one factorisation
+_AT_ONCE = 1 << 14  # rows of one factorisation
 RANK_TOLERANCE = 1e-9
 """Singular values of the scaled Jacobian below this part of the largest count as zero."""
 NO_EFFECT = 1e-7
@@ -72,20 +72,21 @@ class Rank(ReadOnlyArrays):
         return text
 
 
-def reduced(rows: FloatArray) -> FloatArray:
+def reduced(rows: FloatArray, right: FloatArray | None = None) -> FloatArray:
     """Return at most n_columns rows with the same singular values and null space: the R of a QR factorisation.
 
     Of very many rows, R of some and the next ones takes the place of both, so that no copy of all is made.
 
     Args:
         rows: (n_rows, n_columns).
+        right: One more column, (n_rows,).
     """
-    if len(rows) <= rows.shape[1]:
-        return rows
-    factor = np.linalg.qr(rows[:_AT_ONCE], mode="r")
-    for start in range(_AT_ONCE, len(rows), _AT_ONCE):
-        factor = np.linalg.qr(np.vstack([factor, rows[start : start + _AT_ONCE]]), mode="r")
-    return np.asarray(factor)
+    factor = np.zeros((0, rows.shape[1] + (right is not None)))
+    for start in range(0, len(rows), _AT_ONCE):
+        part = slice(start, start + _AT_ONCE)
+        more = rows[part] if right is None else np.column_stack([rows[part], right[part]])
+        factor = np.asarray(np.linalg.qr(np.vstack([factor, more]) if start else more, mode="r"))
+    return factor
 
 
 def unit_columns(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -98,11 +99,11 @@ def unit_columns(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
         The columns, each of length 1 or 0, and what each was divided by (as the longest, where it became zero, so that
         rounding stays rounding), (n_columns,).
     """
-    lengths = np.linalg.norm(columns, axis=0)
+    lengths = np.sqrt(np.einsum("ij,ij->j", columns, columns))  # numpy's norm would copy them twice
     longest = float(np.max(lengths, initial=0.0))
     has_effect = lengths > NO_EFFECT * longest
     lengths = np.where(has_effect, lengths, longest or 1.0)
-    return np.where(has_effect, columns / lengths, 0.0), lengths
+    return columns / np.where(has_effect, lengths, np.inf), lengths
 
 
 def numerical_rank(scaled_jacobian: FloatArray) -> Rank:

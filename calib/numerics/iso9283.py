@@ -99,14 +99,14 @@ def pose_repeatability(errors: FloatArray, rng: np.random.Generator) -> Figure:
 def mean_of(values: FloatArray) -> Figure:
     """Return the mean of values (n,): AP of an angle, or AD of distances less what was commanded [m or rad]."""
     value, n = float(values.mean()), len(values)
-    half = float(scipy.stats.t.ppf(1 - _TAIL, n - 1) * values.std(ddof=1) / np.sqrt(n))
+    half = float(scipy.special.stdtrit(n - 1, 1 - _TAIL) * values.std(ddof=1) / np.sqrt(n))
     return Figure(value, value - half, value + half)
 
 
 def three_deviations(values: FloatArray) -> Figure:
     """Return 3 std of values (n,): RP of an angle, or RD of distances [m or rad]."""
     value, freedom = 3.0 * float(values.std(ddof=1)), len(values) - 1
-    low, high = (value * np.sqrt(freedom / scipy.stats.chi2.ppf(p, freedom)) for p in (1 - _TAIL, _TAIL))
+    low, high = (value * np.sqrt(freedom / scipy.special.chdtri(freedom, p)) for p in (_TAIL, 1 - _TAIL))
     return Figure(value, float(low), float(high))
 
 
@@ -169,7 +169,7 @@ def _length(mean: FloatArray, covariance: FloatArray, freedom: int, tail: float)
     along = float(mean @ covariance @ mean) / value**2 if value > 0 else 0.0
     g = max(float(np.sum(covariance**2)) / trace, along)
     h = trace / g
-    g *= float(scipy.stats.t.ppf(1 - tail, freedom) / scipy.stats.norm.ppf(1 - tail)) ** 2
+    g *= float(scipy.special.stdtrit(freedom, 1 - tail) / scipy.special.ndtri(1 - tail)) ** 2
 
     def missing(square: float, chance: float) -> float:
         return float(scipy.special.chndtr(value**2 / g, h, square / g)) - chance

@@ -67,6 +67,7 @@ import scipy
 
 from calib.arrays import FloatArray
 from calib.errors import ComputationError
+from calib.numerics.identifiability import reduced
 
 MAX_EVALUATIONS = 200
 TOLERANCE = 1e-12
@@ -163,7 +164,7 @@ class _Point:
         self.x, self.residuals, self.jacobian = x, residuals, jacobian
         self.cost = float(residuals @ residuals)
         n = len(x)
-        factor = np.asarray(np.linalg.qr(np.hstack([jacobian, residuals[:, None]]), mode="r"))
+        factor = reduced(jacobian, residuals)
         self.triangle, self.projected = factor[:n, :n], factor[:n, n]  # R, and Q^T r
 
     @cached_property

@@ -35,6 +35,7 @@ import numpy as np
 import scipy
 
 from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.numerics.graphs import connected_parts
 from calib.numerics.identifiability import numerical_rank, reduced
 from calib.parameter import Parameter
 from calib.units import PER_SI
@@ -73,12 +74,8 @@ def null_groups(
     """
     null = _null_space(scaled_jacobian)
     projector = null @ null.T
-    count, label = scipy.sparse.csgraph.connected_components(
-        scipy.sparse.csr_matrix(np.abs(projector) > ZERO), directed=False
-    )
     vectors: list[FloatArray] = []
-    for k in range(count):
-        columns = np.flatnonzero(label == k)
+    for columns in connected_parts(np.abs(projector) > ZERO):
         if np.max(np.abs(projector[np.ix_(columns, columns)])) > ZERO:
             vectors += _part(null, columns, set(dropped))
     if lengths is not None:

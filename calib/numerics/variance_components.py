@@ -39,6 +39,7 @@ import scipy
 
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.errors import NotIdentifiableError
+from calib.numerics.identifiability import reduced
 from calib.numerics.observability import Information, information, prior_rows
 
 CHANCE = 1e-3
@@ -182,7 +183,7 @@ def found_scales(model: LinearModel, start: FloatArray) -> Components:
     """
     both = np.hstack([model.jacobian, model.residuals[:, None]])
     counts = np.array([int(np.sum(model.group == g)) for g in range(len(start))])
-    factors = [_factor(both[model.group == g]) for g in range(len(start))]
+    factors = [reduced(both[model.group == g]) for g in range(len(start))]
     scales, step = start.copy(), np.zeros(both.shape[1] - 1)
     for _ in range(_ROUNDS):
         stacked = np.vstack([factor / scale for factor, scale in zip(factors, scales, strict=True)])
@@ -367,10 +368,6 @@ def _with_shared(
         if np.all(np.abs(change - 1.0) <= 10 * _SETTLED) and np.all(np.abs(growth - 1.0) <= _STANDS):
             break
     return Components(scales, tau, likelihood)
-
-
-def _factor(rows: FloatArray) -> FloatArray:
-    return rows if len(rows) <= rows.shape[1] else np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 @dataclass(frozen=True, eq=False)

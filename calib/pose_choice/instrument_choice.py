@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.data.measurements import Measurements, Poses
 from calib.data.plan_files import TOGETHER
 from calib.errors import InputError, nearest
@@ -83,7 +83,7 @@ def _members(named: Sequence[str], every: Sequence[str]) -> tuple[tuple[str, ...
 
 
 @dataclass(frozen=True, eq=False)
-class Pairs(ReadOnlyArrays):
+class Pairs:
     """Candidates: pairs of a pose and a group of instruments; see the module docstring.
 
     Attributes:

@@ -69,5 +69,5 @@ def unseen_rms(squares: Sequence[float]) -> RootMeanSquare:
     mean, variance = float(np.mean(squares)), float(np.var(squares, ddof=1))
     variance *= 1.0 + _TOO_SMALL / n
     freedom = min(3.0 * n, 2.0 * n * mean**2 / variance) if variance > 0 else 3.0 * n
-    low, high = np.sqrt(mean * freedom / scipy.stats.chi2.ppf([0.975, 0.025], freedom))
+    low, high = np.sqrt(mean * freedom / scipy.special.chdtri(freedom, [0.025, 0.975]))
     return RootMeanSquare(float(np.sqrt(mean)), float(low), float(high))

@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 import calib
-from calib.exporting import export
+from calib.exporting.formats import export
 from medrue.closed_form import ACTUATED_JOINTS, PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace

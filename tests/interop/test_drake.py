@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.exporting import export
+from calib.exporting.formats import export
 
 pytest.importorskip("pydrake", reason="Drake is not installed (in a checkout: pip install -e '.[interop]')")
 from pydrake.multibody.parsing import Parser

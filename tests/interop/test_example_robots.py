@@ -16,7 +16,7 @@ from click.testing import CliRunner
 import calib
 from calib.commands.init import command as init
 from calib.data.measurements import Poses
-from calib.exporting import export
+from calib.exporting.formats import export
 from calib.model.arm_chain import arm_chain
 from calib.model.urdf_text import read_urdf
 

@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 import calib
-from calib.exporting import export
+from calib.exporting.formats import export
 
 ROUNDING = 1e-12
 """Poses are products of about 20 transforms of lengths up to 1 m, loops are closed to 1e-12 m."""

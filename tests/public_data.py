@@ -254,8 +254,9 @@ def print_mukca(folder):
             both = tuple(place for place in PLACES[arm] if place != held)
             _print_mukca(folder, arm, both, (held,), masses)
     for masses in (None, masses_of("panda_1")):
-        if masses is None or masses.is_file():
-            _print_mukca(folder, "panda_1", ("front",), ("right", "back-high"), masses)
+        for place in PLACES["panda_1"] if masses is None or masses.is_file() else ():
+            others = tuple(one for one in PLACES["panda_1"] if one != place)
+            _print_mukca(folder, "panda_1", (place,), others, masses)
 
 
 def _print_mukca(folder, arm, places, held, masses):

@@ -444,3 +444,15 @@ def test_joint_terms_chosen_on_two_places_help_in_a_third(shared_data, arm, plac
     assert {one.term for one in fit.terms.tried if one.added} == added
     found = from_sockets(fit.robot, mukca_joints(folder, arm, held))
     assert found == pytest.approx(after, abs=0.02)  # origins alone: 0.76 and 0.16
+
+
+def test_terms_that_look_alike_in_one_place_of_the_tool_are_not_added(shared_data):
+    robot, data = mukca(shared_data / "mukca", "panda_1", ("back-high",))
+    fit = calib.fit(robot, data, terms="auto")
+    told = {one.term: one for one in fit.terms.tried}
+    assert not any(one.added for one in told.values())
+    assert told["gain"].why.startswith(
+        "the data cannot tell it from harmonics, curve, and it costs more than it brings"
+    )
+    asked = calib.fit(robot, data, terms="gain,harmonics")  # 4.4 mm off in another place, where origins are 1.5 mm off
+    assert "terms_untested" in asked.verdict.to_dict()["codes"]

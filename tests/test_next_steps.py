@@ -39,6 +39,7 @@ def judged(fit, grade, *codes):
         ("CHECK", ("outliers",), "calib fit a.yaml 'my data.csv' --exclude-outliers --out out-2"),
         ("CHECK", ("systematic",), "calib fit a.yaml 'my data.csv' --terms auto --out out-2"),
         ("CHECK", ("at_bounds", "joint_never_moved"), "calib check a.yaml 'my data.csv'"),
+        ("CHECK", ("terms_untested",), "calib check a.yaml 'my data.csv'"),
         ("FAIL", ("likely_mistake",), "calib view a.yaml --result out"),
         ("FAIL", ("not_converged",), "calib fit a.yaml 'my data.csv' --starts 5 --out out-2"),
     ],

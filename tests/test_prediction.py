@@ -6,6 +6,7 @@ import pytest
 from six_axis_arm import joints, noisy, six_axis_arm
 
 import calib
+from calib.linearisation.prediction import other_combinations
 from calib.reporting.result_reading import load_calibrated, load_uncertainty
 
 SIGMA = 4e-5
@@ -102,3 +103,12 @@ def test_a_covariance_of_another_robot_is_refused(fit, tmp_path, medrue):
     fit.save(tmp_path / "out")
     with pytest.raises(calib.DataError, match="run the fit again"):
         load_uncertainty(tmp_path / "out", medrue)
+
+
+def test_other_combinations_keep_the_values_of_each_joint_and_break_what_they_do_together():
+    path = np.linspace(0.0, 1.0, 30)[:, None] + np.arange(6.0)  # all joints move as one
+    mixed = other_combinations(path, 100)
+    assert mixed.shape == path.shape
+    np.testing.assert_array_equal(np.sort(mixed, axis=0), path)
+    assert np.max(np.abs(np.corrcoef(mixed.T) - np.eye(6))) < 0.6
+    assert len(other_combinations(path, 10)) == 10

@@ -1,6 +1,6 @@
 """Which joint terms a fit adds: what is there is found, what is not there is left out, intervals cover, real robots.
 
-`python tests/test_term_choice.py choice 30` and `... coverage 100` print the tables of docs/theory/joint_terms.md; a
+`python tests/test_term_choice.py choice 200` and `... coverage 100` print the tables of docs/theory/joint_terms.md; a
 further number is the seed.
 """
 
@@ -16,7 +16,8 @@ from test_compliance import arm, torques, upright_five_bar
 
 import calib
 from calib.identification.candidate_terms import Candidate, candidates
-from calib.identification.term_choice import _Search, _Trial
+from calib.identification.term_choice import _Search
+from calib.identification.term_trials import Trial, Trials
 from calib.identification.validation import boxes, stretches
 from calib.joint_terms.coupling import CouplingSection
 from calib.joint_terms.terms import TERMS, listed_terms
@@ -70,13 +71,16 @@ def _measured(robot, true, q, rng):
 
 @one_blas_thread
 def choices(robot, terms, n, seed):
-    """How often each kind of term is added when these are there, of n simulated calibrations."""
-    counts = dict.fromkeys(KINDS, 0)
+    """Of n simulated calibrations with these terms, how often what is there is added, and anything else.
+
+    Each in two numbers: where its kind is said to be proven, and where it is not.
+    """
+    counts = np.zeros((2, 2), dtype=int)
     for number in range(n):
         _, data, _ = simulated(robot, terms, np.random.default_rng([seed, number]))
         for one in calib.fit(robot, data, terms="auto").terms.tried:
-            counts[one.term] += one.added
-    return counts
+            counts[int(one.term not in terms), int(not one.proven)] += one.added
+    return counts.ravel()
 
 
 @one_blas_thread
@@ -141,34 +145,93 @@ def test_of_terms_that_look_alike_the_likelier_is_added_and_the_other_named(tmp_
     fit = calib.fit(robot, data, terms="auto")
     told = next(one for one in fit.terms.tried if one.term == there)
     assert told.added
+    assert not told.proven
     assert other in told.alike
+    assert told.alike[other] == pytest.approx(told.evidence - evidence_of(fit, robot, data, other))
     named = re.search(r"the data cannot tell it from ([a-z, ]+)", " ".join(fit.report().split()))
     assert other in named[1]
 
 
-class Tabled(_Search):
-    """A search among terms whose evidence and errors on blocks left out are made up: boxes, and whole setups."""
+def evidence_of(fit, robot, data, term):
+    """By how much the log evidence rises with one term alone."""
+    trials = Trials(calib.fit(robot, data), tuple(one for one in candidates(robot, data) if not one.refused))
+    return trials.of((term,)).evidence - trials.of(()).evidence
 
-    def __init__(self, table):
-        self.tried = tuple(Candidate(term, sections=()) for term in ("gain", "harmonics", "curve"))
-        self.table = table
 
-    def trial(self, terms):
-        evidence, *squares = self.table["".join(sorted(term[0] for term in terms))]
+class Tabled:
+    """Trials of terms whose evidence and errors on blocks left out are made up: boxes, and whole setups.
+
+    Squares are in mm^2, as is the variance of positions where joint values are combined in other ways, if there is one.
+    """
+
+    def __init__(self, table, unsure=None):
+        self.table, self.unsure = table, unsure or {}
+
+    def of(self, terms):
+        key = "".join(sorted(term[0] for term in terms))
+        evidence, *squares = self.table[key]
         squares = tuple(np.full(4, value) for value in squares)
-        return _Trial(terms, evidence, len(terms), dict.fromkeys(terms, 1.0), squares, tuple(map(np.sum, squares)))
+        rms, unsure = tuple(1e-3 * np.sqrt(np.sum(one)) for one in squares), 1e-6 * self.unsure.get(key, 0.0)
+        return Trial(terms, evidence, len(terms), dict.fromkeys(terms, 1.0), squares, rms, unsure)
+
+
+def search_in(*made_up):
+    """A search among three terms."""
+    return _Search(Tabled(*made_up), tuple(Candidate(term) for term in ("gain", "harmonics", "curve")))
 
 
 def test_what_would_make_an_added_term_superfluous_is_not_added():
     table = {"": (0, 40, 40), "g": (50, 30, 30), "h": (40, 31, 30), "c": (20, 36, 39)}
-    search = Tabled({**table, "gh": (70, 28, 20), "cg": (55, 29, 29), "ch": (75, 26, 35), "cgh": (90, 27, 19)})
+    search = search_in({**table, "gh": (70, 28, 20), "cg": (55, 29, 29), "ch": (75, 26, 35), "cgh": (90, 27, 19)})
     chosen, brought = search.chosen()  # beside curve and harmonics, gain makes boxes worse: 27 in place of 26
     assert chosen.terms == ("gain", "harmonics")
     assert [after.evidence - before.evidence for before, after in brought.values()] == [50, 20]
     left_out = search.told(search.tried[2], chosen, brought)
     assert left_out.why == "beside it gain would not earn its place: poses of blocks left out are not predicted better"
-    search = Tabled({**table, "gh": (70, 28, 20), "cg": (55, 29, 29), "ch": (75, 26, 35), "cgh": (90, 25, 19)})
+    search = search_in({**table, "gh": (70, 28, 20), "cg": (55, 29, 29), "ch": (75, 26, 35), "cgh": (90, 25, 19)})
     assert search.chosen()[0].terms == ("gain", "harmonics", "curve")
+
+
+@pytest.mark.parametrize(
+    ("evidence", "unsure", "chosen"),
+    [
+        ((20, 18), (90, 1), ("harmonics",)),  # gain loses 89 mm^2 and brings 80; harmonics are the likelier guess then
+        ((20, 18), (90, 90), ()),
+        ((20, 18), (70, 90), ("gain",)),
+        ((20, 16), (90, 90), ("gain",)),  # its kind is known, whatever it costs
+    ],
+)
+def test_a_guess_must_bring_more_than_it_costs_where_joint_values_are_combined_otherwise(evidence, unsure, chosen):
+    gain, harmonics = evidence
+    table = {"": (0, 40), "g": (gain, 20), "h": (harmonics, 20), "c": (-1, 41)}
+    table |= {"gh": (gain + 1, 20), "cg": (gain, 21), "ch": (harmonics, 21)}
+    search = search_in(table, {"": 1, "g": unsure[0], "h": unsure[1]})
+    found, _ = search.chosen()
+    assert found.terms == chosen
+    if not chosen:
+        why = search.told(search.tried[0], found, {}).why
+        assert why.startswith("the data cannot tell it from harmonics, and it costs more than it brings: ")
+        assert why.endswith("are known to 9.49 mm, to 1 mm without it")
+
+
+@pytest.mark.parametrize(
+    ("harmonics", "proven"),
+    [
+        ((16.9, 21), True),
+        ((17.1, 21), False),  # odds below 20 to 1
+        ((10, 20), False),  # predicts blocks as well
+        ((3, 20), True),  # the same, but would not earn its place: less evidence than chance gives
+    ],
+)
+def test_a_kind_is_proven_where_evidence_and_blocks_left_out_both_say_so(harmonics, proven):
+    table = {"": (0, 40), "g": (20, 20), "h": harmonics, "c": (-1, 41)}
+    table |= {"gh": (20, 20), "cg": (19, 21), "ch": (harmonics[0], 21)}
+    search = search_in(table)
+    found, brought = search.chosen()
+    told = search.told(search.tried[0], found, brought)
+    assert found.terms == ("gain",)
+    assert told.proven == proven
+    assert told.alike == ({} if proven else {"harmonics": pytest.approx(20 - harmonics[0])})
 
 
 def test_through_a_loop_too_nothing_is_added_where_there_is_nothing(tmp_path):
@@ -363,7 +426,7 @@ def _print_tables(what, n, seed=1):
                     coefficients, positions = coverage(robot, terms, n, seed)
                     cells = f"{100 * coefficients:.1f} | {100 * positions:.1f}"
                 else:
-                    cells = " | ".join(str(count) for count in choices(robot, terms, n, seed).values())
+                    cells = " | ".join(str(count) for count in choices(robot, terms, n, seed))
                 print(f"| {robot.name} | {', '.join(terms) or 'none'} | {cells} |", flush=True)
 
 

@@ -14,6 +14,7 @@ from calib.identification.blind_spots import unordered
 from calib.identification.effects import scale
 from calib.identification.fitted import Convergence
 from calib.identification.rounding import joint_steps, rounding
+from calib.identification.rules_reach import _given
 from calib.identification.starts import Minimum, Starts
 from calib.identification.systematic import visible
 
@@ -444,3 +445,52 @@ def test_rows_that_look_shuffled_are_named_unless_they_have_a_time(prior_arm):
     assert unordered(replace(data, context={"time": np.arange(80.0)})) == ()
     path = np.stack([np.sin(np.linspace(0, k + 2, 80)) for k in range(6)], axis=1)
     assert unordered(noisy(prior_arm, path, SIGMA, 1)) == ()
+
+
+def aligned(points, onto):
+    """Points moved as one body as near to others as they come, (n, 3) each (Kabsch)."""
+    centre, other = points.mean(axis=0), onto.mean(axis=0)
+    left, _, right = np.linalg.svd((points - centre).T @ (onto - other))
+    turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    return (points - centre) @ turn + other
+
+
+def test_joint_terms_that_the_poses_hardly_decide_are_a_check(prior_arm):
+    """The sentence says what robots drawn from the fit's covariance scatter by, base and tool placed anew."""
+    rng = np.random.default_rng(3)
+    together = np.sin(rng.uniform(-1.0, 1.0, (60, 3)) @ rng.uniform(-1.0, 1.0, (3, 6)))
+    fit = calib.fit(prior_arm, noisy(prior_arm, together, SIGMA, 1), sigma=SIGMA, terms="gain")
+    found = reason(fit, "terms_untested")
+    assert found.grade == "CHECK"
+    q = np.stack([np.roll(together[:, j], 10 * j) for j in range(6)], axis=1)
+    drawn = rng.multivariate_normal(np.zeros(len(fit.free_names)), fit.statistics.covariance, size=300)
+    for poses, words in ((q, r"known to ([\d.]+) mm RMS only"), (together, r"and to ([\d.]+) mm at the poses used")):
+        mean, squares = fit.robot.positions(poses)[:, 0], []
+        for step in drawn:
+            values = fit.robot.values.copy()
+            values[fit.unknowns.index] += step
+            moved = fit.robot.with_parameters(values).positions(poses)[:, 0]
+            squares.append(np.mean(np.sum((aligned(moved, mean) - mean) ** 2, axis=1)))
+        told = float(re.search(words, found.text)[1])
+        assert told == pytest.approx(1e3 * np.sqrt(np.mean(squares)), rel=0.12)  # two digits, and 300 draws
+    spread = calib.fit(prior_arm, noisy(prior_arm, 0.5 * joints(60), SIGMA, 1), sigma=SIGMA, terms="gain")
+    assert "terms_untested" not in spread.verdict.to_dict()["codes"]
+    beyond = [
+        line for line in spread.verdict.not_covered if line.startswith("joint values beyond those measured: over")
+    ]
+    assert len(beyond) == 1  # measured through 1.5 of 6 rad
+
+
+def test_what_is_left_uncertain_if_some_were_known_is_the_inverse_of_their_information():
+    root = np.random.default_rng(4).standard_normal((7, 7)) * 10.0 ** np.arange(-6, 1)[:, None]
+    known = np.array([False, True, False, True, True, False, False])
+    found = _given(root @ root.T, known)
+    information = np.linalg.inv(root).T @ np.linalg.inv(root)
+    expected = np.linalg.inv(information[np.ix_(~known, ~known)])
+    size = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        found[np.ix_(~known, ~known)] / np.outer(size, size), expected / np.outer(size, size), atol=1e-5
+    )
+    assert np.all(found[known] == 0)
+    undetermined = np.diag([2.0, 0.0, 3.0])  # one that nothing moves
+    np.testing.assert_array_equal(_given(undetermined, np.array([False, True, False])), undetermined)

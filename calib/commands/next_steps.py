@@ -32,6 +32,7 @@ _POSES = (
     "too_few_poses",
     "poses_equal",
     "beyond_curves",
+    "terms_untested",
     "noise_as_large_as_robot",
 )
 """Codes of reasons that other poses answer."""

@@ -10,6 +10,7 @@ from calib.data.measurements import Measurements, Poses
 from calib.identification.effect_setting import has_time
 from calib.identification.effects import scale
 from calib.identification.fitted import Fit
+from calib.identification.rules_reach import terms_beyond
 from calib.identification.systematic import PARTS_PER_MILLION, visible
 
 NO_MATTER = 0.25
@@ -23,7 +24,7 @@ _FEW = 10  # rows from which their order can be told
 
 def not_covered(fit: Fit) -> tuple[str, ...]:
     """Return what the measurements of a fit cannot show, a line each."""
-    return () if fit.computed else (*_scale(fit), *unordered(fit.identification.data))
+    return () if fit.computed else (*_scale(fit), *unordered(fit.identification.data), *terms_beyond(fit))
 
 
 def _scale(fit: Fit) -> Iterator[str]:

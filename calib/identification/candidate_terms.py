@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -64,8 +65,8 @@ class TriedTerm:
         before, after: Root mean square of the main part of the readings without it and with it, each block of poses
             left out in turn [SI]; NaN where it was not tried.
         why: Why it was left out; empty where it was added.
-        alike: Of one that was added, kinds of terms that would explain the data as well in its place: which of them is
-            there, the data do not tell.
+        alike: Of one that was added, kinds of terms that may be there in its place, and by how much lower the log
+            marginal likelihood is with them.
     """
 
     term: str
@@ -74,7 +75,12 @@ class TriedTerm:
     before: float = float("nan")
     after: float = float("nan")
     why: str = ""
-    alike: tuple[str, ...] = ()
+    alike: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def proven(self) -> bool:
+        """Whether it was added, and the data say that it is of this kind and no other."""
+        return self.added and not self.alike
 
 
 @dataclass(frozen=True)

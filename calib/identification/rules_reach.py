@@ -6,12 +6,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.arrays import BoolArray, FloatArray
 from calib.identification.fitted import Fit
 from calib.identification.joint_curves import beyond_learned
 from calib.identification.pose_checks import unmoved_joints
 from calib.identification.reasons import Reason
-from calib.model.robot import Robot
+from calib.linearisation.jacobian import linearise
+from calib.linearisation.prediction import beside_common_motion, other_combinations
+from calib.model.robot import Configurations, Robot
+from calib.numerics.halton import halton
 from calib.units import DISPLAY_UNIT, PER_SI, millimetres
 from calib.words import counted, listed
 
@@ -21,7 +24,11 @@ CORNER = 0.1
 """Part of the range between its limits that at least one joint must move through."""
 LESS_KNOWN = 3.0
 """Uncertainty of positions elsewhere, over that at the poses used, from which the calibration does not reach there."""
+WIDENED = np.sqrt(2.0)
+"""Uncertainty of positions with joint terms over that without them, from which most of it is theirs."""
 _TRIED = 50  # poses at which a joint is moved through its limits in thought
+_EXACT = 1e-9  # of a variance, nothing
+_SAMPLED = 200  # poses at which what joint terms leave open is looked at
 
 
 def one_corner(fit: Fit) -> Iterator[Reason]:
@@ -146,3 +153,74 @@ def beyond_curves(fit: Fit) -> Iterator[Reason]:
             f" {listed([fit.validation.data.labels[k] for k in poses])}; there a curve says nothing, and its band is as"
             " wide as before: measure there, too, before you rely on it",
         )
+
+
+def terms_untested(fit: Fit) -> Iterator[Reason]:
+    """Look for joint terms that leave positions uncertain where no joint leaves the values measured."""
+    found = _widened(fit, other_combinations(fit.identification.data.joints, _SAMPLED))
+    if found:
+        yield Reason(
+            "CHECK",
+            "terms_untested",
+            f"at other combinations of the joint values measured, positions are known to {found}: the poses used hardly"
+            " decide the joint terms there; measure poses that combine joint values in other ways, or see on such poses"
+            " whether the terms help (--validate)",
+        )
+
+
+def terms_beyond(fit: Fit) -> Iterator[str]:
+    """Say how sure positions are where joints go beyond the values from which terms were learned."""
+    q = fit.identification.data.joints
+    lower, upper = _limits(fit.nominal)
+    half = _allowed(fit.nominal) / 2
+    low, high = np.maximum(lower, np.mean(q, axis=0) - half), np.minimum(upper, np.mean(q, axis=0) + half)
+    bounded = np.isfinite(half)
+    low, high = np.where(bounded, low, q.min(axis=0)), np.where(bounded, high, q.max(axis=0))
+    found = _widened(fit, low + (high - low) * halton(_SAMPLED, len(low)))
+    if found:
+        yield f"joint values beyond those measured: over what the joints' limits allow, positions are known to {found}"
+
+
+def _widened(fit: Fit, q: FloatArray) -> str:
+    """How sure positions at q (n, n_actuated) are beside those at the poses used, where joint terms widen them so much.
+
+    Base and tool placed anew: where they stand is no matter of the terms.
+    """
+    terms = np.isin(fit.unknowns.index, np.arange(len(fit.nominal.parameters))[fit.robot.coefficients])
+    q = q[fit.robot.close(q).ok] if np.any(terms) else q[:0]
+    if len(q) == 0 or fit.computed:
+        return ""
+    covariance = fit.statistics.covariance
+    data = fit.identification.data
+    used = np.unique(np.linspace(0, len(data) - 1, _SAMPLED).astype(np.intp))
+    at_used = fit.robot.assemble(data.joints[used], context=data.conditions.at(used))
+    here, there, alone = (
+        _relative(fit, configurations, known)
+        for configurations, known in (
+            (at_used, covariance),
+            (fit.robot.assemble(q), covariance),
+            (fit.robot.assemble(q), _given(covariance, terms)),
+        )
+    )
+    if there <= max(LESS_KNOWN * here, np.sqrt(3.0) * fit.sigma, WIDENED * alone):
+        return ""
+    return f"{millimetres(there):.2g} mm RMS only, and to {millimetres(here):.2g} mm at the poses used"
+
+
+def _relative(fit: Fit, configurations: Configurations, covariance: FloatArray) -> float:
+    """Root mean square uncertainty of positions beside what moves all of them as one body [m]."""
+    flat = beside_common_motion(linearise(fit.robot, configurations))[..., fit.unknowns.index]
+    flat = flat.reshape(-1, flat.shape[-1])
+    return float(np.sqrt(3.0 * np.mean(np.sum((flat @ covariance) * flat, axis=1))))
+
+
+def _given(covariance: FloatArray, known: BoolArray) -> FloatArray:
+    """Covariance of all unknowns if some of them were known (n,): that of the others, and zeros."""
+    size = np.sqrt(np.diag(covariance))
+    size = np.where(size > 0, size, 1.0)
+    left, correlation = ~known, covariance / np.outer(size, size)
+    own = correlation[np.ix_(known, known)] + _EXACT * np.eye(int(np.sum(known)))  # some may not be determined
+    across = correlation[np.ix_(left, known)]
+    result = np.zeros_like(covariance)
+    result[np.ix_(left, left)] = correlation[np.ix_(left, left)] - across @ np.linalg.solve(own, across.T)
+    return np.asarray(result * np.outer(size, size))

@@ -20,7 +20,7 @@ import scipy
 
 from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.joint_terms.term import Context
-from calib.linearisation.jacobian import linearise
+from calib.linearisation.jacobian import Linearisation, linearise
 from calib.model.robot import Robot
 from calib.units import millimetres
 
@@ -104,6 +104,34 @@ def predicted_rms(jacobian: FloatArray, covariance: FloatArray, coverage_factor:
     trace, squares = np.array(np.trace(product)), np.array(np.sum(product * product.T))
     low, high = _root95(trace, squares, coverage_factor)
     return RootMeanSquare(float(np.sqrt(np.maximum(trace, 0.0))), float(low), float(high))
+
+
+def other_combinations(q: FloatArray, most: int) -> FloatArray:
+    """Return the joint values of poses q (n, n_actuated) in combinations that need not be among them [m or rad].
+
+    The values of each joint are moved on by another number of poses. So every joint stays where it was measured, and
+    what the poses leave open because joints moved along with each other shows.
+
+    Args:
+        q: The poses.
+        most: Number of combinations at most.
+    """
+    n, n_joints = q.shape
+    mixed = np.stack([np.roll(q[:, j], j * n // n_joints) for j in range(n_joints)], axis=1)
+    return np.asarray(mixed[np.unique(np.linspace(0, n - 1, most).astype(np.intp))])
+
+
+def beside_common_motion(linear: Linearisation) -> FloatArray:
+    """Return derivatives of positions beside what moves all of them as one body, (n, n_targets, 3, n_parameters).
+
+    Where base and tool are placed anew, nothing else is seen of an error of the parameters.
+    """
+    points = linear.positions.reshape(-1, 3)
+    turns = np.cross(np.eye(3), (points - points.mean(axis=0))[:, None]).swapaxes(1, 2)
+    common = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2).reshape(-1, 6)
+    basis = scipy.linalg.orth(common)
+    flat = linear.jacobian.reshape(len(common), -1)
+    return np.asarray(flat - basis @ (basis.T @ flat)).reshape(linear.jacobian.shape)
 
 
 def rms_length(covariance: FloatArray) -> FloatArray:

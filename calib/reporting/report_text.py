@@ -119,7 +119,12 @@ def _terms(fit: Fit) -> list[str]:
                 f"poses of blocks left out {scale * one.before:.4f} -> {scale * one.after:.4f} {unit} RMS, log evidence"
                 f" {one.evidence:+.1f}"
             )
-            alike = f"; the data cannot tell it from {listed(one.alike)}" if one.alike else ""
+            rivals = [
+                f"{kind} (log evidence {abs(less):.1f} {'lower' if less > 0 else 'higher'})"
+                for kind, less in one.alike.items()
+            ]
+            others = listed(rivals)
+            alike = f"; its kind is not proven: the data cannot tell it from {others}" if others else ""
             (added if one.added else left).append(f"{one.term} ({one.why}{': ' if one.why else ''}{numbers}{alike})")
     every = len(fit.terms.tried)
     lines = [f"Joint terms added: {listed(added, '; ', every) or 'none earns its place'}"]

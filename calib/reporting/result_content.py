@@ -229,7 +229,10 @@ def _terms(fit: Fit) -> dict[str, object]:
         "asked": None if choice is None else choice.asked,
         "entries": [section.model_dump(mode="json") for section in fit.robot.description.terms],
         "unit": ERROR_UNIT[part.dimension],
-        "tried": [{**asdict(one), "before": scale * one.before, "after": scale * one.after} for one in tried],
+        "tried": [
+            {**asdict(one), "before": scale * one.before, "after": scale * one.after, "proven": one.proven}
+            for one in tried
+        ],
         "curves": [
             {
                 "joint": curve.joint,

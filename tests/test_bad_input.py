@@ -98,6 +98,10 @@ BAD_DATA = {
         "pose,turn,slide,wrist,tip_x,tip_y,tip_z\na,0,0,0,1,1,1\nb,0,0,0,1,1,1\na,0.1,0,0,1,1,1\n",
         "data.csv, line 2 (pose a): joint 'turn' differs by 5.73 deg among the rows of pose 'a'",
     ),
+    "misspelt direction": (
+        "turn,slide,wrist,tip_x,tip_y,tip_z,approach_sldie\n0,0,0,1,1,1,1\n",
+        "data.csv, column 'approach_sldie': no joint 'sldie'; did you mean 'slide'?",
+    ),
     "nameless pose": ("pose,turn,slide,wrist,tip_x,tip_y,tip_z\n,0,0,0,1,1,1\n", "data.csv, line 2, column 'pose':"),
 }  # fmt: skip
 

@@ -90,6 +90,18 @@ def test_a_plain_urdf_is_enough(run_calib, tmp_path):
     assert "is assumed" in run.out or "assumed; state it with --sigma-mm" in run.out
 
 
+def test_instruments_without_lengths_have_no_noise_in_mm_and_samples_one_setup(run_calib, tmp_path):
+    yaml = (
+        ARM_YAML.replace("{frame: ground}", "{frame: ground, pose: unknown}") + "setups: {first: [], later: [base]}\n"
+    )
+    yaml += "instruments: {turned: {kind: orientation, target: tip, sigma: 0.1 mrad}}\n"
+    run = run_calib("check", write_arm(tmp_path, yaml), "--poses", 20, "--json", tmp_path / "out.json")
+    assert run.code == 0, run.err
+    assert run.out.startswith("20 poses (sampled over the joint limits, seed 0), 60 coordinates\n")
+    assert json.loads((tmp_path / "out.json").read_text())["sigma_mm"] is None
+    assert "sampled poses are all in the first setup" in run.err
+
+
 def test_what_is_not_determined_is_said(run_calib, tmp_path):
     write_arm(tmp_path, ARM_YAML + "priors: false\n")
     run = run_calib("check", tmp_path / "arm.yaml", "--json", tmp_path / "out.json")

@@ -97,6 +97,30 @@ def test_the_temperature_of_a_program_counts(tmp_path):
     np.testing.assert_allclose(warm.q - program, np.eye(6)[1] * np.full((20, 1), -2e-3), atol=1e-9)
 
 
+def test_the_side_that_a_program_states_counts_and_not_the_order_of_its_rows(tmp_path):
+    robot = six_axis(tmp_path, "  - {joint: j2, term: backlash}\n").with_parameters({"j2.backlash": 3e-4})
+    program = np.random.default_rng(3).uniform(-0.7, 0.7, (20, 6)) + np.array([0, 0.6, 0.3, 0, 1.1, 0])
+    side = np.tile([1, 1, -1, -1], 5)
+    rows = "\n".join(f"{','.join(map(repr, q.tolist()))},{one}" for q, one in zip(program, side, strict=True))
+    (tmp_path / "program.csv").write_text(f"j1,j2,j3,j4,j5,j6,approach_j2\n{rows}\n")
+    found = compensate(robot, calib.read_poses(tmp_path / "program.csv", robot))
+    np.testing.assert_allclose(found.q - program, np.outer(-3e-4 * side, np.eye(6)[1]), atol=1e-9)
+
+
+def test_a_board_that_a_camera_on_the_arm_looks_at_is_no_tool(tmp_path):
+    """It stands still whatever is commanded, so that no program would need a correction."""
+    robot = six_axis(tmp_path)
+    yaml = (tmp_path / "arm.yaml").read_text()
+    (tmp_path / "arm.yaml").write_text(yaml.replace("targets:\n", "targets:\n  board: {frame: l0, xyz: [1, 0, 0]}\n"))
+    program = np.random.default_rng(3).uniform(-0.7, 0.7, (5, 6)) + np.array([0, 0.6, 0.3, 0, 1.1, 0])
+    found = compensate(perturbed(calib.load(tmp_path / "arm.yaml"), 1), program)
+    assert found.target == "ball"
+    np.testing.assert_allclose(found.q, compensate(perturbed(robot, 1), program).q, atol=1e-9)
+    (tmp_path / "arm.yaml").write_text(yaml.replace("{frame: l6, ", "{frame: l0, "))
+    with pytest.raises(calib.InputError, match="its motors move none of its targets; add the tool to `targets`"):
+        compensate(calib.load(tmp_path / "arm.yaml"), program)
+
+
 def test_an_arm_of_unknown_base_and_reflector_is_as_good_as_its_calibration():
     robot = calib.load(EXAMPLES / "arm.yaml")
     truth = perturbed(robot, 1).with_parameters({"base.x": 2.1, "base.rz": 2.0, "reflector.y": -0.003})

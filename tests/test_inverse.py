@@ -215,6 +215,11 @@ def test_a_coordinate_that_is_not_asked_for_is_left_as_it_comes(tmp_path: Path) 
     np.testing.assert_allclose(goals.positions, flat, atol=1e-12)
     with pytest.raises(DataError, match="goal 1: positions are not finite"):
         Goals(np.full((1, 3), np.nan))
+    flat[4, 2] = 0.02
+    with pytest.raises(DataError, match="goal 5: not the same coordinates are NaN as in the first"):
+        solve(robot, flat)
+    assert len(solve(robot, Goals(flat)).q) == 20
+    flat[4, 2] = np.nan
     with pytest.raises(DataError, match="goal 1: a coordinate is empty; a program needs all three"):
         compensate(robot, Goals(flat))
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import calib
+from calib.identification.candidate_terms import candidates
 from calib.joint_terms.term import Context
 from calib.linearisation.jacobian import linearise
 from calib.linearisation.observed import observe, predicted_readings
@@ -105,6 +106,20 @@ def test_a_temperature_counts_from_the_same_reference_in_every_file(tmp_path):
         context = Context.of(approach[rows], {"temperature": np.array([20.0, 23.0, np.nan])[rows]})
         error = robot.assemble(q[rows], context=context).actuated[:, 0] - q[rows, 0]
         assert np.allclose(error, np.array([0.0, 3e-4, 0.0])[rows], rtol=0, atol=1e-15)
+
+
+def test_a_condition_that_some_rows_do_not_state_is_no_condition(tmp_path):
+    robot = with_terms(tmp_path, "arm.yaml", ["{joint: joint_2, term: temperature}"])
+    lines = (EXAMPLES / "arm_simulated.csv").read_text().splitlines()
+    header = next(k for k, line in enumerate(lines) if not line.startswith("#"))
+    rows = [f"{line},{'' if k == 3 else 20 + k}" for k, line in enumerate(lines[header + 1 :])]
+    path = tmp_path / "data.csv"
+    path.write_text("\n".join([f"{lines[header]},temperature [degC]", *rows]) + "\n")
+    with pytest.raises(calib.DataError, match=r"line 5.*: says no temperature, which 'joint_2.temperature' depends on"):
+        calib.fit(robot, calib.read_measurements(path, robot))
+    bare = calib.load(EXAMPLES / "arm.yaml")
+    (found,) = [one for one in candidates(bare, calib.read_measurements(path, bare)) if one.term == "temperature"]
+    assert found.refused == "some rows do not say temperature"
 
 
 def test_derivatives_by_coefficients_agree_with_differences_through_the_loop(five_bar):

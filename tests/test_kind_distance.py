@@ -6,6 +6,7 @@ from kind_checks import chain_error, kind_error
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 from six_axis_arm import joints, write_six_axis
+from small_robots import ARM_YAML, write_arm
 
 import calib
 from calib.linearisation.observed import predicted_readings
@@ -270,3 +271,27 @@ def test_a_ballbar_does_not_see_where_the_base_stands_and_check_says_so(tmp_path
     assert [line.strip() for line in open_lines if line] == [
         f"base.{axis} has no effect" for axis in ("x", "y", "z", "rx", "ry", "rz")
     ]
+
+
+@pytest.mark.parametrize("error", [-0.01, 0.01])
+def test_an_end_that_errors_of_the_robot_draw_into_the_plane_of_its_motion_is_found(tmp_path, error):
+    """With the arm as drawn, its distances say that the wire ends in the plane, from where no distance sees its height.
+
+    The arm turns about z and slides outwards: its tip is at Rz(turn) (slide + a, b, c), in closed form.
+    """
+    end = "end: {frame: ground, xyz: [1, 1, 1], position: unknown}"
+    yaml = ARM_YAML.partition("parametrisation:")[0]
+    yaml += "instruments: {wire: {kind: distance, target: tip, sigma: 0.01 mm, END}}\npriors: false\n".replace(
+        "END", end
+    )
+    yaml += "parametrisation: [{origin: slide, components: [x], sigma: 5 mm}]\n"
+    robot = calib.load(write_arm(tmp_path, yaml))
+    a, b, c = robot.forward([0.0, 0.0, 0.0], "tip")[:3, 3]
+    q = np.random.default_rng(2).uniform([-2, 0.1, 0], [2, 0.9, 0], (40, 3))
+    out, turn = q[:, 1] + a + error, q[:, 0]
+    tip = np.stack([np.cos(turn) * out - np.sin(turn) * b, np.sin(turn) * out + np.cos(turn) * b, np.full(40, c)], 1)
+    end = np.array([0.9, 0.4, c + 0.03])
+    read = np.linalg.norm(tip - end, axis=1) + np.random.default_rng(3).normal(0, 1e-5, 40)
+    found = calib.fit(robot, calib.as_measurements(robot, q, {"wire": read[:, None]})).parameters
+    for name, true in zip(("slide.x", "wire_end.x", "wire_end.y", "wire_end.z"), (0.25 + error, *end), strict=True):
+        assert abs(found[name].value - true) < 5 * found[name].std < 5e-3, name

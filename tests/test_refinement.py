@@ -8,6 +8,7 @@ import pytest
 from small_robots import small_arm
 
 import calib
+from calib.joint_terms.term import Context
 from calib.pose_choice.refinement import refine
 from calib.pose_choice.region import region_of
 from calib.pose_choice.selection import select
@@ -74,7 +75,8 @@ def test_a_region_of_one_point_leaves_the_poses_where_they_are(medrue):
     problem = build_problem(rows)
     positions = medrue.positions(q)
     region = region_of(medrue, q[:1], positions[:1])
-    found = refine(medrue, problem, "O1", q[:1], region, np.random.default_rng(0))
+    neutral = Context.neutral(1, q.shape[1])
+    found = refine(medrue, problem, "O1", q[:1], neutral, region, np.random.default_rng(0))
     np.testing.assert_array_equal(found.joints, q[:1])
     assert values_of_rows(problem, found.rows, 1.0)["O1"] == 0  # one pose cannot determine 28 parameters
 

@@ -218,3 +218,27 @@ def test_a_task_that_the_candidates_do_not_determine_is_exit_code_3(run_calib, t
     run = run_calib("select", "arm.yaml", "c.csv", *arguments, cwd=tmp_path)
     assert run.code == 3
     assert "has no bound" in run.err
+
+
+@pytest.mark.parametrize("off_grid", [False, True])
+def test_poses_are_chosen_for_the_conditions_that_candidates_state(run_calib, tmp_path, off_grid):
+    """A zero and half of the play of one joint, seen from a distance r: the best two poses come from both sides.
+
+    Rows [r s1, +-r s2] with sigmas s1 and s2, and the prior of the play: the information is diagonal,
+    2 r^2 s1^2 and 2 r^2 s2^2 + noise^2.
+    """
+    text = write_arm(tmp_path).read_text().partition("parametrisation:")[0]
+    more = "priors: false\nparametrisation:\n  - {origin: turn, components: [rz], sigma: 2 mrad}\n"
+    (tmp_path / "arm.yaml").write_text(text + more + "  - {joint: turn, term: backlash, sigma: 0.5 mrad}\n")
+    rng = np.random.default_rng(0)
+    q = np.repeat(rng.uniform([-2, 0.1, -0.01], [2, 0.6, 0.01], (10, 3)), 2, axis=0)  # every pose from both sides
+    columns = [(name, list(q[:, k])) for k, name in enumerate(["turn", "slide", "wrist"])]
+    (tmp_path / "c.csv").write_text(format_table([*columns, ("approach_turn", [1.0, -1.0] * 10)]))
+    arguments = ["--count", 2, "--out", "o.csv", "--json", "o.json", "--sigma-mm", 0.1]
+    run = run_calib("select", "arm.yaml", "c.csv", *arguments, *["--off-grid"] * off_grid, cwd=tmp_path)
+    assert run.code == 0, run.err
+    assert sorted(float(cell) for cell in read_table(tmp_path / "o.csv").text("approach_turn")) == [-1, 1]
+    r = np.max(np.linalg.norm(calib.load(tmp_path / "arm.yaml").positions(q)[:, 0, :2], axis=1))
+    found = json.loads((tmp_path / "o.json").read_text())["after"]["O1"]
+    expected = (2 * (r * 2e-3) ** 2 * (2 * (r * 0.5e-3) ** 2 + 1e-4**2)) ** 0.25 / np.sqrt(2)
+    assert expected * (1 - 1e-9) <= found <= expected * (1.02 if off_grid else 1 + 1e-9)

@@ -7,11 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.spatial.transform import Rotation
+from small_robots import ARM_YAML, write_arm
 
 import calib
 from calib.commands.verify import command
 from calib.data.measurement_text import format_measurements
 from calib.data.measurements import Measurements, Poses
+from calib.data.tables import format_table
 from calib.identification.acceptance import poses_needed, verify, visible_changes
 from calib.identification.promise import Promise
 from calib.identification.repeats import CONDITIONS, conditions, iso_figures
@@ -71,6 +74,33 @@ def test_in_the_same_setup_the_places_count_too(arm):
     moved = truth.with_parameters({"base.x": 2.1005})
     assert verify(fit, measured(moved, q, rng), same_setup=True).verdict != "agrees"
     assert verify(fit, measured(moved, q, rng)).verdict == "agrees"
+
+
+def test_places_of_all_setups_are_found_together(tmp_path):
+    """An arm that hardly lifts its tool hardly tells a reflector's height from that of its base.
+
+    Seen from a second place, the reflector would be another one unless both are placed together. In closed form it is
+    at Rz(turn) ([slide + 0.375, 0, 0.5] + Ry(pi / 2 + wrist) t).
+    """
+    yaml = ARM_YAML.replace("{frame: ground}", "{frame: ground, pose: unknown}").partition("parametrisation:")[0]
+    yaml = yaml.replace("30 mm]", "30 mm], position: unknown, sigma: 5 mm") + "setups: {first: [], moved: [base]}\n"
+    yaml += "sigma: 0.02 mm\nparametrisation: [{origin: slide, components: [x, y], sigma: 1 mm}]\n"
+    robot = calib.load(write_arm(tmp_path, yaml))
+    rng = np.random.default_rng(6)
+    q, setup = rng.uniform([-2, 0.1, -0.01], [2, 0.9, 0.01], (60, 3)), np.repeat([0, 1], 30)
+    t = np.array([0, 0, 0.1]) + Rotation.from_euler("z", 0.75).apply([0.012, 0.019, 0.033])
+    lifted = Rotation.from_rotvec((np.pi / 2 + q[:, 2:]) * [0, 1, 0]).apply(t) + [0.375, 0, 0.5] + q[:, 1:2] * [1, 0, 0]
+    points = Rotation.from_rotvec([[0.1, -0.3, 0.2], [-0.4, 0.2, 1.9]])[setup].apply(
+        Rotation.from_rotvec(q[:, :1] * [0, 0, 1]).apply(lifted)
+    )
+    seen = points + np.array([[2.0, 1.7, 0.4], [1.5, -1.3, 0.3]])[setup] + rng.normal(0, 2e-5, (60, 3))
+    headers = ["turn", "slide", "wrist", "tip_x", "tip_y", "tip_z"]
+    columns = [(name, cells.tolist()) for name, cells in zip(headers, np.hstack([q, seen]).T, strict=True)]
+    (tmp_path / "data.csv").write_text(format_table([("setup", ["first"] * 30 + ["moved"] * 30), *columns]))
+    data = calib.read_measurements(tmp_path / "data.csv", robot)
+    found = verify(calib.fit(robot, data), data)
+    assert found.verdict == "agrees"
+    assert 1e-3 * found.errors.table()["after"]["rms"] == pytest.approx(2e-5 * np.sqrt(3), rel=0.2)
 
 
 @pytest.mark.parametrize(("name", "size"), [("joint_3.ry", 4e-4), ("joint_5.z", -3e-4), ("joint_2.x", 4e-4)])

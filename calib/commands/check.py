@@ -70,6 +70,10 @@ def command(
             sample(model, poses, seed),
             f"sampled over the joint limits, seed {seed}",
         )
+        if len(model.description.setups) > 1:
+            output.note(
+                "note: sampled poses are all in the first setup, and say nothing of what was moved before others"
+            )
     else:
         pose_set, source = read_pose_file(data, model), data
         if parameters is None and result is None:

@@ -7,7 +7,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -266,17 +266,8 @@ def different_poses(poses: Poses) -> Poses:
     first = np.unique(numbers, return_index=True)[1]
     setups = np.zeros(len(poses), dtype=np.intp) if poses.setups is None else poses.setups
     same_setup = setups == setups[first][numbers]
-    labels, names = (tuple(words[k] for k in first) for words in (poses.labels, poses.names))
-    return Poses(
-        poses.joints[first],
-        labels,
-        names,
-        poses.path,
-        poses.ignored,
-        comments=poses.comments,
-        setups=None if poses.setups is None else poses.setups[first],
-        wanted={name: _once(readings, numbers, same_setup) for name, readings in poses.wanted.items()},
-    )
+    wanted = {name: _once(readings, numbers, same_setup) for name, readings in poses.wanted.items()}
+    return replace(poses.subset(first), wanted=wanted)
 
 
 def _once(readings: Readings, numbers: IntArray, counts: BoolArray) -> Readings:

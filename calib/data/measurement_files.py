@@ -8,6 +8,7 @@ belongs, many rows to one visit if need be (pixels, for instance).
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
@@ -151,8 +152,15 @@ def conditions_of_table(table: Table, robot: Robot) -> tuple[dict[str, FloatArra
     Returns:
         Columns of `CONTEXT`, (n,) [SI] by name, NaN where empty; directions of approach, 0 for joints without a column,
         (n, n_actuated), None where no joint has one.
+
+    Raises:
+        DataError: Cells that are no numbers, or a direction of approach of a joint whose name is misspelt.
     """
     context = {key: table.column(key, CONTEXT[key], gaps=True) for key in CONTEXT if key in table.names}
+    for name in table.names:
+        joint = name.removeprefix(APPROACH)
+        if joint != name and joint not in robot.joint_names and difflib.get_close_matches(joint, robot.joint_names):
+            raise DataError(f"{table.path}, column '{name}': no joint '{joint}'{nearest(joint, robot.joint_names)}")
     present = [(j, name) for j, one in enumerate(robot.joint_names) if (name := f"{APPROACH}{one}") in table.names]
     directions = np.zeros((len(table.rows), len(robot.joint_names)))
     for j, name in present:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from calib.arrays import FloatArray
-from calib.data.measurement_columns import header, pose_columns, shown
+from calib.data.measurement_columns import header, shown
 from calib.data.measurements import Measurements, Poses
 from calib.data.tables import format_table
 from calib.model.robot import Robot
@@ -25,12 +25,12 @@ def format_positions(
 
     Args:
         robot: Names joints and targets.
-        poses: Joint values.
+        poses: Joint values, and the conditions that they state.
         positions: (n_poses, n_targets, 3) [m].
         comments: Lines to put first.
         std: Standard deviation of each coordinate, (n_poses, n_targets, 3) [m], in columns `<target>_std_x` ...
     """
-    columns = pose_columns(robot, poses.names, poses.joints)
+    columns = poses.columns(robot)
     for suffix, numbers in (("", positions), ("std_", std)):
         for t, target in enumerate(robot.target_names):
             for a, axis in enumerate("xyz"):

@@ -90,7 +90,9 @@ class Poses(ReadOnlyArrays):
 
     def columns(self, robot: Robot) -> dict[str, list[object]]:
         """Return a table of the visits, in mm and degrees: the cells below each header, as in files."""
-        return pose_columns(robot, self.names, self.joints)
+        told = pose_columns(robot, self.names, self.joints)
+        told |= condition_columns(robot, len(self), self.setups, self.context) | approach_columns(robot, self.approach)
+        return told
 
     def to_dataframe(self, robot: Robot) -> Any:
         """Return `columns` as a pandas table, empty cells as NaN; pandas missing is an `InputError`."""
@@ -177,9 +179,7 @@ class Measurements(Poses):
             DataError: Simulated readings of an instrument that reads no numbers.
         """
         visits, read = reading_columns(robot, len(self), self.readings)
-        told = super().columns(robot)
-        told |= condition_columns(robot, len(self), self.setups, self.context) | approach_columns(robot, self.approach)
-        return {key: [cells[k] for k in visits] for key, cells in told.items()} | read
+        return {key: [cells[k] for k in visits] for key, cells in super().columns(robot).items()} | read
 
     def subset(self, index: IntArray) -> Self:
         """Return the visits with these indices (n,), in this order, with their readings."""

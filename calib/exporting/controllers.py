@@ -155,7 +155,8 @@ def _xyz_rpy(origin: pin.SE3) -> list[float]:
 def _check_ur(robot: Robot, chain: SerialChain) -> None:
     """Raise `InputError` unless the chain is that of ur_description: six joints about z, no fixed joints between."""
     names = [joint.name for joint in chain.joints]
-    prefix = names[0].removesuffix(_UR_JOINTS["shoulder"])
+    shoulder = _UR_JOINTS["shoulder"]
+    prefix = names[0].removesuffix(shoulder) if names[0].endswith(shoulder) else ""
     expected = [prefix + name for name in _UR_JOINTS.values()]
     hint = "make the URDF with 'xacro ur.urdf.xacro ur_type:=... name:=ur' of ur_description, and calibrate that"
     if names != expected:

@@ -35,7 +35,7 @@ class SerialChain:
         base, tip: The links.
         joints: Moving joints in their order along the chain.
         links: From the base to the first joint frame, from each joint frame to the next, and from the last to the tip.
-        point: The first target in the tip's frame.
+        point: The first target that motors move, in the tip's frame.
     """
 
     base: str
@@ -46,7 +46,7 @@ class SerialChain:
 
 
 def serial_chain(robot: Robot, mechanism: Mechanism) -> SerialChain:
-    """Return the chain to a robot's first target.
+    """Return the chain to the first target of a robot that motors move.
 
     Args:
         robot: The robot.
@@ -56,7 +56,7 @@ def serial_chain(robot: Robot, mechanism: Mechanism) -> SerialChain:
         InputError: It is no chain of joints with motors.
     """
     description = robot.description
-    target = mechanism.targets[0]
+    target = (*mechanism.moved_targets, mechanism.targets[0])[0]
     base = link_of(robot.urdf, description.base.frame)
     tip = link_of(robot.urdf, description.targets[target.name].frame)
     joints: list[UrdfJoint] = []

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib.data.measurements import Poses
+from calib.data.measurements import Measurements, Poses
 from calib.identification.effect_setting import has_time
 from calib.identification.effects import scale
 from calib.identification.fitted import Fit
@@ -57,7 +57,10 @@ def unordered(poses: Poses) -> tuple[str, ...]:
     apart = [float(np.mean(np.linalg.norm(q - np.roll(q, n // part, axis=0), axis=1))) for part in (2, 3, 4)]
     if near < LIKE_SHUFFLED * float(np.mean(apart)):
         return ()
+    assumed = isinstance(poses, Measurements) and poses.approach_assumed
+    told = poses.approach is not None and not assumed and np.all(np.any(poses.approach != 0, axis=0)[reach > 0])
+    what = "a drift or a slip" if told else "a drift, a slip or a backlash"
     return (
-        "the rows look shuffled and have no time: a drift, a slip or a backlash shows only if they stand in the order"
-        " of measurement; if they do not, sort them, or add a column 'time'",
+        f"the rows look shuffled and have no time: {what} shows only if they stand in the order of measurement; if they"
+        " do not, sort them, or add a column 'time'",
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.data.measurements import Measurements
 from calib.errors import DescriptionError
-from calib.identification.pose_checks import unmoved_joints
+from calib.identification.pose_checks import unmoved_joints, unstated
 from calib.joint_terms.coupling import CouplingSection, coupling_name
 from calib.joint_terms.term import JointTerm, TermSection
 from calib.joint_terms.terms import TERMS
@@ -127,6 +127,8 @@ def _candidate(name: str, robot: Robot, data: Measurements) -> Candidate:
         column = "time" if name == "drift" else name
         if np.ptp(context.time if name == "drift" else context.temperature) == 0:
             return Candidate(name, refused=f"the data have no column '{column}' that changes")
+    if unstated(kind, data) is not None:
+        return Candidate(name, refused=f"some rows do not say {kind.depends_on}")
     joints = [joint for joint in robot.joint_names if _shows(name, joint, robot, data)]
     if not joints:
         return Candidate(name, refused=_nothing_shows(name, robot))

@@ -37,7 +37,7 @@ from calib.identification.pose_checks import check_measurements, likely_mistake,
 from calib.identification.problem import Evaluation, Problem
 from calib.identification.robust import without_outliers
 from calib.identification.settings import Settings
-from calib.identification.solving import convergence_at, place, solve_from, uncertainty_at
+from calib.identification.solving import convergence_at, place, seen_from, solve_from, uncertainty_at
 from calib.identification.term_choice import choose_terms
 from calib.identification.validation import cross_validate
 from calib.identification.verdict import judge
@@ -148,8 +148,9 @@ def _fit(
     problem = Problem(robot, data, settings.sigma)
     placed = place(problem)
     start = problem.evaluate(placed)
-    determined = require_identifiable(problem, start)  # before the solver, where `calib check` looks too
-    solved = solve_from(problem, placed, settings, workers, progress)
+    begin = seen_from(problem, placed)
+    determined = require_identifiable(problem, problem.evaluate(begin))  # before the solver, as `calib check` does
+    solved = solve_from(problem, begin, settings, workers, progress)
     final = problem.evaluate(solved.robot)
     require_identifiable(problem, final)
     rows, scales, uncertainty = uncertainty_at(problem, final, solved, settings)

@@ -17,8 +17,9 @@ from calib.data.measurements import Measurements
 from calib.errors import DataError
 from calib.identification.errors_found import ErrorSet
 from calib.identification.fitted import Fit
+from calib.identification.problem import Problem
+from calib.identification.solving import place
 from calib.linearisation.observed import Observed, observe
-from calib.linearisation.registration import register
 from calib.linearisation.unknowns import Unknowns
 from calib.linearisation.whitening import Whitening
 from calib.model.robot import Robot
@@ -156,7 +157,7 @@ class System:
         Raises:
             DataError: Too few readings.
         """
-        robot = promise.robot if same_setup else register(promise.robot, data)
+        robot = promise.robot if same_setup else place(Problem(promise.robot, data))
         configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
         observed = observe(robot, configurations, data.readings, joints=True)
         whitening, unknowns = Whitening(robot, data), Unknowns.of(robot)

@@ -40,6 +40,7 @@ _NO_NOISE = (
     " --sigma-mm)"
 )
 _STEP_LEFT = 0.05  # standard deviations that a converged fit may be away from its minimum
+_BLIND = 1e-6  # of the longest column, in units of what is expected: such a place is not seen
 _ROUNDING = 1e-8  # 10 nm and 10 nrad: below, rounding decides about a step
 
 
@@ -96,6 +97,24 @@ def place(problem: Problem) -> Robot:
             "placing the base and the targets did not converge; check units and axes of the measurements"
         )
     return placed
+
+
+def seen_from(problem: Problem, placed: Robot) -> Robot:
+    """Return a placed robot with what no reading sees from just there put back to where the description has it.
+
+    The nominal robot's own errors may place a point where its instrument is blind, such as the end of a draw wire in
+    the very plane in which a planar robot moves. A solver would not leave it, and its rank would not be that of the
+    solution.
+    """
+    unknowns, evaluation = problem.unknowns, problem.evaluate(placed)
+    columns = problem.rows(evaluation, problem.whitening.start(), unknowns).jacobian
+    lengths = np.linalg.norm(columns, axis=0)
+    blind = unknowns.placement & ~unknowns.has_prior & (lengths < _BLIND * np.max(lengths, initial=0.0))
+    if not np.any(blind):
+        return placed
+    values = placed.values.copy()
+    values[unknowns.index[blind]] = unknowns.nominal[blind]
+    return placed.with_parameters(values)
 
 
 def _as_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:

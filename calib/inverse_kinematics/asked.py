@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
 from calib.data.measurements import Poses
-from calib.errors import DataError
+from calib.errors import DataError, InputError
 from calib.inverse_kinematics.goals import Goals
 from calib.inverse_kinematics.inverse import TOLERANCE, problem, solve
 from calib.inverse_kinematics.reaching import Configured, Reach, actuated_jacobian, descend
@@ -37,6 +37,7 @@ class Asked:
         keep: Of `KEEP`.
         nearly: What to be near, where less than the pose is kept.
         conditions: What is known of each row's load, temperature and time, (n,) [SI, degC].
+        approach: From which side joints come, (n, n_actuated), where the program states it; else None.
     """
 
     goals: Goals
@@ -45,6 +46,7 @@ class Asked:
     keep: str
     nearly: Goals | None = None
     conditions: Mapping[str, FloatArray] = field(default_factory=dict)
+    approach: FloatArray | None = None
 
 
 def as_meant(robot: Robot) -> Robot:
@@ -54,10 +56,16 @@ def as_meant(robot: Robot) -> Robot:
 
 
 def asked_by_joints(meant: Robot, program: Poses, keep: str | None) -> Asked:
-    """Return what joints of the nominal robot, as programs take it (`as_meant`), ask for."""
+    """Return what joints of the nominal robot, as programs take it (`as_meant`), ask for.
+
+    Raises:
+        InputError: Motors move no target.
+    """
+    if not meant.mechanism.moved_targets:
+        raise InputError(f"{meant.path}: its motors move none of its targets; add the tool to `targets`")
     joints = meant.joint_vector(program.joints)
     closed = meant.close(joints)
-    mechanism, target, n = meant.mechanism, meant.mechanism.targets[0], len(joints)
+    mechanism, target, n = meant.mechanism, meant.mechanism.moved_targets[0], len(joints)
     positions, rotations = np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1))
     pose_and_jacobian = actuated_jacobian(mechanism, target, joints[closed.ok], closed.passive[closed.ok])
     positions[closed.ok], rotations[closed.ok], jacobian = pose_and_jacobian
@@ -68,7 +76,7 @@ def asked_by_joints(meant: Robot, program: Poses, keep: str | None) -> Asked:
     if keep == "axis":
         goals = replace(goals, directions=rotations[:, :, 2])
     reasons = tuple("" if good else "cannot be assembled by the nominal robot" for good in closed.ok)
-    return Asked(goals, joints, reasons, keep, None if keep == "pose" else pose, program.context)
+    return Asked(goals, joints, reasons, keep, None if keep == "pose" else pose, program.context, program.approach)
 
 
 def _moves_freely(jacobian: FloatArray, length: float) -> bool:
@@ -100,7 +108,9 @@ def asked_by_goals(meant: Robot, program: Goals) -> Asked:
     solution = solve(meant, goals)
     reasons = tuple("" if good else f"by the nominal robot {solution.miss(k)}" for k, good in enumerate(solution.ok))
     joints = _on_one_branch(meant, problem(meant, goals), solution.q, solution.ok)
-    return Asked(goals, joints, reasons, _STATED[program.asks_for], conditions=program.context)
+    return Asked(
+        goals, joints, reasons, _STATED[program.asks_for], conditions=program.context, approach=program.approach
+    )
 
 
 def _on_one_branch(robot: Robot, reach: Reach, q: FloatArray, ok: BoolArray) -> FloatArray:

@@ -170,7 +170,7 @@ def _compensated(
     reach, n = problem(robot, asked.goals), len(asked.goals)
     meant = np.where(np.array(asked.reasons)[:, None] == "", asked.goals.positions, np.nan)
     program = np.where(np.isfinite(meant[:, :1]), asked.joints, np.nan)
-    approach = directions_of_motion(asked.joints)
+    approach = directions_of_motion(asked.joints) if asked.approach is None else asked.approach
     context = Context.of(approach, asked.conditions)
     columns = robot.term_columns(asked.joints, context)
     closed = robot.close(asked.joints, columns=columns)

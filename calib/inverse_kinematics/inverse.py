@@ -88,19 +88,26 @@ def solve(robot: Robot, goals: Goals | ArrayLike, *, near: ArrayLike | None = No
 
     Args:
         robot: The robot, with nominal or calibrated parameters.
-        goals: Where the target is wanted; or positions of the first target alone, (n, 3) [m], NaN for
-            coordinates that are not asked for.
+        goals: Where the target is wanted; or positions of the first target alone, (n, 3) [m], with
+            NaN throughout for a coordinate that is not asked for. `Goals` may differ in that from row to row.
         near: Joint values to stay near where a goal leaves a choice, (n_actuated,) or (n, n_actuated) [m or rad]; home
             if not given.
 
     Raises:
         InputError: The robot is none, or the goals are joint values.
-        DataError: Unknown target, or `near` of the wrong shape.
+        DataError: Unknown target, `near` of the wrong shape, or positions of which only some have a NaN.
     """
     require_robot(robot)
     if isinstance(goals, Poses):
         raise InputError("goals: are joint values; give positions (n, 3) [m], or calib.Goals")
-    goals = goals if isinstance(goals, Goals) else Goals(np.atleast_2d(np.asarray(goals, dtype=float)))
+    if not isinstance(goals, Goals):
+        goals = Goals(np.atleast_2d(np.asarray(goals, dtype=float)))
+        odd = np.any(np.isnan(goals.positions) != np.isnan(goals.positions[:1]), axis=1)
+        if np.any(odd):
+            raise DataError(
+                f"{goals.labels[int(np.argmax(odd))]}: not the same coordinates are NaN as in the first; one that is"
+                " not asked for is NaN in all, or else give calib.Goals"
+            )
     reach = problem(robot, goals)
     wanted = robot.home if near is None else robot.joint_vector(near)
     if np.ndim(wanted) == 2 and len(wanted) not in (1, len(goals)):

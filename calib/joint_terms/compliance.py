@@ -2,7 +2,7 @@
 
 The torque is that of the URDF's masses and of the payload (Pinocchio's generalized gravity at the nominal
 configuration), through closed loops by virtual work. The payload is the mass in the column `load`, beside what the URDF
-has; it hangs at the first target, or at the frame that the robot description calls `payload`.
+has; it hangs at the first target that motors move, or at the frame that the robot description calls `payload`.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.arrays import BoolArray, FloatArray
+from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.data.in_memory import measurements
 from calib.data.measurement_columns import rank_in_visit
 from calib.data.measurements import Measurements, Poses, of_visits
@@ -18,7 +18,7 @@ from calib.linearisation.observed import Observed, looks_at, observe, predicted_
 from calib.linearisation.unknowns import Unknowns
 from calib.linearisation.whitening import ASSUMED, Whitening, stated_noise
 from calib.memory import zeros_with_room
-from calib.model.loops import why_open
+from calib.model.loops import Closed, why_open
 from calib.model.robot import Configurations, Robot, near_singularity
 from calib.numerics.identifiability import reduced
 from calib.observation.kind import Readings
@@ -29,6 +29,8 @@ _SAME = 1e-9
 """Joint values that differ by less are the same pose [m, rad]."""
 _MEASURED_AGAIN = 1e-4
 """A candidate within this of a measured pose is that pose [m, rad]."""
+WHITENED = 1.0
+"""Unit of rows where no instrument measures a length, in place of its noise."""
 _SHOWN = 10
 
 
@@ -65,8 +67,7 @@ def require_free(robot: Robot) -> None:
 def assumed_sigma(robot: Robot, sigma: float | None) -> tuple[float, bool]:
     """Return the noise of one measured position per axis [m] and whether some noise is only assumed.
 
-    Without instruments that measure positions: that of other lengths, such as distances; without these: 1, the unit of
-    whitened rows.
+    Without instruments that measure positions: that of other lengths, such as distances; without these: `WHITENED`.
 
     Args:
         robot: Its instruments may state their noise.
@@ -87,7 +88,7 @@ def assumed_sigma(robot: Robot, sigma: float | None) -> tuple[float, bool]:
     for part, noise in sorted(lengths, key=lambda length: length[0].name != "position"):
         typical = np.sqrt(np.median(np.diag(noise.covariance(np.full((1, 3), 1.0), 1, len(part.axes))[0])))
         return float(typical) if noise.stated else ASSUMED[part.dimension], assumed
-    return 1.0, assumed
+    return WHITENED, assumed
 
 
 def rows_of_poses(
@@ -183,6 +184,13 @@ class Candidates:
     skipped: tuple[str, ...]
 
 
+def configurations_at(
+    robot: Robot, q: FloatArray, closed: Closed, columns: tuple[FloatArray, ...], which: IntArray
+) -> Configurations:
+    """Return some of the closed poses (k,) of commands q (n, n_actuated), of whose joint terms the columns are."""
+    return robot.configurations(q[which], closed.at(which), tuple(phi[which] for phi in columns))
+
+
 def build_candidates(
     robot: Robot, poses: Poses, sigma: float | None = None, *, skip_unreachable: bool = False
 ) -> Candidates:
@@ -203,6 +211,7 @@ def build_candidates(
     looks = looks_at(robot, poses)
     blocks = blocks_of(robot, looks)
     per_pose = max(block.stop for block in blocks.values())
+    conditions = poses.conditions
     rows = zeros_with_room((n, per_pose, len(unknowns)), f"rows of {n} candidates")
     read = np.zeros((n, per_pose), dtype=bool)
     positions = np.full((n, n_targets, 3), np.nan)
@@ -210,12 +219,13 @@ def build_candidates(
     usable, reasons = np.zeros(n, dtype=bool), list[str]()
     for start in range(0, n, _PART):
         q = poses.joints[start : min(start + _PART, n)]
-        closed = robot.close(q)
+        columns = robot.term_columns(q, conditions.at(slice(start, start + len(q))))
+        closed = robot.close(q, columns=columns)
         good = np.flatnonzero(closed.ok)
         distance = np.zeros(len(q))
-        distance[good] = robot.singular_values(robot.configurations(q[good], closed.at(good)))
+        distance[good] = robot.singular_values(configurations_at(robot, q, closed, columns, good))
         good = np.flatnonzero(distance >= robot.description.singularity_limit)
-        configurations = robot.configurations(q[good], closed.at(good))
+        configurations = configurations_at(robot, q, closed, columns, good)
         here = {name: of_visits(readings, start + good) for name, readings in looks.items()}
         part = rows_of_poses(robot, configurations, sigma, unknowns, here, blocks)
         rows[start + good], read[start + good], positions[start + good] = part.rows, part.read, part.positions
@@ -267,14 +277,17 @@ def near_measured(candidates: FloatArray, measured: FloatArray) -> BoolArray:
 
 
 def _require_different(poses: Poses) -> None:
-    rounded = np.round(poses.joints / _SAME).astype(np.int64)
+    conditions = [np.nan_to_num(values) for values in poses.context.values()]
+    given = [poses.joints] if poses.approach is None else [poses.joints, poses.approach]
+    rounded = np.round(np.column_stack(given + conditions) / _SAME).astype(np.int64)
     _, first, inverse = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
     again = np.flatnonzero(first[inverse.ravel()] != np.arange(len(poses)))
     if len(again):
         k = int(again[0])
         more = f" (and {len(again) - 1} more)" if len(again) > 1 else ""
         raise DataError(
-            f"{poses.labels[k]}{more}: the same joint values as {poses.labels[first[inverse.ravel()[k]]]};"
+            f"{poses.labels[k]}{more}: the same joint values as {poses.labels[first[inverse.ravel()[k]]]},"
+            " under the same conditions;"
             " each candidate can be chosen once, so give it once"
         )
 

@@ -121,7 +121,7 @@ def gravity_torque(
         passive: Passive joints there, (n, n_passive).
         slope: C_p there, (n, n_passive, n_passive).
         load: Mass of the payload, (n,) [kg].
-        payload: Frame at whose origin it hangs; None: the first target's.
+        payload: Frame at whose origin it hangs; None: that of the first target that motors move.
         where: What to call the robot in messages.
 
     Raises:
@@ -179,7 +179,8 @@ def _with_masses(urdf: UrdfText, mechanism: Mechanism) -> pin.Model | None:
 def _with_one_kilogram(mechanism: Mechanism, payload: str | None) -> pin.Model:
     """The mechanism's model with one kilogram at a frame's origin and no other mass."""
     model = mechanism.model.copy()
-    frame = mechanism.targets[0].b if payload is None else mechanism.joint(payload)
+    tool = (*mechanism.moved_targets, mechanism.targets[0])[0]
+    frame = tool.b if payload is None else mechanism.joint(payload)
     model.inertias[frame] = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
     return model
 

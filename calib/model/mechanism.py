@@ -234,6 +234,12 @@ class Mechanism(ReadOnlyArrays):
         return difference
 
     @cached_property
+    def moved_targets(self) -> tuple[RelativeFrame, ...]:
+        """Targets that motors move, seen from the measurement frame: not a board that a camera on the arm looks at."""
+        driven = np.any(self.select_moving, axis=1)
+        return tuple(target for target in self.targets if np.any(driven & (self.between(target) != 0)))
+
+    @cached_property
     def loop_signs(self) -> FloatArray:
         """`between` of the loop of each closure row, (n_rows, n_joints)."""
         return np.array([self.between(loop) for loop in self.loops for _ in loop.rows]).reshape(-1, self.n_joints)

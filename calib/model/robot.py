@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -330,8 +331,9 @@ class Robot(ReadOnlyArrays):
     def check_names(self) -> None:
         """Raise `DescriptionError` if two parameters share a name."""
         names = [parameter.name for parameter in self.parameters]
-        if len(set(names)) != len(names):
-            raise DescriptionError(f"{self.path}: parametrisation: a parameter name is used twice")
+        twice = next((name for name, n in Counter(names).items() if n > 1), None)
+        if twice is not None:
+            raise DescriptionError(f"{self.path}: parametrisation: a parameter name is used twice: '{twice}'")
 
     def joint_vector(self, q: ArrayLike) -> FloatArray:
         """Check actuated joint values and return them as (n, n_actuated).

@@ -26,7 +26,8 @@ from functools import partial
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
-from calib.linearisation.candidates import rows_of_poses
+from calib.joint_terms.term import Context
+from calib.linearisation.candidates import configurations_at, rows_of_poses
 from calib.model.closure import residual
 from calib.model.continuation import closing_tolerance
 from calib.model.robot import Robot
@@ -69,6 +70,7 @@ def refine(
     problem: Problem,
     index: str,
     joints: FloatArray,
+    conditions: Context,
     region: Region,
     rng: np.random.Generator,
     sigma: float | None = None,
@@ -82,6 +84,7 @@ def refine(
         problem: Candidates that the poses were chosen from; its directions and scales are kept.
         index: Index to raise.
         joints: Poses to start from, (n_poses, n_actuated) [m or rad].
+        conditions: Of each pose, wherever it goes.
         region: Where they may go.
         rng: Source of the random directions.
         sigma: Noise of positions per axis in place of what is stated [m], or None.
@@ -91,7 +94,7 @@ def refine(
     q, width = joints.copy(), region.upper - region.lower
     whiten = problem.known.directions / problem.known.strengths
     evaluate = partial(_evaluate, partial(_assembled, robot, whiten, problem.rows.shape[1], sigma), region, executor)
-    _, positions, rows, passive = evaluate(q, None)
+    _, positions, rows, passive = evaluate(q, None, conditions)
     step, last = np.full(len(q), _FIRST_STEP), np.zeros_like(q)
     rounds = 0
     while rounds < _MAX_ROUNDS and np.any(step > _SMALLEST_STEP):
@@ -100,7 +103,8 @@ def refine(
         trials = np.stack([_trials(q[k], last[k], step[k], width, rng) for k in active])
         trials = np.clip(trials, region.lower, region.upper)
         seeds = np.repeat(passive[active], trials.shape[1], axis=0)
-        flat = evaluate(trials.reshape(-1, q.shape[1]), seeds)
+        there = conditions.at(np.repeat(active, trials.shape[1]))
+        flat = evaluate(trials.reshape(-1, q.shape[1]), seeds, there)
         inside, points, trial_rows, closed = (part.reshape(*trials.shape[:2], *part.shape[1:]) for part in flat)
         gathered = problem.before + np.einsum("nki,nkj->ij", rows, rows)
         for a, k in enumerate(active):
@@ -136,8 +140,8 @@ def _trials(q: FloatArray, last: FloatArray, step: float, width: FloatArray, rng
 
 _Assembled = tuple[BoolArray, FloatArray, FloatArray, FloatArray]
 """Which poses may stand there (n,), points (n, 3 n_targets) [m], whitened rows (n, k, r), passive joints; NaN: open."""
-_Poses = tuple[FloatArray, FloatArray | None]
-"""Joint values (n, n_actuated), and passive joints nearby (n, n_passive), if they are known."""
+_Poses = tuple[FloatArray, FloatArray | None, Context]
+"""Joint values (n, n_actuated), passive joints nearby (n, n_passive), if they are known, and the conditions."""
 
 
 def _evaluate(
@@ -146,10 +150,11 @@ def _evaluate(
     executor: Executor | None,
     q: FloatArray,
     seed: FloatArray | None,
+    conditions: Context,
 ) -> _Assembled:
     """Assemble poses, in chunks of one size, so that the numbers do not depend on who does them."""
-    starts = range(0, len(q), _CHUNK)
-    chunks = [(q[k : k + _CHUNK], None if seed is None else seed[k : k + _CHUNK]) for k in starts]
+    pieces = [slice(k, k + _CHUNK) for k in range(0, len(q), _CHUNK)]
+    chunks = [(q[piece], None if seed is None else seed[piece], conditions.at(piece)) for piece in pieces]
     parts = list(in_order(assemble, chunks, executor))
     allowed, points, rows, passive = (np.concatenate([part[k] for part in parts]) for k in range(4))
     closed = np.flatnonzero(allowed)
@@ -160,20 +165,21 @@ def _evaluate(
 @one_blas_thread
 def _assembled(robot: Robot, whiten: FloatArray, width: int, sigma: float | None, poses: _Poses) -> _Assembled:
     """Assemble poses near others, as rows of that width; those near a singularity may not stand there."""
-    q, seed = poses
+    q, seed, conditions = poses
     n = len(q)
     allowed, rows = np.zeros(n, dtype=bool), np.full((n, width, whiten.shape[1]), np.nan)
     points = np.full((n, 3 * len(robot.target_names)), np.nan)
     passive = np.full((n, len(robot.passive_names)), np.nan)
-    near = np.arange(n)
+    near, columns = np.arange(n), robot.term_columns(q, conditions)
     if seed is not None:
-        seed = _followed(robot, q, seed)
+        seed = _followed(robot, robot.actual(q, columns), seed)
         near = np.flatnonzero(np.all(np.isfinite(seed), axis=1))
         seed = seed[near]
-    closed = robot.close(q[near], seed)
+    columns = tuple(phi[near] for phi in columns)
+    closed = robot.close(q[near], seed, columns)
     good = near[closed.ok]
     passive[good] = closed.passive[closed.ok]
-    configurations = robot.configurations(q[good], closed.at(np.flatnonzero(closed.ok)))
+    configurations = configurations_at(robot, q[near], closed, columns, np.flatnonzero(closed.ok))
     allowed[good] = robot.singular_values(configurations) >= robot.description.singularity_limit
     pose_rows = rows_of_poses(robot, configurations, sigma)
     points[good] = pose_rows.positions.reshape(len(good), -1)

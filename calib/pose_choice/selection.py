@@ -252,6 +252,7 @@ def _poses(
         setting.problem,
         setting.wanted.index,
         candidates.joints[chosen],
+        setting.poses.conditions.at(chosen),
         region,
         rng,
         setting.sigma_given,

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from rich.table import Table
 
+from calib.linearisation.candidates import WHITENED
 from calib.numerics.null_space import describe_group, natural_coefficients
 from calib.numerics.observability import INDICES, TaskIndex
 from calib.pose_choice.assessment import CORRELATION_LIMIT, HARDLY, Assessment
@@ -37,7 +38,7 @@ def to_dict(assessment: Assessment) -> dict[str, object]:
     return {
         "n_poses": a.n_poses,
         "n_rows": a.n_rows,
-        "sigma_mm": millimetres(a.sigma),
+        "sigma_mm": None if a.sigma == WHITENED else millimetres(a.sigma),
         "sigma_assumed": a.sigma_assumed,
         "rank_all": _rank(a, everything=True),
         "rank_free": _rank(a, everything=False),
@@ -67,10 +68,12 @@ def to_dict(assessment: Assessment) -> dict[str, object]:
 
 
 def _heading(a: Assessment, source: str) -> list[str]:
-    noise = " (assumed; state it with --sigma-mm or in the description)" if a.sigma_assumed else ""
+    noise = "" if a.sigma == WHITENED else f"; noise {millimetres(a.sigma):g} mm per axis"
+    noise += (
+        " (what nobody states is assumed; state it with --sigma-mm or in the description)" if a.sigma_assumed else ""
+    )
     return [
-        f"{counted(a.n_poses, 'pose')} ({source}), {a.n_rows} coordinates; noise {millimetres(a.sigma):g} mm per"
-        f" axis{noise}",
+        f"{counted(a.n_poses, 'pose')} ({source}), {a.n_rows} coordinates{noise}",
         *a.determination.lines(),
     ]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from rich.table import Table as Printed
@@ -13,6 +14,7 @@ from calib.data.measurement_text import format_positions
 from calib.data.measurements import Poses
 from calib.data.plan_files import INSTRUMENT, TOGETHER
 from calib.data.tables import Table, format_table
+from calib.linearisation.candidates import WHITENED
 from calib.model.robot import Robot
 from calib.numerics.observability import INDICES
 from calib.pose_choice.selection import Run, Selection
@@ -57,7 +59,7 @@ def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
         "rank": s.rank.rank,
         "rank_of_poses": s.rank_of_poses.rank,
         "n_parameters": s.rank.n_columns,
-        "sigma_mm": millimetres(s.sigma),
+        "sigma_mm": None if s.sigma == WHITENED else millimetres(s.sigma),
         "sigma_assumed": s.sigma_assumed,
         "skipped": list(s.skipped),
         "already_measured": s.already_measured,
@@ -93,14 +95,11 @@ def format_poses(robot: Robot, selection: Selection, poses: Poses, table: Table)
         if "pose" not in table.names:
             columns.insert(0, ("pose", [poses.names[k] for k in selection.chosen]))
         return format_table(columns, (comment,))
-    names = tuple(poses.names[k] for k in selection.chosen)
-    moved = Poses(selection.joints, names, names, "off the grid", ())
-    text = format_positions(
-        robot, moved, selection.positions, (f"{comment}, then moved off the grid; positions are predicted",)
-    )
+    moved = replace(poses.subset(selection.chosen), joints=selection.joints)
+    comment += ", then moved off the grid"
     if all(f"{target}_{axis}" in table.names for target in robot.target_names for axis in "xyz"):
-        return text
-    return _without_positions(text, 1 + len(robot.joint_names))
+        return format_positions(robot, moved, selection.positions, (f"{comment}; positions are predicted",))
+    return format_table(list(moved.columns(robot).items()), (comment,))
 
 
 def _plan(
@@ -131,11 +130,6 @@ def _lines_of(table: Table) -> dict[str, list[int]]:
     for line, name in enumerate(table.text("pose")):
         lines.setdefault(name, []).append(line)
     return lines
-
-
-def _without_positions(text: str, n_columns: int) -> str:
-    lines = [line if line.startswith("#") else ",".join(line.split(",")[:n_columns]) for line in text.splitlines()]
-    return "\n".join(lines).replace("; positions are predicted", "") + "\n"
 
 
 def _summary(s: Selection, poses: Poses) -> list[str]:
@@ -199,9 +193,7 @@ def _remarks(s: Selection) -> list[str]:
             " parameters, which the indices are about; priors hold the rest"
         )
     if s.sigma_assumed:
-        lines.append(
-            f"Noise {millimetres(s.sigma):g} mm per axis is assumed; state it with --sigma-mm or in the description"
-        )
+        lines.append("Noise that nobody states is assumed; state it with --sigma-mm or in the description")
     if s.already_measured:
         lines.append(f"{counted(s.already_measured, 'candidate')} already measured and left out")
     if s.skipped:

@@ -24,7 +24,7 @@ from calib.errors import CalibrationError, DataError, InputError, NotConvergedEr
 from calib.identification.fit import identify
 from calib.identification.fitted import Fit
 from calib.identification.settings import Settings
-from calib.linearisation.candidates import require_free
+from calib.linearisation.candidates import configurations_at, require_free
 from calib.linearisation.jacobian import linearise
 from calib.linearisation.prediction import RootMeanSquare, predicted_rms
 from calib.model.robot import Robot
@@ -139,12 +139,13 @@ class Watch:
     def _predicted(self, fit: Fit | None) -> RootMeanSquare:
         if fit is None:
             return UNKNOWN
-        closed = fit.robot.close(self.candidates.joints, self._passive)
+        columns = fit.robot.term_columns(self.candidates.joints, self.candidates.conditions)
+        closed = fit.robot.close(self.candidates.joints, self._passive, columns)
         self._passive = closed.passive
         reached = np.flatnonzero(closed.ok)
         if not len(reached):
             return UNKNOWN
-        found = linearise(fit.robot, fit.robot.configurations(self.candidates.joints[reached], closed.at(reached)))
+        found = linearise(fit.robot, configurations_at(fit.robot, self.candidates.joints, closed, columns, reached))
         uncertainty = fit.statistics
         return predicted_rms(
             found.jacobian[..., fit.unknowns.index], uncertainty.covariance, uncertainty.coverage_factor

@@ -72,6 +72,36 @@ def test_curvature_of_residuals_that_stay_does_not_spoil_convergence():
     assert found.evaluations <= 10  # 35 with a trust region around plain steps
 
 
+@pytest.mark.parametrize("degrees", [120, 170])
+def test_a_valley_much_longer_than_wide_takes_no_more_steps_than_it_bends(degrees):
+    """A circle of radius 20, held to a thousandth, and a prior of 1 around a point of it far from the start."""
+    target = 20 * np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
+
+    def residuals(u):
+        return np.concatenate([[(np.linalg.norm(u) - 20) / 1e-3], u - target])
+
+    def jacobian(u):
+        return np.vstack([u / np.linalg.norm(u) / 1e-3, np.eye(2)])
+
+    found = minimise(residuals, jacobian, np.array([20.0, 0.0]))
+    assert found.converged
+    np.testing.assert_allclose(found.x, target, atol=1e-6)
+    assert found.evaluations <= 25  # 16 and 14; more than 200 with steps that had to lower the cost at once
+
+
+@pytest.mark.parametrize("above", [0.05, 0.2, 1.0])
+def test_a_saddle_is_left(above):
+    """Half a square that is 1 + c too small, and a prior of 1: zero is a maximum between minima at +-sqrt(2 c)."""
+    found = minimise(
+        lambda u: np.array([u[0] ** 2 / 2 - 1 - above, u[0]]),
+        lambda u: np.array([[u[0]], [1.0]]),
+        np.array([0.01]),
+    )
+    assert found.converged
+    assert found.x[0] == pytest.approx(np.sqrt(2 * above), rel=1e-4)
+    assert found.evaluations <= 40  # 25, 13 and 9; 103, 32 and 16 without the curvature of the steps before
+
+
 def hardly_seen(seed, n=40, n_rows=120, sigma=1e-4):
     """Residuals with a prior of 1 on each unknown, whose effects are 1 to 1e-4, bend, and are 0.3 from zero."""
     rng = np.random.default_rng(seed)

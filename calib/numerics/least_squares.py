@@ -14,36 +14,50 @@ What S does along the path is known at no further cost, for any residuals r: a s
     S s_j = (J_j+1 - J_j)^T r
 
 It is wanted where the step leads, not where it starts from: there r is mostly what this very step takes away. So r is
-taken as the linear model leaves it, r + J f. With the last steps s_j as columns of P and S s_j of Y, Newton's equation
-G d = G f - S d is solved for d as near to -P c as can be, so that S d is -Y c:
+taken as the linear model leaves it, r + J f. With G = R^T R from a QR factorisation of J, and z = R d, the cost is then
 
-    d = f + G^-1 Y c      c = argmin |R f + (R P + R^-T Y) c|      G = R^T R, from a QR factorisation of J
+    |r + J d|^2 + d^T S d = |r|^2 + 2 (R^-T J^T r)^T z + z^T (1 + K) z      K = R^-T S R^-1
 
-This is Anderson's acceleration of the fixed-point iteration x + f(x), except that differences of f between points,
-which residuals since left behind would spoil, are those of the linear models. A few directions do: S is large in few.
+What K does is known of the last steps R s_j. With an orthonormal basis P of these, the last first, and A = K P,
+
+    K = B P^T + P B^T + P (P^T A) P^T       B = A - P P^T A
+
+is the smallest symmetric matrix that does the same (Powell's update, of several steps at once). A few directions do: S
+is large in few. The minimum of the model is the next step. Where curvature outweighs what the rows and the priors say,
+as on a saddle between two valleys, there is none; then the step goes to the lowest point within four lengths of f. (A
+method that looks for a zero of the gradient, such as Anderson's acceleration of x + f(x), would go to the saddle.)
 
 Steps are taken in full as long as the cost falls. Where the minimum lies along a bent valley, whose walls are as steep
-as the noise is small, a full step climbs a wall and the next comes down again. So a cost above the best is accepted, up
-to eight times in a row, where the linear model promises to go below the best. What does not come back is undone;
-from then on steps go from the best point to the minimum of the linear model within a ball |D d| <= radius, which
-follows how well that model predicts the cost. The same holds where a trial point has no residuals (a loop that cannot
-close answers NaN). D is one of
+as the noise is small, a step climbs a wall and the next comes down again. So a cost above the best is accepted, up to
+five times in a row, as long as the model promises to go below the best. To come down, and not to run on along a valley
+that the walls hide, these steps stay within twice the length of the one that left the best point. What does not come
+back is undone; from then on steps go from the best point to the minimum of the model within a ball |D d| <= radius, and
+those that come down from a wall stay in the same ball. The radius follows how well the last model before the cost fell
+below the best predicted it. So a step may be as long as the valley is straight; steps that have to lower the cost at
+once are no longer than it is wide. A trial point without residuals (a loop that cannot close answers NaN) has a cost
+that does not come back.
+
+K is left out where rows come first: while more than half of the cost is promised to go, and goes; and in a ball, in the
+first three steps down from a wall. Elsewhere it ends the swinging between two walls.
+
+D is one of
 
     `unit`       1: the unknowns are already scaled, so that a change of one is a reasonable change of each
     `jacobian`   the largest norm so far of each column of J, for unknowns of any size and unit; the first step is no
-                 longer than the start is away from zero
+                 longer than the start is away from zero, and every step has to lower the cost
 
 Many unknowns that are hardly seen, a start far away and small noise are a trap: the linear model takes what the
 curvature left for a message from directions in which the rows say little, and the first step is absurdly long. With D
 = 1 that shows: n unknowns that are off by one each are sqrt(n) away. Where the first of Newton's steps is longer than
-3.5 sqrt(n), steps start from half of sqrt(n), as if the noise were larger at first. After each that is cut there and
-lowers the cost, they may be twice as long; or as long as they are, once what curvature left of that step, and grows
-with its square, would be less than the residuals at full length, as it is at once where only the scales are wrong.
+3.5 sqrt(n), the first ball is half of sqrt(n), as if the noise were larger at first. It ends as soon as what curvature
+left of a step to its edge, and grows with its square, would be less than the residuals at full length, as it is at once
+where only the scales are wrong.
 
 The iteration ends as converged when the decrease that the linear model still promises, |R f|^2, is at most `tolerance`
 of the cost. That is a rule in standard deviations: with noise s^2 = cost / N, from N rows more than unknowns, the
 covariance is s^2 G^-1, and |R f|^2 / s^2 the sum of (step left / its standard deviation)^2 over independent directions,
-at most N tolerance. It also ends where the step is below 1e-12 of the unknowns; and as not converged after
+at most N tolerance. Where a step that promised less than ten times as much did not lower the cost, rounding decides
+about it, and it ends too; or where the step is below 1e-12 of the unknowns; and as not converged after
 `max_evaluations` trial points.
 
 When it fails. It finds the minimum in whose valley it starts; `calib.identification.starts` looks for others. Along
@@ -51,8 +65,8 @@ directions that the residuals hardly see, convergence is judged by the cost: the
 
 Tested against the certified answers of NIST's reference problems (tests/test_nist.py); evaluations from loose to tight
 noise: docs/theory/priors.md.
-Reference: walker2011 (Anderson's acceleration); chamberlain1982 (a higher cost for a while); more1983 (the step within
-a ball); nist_strd.
+Reference: dennis1981 (curvature from differences of Jacobians); walker2011 (Anderson's acceleration); chamberlain1982
+(a higher cost for a while); more1983 (the step within a ball); nist_strd.
 """
 
 from __future__ import annotations
@@ -73,17 +87,22 @@ MAX_EVALUATIONS = 200
 TOLERANCE = 1e-12
 """Promised decrease, relative to the cost, that ends the iteration: 1e-4 standard deviations at ten thousand rows."""
 _SMALL_STEP = 1e-12
-_KEPT = 5  # steps whose Jacobians are remembered
-_PATIENCE = 8  # trial points in a row above the best cost
-_DEPENDENT = 1e-8  # relative singular value below which remembered steps say the same
+_ROUNDING = 10.0  # how many tolerances may be left where a step did not lower the cost
+_KEPT = 8  # steps whose Jacobians are remembered
+_PATIENCE = 5  # trial points in a row above the best cost
+_DOWN = 3  # how many of them are left without curvature
+_ASTRAY = 2.0  # how far from the best point they may be, in lengths of the step that left it
+_BOLD = 4.0  # how far to go where the model has no minimum, in lengths of Newton's step
+_DEPENDENT = 1e-4  # part of a remembered step that later ones do not say, below which it says nothing
 _SINGULAR = 1e-14  # the same for directions that the rows do not see
 _SHORTER = 0.25  # how much of the radius is left after a step that failed
 _GOOD, _POOR = 0.75, 0.25  # part of the promised decrease that came, beyond which the radius changes
+_PAID = 0.5  # the same, from which on the next step does without curvature
 _ON_RADIUS = 0.1  # relative length within which a step counts as being on the ball
 _ABSURD = (
     3.5  # root mean square of a first step in units of the unknowns; real arms with noise stated far too small: 3.4
 )
-_REACH, _FARTHER = 0.5, 2.0  # how far the steps may then go instead, in the same units, and by what factor that grows
+_REACH = 0.5  # how far the steps may then go at first, in the same units
 _LIMIT, _COST_STANDS, _STEP_VANISHES = (
     "the limit of evaluations was reached",
     "the sum of squares no longer changes",
@@ -139,14 +158,12 @@ def minimise(
     values = residuals(start)
     if not np.all(np.isfinite(values)):
         raise ComputationError("the fit cannot start: the residuals have no value at the starting point")
-    path = _Path(_Point(start, values, jacobian(start)), scaling)
-    evaluations, message = 1, path.ended(tolerance)
+    path = _Path(_Point(start, values, jacobian(start)), scaling, tolerance)
+    evaluations, message = 1, path.ended()
     while not message and evaluations < max_evaluations:
-        step = path.step()
-        values = residuals(path.here.x + step)
+        path.go_on(residuals(path.trial()), jacobian)
         evaluations += 1
-        path.go_on(step, values, jacobian)
-        message = path.ended(tolerance)
+        message = path.ended()
     best = path.best
     return Solution(best.x, best.residuals, best.jacobian, best.cost, bool(message), evaluations, message or _LIMIT)
 
@@ -166,6 +183,7 @@ class _Point:
         n = len(x)
         factor = reduced(jacobian, residuals)
         self.triangle, self.projected = factor[:n, :n], factor[:n, n]  # R, and Q^T r
+        self.unseen = float(np.sum(factor[n:, n] ** 2))  # what no step takes away, to first order
 
     @cached_property
     def sees_all(self) -> bool:
@@ -185,41 +203,69 @@ class _Point:
         """What the linear model promises of the cost, |R f|^2."""
         return float(np.sum((self.triangle @ self.newton) ** 2))
 
-    def accelerated(self, past: list[_Point]) -> FloatArray:
-        """Return d of the module docstring, from the points before this one, oldest first."""
+    def curvature(self, past: list[_Point]) -> FloatArray | None:
+        """Return K of the module docstring, (n, n), from the points before this one, oldest first; None if unknown."""
         if not past or not self.sees_all:
-            return self.newton
+            return None
         points = [*past, self]
         left = self.residuals + self.jacobian @ self.newton
         pulls = np.stack([point.jacobian.T @ left for point in points], axis=1)
-        curved = scipy.linalg.solve_triangular(self.triangle, np.diff(pulls, axis=1), trans=1)
-        differences = self.triangle @ np.diff([point.x for point in points], axis=0).T + curved
-        length = np.linalg.norm(differences, axis=0) + np.finfo(float).tiny
-        right = -self.triangle @ self.newton
-        coefficients = np.linalg.lstsq(differences / length, right, rcond=_DEPENDENT)[0] / length
-        return np.asarray(self.newton + scipy.linalg.solve_triangular(self.triangle, curved @ coefficients))
+        steps = (self.triangle @ np.diff([point.x for point in points], axis=0).T)[:, ::-1]  # the last step first
+        images = scipy.linalg.solve_triangular(self.triangle, np.diff(pulls, axis=1), trans=1)[:, ::-1]
+        length = np.linalg.norm(steps, axis=0) + np.finfo(float).tiny
+        along, factor = np.linalg.qr(steps / length)
+        says_more = np.abs(np.diag(factor)) > _DEPENDENT
+        count = len(says_more) if np.all(says_more) else int(np.argmin(says_more))
+        along, factor = along[:, :count], factor[:count, :count]
+        images = scipy.linalg.solve_triangular(factor, (images / length)[:, :count].T, trans=1).T  # K times `along`
+        inside = along.T @ images
+        outside = (images - along @ inside) @ along.T
+        return np.asarray(outside + outside.T + along @ (inside + inside.T) @ along.T / 2)
 
-    def within(self, radius: float, scale: FloatArray) -> FloatArray:
-        """Return the minimum of the linear model within |D d| <= radius, (n,), where Newton's step is longer.
+    def step(
+        self, curvature: FloatArray | None, limit: float, scale: FloatArray, offset: FloatArray
+    ) -> tuple[FloatArray, float]:
+        """Return the step d to the minimum of the model where |D (offset + d)| <= limit, (n,), and the cost there."""
+        step, bent = self.newton, np.zeros((1, 1)) if curvature is None else curvature
+        hessian = np.eye(len(self.triangle)) + bent
+        if curvature is not None:
+            try:
+                root = np.linalg.cholesky(hessian)
+                image = scipy.linalg.cho_solve((root, True), self.triangle @ self.newton)
+                step = scipy.linalg.solve_triangular(self.triangle, image)
+            except np.linalg.LinAlgError:  # there is no minimum
+                step = np.full(len(step), np.inf)
+                farthest = np.linalg.norm(scale * offset) + _BOLD * np.linalg.norm(scale * self.newton)
+                limit = min(limit, float(farthest))
+        if not np.linalg.norm(scale * (offset + step)) <= limit:
+            step = self._within(hessian, limit, scale, offset) - offset
+        image = self.triangle @ step
+        return step, self.unseen + float(np.sum((self.projected + image) ** 2) + image @ (hessian @ image - image))
 
-        d = -(J^T J + l D^2)^-1 J^T r with the l >= 0 that makes it as long as the radius, found by bisection.
-        """
-        left, singular, right = np.linalg.svd(self.triangle / scale, full_matrices=False)
-        pull = singular * (left.T @ self.projected)
-        high = float(np.linalg.norm(pull)) / radius  # d is shorter than |J^T r| / l
-        low = float(np.finfo(float).eps) * high
-        scaled = -pull / (singular**2 + high)
+    def _within(self, hessian: FloatArray, limit: float, scale: FloatArray, offset: FloatArray) -> FloatArray:
+        """Return the minimum of the model in the ball, (n,), as -(H + l D^2)^-1 g, with l >= 0 found by bisection."""
+        scaled, right = self.triangle / scale, self.projected - hessian @ (self.triangle @ offset)
+        if np.array_equal(hessian, np.eye(len(hessian))):  # singular values are exact where their squares are not
+            left, singular, rows = np.linalg.svd(scaled, full_matrices=False)
+            values, vectors, pull = singular**2, rows.T, singular * (left.T @ right)
+        else:
+            values, vectors = np.linalg.eigh(scaled.T @ hessian @ scaled)
+            pull = vectors.T @ (scaled.T @ right)
+        low = max(0.0, -float(values.min()))
+        high = low + float(np.linalg.norm(pull)) / limit  # there it is shorter
+        low += float(np.finfo(float).eps) * (high - low)
+        step = -pull / (values + high)
         while high > (1.0 + _SMALL_STEP) * low:
             middle = float(np.sqrt(low * high))
-            scaled = -pull / (singular**2 + middle)
-            length = np.linalg.norm(scaled)
-            if abs(length - radius) <= _ON_RADIUS * radius:
+            step = -pull / (values + middle)
+            length = np.linalg.norm(step)
+            if abs(length - limit) <= _ON_RADIUS * limit:
                 break
-            if length > radius:
+            if length > limit:
                 low = middle
             else:
                 high = middle
-        return np.asarray((right.T @ scaled) / scale)
+        return np.asarray((vectors @ step) / scale)
 
 
 class _Path:
@@ -228,18 +274,29 @@ class _Path:
     Args:
         start: Where it begins.
         scaling: D of the module docstring.
+        tolerance: Relative change of the cost that counts as none.
     """
 
-    def __init__(self, start: _Point, scaling: Literal["unit", "jacobian"]) -> None:
+    def __init__(self, start: _Point, scaling: Literal["unit", "jacobian"], tolerance: float) -> None:
         self.here = self.best = start
+        self._tolerance = tolerance
         self._by_columns = scaling == "jacobian"
         self._scale = np.zeros(len(start.x)) if self._by_columns else np.ones(len(start.x))
         self._rescale(start)
-        self._radius = (self._length(start.x) or 1.0) if self._by_columns else np.inf
-        typical = np.inf if self._by_columns else float(np.sqrt(len(start.x)))
-        self._reach = _REACH * typical if self._length(start.newton) > _ABSURD * typical else np.inf
+        typical = float(np.sqrt(len(start.x)))
+        self._cautious = not self._by_columns and self._length(start.newton) > _ABSURD * typical
+        self._radius = _REACH * typical if self._cautious else np.inf
+        if self._by_columns:
+            self._radius = self._length(start.x) or 1.0
         self._past: list[_Point] = []
-        self._patience = _PATIENCE
+        self._climbs = 0 if self._by_columns else _PATIENCE
+        self._patience = self._climbs
+        self._paid = True  # whether the last step lowered the cost about as promised
+        self._undone = False  # whether the last step was
+        self._first = np.inf  # length of the step that left the best point
+        self._planned: _Point | None = None  # from where the next step is known
+        self._step: FloatArray = np.zeros(len(start.x))
+        self._promised = start.cost
 
     def _length(self, step: FloatArray) -> float:
         return float(np.linalg.norm(self._scale * step))
@@ -249,65 +306,73 @@ class _Path:
             norms = np.linalg.norm(point.triangle, axis=0)
             self._scale = np.maximum(self._scale, np.where(norms > 0, norms, 1.0))
 
-    def ended(self, tolerance: float) -> str:
+    def ended(self) -> str:
         """Return which stopping rule is met; nothing if none is."""
         if self.here is not self.best:
             return ""
-        if self.here.decrease <= tolerance * self.here.cost:
+        allowed = (_ROUNDING if self._undone else 1.0) * self._tolerance
+        if self.here.decrease <= allowed * self.here.cost:
             return _COST_STANDS
         size = self._length(self.here.x) + (0.0 if self._by_columns else 1.0)
         return _STEP_VANISHES if min(self._length(self.here.newton), self._radius) <= _SMALL_STEP * size else ""
 
-    def step(self) -> FloatArray:
-        """Return the next step, (n,): accelerated, plain, or cut, the first that is short enough."""
-        limit = min(self._radius, self._reach)
-        for step in (self.here.accelerated(self._past), self.here.newton):
-            if self._length(step) <= limit:
-                return step
-        return self.here.within(limit, self._scale)
+    def trial(self) -> FloatArray:
+        """Return where to look next, (n,)."""
+        if self._planned is not self.here:
+            self._plan()
+        return self.here.x + self._step
 
-    def go_on(self, step: FloatArray, values: FloatArray, jacobian: Callable[[FloatArray], FloatArray]) -> None:
-        """Take a step that led to these residuals (m,), or go back to the best point with a smaller radius."""
+    def _plan(self) -> None:
+        """Find the next step, and the cost that the model promises after it."""
+        here, limit = self.here, self._radius
+        above = self._climbs - self._patience
+        bends = above == 0 or above > _DOWN or np.isinf(limit)
+        met = 2.0 * here.decrease <= here.cost or not self._paid
+        curvature = here.curvature(self._past) if bends and met else None
+        if here is not self.best:
+            limit = min(limit, _ASTRAY * self._first)
+        self._step, self._promised = here.step(curvature, limit, self._scale, here.x - self.best.x)
+        self._planned = here
+        if here is self.best:
+            self._first = self._length(self._step)
+
+    def go_on(self, values: FloatArray, jacobian: Callable[[FloatArray], FloatArray]) -> None:
+        """Take the step that led to these residuals (m,), or go back to the best point with a smaller radius."""
         reached = float(values @ values) if np.all(np.isfinite(values)) else np.inf
-        may_climb = self._patience > 0 and np.isinf(self._radius) and np.isfinite(reached)
-        if reached < self.best.cost or may_climb:
-            x = self.here.x + step
+        if reached < self.best.cost or (self._patience > 0 and np.isfinite(reached)):
+            x = self.trial()
             trial = _Point(x, values, jacobian(x))
             if reached < self.best.cost:
-                self._radius, self._reach = self._adapted(step, trial), self._grown(step, trial)
+                promised = self.best.cost - self._promised
+                part = (self.best.cost - reached) / promised if promised > 0 else 0.0
+                self._radius, self._paid = self._adapted(trial, part), part >= _PAID
                 self._move(trial)
-                self.best, self._patience = trial, _PATIENCE
+                self.best, self._patience, self._undone = trial, self._climbs, False
                 return
-            if reached - trial.decrease < self.best.cost:
-                self._move(trial)
-                self._patience -= 1
+            self._move(trial)
+            self._patience, self._paid = self._patience - 1, False
+            self._plan()
+            if self._promised < self.best.cost:
                 return
-        length = self._length(step if self.here is self.best else self.best.newton)
-        self._radius = _SHORTER * min(length, self._radius)
-        self.here, self._past = self.best, []
+        self._radius = _SHORTER * min(self._first, self._radius)
+        self._cautious, self._undone = False, True
+        self.here, self._past, self._patience = self.best, [], self._climbs
+        self._planned = None
 
     def _move(self, trial: _Point) -> None:
         self._past = [*self._past, self.here][-_KEPT:]
         self.here = trial
         self._rescale(trial)
 
-    def _grown(self, step: FloatArray, trial: _Point) -> float:
-        """Return how far steps may go after one that lowered the cost; what curvature leaves grows with the square."""
-        length = self._length(step)
-        if length < (1.0 - _ON_RADIUS) * self._reach:
-            return self._reach
-        left = float(np.linalg.norm(trial.residuals - self.here.residuals - self.here.jacobian @ step))
-        harmless = left * (self._length(trial.newton) / length) ** 2 <= np.sqrt(trial.cost)
-        return np.inf if harmless else _FARTHER * self._reach
-
-    def _adapted(self, step: FloatArray, trial: _Point) -> float:
-        """Return the radius after a step that lowered the cost, from how well the linear model predicted that."""
+    def _adapted(self, trial: _Point, part: float) -> float:
+        """Return the radius after a step that lowered the cost, by this part of what the model promised."""
         if np.isinf(self._radius):
             return self._radius
-        promised = self.here.cost - float(np.sum((self.here.residuals + self.here.jacobian @ step) ** 2))
-        part = (self.here.cost - trial.cost) / promised if promised > 0 else 0.0
+        length = self._length(trial.x - self.best.x)
+        if self._cautious and self.here is self.best and length >= (1.0 - _ON_RADIUS) * self._radius:
+            left = float(np.linalg.norm(trial.residuals - self.here.residuals - self.here.jacobian @ self._step))
+            if left * (self._length(trial.newton) / length) ** 2 <= np.sqrt(trial.cost):
+                return np.inf
         if part < _POOR:
-            return _SHORTER * self._length(step)
-        if part < _GOOD:
-            return self._radius
-        return max(self._radius, 2.0 * self._length(step))
+            return _SHORTER * self._first
+        return self._radius if part < _GOOD else max(self._radius, 2.0 * length)

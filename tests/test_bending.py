@@ -87,9 +87,9 @@ def test_a_sliding_carriage_tilts_about_all_three_axes(tmp_path):
         motors=["rail"],
         base={"frame": "floor"},
         target={"ball": {"frame": "carriage", "xyz": [0.2, 0.3, 0.0]}},
-        parametrisation=[{"joint": "rail", "term": "bending"}],
+        parametrisation=[{"joint": "rail", "term": "bending", "sigma": "0.02 mrad"}],
     ).with_parameters({"rail.bending": -1e-5})
-    assert str(robot.parameters[0].dimension) == "angle"
+    assert (robot.parameters[0].dimension, robot.parameters[0].sigma) == ("angle", 2e-5)
     ball = robot.positions([[0.5]])[0, 0]
     weight = 4 * G
     roll, pitch = -1e-5 * weight * 0.3, 1e-5 * weight * 0.2  # down at +y, and down at +x

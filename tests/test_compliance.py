@@ -207,6 +207,9 @@ def test_a_payload_hangs_where_the_description_says(tmp_path):
     (tmp_path / "arm.yaml").write_text(ARM_YAML + "payload: fare\n")
     with pytest.raises(calib.DescriptionError, match="payload: no link, joint or target 'fare'; did you mean 'fore'"):
         calib.load(tmp_path / "arm.yaml")
+    (tmp_path / "arm.yaml").write_text(ARM_YAML + "payload: base\n")
+    with pytest.raises(calib.DescriptionError, match="payload: no motor moves 'base'"):
+        calib.load(tmp_path / "arm.yaml")
 
 
 def test_compliance_is_recovered_from_a_file_with_a_payload_alone(tmp_path, run_calib):

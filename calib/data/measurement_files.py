@@ -125,12 +125,19 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
 
 
 def _joined(parts: Sequence[Poses]) -> Poses:
-    """Put the visits of several files one after another."""
+    """Put the visits of several files one after another.
+
+    Raises:
+        DataError: One of them states directions of approach, and another one does not.
+    """
     if len(parts) == 1:
         return parts[0]
     keys = dict.fromkeys(key for part in parts for key in part.context)
     setups = [part.setups for part in parts if part.setups is not None]
     approach = [part.approach for part in parts if part.approach is not None]
+    if 0 < len(approach) < len(parts):
+        lacking = next(part.path for part in parts if part.approach is None)
+        raise DataError(f"{lacking}: states no directions of approach, and another file does; all need them, or none")
     return Poses(
         np.concatenate([part.joints for part in parts]),
         tuple(chain.from_iterable(part.labels for part in parts)),
@@ -139,7 +146,7 @@ def _joined(parts: Sequence[Poses]) -> Poses:
         tuple(dict.fromkeys(chain.from_iterable(part.ignored for part in parts))),
         comments=tuple(dict.fromkeys(chain.from_iterable(part.comments for part in parts))),
         setups=np.concatenate(setups) if len(setups) == len(parts) else None,
-        approach=np.concatenate(approach) if len(approach) == len(parts) else None,
+        approach=np.concatenate(approach) if approach else None,
         context={
             key: np.concatenate([part.context.get(key, np.full(len(part), np.nan)) for part in parts]) for key in keys
         },

@@ -15,7 +15,7 @@ from calib.model import kinematics
 from calib.model.description import Description
 from calib.model.mechanism import Mechanism
 from calib.model.urdf_text import UrdfJoint, UrdfText
-from calib.units import quantity
+from calib.units import Dimension, quantity
 
 
 def build_terms(description: Description, urdf: UrdfText, mechanism: Mechanism, where: str) -> tuple[JointTerm, ...]:
@@ -23,11 +23,15 @@ def build_terms(description: Description, urdf: UrdfText, mechanism: Mechanism, 
 
     Raises:
         DescriptionError: An unknown joint, a sigma of another dimension, an entry that does not fit its joint, or a
-            payload at a frame that there is not.
+            payload at a frame that there is not, or that no joint moves.
     """
     if description.payload is not None and description.payload not in mechanism.frames:
         name = description.payload
         raise DescriptionError(f"{where}: payload: no link, joint or target '{name}'{nearest(name, mechanism.frames)}")
+    if description.payload is not None and not np.any(
+        mechanism.support[mechanism.frames[description.payload]] @ mechanism.select_moving
+    ):
+        raise DescriptionError(f"{where}: payload: no motor moves '{description.payload}'; name a frame that moves")
     joints = {joint.name: joint for joint in urdf.joints}
     terms: list[JointTerm] = []
     for section in description.terms:
@@ -46,7 +50,8 @@ def _term(section: TermSection, name: str, joint: UrdfJoint, mechanism: Mechanis
     dimension = mechanism.dimensions[name]
     place = f"{where}: joint term '{section.term}' of '{name}'"
     try:
-        sigma = None if section.sigma is None else quantity(section.sigma, dimension, f"{place}, sigma")
+        unit: Dimension = "angle" if TERMS[section.term].tilts else dimension
+        sigma = None if section.sigma is None else quantity(section.sigma, unit, f"{place}, sigma")
         if sigma is not None and sigma <= 0:
             raise InputError(f"{place}: sigma must be positive; leave the term out to have none")
         stroke = joint.upper - joint.lower

@@ -148,7 +148,7 @@ def test_of_terms_that_look_alike_the_likelier_is_added_and_the_other_named(tmp_
     assert not told.proven
     assert other in told.alike
     assert told.alike[other] == pytest.approx(told.evidence - evidence_of(fit, robot, data, other))
-    named = re.search(r"the data cannot tell it from ([a-z, ]+)", " ".join(fit.report().split()))
+    named = re.search(r"its kind is not proven, it may be ([a-z, ]+)", " ".join(fit.report().split()))
     assert other in named[1]
 
 

@@ -12,6 +12,7 @@ from calib.identification.fitted import Fit
 from calib.identification.joint_curves import joint_curves, without_terms
 from calib.identification.reasons import Verdict
 from calib.identification.repeats import repeatability, repeats
+from calib.identification.term_choice import TELLS
 from calib.observation.kind import Part
 from calib.reporting.result_content import budget_table, correlated, error_sets, parameter_rows
 from calib.units import DISPLAY_UNIT, ERROR_UNIT, PER_SI, error_scale, millimetres
@@ -103,6 +104,12 @@ def _scatter(fit: Fit) -> list[str]:
     return lines
 
 
+def _rival(kind: str, less: float) -> str:
+    """What speaks for another kind of term whose log evidence is lower by `less`."""
+    evidence = f"log evidence {abs(less):.1f} {'lower' if less > 0 else 'higher'}"
+    return f"{kind} ({evidence}{', but blocks are predicted as well' if less >= TELLS else ''})"
+
+
 def _terms(fit: Fit) -> list[str]:
     """What choosing joint terms found: what each brought, what was left out and why."""
     if fit.terms is None or fit.terms.asked != "auto":
@@ -119,12 +126,8 @@ def _terms(fit: Fit) -> list[str]:
                 f"poses of blocks left out {scale * one.before:.4f} -> {scale * one.after:.4f} {unit} RMS, log evidence"
                 f" {one.evidence:+.1f}"
             )
-            rivals = [
-                f"{kind} (log evidence {abs(less):.1f} {'lower' if less > 0 else 'higher'})"
-                for kind, less in one.alike.items()
-            ]
-            others = listed(rivals)
-            alike = f"; its kind is not proven: the data cannot tell it from {others}" if others else ""
+            others = listed([_rival(kind, less) for kind, less in one.alike.items()])
+            alike = f"; its kind is not proven, it may be {others}" if others else ""
             (added if one.added else left).append(f"{one.term} ({one.why}{': ' if one.why else ''}{numbers}{alike})")
     every = len(fit.terms.tried)
     lines = [f"Joint terms added: {listed(added, '; ', every) or 'none earns its place'}"]

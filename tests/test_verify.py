@@ -260,6 +260,21 @@ def test_command_says_and_writes_the_verdict(arm, folder, tmp_path):
     assert "cannot tell it from a change of" in bad.stdout
 
 
+def test_readings_that_the_calibration_used_are_told(arm, folder, tmp_path):
+    _, truth, fit = arm
+    rng = np.random.default_rng(15)
+    q = np.vstack([fit.identification.data.joints[:7], rng.uniform(-1.2, 1.2, (18, 6))])
+    mixed = run(tmp_path, format_measurements(truth, measured(truth, q, rng)), folder)
+    assert "note: 7 of 25 visits have joint values that the calibration used" in mixed.stderr
+    fresh = run(tmp_path, format_measurements(truth, measured(truth, q[7:], rng)), folder)
+    assert "that the calibration used" not in fresh.stderr
+    for name in ("result.json", "parameters.csv", "covariance.csv"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    moved = run(tmp_path, format_measurements(truth, measured(truth, q, rng)), tmp_path)
+    assert moved.exit_code == 0, moved.output
+    assert "that the calibration used" not in moved.stderr
+
+
 def test_command_plans_before_anything_is_measured(folder, tmp_path):
     q = np.random.default_rng(14).uniform(-1, 1, (20, 6))
     text = ",".join(f"joint_{k}" for k in range(1, 7)) + "\n" + "\n".join(",".join(map(str, row)) for row in q)

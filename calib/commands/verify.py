@@ -13,11 +13,12 @@ from calib.identification.promise import POWER, Promise, candidates
 from calib.identification.repeats import iso_figures
 from calib.model.robot import Robot
 from calib.reporting.acceptance_text import changes_as_data, plan_report, text_report, to_dict
-from calib.reporting.result_reading import load_promise
+from calib.reporting.result_reading import joints_used, load_promise
 from calib.units import quantity
 from calib.words import counted
 
 _NOT_AS_PROMISED = 3
+_DIGITS = 8  # of joint values that are the same in two files [m or rad]
 
 
 @click.command("verify")
@@ -59,6 +60,13 @@ def command(
         _plan(promise, data, change, same_setup, output)
         return
     measured = read_measurements(data, model)
+    used = {tuple(q) for q in np.round(joints_used(result, model), _DIGITS)}
+    again = sum(tuple(q) in used for q in np.round(measured.joints, _DIGITS))
+    if again:
+        output.note(
+            f"note: {again} of {counted(len(measured), 'visit')} have joint values that the calibration used; its own"
+            " readings agree by themselves, and judge nothing: measure at other joint values"
+        )
     with output.working(f"judging {counted(measured.n_readings, 'reading')}"):
         acceptance = verify(promise, measured, same_setup=same_setup)
         figures, missing = iso_figures(acceptance.errors, np.random.default_rng(seed))

@@ -66,6 +66,17 @@ def load(path: Path | str) -> Robot:
     return replace(load_calibrated(folder, loading.load(folder / NOMINAL_YAML)), path=str(path))
 
 
+def joints_used(folder: Path | str, robot: Robot) -> FloatArray:
+    """Return the joint values from which a result was identified, (n, n_actuated) [m or rad]; none if not stored."""
+    path = Path(folder) / "residuals.csv"
+    if not path.is_file():
+        return np.zeros((0, len(robot.joint_names)))
+    table = read_table(path)
+    used = np.array(table.text("set")) == "identification"
+    joints = [table.column(name, robot.mechanism.dimensions[name]) for name in robot.joint_names]
+    return np.stack(joints, axis=1)[used]
+
+
 def load_calibrated(folder: Path | str, robot: Robot, *, failed_too: bool = False) -> Robot:
     """Return `robot` with the parameters of a result folder.
 

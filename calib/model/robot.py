@@ -120,6 +120,26 @@ class Robot(ReadOnlyArrays):
         return tuple(target.name for target in self.mechanism.targets)
 
     @cached_property
+    def located(self) -> IntArray:
+        """Places of the targets of which is told how well their positions are known, (n,).
+
+        Where a target is that is only read from unknown places, as by a camera that stands somewhere, readings may
+        hardly tell. It is left out beside targets that are read in the measurement frame, or from known places.
+        """
+        read: set[str] = set()
+        for one in self.instruments:
+            if any(part.dimension != "angle" for part in one.parts):
+                unknown = {place.name for place in one.places() if place.unknown}
+                read |= {target for place, target in one.pairs("") if place not in unknown}
+        names = self.target_names
+        return np.array([k for k, name in enumerate(names) if name in read or not read & set(names)], dtype=np.intp)
+
+    @property
+    def left_out(self) -> dict[str, int]:
+        """Targets that are not among `located`, and their places."""
+        return {name: k for k, name in enumerate(self.target_names) if k not in self.located}
+
+    @cached_property
     def parameters(self) -> Parameters:
         """Parameters, in the order of `values`, and by name."""
         of_instruments = tuple(p for one in self.instruments for p in one.unknowns)

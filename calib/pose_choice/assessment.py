@@ -58,9 +58,10 @@ class Assessment(ReadOnlyArrays):
         scaled, raw: O1 to O5 of the free parameters, on columns scaled by sigma [m], and in mm per unit of table.
         std: Predicted standard deviation of each free parameter, infinite where undetermined, (n_free,) [m, rad].
         accuracy: Predicted position error at the task poses.
-        position_errors: The same at each of them, (n_task, n_targets) [m].
+        position_errors: The same at each of them, of targets that count (`Robot.located`), (n_task, n_located) [m].
         by_count: Predicted accuracy against number of poses.
         near_singular: Poses closer to a singularity of the loops than the description's limit.
+        left_out: Targets whose accuracy does not count (`Robot.located`).
     """
 
     parameters: tuple[Parameter, ...]
@@ -81,6 +82,7 @@ class Assessment(ReadOnlyArrays):
     position_errors: FloatArray
     by_count: tuple[CountRow, ...]
     near_singular: tuple[str, ...]
+    left_out: tuple[str, ...]
 
     def __repr__(self) -> str:
         return (
@@ -198,6 +200,7 @@ def check(
         position_errors=errors,
         by_count=accuracy_by_count(rows[..., free] / lengths[free], priors, task_rows),
         near_singular=tuple(poses.labels[k] for k in near),
+        left_out=tuple(robot.left_out),
     )
 
 

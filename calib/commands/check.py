@@ -21,6 +21,7 @@ from calib.data.measurements import Measurements
 from calib.errors import InputError
 from calib.files import check_folder, write_folder
 from calib.identification.blind_spots import unordered
+from calib.identification.pose_checks import wrapped_terms
 from calib.linearisation.observed import unsaid_touches
 from calib.pictures import figures
 from calib.pose_choice.assessment import check
@@ -85,6 +86,7 @@ def command(
             f" size); give poses at contact, with a column '{one.text_columns()[0]}'"
         )
     task_poses = None if task is None else read_poses(task, model)
+    output.remarks(wrapped_terms(model, pose_set.joints))
     if isinstance(pose_set, Measurements):
         output.remarks(unordered(pose_set))
     with output.working(f"checking {len(pose_set)} poses"):

@@ -9,7 +9,7 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray
 from calib.identification.fitted import Fit
 from calib.identification.joint_curves import beyond_learned
-from calib.identification.pose_checks import unmoved_joints
+from calib.identification.pose_checks import unmoved_joints, wrapped_terms
 from calib.identification.reasons import Reason
 from calib.linearisation.jacobian import Linearisation, linearise
 from calib.linearisation.prediction import beside_common_motion, other_combinations
@@ -121,6 +121,12 @@ def beyond_joint_limits(fit: Fit) -> Iterator[Reason]:
             f" {listed([data.labels[k] for k in beyond])}; check the joint's sign, zero, unit and column, or the"
             " limits",
         )
+
+
+def turns_not_counted(fit: Fit) -> Iterator[Reason]:
+    """Look for joint terms that count turns of a joint whose values may be wrapped."""
+    for words in wrapped_terms(fit.nominal, fit.identification.data.joints):
+        yield Reason("CHECK", "turns_not_counted", words)
 
 
 def _limits(robot: Robot) -> tuple[FloatArray, FloatArray]:

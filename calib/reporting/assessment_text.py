@@ -120,8 +120,10 @@ def _observability(a: Assessment) -> Table:
     table.add_column("columns")
     for name in INDICES:
         table.add_column(name, justify="right")
-    table.add_row("scaled by sigma, m", *(f"{a.scaled[name]:.4g}" for name in INDICES))
-    table.add_row("raw, mm per mm or deg", *(f"{a.raw[name]:.4g}" for name in INDICES))
+    units = " or ".join(dict.fromkeys(parameter.unit for parameter in a.free_parameters))
+    scaled, raw = ("noise", "noise") if a.sigma == WHITENED else ("m", "mm")
+    table.add_row(f"scaled by sigma, {scaled}", *(f"{a.scaled[name]:.4g}" for name in INDICES))
+    table.add_row(f"raw, {raw} per {units}", *(f"{a.raw[name]:.4g}" for name in INDICES))
     return table
 
 

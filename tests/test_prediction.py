@@ -60,7 +60,10 @@ TWO_TARGETS = """\
 urdf: arm.urdf
 name_mot: [j1, j2, j3, j4, j5, j6]
 base: {frame: l0, pose: POSE}
-targets: {body: {frame: l6, position: unknown}, ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm]}}
+targets:
+  body: {frame: l6, position: unknown}
+  ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm]}
+  tip: {frame: l6, xyz: [0, 0, 200 mm]}
 instruments: {OTHER, eye: {kind: pixel, target: body, camera: {frame: l0, PLACE},
               intrinsics: {fx: 2400, fy: 2410, cx: 1000, cy: 800}, points: {a: [0, 0, 0], b: [0, 50 mm, 0]}}}
 parametrisation:
@@ -90,11 +93,11 @@ def test_targets_read_from_unknown_places_only_do_not_count_beside_others(tmp_pa
     assert robot.left_out == left_out
     q = joints(5)
     rows = rows_of_poses(robot, robot.assemble(q), SIGMA).position_rows
-    assert rows.shape[1] == 3 * (2 - len(left_out))
-    covariance = np.zeros((5, 2, 3, 3))
-    covariance[:, 0], covariance[:, 1] = np.eye(3), 1e-6 * np.eye(3)
+    assert rows.shape[1] == 3 * (3 - len(left_out))  # nobody reads the tip, and it counts all the same
+    covariance = np.zeros((5, 3, 3, 3))
+    covariance[:, 0], covariance[:, 1:] = np.eye(3), 1e-6 * np.eye(3)
     known = PositionUncertainty(robot.positions(q), covariance, 2.0, left_out=robot.left_out)
-    expected = 1e3 * np.sqrt(3) * (1e-3 if left_out else 0.5 * (1 + 1e-3))  # mm, by hand
+    expected = 1e3 * np.sqrt(3) * (1e-3 if left_out else (1 + 2e-3) / 3)  # mm, by hand
     assert known.summary()["mean"] == pytest.approx(expected)
     assert ("body (known to 1.7e+03 mm)" in known.remark()) == bool(left_out)
 

@@ -21,7 +21,7 @@ from calib.data.measurements import Measurements
 from calib.errors import InputError
 from calib.files import check_folder, write_folder
 from calib.identification.blind_spots import unordered
-from calib.identification.pose_checks import wrapped_terms
+from calib.identification.joint_conventions import wrapped_terms
 from calib.linearisation.observed import unsaid_touches
 from calib.pictures import figures
 from calib.pose_choice.assessment import check

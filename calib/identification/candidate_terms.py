@@ -9,7 +9,8 @@ import numpy as np
 
 from calib.data.measurements import Measurements
 from calib.errors import DescriptionError
-from calib.identification.pose_checks import may_be_wrapped, uncounted_turns, unmoved_joints, unstated
+from calib.identification.joint_conventions import may_be_wrapped, uncounted_turns
+from calib.identification.pose_checks import unmoved_joints, unstated
 from calib.joint_terms.coupling import CouplingSection, coupling_name
 from calib.joint_terms.term import JointTerm, TermSection
 from calib.joint_terms.terms import TERMS

@@ -17,7 +17,7 @@ looked at.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
 
@@ -38,8 +38,6 @@ from calib.words import counted, listed
 
 CONDITION = {"time": "time", "temperature": "temperature", "the load": "load"}
 """Column of a file that says what a joint term depends on (`JointTerm.depends_on`)."""
-_FILLED = 0.75  # part of a turn beyond which values are so near to both of its ends that they may be wrapped there
-_ROUND = 1e-3  # beyond the ends of a turn, values that were rounded [rad]
 _STILL = 1e-6  # range of a joint below which it never moved [m, rad]
 _ALONE = 1e-3  # part of the widest spread of poses in joint space that a direction must have to count
 _LINE = 1e-3  # width over length below which positions lie on one line
@@ -129,44 +127,6 @@ def _refuse_one_line(robot: Robot, data: Measurements) -> None:
 def unmoved_joints(robot: Robot, joints: FloatArray) -> list[str]:
     """Return the actuated joints that stay where they are in all poses (n_poses, n_actuated)."""
     return [name for name, reach in zip(robot.joint_names, np.ptp(joints, axis=0), strict=True) if reach < _STILL]
-
-
-def uncounted_turns(robot: Robot, joints: FloatArray) -> list[str]:
-    """Return the joints that turn without end whose values (n_poses, n_actuated) fill one turn, and leave none.
-
-    Values that are wrapped look so: how often the joint had turned is then not known.
-    """
-    endless = {joint.name for joint in robot.urdf.joints if joint.type == "continuous"}
-    turn, within = 2.0 * np.pi, np.zeros(joints.shape[1], dtype=bool)
-    for least in (-np.pi, 0.0):
-        within |= (joints.min(axis=0) > least - _ROUND) & (joints.max(axis=0) < least + turn + _ROUND)
-    filled = within & (np.ptp(joints, axis=0) > _FILLED * turn)
-    return [name for name, wrapped in zip(robot.joint_names, filled, strict=True) if wrapped and name in endless]
-
-
-def may_be_wrapped(joints: Sequence[str], wrong: Sequence[str]) -> str:
-    """Return what is wrong, and what to do, where the values of some joints may be wrapped.
-
-    Args:
-        joints: The joints.
-        wrong: What follows them and counts turns.
-    """
-    return (
-        f"all values of {'joint' if len(joints) == 1 else 'joints'} {listed(joints)}, without limits in the URDF, lie"
-        f" within one turn: if they were wrapped, whole turns are not known, and {listed(wrong)} cannot be right; give"
-        " values that count turns, or limits if the joint turns no further, or take harmonics or a curve, which repeat"
-        " with the turn"
-    )
-
-
-def wrapped_terms(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
-    """Say what is wrong with joint terms that count turns of joints whose values (n_poses, n_actuated) may not."""
-    uncounted = uncounted_turns(robot, joints)
-    followed = [
-        (term.followed(robot.joint_names), term.parameters[0].name) for term in robot.terms if term.counts_turns
-    ]
-    wrong = {name: joint for joint, name in followed if joint in uncounted}
-    return (may_be_wrapped(list(dict.fromkeys(wrong.values())), list(wrong)),) if wrong else ()
 
 
 def directions_moved(joints: FloatArray) -> int:

@@ -8,8 +8,9 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
 from calib.identification.fitted import Fit
+from calib.identification.joint_conventions import wrapped_terms
 from calib.identification.joint_curves import beyond_learned
-from calib.identification.pose_checks import unmoved_joints, wrapped_terms
+from calib.identification.pose_checks import unmoved_joints
 from calib.identification.reasons import Reason
 from calib.linearisation.jacobian import Linearisation, linearise
 from calib.linearisation.prediction import beside_common_motion, other_combinations

@@ -38,7 +38,7 @@ class PositionUncertainty(ReadOnlyArrays):
         covariance: (n_poses, n_targets, 3, 3) [m^2].
         coverage_factor: How many standard deviations make half a 95 % interval of one coordinate.
         turn_covariance: Of small turns of the targets, (n_poses, n_targets, 3, 3) [rad^2]; None where not computed.
-        left_out: Targets that summaries leave out (`Robot.located`), and their places among the targets.
+        left_out: Targets that summaries leave out (`Robot.left_out`), and their places among the targets.
     """
 
     positions: FloatArray

@@ -120,24 +120,25 @@ class Robot(ReadOnlyArrays):
         return tuple(target.name for target in self.mechanism.targets)
 
     @cached_property
-    def located(self) -> IntArray:
-        """Places of the targets of which is told how well their positions are known, (n,).
+    def left_out(self) -> dict[str, int]:
+        """Targets of which is not told how well their positions are known, and their places among the targets.
 
         Where a target is that is only read from unknown places, as by a camera that stands somewhere, readings may
         hardly tell. It is left out beside targets that are read in the measurement frame, or from known places.
         """
-        read: set[str] = set()
+        read: dict[bool, set[str]] = {True: set(), False: set()}
         for one in self.instruments:
+            unknown = {place.name for place in one.places() if place.unknown}
             if any(part.dimension != "angle" for part in one.parts):
-                unknown = {place.name for place in one.places() if place.unknown}
-                read |= {target for place, target in one.pairs("") if place not in unknown}
-        names = self.target_names
-        return np.array([k for k, name in enumerate(names) if name in read or not read & set(names)], dtype=np.intp)
+                for place, target in one.pairs(""):
+                    read[place in unknown].add(target)
+        unsure = read[True] - read[False] if read[False] else set()
+        return {name: k for k, name in enumerate(self.target_names) if name in unsure}
 
     @property
-    def left_out(self) -> dict[str, int]:
-        """Targets that are not among `located`, and their places."""
-        return {name: k for k, name in enumerate(self.target_names) if k not in self.located}
+    def located(self) -> list[int]:
+        """Places of the targets that are not left out."""
+        return [k for k, name in enumerate(self.target_names) if name not in self.left_out]
 
     @cached_property
     def parameters(self) -> Parameters:

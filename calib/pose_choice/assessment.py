@@ -62,7 +62,7 @@ class Assessment(ReadOnlyArrays):
         position_errors: The same at each of them, of targets that count (`Robot.located`), (n_task, n_located) [m].
         by_count: Predicted accuracy against number of poses.
         near_singular: Poses closer to a singularity of the loops than the description's limit.
-        left_out: Targets whose accuracy does not count (`Robot.located`).
+        left_out: Targets whose accuracy does not count (`Robot.left_out`).
     """
 
     parameters: tuple[Parameter, ...]

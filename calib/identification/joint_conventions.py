@@ -1,10 +1,10 @@
 """What joint values mean: signs and zeros that would make measurements fit, and whether whole turns are counted.
 
-Joints may count the other way, or from another zero. Several may be wrong at once, and one put right among three wrong ones need not help: all patterns of signs are
-tried, and any two changes; from the best few of them zeros and signs are changed one by one, as long as that halves the
-miss. Patterns are compared by a lower bound of the miss that needs no iteration: where the base is unknown, its
-rotation may be any matrix, so that base and target follow from one linear system. `joint_changes` yields the best
-patterns; the caller compares the nominal robot under each.
+Joints may count the other way, or from another zero. Several may be wrong at once, and one put right among three wrong
+ones need not help: all patterns of signs are tried, and any two changes; from the best few of them zeros and signs are
+changed one by one, as long as that halves the miss. Patterns are compared by a lower bound of the miss that needs no
+iteration: where the base is unknown, its rotation may be any matrix, so that base and target follow from one linear
+system. `joint_changes` yields the best patterns; the caller compares the nominal robot under each.
 
 When it fails. Robots with loops, whose poses are expensive to close: there one or two signs or one zero are tried, and
 of more than one sign only where the joints stay within their limits.

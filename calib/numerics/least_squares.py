@@ -25,26 +25,18 @@ What K does is known of the last steps R s_j. With an orthonormal basis P of the
 is the smallest symmetric matrix that does the same (Powell's update, of several steps at once). A few directions do: S
 is large in few. The minimum of the model is the next step. Where curvature outweighs what the rows and the priors say,
 as on a saddle between two valleys, there is none; then the step goes to the lowest point within four lengths of f. (A
-method that looks for a zero of the gradient, such as Anderson's acceleration of x + f(x), would go to the saddle.)
+method that looks for a zero of the gradient, such as Anderson's acceleration of x + f(x), would go to the saddle.) K is
+left out where rows come first: while more than half of the cost is promised to go.
 
-Steps are taken in full as long as the cost falls. Where the minimum lies along a bent valley, whose walls are as steep
-as the noise is small, a step climbs a wall and the next comes down again. So a cost above the best is accepted, up to
-five times in a row, as long as the model promises to go below the best. To come down, and not to run on along a valley
-that the walls hide, these steps stay within twice the length of the one that left the best point. What does not come
-back is undone; from then on steps go from the best point to the minimum of the model within a ball |D d| <= radius, and
-those that come down from a wall stay in the same ball. The radius follows how well the last model before the cost fell
-below the best predicted it. So a step may be as long as the valley is straight; steps that have to lower the cost at
-once are no longer than it is wide. A trial point without residuals (a loop that cannot close answers NaN) has a cost
-that does not come back.
-
-K is left out where rows come first: while more than half of the cost is promised to go, and goes; and in a ball, in the
-first three steps down from a wall. Elsewhere it ends the swinging between two walls.
+Steps are taken in full as long as the cost falls. One that does not lower it is undone; from then on steps go to the
+minimum of the model within a ball |D d| <= radius, which follows how well the last model predicted the cost. A trial
+point without residuals (a loop that cannot close answers NaN) does not lower it.
 
 D is one of
 
     `unit`       1: the unknowns are already scaled, so that a change of one is a reasonable change of each
     `jacobian`   the largest norm so far of each column of J, for unknowns of any size and unit; the first step is no
-                 longer than the start is away from zero, and every step has to lower the cost
+                 longer than the start is away from zero
 
 Many unknowns that are hardly seen, a start far away and small noise are a trap: the linear model takes what the
 curvature left for a message from directions in which the rows say little, and the first step is absurdly long. With D
@@ -65,8 +57,8 @@ directions that the residuals hardly see, convergence is judged by the cost: the
 
 Tested against the certified answers of NIST's reference problems (tests/test_nist.py); evaluations from loose to tight
 noise: docs/theory/priors.md.
-Reference: dennis1981 (curvature from differences of Jacobians); walker2011 (Anderson's acceleration); chamberlain1982
-(a higher cost for a while); more1983 (the step within a ball); nist_strd.
+Reference: dennis1981 (curvature from differences of Jacobians); walker2011 (Anderson's acceleration); more1983 (the
+step within a ball); nist_strd.
 """
 
 from __future__ import annotations
@@ -89,19 +81,13 @@ TOLERANCE = 1e-12
 _SMALL_STEP = 1e-12
 _ROUNDING = 10.0  # how many tolerances may be left where a step did not lower the cost
 _KEPT = 8  # steps whose Jacobians are remembered
-_PATIENCE = 5  # trial points in a row above the best cost
-_DOWN = 3  # how many of them are left without curvature
-_ASTRAY = 2.0  # how far from the best point they may be, in lengths of the step that left it
 _BOLD = 4.0  # how far to go where the model has no minimum, in lengths of Newton's step
 _DEPENDENT = 1e-4  # part of a remembered step that later ones do not say, below which it says nothing
 _SINGULAR = 1e-14  # the same for directions that the rows do not see
 _SHORTER = 0.25  # how much of the radius is left after a step that failed
 _GOOD, _POOR = 0.75, 0.25  # part of the promised decrease that came, beyond which the radius changes
-_PAID = 0.5  # the same, from which on the next step does without curvature
 _ON_RADIUS = 0.1  # relative length within which a step counts as being on the ball
-_ABSURD = (
-    3.5  # root mean square of a first step in units of the unknowns; real arms with noise stated far too small: 3.4
-)
+_ABSURD = 3.5  # root mean square of a first step in units of the unknowns
 _REACH = 0.5  # how far the steps may then go at first, in the same units
 _LIMIT, _COST_STANDS, _STEP_VANISHES = (
     "the limit of evaluations was reached",
@@ -161,10 +147,11 @@ def minimise(
     path = _Path(_Point(start, values, jacobian(start)), scaling, tolerance)
     evaluations, message = 1, path.ended()
     while not message and evaluations < max_evaluations:
-        path.go_on(residuals(path.trial()), jacobian)
+        x = path.trial()
+        path.go_on(x, residuals(x), jacobian)
         evaluations += 1
         message = path.ended()
-    best = path.best
+    best = path.here
     return Solution(best.x, best.residuals, best.jacobian, best.cost, bool(message), evaluations, message or _LIMIT)
 
 
@@ -222,10 +209,8 @@ class _Point:
         outside = (images - along @ inside) @ along.T
         return np.asarray(outside + outside.T + along @ (inside + inside.T) @ along.T / 2)
 
-    def step(
-        self, curvature: FloatArray | None, limit: float, scale: FloatArray, offset: FloatArray
-    ) -> tuple[FloatArray, float]:
-        """Return the step d to the minimum of the model where |D (offset + d)| <= limit, (n,), and the cost there."""
+    def step(self, curvature: FloatArray | None, limit: float, scale: FloatArray) -> tuple[FloatArray, float]:
+        """Return the step d to the minimum of the model where |D d| <= limit, (n,), and the cost there."""
         step, bent = self.newton, np.zeros((1, 1)) if curvature is None else curvature
         hessian = np.eye(len(self.triangle)) + bent
         if curvature is not None:
@@ -235,16 +220,15 @@ class _Point:
                 step = scipy.linalg.solve_triangular(self.triangle, image)
             except np.linalg.LinAlgError:  # there is no minimum
                 step = np.full(len(step), np.inf)
-                farthest = np.linalg.norm(scale * offset) + _BOLD * np.linalg.norm(scale * self.newton)
-                limit = min(limit, float(farthest))
-        if not np.linalg.norm(scale * (offset + step)) <= limit:
-            step = self._within(hessian, limit, scale, offset) - offset
+                limit = min(limit, float(_BOLD * np.linalg.norm(scale * self.newton)))
+        if not np.linalg.norm(scale * step) <= limit:
+            step = self._within(hessian, limit, scale)
         image = self.triangle @ step
         return step, self.unseen + float(np.sum((self.projected + image) ** 2) + image @ (hessian @ image - image))
 
-    def _within(self, hessian: FloatArray, limit: float, scale: FloatArray, offset: FloatArray) -> FloatArray:
+    def _within(self, hessian: FloatArray, limit: float, scale: FloatArray) -> FloatArray:
         """Return the minimum of the model in the ball, (n,), as -(H + l D^2)^-1 g, with l >= 0 found by bisection."""
-        scaled, right = self.triangle / scale, self.projected - hessian @ (self.triangle @ offset)
+        scaled, right = self.triangle / scale, self.projected
         if np.array_equal(hessian, np.eye(len(hessian))):  # singular values are exact where their squares are not
             left, singular, rows = np.linalg.svd(scaled, full_matrices=False)
             values, vectors, pull = singular**2, rows.T, singular * (left.T @ right)
@@ -278,7 +262,7 @@ class _Path:
     """
 
     def __init__(self, start: _Point, scaling: Literal["unit", "jacobian"], tolerance: float) -> None:
-        self.here = self.best = start
+        self.here = start
         self._tolerance = tolerance
         self._by_columns = scaling == "jacobian"
         self._scale = np.zeros(len(start.x)) if self._by_columns else np.ones(len(start.x))
@@ -289,12 +273,7 @@ class _Path:
         if self._by_columns:
             self._radius = self._length(start.x) or 1.0
         self._past: list[_Point] = []
-        self._climbs = 0 if self._by_columns else _PATIENCE
-        self._patience = self._climbs
-        self._paid = True  # whether the last step lowered the cost about as promised
         self._undone = False  # whether the last step was
-        self._first = np.inf  # length of the step that left the best point
-        self._planned: _Point | None = None  # from where the next step is known
         self._step: FloatArray = np.zeros(len(start.x))
         self._promised = start.cost
 
@@ -308,8 +287,6 @@ class _Path:
 
     def ended(self) -> str:
         """Return which stopping rule is met; nothing if none is."""
-        if self.here is not self.best:
-            return ""
         allowed = (_ROUNDING if self._undone else 1.0) * self._tolerance
         if self.here.decrease <= allowed * self.here.cost:
             return _COST_STANDS
@@ -318,48 +295,22 @@ class _Path:
 
     def trial(self) -> FloatArray:
         """Return where to look next, (n,)."""
-        if self._planned is not self.here:
-            self._plan()
-        return self.here.x + self._step
+        here = self.here
+        curvature = here.curvature(self._past) if 2.0 * here.decrease <= here.cost else None
+        self._step, self._promised = here.step(curvature, self._radius, self._scale)
+        return np.asarray(here.x + self._step)
 
-    def _plan(self) -> None:
-        """Find the next step, and the cost that the model promises after it."""
-        here, limit = self.here, self._radius
-        above = self._climbs - self._patience
-        bends = above == 0 or above > _DOWN or np.isinf(limit)
-        met = 2.0 * here.decrease <= here.cost or not self._paid
-        curvature = here.curvature(self._past) if bends and met else None
-        if here is not self.best:
-            limit = min(limit, _ASTRAY * self._first)
-        self._step, self._promised = here.step(curvature, limit, self._scale, here.x - self.best.x)
-        self._planned = here
-        if here is self.best:
-            self._first = self._length(self._step)
-
-    def go_on(self, values: FloatArray, jacobian: Callable[[FloatArray], FloatArray]) -> None:
-        """Take the step that led to these residuals (m,), or go back to the best point with a smaller radius."""
+    def go_on(self, x: FloatArray, values: FloatArray, jacobian: Callable[[FloatArray], FloatArray]) -> None:
+        """Take the step to x (n,) with these residuals (m,), or stay with a smaller radius."""
         reached = float(values @ values) if np.all(np.isfinite(values)) else np.inf
-        if reached < self.best.cost or (self._patience > 0 and np.isfinite(reached)):
-            x = self.trial()
-            trial = _Point(x, values, jacobian(x))
-            if reached < self.best.cost:
-                promised = self.best.cost - self._promised
-                part = (self.best.cost - reached) / promised if promised > 0 else 0.0
-                self._radius, self._paid = self._adapted(trial, part), part >= _PAID
-                self._move(trial)
-                self.best, self._patience, self._undone = trial, self._climbs, False
-                return
-            self._move(trial)
-            self._patience, self._paid = self._patience - 1, False
-            self._plan()
-            if self._promised < self.best.cost:
-                return
-        self._radius = _SHORTER * min(self._first, self._radius)
-        self._cautious, self._undone = False, True
-        self.here, self._past, self._patience = self.best, [], self._climbs
-        self._planned = None
-
-    def _move(self, trial: _Point) -> None:
+        self._undone = not reached < self.here.cost
+        if self._undone:
+            self._radius = _SHORTER * min(self._length(self._step), self._radius)
+            self._cautious, self._past = False, []
+            return
+        trial = _Point(x, values, jacobian(x))
+        promised = self.here.cost - self._promised
+        self._radius = self._adapted(trial, (self.here.cost - reached) / promised if promised > 0 else 0.0)
         self._past = [*self._past, self.here][-_KEPT:]
         self.here = trial
         self._rescale(trial)
@@ -368,11 +319,11 @@ class _Path:
         """Return the radius after a step that lowered the cost, by this part of what the model promised."""
         if np.isinf(self._radius):
             return self._radius
-        length = self._length(trial.x - self.best.x)
-        if self._cautious and self.here is self.best and length >= (1.0 - _ON_RADIUS) * self._radius:
+        length = self._length(self._step)
+        if self._cautious and length >= (1.0 - _ON_RADIUS) * self._radius:
             left = float(np.linalg.norm(trial.residuals - self.here.residuals - self.here.jacobian @ self._step))
             if left * (self._length(trial.newton) / length) ** 2 <= np.sqrt(trial.cost):
                 return np.inf
         if part < _POOR:
-            return _SHORTER * self._first
+            return _SHORTER * length
         return self._radius if part < _GOOD else max(self._radius, 2.0 * length)

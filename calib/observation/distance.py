@@ -122,11 +122,6 @@ class Distance(Instrument):
             )
         return read[:, None]
 
-    def cells(self, values: FloatArray) -> dict[str, FloatArray]:
-        """Return the column of distances, (n, 1) [m]."""
-        (column,) = self.columns()
-        return {column.name: values[:, 0]}
-
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return |p_ab| + offset, (n, 1) [m]."""
         read: FloatArray = np.linalg.norm(view.translation, axis=1)[:, None] + self._offset(unknowns)
@@ -143,10 +138,6 @@ class Distance(Instrument):
 
     def _offset(self, unknowns: FloatArray) -> float:
         return float(unknowns[0]) if len(unknowns) else self.offset.value
-
-    def moved(self, values: FloatArray, change: FloatArray) -> FloatArray:
-        """Return distances with errors."""
-        return values + change
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
         """Return the fixed point by multilateration, in each setup that moved it."""

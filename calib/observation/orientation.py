@@ -100,10 +100,6 @@ class Orientation(Instrument):
         """Rotation errors, or tilts."""
         return (TILT,) if self.gravity else (ORIENTATION,)
 
-    def pairs(self, base: str) -> tuple[tuple[str, str], ...]:
-        """Return measurement frame and target."""
-        return ((base, self.target),)
-
     def columns(self) -> tuple[Column, ...]:
         """Return those of the rotation, or `<name>_tilt_x` and `_tilt_y`."""
         if self.gravity:

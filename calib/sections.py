@@ -1,16 +1,21 @@
 """What the sections of a robot description are made of: components of an origin, quantities with units.
 
-Own lengths of instruments, such as the radius of a sphere: known, expected near a value, or unknown.
+Own lengths of instruments, such as the radius of a sphere: known, expected near a value, or unknown. And how the YAML
+is read, so that a mistake is an error with its line, and a key given twice is a mistake.
 """
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, PlainValidator
 
-from calib.errors import InputError, nearest
+from calib.errors import DescriptionError, InputError, nearest
+from calib.files import read_text
 from calib.parameter import Parameter
 from calib.units import Dimension, quantity
 
@@ -20,6 +25,7 @@ ANGLE_COMPONENTS: tuple[Component, ...] = ("rx", "ry", "rz")
 COMPONENTS = LENGTH_COMPONENTS + ANGLE_COMPONENTS
 _SCALE = 0.01  # by which an unknown length without any expectation is scaled [m]
 _KEYS = ("value", "sigma")
+_MERGE = "tag:yaml.org,2002:merge"
 
 
 def _reader(dimension: Dimension) -> BeforeValidator:
@@ -110,3 +116,45 @@ def _written(length: OwnLength) -> float | str | dict[str, float]:
 
 LengthOrUnknown = Annotated[OwnLength, PlainValidator(_read), PlainSerializer(_written)]
 """`12 mm`: known; `{value: 12 mm, sigma: 0.1 mm}`: expected there, and found; `unknown`: found."""
+
+
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """YAML silently keeps the last of two equal keys; here that is an error."""
+
+
+def _unique_mapping(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any, Any]:
+    seen: set[Any] = set()
+    for key_node, _ in node.value:
+        if key_node.tag == _MERGE:
+            continue
+        key = loader.construct_object(key_node, deep=True)
+        if not isinstance(key, Hashable):
+            raise yaml.constructor.ConstructorError(None, None, "a key is a list or a mapping", key_node.start_mark)
+        if key in seen:
+            raise yaml.constructor.ConstructorError(None, None, f"key '{key}' is given twice", key_node.start_mark)
+        seen.add(key)
+    return loader.construct_mapping(node, deep=True)
+
+
+# No, Yes, On and Off are words, such as names of columns; true and false alone are truth values
+_UniqueKeyLoader.yaml_implicit_resolvers = {
+    first: [one for one in kinds if one[0] != "tag:yaml.org,2002:bool" or first in "tTfF"]
+    for first, kinds in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_UniqueKeyLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _unique_mapping)
+
+
+def read_yaml(path: Path | str) -> object:
+    """Read a YAML file.
+
+    Raises:
+        DescriptionError: Missing or unreadable file, or broken YAML; the message names the line.
+    """
+    text = read_text(path, "a robot description (YAML) or a URDF", DescriptionError)
+    try:
+        return yaml.load(text, Loader=_UniqueKeyLoader)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: such as a date that does not exist
+        mark = getattr(error, "problem_mark", None)
+        line = f", line {mark.line + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
+        raise DescriptionError(f"{path}{line}: not valid YAML ({problem})") from None

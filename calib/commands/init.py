@@ -15,9 +15,8 @@ from calib.errors import DescriptionError, InputError
 from calib.files import check_file, write_files
 from calib.model.arm_chain import arm_chain
 from calib.model.denavit_hartenberg import CONVENTIONS, LAST_LINK, urdf_text
-from calib.model.loading import load
-from calib.model.loop_templates import TEMPLATES, loop_files, read_lengths
-from calib.model.templates import describe, description_text
+from calib.model.loading import describe, load
+from calib.model.templates import TEMPLATES, description_text, loop_files, read_lengths
 from calib.model.urdf_text import UrdfText, parse_urdf, read_urdf
 from calib.units import millimetres
 

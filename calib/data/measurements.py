@@ -20,8 +20,8 @@ from calib.errors import DataError, InputError
 from calib.joint_terms.term import Context
 from calib.model.robot import Robot
 from calib.observation.kind import Instrument, Readings
-from calib.tabular import pandas, titled_html
 from calib.units import DISPLAY_UNIT, PER_SI, Dimension
+from calib.words import pandas, titled_html
 
 _JOINTS_AGREE: dict[Dimension, float] = {"length": 1e-3, "angle": 2e-3}
 """Largest spread of a joint among repeats of one pose [m, rad]; more means that they are different poses."""

@@ -13,8 +13,8 @@ from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.errors import InputError, nearest
 from calib.numerics.statistics import Statistics, status
 from calib.parameter import Parameter
-from calib.tabular import data_frame, pandas, table_html
 from calib.units import PER_SI
+from calib.words import data_frame, pandas, table_html
 
 
 @dataclass(frozen=True)

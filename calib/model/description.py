@@ -29,9 +29,9 @@ from calib.sections import (
     Length,
     Quantity,
     Section,
+    read_yaml,
 )
 from calib.units import Dimension
-from calib.yaml_file import read_yaml
 
 
 class BaseSection(Section):

@@ -33,8 +33,8 @@ from calib.model.urdf_text import Triple, UrdfText
 from calib.observation.kind import Instrument
 from calib.parameter import Parameters, index_of
 from calib.sections import COMPONENTS, Component
-from calib.tabular import titled_html
 from calib.units import quantity
+from calib.words import titled_html
 
 _LARGEST_JOINT = 1e6  # [m or rad]
 _COMMAND_ROUNDS = 50

@@ -18,8 +18,8 @@ from calib.joint_terms.term import Context
 from calib.linearisation.prediction import PositionUncertainty
 from calib.model.robot import Robot
 from calib.reporting.result_reading import LoadedUncertainty, load, load_uncertainty, read_result
-from calib.tabular import titled_html
 from calib.units import PER_SI
+from calib.words import titled_html
 
 _NUMBERS = ("nominal", "value", "std", "low95", "high95")
 

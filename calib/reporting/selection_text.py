@@ -10,7 +10,7 @@ import numpy as np
 from rich.table import Table as Printed
 
 from calib.data.instrument_cells import columns_in
-from calib.data.measurement_text import format_positions
+from calib.data.measurement_files import format_positions
 from calib.data.measurements import Poses
 from calib.data.plan_files import INSTRUMENT, TOGETHER
 from calib.data.tables import Table, format_table

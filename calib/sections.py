@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Hashable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, PlainValidator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, PlainValidator, model_validator
 
 from calib.errors import DescriptionError, InputError, nearest
 from calib.files import read_text
@@ -46,6 +46,8 @@ def _number_or_text(value: Any) -> float | str:
 
 Length = Annotated[float, _reader("length")]
 Angle = Annotated[float, _reader("angle")]
+PositiveLength = Annotated[Length, Field(gt=0)]
+PositiveAngle = Annotated[Angle, Field(gt=0)]
 Quantity = Annotated[float | str, PlainValidator(_number_or_text)]
 """A number, or text with a unit, whose dimension is known only later."""
 
@@ -54,6 +56,65 @@ class Section(BaseModel):
     """A mapping of keys in a robot description; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
+
+
+class FrameSection(Section):
+    """A frame on a link.
+
+    Attributes:
+        frame: The link.
+        xyz, rpy: Where it is in that link, and how it is turned [m], [rad].
+    """
+
+    frame: str
+    xyz: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
+    rpy: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
+
+
+class PlaceSection(FrameSection):
+    """A frame on a link, of which position and orientation are known or not.
+
+    Attributes:
+        position: `known`: it is right there; `unknown`: found from the measurements, starting from `xyz`.
+        orientation: The same for `rpy`.
+        sigma: How far an unknown position may be from `xyz`, one standard deviation [m]; left out, `xyz` says nothing.
+        sigma_angle: The same for an unknown orientation [rad].
+    """
+
+    what: ClassVar[str]
+    position: Literal["known", "unknown"] = "known"
+    orientation: Literal["known", "unknown"] = "known"
+    sigma: PositiveLength | None = None
+    sigma_angle: PositiveAngle | None = None
+
+    @model_validator(mode="after")
+    def _sigma_of_unknown(self) -> Self:
+        if self.sigma is not None and self.position == "known":
+            raise ValueError(f"sigma is for a {self.what} whose position is unknown")
+        if self.sigma_angle is not None and self.orientation == "known":
+            raise ValueError(f"sigma_angle is for a {self.what} whose orientation is unknown")
+        return self
+
+
+class PosedSection(FrameSection):
+    """A frame on a link, of which the whole pose is known or not.
+
+    Attributes:
+        pose: `known`: it is right there; `unknown`: found from the measurements, starting from there.
+        sigma, sigma_angle: How far an unknown pose may be from there, one standard deviation [m], [rad]; left out, the
+            numbers say nothing.
+    """
+
+    what: ClassVar[str]
+    pose: Literal["known", "unknown"] = "known"
+    sigma: PositiveLength | None = None
+    sigma_angle: PositiveAngle | None = None
+
+    @model_validator(mode="after")
+    def _sigma_of_unknown(self) -> Self:
+        if self.pose == "known" and (self.sigma is not None or self.sigma_angle is not None):
+            raise ValueError(f"sigma and sigma_angle are for {self.what} whose pose is unknown")
+        return self
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from calib.arrays import FloatArray
 from calib.errors import ComputationError, DataError
@@ -25,12 +25,11 @@ from calib.numerics.rigid import centre, common_offset
 from calib.observation.kind import Column, Comparison, Guess, Instrument, Part, Place, Readings, Scene, View
 from calib.observation.noise import Noise, PartNoise
 from calib.parameter import Parameter
-from calib.sections import KNOWN_ZERO, LENGTH_COMPONENTS, Length, LengthOrUnknown, OwnLength, Section
+from calib.sections import KNOWN_ZERO, LENGTH_COMPONENTS, Length, LengthOrUnknown, OwnLength, PositiveLength, Section
 from calib.units import micrometres, millimetres
 
 DISTANCE = Part("distance", ("distance",), "length")
 _NOTHING = 1e-6  # distance that has no direction [m]
-_PositiveLength = Annotated[Length, Field(gt=0)]
 
 
 class EndSection(Section):
@@ -46,7 +45,7 @@ class EndSection(Section):
     frame: str
     xyz: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
     position: Literal["known", "unknown"] = "known"
-    sigma: _PositiveLength | None = None
+    sigma: PositiveLength | None = None
 
     @model_validator(mode="after")
     def _sigma_of_unknown(self) -> EndSection:
@@ -69,7 +68,7 @@ class DistanceSection(Section):
     target: str | None = None
     end: EndSection | None = None
     offset: LengthOrUnknown = KNOWN_ZERO
-    sigma: _PositiveLength | None = None
+    sigma: PositiveLength | None = None
 
 
 @dataclass(frozen=True)

@@ -17,20 +17,17 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag
+from pydantic import Discriminator, Tag
 
 from calib.arrays import FloatArray
-from calib.sections import Angle, Length, Section
-
-_PositiveLength = Annotated[Length, Field(gt=0)]
-_PositiveAngle = Annotated[Angle, Field(gt=0)]
+from calib.sections import PositiveAngle, PositiveLength, Section
 
 
 class Beam(Section):
     """Noise of a tracker: along its beam [m], and of the two angles across it [rad]."""
 
-    range: _PositiveLength
-    angle: _PositiveAngle
+    range: PositiveLength
+    angle: PositiveAngle
 
 
 def _form(value: Any) -> str:
@@ -40,15 +37,15 @@ def _form(value: Any) -> str:
 
 
 PositionSigma = Annotated[
-    Annotated[_PositiveLength, Tag("number")]
-    | Annotated[tuple[_PositiveLength, _PositiveLength, _PositiveLength], Tag("axes")]
+    Annotated[PositiveLength, Tag("number")]
+    | Annotated[tuple[PositiveLength, PositiveLength, PositiveLength], Tag("axes")]
     | Annotated[Beam, Tag("beam")],
     Discriminator(_form),
 ]
 """Noise of a position: one number, one for each axis, or a tracker's."""
 AngleSigma = Annotated[
-    Annotated[_PositiveAngle, Tag("number")]
-    | Annotated[tuple[_PositiveAngle, _PositiveAngle, _PositiveAngle], Tag("axes")],
+    Annotated[PositiveAngle, Tag("number")]
+    | Annotated[tuple[PositiveAngle, PositiveAngle, PositiveAngle], Tag("axes")],
     Discriminator(_form),
 ]
 """Noise of an orientation: one number, or one for each axis."""

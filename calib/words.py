@@ -5,10 +5,11 @@ from __future__ import annotations
 import html
 import io
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from importlib import import_module
-from typing import Any
+from typing import Any, Literal
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -57,6 +58,35 @@ def plain_text(parts: Iterable[str | Table], width: int, *, wrap: bool = False) 
     for part in parts:
         console.print(part, soft_wrap=isinstance(part, str) and not wrap)
     return stream.getvalue()
+
+
+def text_table(
+    headers: Sequence[str], left: Collection[str] = ("",), title: str | None = None, *, plain: bool = False
+) -> Table:
+    """Return an empty table for `plain_text`.
+
+    Args:
+        headers: Of its columns.
+        left: Those of them whose cells stand on the left; numbers stand on the right.
+        title: What stands above it.
+        plain: Whether it has no lines.
+    """
+    style: dict[str, Any] = {"box": None, "pad_edge": False} if plain else {}
+    table = Table(title=title, title_justify="left", **style)
+    for header in headers:
+        justify: Literal["left", "right"] = "left" if header in left else "right"
+        table.add_column(header, justify=justify)
+    return table
+
+
+def as_data(value: Any) -> Any:
+    """Return data for JSON: null for numbers that it cannot hold, and Python's own for NumPy's."""
+    if isinstance(value, dict):
+        return {str(key): as_data(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [as_data(entry) for entry in value]
+    number = value.item() if isinstance(value, np.generic) else value
+    return None if isinstance(number, float) and not math.isfinite(number) else number
 
 
 def table_html(rows: Sequence[dict[str, object]]) -> str:

@@ -204,8 +204,7 @@ def _damped_step(gaps: FloatArray, slopes: FloatArray, damping: FloatArray, held
 
 def _limits(robot: Robot, poses: Poses) -> tuple[FloatArray, FloatArray]:
     """Where the joints may go, (n, n_actuated) each: within the URDF's limits, or where they stand already."""
-    limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
-    lower, upper = np.array([limits[name] for name in robot.joint_names]).T
+    lower, upper = robot.urdf.limits(robot.joint_names)
     return np.minimum(lower, poses.joints), np.maximum(upper, poses.joints)
 
 

@@ -23,7 +23,7 @@ from calib.model.closure import AssemblyMode, gap_text, open_by, residual
 from calib.model.continuation import follow, newton
 from calib.model.mechanism import Mechanism
 from calib.threads import one_blas_thread
-from calib.units import DISPLAY_UNIT, PER_SI, Dimension
+from calib.units import DISPLAY_UNIT, Dimension, display_scale
 
 LIMIT_MARGIN = 1e-9
 """How far beyond its limit a passive joint may be [m, rad]."""
@@ -162,8 +162,7 @@ def _beyond(mechanism: Mechanism, passive: FloatArray) -> str:
     excess = np.maximum(mechanism.lower - passive, passive - mechanism.upper)
     worst = int(np.argmax(excess))
     dimension: Dimension = "length" if mechanism.is_metre_column[worst] else "angle"
-    unit = DISPLAY_UNIT[dimension]
-    factor = PER_SI[dimension][unit]
+    unit, factor = DISPLAY_UNIT[dimension], display_scale(dimension)
     value, low, high = (factor * float(x[worst]) for x in (passive, mechanism.lower, mechanism.upper))
     return (
         f"passive joint {mechanism.passive[worst]} at {value:.4g} {unit}, beyond its limits"

@@ -80,7 +80,7 @@ def raw_columns(jacobian: FloatArray, parameters: Iterable[Parameter]) -> FloatA
         jacobian: d(positions)/d(parameters), (..., n_parameters) [m per m or rad].
         parameters: The parameters of its columns.
     """
-    per_unit = np.array([1.0 / PER_SI[parameter.dimension][parameter.unit] for parameter in parameters])
+    per_unit = np.array([1.0 / parameter.per_si for parameter in parameters])
     result: FloatArray = PER_SI["length"]["mm"] * jacobian * per_unit
     return result
 

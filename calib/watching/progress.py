@@ -12,8 +12,8 @@ from calib.identification.fitted import Fit
 from calib.linearisation.prediction import RootMeanSquare
 from calib.model.robot import Robot
 from calib.pose_choice.next_pose import NextPose
-from calib.units import DISPLAY_UNIT, PER_SI, millimetres
-from calib.words import counted
+from calib.units import DISPLAY_UNIT, display_scale, millimetres
+from calib.words import as_data, counted
 
 UNKNOWN = RootMeanSquare(math.inf, 0.0, math.inf)
 """Of a distance that nothing has told yet."""
@@ -87,29 +87,31 @@ class Progress(ReadOnlyArrays):
     def to_dict(self) -> dict[str, object]:
         """Return it as data for JSON, in mm and degrees; None where not known."""
         following = self.next_pose
-        return {
-            "robot": self.robot.path,
-            "poses": self.n_poses,
-            "goal_mm": millimetres(self.goal),
-            "stop": self.stop,
-            "out_of_reach": self.out_of_reach,
-            "obstacle": None if self.obstacle is None else str(self.obstacle),
-            "predicted_mm": _as_data(self.predicted),
-            "unseen_mm": _as_data(self.unseen) | {"poses": self.n_unseen},
-            "next": None
-            if following is None
-            else {
-                "pose": following.name,
-                "checks": following.checks,
-                "joints": {name: {"value": value, "unit": unit} for name, value, unit in self._joints(following)},
-                "way": following.way,
-                "predicted_mm": {
-                    "before": _finite(millimetres(following.before)),
-                    "after": _finite(millimetres(following.after)),
+        return as_data(
+            {
+                "robot": self.robot.path,
+                "poses": self.n_poses,
+                "goal_mm": millimetres(self.goal),
+                "stop": self.stop,
+                "out_of_reach": self.out_of_reach,
+                "obstacle": None if self.obstacle is None else str(self.obstacle),
+                "predicted_mm": _as_data(self.predicted),
+                "unseen_mm": _as_data(self.unseen) | {"poses": self.n_unseen},
+                "next": None
+                if following is None
+                else {
+                    "pose": following.name,
+                    "checks": following.checks,
+                    "joints": {name: {"value": value, "unit": unit} for name, value, unit in self._joints(following)},
+                    "way": following.way,
+                    "predicted_mm": {
+                        "before": millimetres(following.before),
+                        "after": millimetres(following.after),
+                    },
                 },
-            },
-            "seconds": self.seconds,
-        }
+                "seconds": self.seconds,
+            }
+        )
 
     def _verdict(self) -> str:
         if self.stop:
@@ -140,14 +142,9 @@ class Progress(ReadOnlyArrays):
 
     def _joints(self, following: NextPose) -> list[tuple[str, float, str]]:
         """Name, value and unit of each joint."""
-        dimensions = [self.robot.mechanism.dimensions[name] for name in self.robot.joint_names]
-        units = [DISPLAY_UNIT[dimension] for dimension in dimensions]
-        return [
-            (name, float(value) * PER_SI[dimension][unit], unit)
-            for name, value, dimension, unit in zip(
-                self.robot.joint_names, following.joints, dimensions, units, strict=True
-            )
-        ]
+        named = zip(self.robot.joint_names, following.joints, strict=True)
+        told = ((name, value, self.robot.mechanism.dimensions[name]) for name, value in named)
+        return [(name, float(value) * display_scale(kind), DISPLAY_UNIT[kind]) for name, value, kind in told]
 
 
 def _shown(error: RootMeanSquare) -> str:
@@ -157,11 +154,7 @@ def _shown(error: RootMeanSquare) -> str:
 
 def _as_data(error: RootMeanSquare) -> dict[str, object]:
     return {
-        "rms": _finite(millimetres(error.value)),
-        "low95": _finite(millimetres(error.low95)),
-        "high95": _finite(millimetres(error.high95)),
+        "rms": millimetres(error.value),
+        "low95": millimetres(error.low95),
+        "high95": millimetres(error.high95),
     }
-
-
-def _finite(number: float) -> float | None:
-    return number if math.isfinite(number) else None

@@ -119,10 +119,7 @@ def comparison(found: ResultComparison) -> bytes:
     Raises:
         InputError: Nothing that draws is installed.
     """
-    modules: list[Pictures] = [entry.load() for entry in entry_points(group=GROUP)]
-    if not modules:
-        raise InputError(f"--html: nothing that draws is installed (entry point group {GROUP})")
-    return modules[0].comparison(found)
+    return _installed("--html")[0].comparison(found)
 
 
 def figures(subject: object) -> dict[str, bytes]:

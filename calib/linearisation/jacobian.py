@@ -253,9 +253,3 @@ def joint_twists(mechanism: Mechanism) -> FloatArray:
     """Return twists of all origins per driven joint, (6 n_joints, n_driven): the joint's axis at its own origin."""
     by_joint: FloatArray = mechanism.axes[:, :, None] * mechanism.select_actuated[:, None, :]
     return by_joint.reshape(6 * mechanism.n_joints, -1)
-
-
-def joint_jacobian(robot: Robot, configurations: Configurations) -> FloatArray:
-    """Return d(position)/d(actuated joint), loops closed, (n_poses, n_targets, 3, n_actuated) [m per m or rad]."""
-    n_actuated = len(robot.joint_names)
-    return origin_jacobian(robot.mechanism, configurations, joint_twists(robot.mechanism)[:, :n_actuated])[1]

@@ -11,10 +11,10 @@ import numpy as np
 
 from calib.errors import DescriptionError, InputError, nearest
 from calib.model.arm_chain import ArmChain, arm_chain
-from calib.model.closed_home import closed_home
 from calib.model.description import BaseSection, Description, TargetSection, checked_description, read_description
 from calib.model.instruments import instruments_of, places_of
 from calib.model.joint_errors import build_terms
+from calib.model.loops import closed_home
 from calib.model.mechanism import Mechanism
 from calib.model.mechanism_builder import build_mechanism, home_values
 from calib.model.parametrisation import build_parametrisation, default_sections

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
-from calib.numerics.rigid import OUTLIER_PROBABILITY
 from calib.units import micrometres, millimetres
 from calib.words import counted
 from medrue.both_sides_tables import (
@@ -25,6 +24,7 @@ from medrue.ranking import Ranking, rank, ranking_table, standard_error
 from medrue.result_tables import Cell, Column, ResultTable
 from medrue.study import STATISTICS, summary
 from medrue.tracker import REPEATS, SIGMA
+from medrue.world_frame import OUTLIER_PROBABILITY
 
 
 def experiment_tables(experiment: Experiment) -> tuple[ResultTable, ...]:

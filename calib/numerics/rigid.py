@@ -35,12 +35,17 @@ _SMALLEST = 1e-9  # length below which there is none [m]
 _AS_GOOD = 2.0  # misses within this factor of the smallest do not tell mirror images apart
 
 
+def nearest_rotation(matrix: FloatArray) -> FloatArray:
+    """Return the rotation R that makes tr(R^T matrix) largest, (3, 3)."""
+    u, _, vt = np.linalg.svd(matrix)
+    result: FloatArray = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0]) @ vt
+    return result
+
+
 def best_transform(p: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return R (3, 3) and t (3,) [m] of the module docstring for points p, q (n, 3) [m]."""
     centre_p, centre_q = p.mean(axis=0), q.mean(axis=0)
-    left, _, right = np.linalg.svd((q - centre_q).T @ (p - centre_p))
-    proper = np.diag([1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)])
-    rotation = left @ proper @ right
+    rotation = nearest_rotation((q - centre_q).T @ (p - centre_p))
     return rotation, centre_q - rotation @ centre_p
 
 

@@ -35,14 +35,12 @@ import numpy as np
 import scipy
 
 from calib.arrays import BoolArray, FloatArray, IntArray
-from calib.numerics.rigid import cross_matrices
-from calib.observation.hand_eye import nearest_rotation
+from calib.numerics.rigid import cross_matrices, nearest_rotation
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 """Intrinsics in OpenCV's order."""
 _GRAZING = 0.05  # cosine to the optical axis below which there is no image: 87 degrees
 _WIDEST = 4.0  # r^2 beyond which distortion does not grow
-_ROUNDS = 50
 _SETTLED = 1e-13
 LEAST_POINTS = 4
 """Points of a view from which its pose follows."""

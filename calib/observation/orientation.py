@@ -25,8 +25,8 @@ import numpy as np
 from pydantic import model_validator
 
 from calib.arrays import FloatArray
-from calib.numerics.rigid import cross_matrices
-from calib.observation.hand_eye import fixed_rotations, nearest_rotation
+from calib.numerics.rigid import cross_matrices, nearest_rotation
+from calib.observation.hand_eye import fixed_rotations
 from calib.observation.kind import Column, Comparison, Guess, Instrument, Part, Readings, Scene, View
 from calib.observation.noise import AngleSigma, Noise, PartNoise
 from calib.observation.rotations import (

@@ -91,6 +91,11 @@ def flat_poses(poses: Any) -> FloatArray:
     return np.lib.stride_tricks.as_strided(rotation.T, (len(poses), 12), (step, 8))
 
 
+def rigid(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> pin.SE3:
+    """Return an origin as a URDF has it [m], [rad] as a rigid transform."""
+    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz))
+
+
 def view(places: Mapping[str, int], a: str, b: str) -> RelativeFrame:
     """Return place b seen from place a, from the joint index of each place."""
     return RelativeFrame(f"{a}-{b}", places[a], places[b], True, (0, 1, 2, 3, 4, 5))

@@ -70,6 +70,20 @@ class UrdfText:
         children = {joint.child for joint in self.joints}
         return next(link for link in self.links if link not in children)
 
+    @property
+    def outwards(self) -> list[UrdfJoint]:
+        """Joints so that parents come first, otherwise in file order."""
+        children: dict[str, list[UrdfJoint]] = {link: [] for link in self.links}
+        for joint in self.joints:
+            children[joint.parent].append(joint)
+        order: list[UrdfJoint] = []
+        waiting = [self.root]
+        while waiting:
+            joints = children[waiting.pop(0)]
+            order.extend(joints)
+            waiting = [joint.child for joint in joints] + waiting
+        return order
+
     def limits(self, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
         """Return lower and upper limits, (n,) each [m or rad]; infinite where the URDF has none."""
         known = {joint.name: (joint.lower, joint.upper) for joint in self.joints}

@@ -104,14 +104,9 @@ def titled_html(title: str, lines: Sequence[str], *tables: Sequence[dict[str, ob
     return f"<h3>{html.escape(title)}</h3>{told}{''.join(table_html(rows) for rows in tables)}"
 
 
-def data_frame(rows: Sequence[dict[str, object]], index: str = "name") -> Any:
-    """Return rows as a pandas table; pandas missing is an `InputError`.
-
-    Args:
-        rows: With the same keys.
-        index: The key whose cells name the rows.
-    """
-    return pandas().DataFrame(list(rows)).set_index(index)
+def data_frame(rows: Sequence[dict[str, object]]) -> Any:
+    """Return rows with the same keys, named by their `name`, as a pandas table; pandas missing is an `InputError`."""
+    return pandas().DataFrame(list(rows)).set_index("name")
 
 
 def pandas() -> Any:

@@ -14,7 +14,7 @@ from calib.identification.repeats import CONDITIONS, IsoFigure, conditions
 from calib.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale, millimetres
 from calib.words import as_data, counted, listed, plain_text, text_table
 
-_SHOWN = 8
+_SHOWN, _WIDTH = 8, 110  # changes; characters of a table
 _SAID = {
     "agrees": "AGREES: the robot is as accurate as its calibration promised",
     "drifted": "DRIFTED: one change explains what the readings are off",
@@ -23,14 +23,13 @@ _SAID = {
 }
 
 
-def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Sequence[str], width: int = 110) -> str:
+def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Sequence[str]) -> str:
     """Return everything as text.
 
     Args:
         acceptance: The judgement.
         figures: Of ISO 9283.
         missing: What they lack.
-        width: Of the tables, in characters.
     """
     data = acceptance.errors.data
     parts: list[str | Table] = [_SAID[acceptance.verdict], *_errors(acceptance), *_drift(acceptance)]
@@ -47,13 +46,13 @@ def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: S
     parts += [f"ISO 9283: {line}" for line in lines]
     stated = conditions(data.comments)
     parts += [f"{key}: {stated[key]}" for key in CONDITIONS if key in stated]
-    return plain_text(parts, width).rstrip()
+    return plain_text(parts, _WIDTH).rstrip()
 
 
-def plan_report(changes: Sequence[Change], data: str, n: int, width: int = 110) -> str:
+def plan_report(changes: Sequence[Change], data: str, n: int) -> str:
     """Return the smallest changes that n poses of a file will show as text."""
     title = f"Smallest changes that {counted(n, 'pose')} of {data} show with a chance of {POWER:.0%}"
-    return plain_text([title, _changes(changes)], width).rstrip()
+    return plain_text([title, _changes(changes)], _WIDTH).rstrip()
 
 
 def to_dict(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Sequence[str]) -> dict[str, object]:

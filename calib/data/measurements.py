@@ -284,8 +284,7 @@ def directions_of_motion(joints: FloatArray) -> FloatArray:
     direction = np.where(np.abs(steps) > _MOVED, np.sign(steps), 0.0)
     rows = np.where(direction != 0, np.arange(len(joints))[:, None], 0)
     last_moved = np.maximum.accumulate(rows, axis=0)
-    result: FloatArray = np.take_along_axis(direction, last_moved, axis=0)
-    return result
+    return np.take_along_axis(direction, last_moved, axis=0)
 
 
 def check_repeats(poses: Poses, robot: Robot) -> None:

@@ -54,8 +54,7 @@ def _turning(robot: Robot) -> BoolArray:
 def _joints(q: FloatArray, pattern: Pattern) -> FloatArray:
     """Joint values of the robot where the file has q."""
     signs, quarters = pattern
-    joints: FloatArray = q * np.array(signs) + np.array(quarters) * (np.pi / 2)
-    return joints
+    return q * np.array(signs) + np.array(quarters) * (np.pi / 2)
 
 
 def _words(robot: Robot, pattern: Pattern) -> str:

@@ -104,5 +104,4 @@ def without_terms(fit: Fit) -> tuple[float, float]:
 
 
 def _std(phi: FloatArray, covariance: FloatArray) -> FloatArray:
-    result: FloatArray = np.sqrt(np.maximum(np.sum((phi @ covariance) * phi, axis=1), 0.0))
-    return result
+    return np.sqrt(np.maximum(np.sum((phi @ covariance) * phi, axis=1), 0.0))

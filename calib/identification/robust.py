@@ -133,8 +133,7 @@ def _median_scales(rows: Rows, groups: FloatArray) -> FloatArray:
     unstated = [g for g, group in enumerate(layout.groups) if not group.stated]
     if len(unstated) < 2 and not (unstated and len(layout.groups) > 1):
         return groups
-    result: FloatArray = groups * np.maximum(levels, EXACT)
-    return result
+    return groups * np.maximum(levels, EXACT)
 
 
 def _stepped(
@@ -187,8 +186,7 @@ def _step(rows: Rows, weights: FloatArray, sigma: float) -> FloatArray:
     diagonal = np.abs(np.diag(triangle))
     if np.min(diagonal) <= 1e-12 * np.max(diagonal):
         raise NotIdentifiableError(_TOO_FEW_LEFT)
-    step: FloatArray = -scipy.linalg.solve_triangular(triangle, q.T @ right)
-    return step
+    return -scipy.linalg.solve_triangular(triangle, q.T @ right)
 
 
 def without_outliers(first: Fit, robust: Callable[[], Fit], again: Callable[[Measurements], Fit]) -> Fit:

@@ -145,8 +145,7 @@ class Study(ReadOnlyArrays):
         """Part of the draws whose 95 % interval holds each true coordinate elsewhere, (n_poses, n_targets, 3)."""
         kept = self.draws.answered
         held = np.abs(self.draws.errors[kept]) <= self.draws.error_half_width[kept]
-        result: FloatArray = np.mean(held, axis=0)
-        return result
+        return np.mean(held, axis=0)
 
     @property
     def position_error(self) -> float:

@@ -99,8 +99,7 @@ class Residuals:
 
     def after_fit(self, effect: FloatArray) -> FloatArray:
         """Return M Z, what a fit leaves of effects Z (n_rows, n_effects) on the residuals, (n_rows, n_effects)."""
-        result: FloatArray = effect - self.pulled @ (self.pulled.T @ effect)
-        return result
+        return effect - self.pulled @ (self.pulled.T @ effect)
 
     @cached_property
     def pulled(self) -> FloatArray:

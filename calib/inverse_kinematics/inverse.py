@@ -197,8 +197,7 @@ class _Search:
     @property
     def solved(self) -> BoolArray:
         """Which goals are reached, (n,)."""
-        reached: BoolArray = self.best.distance <= TOLERANCE * min(1.0, self.reach.mechanism.length)
-        return reached
+        return self.best.distance <= TOLERANCE * min(1.0, self.reach.mechanism.length)
 
     def run(self, robot: Robot) -> None:
         """Try every start of the module docstring until a goal is reached."""

@@ -208,7 +208,7 @@ def _compiled_motion(
     joints, columns = np.nonzero(np.any(blocks != 0.0, axis=1))
     entries = joints, columns, np.ascontiguousarray(blocks[joints, :, columns])
     rows, select = by.functions.loops(mechanism, reduced), mechanism.select_passive[reduced.joints]
-    result: FloatArray = by.functions.motion(
+    return by.functions.motion(
         by.tree,
         rows,
         by.found,
@@ -220,7 +220,6 @@ def _compiled_motion(
         entries,
         blocks.shape[2],
     )
-    return result
 
 
 def parameter_twists(robot: Robot) -> FloatArray:

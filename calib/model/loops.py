@@ -105,15 +105,13 @@ def wrapped(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) -> Fl
     lowered = near_home - turn * np.ceil((near_home - high) / turn)
     inside = np.where((near_home < low) & (raised <= high), raised, near_home)
     inside = np.where((near_home > high) & (lowered >= low), lowered, inside)
-    result: FloatArray = np.where(mechanism.is_metre_column, passive, inside)
-    return result
+    return np.where(mechanism.is_metre_column, passive, inside)
 
 
 def within_limits(mechanism: Mechanism, passive: FloatArray) -> BoolArray:
     """Return where passive joints (n, n_passive) [m or rad] keep their limits, (n,)."""
     low, high = mechanism.lower - LIMIT_MARGIN, mechanism.upper + LIMIT_MARGIN
-    result: BoolArray = np.all((passive >= low) & (passive <= high), axis=1)
-    return result
+    return np.all((passive >= low) & (passive <= high), axis=1)
 
 
 def smallest_gap(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -235,8 +235,7 @@ class Mechanism(ReadOnlyArrays):
 
     def between(self, relative: RelativeFrame) -> FloatArray:
         """Return +1 for joints that move only b, -1 for those that move only a, else 0, (n_joints,)."""
-        difference: FloatArray = self.support[relative.b] - self.support[relative.a]
-        return difference
+        return self.support[relative.b] - self.support[relative.a]
 
     @cached_property
     def moved_targets(self) -> tuple[RelativeFrame, ...]:

@@ -110,8 +110,7 @@ def natural_coefficients(group: Group, parameters: Sequence[Parameter]) -> list[
 def _null_space(scaled_jacobian: FloatArray) -> FloatArray:
     """Orthonormal basis, (n_columns, nullity)."""
     factor = reduced(scaled_jacobian)
-    result: FloatArray = np.linalg.svd(factor)[2][numerical_rank(factor).rank :].T
-    return result
+    return np.linalg.svd(factor)[2][numerical_rank(factor).rank :].T
 
 
 def _part(null: FloatArray, columns: IntArray, dropped: set[int]) -> list[FloatArray]:

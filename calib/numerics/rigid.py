@@ -38,8 +38,7 @@ _AS_GOOD = 2.0  # misses within this factor of the smallest do not tell mirror i
 def nearest_rotation(matrix: FloatArray) -> FloatArray:
     """Return the rotation R that makes tr(R^T matrix) largest, (3, 3)."""
     u, _, vt = np.linalg.svd(matrix)
-    result: FloatArray = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0]) @ vt
-    return result
+    return u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0]) @ vt
 
 
 def best_transform(p: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -53,8 +52,7 @@ def cross_matrices(points: FloatArray) -> FloatArray:
     """Return [p]x of each point, (n, 3, 3)."""
     half = np.zeros((len(points), 3, 3))
     half[:, 2, 1], half[:, 0, 2], half[:, 1, 0] = points.T
-    result: FloatArray = half - half.transpose(0, 2, 1)
-    return result
+    return half - half.transpose(0, 2, 1)
 
 
 def centre(points: FloatArray, lengths: FloatArray, near: FloatArray) -> FloatArray:
@@ -88,8 +86,7 @@ def _across(told: FloatArray, near: FloatArray, square: float) -> FloatArray:
         across = np.cross(told[0], told[1]) * (1.0 if across @ np.cross(told[0], told[1]) >= 0 else -1.0)
     elif np.linalg.norm(across) < _SMALLEST:
         across = np.linalg.svd(np.vstack([told, np.zeros((1, 3))]))[2][-1]
-    result: FloatArray = np.sqrt(max(square, 0.0)) * across / np.linalg.norm(across)
-    return result
+    return np.sqrt(max(square, 0.0)) * across / np.linalg.norm(across)
 
 
 def common_offset(points: FloatArray, distances: FloatArray, near: FloatArray, offset: float) -> float:

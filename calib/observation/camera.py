@@ -71,8 +71,7 @@ def project(points: FloatArray, intrinsics: FloatArray) -> tuple[FloatArray, Flo
 
 def in_front(points: FloatArray) -> BoolArray:
     """Return which points (n, 3) a camera at the origin may see."""
-    result: BoolArray = points[:, 2] > _GRAZING * np.linalg.norm(points, axis=1)
-    return result
+    return points[:, 2] > _GRAZING * np.linalg.norm(points, axis=1)
 
 
 def rays(pixels: FloatArray, intrinsics: FloatArray) -> FloatArray:
@@ -137,8 +136,7 @@ def _distorted(plane: FloatArray, numbers: FloatArray) -> tuple[FloatArray, Floa
 
 def cube_rotations() -> FloatArray:
     """Return the 24 rotations of a cube, (24, 3, 3)."""
-    result: FloatArray = scipy.spatial.transform.Rotation.create_group("O").as_matrix()
-    return result
+    return scipy.spatial.transform.Rotation.create_group("O").as_matrix()
 
 
 def plane_errors(points: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatArray]:

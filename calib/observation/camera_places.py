@@ -172,8 +172,7 @@ def _improved(sightings: Sightings, places: Places, known: tuple[bool, bool]) ->
         by_body[:, :, 3:] = by_body[:, :, 3:] @ pin.Jexp3(step[9:])
         by_body[:, :, :3] = by_body[:, :, :3] @ pin.exp3(step[9:]).T
         both = np.concatenate([by_camera, by_body], axis=2)[:, :, free]
-        result: FloatArray = (by_point @ both).reshape(2 * n, -1)
-        return result
+        return (by_point @ both).reshape(2 * n, -1)
 
     found_x = scipy.optimize.least_squares(
         errors,

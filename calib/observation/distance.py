@@ -123,8 +123,7 @@ class Distance(Instrument):
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return |p_ab| + offset, (n, 1) [m]."""
-        read: FloatArray = np.linalg.norm(view.translation, axis=1)[:, None] + self._offset(unknowns)
-        return read
+        return np.linalg.norm(view.translation, axis=1)[:, None] + self._offset(unknowns)
 
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
         """Return what it would read minus what it read; motion along the line of sight moves it."""

@@ -144,5 +144,4 @@ class JointReading(Instrument):
     def _nearest(self, off: FloatArray) -> FloatArray:
         if self.dimension == "length":
             return off
-        result: FloatArray = np.mod(off + np.pi, 2 * np.pi) - np.pi
-        return result
+        return np.mod(off + np.pi, 2 * np.pi) - np.pi

@@ -90,8 +90,7 @@ class PartNoise:
             unit = points / np.where(distance > 0, distance, 1.0)[:, None]
             along = unit[:, :, None] * unit[:, None, :]
             across = np.maximum(self.beam.angle * distance, 1e-12)[:, None, None]
-            result: FloatArray = self.beam.range**2 * along + across**2 * (np.eye(3) - along)
-            return result
+            return self.beam.range**2 * along + across**2 * (np.eye(3) - along)
         std = np.ones(n_rows) if self.std is None else np.array(self.std)
         return np.broadcast_to(np.diag(std**2), (n, n_rows, n_rows)).copy()
 

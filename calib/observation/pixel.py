@@ -187,8 +187,7 @@ class Pixel(Instrument):
     def _body(self, details: FloatArray) -> FloatArray:
         """Where the points of readings are in the target frame, (n, 3) [m]."""
         every = np.array(list(self.points_of_body.values()))
-        result: FloatArray = every[details[:, 0].astype(np.intp)]
-        return result
+        return every[details[:, 0].astype(np.intp)]
 
     @property
     def _unknown_numbers(self) -> list[int]:
@@ -201,8 +200,7 @@ class Pixel(Instrument):
 
 
 def _in_camera(view: View, body: FloatArray) -> FloatArray:
-    result: FloatArray = np.einsum("kab,kb->ka", view.rotation, body) + view.translation
-    return result
+    return np.einsum("kab,kb->ka", view.rotation, body) + view.translation
 
 
 def _parameter(name: str, key: str, nominal: float, sigma: float) -> Parameter:

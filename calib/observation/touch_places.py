@@ -152,8 +152,7 @@ def _in_place(touch: Touching) -> FloatArray:
 def _balls(scene: Scene) -> FloatArray:
     """Where the ball's centre is believed to be at each reading, in the link of what it touches, (n, 3) [m]."""
     own = np.array([scene.places[b][:, 3] for _, b in scene.pairs])[scene.readings.pairs]
-    result: FloatArray = np.einsum("nij,nj->ni", scene.links, own)[:, :3]
-    return result
+    return np.einsum("nij,nj->ni", scene.links, own)[:, :3]
 
 
 def _moved(scene: Scene, names: list[str], positions: FloatArray) -> dict[str, FloatArray]:
@@ -245,8 +244,7 @@ def _turn(u: FloatArray, v: FloatArray, k: int) -> FloatArray:
         axis = axis if np.linalg.norm(axis) > 1e-12 else np.eye(3)[k - 1]
     axis /= np.linalg.norm(axis)
     angle = np.arctan2(axis @ np.cross(u, v), u @ v - (axis @ u) * (axis @ v))
-    result: FloatArray = scipy.spatial.transform.Rotation.from_rotvec(angle * axis).as_matrix()
-    return result
+    return scipy.spatial.transform.Rotation.from_rotvec(angle * axis).as_matrix()
 
 
 def plane_through(points: FloatArray, now: FloatArray, radius: float, along: int | None, *, turns: bool) -> FloatArray:

@@ -15,7 +15,7 @@ import pytest
 import calib
 from calib.linearisation.prediction import RootMeanSquare, predicted_rms
 from calib.pose_choice import next_pose as choice
-from calib.watching.unseen import LAST, LEAST, unseen_rms
+from calib.watching.progress import LAST, LEAST, unseen_rms
 from calib.watching.watch import GrowingFile
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"

@@ -6,7 +6,7 @@
 
 The goal is a root mean square position error over the candidates. It holds with 95 % where the upper end of two 95 %
 intervals lies below it: that of the error predicted from the covariance of the fit, and that of the errors at the last
-poses that were judged before they were fitted (`calib.watching.unseen`). The second contains the noise of the readings:
+poses that were judged before they were fitted (`calib.watching.progress`). The second contains the noise of readings:
 a goal below that noise is never seen to hold.
 """
 
@@ -34,8 +34,7 @@ from calib.model.robot import Robot
 from calib.pose_choice.next_pose import NextPose, next_pose
 from calib.pose_choice.pose_sampling import sample
 from calib.units import quantity
-from calib.watching.progress import UNKNOWN, Progress
-from calib.watching.unseen import LAST, LEAST, MOST, squares_of, unseen_rms
+from calib.watching.progress import LAST, LEAST, MOST, UNKNOWN, Progress, squares_of, unseen_rms
 
 CANDIDATES = 300
 """Poses that are sampled where nobody gives any."""

@@ -12,7 +12,7 @@ from calib.identification.joint_conventions import wrapped_terms
 from calib.identification.joint_curves import beyond_learned
 from calib.identification.pose_checks import unmoved_joints
 from calib.identification.reasons import Reason
-from calib.linearisation.jacobian import Linearisation, linearise
+from calib.linearisation.jacobian import linearise
 from calib.linearisation.prediction import beside_common_motion, other_combinations
 from calib.model.robot import Configurations, Robot
 from calib.numerics.halton import halton
@@ -210,9 +210,7 @@ def _widened(fit: Fit, q: FloatArray) -> str:
 def _relative(fit: Fit, configurations: Configurations, covariance: FloatArray) -> float:
     """Root mean square uncertainty of positions beside what moves all of them as one body [m]."""
     linear = linearise(fit.robot, configurations)
-    located = Linearisation(linear.positions[:, fit.robot.located], linear.jacobian[:, fit.robot.located])
-    flat = beside_common_motion(located)[..., fit.unknowns.index]
-    flat = flat.reshape(-1, flat.shape[-1])
+    flat = beside_common_motion(linear, fit.robot.located)[:, fit.unknowns.index]
     return float(np.sqrt(3.0 * np.mean(np.sum((flat @ covariance) * flat, axis=1))))
 
 

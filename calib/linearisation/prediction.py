@@ -135,17 +135,21 @@ def other_combinations(q: FloatArray, most: int) -> FloatArray:
     return np.asarray(mixed[np.unique(np.linspace(0, n - 1, most).astype(np.intp))])
 
 
-def beside_common_motion(linear: Linearisation) -> FloatArray:
-    """Return derivatives of positions beside what moves all of them as one body, (n, n_targets, 3, n_parameters).
+def beside_common_motion(linear: Linearisation, targets: list[int]) -> FloatArray:
+    """Return derivatives of positions beside what moves all of them as one body, (n_coordinates, n_parameters).
 
     Where base and tool are placed anew, nothing else is seen of an error of the parameters.
+
+    Args:
+        linear: At n poses.
+        targets: Places of those that count.
     """
-    points = linear.positions.reshape(-1, 3)
+    points = linear.positions[:, targets].reshape(-1, 3)
     turns = np.cross(np.eye(3), (points - points.mean(axis=0))[:, None]).swapaxes(1, 2)
     common = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2).reshape(-1, 6)
     basis = scipy.linalg.orth(common)
-    flat = linear.jacobian.reshape(len(common), -1)
-    return np.asarray(flat - basis @ (basis.T @ flat)).reshape(linear.jacobian.shape)
+    flat = linear.jacobian[:, targets].reshape(len(common), -1)
+    return np.asarray(flat - basis @ (basis.T @ flat))
 
 
 def rms_length(covariance: FloatArray) -> FloatArray:

@@ -18,8 +18,8 @@ from calib.pictures import Plots
 from calib.reporting.report_text import text_report, verdict_lines
 from calib.reporting.result_content import error_sets
 from calib.reporting.results import save
-from calib.tabular import titled_html
 from calib.units import ERROR_UNIT
+from calib.words import titled_html
 from calib.workers import Progress
 
 

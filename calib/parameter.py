@@ -34,6 +34,11 @@ class Parameter:
     placement: bool = False
     family: str = ""
 
+    @property
+    def per_si(self) -> float:
+        """How many of `unit` make one SI unit."""
+        return PER_SI[self.dimension][self.unit]
+
     def row(self, value: float, free: bool) -> dict[str, object]:
         """Return the row of a table, in `unit`.
 
@@ -41,11 +46,8 @@ class Parameter:
             value: Its present value [m or rad].
             free: Whether it is not held.
         """
-        per_si = PER_SI[self.dimension][self.unit]
-        shown: dict[str, object] = {
-            key: float(number) * per_si
-            for key, number in (("nominal", self.nominal), ("value", value), ("sigma", self.sigma))
-        }
+        numbers = {"nominal": self.nominal, "value": value, "sigma": self.sigma}
+        shown: dict[str, object] = {key: float(number) * self.per_si for key, number in numbers.items()}
         return {"name": self.name, "unit": self.unit, **shown, "free": "free" if free else "held"}
 
 

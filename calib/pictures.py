@@ -1,15 +1,7 @@
 """Pictures are not this package's business: what draws them is found under the entry point group `calib.pictures`.
 
-An entry is a module, called like the command that it adds, with
-
-    command             that command
-    pages(fit, logo)    the pages of a result folder, file name -> content
-    comparison(found)   the page of results side by side
-    figures(subject)    the figures of an assessment or a selection, file name -> content
-    plots(fit)          an object whose methods draw a fit into matplotlib axes
-    live(robot)         a live page that shows a robot, and moves when it is told to
-
-so that everything below this floor writes and computes without asking what is installed.
+An entry is a module, called like the command that it adds, that has what `Pictures` says; so everything below this
+floor writes and computes without asking what is installed.
 """
 
 from __future__ import annotations
@@ -119,10 +111,7 @@ def comparison(found: ResultComparison) -> bytes:
     Raises:
         InputError: Nothing that draws is installed.
     """
-    modules: list[Pictures] = [entry.load() for entry in entry_points(group=GROUP)]
-    if not modules:
-        raise InputError(f"--html: nothing that draws is installed (entry point group {GROUP})")
-    return modules[0].comparison(found)
+    return _installed("--html")[0].comparison(found)
 
 
 def figures(subject: object) -> dict[str, bytes]:

@@ -117,6 +117,11 @@ def error_scale(dimension: Dimension) -> float:
     return PER_SI[dimension][ERROR_UNIT[dimension]]
 
 
+def display_scale(dimension: Dimension) -> float:
+    """Return by what an SI value is multiplied for files and tables: mm and degrees."""
+    return PER_SI[dimension][DISPLAY_UNIT[dimension]]
+
+
 def millimetres(length: Lengths) -> Lengths:
     """Return a length, or an array of lengths, [m] in mm."""
     return length * PER_SI["length"]["mm"]

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, IntArray
-from calib.units import PER_SI, millimetres
+from calib.units import millimetres
 from calib.words import counted
 from medrue.both_sides import EXTENDED, PAPER, WAYS, BothSides, Way
 from medrue.ranking import standard_error
@@ -90,7 +90,7 @@ def pose_count_table(found: BothSides) -> ResultTable:
 def extended_parameter_table(found: BothSides) -> ResultTable:
     """Parameters of the extended model about which the readings decide, of those that the paper's model lacks."""
     draw, parameters, terms = found.draws[0], found.extended.parameters, found.extended.coefficients
-    scale = np.array([PER_SI[parameter.dimension][parameter.unit] for parameter in parameters])
+    scale = np.array([parameter.per_si for parameter in parameters])
     expected = np.array([parameter.sigma for parameter in parameters])
     tilts = tuple(f"{joint.name}.{tilt}" for joint in found.extended.urdf.joints for tilt in ("ry", "rz"))
     lacking = [k >= terms.start or (p.name in tilts and p.name[:-3] != "base_origin") for k, p in enumerate(parameters)]

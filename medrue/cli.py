@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.commands.common import Output, shared_options
 from calib.commands.program import run_program
-from calib.data.measurement_text import format_positions
+from calib.data.measurement_files import format_positions
 from calib.files import check_file, check_folder, write_file, write_folder
 from calib.model.loading import load
 from calib.units import metres, millimetres

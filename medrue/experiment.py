@@ -182,5 +182,5 @@ def experiment_draw(task: ExperimentTask) -> ExperimentDraw:
         np.array(std),
         readings.repeatability,
         readings.frame_sigma,
-        readings.world.outliers,
+        readings.nest_outliers,
     )

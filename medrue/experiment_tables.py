@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
-from calib.numerics.rigid import OUTLIER_PROBABILITY
-from calib.units import PER_SI, micrometres, millimetres
+from calib.units import micrometres, millimetres
 from calib.words import counted
 from medrue.both_sides_tables import (
     BOTH_SIDES_NOTE,
@@ -25,6 +24,7 @@ from medrue.ranking import Ranking, rank, ranking_table, standard_error
 from medrue.result_tables import Cell, Column, ResultTable
 from medrue.study import STATISTICS, summary
 from medrue.tracker import REPEATS, SIGMA
+from medrue.world_frame import OUTLIER_PROBABILITY
 
 
 def experiment_tables(experiment: Experiment) -> tuple[ResultTable, ...]:
@@ -42,7 +42,7 @@ def experiment_tables(experiment: Experiment) -> tuple[ResultTable, ...]:
 def parameter_table(experiment: Experiment) -> ResultTable:
     """Table III: the parameters that the 84 poses of O1 identify."""
     parameters = experiment.robot.parameters
-    scale = np.array([PER_SI[parameter.dimension][parameter.unit] for parameter in parameters])
+    scale = np.array([parameter.per_si for parameter in parameters])
     draw, free = experiment.draws[0], experiment.robot.is_free
 
     def column(header: str, values: FloatArray) -> Column:

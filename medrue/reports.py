@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.data.measurement_text import format_measurements
+from calib.data.measurement_files import format_measurements
 from calib.units import millimetres
 from calib.words import counted
 from medrue.both_sides import WAYS, BothSides

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.units import PER_SI, micrometres, millimetres
+from calib.units import micrometres, millimetres
 from calib.words import counted
 from medrue.paper_tables import error_table, table1
 from medrue.ranking import LEGEND, Ranking, agreement, rank, ranking_table, standard_error
@@ -28,7 +28,7 @@ def parameter_table(study: Study) -> ResultTable:
     """Table I: the parameters that the 84 poses of O1 identify."""
     paper = table1()
     units = [parameter.unit for parameter in study.robot.parameters]
-    scale = np.array([PER_SI[parameter.dimension][parameter.unit] for parameter in study.robot.parameters])
+    scale = np.array([parameter.per_si for parameter in study.robot.parameters])
     free = study.robot.is_free
     std = np.full(len(scale), np.nan)
     std[free] = _predicted_std(study)
@@ -162,7 +162,7 @@ def study_findings(study: Study) -> tuple[str, ...]:
 
 
 def _exact_finding(study: Study) -> str:
-    units = np.array([PER_SI[parameter.dimension][parameter.unit] for parameter in study.robot.parameters])
+    units = np.array([parameter.per_si for parameter in study.robot.parameters])
     exact = float(np.max(np.abs((study.exact.robot.values - table1().actual) * units)))
     return (
         f"Without noise, {study.robot.is_free.sum()} parameters come back to within {exact:.1e} (mm or deg); in the"

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.arrays import FloatArray
-from calib.numerics.nests import WorldFrame, world_from_nests
+from medrue.world_frame import rigid_fit
 
 SIGMA = 4e-5
 """Noise of one reading on each axis: the paper's tracker is good to +-40 um [m]."""
@@ -28,13 +28,13 @@ class Readings:
     Attributes:
         positions: Mean of the repeats, in the world, (n, 3) [m].
         repeatability: Standard deviation of one reading about its point's mean, per axis [m].
-        world: How the world was found.
+        nest_outliers: Names of nests that do not fit.
         frame_sigma: Largest standard deviation that the world's uncertainty gives to a coordinate of the points [m].
     """
 
     positions: FloatArray
     repeatability: float
-    world: WorldFrame
+    nest_outliers: tuple[str, ...]
     frame_sigma: float
 
 
@@ -47,13 +47,14 @@ def measure(points: FloatArray, sigma: float, repeats: int, generator: np.random
         repeats: Readings of each nest and each point, to be averaged.
         generator: Source of the noise.
     """
-    nests = _seen(NESTS, sigma, repeats, generator)
-    world = world_from_nests(NESTS, nests, sigma / np.sqrt(repeats) if sigma else None, names=NEST_NAMES)
+    nests = _seen(NESTS, sigma, repeats, generator).mean(axis=1)
+    world = rigid_fit(nests, NESTS, sigma / np.sqrt(repeats) if sigma else None)
     readings = _seen(points, sigma, repeats, generator)
-    positions = world.fit.apply(readings.mean(axis=1))
+    positions = world.apply(readings.mean(axis=1))
     scatter = float(np.sqrt(np.mean(np.var(readings, axis=1, ddof=1)))) if repeats > 1 else float("nan")
-    variances = np.diagonal(world.fit.point_covariance(readings.mean(axis=1)), axis1=1, axis2=2)
-    return Readings(positions, scatter, world, float(np.sqrt(variances.max())))
+    outliers = tuple(NEST_NAMES[k] for k in world.outliers)
+    variances = np.diagonal(world.point_covariance(readings.mean(axis=1)), axis1=1, axis2=2)
+    return Readings(positions, scatter, outliers, float(np.sqrt(variances.max())))
 
 
 def _seen(points: FloatArray, sigma: float, repeats: int, generator: np.random.Generator) -> FloatArray:

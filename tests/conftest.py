@@ -76,3 +76,9 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"real measurements are not here ({folder} is absent)")
     return folder
+
+
+@pytest.fixture
+def without_pages(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write no report pages, which take seconds and have tests of their own."""
+    monkeypatch.setattr("calib.pictures.entry_points", lambda group: ())

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.linearisation.observed import observe
+from calib.linearisation.observed import observe, predicted_readings
+from calib.observation.position import Position
 
 _STEP = 1e-4
 _DIFFERENCES = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
@@ -76,3 +77,10 @@ def brought(robot, q, points):
         if np.max(np.abs(miss)) < 1e-12:
             break
     return q, np.max(np.abs(miss), axis=1) < 1e-10
+
+
+def positions_by_joint(robot, q):
+    """Derivative of what a robot's instruments of positions read by the joints, (n, n_instruments, 3, n_actuated)."""
+    at = robot.assemble(q)
+    observed = observe(robot, at, predicted_readings(robot, at), joints=True)
+    return np.stack([observed[one.name].by_joint for one in robot.instruments if isinstance(one, Position)], axis=1)

@@ -24,7 +24,7 @@ CORE_TYPES = {
 """Names of OpenBLAS, and what the processor must be able to do, in the words of /proc/cpuinfo."""
 MODULES = (
     *("elimination", "identifiability", "least_squares", "losses", "nist", "null_space", "observability", "outliers"),
-    *("placement", "registration", "statistics", "jacobian", "prediction", "assessment", "selection"),
+    *("placement", "world_frame", "registration", "statistics", "jacobian", "prediction", "assessment", "selection"),
     *("selection_scores", "selection_bound", "exchange", "refinement", "measurement_order", "loops", "continuation"),
     *("open_loops", "forward_kinematics", "inverse", "fit", "robust", "suspects", "systematic", "starts"),
     *("error_before", "validation", "rows", "observed", "shared_error", "variance_components", "repeats"),

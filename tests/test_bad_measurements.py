@@ -20,11 +20,7 @@ MEDRUE_HEADER = ",".join(["q1 [m]", *(f"q{k} [rad]" for k in range(2, 7)), *(f"t
 UNKNOWN_BASE = YAML.replace("frame: l0", "frame: l0, pose: unknown")
 RNG = np.random.default_rng(3)
 
-
-@pytest.fixture(autouse=True)
-def _without_pages(monkeypatch):
-    """Report pages take seconds, and have tests of their own."""
-    monkeypatch.setattr("calib.pictures.entry_points", lambda group: ())
+pytestmark = pytest.mark.usefixtures("without_pages")
 
 
 @pytest.fixture

@@ -109,7 +109,7 @@ def test_tracker_finds_the_world_and_its_repeatability() -> None:
     assert np.abs(exact.positions - points).max() < 1e-12
     seen = measure(points, 4e-5, 5, np.random.default_rng(1))
     assert abs(seen.repeatability / 4e-5 - 1) < 4 / np.sqrt(2 * 200 * 4 * 3)
-    assert seen.world.outliers == ()
+    assert seen.nest_outliers == ()
     assert 4e-5 / np.sqrt(15) < seen.frame_sigma < 1e-4
 
 

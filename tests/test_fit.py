@@ -38,10 +38,7 @@ def failed(good):
     return replace(good, convergence=Convergence(False, "the limit of evaluations was reached", 0.01, "j1.x", True))
 
 
-@pytest.fixture(autouse=True)
-def _without_pages(monkeypatch):
-    """Report pages take seconds, and have tests of their own."""
-    monkeypatch.setattr("calib.pictures.entry_points", lambda group: ())
+pytestmark = pytest.mark.usefixtures("without_pages")
 
 
 def test_without_priors_the_stated_noise_changes_no_parameter(arm):

@@ -8,8 +8,7 @@ from scipy.stats import binom
 from six_axis_arm import joints, write_six_axis
 
 import calib
-from calib.data.measurement_files import read_measurements
-from calib.data.measurement_text import format_measurements
+from calib.data.measurement_files import format_measurements, read_measurements
 from calib.linearisation.observed import predicted_readings
 from calib.linearisation.registration import register
 from calib.observation.hand_eye import fixed_poses

@@ -12,7 +12,7 @@ from six_axis_arm import joints, write_six_axis
 from test_kind_distance import FREE
 
 import calib
-from calib.data.measurement_text import format_measurements
+from calib.data.measurement_files import format_measurements
 from calib.linearisation.observed import predicted_readings
 from calib.linearisation.registration import register
 from calib.observation.kind import Readings, View

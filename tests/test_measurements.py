@@ -7,8 +7,7 @@ import pytest
 from small_robots import ARM_YAML, small_arm, write_arm
 
 import calib
-from calib.data.measurement_files import read_measurements, read_poses
-from calib.data.measurement_text import format_measurements, format_positions
+from calib.data.measurement_files import format_measurements, format_positions, read_measurements, read_poses
 from calib.data.measurements import with_points
 from calib.errors import DataError
 

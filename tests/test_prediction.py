@@ -12,11 +12,7 @@ from calib.reporting.result_reading import load_calibrated, load_uncertainty
 
 SIGMA = 4e-5
 
-
-@pytest.fixture(autouse=True)
-def _without_pages(monkeypatch):
-    """Report pages take seconds, and have tests of their own."""
-    monkeypatch.setattr("calib.pictures.entry_points", lambda group: ())
+pytestmark = pytest.mark.usefixtures("without_pages")
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import pytest
 
 import calib
 from calib import pictures
-from calib.tabular import table_html
+from calib.words import table_html
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from kind_checks import brought
+from kind_checks import brought, positions_by_joint
 from six_axis_arm import joints, write_six_axis
 from small_robots import ARM_YAML, small_arm, write_arm
 from test_kind_pixel import FREE, INTRINSICS, POINTS
@@ -10,7 +10,6 @@ from test_kind_pixel import FREE, INTRINSICS, POINTS
 import calib
 from calib.data.tables import read_table
 from calib.errors import DataError, UnreachablePoseError
-from calib.linearisation.jacobian import joint_jacobian
 
 
 def some_poses(n):
@@ -123,7 +122,7 @@ def test_joints_that_do_not_come_back_move_all_that_is_read_of_a_visit_alike(tmp
     assert np.array_equal(data.joints, poses.joints)
     np.testing.assert_array_equal(data.readings["tracker"].values, data.readings["scale"].values)
     off = data.readings["tracker"].values - robot.positions(poses.joints)[:, 0]
-    slopes = joint_jacobian(robot, robot.assemble(poses.joints))[:, 0] * robot.mechanism.joint_scale
+    slopes = positions_by_joint(robot, poses.joints)[:, 0] * robot.mechanism.joint_scale
     expected = 1e-4 * np.sqrt(np.mean(np.sum(slopes**2, axis=2), axis=0))
     assert np.sqrt(np.mean(off**2, axis=0)) == pytest.approx(expected, rel=0.07)
 

@@ -12,7 +12,7 @@ from small_robots import ARM_YAML, write_arm
 
 import calib
 from calib.commands.verify import command
-from calib.data.measurement_text import format_measurements
+from calib.data.measurement_files import format_measurements
 from calib.data.measurements import Measurements, Poses
 from calib.data.tables import format_table
 from calib.identification.acceptance import poses_needed, verify, visible_changes

@@ -15,8 +15,8 @@ import pytest
 import calib
 from calib.linearisation.prediction import RootMeanSquare, predicted_rms
 from calib.pose_choice import next_pose as choice
-from calib.watching.growing_file import GrowingFile
-from calib.watching.unseen import LAST, LEAST, unseen_rms
+from calib.watching.progress import LAST, LEAST, unseen_rms
+from calib.watching.watch import GrowingFile
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 LINES = (EXAMPLES / "arm_simulated.csv").read_text().splitlines(keepends=True)

@@ -30,6 +30,7 @@ from calib.model.robot import Robot
 from calib.observation.kind import Readings
 from calib.reporting.result_reading import forced_lines, load, load_calibrated
 from calib.units import quantity
+from calib.words import as_data
 from calib.workers import Progress
 
 SIGMA_HELP = (
@@ -76,10 +77,10 @@ class Output:
             self.note(f"note: and {len(remarks) - _REMARKS} more")
 
     def json(self, content: object) -> None:
-        """Write JSON if it was asked for."""
+        """Write JSON if it was asked for; null for numbers that are not known."""
         if self.json_target is None:
             return
-        text = json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+        text = json.dumps(as_data(content), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
         if self.json_target == "-":
             click.echo(text, nl=False)
         else:

@@ -13,9 +13,8 @@ from calib.arrays import FloatArray
 from calib.commands.common import Output, loaded, result_folder, said_of_failure, shared_options
 from calib.commands.compensate_gcode import compensate_gcode
 from calib.commands.compensate_grid import compensate_grid
-from calib.commands.solve import cells_of, in_display_units
 from calib.data.gcode import SUFFIXES
-from calib.data.measurement_columns import approach_columns, condition_columns
+from calib.data.measurement_columns import approach_columns, cells_of, condition_columns, joint_columns, pose_columns
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
 from calib.data.tables import format_table, read_table
@@ -166,9 +165,7 @@ def _require_all(compensation: Compensation) -> None:
 
 def _columns(robot: Robot, program: Poses | Goals, compensation: Compensation) -> list[tuple[str, list[object]]]:
     """Columns of the file; cells without a command are empty."""
-    columns: list[tuple[str, list[object]]] = [("pose", list(compensation.names))]
-    for name, values in in_display_units(robot, compensation.q).items():
-        columns.append((name, cells_of(values)))
+    columns = list(pose_columns(robot, compensation.names, compensation.q).items())
     if isinstance(program, Goals):
         for name, values in _poses_to_command(robot, program, compensation).items():
             columns.append((name, cells_of(values)))
@@ -216,23 +213,19 @@ def _summary(compensation: Compensation) -> dict[str, dict[str, float]]:
 
 def _rows(robot: Robot, compensation: Compensation) -> list[dict[str, object]]:
     """One entry for each row; null where there is no number."""
-    joints = in_display_units(robot, compensation.q)
+    joints = joint_columns(robot, compensation.q)
     return [
         {
             "pose": name,
             "status": compensation.reasons[k] or "ok",
             "joints": {joint: float(values[k]) for joint, values in joints.items()} if compensation.ok[k] else None,
             **{
-                f"{figure}_{unit}": _number(float(getattr(compensation, figure)[k]) * scale)
+                f"{figure}_{unit}": float(getattr(compensation, figure)[k]) * scale
                 for figure, unit, scale in _shown(compensation)
             },
         }
         for k, name in enumerate(compensation.names)
     ]
-
-
-def _number(value: float) -> float | None:
-    return value if np.isfinite(value) else None
 
 
 def _held_out(folder: str) -> float | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.commands.common import Output, said_of_failure
-from calib.commands.solve import cells_of
+from calib.data.measurement_columns import cells_of
 from calib.data.measurements import Poses
 from calib.data.tables import format_table
 from calib.errors import InputError

@@ -15,10 +15,9 @@ from calib.errors import DescriptionError, InputError
 from calib.files import check_file, write_files
 from calib.model.arm_chain import arm_chain
 from calib.model.denavit_hartenberg import CONVENTIONS, LAST_LINK, urdf_text
-from calib.model.loading import load
-from calib.model.loop_templates import TEMPLATES, loop_files, read_lengths
-from calib.model.templates import describe, description_text
-from calib.model.urdf_text import UrdfText, parse_urdf, read_urdf
+from calib.model.loading import describe, load
+from calib.model.templates import TEMPLATES, description_text, loop_files, read_lengths
+from calib.model.urdf_text import parse_urdf, read_urdf
 from calib.units import millimetres
 
 _LENGTHS = "; ".join(
@@ -80,7 +79,10 @@ def command(
         _write_template(template, lengths, beside, Path(out))
         output.say(f"{beside} and {out} written; they work as they are, and comments say what to change")
         return
-    text = _from_table(dh, convention, beside) if dh and beside else read_urdf(str(urdf))
+    if dh and beside:
+        text = parse_urdf(urdf_text(read_dh(dh, convention), Path(dh).stem).encode(), str(beside))
+    else:
+        text = read_urdf(str(urdf))
     relative = os.path.relpath(Path(text.path).resolve(), Path(out).resolve().parent)
     chain = arm_chain(text, target or (LAST_LINK if dh else None))
     description = description_text(text, describe(chain, relative), chain.remark).encode()
@@ -90,10 +92,6 @@ def command(
     output.say(f"{out} written; it works as it is, and its comments say what to change")
     if chain.remark:
         output.say(chain.remark)
-
-
-def _from_table(dh: str, convention: str | None, path: Path) -> UrdfText:
-    return parse_urdf(urdf_text(read_dh(dh, convention), Path(dh).stem).encode(), str(path))
 
 
 def _write_template(name: str, given: Sequence[str], urdf: Path, description: Path) -> None:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import click
 
 from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
-from calib.data.measurement_files import read_poses
-from calib.data.measurement_text import format_positions
+from calib.data.measurement_files import format_positions, read_poses
 from calib.data.measurements import Poses
 from calib.files import check_file, write_file
 from calib.model.robot import Robot

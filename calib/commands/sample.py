@@ -10,8 +10,7 @@ import numpy as np
 
 from calib.commands.common import Output, loaded, shared_options, with_values
 from calib.data.in_memory import measurements
-from calib.data.measurement_files import read_poses
-from calib.data.measurement_text import format_measurements
+from calib.data.measurement_files import format_measurements, read_poses
 from calib.errors import InputError, nearest
 from calib.files import check_file, write_file
 from calib.model.robot import Robot

@@ -14,7 +14,7 @@ from calib.commands.common import (
     sigma_in_metres,
     with_values,
 )
-from calib.data.measurement_text import format_measurements
+from calib.data.measurement_files import format_measurements
 from calib.data.plan_files import read_plan
 from calib.errors import InputError
 from calib.files import check_file, write_file

@@ -5,15 +5,14 @@ from __future__ import annotations
 import click
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
-from calib.data.measurement_columns import approach_columns, condition_columns
+from calib.data.measurement_columns import approach_columns, condition_columns, joint_columns
 from calib.data.tables import format_table
 from calib.files import check_file, write_file
 from calib.inverse_kinematics.goals import Goals, read_goals
 from calib.inverse_kinematics.inverse import Solution, solve
 from calib.model.robot import Robot
-from calib.units import DISPLAY_UNIT, PER_SI, micrometres, millimetres
+from calib.units import micrometres, millimetres
 
 
 @click.command("solve")
@@ -82,7 +81,7 @@ def _table(robot: Robot, goals: Goals, solution: Solution, comments: tuple[str, 
     reached = np.flatnonzero(solution.ok)
     told = goals.subset(reached)
     columns: dict[str, list[object]] = {"pose": list(told.names)}
-    for name, values in in_display_units(robot, solution.q[reached]).items():
+    for name, values in joint_columns(robot, solution.q[reached]).items():
         columns[name] = list(values)
     for axis, values in zip("xyz", millimetres(solution.positions[reached].T), strict=True):
         columns[f"{goals.target}_{axis} [mm]"] = list(values)
@@ -92,7 +91,7 @@ def _table(robot: Robot, goals: Goals, solution: Solution, comments: tuple[str, 
 
 def _rows(robot: Robot, goals: Goals, solution: Solution) -> list[dict[str, object]]:
     """One entry for each target; joints are null where it is out of reach."""
-    joints = in_display_units(robot, solution.q)
+    joints = joint_columns(robot, solution.q)
     return [
         {
             "pose": name,
@@ -103,18 +102,3 @@ def _rows(robot: Robot, goals: Goals, solution: Solution) -> list[dict[str, obje
         }
         for k, name in enumerate(goals.names)
     ]
-
-
-def in_display_units(robot: Robot, q: FloatArray) -> dict[str, FloatArray]:
-    """Return joint columns `name [unit]` and their values, (n,) each."""
-    columns: dict[str, FloatArray] = {}
-    for j, name in enumerate(robot.joint_names):
-        dimension = robot.mechanism.dimensions[name]
-        unit = DISPLAY_UNIT[dimension]
-        columns[f"{name} [{unit}]"] = q[:, j] * PER_SI[dimension][unit]
-    return columns
-
-
-def cells_of(values: FloatArray) -> list[object]:
-    """Return the cells of a column, (n,), with 15 digits; empty where there is no number."""
-    return [float(f"{value:.15g}") if np.isfinite(value) else "" for value in values]

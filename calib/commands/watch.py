@@ -14,9 +14,8 @@ from calib.errors import InputError
 from calib.files import write_file
 from calib.pictures import Live, live
 from calib.units import quantity
-from calib.watching.growing_file import GrowingFile
 from calib.watching.progress import Progress
-from calib.watching.watch import CANDIDATES, Watch
+from calib.watching.watch import CANDIDATES, GrowingFile, Watch
 
 
 @click.command("watch")

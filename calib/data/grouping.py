@@ -20,8 +20,7 @@ def pose_labels(joints: FloatArray) -> IntArray:
         1.5, p=np.inf, output_type="ndarray"
     )  # the same cell or a neighbour
     graph = scipy.sparse.coo_array((np.ones(len(linked)), (linked[:, 0], linked[:, 1])), shape=(len(cells), len(cells)))
-    label: IntArray = scipy.sparse.csgraph.connected_components(graph, directed=False)[1][cell.reshape(-1)]
-    return label
+    return scipy.sparse.csgraph.connected_components(graph, directed=False)[1][cell.reshape(-1)]
 
 
 def repeated_poses(joints: FloatArray, by_name: IntArray) -> list[IntArray]:

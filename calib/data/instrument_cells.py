@@ -131,8 +131,7 @@ def _covariance(one: Instrument, table: Table, kept: IntArray) -> FloatArray | N
     if np.any(smallest <= 1e-9):
         k = int(np.argmin(smallest))
         raise DataError(f"{table.path}, line {table.lines[kept[k]]}: the correlations of '{one.name}' cannot be")
-    result: FloatArray = std[:, :, None] * correlation * std[:, None, :]
-    return result
+    return std[:, :, None] * correlation * std[:, None, :]
 
 
 def _of_readings(one: Instrument, table: Table, kept: IntArray, name: str, dimension: Dimension | None) -> FloatArray:

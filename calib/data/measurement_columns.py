@@ -14,7 +14,7 @@ from calib.arrays import FloatArray, IntArray
 from calib.errors import DataError
 from calib.model.robot import Robot
 from calib.observation.kind import Readings
-from calib.units import DISPLAY_UNIT, PER_SI, Dimension
+from calib.units import DISPLAY_UNIT, Dimension, display_scale
 
 CONTEXT: dict[str, Dimension] = {"time": "time", "temperature": "temperature", "load": "mass"}
 """Columns that say under which conditions a visit was made, and what they measure."""
@@ -25,11 +25,22 @@ APPROACH = "approach_"
 def pose_columns(robot: Robot, names: Sequence[str], joints: FloatArray) -> dict[str, list[object]]:
     """Return pose names and joint values (n, n_actuated) [m or rad]."""
     columns: dict[str, list[object]] = {"pose": list(names)}
-    for j, name in enumerate(robot.joint_names):
-        dimension = robot.mechanism.dimensions[name]
-        # 15 digits: 30 degrees come out as 30, not as what the way through radians leaves of them
-        columns[header(name, dimension)] = [float(f"{value:.15g}") for value in shown(joints[:, j], dimension)]
-    return columns
+    return columns | {head: cells_of(values) for head, values in joint_columns(robot, joints).items()}
+
+
+def joint_columns(robot: Robot, q: FloatArray) -> dict[str, FloatArray]:
+    """Return joint values q (n, n_actuated) [m or rad] in the unit of tables, (n,) by header."""
+    dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
+    named = zip(robot.joint_names, dimensions, q.T, strict=True)
+    return {header(name, dimension): shown(values, dimension) for name, dimension, values in named}
+
+
+def cells_of(values: FloatArray) -> list[object]:
+    """Return the cells of a column, (n,); empty where there is no number.
+
+    15 digits: 30 degrees come out as 30, not as what the way through radians leaves of them.
+    """
+    return [float(f"{value:.15g}") if np.isfinite(value) else "" for value in values]
 
 
 def condition_columns(
@@ -131,4 +142,4 @@ def header(name: str, dimension: Dimension | None) -> str:
 
 def shown(numbers: FloatArray, dimension: Dimension | None) -> FloatArray:
     """Return numbers (n,) [SI] in the unit of tables."""
-    return numbers if dimension is None else numbers * PER_SI[dimension][DISPLAY_UNIT[dimension]]
+    return numbers if dimension is None else numbers * display_scale(dimension)

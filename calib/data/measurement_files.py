@@ -18,9 +18,9 @@ import numpy as np
 from calib.arrays import FloatArray, IntArray
 from calib.data.in_memory import measurements
 from calib.data.instrument_cells import columns_in, concatenated, named_columns, readings_in, setups_of
-from calib.data.measurement_columns import APPROACH, CONTEXT
+from calib.data.measurement_columns import APPROACH, CONTEXT, header, shown
 from calib.data.measurements import Measurements, Poses, check_repeats
-from calib.data.tables import Table, read_table
+from calib.data.tables import Table, format_table, read_table
 from calib.errors import DataError, nearest
 from calib.model.robot import Robot
 from calib.observation.kind import Instrument, Readings
@@ -205,3 +205,33 @@ def _seen_in(robot: Robot, table: Table) -> list[Instrument]:
 
 def _expected(robot: Robot) -> str:
     return "; ".join(dict.fromkeys(", ".join(named_columns(one)) for one in robot.instruments))
+
+
+def format_measurements(robot: Robot, data: Measurements, comments: tuple[str, ...] = ()) -> str:
+    """Return measurements as CSV text in mm and degrees; see `calib.data.measurement_columns`."""
+    return format_table(list(data.columns(robot).items()), comments)
+
+
+def format_positions(
+    robot: Robot,
+    poses: Poses,
+    positions: FloatArray,
+    comments: tuple[str, ...] = (),
+    std: FloatArray | None = None,
+) -> str:
+    """Return positions of targets as CSV text in mm and degrees.
+
+    Args:
+        robot: Names joints and targets.
+        poses: Joint values, and the conditions that they state.
+        positions: (n_poses, n_targets, 3) [m].
+        comments: Lines to put first.
+        std: Standard deviation of each coordinate, (n_poses, n_targets, 3) [m], in columns `<target>_std_x` ...
+    """
+    columns = poses.columns(robot)
+    for suffix, numbers in (("", positions), ("std_", std)):
+        for t, target in enumerate(robot.target_names):
+            for a, axis in enumerate("xyz"):
+                if numbers is not None:
+                    columns[header(f"{target}_{suffix}{axis}", "length")] = list(shown(numbers[:, t, a], "length"))
+    return format_table(list(columns.items()), comments)

@@ -20,8 +20,8 @@ from calib.errors import DataError, InputError
 from calib.joint_terms.term import Context
 from calib.model.robot import Robot
 from calib.observation.kind import Instrument, Readings
-from calib.tabular import pandas, titled_html
-from calib.units import DISPLAY_UNIT, PER_SI, Dimension
+from calib.units import DISPLAY_UNIT, Dimension, display_scale
+from calib.words import pandas, titled_html
 
 _JOINTS_AGREE: dict[Dimension, float] = {"length": 1e-3, "angle": 2e-3}
 """Largest spread of a joint among repeats of one pose [m, rad]; more means that they are different poses."""
@@ -284,8 +284,7 @@ def directions_of_motion(joints: FloatArray) -> FloatArray:
     direction = np.where(np.abs(steps) > _MOVED, np.sign(steps), 0.0)
     rows = np.where(direction != 0, np.arange(len(joints))[:, None], 0)
     last_moved = np.maximum.accumulate(rows, axis=0)
-    result: FloatArray = np.take_along_axis(direction, last_moved, axis=0)
-    return result
+    return np.take_along_axis(direction, last_moved, axis=0)
 
 
 def check_repeats(poses: Poses, robot: Robot) -> None:
@@ -300,9 +299,8 @@ def check_repeats(poses: Poses, robot: Robot) -> None:
         joint = int(np.argmax(spread[pose] / limits))
         row = int(order[starts[pose]])
         dimension = robot.mechanism.dimensions[robot.joint_names[joint]]
-        unit = DISPLAY_UNIT[dimension]
         raise DataError(
             f"{poses.labels[row]}: joint '{robot.joint_names[joint]}' differs by"
-            f" {spread[pose, joint] * PER_SI[dimension][unit]:.3g} {unit} among the rows of pose"
+            f" {spread[pose, joint] * display_scale(dimension):.3g} {DISPLAY_UNIT[dimension]} among the rows of pose"
             f" '{poses.names[row]}'; rows with the same pose value must repeat one pose"
         )

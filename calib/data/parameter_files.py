@@ -9,7 +9,7 @@ from calib.data.tables import check_plausible, format_table, read_number, read_t
 from calib.errors import DataError, InputError, ParameterError, nearest
 from calib.model.robot import Robot
 from calib.parameter import index_of
-from calib.units import PER_SI, per_si
+from calib.units import per_si
 
 COLUMNS = ("parameter", "value", "unit")
 _LARGEST = 1e9  # [SI]: squares and products of such numbers stay finite
@@ -61,6 +61,6 @@ def format_parameters(robot: Robot, comments: Sequence[str] = ()) -> str:
     names, values, units = [], [], []
     for parameter, value in zip(robot.parameters, robot.values, strict=True):
         names.append(parameter.name)
-        values.append(float(value * PER_SI[parameter.dimension][parameter.unit]))
+        values.append(float(value * parameter.per_si))
         units.append(parameter.unit)
     return format_table([("parameter", names), ("value", values), ("unit", units)], comments)

@@ -22,6 +22,7 @@ from calib.exporting.gap import Gap, free_joints, loop_gaps, require_small
 from calib.exporting.links import possible_inertia, read_links
 from calib.exporting.urdf import with_inserted
 from calib.model.closure import residual
+from calib.model.mechanism import rigid
 from calib.model.robot import Robot
 from calib.model.urdf_text import HELD_TYPES, UrdfText, parse_urdf, quoted
 
@@ -130,22 +131,10 @@ def home_values(robot: Robot) -> dict[str, float]:
 def link_poses(urdf: UrdfText, values: dict[str, float]) -> dict[str, pin.SE3]:
     """Return the pose of every link in the root link; joints that `values` does not name are at zero."""
     poses = {urdf.root: pin.SE3.Identity()}
-    waiting = list(urdf.joints)
-    while waiting:
-        rest = []
-        for joint in waiting:
-            if joint.parent in poses:
-                motion = joint_motion(joint.type, joint.axis, values.get(joint.name, 0.0))
-                poses[joint.child] = poses[joint.parent] * origin(joint.xyz, joint.rpy) * motion
-            else:
-                rest.append(joint)
-        waiting = rest
+    for joint in urdf.outwards:
+        motion = joint_motion(joint.type, joint.axis, values.get(joint.name, 0.0))
+        poses[joint.child] = poses[joint.parent] * rigid(joint.xyz, joint.rpy) * motion
     return poses
-
-
-def origin(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> pin.SE3:
-    """Return a URDF origin as a rigid transform."""
-    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz))
 
 
 def joint_motion(kind: str, axis: tuple[float, ...], value: float) -> pin.SE3:

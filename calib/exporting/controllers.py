@@ -24,7 +24,7 @@ from calib.exporting.toolbox import ExactDumper
 from calib.exporting.urdf import comment, numbers, provenance_lines
 from calib.model.denavit_hartenberg import Convention, DhRow, Kind, dh_table
 from calib.model.robot import Robot
-from calib.units import DISPLAY_UNIT, PER_SI, millimetres
+from calib.units import DISPLAY_UNIT, display_scale, millimetres
 from calib.words import listed
 
 _UR_JOINTS = {
@@ -210,7 +210,7 @@ def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFil
     ]
     dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
     units = [DISPLAY_UNIT[dimension] for dimension in dimensions]
-    shown = [float(v) * PER_SI[dim][unit] for v, unit, dim in zip(zeros.offsets, units, dimensions, strict=True)]
+    shown = [float(value) * display_scale(one) for value, one in zip(zeros.offsets, dimensions, strict=True)]
     columns: list[tuple[str, Sequence[object]]] = [
         ("joint", robot.joint_names),
         ("sign", [f"{sign:.0f}" for sign in zeros.signs]),

@@ -98,9 +98,8 @@ def joint_ranges(robot: Robot) -> tuple[FloatArray, FloatArray]:
 
     Where a joint has none, they are half a turn or 1 m both ways.
     """
-    limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
     default = np.array([_UNLIMITED[robot.mechanism.dimensions[name]] for name in robot.joint_names])
-    lower, upper = np.array([limits[name] for name in robot.joint_names]).T
+    lower, upper = robot.urdf.limits(robot.joint_names)
     return np.where(np.isfinite(lower), lower, -default), np.where(np.isfinite(upper), upper, default)
 
 

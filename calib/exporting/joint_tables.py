@@ -142,8 +142,7 @@ def _table(robot: Robot, joint: str, curvature: float) -> JointTable:
         q = np.zeros((len(commands), len(robot.joint_names)))
         q[:, j] = commands
         columns = term_columns(robot.terms, robot.mechanism, q, Context.neutral(*q.shape))
-        result: FloatArray = robot.actual(q, columns)[:, j]
-        return result
+        return robot.actual(q, columns)[:, j]
 
     ends = np.linspace(low, high, 1001)
     margin = 2.0 * float(np.max(np.abs(actual(ends) - ends))) + TOLERANCE

@@ -26,10 +26,11 @@ import numpy as np
 import pinocchio as pin
 
 from calib.errors import InputError
-from calib.exporting.closed_model import ClosedModel, joint_motion, origin, servo_gains, tie_lines
+from calib.exporting.closed_model import ClosedModel, joint_motion, servo_gains, tie_lines
 from calib.exporting.links import Inertial, Link, possible_inertia, read_links
 from calib.exporting.mjcf_shapes import Shapes, add_surroundings, placed
 from calib.exporting.urdf import comment, numbers, provenance_lines
+from calib.model.mechanism import rigid
 from calib.model.urdf_text import HELD_TYPES, UrdfJoint
 
 TIE_SOFTNESS = {"solref": "-1000000 -1000", "solimp": "0.999 0.999 0.001 0.5 2"}
@@ -135,7 +136,7 @@ class _Writer:
     def _body(self, parent: Element, joint: UrdfJoint) -> None:
         moving = joint.type not in HELD_TYPES
         value = self.model.home[joint.name] if moving else 0.0
-        placement = origin(joint.xyz, joint.rpy) * joint_motion(joint.type, joint.axis, value)
+        placement = rigid(joint.xyz, joint.rpy) * joint_motion(joint.type, joint.axis, value)
         body = SubElement(parent, "body", {"name": joint.child, **placed(placement)})
         if moving:
             attributes = {
@@ -203,7 +204,7 @@ class _Writer:
             joint = next(joint for joint in self.model.urdf.joints if joint.child == name)
             if joint.type not in HELD_TYPES:
                 return name, placement
-            placement = origin(joint.xyz, joint.rpy) * placement
+            placement = rigid(joint.xyz, joint.rpy) * placement
             name = joint.parent
         return self._body_name(name), placement
 

@@ -12,7 +12,6 @@ from collections.abc import Iterable, Sequence
 
 from calib.model.robot import Robot
 from calib.model.urdf_text import UrdfText, apply_edits, parse_urdf, quoted
-from calib.units import PER_SI
 from calib.version import PROGRAM
 
 _MARK = "calib: calibrated origins"
@@ -51,7 +50,7 @@ def provenance_lines(robot: Robot) -> list[str]:
     changed = []
     for parameter, value in zip(robot.parameters, robot.values, strict=True):
         if value != parameter.nominal:
-            scale = PER_SI[parameter.dimension][parameter.unit]
+            scale = parameter.per_si
             changed.append(
                 f"  {parameter.name}: {parameter.nominal * scale:.9g} -> {float(value) * scale:.9g} {parameter.unit}"
             )

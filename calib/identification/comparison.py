@@ -80,12 +80,11 @@ def _compare(fit: Fit, name: str, errors: ErrorSet, covariance: float) -> Compar
     squares = float(before @ before), float(rows.residuals @ rows.residuals)
     per_row = max(1.0, min(squares) / rows.layout.n_read)
     change, expected, spread = squares[1] - squares[0], float(np.trace(product)), _spread(product, per_row)
-    part = errors.main_part
     return Comparison(
         name,
-        _rms(errors.errors("before", part.name)),
-        _rms(errors.errors("after", part.name)),
-        part.dimension,
+        errors.rms("before"),
+        errors.rms("after"),
+        errors.main_part.dimension,
         better=change < min(0.0, expected - spread),
         worse=change > expected + spread,
     )
@@ -104,7 +103,3 @@ def _spread(product: FloatArray, per_row: float) -> float:
     quadratic = squares / mean * float(scipy.special.chdtri(mean**2 / squares, CHANCE)) - mean
     mixed = -float(scipy.special.ndtri(CHANCE)) * 2.0 * float(np.sqrt(per_row * mean))
     return float(np.hypot(quadratic, mixed))
-
-
-def _rms(errors: FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.nansum(errors**2, axis=1))))

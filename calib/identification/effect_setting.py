@@ -56,8 +56,7 @@ class Setting:
 
     def per_visit(self, values: FloatArray) -> FloatArray:
         """Return values of the visits, (n_visits, ...), for each row."""
-        result: FloatArray = values[self.visit]
-        return result
+        return values[self.visit]
 
     @cached_property
     def visit(self) -> IntArray:

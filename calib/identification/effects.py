@@ -213,5 +213,4 @@ def _moved_targets(setting: Setting) -> dict[str, dict[str, FloatArray]]:
 def _curves(values: FloatArray) -> FloatArray:
     """Legendre polynomials of degree 1 to 3 over the range of some values (n,), (n, 3)."""
     reach = float(np.ptp(values)) or 1.0
-    curves: FloatArray = legendre.legvander(2 * (values - values.min()) / reach - 1, _DEGREE)[:, 1:]
-    return curves
+    return legendre.legvander(2 * (values - values.min()) / reach - 1, _DEGREE)[:, 1:]

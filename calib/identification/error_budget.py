@@ -240,16 +240,12 @@ def _span(columns: FloatArray) -> FloatArray:
     """Return orthonormal directions of what columns (n, k) span, (n, rank)."""
     length = np.linalg.norm(columns, axis=0)
     u, s, _ = np.linalg.svd(columns / np.where(length > 0, length, 1.0), full_matrices=False)
-    result: FloatArray = u[:, s > _OPEN * np.max(s, initial=0.0)]
-    return result
+    return u[:, s > _OPEN * np.max(s, initial=0.0)]
 
 
 def _flat(arrays: Mapping[str, FloatArray], layout: Layout) -> FloatArray:
     """All rows of all instruments, (n_rows,) or (n_rows, k), from (n, n_rows) or (n, n_rows, k) of each."""
-    rows: FloatArray = np.concatenate(
-        [arrays[name].reshape(-1, *arrays[name].shape[2:]) for name in layout.instruments]
-    )
-    return rows
+    return np.concatenate([arrays[name].reshape(-1, *arrays[name].shape[2:]) for name in layout.instruments])
 
 
 def _std(parts: FloatArray, pose: IntArray) -> float:

@@ -8,10 +8,10 @@ from typing import cast
 
 import numpy as np
 
-from calib.arrays import FloatArray, IntArray, ReadOnlyArrays, read_only
+from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.data.measurements import Measurements
 from calib.observation.kind import Instrument, Part
-from calib.units import Dimension, error_scale
+from calib.units import error_scale
 
 PERCENTILES = {"median": 50, "p90": 90, "p95": 95, "p99": 99}
 """Percentiles of error tables by their key."""
@@ -38,12 +38,6 @@ class ErrorSet(ReadOnlyArrays):
     after: Mapping[str, FloatArray]
     singular_value: FloatArray
     passive: FloatArray | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for state in STATES:
-            frozen = {name: read_only(errors) for name, errors in getattr(self, state).items()}
-            object.__setattr__(self, state, frozen)
 
     def parts(self) -> list[tuple[Instrument, Part, IntArray]]:
         """Return every part of every instrument that read anything, with its rows, (n_rows,)."""
@@ -91,6 +85,10 @@ class ErrorSet(ReadOnlyArrays):
         """The part that tables of all are about: positions, or the first part where none were measured."""
         parts = [part for _, part, _ in self.parts()]
         return next((part for part in parts if part.name == "position"), parts[0])
+
+    def rms(self, state: str) -> float:
+        """Return the root mean square error `before` or `after` of the main part [SI]."""
+        return float(np.sqrt(np.mean(np.nansum(self.errors(state, self.main_part.name) ** 2, axis=1))))
 
     def table(self) -> dict[str, dict[str, object]]:
         """Return error tables `before` and `after` of the main part of all readings [mm for positions]."""
@@ -145,8 +143,8 @@ def error_table(errors: FloatArray, part: Part | None = None) -> dict[str, objec
         and percentiles of the absolute component, its `rms`, its `std` and its signed mean `bias`. In the unit of
         errors of the part (mm for a position); std is NaN for a single error.
     """
-    axes, dimension = (("x", "y", "z"), "length") if part is None else (part.axes, part.dimension)
-    shown = np.asarray(errors) * _scale(dimension)
+    axes = ("x", "y", "z") if part is None else part.axes
+    shown = np.asarray(errors) * error_scale("length" if part is None else part.dimension)
     length = np.sqrt(np.nansum(shown**2, axis=1))
     table: dict[str, object] = {
         "mean": float(np.mean(length)),
@@ -168,11 +166,6 @@ def error_table(errors: FloatArray, part: Part | None = None) -> dict[str, objec
             **_percentiles(np.abs(values)),
         }
     return table
-
-
-def _scale(dimension: str) -> float:
-    known: Dimension = dimension  # type: ignore[assignment]
-    return error_scale(known)
 
 
 def _spread(values: FloatArray) -> float:

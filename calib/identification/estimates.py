@@ -13,8 +13,7 @@ from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.errors import InputError, nearest
 from calib.numerics.statistics import Statistics, status
 from calib.parameter import Parameter
-from calib.tabular import data_frame, pandas, table_html
-from calib.units import PER_SI
+from calib.words import data_frame, pandas, table_html
 
 
 @dataclass(frozen=True)
@@ -144,6 +143,6 @@ def estimates(parameters: tuple[Parameter, ...], values: FloatArray, free: BoolA
             float(value + half),
             kind,
             one.family,
-            PER_SI[one.dimension][one.unit],
+            one.per_si,
         )
     return Estimates(result)

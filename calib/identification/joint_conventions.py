@@ -56,8 +56,7 @@ def _turning(robot: Robot) -> BoolArray:
 def _joints(q: FloatArray, pattern: Pattern) -> FloatArray:
     """Joint values of the robot where the file has q."""
     signs, quarters = pattern
-    joints: FloatArray = q * np.array(signs) + np.array(quarters) * (np.pi / 2)
-    return joints
+    return q * np.array(signs) + np.array(quarters) * (np.pi / 2)
 
 
 def _words(robot: Robot, pattern: Pattern) -> str:
@@ -95,8 +94,7 @@ def _with(values: tuple[int, ...], j: int, value: int) -> tuple[int, ...]:
 
 def _tried_with_loops(robot: Robot, data: Measurements) -> Iterator[Pattern]:
     n = len(robot.joint_names)
-    limits = {joint.name: (joint.lower - _MARGIN, joint.upper + _MARGIN) for joint in robot.urdf.joints}
-    lower, upper = np.array([limits[name] for name in robot.joint_names]).T
+    lower, upper = robot.urdf.limits(robot.joint_names)
     signs, quarters = (1,) * n, (0,) * n
     for j in range(n):
         yield _with(signs, j, -1), quarters
@@ -105,7 +103,7 @@ def _tried_with_loops(robot: Robot, data: Measurements) -> Iterator[Pattern]:
     zeros = [(signs, _with(quarters, j, quarter)) for j in turning for quarter in (-2, -1, 1, 2)]
     for pattern in pairs + zeros:
         joints = _joints(data.joints, pattern)
-        if np.all((joints > lower) & (joints < upper)):
+        if np.all((joints > lower - _MARGIN) & (joints < upper + _MARGIN)):
             yield pattern
 
 

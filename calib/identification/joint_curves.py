@@ -94,19 +94,14 @@ def without_terms(fit: Fit) -> tuple[float, float]:
     Over the visits that were not used, or all if there are no others: what a URDF, which cannot hold terms, is worth.
     """
     errors = fit.identification if fit.validation is None else fit.validation
-    data, part = errors.data, errors.main_part
+    data = errors.data
     values = fit.robot.values.copy()
     values[fit.robot.coefficients] = 0.0
     bare = fit.robot.with_parameters(values)
     observed = observe(bare, bare.assemble(data.joints, labels=data.labels, context=data.conditions), data.readings)
     alone = replace(errors, after={name: one.residuals for name, one in observed.items()})
-    return _rms(errors.errors("after", part.name)), _rms(alone.errors("after", part.name))
-
-
-def _rms(errors: FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.nansum(errors**2, axis=1))))
+    return errors.rms("after"), alone.rms("after")
 
 
 def _std(phi: FloatArray, covariance: FloatArray) -> FloatArray:
-    result: FloatArray = np.sqrt(np.maximum(np.sum((phi @ covariance) * phi, axis=1), 0.0))
-    return result
+    return np.sqrt(np.maximum(np.sum((phi @ covariance) * phi, axis=1), 0.0))

@@ -32,7 +32,6 @@ from calib.joint_terms.term import JointTerm
 from calib.linearisation.determination import Determination, determination
 from calib.linearisation.registration import register
 from calib.model.robot import Robot
-from calib.observation.kind import Readings
 from calib.threads import one_blas_thread
 from calib.words import counted, listed
 
@@ -274,12 +273,9 @@ def zero_visits(data: Measurements, robot: Robot) -> IntArray:
         robot: Knows which of its instruments read numbers at all: a touch does not.
     """
     numbers = [readings for name, readings in data.readings.items() if robot.instrument(name).columns()]
-    visits = [one.visits[np.all(one.values[:, :3] == 0.0, axis=1)] for one in numbers if _has_three(one)]
+    three = [readings for readings in numbers if readings.values.shape[1] >= 3]
+    visits = [one.visits[np.all(one.values[:, :3] == 0.0, axis=1)] for one in three]
     return np.unique(np.concatenate([np.zeros(0, dtype=np.intp), *visits]))
-
-
-def _has_three(one: Readings) -> bool:
-    return one.values.shape[1] >= 3
 
 
 def equal_columns(data: Measurements, robot: Robot) -> list[tuple[str, str]]:

@@ -150,8 +150,7 @@ def _median_scales(rows: Rows, groups: FloatArray, found: BoolArray) -> FloatArr
     """Bring the scale of each group whose noise is found, beside the first, to where its median reading says."""
     if len(groups) == 1 or not np.any(found):
         return groups
-    result: FloatArray = groups * np.where(found, np.maximum(_levels(rows), EXACT), 1.0)
-    return result
+    return groups * np.where(found, np.maximum(_levels(rows), EXACT), 1.0)
 
 
 def _stepped(
@@ -204,8 +203,7 @@ def _step(rows: Rows, weights: FloatArray, sigma: float) -> FloatArray:
     diagonal = np.abs(np.diag(triangle))
     if np.min(diagonal) <= 1e-12 * np.max(diagonal):
         raise NotIdentifiableError(_TOO_FEW_LEFT)
-    step: FloatArray = -scipy.linalg.solve_triangular(triangle, q.T @ right)
-    return step
+    return -scipy.linalg.solve_triangular(triangle, q.T @ right)
 
 
 def without_outliers(first: Fit, robust: Callable[[], Fit], again: Callable[[Measurements], Fit]) -> Fit:

@@ -26,7 +26,7 @@ import scipy
 from calib.arrays import FloatArray
 from calib.identification.fitted import Fit
 from calib.model.robot import Robot
-from calib.units import DISPLAY_UNIT, PER_SI, Dimension
+from calib.units import DISPLAY_UNIT, PER_SI, Dimension, display_scale
 from calib.words import listed
 
 _STEPS = tuple(round(figure * 10.0**power, 12) for power in range(2, -6, -1) for figure in (5.0, 2.0, 1.0))
@@ -63,9 +63,8 @@ def rounding(fit: Fit) -> Rounding | None:
     words: dict[str, None] = {}
     for name, step in zip(robot.joint_names, steps, strict=True):
         dimension = robot.mechanism.dimensions[name]
-        unit = DISPLAY_UNIT[dimension]
         if step > 0:
-            words[f"{step * PER_SI[dimension][unit]:.3g} {unit}"] = None
+            words[f"{step * display_scale(dimension):.3g} {DISPLAY_UNIT[dimension]}"] = None
     scatter = steps / np.sqrt(12.0)
     if fit.shared_sigma:  # then what the joints are off by was found
         found = float(np.sum((np.array(list(fit.shared_sigma.values())) * (steps > 0)) ** 2))

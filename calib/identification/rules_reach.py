@@ -16,7 +16,7 @@ from calib.linearisation.jacobian import linearise
 from calib.linearisation.prediction import beside_common_motion, other_combinations
 from calib.model.robot import Configurations, Robot
 from calib.numerics.halton import halton
-from calib.units import DISPLAY_UNIT, PER_SI, millimetres
+from calib.units import DISPLAY_UNIT, display_scale, millimetres
 from calib.words import counted, listed
 
 BEYOND_LIMIT = 0.01
@@ -60,8 +60,8 @@ def moved_little(fit: Fit) -> Iterator[Reason]:
         there = _uncertainty(fit, _elsewhere(fit, int(j), float(allowed[j])))
         if there > max(LESS_KNOWN * here, np.sqrt(3.0) * fit.sigma):
             name = robot.joint_names[j]
-            unit = DISPLAY_UNIT[robot.mechanism.dimensions[name]]
-            reach = np.ptp(data.joints[:, j]) * PER_SI[robot.mechanism.dimensions[name]][unit]
+            dimension = robot.mechanism.dimensions[name]
+            unit, reach = DISPLAY_UNIT[dimension], np.ptp(data.joints[:, j]) * display_scale(dimension)
             yield Reason(
                 "CHECK",
                 "joint_moved_little",
@@ -92,7 +92,7 @@ def _elsewhere(fit: Fit, j: int, allowed: float) -> FloatArray:
     used = fit.identification.data.joints
     q = used[np.unique(np.linspace(0, len(used) - 1, _TRIED).astype(np.intp))].copy()
     middle = np.mean(q[:, j])
-    lower, upper = (limits[j] for limits in _limits(fit.nominal))
+    lower, upper = (limits[j] for limits in fit.nominal.urdf.limits(fit.nominal.joint_names))
     q[:, j] = np.clip(middle + allowed * np.linspace(-0.5, 0.5, len(q)), lower, upper)
     return np.asarray(q[fit.robot.close(q).ok])
 
@@ -109,7 +109,7 @@ def _rms(values: FloatArray) -> float:
 def beyond_joint_limits(fit: Fit) -> Iterator[Reason]:
     """Look for joint values that the robot's own limits exclude."""
     data, robot = fit.identification.data, fit.nominal
-    lower, upper = _limits(robot)
+    lower, upper = robot.urdf.limits(robot.joint_names)
     excess = np.maximum(lower - data.joints, data.joints - upper) / robot.mechanism.joint_scale
     beyond = np.flatnonzero(np.max(excess, axis=1) > BEYOND_LIMIT)
     if len(beyond):
@@ -130,16 +130,9 @@ def turns_not_counted(fit: Fit) -> Iterator[Reason]:
         yield Reason("CHECK", "turns_not_counted", words)
 
 
-def _limits(robot: Robot) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper limits of the actuated joints, (n_actuated,) each [m or rad]; infinite where there are none."""
-    limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
-    lower, upper = np.array([limits[name] for name in robot.joint_names]).T
-    return lower, upper
-
-
 def _allowed(robot: Robot) -> FloatArray:
     """Range of each actuated joint, a turn at most, (n_actuated,) [m or rad]; infinite where nothing says."""
-    lower, upper = _limits(robot)
+    lower, upper = robot.urdf.limits(robot.joint_names)
     turns = np.array([robot.mechanism.dimensions[name] == "angle" for name in robot.joint_names])
     return np.asarray(np.minimum(upper - lower, np.where(turns, 2 * np.pi, np.inf)))
 
@@ -178,7 +171,7 @@ def terms_untested(fit: Fit) -> Iterator[Reason]:
 def terms_beyond(fit: Fit) -> Iterator[str]:
     """Say how sure positions are where joints go beyond the values from which terms were learned."""
     q = fit.identification.data.joints
-    lower, upper = _limits(fit.nominal)
+    lower, upper = fit.nominal.urdf.limits(fit.nominal.joint_names)
     half = _allowed(fit.nominal) / 2
     low, high = np.maximum(lower, np.mean(q, axis=0) - half), np.minimum(upper, np.mean(q, axis=0) + half)
     bounded = np.isfinite(half)

@@ -7,12 +7,11 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 import scipy
-from rich.table import Table
 
 from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.parameter import Parameter
-from calib.units import PER_SI, millimetres
-from calib.words import counted, listed, plain_text
+from calib.units import millimetres
+from calib.words import as_data, counted, listed, plain_text, text_table
 
 _TAIL = 0.05  # of chi-square, on both sides together
 _SURE = 4.0  # standard deviations beyond which a difference is no chance
@@ -137,7 +136,7 @@ class Study(ReadOnlyArrays):
         claimed = np.sqrt(np.mean(draws.std[kept] ** 2, axis=0))
         columns = (np.mean(error, axis=0), spread / np.sqrt(len(error)), spread, claimed, np.mean(held, axis=0))
         return tuple(
-            ParameterStudy(one.name, one.unit, PER_SI[one.dimension][one.unit], *map(float, numbers))
+            ParameterStudy(one.name, one.unit, one.per_si, *map(float, numbers))
             for one, numbers in zip(self.free, np.stack(columns, axis=1), strict=True)
         )
 
@@ -146,8 +145,7 @@ class Study(ReadOnlyArrays):
         """Part of the draws whose 95 % interval holds each true coordinate elsewhere, (n_poses, n_targets, 3)."""
         kept = self.draws.answered
         held = np.abs(self.draws.errors[kept]) <= self.draws.error_half_width[kept]
-        result: FloatArray = np.mean(held, axis=0)
-        return result
+        return np.mean(held, axis=0)
 
     @property
     def position_error(self) -> float:
@@ -182,10 +180,8 @@ class Study(ReadOnlyArrays):
         Args:
             width: Of the table, in characters.
         """
-        table = Table(box=None, pad_edge=False)
         headers = ("parameter", "unit", "bias", "+-", "spread", "claimed", "spread / claimed", "coverage [%]")
-        for header in headers:
-            table.add_column(header, justify="left" if header in headers[:2] else "right")
+        table = text_table(headers, headers[:2], plain=True)
         for one in self.parameters:
             row = one.row()
             numbers = [f"{row[key]:.3g}" for key in ("bias", "bias_std", "spread", "claimed")]
@@ -233,28 +229,26 @@ class Study(ReadOnlyArrays):
         """Return the study as data for JSON; parameters in the units of tables, unknown numbers None."""
         kept = self.draws.answered
         sigma = np.mean(self.draws.sigma[kept], axis=0)
-        return {
-            "robot": self.robot,
-            "draws": len(self),
-            "answered": int(np.sum(kept)),
-            "failures": list(self.failures),
-            "n_poses": self.n_poses,
-            "resampled": self.resampled,
-            "seed": self.seed,
-            "seconds": self.seconds,
-            "parameters": [{key: _known(value) for key, value in one.row().items()} for one in self.parameters],
-            "sigma": {name: float(value) for name, value in zip(self.groups, sigma, strict=True)},
-            "chi_square": _known(self.chi_square),
-            "chi_square_refused": _known(self.chi_square_refused),
-            "outliers": self.outliers,
-            "position_error_mm": _known(millimetres(self.position_error)),
-            "position_coverage": self.position_coverage.tolist(),
-        }
+        return as_data(
+            {
+                "robot": self.robot,
+                "draws": len(self),
+                "answered": int(np.sum(kept)),
+                "failures": list(self.failures),
+                "n_poses": self.n_poses,
+                "resampled": self.resampled,
+                "seed": self.seed,
+                "seconds": self.seconds,
+                "parameters": [one.row() for one in self.parameters],
+                "sigma": {name: float(value) for name, value in zip(self.groups, sigma, strict=True)},
+                "chi_square": self.chi_square,
+                "chi_square_refused": self.chi_square_refused,
+                "outliers": self.outliers,
+                "position_error_mm": millimetres(self.position_error),
+                "position_coverage": self.position_coverage.tolist(),
+            }
+        )
 
 
 def _range(percent: FloatArray) -> str:
     return f"{np.min(percent):.1f} to {np.max(percent):.1f} (mean {np.mean(percent):.1f})"
-
-
-def _known(value: object) -> object:
-    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -42,7 +42,7 @@ from calib.identification.effect_setting import Setting
 from calib.identification.effects import FAMILIES, ORDERS, Effect, Kind, Waves, effects
 from calib.linearisation.rows import Rows
 from calib.numerics.variance_components import EXACT
-from calib.units import DISPLAY_UNIT, ERROR_UNIT, PER_SI, Dimension, error_scale, millimetres
+from calib.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale, millimetres
 
 FALSE_ALARM = 0.01
 """Chance that good residuals show a pattern."""
@@ -99,8 +99,7 @@ class Residuals:
 
     def after_fit(self, effect: FloatArray) -> FloatArray:
         """Return M Z, what a fit leaves of effects Z (n_rows, n_effects) on the residuals, (n_rows, n_effects)."""
-        result: FloatArray = effect - self.pulled @ (self.pulled.T @ effect)
-        return result
+        return effect - self.pulled @ (self.pulled.T @ effect)
 
     @cached_property
     def pulled(self) -> FloatArray:
@@ -271,7 +270,7 @@ def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:
     if pattern.kind in said:
         return f"{said[pattern.kind]} ({size})"
     unit = DISPLAY_UNIT[dimensions[pattern.name]]
-    amount = abs(pattern.amount) * PER_SI[dimensions[pattern.name]][unit]
+    amount = abs(pattern.amount) * display_scale(dimensions[pattern.name])
     if pattern.kind == "wave":
         return f"an error of joint {pattern.name} that repeats {pattern.detail}, {amount:.2g} {unit} high ({size})"
     return f"joint {pattern.name} differs by {2 * amount:.2g} {unit} with the direction of approach ({size})"

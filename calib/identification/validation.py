@@ -96,8 +96,7 @@ def _readings_at(readings: Readings, visits: IntArray) -> IntArray:
     place[inside] = np.arange(len(inside))
     number = place[readings.visits]
     indices = np.flatnonzero(number >= 0)
-    result: IntArray = indices[np.argsort(number[indices], kind="stable")]
-    return result
+    return indices[np.argsort(number[indices], kind="stable")]
 
 
 def boxes(data: Measurements, count: int) -> list[IntArray]:

@@ -134,5 +134,4 @@ def _on_one_branch(robot: Robot, reach: Reach, q: FloatArray, ok: BoolArray) -> 
 
 def reached_goals(reach: Reach, solutions: Configured) -> BoolArray:
     """Return which goals are reached, (n,)."""
-    result: BoolArray = solutions.distance <= TOLERANCE * min(1.0, reach.mechanism.length)
-    return result
+    return solutions.distance <= TOLERANCE * min(1.0, reach.mechanism.length)

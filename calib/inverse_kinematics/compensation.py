@@ -44,7 +44,7 @@ from calib.joint_terms.term import Context
 from calib.linearisation.gauge import nearest_to_nominal
 from calib.linearisation.prediction import PositionUncertainty, length95, rms_length
 from calib.model.robot import Robot, require_robot
-from calib.units import DISPLAY_UNIT, PER_SI, millimetres
+from calib.units import DISPLAY_UNIT, display_scale, millimetres
 
 _JUMP = 0.1  # more than the program itself goes between two rows [rad, or characteristic lengths]
 _BEYOND = 1e-9  # past a limit by more than rounding [m or rad]
@@ -265,7 +265,7 @@ def _beyond(reach: Reach, q: FloatArray, what: str) -> str:
         return ""
     name = reach.mechanism.actuated[j]
     dimension = reach.mechanism.dimensions[name]
-    unit = DISPLAY_UNIT[dimension]
+    unit, scale = DISPLAY_UNIT[dimension], display_scale(dimension)
     limit = reach.upper[j] if q[j] > reach.upper[j] else reach.lower[j]
-    value, bound = (x * PER_SI[dimension][unit] for x in (q[j], limit))
+    value, bound = (x * scale for x in (q[j], limit))
     return f"is past the limit of joint '{name}': {value:.3f} {unit} {what}, {bound:.3f} {unit} allowed"

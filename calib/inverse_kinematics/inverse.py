@@ -138,10 +138,7 @@ def problem(robot: Robot, goals: Goals) -> Reach:
         if goals.target not in named:
             raise DataError(f"no target '{goals.target}'{nearest(goals.target, named)}")
         target = named[goals.target]
-    limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
-    unlimited = (-np.inf, np.inf)
-    lower, upper = np.array([limits.get(name, unlimited) for name in robot.mechanism.driven]).T
-    return Reach(robot.mechanism, robot.mode, target, goals, lower, upper)
+    return Reach(robot.mechanism, robot.mode, target, goals, *robot.urdf.limits(robot.mechanism.driven))
 
 
 def settled(robot: Robot, reach: Reach, index: IntArray, found: Configured, context: Context) -> Configured:
@@ -200,8 +197,7 @@ class _Search:
     @property
     def solved(self) -> BoolArray:
         """Which goals are reached, (n,)."""
-        reached: BoolArray = self.best.distance <= TOLERANCE * min(1.0, self.reach.mechanism.length)
-        return reached
+        return self.best.distance <= TOLERANCE * min(1.0, self.reach.mechanism.length)
 
     def run(self, robot: Robot) -> None:
         """Try every start of the module docstring until a goal is reached."""

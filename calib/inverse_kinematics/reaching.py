@@ -313,5 +313,4 @@ def _damped_step(
     held |= reach.mechanism.is_tilt
     rows = np.where(held[:, None, :], 0.0, np.concatenate([slope, weighted], axis=1))
     normal = rows.transpose(0, 2, 1) @ rows + (damping[:, None] * size)[:, :, None] * np.eye(n_joints)
-    step: FloatArray = -np.linalg.solve(normal, np.where(held, 0.0, gradient)[:, :, None])[:, :, 0]
-    return step
+    return -np.linalg.solve(normal, np.where(held, 0.0, gradient)[:, :, None])[:, :, 0]

@@ -206,5 +206,4 @@ def _learned(hessian: FloatArray, step: FloatArray, change: FloatArray) -> Float
     along = np.maximum(np.sum(step * damped, axis=1, keepdims=True), 1e-300)
     removed, added = product / np.sqrt(curvature), damped / np.sqrt(along)
     learned = hessian - removed[:, :, None] * removed[:, None, :] + added[:, :, None] * added[:, None, :]
-    result: FloatArray = np.where(curvature[:, :, None] > 1e-24, learned, hessian)
-    return result
+    return np.where(curvature[:, :, None] > 1e-24, learned, hessian)

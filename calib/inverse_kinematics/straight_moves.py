@@ -32,7 +32,7 @@ from calib.inverse_kinematics.compensation import compensate
 from calib.inverse_kinematics.goals import Goals
 from calib.inverse_kinematics.inverse import TOLERANCE, problem
 from calib.inverse_kinematics.reaching import Configured, descend
-from calib.joint_terms.backlash import Backlash
+from calib.joint_terms.one_coefficient import Backlash
 from calib.linearisation.gauge import nearest_to_nominal
 from calib.model.robot import Robot
 from calib.units import millimetres

@@ -1,1 +1,1 @@
-"""What joints do beside what they are told: terms of their errors, one file each."""
+"""What joints do beside what they are told: terms of their errors."""

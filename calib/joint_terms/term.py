@@ -6,7 +6,7 @@ Joints do not stand where they are told. The error of joint j is a sum of terms,
 
 with coefficients c_k that are found like all other parameters, and columns phi_k that depend on what was commanded
 alone. So derivatives are exact, d(anything)/dc_k = d(anything)/d(joint j) phi_k, through closed loops too, and a new
-term is one small file and a line in `calib.joint_terms.terms`.
+term is one small class and a line in `calib.joint_terms.terms`.
 
 Every coefficient has the dimension of its joint (an angle or a length): it is the error at phi_k = 1.
 
@@ -189,28 +189,3 @@ def coefficient(name: str, dimension: Dimension, sigma: float, family: str = "")
         family: Name of the coefficients whose common size is found from the data; empty: sigma is as stated.
     """
     return Parameter(name, dimension, 0.0, sigma, UNIT[dimension], family=family)
-
-
-@dataclass(frozen=True)
-class OneCoefficient(JointTerm):
-    """A term with one coefficient, dq = c phi, named after its joint and the term.
-
-    Attributes:
-        word: Last part of the coefficient's name (class attribute).
-        expected_angle: Expected size of the coefficient of a joint that turns, where nothing is stated [rad] (class
-            attribute).
-        expected_length: The same of one that slides [m] (class attribute).
-    """
-
-    word: ClassVar[str]
-    expected_angle: ClassVar[float]
-    expected_length: ClassVar[float]
-    joint: str
-    parameters: tuple[Parameter, ...]
-
-    @classmethod
-    def of(cls, joint: Joint, section: TermSection, sigma: float | None) -> JointTerm:
-        """Return the term that an entry of a robot description means."""
-        expected = cls.expected_angle if joint.dimension == "angle" else cls.expected_length
-        size = expected if sigma is None else sigma
-        return cls(joint.name, (coefficient(f"{joint.name}.{cls.word}", joint.dimension, size),))

@@ -7,14 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Union
 from pydantic import Discriminator, Tag, TypeAdapter, ValidationError
 
 from calib.errors import InputError, nearest
-from calib.joint_terms.backlash import Backlash
-from calib.joint_terms.bending import Bending
-from calib.joint_terms.compliance import Compliance
 from calib.joint_terms.coupling import Coupling
-from calib.joint_terms.curve import Curve
-from calib.joint_terms.drift import Drift, Temperature
-from calib.joint_terms.gain import Gain
-from calib.joint_terms.harmonics import Harmonics
+from calib.joint_terms.one_coefficient import Backlash, Bending, Compliance, Drift, Gain, Temperature
+from calib.joint_terms.periodic import Curve, Harmonics
 from calib.joint_terms.term import JointTerm, TermSection
 
 TERMS: dict[str, type[JointTerm]] = {

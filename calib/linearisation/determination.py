@@ -58,11 +58,8 @@ class Determination(ReadOnlyArrays):
         more = self.together.rank - poses
         if self.missing == 0:
             return f"{text}; priors hold the other {more}"
-        return f"{text}{f', priors {more} more' if more else ''}; {self.missing} {_are(self.missing)} NOT determined"
-
-
-def _are(count: int) -> str:
-    return "is" if count == 1 else "are"
+        are = "is" if self.missing == 1 else "are"
+        return f"{text}{f', priors {more} more' if more else ''}; {self.missing} {are} NOT determined"
 
 
 def determination(columns: FloatArray, parameters: Sequence[Parameter], free: BoolArray) -> Determination:

@@ -71,8 +71,7 @@ def _split(scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _around_home(robot: Robot) -> FloatArray:
     """Joints of poses that the robot can take, (n, n_actuated) [m or rad]."""
-    limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
-    lower, upper = np.array([limits[name] for name in robot.joint_names]).T
+    lower, upper = robot.urdf.limits(robot.joint_names)
     spread = halton(_POSES, len(robot.home)) - 0.5
     q = np.clip(robot.home + 2 * _AROUND_HOME * robot.mechanism.joint_scale * spread, lower, upper)
     return np.asarray(q[robot.close(q).ok])

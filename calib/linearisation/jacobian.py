@@ -208,7 +208,7 @@ def _compiled_motion(
     joints, columns = np.nonzero(np.any(blocks != 0.0, axis=1))
     entries = joints, columns, np.ascontiguousarray(blocks[joints, :, columns])
     rows, select = by.functions.loops(mechanism, reduced), mechanism.select_passive[reduced.joints]
-    result: FloatArray = by.functions.motion(
+    return by.functions.motion(
         by.tree,
         rows,
         by.found,
@@ -220,7 +220,6 @@ def _compiled_motion(
         entries,
         blocks.shape[2],
     )
-    return result
 
 
 def parameter_twists(robot: Robot) -> FloatArray:
@@ -253,9 +252,3 @@ def joint_twists(mechanism: Mechanism) -> FloatArray:
     """Return twists of all origins per driven joint, (6 n_joints, n_driven): the joint's axis at its own origin."""
     by_joint: FloatArray = mechanism.axes[:, :, None] * mechanism.select_actuated[:, None, :]
     return by_joint.reshape(6 * mechanism.n_joints, -1)
-
-
-def joint_jacobian(robot: Robot, configurations: Configurations) -> FloatArray:
-    """Return d(position)/d(actuated joint), loops closed, (n_poses, n_targets, 3, n_actuated) [m per m or rad]."""
-    n_actuated = len(robot.joint_names)
-    return origin_jacobian(robot.mechanism, configurations, joint_twists(robot.mechanism)[:, :n_actuated])[1]

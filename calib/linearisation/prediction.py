@@ -50,8 +50,7 @@ class PositionUncertainty(ReadOnlyArrays):
     @property
     def std(self) -> FloatArray:
         """Standard deviation of each coordinate, (n_poses, n_targets, 3) [m]."""
-        result: FloatArray = np.sqrt(np.maximum(np.diagonal(self.covariance, axis1=2, axis2=3), 0.0))
-        return result
+        return np.sqrt(np.maximum(np.diagonal(self.covariance, axis1=2, axis2=3), 0.0))
 
     @property
     def distance(self) -> FloatArray:
@@ -155,8 +154,7 @@ def beside_common_motion(linear: Linearisation, targets: list[int]) -> FloatArra
 
 def rms_length(covariance: FloatArray) -> FloatArray:
     """Return the root mean square length of vectors with these covariances (..., 3, 3), (...)."""
-    result: FloatArray = np.sqrt(np.maximum(np.trace(covariance, axis1=-2, axis2=-1), 0.0))
-    return result
+    return np.sqrt(np.maximum(np.trace(covariance, axis1=-2, axis2=-1), 0.0))
 
 
 def length95(covariance: FloatArray, coverage_factor: float) -> FloatArray:
@@ -184,8 +182,7 @@ def _root95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> F
 
 def carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return B C B^T of each position or turn, (n_poses, n_targets, 3, 3), from B (n_poses, n_targets, 3, n_free)."""
-    result: FloatArray = (jacobian @ covariance) @ jacobian.swapaxes(2, 3)
-    return result
+    return (jacobian @ covariance) @ jacobian.swapaxes(2, 3)
 
 
 def position_uncertainty(

@@ -201,5 +201,4 @@ class Rows:
     def distances(self) -> FloatArray:
         """Return the length of each reading's whitened residual, (n_readings,)."""
         squares = np.bincount(self.layout.reading, self.residuals**2, self.layout.n_readings)
-        result: FloatArray = np.sqrt(squares)
-        return result
+        return np.sqrt(squares)

@@ -204,8 +204,7 @@ def _damped_step(gaps: FloatArray, slopes: FloatArray, damping: FloatArray, held
 
 def _limits(robot: Robot, poses: Poses) -> tuple[FloatArray, FloatArray]:
     """Where the joints may go, (n, n_actuated) each: within the URDF's limits, or where they stand already."""
-    limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
-    lower, upper = np.array([limits[name] for name in robot.joint_names]).T
+    lower, upper = robot.urdf.limits(robot.joint_names)
     return np.minimum(lower, poses.joints), np.maximum(upper, poses.joints)
 
 
@@ -272,16 +271,6 @@ def _noisy(one: Instrument, every: Readings, sigma: float | None, rng: np.random
         widths = [len(part.axes) for part in one.parts]
         covariance = noise.covariance(one.points(visible.values), len(visible), widths)
         normal = rng.standard_normal(change.shape)
-        change = _rows_with_noise(one, sigma) * _times_root(covariance, normal)
+        stated = np.array([float(noise.parts[k].stated) for k in one.part_of_row])
+        change = stated * np.matmul(np.linalg.cholesky(covariance), normal[:, :, None])[:, :, 0]
     return Readings(visible.visits, visible.pairs, one.moved(visible.values, change), None, visible.details)
-
-
-def _rows_with_noise(one: Instrument, sigma: float | None) -> FloatArray:
-    """1.0 for rows whose noise is known, else 0.0."""
-    stated = [part.stated for part in stated_noise(one, sigma).parts]
-    return np.array([float(stated[k]) for k in one.part_of_row])
-
-
-def _times_root(covariance: FloatArray, normal: FloatArray) -> FloatArray:
-    result: FloatArray = np.matmul(np.linalg.cholesky(covariance), normal[:, :, None])[:, :, 0]
-    return result

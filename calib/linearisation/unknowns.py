@@ -80,5 +80,4 @@ class Unknowns(ReadOnlyArrays):
 
     def deviations(self, values: FloatArray) -> FloatArray:
         """Return u = (p - p_nominal) / s from the values of all parameters, (n_parameters,)."""
-        result: FloatArray = (values[self.index] - self.nominal) / self.scales
-        return result
+        return (values[self.index] - self.nominal) / self.scales

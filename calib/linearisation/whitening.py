@@ -143,8 +143,7 @@ class Whitening:
         read = self.layout.group >= 0
         number = self.layout.group[read]
         squares = np.bincount(number, weighing.variances()[read]) / np.bincount(number)
-        result: FloatArray = scales.groups * np.sqrt(squares)
-        return result
+        return scales.groups * np.sqrt(squares)
 
     @property
     def pose_of_row(self) -> IntArray:

@@ -45,8 +45,7 @@ def scaled(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:
     """
     rows = np.where(mechanism.is_metre_row, 1 / mechanism.length, 1.0)
     columns = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
-    result: FloatArray = slope_passive * rows[:, None] * columns
-    return result
+    return slope_passive * rows[:, None] * columns
 
 
 def singular_values(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:
@@ -96,8 +95,7 @@ class AssemblyMode(ReadOnlyArrays):
 
     def holds(self, slope: FloatArray) -> BoolArray:
         """Return which configurations are in this mode, from their C_p (n, n_passive, n_passive): (n,)."""
-        result: BoolArray = (block_signs(slope, self.block_rows, self.block_columns) == self.signs).all(axis=1)
-        return result
+        return (block_signs(slope, self.block_rows, self.block_columns) == self.signs).all(axis=1)
 
 
 def blocks(pattern: BoolArray) -> tuple[tuple[IntArray, ...], tuple[IntArray, ...]]:

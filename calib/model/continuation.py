@@ -123,8 +123,7 @@ def solved_for(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 def in_radians(mechanism: Mechanism, passive: FloatArray) -> FloatArray:
     """Return changes of passive joints (n, n_passive) [m or rad] with lengths over the characteristic length."""
-    result: FloatArray = np.where(mechanism.is_metre_column, passive / mechanism.length, passive)
-    return result
+    return np.where(mechanism.is_metre_column, passive / mechanism.length, passive)
 
 
 def follow(
@@ -269,8 +268,7 @@ def _stepping_stones(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatAr
     low, high = corners.min(axis=0), corners.max(axis=0)
     beyond = 0.1 * mechanism.driven_scale
     sample = halton(_STONES, corners.shape[1])
-    stones: FloatArray = low - beyond + sample * (high - low + 2 * beyond)
-    return stones
+    return low - beyond + sample * (high - low + 2 * beyond)
 
 
 def _continue(

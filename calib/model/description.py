@@ -24,59 +24,35 @@ from calib.observation.noise import PositionSigma
 from calib.sections import (
     COMPONENTS,
     LENGTH_COMPONENTS,
-    Angle,
     Component,
-    Length,
+    FrameSection,
+    PlaceSection,
     Quantity,
     Section,
+    read_yaml,
 )
 from calib.units import Dimension
-from calib.yaml_file import read_yaml
 
 
-class BaseSection(Section):
+class BaseSection(FrameSection):
     """The frame in which positions are measured.
 
     Attributes:
-        frame: Link that it is attached to.
         xyz, rpy: Pose of that link in the measurement frame [m], [rad].
         pose: `known`: that pose is right; `unknown`: it is found from the measurements.
     """
 
-    frame: str
-    xyz: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
-    rpy: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
     pose: Literal["known", "unknown"] = "known"
 
 
-class TargetSection(Section):
-    """A measured point, or a measured frame.
+class TargetSection(PlaceSection):
+    """A measured point, or a measured frame; only instruments that see orientations need its orientation.
 
-    Attributes:
-        frame: Link that carries it.
-        xyz, rpy: Where it is in that link, and how it is turned [m], [rad].
-        position: `known`: it is right there; `unknown`: found from the measurements, starting from `xyz`.
-        orientation: The same for `rpy`; only instruments that see orientations need it.
-        sigma: How far an unknown position may be from `xyz` (one standard deviation) [m]; left out, `xyz` says nothing.
-            Give it if you can: joints that hardly turned during the measurements leave the point loosely determined.
-        sigma_angle: The same for an unknown orientation [rad].
+    State how far an unknown position may be off (`sigma`) if you can: joints that hardly turned during the measurements
+    leave the point loosely determined.
     """
 
-    frame: str
-    xyz: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
-    rpy: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
-    position: Literal["known", "unknown"] = "known"
-    orientation: Literal["known", "unknown"] = "known"
-    sigma: Annotated[Length, Field(gt=0)] | None = None
-    sigma_angle: Annotated[Angle, Field(gt=0)] | None = None
-
-    @model_validator(mode="after")
-    def _sigma_of_unknown(self) -> TargetSection:
-        if self.sigma is not None and self.position == "known":
-            raise ValueError("sigma is for a target whose position is unknown")
-        if self.sigma_angle is not None and self.orientation == "known":
-            raise ValueError("sigma_angle is for a target whose orientation is unknown")
-        return self
+    what = "target"
 
 
 class OriginSection(Section):

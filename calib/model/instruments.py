@@ -12,7 +12,7 @@ from dataclasses import replace
 from calib.errors import DescriptionError, nearest
 from calib.model.description import Description
 from calib.observation.kind import Instrument, Place
-from calib.observation.kinds import instrument
+from calib.observation.kinds import KINDS
 from calib.observation.noise import Noise, PartNoise
 from calib.observation.position import Position
 from calib.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS
@@ -35,7 +35,8 @@ def instruments_of(description: Description, where: str) -> tuple[Instrument, ..
     if not description.instruments:
         noise = Noise((PartNoise.of(description.sigma, 3),))
         return tuple(Position(name, name, _TARGETS_GROUP, noise) for name in description.targets)
-    instruments = tuple(instrument(name, section) for name, section in description.instruments.items())
+    sections = description.instruments.items()
+    instruments = tuple(KINDS[section.kind].of(name, section) for name, section in sections)  # type: ignore[attr-defined]
     for one in instruments:
         if one.target and one.target not in description.targets:
             raise DescriptionError(

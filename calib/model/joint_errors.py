@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pinocchio as pin
 
@@ -188,8 +186,3 @@ def _with_one_kilogram(mechanism: Mechanism, payload: str | None) -> pin.Model:
     frame = tool.b if payload is None else mechanism.joint(payload)
     model.inertias[frame] = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
     return model
-
-
-def with_torque(context: Context, torque: FloatArray) -> Context:
-    """Return a context with the torque of gravity, (n, n_driven)."""
-    return replace(context, torque=torque)

@@ -249,8 +249,7 @@ def joint_derivative(swept: Sweep, mapping: FloatArray, columns: FloatArray) -> 
         mapping: From `twist_map`.
         columns: `mechanism.between(pair)[:, None] * selection`, (n_joints, n_columns).
     """
-    result: FloatArray = np.matmul(np.matmul(mapping, swept.jacobian), columns[swept.reduced.joints])
-    return result
+    return np.matmul(np.matmul(mapping, swept.jacobian), columns[swept.reduced.joints])
 
 
 def origin_derivative(
@@ -278,5 +277,4 @@ def origin_derivative(
             moved = np.matmul(combined, swept.regressor[:, :, columns])
             by_origin[:, :, origins] = moved.reshape(n, n_rows, len(origins), 6)
     along = mechanism.twists_before(twists)[joints].reshape(6 * len(joints), -1)
-    result: FloatArray = (by_origin.reshape(n_rows * n, -1) @ along).reshape(n, n_rows, along.shape[1])
-    return result
+    return (by_origin.reshape(n_rows * n, -1) @ along).reshape(n, n_rows, along.shape[1])

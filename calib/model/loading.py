@@ -10,16 +10,15 @@ from typing import Any
 import numpy as np
 
 from calib.errors import DescriptionError, InputError, nearest
-from calib.model.arm_chain import arm_chain
-from calib.model.closed_home import closed_home
-from calib.model.description import Description, checked_description, read_description
+from calib.model.arm_chain import ArmChain, arm_chain
+from calib.model.description import BaseSection, Description, TargetSection, checked_description, read_description
 from calib.model.instruments import instruments_of, places_of
 from calib.model.joint_errors import build_terms
+from calib.model.loops import closed_home
 from calib.model.mechanism import Mechanism
 from calib.model.mechanism_builder import build_mechanism, home_values
 from calib.model.parametrisation import build_parametrisation, default_sections
 from calib.model.robot import Robot
-from calib.model.templates import describe
 from calib.model.urdf_text import UrdfText, read_urdf
 from calib.observation.kind import Instrument
 from calib.parameter import index_of
@@ -45,6 +44,25 @@ def load(path: str | Path) -> Robot:
         urdf = read_urdf(path)
         description = describe(arm_chain(urdf), path.name)
     return _built(description, urdf, str(path))
+
+
+def describe(chain: ArmChain, urdf_path: str) -> Description:
+    """Return the description that a plain URDF stands for.
+
+    The base is the link that the first moving joint stands on, not the root: where an unknown base is, a fixed joint
+    between the two says nothing.
+
+    Args:
+        chain: Its arm, or the chain to the link that carries the measured point.
+        urdf_path: How the description names the URDF.
+    """
+    return Description(
+        urdf=urdf_path,
+        name_mot=chain.joints,
+        base=BaseSection(frame=chain.base, pose="unknown"),
+        targets={chain.target: TargetSection(frame=chain.target, position="unknown")},
+        parametrisation=default_sections(),
+    )
 
 
 def robot(

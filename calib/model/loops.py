@@ -6,6 +6,8 @@ up or down); only the one that can be reached from the home configuration withou
 Method. Newton from a solution under similar parameters where one is known ; else the loops are followed from home
 (`calib.model.continuation`). A solution beyond the limits of a passive joint does not count.
 
+The home configuration itself must close and be regular; it decides the assembly mode (`closed_home`).
+
 When it fails. A pose without a solution, or one that no way reaches without passing a singularity, is not closed, and
 it is said why: a loop stays open, a passive joint passes its limit, or the assembly mode differs. Closures must be as
 many as passive joints and independent at home.
@@ -19,14 +21,16 @@ import numpy as np
 import scipy
 
 from calib.arrays import BoolArray, FloatArray, IntArray
-from calib.model.closure import AssemblyMode, gap_text, open_by, residual
-from calib.model.continuation import follow, newton
+from calib.errors import DescriptionError
+from calib.model.closure import AssemblyMode, block_signs, blocks, gap_text, open_by, residual, scaled, singular_values
+from calib.model.continuation import closing_tolerance, follow, newton
 from calib.model.mechanism import Mechanism
 from calib.threads import one_blas_thread
-from calib.units import DISPLAY_UNIT, PER_SI, Dimension
+from calib.units import DISPLAY_UNIT, Dimension, display_scale, millimetres
 
 LIMIT_MARGIN = 1e-9
 """How far beyond its limit a passive joint may be [m, rad]."""
+_OPEN_HOME = 0.05  # characteristic lengths, or rad: as much as a calibrated URDF differs from its drawing
 _CLOSED = 1e-6  # the search for the smallest gap ends a few nanometres from closed [m or rad]
 
 
@@ -101,15 +105,13 @@ def wrapped(mechanism: Mechanism, mode: AssemblyMode, passive: FloatArray) -> Fl
     lowered = near_home - turn * np.ceil((near_home - high) / turn)
     inside = np.where((near_home < low) & (raised <= high), raised, near_home)
     inside = np.where((near_home > high) & (lowered >= low), lowered, inside)
-    result: FloatArray = np.where(mechanism.is_metre_column, passive, inside)
-    return result
+    return np.where(mechanism.is_metre_column, passive, inside)
 
 
 def within_limits(mechanism: Mechanism, passive: FloatArray) -> BoolArray:
     """Return where passive joints (n, n_passive) [m or rad] keep their limits, (n,)."""
     low, high = mechanism.lower - LIMIT_MARGIN, mechanism.upper + LIMIT_MARGIN
-    result: BoolArray = np.all((passive >= low) & (passive <= high), axis=1)
-    return result
+    return np.all((passive >= low) & (passive <= high), axis=1)
 
 
 def smallest_gap(mechanism: Mechanism, mode: AssemblyMode, actuated: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -162,10 +164,75 @@ def _beyond(mechanism: Mechanism, passive: FloatArray) -> str:
     excess = np.maximum(mechanism.lower - passive, passive - mechanism.upper)
     worst = int(np.argmax(excess))
     dimension: Dimension = "length" if mechanism.is_metre_column[worst] else "angle"
-    unit = DISPLAY_UNIT[dimension]
-    factor = PER_SI[dimension][unit]
+    unit, factor = DISPLAY_UNIT[dimension], display_scale(dimension)
     value, low, high = (factor * float(x[worst]) for x in (passive, mechanism.lower, mechanism.upper))
     return (
         f"passive joint {mechanism.passive[worst]} at {value:.4g} {unit}, beyond its limits"
         f" ({low:.4g} to {high:.4g} {unit})"
     )
+
+
+def closed_home(mechanism: Mechanism, home: dict[str, float], singularity_limit: float, where: str) -> AssemblyMode:
+    """Check that the home configuration closes, polish it, and record its assembly mode.
+
+    Args:
+        mechanism: The robot.
+        home: Joint values by name [m or rad]; names that are missing count as 0 where there are no loops.
+        singularity_limit: Smallest acceptable singular value of the scaled C_p at home.
+        where: The description, for messages.
+
+    Raises:
+        DescriptionError: Home does not close, or is singular.
+    """
+    actuated = np.array([[home.get(name, 0.0) for name in mechanism.driven]])
+    passive = np.array([[home.get(name, 0.0) for name in mechanism.passive]])
+    if not mechanism.loops:
+        return AssemblyMode(mechanism, actuated[0], passive[0], (), (), np.ones(0))
+    missing = [name for name in mechanism.actuated + mechanism.passive if name not in home]
+    if missing:
+        raise DescriptionError(
+            f"{where}: home: gives no value for joint '{missing[0]}'; a robot with loops needs an"
+            " assembled configuration of every joint"
+        )
+    values, slope, _ = residual(mechanism, actuated, passive)
+    _check_closed(mechanism, values, where)
+    _check_regular(mechanism, slope, singularity_limit, where)
+    rows, columns = blocks(np.abs(scaled(mechanism, slope)[0]) > 1e-9)
+    mode = AssemblyMode(mechanism, actuated[0], passive[0], rows, columns, block_signs(slope, rows, columns)[0])
+    polished, _, _, ok = newton(mechanism, mode, actuated, passive)
+    if not ok[0]:
+        raise DescriptionError(
+            f"{where}: home: cannot be closed to {closing_tolerance(mechanism):.2g} m from the values given"
+        )
+    return AssemblyMode(mechanism, actuated[0], polished[0], rows, columns, mode.signs)
+
+
+def _check_closed(mechanism: Mechanism, values: FloatArray, where: str) -> None:
+    lengths, angles = (gaps[0] for gaps in open_by(mechanism, values))
+    limit = _OPEN_HOME * mechanism.length
+    excess = np.maximum(lengths / limit, angles / _OPEN_HOME)
+    loop = int(np.argmax(excess))
+    if excess[loop] > 1:
+        turned = f" and {np.degrees(_OPEN_HOME):.0f} deg" if angles[loop] > 0 else ""
+        raise DescriptionError(
+            f"{where}: home: loop {mechanism.loops[loop].name} is open by {gap_text(lengths[loop], angles[loop])};"
+            f" give joint values at which the robot is assembled (to {millimetres(limit):.0f} mm{turned} or better)"
+        )
+
+
+def _check_regular(mechanism: Mechanism, slope: FloatArray, limit: float, where: str) -> None:
+    smallest = float(singular_values(mechanism, slope)[0])
+    if smallest < limit:
+        loose = [mechanism.loops[i].name for i in _loose_loops(mechanism, slope[0])]
+        raise DescriptionError(
+            f"{where}: home: the closures do not hold the passive joints (smallest singular value {smallest:.2g} of the"
+            f" scaled passive Jacobian, limit {limit:g}; look at {', '.join(loose)}): home is singular, or"
+            " closed_loop_axes names a direction that the mechanism does not constrain"
+        )
+
+
+def _loose_loops(mechanism: Mechanism, slope: FloatArray) -> list[int]:
+    """Loops whose rows make up the direction in which the closures hold nothing."""
+    left = np.linalg.svd(scaled(mechanism, slope[None])[0])[0][:, -1]
+    lengths, angles = open_by(mechanism, left[None])
+    return [int(i) for i in np.flatnonzero(np.hypot(lengths, angles)[0] > 0.3)]

@@ -91,6 +91,11 @@ def flat_poses(poses: Any) -> FloatArray:
     return np.lib.stride_tricks.as_strided(rotation.T, (len(poses), 12), (step, 8))
 
 
+def rigid(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> pin.SE3:
+    """Return an origin as a URDF has it [m], [rad] as a rigid transform."""
+    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz))
+
+
 def view(places: Mapping[str, int], a: str, b: str) -> RelativeFrame:
     """Return place b seen from place a, from the joint index of each place."""
     return RelativeFrame(f"{a}-{b}", places[a], places[b], True, (0, 1, 2, 3, 4, 5))
@@ -230,8 +235,7 @@ class Mechanism(ReadOnlyArrays):
 
     def between(self, relative: RelativeFrame) -> FloatArray:
         """Return +1 for joints that move only b, -1 for those that move only a, else 0, (n_joints,)."""
-        difference: FloatArray = self.support[relative.b] - self.support[relative.a]
-        return difference
+        return self.support[relative.b] - self.support[relative.a]
 
     @cached_property
     def moved_targets(self) -> tuple[RelativeFrame, ...]:

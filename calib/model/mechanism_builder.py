@@ -15,7 +15,7 @@ from calib.joint_terms.term import tilts_of
 from calib.joint_terms.terms import TERMS
 from calib.model.description import Description
 from calib.model.instruments import MEASUREMENT_FRAME, pair_names, places_of
-from calib.model.mechanism import Mechanism, RelativeFrame, view
+from calib.model.mechanism import Mechanism, RelativeFrame, rigid, view
 from calib.model.urdf_text import HELD_TYPES, UrdfJoint, UrdfText
 from calib.observation.kind import Instrument, Place
 from calib.sections import ANGLE_COMPONENTS, COMPONENTS
@@ -49,7 +49,7 @@ def build_mechanism(
     for place in places_of(description, instruments, where):
         link = _frame(frames, place.link, f"{where}: {_entry(place, description)}.frame")
         origin = _new_name(*_origin_names(place), origin_names)
-        pose = _pose(place.xyz, place.rpy)
+        pose = rigid(place.xyz, place.rpy)
         indices[place.name] = int(
             model.addJoint(link, pin.JointModelRX(), pose.inverse() if place.inverted else pose, origin)
         )
@@ -138,34 +138,20 @@ def _dimension(joint: UrdfJoint) -> Dimension:
     return "length" if joint.type == "prismatic" else "angle"
 
 
-def _topological(urdf: UrdfText) -> list[UrdfJoint]:
-    """Joints so that parents come first, otherwise in file order."""
-    children: dict[str, list[UrdfJoint]] = {link: [] for link in urdf.links}
-    for joint in urdf.joints:
-        children[joint.parent].append(joint)
-    order: list[UrdfJoint] = []
-    waiting = [urdf.root]
-    while waiting:
-        joints = children[waiting.pop(0)]
-        order.extend(joints)
-        waiting = [joint.child for joint in joints] + waiting
-    return order
-
-
 def _tree(urdf: UrdfText, tilted: Collection[str]) -> tuple[pin.Model, dict[str, int], tuple[str, ...]]:
     """Return the model, the joint index of every link and joint name (a link's where both have the name), and tilts."""
     model = pin.Model()
     frames = {urdf.root: 0}
     indices: dict[str, int] = {}
     tilts: list[str] = []
-    for joint in _topological(urdf):
+    for joint in urdf.outwards:
         axis = np.array(joint.axis)
         kind: pin.JointModel = pin.JointModelRX()
         if joint.type == "prismatic":
             kind = pin.JointModelPrismaticUnaligned(axis)
         elif joint.type not in HELD_TYPES:
             kind = pin.JointModelRevoluteUnaligned(axis)
-        index = int(model.addJoint(frames[joint.parent], kind, _pose(joint.xyz, joint.rpy), joint.name))
+        index = int(model.addJoint(frames[joint.parent], kind, rigid(joint.xyz, joint.rpy), joint.name))
         for name, direction in _tilts(joint) if joint.name in tilted else ():
             index = int(model.addJoint(index, pin.JointModelRevoluteUnaligned(direction), pin.SE3.Identity(), name))
             tilts.append(name)
@@ -187,10 +173,6 @@ def _new_name(name: str, other: str, taken: list[str]) -> str:
     while name in taken:
         name, other = other, f"{other}_"
     return name
-
-
-def _pose(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> pin.SE3:
-    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz))
 
 
 def _frame(frames: Mapping[str, int], name: str, where: str) -> int:

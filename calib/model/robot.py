@@ -22,7 +22,7 @@ from calib.model import kinematics, loops
 from calib.model.closure import AssemblyMode, singular_values
 from calib.model.description import Description, description_yaml
 from calib.model.instruments import pair_names, places_of
-from calib.model.joint_errors import build_terms, gravity_torque, joint_errors, term_columns, with_torque
+from calib.model.joint_errors import build_terms, gravity_torque, joint_errors, term_columns
 from calib.model.joint_sampling import Ranges, checked_ranges, joint_box, spread
 from calib.model.loops import why_open
 from calib.model.mechanism import Mechanism, RelativeFrame, view
@@ -33,8 +33,8 @@ from calib.model.urdf_text import Triple, UrdfText
 from calib.observation.kind import Instrument
 from calib.parameter import Parameters, index_of
 from calib.sections import COMPONENTS, Component
-from calib.tabular import titled_html
 from calib.units import quantity
+from calib.words import titled_html
 
 _LARGEST_JOINT = 1e6  # [m or rad]
 _COMMAND_ROUNDS = 50
@@ -186,7 +186,7 @@ class Robot(ReadOnlyArrays):
             slope = np.where(closed.ok[:, None, None], closed.slope, np.eye(passive.shape[1]))
             load, payload = context.load, self.description.payload
             torque = gravity_torque(self.urdf, self.nominal, driven, passive, slope, load, payload, self.path)
-            context = with_torque(context, torque)
+            context = replace(context, torque=torque)
         return term_columns(self.terms, self.mechanism, q, context)
 
     def actual(self, q: FloatArray, columns: tuple[FloatArray, ...]) -> FloatArray:

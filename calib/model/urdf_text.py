@@ -18,6 +18,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from calib.arrays import FloatArray
 from calib.errors import UrdfError, nearest
 from calib.files import read_bytes
 from calib.model.urdf_reader import HELD_TYPES, MOVING_TYPES, NUMBER, Span, Triple, UrdfJoint, UrdfReader
@@ -66,6 +69,26 @@ class UrdfText:
         """The link that is no joint's child."""
         children = {joint.child for joint in self.joints}
         return next(link for link in self.links if link not in children)
+
+    @property
+    def outwards(self) -> list[UrdfJoint]:
+        """Joints so that parents come first, otherwise in file order."""
+        children: dict[str, list[UrdfJoint]] = {link: [] for link in self.links}
+        for joint in self.joints:
+            children[joint.parent].append(joint)
+        order: list[UrdfJoint] = []
+        waiting = [self.root]
+        while waiting:
+            joints = children[waiting.pop(0)]
+            order.extend(joints)
+            waiting = [joint.child for joint in joints] + waiting
+        return order
+
+    def limits(self, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+        """Return lower and upper limits, (n,) each [m or rad]; infinite where the URDF has none."""
+        known = {joint.name: (joint.lower, joint.upper) for joint in self.joints}
+        lower, upper = np.array([known.get(name, (-math.inf, math.inf)) for name in names]).reshape(-1, 2).T
+        return lower, upper
 
     def with_origins(self, origins: Mapping[str, tuple[Triple, Triple]]) -> bytes:
         """Return the file with the `xyz` [m] and `rpy` [rad] of the named joints' origins replaced.

@@ -97,8 +97,7 @@ def constant(loss: Loss, k: int) -> float:
 
 def median_length(widths: IntArray) -> FloatArray:
     """Return the median length of normal residuals of these numbers of rows, (n_readings,)."""
-    result: FloatArray = _by_width(lambda k: float(np.sqrt(2.0 * scipy.special.gammaincinv(0.5 * k, 0.5))), widths)
-    return result
+    return _by_width(lambda k: float(np.sqrt(2.0 * scipy.special.gammaincinv(0.5 * k, 0.5))), widths)
 
 
 def _by_width(function: Callable[[int], float], widths: IntArray) -> FloatArray:
@@ -243,8 +242,7 @@ class Studentised(ReadOnlyArrays):
     def outliers(self) -> IntArray:
         """Readings that are outliers, worst first, (n_outliers,)."""
         outliers = np.flatnonzero(self.p_value < FALSE_ALARM)
-        result: IntArray = outliers[np.argsort(-self.ratio[outliers], kind="stable")]
-        return result
+        return outliers[np.argsort(-self.ratio[outliers], kind="stable")]
 
 
 @dataclass(frozen=True, eq=False)

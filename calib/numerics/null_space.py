@@ -38,7 +38,6 @@ from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.numerics.graphs import connected_parts
 from calib.numerics.identifiability import numerical_rank, reduced
 from calib.parameter import Parameter
-from calib.units import PER_SI
 
 _SPEAKS = 0.1  # least part of the largest movement, in sigmas, of the parameter by which a group is told
 ZERO = 1e-6
@@ -104,15 +103,14 @@ def describe_group(group: Group, parameters: Sequence[Parameter]) -> str:
 def natural_coefficients(group: Group, parameters: Sequence[Parameter]) -> list[tuple[str, float, str]]:
     """Return (name, movement, unit) of each member when the first moves by one of its own unit (mm or deg)."""
     members = [parameters[k] for k in group.members]
-    sizes = [c * p.sigma * PER_SI[p.dimension][p.unit] for c, p in zip(group.coefficients, members, strict=True)]
+    sizes = [c * p.sigma * p.per_si for c, p in zip(group.coefficients, members, strict=True)]
     return [(p.name, float(size / sizes[0]), p.unit) for p, size in zip(members, sizes, strict=True)]
 
 
 def _null_space(scaled_jacobian: FloatArray) -> FloatArray:
     """Orthonormal basis, (n_columns, nullity)."""
     factor = reduced(scaled_jacobian)
-    result: FloatArray = np.linalg.svd(factor)[2][numerical_rank(factor).rank :].T
-    return result
+    return np.linalg.svd(factor)[2][numerical_rank(factor).rank :].T
 
 
 def _part(null: FloatArray, columns: IntArray, dropped: set[int]) -> list[FloatArray]:

@@ -81,9 +81,8 @@ def raw_columns(jacobian: FloatArray, parameters: Iterable[Parameter], *, length
         parameters: The parameters of its columns.
         lengths: Whether its rows are lengths; else they are over their noise, and stay so.
     """
-    per_unit = np.array([1.0 / PER_SI[parameter.dimension][parameter.unit] for parameter in parameters])
-    result: FloatArray = (PER_SI["length"]["mm"] if lengths else 1.0) * jacobian * per_unit
-    return result
+    per_unit = np.array([1.0 / parameter.per_si for parameter in parameters])
+    return (PER_SI["length"]["mm"] if lengths else 1.0) * jacobian * per_unit
 
 
 def observability_of(
@@ -149,8 +148,7 @@ class Information(ReadOnlyArrays):
     @cached_property
     def root(self) -> FloatArray:
         """T of the module docstring, (n_parameters, rank)."""
-        result: FloatArray = self.directions / self.strengths
-        return result
+        return self.directions / self.strengths
 
     @cached_property
     def undetermined(self) -> BoolArray:
@@ -166,8 +164,7 @@ class Information(ReadOnlyArrays):
         norms = np.linalg.norm(self.root, axis=1)
         determined = ~self.undetermined & (norms > 0)
         unit = self.root / np.where(determined, norms, np.nan)[:, None]
-        result: FloatArray = np.clip(unit @ unit.T, -1.0, 1.0)
-        return result
+        return np.clip(unit @ unit.T, -1.0, 1.0)
 
     def position_errors(self, rows: FloatArray) -> FloatArray:
         """Return the predicted distance between true and predicted position (root of the mean square) at other poses.
@@ -183,8 +180,7 @@ class Information(ReadOnlyArrays):
         size = np.sqrt(np.max(np.sum(rows**2, axis=2), initial=0.0))
         variance = np.sum((projected / self.strengths) ** 2, axis=2)
         variance = np.where(outside > OUTSIDE * size, np.inf, variance)
-        result: FloatArray = np.sqrt(np.sum(variance.reshape(len(rows), -1, 3), axis=2))
-        return result
+        return np.sqrt(np.sum(variance.reshape(len(rows), -1, 3), axis=2))
 
 
 def information(rows: FloatArray, priors: FloatArray | None = None) -> Information:

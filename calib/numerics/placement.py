@@ -144,13 +144,11 @@ class _System:
 
     def errors(self, rotation: FloatArray, moved: FloatArray) -> FloatArray:
         """Return the rows at R (3, 3) and dp (n_free,) [m]."""
-        result: FloatArray = self.rows @ np.concatenate([moved, -rotation.ravel(), [1.0]])
-        return result
+        return self.rows @ np.concatenate([moved, -rotation.ravel(), [1.0]])
 
     def translation(self, rotation: FloatArray, moved: FloatArray) -> FloatArray:
         """Return t at R (3, 3) and dp (n_free,), (3,) [m]."""
-        result: FloatArray = self.mean @ np.concatenate([moved, -rotation.ravel(), [1.0]])
-        return result
+        return self.mean @ np.concatenate([moved, -rotation.ravel(), [1.0]])
 
 
 def _system(points: Sequence[MovingPoint], weights: FloatArray, guess: pin.SE3, frame_known: bool) -> _System:
@@ -185,8 +183,7 @@ class _Reduced:
 
     def moved(self, rotation: FloatArray) -> FloatArray:
         """Return dp at R (3, 3), (n_free,) [m]."""
-        result: FloatArray = self.D @ rotation.ravel() - self.d
-        return result
+        return self.D @ rotation.ravel() - self.d
 
 
 def _reduced(system: _System, noise: float, weak: float = 0.0) -> _Reduced:
@@ -243,12 +240,10 @@ def _descend(rows: FloatArray, starts: FloatArray) -> FloatArray:
         damping = np.where(better, 0.1 * damping, 10 * damping)
         if np.all(np.linalg.norm(steps, axis=1) < _STILL):
             break
-    best: FloatArray = rotations[np.argmin(np.sum(errors**2, axis=1))]
-    return best
+    return rotations[np.argmin(np.sum(errors**2, axis=1))]
 
 
 def _slope(F: FloatArray, rotation: FloatArray) -> FloatArray:
     """Return d(F vec(R exp(w)))/dw at w = 0 for R (..., 3, 3), (..., n_rows, 3)."""
     turned = rotation[..., None, :, :] @ cross_matrices(np.eye(3))  # R [e_k]x
-    result: FloatArray = np.swapaxes(turned.reshape(*turned.shape[:-2], 9) @ F.T, -1, -2)
-    return result
+    return np.swapaxes(turned.reshape(*turned.shape[:-2], 9) @ F.T, -1, -2)

@@ -100,8 +100,7 @@ class NoiseOfRows:
         pulled = pulled if self.weighing is None else self.weighing.whiten(pulled)
         scaled = np.where(read, self.own[np.where(read, self.group, 0)], 0.0)[:, None] * pulled
         felt = self.shared.felt(pulled).reshape(-1, pulled.shape[1])
-        result: FloatArray = scaled.T @ scaled + felt.T @ felt
-        return result
+        return scaled.T @ scaled + felt.T @ felt
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,8 +136,7 @@ class Statistics(ReadOnlyArrays):
         """Return the correlation coefficients of the free parameters, (n_free, n_free); NaN where nothing scatters."""
         with np.errstate(divide="ignore", invalid="ignore"):
             unit = self.covariance / self.std / self.std[:, None]
-        result: FloatArray = np.clip(unit, -1.0, 1.0)
-        return result
+        return np.clip(unit, -1.0, 1.0)
 
 
 def status(data_share: float, relative_std: float, *, prior: bool, placement: bool) -> Status:
@@ -194,8 +192,7 @@ def prior_shares(known: Information, has_prior: BoolArray) -> FloatArray:
         has_prior: Which parameters have a prior, (n_free,).
     """
     held = known.root[has_prior]
-    result: FloatArray = held.T @ held
-    return result
+    return held.T @ held
 
 
 def effective_parameters(known: Information, has_prior: BoolArray) -> float:

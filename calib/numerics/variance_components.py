@@ -112,13 +112,11 @@ class SharedError:
     def traces(self) -> FloatArray:
         """Return the diagonal of the sum over blocks of C^T (I + C C^T)^-1 C, (n_joints,)."""
         kept = self._values**2 / (1.0 + self._values**2)
-        result: FloatArray = np.sum(self._right**2 * kept[:, :, None], axis=(0, 1))
-        return result
+        return np.sum(self._right**2 * kept[:, :, None], axis=(0, 1))
 
     def squares(self) -> FloatArray:
         """Return the square of each column of C in each block, (n_blocks, n_joints)."""
-        result: FloatArray = np.sum(self._columns**2, axis=1)
-        return result
+        return np.sum(self._columns**2, axis=1)
 
     def variances(self) -> FloatArray:
         """Return the diagonal of I + C C^T, (n_rows,)."""

@@ -35,14 +35,12 @@ import numpy as np
 import scipy
 
 from calib.arrays import BoolArray, FloatArray, IntArray
-from calib.numerics.rigid import cross_matrices
-from calib.observation.hand_eye import nearest_rotation
+from calib.numerics.rigid import cross_matrices, nearest_rotation
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 """Intrinsics in OpenCV's order."""
 _GRAZING = 0.05  # cosine to the optical axis below which there is no image: 87 degrees
 _WIDEST = 4.0  # r^2 beyond which distortion does not grow
-_ROUNDS = 50
 _SETTLED = 1e-13
 LEAST_POINTS = 4
 """Points of a view from which its pose follows."""
@@ -73,8 +71,7 @@ def project(points: FloatArray, intrinsics: FloatArray) -> tuple[FloatArray, Flo
 
 def in_front(points: FloatArray) -> BoolArray:
     """Return which points (n, 3) a camera at the origin may see."""
-    result: BoolArray = points[:, 2] > _GRAZING * np.linalg.norm(points, axis=1)
-    return result
+    return points[:, 2] > _GRAZING * np.linalg.norm(points, axis=1)
 
 
 def rays(pixels: FloatArray, intrinsics: FloatArray) -> FloatArray:
@@ -139,8 +136,7 @@ def _distorted(plane: FloatArray, numbers: FloatArray) -> tuple[FloatArray, Floa
 
 def cube_rotations() -> FloatArray:
     """Return the 24 rotations of a cube, (24, 3, 3)."""
-    result: FloatArray = scipy.spatial.transform.Rotation.create_group("O").as_matrix()
-    return result
+    return scipy.spatial.transform.Rotation.create_group("O").as_matrix()
 
 
 def plane_errors(points: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatArray]:

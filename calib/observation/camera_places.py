@@ -3,9 +3,8 @@
 The camera is fixed to one link by C, the body to another by M, and the robot says how the links lie, L_i, so that point
 X is seen at C^-1 L_i M X. Nothing may be known of C and M. Guesses come from
 
-1. poses of single views (`calib.observation.camera`) and the hand-eye problem (`calib.observation.hand_eye`):
-from
-   a few views at a time, chosen at random, since some poses are the wrong one of several answers;
+1. poses of single views (`calib.observation.camera`) and the hand-eye problem (`calib.observation.hand_eye`): from a
+   few views at a time, chosen at random, since some poses are the wrong one of several answers;
 2. all points at once: where M is taken for known, turned as it is or as a cube may be turned, C is a resection.
 
 Each guess is then improved by least squares over C and M together, in rays (pixels without distortion), and the best
@@ -18,6 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 import scipy
 
 from calib.arrays import FloatArray, IntArray
@@ -167,13 +167,12 @@ def _improved(sightings: Sightings, places: Places, known: tuple[bool, bool]) ->
         by_body = np.concatenate([turned, -turned @ cross_matrices(sightings.points)], axis=2)
         step = np.zeros(12)
         step[free] = x
-        by_camera[:, :, 3:] = by_camera[:, :, 3:] @ _right_jacobian(step[3:6])
-        by_camera[:, :, :3] = by_camera[:, :, :3] @ _turn(step[3:6]).T
-        by_body[:, :, 3:] = by_body[:, :, 3:] @ _right_jacobian(step[9:])
-        by_body[:, :, :3] = by_body[:, :, :3] @ _turn(step[9:]).T
+        by_camera[:, :, 3:] = by_camera[:, :, 3:] @ pin.Jexp3(step[3:6])
+        by_camera[:, :, :3] = by_camera[:, :, :3] @ pin.exp3(step[3:6]).T
+        by_body[:, :, 3:] = by_body[:, :, 3:] @ pin.Jexp3(step[9:])
+        by_body[:, :, :3] = by_body[:, :, :3] @ pin.exp3(step[9:]).T
         both = np.concatenate([by_camera, by_body], axis=2)[:, :, free]
-        result: FloatArray = (by_point @ both).reshape(2 * n, -1)
-        return result
+        return (by_point @ both).reshape(2 * n, -1)
 
     found_x = scipy.optimize.least_squares(
         errors,
@@ -187,24 +186,8 @@ def _improved(sightings: Sightings, places: Places, known: tuple[bool, bool]) ->
     return moved(found_x.x)
 
 
-def _turn(vector: FloatArray) -> FloatArray:
-    result: FloatArray = scipy.spatial.transform.Rotation.from_rotvec(vector).as_matrix()
-    return result
-
-
 def _stepped(pose: FloatArray, step: FloatArray) -> FloatArray:
     """A pose moved and turned in its own axes."""
     change = np.eye(4)
-    change[:3, :3], change[:3, 3] = _turn(step[3:]), step[:3]
+    change[:3, :3], change[:3, 3] = pin.exp3(step[3:]), step[:3]
     return pose @ change
-
-
-def _right_jacobian(vector: FloatArray) -> FloatArray:
-    angle = float(np.linalg.norm(vector))
-    cross = cross_matrices(vector[None])[0]
-    if angle < 1e-6:
-        return np.eye(3) - cross / 2.0
-    result: FloatArray = (
-        np.eye(3) - (1.0 - np.cos(angle)) / angle**2 * cross + (angle - np.sin(angle)) / angle**3 * cross @ cross
-    )
-    return result

@@ -14,10 +14,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from calib.arrays import FloatArray
 from calib.errors import ComputationError, DataError
@@ -25,12 +25,11 @@ from calib.numerics.rigid import centre, common_offset
 from calib.observation.kind import Column, Comparison, Guess, Instrument, Part, Place, Readings, Scene, View
 from calib.observation.noise import Noise, PartNoise
 from calib.parameter import Parameter
-from calib.sections import KNOWN_ZERO, LENGTH_COMPONENTS, Length, LengthOrUnknown, OwnLength, Section
+from calib.sections import KNOWN_ZERO, LENGTH_COMPONENTS, Length, LengthOrUnknown, OwnLength, PositiveLength, Section
 from calib.units import micrometres, millimetres
 
 DISTANCE = Part("distance", ("distance",), "length")
 _NOTHING = 1e-6  # distance that has no direction [m]
-_PositiveLength = Annotated[Length, Field(gt=0)]
 
 
 class EndSection(Section):
@@ -46,7 +45,7 @@ class EndSection(Section):
     frame: str
     xyz: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
     position: Literal["known", "unknown"] = "known"
-    sigma: _PositiveLength | None = None
+    sigma: PositiveLength | None = None
 
     @model_validator(mode="after")
     def _sigma_of_unknown(self) -> EndSection:
@@ -69,7 +68,7 @@ class DistanceSection(Section):
     target: str | None = None
     end: EndSection | None = None
     offset: LengthOrUnknown = KNOWN_ZERO
-    sigma: _PositiveLength | None = None
+    sigma: PositiveLength | None = None
 
 
 @dataclass(frozen=True)
@@ -122,15 +121,9 @@ class Distance(Instrument):
             )
         return read[:, None]
 
-    def cells(self, values: FloatArray) -> dict[str, FloatArray]:
-        """Return the column of distances, (n, 1) [m]."""
-        (column,) = self.columns()
-        return {column.name: values[:, 0]}
-
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return |p_ab| + offset, (n, 1) [m]."""
-        read: FloatArray = np.linalg.norm(view.translation, axis=1)[:, None] + self._offset(unknowns)
-        return read
+        return np.linalg.norm(view.translation, axis=1)[:, None] + self._offset(unknowns)
 
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
         """Return what it would read minus what it read; motion along the line of sight moves it."""
@@ -143,10 +136,6 @@ class Distance(Instrument):
 
     def _offset(self, unknowns: FloatArray) -> float:
         return float(unknowns[0]) if len(unknowns) else self.offset.value
-
-    def moved(self, values: FloatArray, change: FloatArray) -> FloatArray:
-        """Return distances with errors."""
-        return values + change
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
         """Return the fixed point by multilateration, in each setup that moved it."""

@@ -19,16 +19,10 @@ from __future__ import annotations
 import numpy as np
 
 from calib.arrays import FloatArray
+from calib.numerics.rigid import nearest_rotation
 
 _ROUNDS = 50
 _SETTLED = 1e-9
-
-
-def nearest_rotation(matrix: FloatArray) -> FloatArray:
-    """Return the rotation R that makes tr(R^T matrix) largest, (3, 3)."""
-    u, _, vt = np.linalg.svd(matrix)
-    result: FloatArray = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0]) @ vt
-    return result
 
 
 def fixed_rotations(

@@ -9,7 +9,6 @@ taken within half a turn where the joint turns: an encoder does not count turns.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
@@ -120,14 +119,6 @@ class JointReading(Instrument):
         """Return one column with the instrument's name."""
         return (Column(self.name, self.dimension),)
 
-    def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
-        """Return readings, (n, 1) [m or rad]."""
-        return columns[self.name][:, None]
-
-    def cells(self, values: FloatArray) -> dict[str, FloatArray]:
-        """Return the column of readings, (n, 1) [m or rad]."""
-        return {self.name: values[:, 0]}
-
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return the joint's value and zero, (n, 1) [m or rad]."""
         return (view.joint + (unknowns[0] if len(unknowns) else self.offset))[:, None]
@@ -137,10 +128,6 @@ class JointReading(Instrument):
         n = len(readings)
         residuals = self._nearest(self.predict(view, unknowns, readings.details) - readings.values)
         return Comparison(residuals, np.zeros((n, 1, 6)), np.ones((n, 1, len(unknowns))), np.ones((n, 1)))
-
-    def moved(self, values: FloatArray, change: FloatArray) -> FloatArray:
-        """Return readings with errors."""
-        return values + change
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
         """Return the zero that fits the joint as it is: the mean, or on a circle the direction of the mean."""
@@ -157,5 +144,4 @@ class JointReading(Instrument):
     def _nearest(self, off: FloatArray) -> FloatArray:
         if self.dimension == "length":
             return off
-        result: FloatArray = np.mod(off + np.pi, 2 * np.pi) - np.pi
-        return result
+        return np.mod(off + np.pi, 2 * np.pi) - np.pi

@@ -206,9 +206,13 @@ class Instrument(ABC):
         """Return places of its own, beside the measurement frame and the targets."""
         return ()
 
-    @abstractmethod
     def pairs(self, base: str) -> tuple[tuple[str, str], ...]:
-        """Return the names of the frames (a, b) that it can look from and at; `base` is the measurement frame."""
+        """Return the names of the frames (a, b) that it can look from and at.
+
+        Args:
+            base: The measurement frame, from which a kind looks at its target that does not say otherwise.
+        """
+        return ((base, self.target),)
 
     @abstractmethod
     def columns(self) -> tuple[Column, ...]:
@@ -244,13 +248,13 @@ class Instrument(ABC):
         """Return all that it can read at one visit: pairs (n,) and details (n, n_details)."""
         return np.zeros(1, dtype=np.intp), np.zeros((1, 0))
 
-    @abstractmethod
     def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
-        """Turn columns (n,) [SI] by name into values (n, n_values)."""
+        """Turn columns (n,) [SI] by name into values (n, n_values): the columns themselves, unless a kind says more."""
+        return np.stack([columns[column.name] for column in self.columns()], axis=1)
 
-    @abstractmethod
     def cells(self, values: FloatArray) -> dict[str, FloatArray]:
         """Turn values (n, n_values) into columns (n,) [SI] by name: the way back."""
+        return {column.name: values[:, k] for k, column in enumerate(self.columns())}
 
     @abstractmethod
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
@@ -266,9 +270,9 @@ class Instrument(ABC):
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
         """Compare what it would read with what it read; see `Comparison`."""
 
-    @abstractmethod
     def moved(self, values: FloatArray, change: FloatArray) -> FloatArray:
         """Return values (n, n_values) changed by small errors of their rows (n, n_rows) [SI]: what noise does."""
+        return values + change
 
     def points(self, values: FloatArray) -> FloatArray | None:
         """Return where values (n, n_values) put the target, seen from a, (n, 3) [m]; None for kinds that do not."""

@@ -32,8 +32,3 @@ else:
     _sections = tuple(kind.section for kind in KINDS.values())
     AnyInstrument = Annotated[Union[_sections], Field(discriminator="kind")]  # noqa: UP007  # known when it runs
     """The entry of an instrument in a robot description."""
-
-
-def instrument(name: str, section: Section) -> Instrument:
-    """Return the instrument that an entry of a robot description means."""
-    return KINDS[section.kind].of(name, section)  # type: ignore[attr-defined]

@@ -17,20 +17,17 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag
+from pydantic import Discriminator, Tag
 
 from calib.arrays import FloatArray
-from calib.sections import Angle, Length, Section
-
-_PositiveLength = Annotated[Length, Field(gt=0)]
-_PositiveAngle = Annotated[Angle, Field(gt=0)]
+from calib.sections import PositiveAngle, PositiveLength, Section
 
 
 class Beam(Section):
     """Noise of a tracker: along its beam [m], and of the two angles across it [rad]."""
 
-    range: _PositiveLength
-    angle: _PositiveAngle
+    range: PositiveLength
+    angle: PositiveAngle
 
 
 def _form(value: Any) -> str:
@@ -40,15 +37,15 @@ def _form(value: Any) -> str:
 
 
 PositionSigma = Annotated[
-    Annotated[_PositiveLength, Tag("number")]
-    | Annotated[tuple[_PositiveLength, _PositiveLength, _PositiveLength], Tag("axes")]
+    Annotated[PositiveLength, Tag("number")]
+    | Annotated[tuple[PositiveLength, PositiveLength, PositiveLength], Tag("axes")]
     | Annotated[Beam, Tag("beam")],
     Discriminator(_form),
 ]
 """Noise of a position: one number, one for each axis, or a tracker's."""
 AngleSigma = Annotated[
-    Annotated[_PositiveAngle, Tag("number")]
-    | Annotated[tuple[_PositiveAngle, _PositiveAngle, _PositiveAngle], Tag("axes")],
+    Annotated[PositiveAngle, Tag("number")]
+    | Annotated[tuple[PositiveAngle, PositiveAngle, PositiveAngle], Tag("axes")],
     Discriminator(_form),
 ]
 """Noise of an orientation: one number, or one for each axis."""
@@ -93,8 +90,7 @@ class PartNoise:
             unit = points / np.where(distance > 0, distance, 1.0)[:, None]
             along = unit[:, :, None] * unit[:, None, :]
             across = np.maximum(self.beam.angle * distance, 1e-12)[:, None, None]
-            result: FloatArray = self.beam.range**2 * along + across**2 * (np.eye(3) - along)
-            return result
+            return self.beam.range**2 * along + across**2 * (np.eye(3) - along)
         std = np.ones(n_rows) if self.std is None else np.array(self.std)
         return np.broadcast_to(np.diag(std**2), (n, n_rows, n_rows)).copy()
 

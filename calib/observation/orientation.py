@@ -25,8 +25,8 @@ import numpy as np
 from pydantic import model_validator
 
 from calib.arrays import FloatArray
-from calib.numerics.rigid import cross_matrices
-from calib.observation.hand_eye import fixed_rotations, nearest_rotation
+from calib.numerics.rigid import cross_matrices, nearest_rotation
+from calib.observation.hand_eye import fixed_rotations
 from calib.observation.kind import Column, Comparison, Guess, Instrument, Part, Readings, Scene, View
 from calib.observation.noise import AngleSigma, Noise, PartNoise
 from calib.observation.rotations import (
@@ -99,10 +99,6 @@ class Orientation(Instrument):
     def parts(self) -> tuple[Part, ...]:  # type: ignore[override]
         """Rotation errors, or tilts."""
         return (TILT,) if self.gravity else (ORIENTATION,)
-
-    def pairs(self, base: str) -> tuple[tuple[str, str], ...]:
-        """Return measurement frame and target."""
-        return ((base, self.target),)
 
     def columns(self) -> tuple[Column, ...]:
         """Return those of the rotation, or `<name>_tilt_x` and `_tilt_y`."""
@@ -182,8 +178,7 @@ class Orientation(Instrument):
 
 def _down(rotation: FloatArray) -> FloatArray:
     """Where down is in sensor frames R_ab, (n, 3, 3) -> (n, 3)."""
-    result: FloatArray = -rotation[:, 2, :]
-    return result
+    return -rotation[:, 2, :]
 
 
 def _tilts(down: FloatArray) -> FloatArray:
@@ -205,13 +200,11 @@ def _directions(tilts: FloatArray) -> FloatArray:
     upright = np.where(np.cos(tilts[:, 0]) + np.cos(tilts[:, 1]) < 0, -1.0, 1.0)
     bounded = np.clip(np.tan(tilts), -1e6, 1e6)
     down = upright[:, None] * np.stack([bounded[:, 1], -bounded[:, 0], -np.ones(len(tilts))], axis=1)
-    result: FloatArray = down / np.linalg.norm(down, axis=1)[:, None]
-    return result
+    return down / np.linalg.norm(down, axis=1)[:, None]
 
 
 def _within_half_turn(angles: FloatArray) -> FloatArray:
-    result: FloatArray = np.mod(angles + np.pi, 2 * np.pi) - np.pi
-    return result
+    return np.mod(angles + np.pi, 2 * np.pi) - np.pi
 
 
 def _level(
@@ -248,8 +241,6 @@ def _turned_to(frame: FloatArray, down: FloatArray) -> FloatArray:
     now = frame @ _DOWN
     axis, cosine = np.cross(now, down), float(now @ down)
     if cosine < -1.0 + 1e-12:
-        half_turn: FloatArray = frame @ np.diag([1.0, -1.0, -1.0])
-        return half_turn
+        return frame @ np.diag([1.0, -1.0, -1.0])
     cross = cross_matrices(axis[None])[0]
-    result: FloatArray = (np.eye(3) + cross + cross @ cross / (1.0 + cosine)) @ frame
-    return result
+    return (np.eye(3) + cross + cross @ cross / (1.0 + cosine)) @ frame

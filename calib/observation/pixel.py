@@ -115,14 +115,6 @@ class Pixel(Instrument):
         n = len(self.points_of_body)
         return np.zeros(n, dtype=np.intp), np.arange(n, dtype=float)[:, None]
 
-    def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
-        """Return pixels, (n, 2) [px]."""
-        return np.stack([columns[column.name] for column in self.columns()], axis=1)
-
-    def cells(self, values: FloatArray) -> dict[str, FloatArray]:
-        """Return the columns of pixels, (n, 2) [px]."""
-        return {column.name: values[:, k] for k, column in enumerate(self.columns())}
-
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return pixels, (n, 2); NaN for points that have no image."""
         points = _in_camera(view, self._body(details))
@@ -139,10 +131,6 @@ class Pixel(Instrument):
         turned = np.einsum("kab,kb->ka", view.rotation, body)
         by_twist = np.concatenate([by_point, -by_point @ cross_matrices(turned)], axis=2)
         return Comparison(pixels - readings.values, by_twist, by_number[:, :, self._unknown_numbers])
-
-    def moved(self, values: FloatArray, change: FloatArray) -> FloatArray:
-        """Return pixels with errors."""
-        return values + change
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
         """Return guesses at the places of camera and target.
@@ -199,8 +187,7 @@ class Pixel(Instrument):
     def _body(self, details: FloatArray) -> FloatArray:
         """Where the points of readings are in the target frame, (n, 3) [m]."""
         every = np.array(list(self.points_of_body.values()))
-        result: FloatArray = every[details[:, 0].astype(np.intp)]
-        return result
+        return every[details[:, 0].astype(np.intp)]
 
     @property
     def _unknown_numbers(self) -> list[int]:
@@ -213,8 +200,7 @@ class Pixel(Instrument):
 
 
 def _in_camera(view: View, body: FloatArray) -> FloatArray:
-    result: FloatArray = np.einsum("kab,kb->ka", view.rotation, body) + view.translation
-    return result
+    return np.einsum("kab,kb->ka", view.rotation, body) + view.translation
 
 
 def _parameter(name: str, key: str, nominal: float, sigma: float) -> Parameter:

@@ -14,38 +14,19 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from calib.errors import DescriptionError, InputError
 from calib.files import read_text
-from calib.sections import Angle, Length, Section
+from calib.sections import Length, PosedSection, Section
 from calib.units import per_si, split_column
 
 _Number = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[_Number, Field(gt=0)]
-_PositiveLength = Annotated[Length, Field(gt=0)]
-_PositiveAngle = Annotated[Angle, Field(gt=0)]
 _COLUMNS = ("point", "x", "y", "z")
 
 
-class CameraSection(Section):
-    """Where a camera stands: its optical frame, z along the optical axis, x to the right and y down in the image.
+class CameraSection(PosedSection):
+    """Where a camera stands: its optical frame, z along the optical axis, x to the right and y down in the image."""
 
-    Attributes:
-        frame: Link that it is fixed to.
-        xyz, rpy: Where it is in that link, and how it is turned [m], [rad].
-        pose: `unknown`: found from the measurements; `known`: it is right there.
-        sigma, sigma_angle: How far an unknown pose may be from these numbers [m], [rad]; left out, they say nothing.
-    """
-
-    frame: str
-    xyz: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
-    rpy: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
+    what = "a camera"
     pose: Literal["known", "unknown"] = "unknown"
-    sigma: _PositiveLength | None = None
-    sigma_angle: _PositiveAngle | None = None
-
-    @model_validator(mode="after")
-    def _sigma_of_unknown(self) -> CameraSection:
-        if self.pose == "known" and (self.sigma is not None or self.sigma_angle is not None):
-            raise ValueError("sigma and sigma_angle are for a camera whose pose is unknown")
-        return self
 
 
 class IntrinsicsSection(Section):

@@ -70,10 +70,6 @@ class Pose(Instrument):
         noise = Noise((PartNoise.of(section.sigma, 3), PartNoise.of(section.sigma_angle, 3)))
         return cls(name, section.target or name, name, section.rotation, noise)
 
-    def pairs(self, base: str) -> tuple[tuple[str, str], ...]:
-        """Return measurement frame and target."""
-        return ((base, self.target),)
-
     def columns(self) -> tuple[Column, ...]:
         """Return `<name>_x`, `_y`, `_z`, and those of the rotation."""
         positions = tuple(Column(f"{self.name}_{axis}", "length") for axis in AXES)

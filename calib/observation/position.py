@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
@@ -48,21 +47,9 @@ class Position(Instrument):
         """Return the instrument that an entry of a robot description means."""
         return cls(name, section.target or name, name, Noise((PartNoise.of(section.sigma, 3),)))
 
-    def pairs(self, base: str) -> tuple[tuple[str, str], ...]:
-        """Return measurement frame and target."""
-        return ((base, self.target),)
-
     def columns(self) -> tuple[Column, ...]:
         """Return `<name>_x`, `_y`, `_z`."""
         return tuple(Column(f"{self.name}_{axis}", "length") for axis in AXES)
-
-    def values(self, columns: Mapping[str, FloatArray]) -> FloatArray:
-        """Return positions, (n, 3) [m]."""
-        return np.stack([columns[column.name] for column in self.columns()], axis=1)
-
-    def cells(self, values: FloatArray) -> dict[str, FloatArray]:
-        """Return the columns of positions, (n, 3) [m]."""
-        return {column.name: values[:, k] for k, column in enumerate(self.columns())}
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return p_ab, (n, 3) [m]."""
@@ -74,10 +61,6 @@ class Position(Instrument):
         by_twist = np.zeros((n, 3, 6))
         by_twist[:, :, :3] = np.eye(3)
         return Comparison(view.translation - readings.values, by_twist, np.zeros((n, 3, 0)))
-
-    def moved(self, values: FloatArray, change: FloatArray) -> FloatArray:
-        """Return positions with errors."""
-        return values + change
 
     def points(self, values: FloatArray) -> FloatArray:
         """Return the positions themselves."""

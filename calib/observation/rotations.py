@@ -90,14 +90,12 @@ def rotation_vectors(rotations: FloatArray) -> FloatArray:
     """Return rotation matrices (n, 3, 3) as rotation vectors, (n, 3) [rad]."""
     if len(rotations) == 0:
         return np.zeros((0, 3))
-    result: FloatArray = scipy.spatial.transform.Rotation.from_matrix(rotations.copy()).as_rotvec()
-    return result
+    return scipy.spatial.transform.Rotation.from_matrix(rotations.copy()).as_rotvec()
 
 
 def rotation_matrices(vectors: FloatArray) -> FloatArray:
     """Return rotation vectors (n, 3) [rad] as rotation matrices, (n, 3, 3)."""
-    result: FloatArray = scipy.spatial.transform.Rotation.from_rotvec(vectors.copy()).as_matrix()
-    return result
+    return scipy.spatial.transform.Rotation.from_rotvec(vectors.copy()).as_matrix()
 
 
 def turned_by(vectors: FloatArray, change: FloatArray) -> FloatArray:
@@ -105,8 +103,7 @@ def turned_by(vectors: FloatArray, change: FloatArray) -> FloatArray:
     turned = scipy.spatial.transform.Rotation.from_rotvec(change.copy()) * scipy.spatial.transform.Rotation.from_rotvec(
         vectors.copy()
     )
-    result: FloatArray = turned.as_rotvec()
-    return result
+    return turned.as_rotvec()
 
 
 def _rotations(name: str, form: Form, numbers: FloatArray) -> scipy.spatial.transform.Rotation:
@@ -141,5 +138,4 @@ def inverse_left_jacobian(vectors: FloatArray) -> FloatArray:
     half = np.maximum(angle, 1e-8) / 2.0
     factor = np.where(angle > 1e-4, (1.0 - half / np.tan(half)) / (4.0 * half**2), 1.0 / 12.0)
     cross = cross_matrices(vectors)
-    result: FloatArray = np.eye(3) - cross / 2.0 + factor[:, None, None] * (cross @ cross)
-    return result
+    return np.eye(3) - cross / 2.0 + factor[:, None, None] * (cross @ cross)

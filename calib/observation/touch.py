@@ -141,10 +141,6 @@ class Touch(Instrument):
         """Return what a touch reads: nothing, one row of zeros that stands for all [m]."""
         return np.zeros((1, self.n_rows))
 
-    def cells(self, values: FloatArray) -> dict[str, FloatArray]:
-        """Return nothing: a touch has no columns."""
-        return {}
-
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return how far the ball is from touching, (n, 3) or (n, 1) [m]."""
         return self._gap(view, unknowns, details)[0]
@@ -202,10 +198,6 @@ class Touch(Instrument):
         number = self.radius_unknown(which)
         stated = known[np.zeros_like(which) if self.points_of_artefact else which]
         return np.where(number >= 0, np.append(unknowns, 0.0)[number], stated)
-
-    def moved(self, values: FloatArray, change: FloatArray) -> FloatArray:
-        """Return touches that missed by some errors."""
-        return values + change
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
         """Return places of what is touched, and of the ball, as the module docstring says."""

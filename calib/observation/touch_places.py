@@ -114,9 +114,11 @@ def _spheres(touch: Touching, scene: Scene) -> Guess:
         if not scene.unknown[a] or len(chosen) < (3 if known else 4):
             continue
         near = (scene.places[a] @ inside[detail])[:3]
-        centre, length = sphere_through(chosen, near, size.value + touch.ball if known else None)
-        centres[a, detail] = centre
-        if not known and length > touch.ball:
+        if known:
+            centres[a, detail] = centre(chosen, np.full(len(chosen), size.value + touch.ball), near)
+            continue
+        centres[a, detail], length = centre_of_sphere(chosen, near)
+        if length > touch.ball:
             radii.setdefault(int(touch.radius_unknown(np.array([detail]))[0]), []).append(length - touch.ball)
     for index, estimates in radii.items():
         unknowns[index] = np.mean(estimates)
@@ -150,8 +152,7 @@ def _in_place(touch: Touching) -> FloatArray:
 def _balls(scene: Scene) -> FloatArray:
     """Where the ball's centre is believed to be at each reading, in the link of what it touches, (n, 3) [m]."""
     own = np.array([scene.places[b][:, 3] for _, b in scene.pairs])[scene.readings.pairs]
-    result: FloatArray = np.einsum("nij,nj->ni", scene.links, own)[:, :3]
-    return result
+    return np.einsum("nij,nj->ni", scene.links, own)[:, :3]
 
 
 def _moved(scene: Scene, names: list[str], positions: FloatArray) -> dict[str, FloatArray]:
@@ -243,8 +244,7 @@ def _turn(u: FloatArray, v: FloatArray, k: int) -> FloatArray:
         axis = axis if np.linalg.norm(axis) > 1e-12 else np.eye(3)[k - 1]
     axis /= np.linalg.norm(axis)
     angle = np.arctan2(axis @ np.cross(u, v), u @ v - (axis @ u) * (axis @ v))
-    result: FloatArray = scipy.spatial.transform.Rotation.from_rotvec(angle * axis).as_matrix()
-    return result
+    return scipy.spatial.transform.Rotation.from_rotvec(angle * axis).as_matrix()
 
 
 def plane_through(points: FloatArray, now: FloatArray, radius: float, along: int | None, *, turns: bool) -> FloatArray:
@@ -266,16 +266,3 @@ def plane_through(points: FloatArray, now: FloatArray, radius: float, along: int
     if along is not None and abs(normal[along]) > _FLAT:
         result[along, 3] += (normal @ (middle - result[:3, 3]) - radius) / normal[along]
     return result
-
-
-def sphere_through(points: FloatArray, near: FloatArray, length: float | None) -> tuple[FloatArray, float]:
-    """Return centre (3,) and radius of the sphere that points (n, 3) lie on [m].
-
-    Args:
-        points: The points.
-        near: Where its centre is believed to be, (3,) [m].
-        length: Its radius, if known [m].
-    """
-    if length is None:
-        return centre_of_sphere(points, near)
-    return centre(points, np.full(len(points), length), near), length

@@ -11,50 +11,31 @@ from calib.observation.kind import Place
 from calib.sections import (
     ANGLE_COMPONENTS,
     LENGTH_COMPONENTS,
-    Angle,
     Component,
     Length,
     LengthOrUnknown,
     OwnLength,
+    PlaceSection,
+    PosedSection,
+    PositiveLength,
     Section,
 )
 
 Surface = Literal["socket", "plane", "sphere"]
-_PositiveLength = Annotated[Length, Field(gt=0)]
-_PositiveAngle = Annotated[Angle, Field(gt=0)]
 _ON_A_LINE = 1e-6  # width of points below which they are on one line [m]
 
 
-class TouchedSection(Section):
-    """A socket, plane or sphere that is touched.
+class TouchedSection(PlaceSection):
+    """A socket, plane or sphere that is touched; of a plane, position is along its normal, and orientation that of it.
 
     Attributes:
-        frame: Link that it is fixed to.
-        xyz: Socket or centre of a sphere, or a point of a plane, in that link [m].
+        xyz: Socket or centre of a sphere, or a point of a plane, in its link [m].
         rpy: Turns the z axis to where the ball is above a plane [rad].
-        position: `known`: it is there; `unknown`: found from the measurements. Of a plane: along its normal.
-        orientation: The same for the normal of a plane.
-        sigma: How far an unknown position may be from `xyz`, one standard deviation [m]; left out, it says nothing.
-        sigma_angle: The same for an unknown orientation [rad].
         radius: Of a sphere: a length; `{value, sigma}`; or `unknown`.
     """
 
-    frame: str
-    xyz: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
-    rpy: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
-    position: Literal["known", "unknown"] = "known"
-    orientation: Literal["known", "unknown"] = "known"
-    sigma: _PositiveLength | None = None
-    sigma_angle: _PositiveAngle | None = None
+    what = "place"
     radius: LengthOrUnknown | None = None
-
-    @model_validator(mode="after")
-    def _sigma_of_unknown(self) -> TouchedSection:
-        if self.sigma is not None and self.position == "known":
-            raise ValueError("sigma is for a place whose position is unknown")
-        if self.sigma_angle is not None and self.orientation == "known":
-            raise ValueError("sigma_angle is for a place whose orientation is unknown")
-        return self
 
     def place(self, name: str, surface: Surface) -> Place:
         """Return it as a place."""
@@ -76,33 +57,23 @@ class TouchedSection(Section):
         return LENGTH_COMPONENTS[int(np.argmax(np.abs(normal)))]
 
 
-class ArtefactSection(Section):
+class ArtefactSection(PosedSection):
     """Several sockets or spheres whose places to each other are known: a plate, a bar.
 
     Attributes:
-        frame: Link that it is fixed to.
-        xyz, rpy: Where it is in that link [m], [rad].
         pose: `known`, or `unknown`: found from the measurements, as far as its points tell.
-        sigma, sigma_angle: How far an unknown one may be from there, one standard deviation [m], [rad].
         points: Each socket, or centre of a sphere, in the artefact [m].
         tolerance: How far each coordinate of the points may be off, one standard deviation [m]; they are found then.
         radius: Of its spheres, all alike: a length; `{value, sigma}`; or `unknown`.
     """
 
-    frame: str
-    xyz: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
-    rpy: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
-    pose: Literal["known", "unknown"] = "known"
-    sigma: _PositiveLength | None = None
-    sigma_angle: _PositiveAngle | None = None
+    what = "an artefact"
     points: dict[str, tuple[Length, Length, Length]] = Field(min_length=1)
-    tolerance: _PositiveLength | None = None
+    tolerance: PositiveLength | None = None
     radius: LengthOrUnknown | None = None
 
     @model_validator(mode="after")
     def _makes_sense(self) -> ArtefactSection:
-        if (self.sigma is not None or self.sigma_angle is not None) and self.pose == "known":
-            raise ValueError("sigma and sigma_angle are for an artefact whose pose is unknown")
         names = list(self.points)
         for k, name in enumerate(names):
             again = next((other for other in names[:k] if self.points[other] == self.points[name]), None)
@@ -148,7 +119,7 @@ class TouchSection(Section):
     radius: Annotated[Length, Field(ge=0)] = 0.0
     places: dict[str, TouchedSection] = Field(default={})
     artefact: ArtefactSection | None = None
-    sigma: _PositiveLength | None = None
+    sigma: PositiveLength | None = None
 
     @model_validator(mode="after")
     def _makes_sense(self) -> TouchSection:

@@ -30,9 +30,9 @@ from calib.numerics.null_space import Group, null_groups
 from calib.numerics.observability import Information, TaskIndex, information, observability_of, prior_rows, task_index
 from calib.parameter import Parameter, index_of
 from calib.pose_choice.pose_count import CountRow, accuracy_by_count
-from calib.tabular import data_frame, titled_html
 from calib.threads import one_blas_thread
 from calib.units import PER_SI, millimetres
+from calib.words import data_frame, titled_html
 
 CORRELATION_LIMIT = 0.95
 """Correlations above this are reported: the two values trade against each other."""

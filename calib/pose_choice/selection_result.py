@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.numerics.identifiability import Rank
-from calib.tabular import titled_html
+from calib.words import titled_html
 
 
 @dataclass(frozen=True, eq=False)

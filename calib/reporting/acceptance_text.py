@@ -11,10 +11,10 @@ from calib.identification.acceptance import Acceptance
 from calib.identification.errors_found import error_table
 from calib.identification.promise import FALSE_ALARM, POWER, Change
 from calib.identification.repeats import CONDITIONS, IsoFigure, conditions
-from calib.units import DISPLAY_UNIT, ERROR_UNIT, PER_SI, Dimension, error_scale, millimetres
-from calib.words import counted, listed, plain_text
+from calib.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale, millimetres
+from calib.words import as_data, counted, listed, plain_text, text_table
 
-_SHOWN = 8
+_SHOWN, _WIDTH = 8, 110  # changes; characters of a table
 _SAID = {
     "agrees": "AGREES: the robot is as accurate as its calibration promised",
     "drifted": "DRIFTED: one change explains what the readings are off",
@@ -23,14 +23,13 @@ _SAID = {
 }
 
 
-def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Sequence[str], width: int = 110) -> str:
+def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Sequence[str]) -> str:
     """Return everything as text.
 
     Args:
         acceptance: The judgement.
         figures: Of ISO 9283.
         missing: What they lack.
-        width: Of the tables, in characters.
     """
     data = acceptance.errors.data
     parts: list[str | Table] = [_SAID[acceptance.verdict], *_errors(acceptance), *_drift(acceptance)]
@@ -47,50 +46,52 @@ def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: S
     parts += [f"ISO 9283: {line}" for line in lines]
     stated = conditions(data.comments)
     parts += [f"{key}: {stated[key]}" for key in CONDITIONS if key in stated]
-    return plain_text(parts, width).rstrip()
+    return plain_text(parts, _WIDTH).rstrip()
 
 
-def plan_report(changes: Sequence[Change], data: str, n: int, width: int = 110) -> str:
+def plan_report(changes: Sequence[Change], data: str, n: int) -> str:
     """Return the smallest changes that n poses of a file will show as text."""
     title = f"Smallest changes that {counted(n, 'pose')} of {data} show with a chance of {POWER:.0%}"
-    return plain_text([title, _changes(changes)], width).rstrip()
+    return plain_text([title, _changes(changes)], _WIDTH).rstrip()
 
 
 def to_dict(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Sequence[str]) -> dict[str, object]:
     """Return everything as data for JSON, in mm, deg, and mrad for angles of ISO 9283; unknown numbers are None."""
     data = acceptance.errors.data
-    return {
-        "verdict": acceptance.verdict,
-        "n_poses": data.n_poses,
-        "n_readings": data.n_readings,
-        "degrees_of_freedom": acceptance.freedom,
-        "placed": acceptance.placed,
-        "ratio": acceptance.ratio,
-        "ratio_low95": acceptance.low95,
-        "ratio_high95": acceptance.high95,
-        "p_value": acceptance.p_value,
-        "p_drift": acceptance.p_drift,
-        "p_rest": acceptance.p_rest,
-        "promised_rms_mm": _finite(millimetres(acceptance.promised)),
-        "errors": error_table(
-            acceptance.errors.errors("after", acceptance.errors.main_part.name), acceptance.errors.main_part
-        ),
-        "alike": list(acceptance.alike),
-        "outliers": list(acceptance.outliers),
-        "changes": changes_as_data(acceptance.changes),
-        "iso9283": [
-            {
-                "name": one.name,
-                "poses": one.poses,
-                "cycles": one.cycles,
-                "unit": _iso_unit(one)[0],
-                **{key: getattr(one.figure, key) * _iso_unit(one)[1] for key in ("value", "low95", "high95")},
-            }
-            for one in figures
-        ],
-        "iso9283_missing": list(missing),
-        "conditions": conditions(data.comments),
-    }
+    return as_data(
+        {
+            "verdict": acceptance.verdict,
+            "n_poses": data.n_poses,
+            "n_readings": data.n_readings,
+            "degrees_of_freedom": acceptance.freedom,
+            "placed": acceptance.placed,
+            "ratio": acceptance.ratio,
+            "ratio_low95": acceptance.low95,
+            "ratio_high95": acceptance.high95,
+            "p_value": acceptance.p_value,
+            "p_drift": acceptance.p_drift,
+            "p_rest": acceptance.p_rest,
+            "promised_rms_mm": millimetres(acceptance.promised),
+            "errors": error_table(
+                acceptance.errors.errors("after", acceptance.errors.main_part.name), acceptance.errors.main_part
+            ),
+            "alike": list(acceptance.alike),
+            "outliers": list(acceptance.outliers),
+            "changes": changes_as_data(acceptance.changes),
+            "iso9283": [
+                {
+                    "name": one.name,
+                    "poses": one.poses,
+                    "cycles": one.cycles,
+                    "unit": _iso_unit(one)[0],
+                    **{key: getattr(one.figure, key) * _iso_unit(one)[1] for key in ("value", "low95", "high95")},
+                }
+                for one in figures
+            ],
+            "iso9283_missing": list(missing),
+            "conditions": conditions(data.comments),
+        }
+    )
 
 
 def changes_as_data(changes: Sequence[Change]) -> list[dict[str, object]]:
@@ -99,9 +100,9 @@ def changes_as_data(changes: Sequence[Change]) -> list[dict[str, object]]:
         {
             "name": one.name,
             "unit": _unit(one)[0],
-            "value": _finite(one.value * _unit(one)[1]),
+            "value": one.value * _unit(one)[1],
             "std": one.std * _unit(one)[1],
-            "z": _finite(one.z),
+            "z": one.z,
             "visible": one.visible * _unit(one)[1],
         }
         for one in changes
@@ -151,11 +152,7 @@ def _said_of_placing(acceptance: Acceptance) -> str:
 
 
 def _changes(changes: Sequence[Change]) -> Table:
-    table = Table()
-    for header in ("change of", "unit"):
-        table.add_column(header)
-    for header in ("found", "std", "seen from"):
-        table.add_column(header, justify="right")
+    table = text_table(("change of", "unit", "found", "std", "seen from"), ("change of", "unit"))
     for one in changes[:_SHOWN]:
         unit, scale = _unit(one)
         numbers = [x * scale for x in (one.value, one.std, one.visible)]
@@ -164,11 +161,8 @@ def _changes(changes: Sequence[Change]) -> Table:
 
 
 def _iso_table(figures: Sequence[IsoFigure]) -> Table:
-    table = Table()
-    for header in ("figure", "pose", "unit"):
-        table.add_column(header)
-    for header in ("cycles", "value", "low 95 %", "high 95 %"):
-        table.add_column(header, justify="right")
+    left = ("figure", "pose", "unit")
+    table = text_table((*left, "cycles", "value", "low 95 %", "high 95 %"), left)
     for one in figures:
         unit, scale = _iso_unit(one)
         numbers = (one.figure.value, one.figure.low95, one.figure.high95)
@@ -177,14 +171,9 @@ def _iso_table(figures: Sequence[IsoFigure]) -> Table:
 
 
 def _unit(one: Change) -> tuple[str, float]:
-    unit = DISPLAY_UNIT[one.dimension]
-    return unit, PER_SI[one.dimension][unit]
+    return DISPLAY_UNIT[one.dimension], display_scale(one.dimension)
 
 
 def _iso_unit(one: IsoFigure) -> tuple[str, float]:
     dimension: Dimension = "angle" if one.is_angle else "length"
     return ERROR_UNIT[dimension], error_scale(dimension)
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None

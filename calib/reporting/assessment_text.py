@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
-import numpy as np
 from rich.table import Table
 
 from calib.linearisation.candidates import WHITENED
 from calib.numerics.null_space import describe_group, natural_coefficients
 from calib.numerics.observability import INDICES, TaskIndex
 from calib.pose_choice.assessment import CORRELATION_LIMIT, HARDLY, Assessment
-from calib.units import PER_SI, millimetres
-from calib.words import counted, listed, plain_text, sentence
+from calib.units import millimetres
+from calib.words import as_data, counted, listed, plain_text, sentence, text_table
 
 _SHOWN = 12
 _SINGLE = 5  # parameters without effect that get a line of their own
@@ -35,37 +35,39 @@ def to_dict(assessment: Assessment) -> dict[str, object]:
     """Return everything as data for JSON, in mm and deg; infinite and unknown numbers are None."""
     a = assessment
     names = [parameter.name for parameter in a.parameters]
-    return {
-        "n_poses": a.n_poses,
-        "n_rows": a.n_rows,
-        "sigma_mm": None if a.sigma == WHITENED else millimetres(a.sigma),
-        "sigma_assumed": a.sigma_assumed,
-        "rank_all": _rank(a, everything=True),
-        "rank_free": _rank(a, everything=False),
-        "rank_with_priors": a.determination.together.rank,
-        "held": [name for name, free in zip(names, a.free, strict=True) if not free],
-        "groups": [_group(a, k) for k in range(len(a.groups))],
-        "undetermined": [[a.free_parameters[member].name for member in group.members] for group in a.open_groups],
-        "elimination": [
-            {"name": names[k], "condition": condition}
-            for k, condition in zip(a.elimination.dropped, a.elimination.conditions, strict=True)
-        ],
-        "observability": {"scaled": a.scaled, "raw": a.raw},
-        "parameters": _parameter_rows(a),
-        "correlations": [{"a": first, "b": second, "r": r} for first, second, r in a.correlated()],
-        "hardly_known": [{"name": name, "part": _finite(part)} for name, part in a.hardly_known()],
-        "accuracy_mm": _task(a.accuracy),
-        "by_count": [
-            {
-                "count": row.count,
-                "uniform": None if row.uniform is None else _task(row.uniform),
-                "chosen": None if row.chosen is None else _task(row.chosen),
-            }
-            for row in a.by_count
-        ],
-        "near_singular": list(a.near_singular),
-        "left_out": list(a.left_out),
-    }
+    return as_data(
+        {
+            "n_poses": a.n_poses,
+            "n_rows": a.n_rows,
+            "sigma_mm": None if a.sigma == WHITENED else millimetres(a.sigma),
+            "sigma_assumed": a.sigma_assumed,
+            "rank_all": _rank(a, everything=True),
+            "rank_free": _rank(a, everything=False),
+            "rank_with_priors": a.determination.together.rank,
+            "held": [name for name, free in zip(names, a.free, strict=True) if not free],
+            "groups": [_group(a, k) for k in range(len(a.groups))],
+            "undetermined": [[a.free_parameters[member].name for member in group.members] for group in a.open_groups],
+            "elimination": [
+                {"name": names[k], "condition": condition}
+                for k, condition in zip(a.elimination.dropped, a.elimination.conditions, strict=True)
+            ],
+            "observability": {"scaled": a.scaled, "raw": a.raw},
+            "parameters": _parameter_rows(a),
+            "correlations": [{"a": first, "b": second, "r": r} for first, second, r in a.correlated()],
+            "hardly_known": [{"name": name, "part": part} for name, part in a.hardly_known()],
+            "accuracy_mm": _task(a.accuracy),
+            "by_count": [
+                {
+                    "count": row.count,
+                    "uniform": None if row.uniform is None else _task(row.uniform),
+                    "chosen": None if row.chosen is None else _task(row.chosen),
+                }
+                for row in a.by_count
+            ],
+            "near_singular": list(a.near_singular),
+            "left_out": list(a.left_out),
+        }
+    )
 
 
 def _heading(a: Assessment, source: str) -> list[str]:
@@ -116,10 +118,7 @@ def _groups(a: Assessment) -> list[str]:
 
 
 def _observability(a: Assessment) -> Table:
-    table = Table(title="Observability of the free parameters, poses alone", title_justify="left")
-    table.add_column("columns")
-    for name in INDICES:
-        table.add_column(name, justify="right")
+    table = text_table(("columns", *INDICES), ("columns",), "Observability of the free parameters, poses alone")
     units = " or ".join(dict.fromkeys(parameter.unit for parameter in a.free_parameters))
     scaled, raw = ("noise", "noise") if a.sigma == WHITENED else ("m", "mm")
     table.add_row(f"scaled by sigma, {scaled}", *(f"{a.scaled[name]:.4g}" for name in INDICES))
@@ -128,12 +127,11 @@ def _observability(a: Assessment) -> Table:
 
 
 def _parameters(a: Assessment) -> Table:
-    table = Table(title="Predicted uncertainty of the free parameters", title_justify="left")
-    for header in ("name", "unit", "expected error", "std after fit", "part left"):
-        table.add_column(header, justify="left" if header in ("name", "unit") else "right")
+    headers = ("name", "unit", "expected error", "std after fit", "part left")
+    table = text_table(headers, headers[:2], "Predicted uncertainty of the free parameters")
     for row in _parameter_rows(a):
-        std, part = row["std"], row["part"]
-        shown = (f"{std:.4f}", f"{part:.3f}") if std is not None and part is not None else ("unbounded", "-")
+        known = math.isfinite(row["part"])
+        shown = (f"{row['std']:.4f}", f"{row['part']:.3f}") if known else ("unbounded", "-")
         table.add_row(str(row["name"]), str(row["unit"]), f"{row['sigma']:.4f}", *shown)
     return table
 
@@ -150,9 +148,8 @@ def _doubts(a: Assessment) -> list[str]:
 
 
 def _counts(a: Assessment) -> Table:
-    table = Table(title="Predicted position error against number of poses, mm", title_justify="left")
-    for header in ("poses", "uniform: rms", "max", "best of these: rms", "max"):
-        table.add_column(header, justify="right")
+    headers = ("poses", "uniform: rms", "max", "best of these: rms", "max")
+    table = text_table(headers, title="Predicted position error against number of poses, mm")
     for row in a.by_count:
         uniform, chosen = (("-", "-") if task is None else _pair(task) for task in (row.uniform, row.chosen))
         times = f" ({row.count // a.n_poses}x all)" if row.count > a.n_poses else ""
@@ -176,8 +173,8 @@ def _pair(task: TaskIndex) -> tuple[str, str]:
 
 def _task(task: TaskIndex) -> dict[str, object]:
     return {
-        "rms": _finite(millimetres(task.rms)),
-        "max": _finite(millimetres(task.maximum)),
+        "rms": millimetres(task.rms),
+        "max": millimetres(task.maximum),
         "worst_pose": task.worst_pose,
     }
 
@@ -189,7 +186,7 @@ def _rank(a: Assessment, *, everything: bool) -> dict[str, object]:
         "n_columns": rank.n_columns,
         "singular_values": [float(value) for value in rank.singular_values],
         "threshold": rank.threshold,
-        "smallest_kept": _finite(rank.smallest_kept),
+        "smallest_kept": rank.smallest_kept,
         "largest_dropped": rank.largest_dropped,
     }
 
@@ -202,25 +199,18 @@ def _group(a: Assessment, k: int) -> dict[str, object]:
     }
 
 
-def _parameter_rows(a: Assessment) -> list[dict[str, object | None]]:
-    rows: list[dict[str, object | None]] = []
-    for parameter, std in zip(a.free_parameters, a.std, strict=True):
-        scale = PER_SI[parameter.dimension][parameter.unit]
-        rows.append(
-            {
-                "name": parameter.name,
-                "unit": parameter.unit,
-                "sigma": parameter.sigma * scale,
-                "prior": parameter.prior,
-                "std": _finite(float(std) * scale),
-                "part": _finite(float(std) / parameter.sigma),
-            }
-        )
-    return rows
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+def _parameter_rows(a: Assessment) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": one.name,
+            "unit": one.unit,
+            "sigma": one.sigma * one.per_si,
+            "prior": one.prior,
+            "std": float(std) * one.per_si,
+            "part": float(std) / one.sigma,
+        }
+        for one, std in zip(a.free_parameters, a.std, strict=True)
+    ]
 
 
 def _some(items: list[str] | tuple[str, ...]) -> str:

@@ -18,8 +18,7 @@ from calib.joint_terms.term import Context
 from calib.linearisation.prediction import PositionUncertainty
 from calib.model.robot import Robot
 from calib.reporting.result_reading import LoadedUncertainty, load, load_uncertainty, read_result
-from calib.tabular import titled_html
-from calib.units import PER_SI
+from calib.words import titled_html
 
 _NUMBERS = ("nominal", "value", "std", "low95", "high95")
 
@@ -83,7 +82,7 @@ def load_result(folder: Path | str) -> LoadedResult:
     rows = zip(content["parameters"], robot.parameters, robot.values, strict=True)
     found = {}
     for row, one, value in rows:
-        per_si = PER_SI[one.dimension][one.unit]
+        per_si = one.per_si
         numbers = {key: np.nan if row[key] is None else float(row[key]) / per_si for key in _NUMBERS}
         numbers |= {"nominal": one.nominal, "value": float(value)}  # these to the last digit
         found[one.name] = Estimate(

@@ -15,8 +15,8 @@ from calib.identification.repeats import repeatability, repeats
 from calib.identification.term_choice import TELLS
 from calib.observation.kind import Part
 from calib.reporting.result_content import budget_table, correlated, error_sets, parameter_rows
-from calib.units import DISPLAY_UNIT, ERROR_UNIT, PER_SI, error_scale, millimetres
-from calib.words import counted, listed, plain_text, sentence
+from calib.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale, millimetres
+from calib.words import counted, listed, plain_text, sentence, text_table
 
 
 def text_report(fit: Fit, width: int = 120) -> str:
@@ -143,7 +143,7 @@ def _curves(fit: Fit) -> list[str]:
     lines = []
     for curve in joint_curves(fit):
         scale, unit = error_scale(curve.dimension), ERROR_UNIT[curve.dimension]
-        shown = PER_SI[curve.dimension][DISPLAY_UNIT[curve.dimension]]
+        shown = display_scale(curve.dimension)
         lines.append(
             f"Error curve of {curve.joint}: {scale * curve.rms:.3g} {unit} RMS, known to {scale * curve.rms_std:.2g}"
             f" {unit}; it holds from {shown * curve.command[0]:.4g} to {shown * curve.command[-1]:.4g}"
@@ -201,10 +201,8 @@ def _repeats(fit: Fit) -> list[str]:
     for name, errors in (("used", fit.identification), ("not used", fit.validation)):
         repeated = None if errors is None else repeats(errors)
         if repeated is not None:
-            before, after, again = (
-                PER_SI["length"]["mm"] * values
-                for values in (repeated.accuracy_before, repeated.accuracy_after, repeated.repeatability)
-            )
+            sizes = (repeated.accuracy_before, repeated.accuracy_after, repeated.repeatability)
+            before, after, again = map(millimetres, sizes)
             lines.append(
                 f"ISO 9283-style, {counted(len(repeated.poses), 'pose')} {name}: accuracy AP {before.mean():.3f} mm"
                 f" before, {after.mean():.3f} after (largest {after.max():.3f}); repeatability RP {again.mean():.3f} mm"
@@ -256,9 +254,8 @@ def _accuracy(fit: Fit) -> list[Table]:
 def _accuracy_of(fit: Fit, part: Part) -> Table:
     axes = ", ".join(f"|{axis}|" for axis in part.axes)
     title = f"{part.name.capitalize()} error, {ERROR_UNIT[part.dimension]} ({axes}: mean)"
-    table = Table(title=title, title_justify="left")
-    for header in ("", "poses", "mean", "max", "rms", "std", "95 %", *(f"|{axis}|" for axis in part.axes)):
-        table.add_column(header, justify="left" if not header else "right")
+    headers = ("", "poses", "mean", "max", "rms", "std", "95 %", *(f"|{axis}|" for axis in part.axes))
+    table = text_table(headers, title=title)
     names = {"cross_validation": "left out in turns"}
     sets: list[tuple[str, ErrorSet, tuple[str, ...]]] = [
         (names.get(label, label), error_set, STATES) for label, error_set in error_sets(fit)
@@ -280,10 +277,8 @@ def _budget(fit: Fit) -> list[Table]:
         return []
     of = "poses used, corrected for that" if budget["set"] == "identification" else "poses not used"
     title = f"What made the error before ({of})"
-    table = Table(title=title, title_justify="left")
     unit = budget["unit"]
-    for header in ("", f"RMS {unit}", f"mean square {unit}^2", "std", "share"):
-        table.add_column(header, justify="left" if not header else "right")
+    table = text_table(("", f"RMS {unit}", f"mean square {unit}^2", "std", "share"), title=title)
     for row in cast(list[dict[str, Any]], budget["causes"]):
         squares = [f"{row[key]:.3g}" if np.isfinite(row[key]) else "-" for key in ("mean_square", "std")]
         table.add_row(row["cause"], f"{row['rms']:.4f}", *squares, f"{100 * row['share']:.1f} %")
@@ -293,9 +288,8 @@ def _budget(fit: Fit) -> list[Table]:
 
 
 def _parameters(fit: Fit) -> Table:
-    table = Table(title="Parameters (value with 95 % interval)", title_justify="left")
-    for header in ("name", "unit", "nominal", "value", "std", "low 95 %", "high 95 %", "status"):
-        table.add_column(header, justify="left" if header in ("name", "unit", "status") else "right")
+    headers = ("name", "unit", "nominal", "value", "std", "low 95 %", "high 95 %", "status")
+    table = text_table(headers, ("name", "unit", "status"), "Parameters (value with 95 % interval)")
     for row in parameter_rows(fit):
         if row["family"]:  # hundreds of coefficients: one line for each family, among the notes
             continue

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from rich.table import Table
 
 from calib.arrays import FloatArray
-from calib.words import counted, listed, plain_text
+from calib.words import as_data, counted, listed, plain_text, text_table
 
 CHANCE = 0.05
 """Chance that anything is called real that is not."""
@@ -116,9 +115,9 @@ class ResultComparison:
             )
         ]
         ranked = self.ranked()
-        table = Table(box=None, pad_edge=False)
-        for head in ("parameter", "unit", *self.names, "p"):
-            table.add_column(head, justify="left" if head in ("parameter", "unit") else "right", overflow="fold")
+        table = text_table(("parameter", "unit", *self.names, "p"), ("parameter", "unit"), plain=True)
+        for column in table.columns:
+            column.overflow = "fold"
         for one in ranked[:_SHOWN]:
             marks = (False, *one.real)
             cells = [_cell(row, mark) for row, mark in zip(one.rows, marks, strict=True)]
@@ -143,30 +142,32 @@ class ResultComparison:
     def to_dict(self) -> dict[str, object]:
         """Return the comparison for `--json`, in the units of tables; null where there is no test."""
         results = zip(self.names, self.verdicts, self.n_poses, self.errors, self.errors_on, strict=True)
-        return {
-            "results": [
-                {
-                    "name": name,
-                    "verdict": verdict,
-                    "n_poses": poses,
-                    "rms": _number(rms),
-                    "unit": self.unit,
-                    "on": where,
-                }
-                for name, verdict, poses, rms, where in results
-            ],
-            "parameters": [
-                {"name": one.name, "results": one.rows, "p_values": [*map(_number, one.p_values)], "real": one.real}
-                for one in self.differences
-            ],
-            "p_values_together": [*map(_number, self.together)],
-            "pairs": [
-                {"results": pair.names, "real": pair.real, "moved": pair.moved, "p_together": _number(pair.together)}
-                for pair in self.pairs
-            ],
-            "chance": CHANCE,
-            "notes": self.notes,
-        }
+        return as_data(
+            {
+                "results": [
+                    {
+                        "name": name,
+                        "verdict": verdict,
+                        "n_poses": poses,
+                        "rms": rms,
+                        "unit": self.unit,
+                        "on": where,
+                    }
+                    for name, verdict, poses, rms, where in results
+                ],
+                "parameters": [
+                    {"name": one.name, "results": one.rows, "p_values": one.p_values, "real": one.real}
+                    for one in self.differences
+                ],
+                "p_values_together": self.together,
+                "pairs": [
+                    {"results": pair.names, "real": pair.real, "moved": pair.moved, "p_together": pair.together}
+                    for pair in self.pairs
+                ],
+                "chance": CHANCE,
+                "notes": self.notes,
+            }
+        )
 
 
 def _cell(row: dict[str, Any] | None, real: bool) -> str:
@@ -180,7 +181,3 @@ def _cell(row: dict[str, Any] | None, real: bool) -> str:
 def p_text(value: float) -> str:
     """Return a p-value as tables show it; a dash where there is none."""
     return "-" if np.isnan(value) else f"{value:.2g}" if value >= 1e-4 else "<0.0001"
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

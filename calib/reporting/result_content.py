@@ -9,6 +9,7 @@ from dataclasses import asdict
 import numpy as np
 
 from calib.arrays import IntArray
+from calib.data.measurement_columns import header, joint_columns, shown
 from calib.data.tables import format_table
 from calib.identification.errors_found import STATES, ErrorSet
 from calib.identification.fitted import Fit
@@ -17,8 +18,9 @@ from calib.identification.judged import Outlier
 from calib.identification.repeats import repeatability, repeats
 from calib.linearisation.prediction import PositionUncertainty
 from calib.linearisation.rows import Rows
-from calib.units import DISPLAY_UNIT, ERROR_UNIT, PER_SI, Dimension, error_scale
+from calib.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale
 from calib.version import PROGRAM
+from calib.words import as_data
 
 FORMAT_VERSION = 1
 NOMINAL_YAML, NOMINAL_URDF = "nominal.yaml", "nominal.urdf"
@@ -36,7 +38,7 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
         forced: Whether a failed result is exported all the same.
     """
     data = fit.identification.data
-    return _plain(
+    return as_data(
         {
             "version": FORMAT_VERSION,
             "program": PROGRAM,
@@ -237,8 +239,8 @@ def _terms(fit: Fit) -> dict[str, object]:
             {
                 "joint": curve.joint,
                 "unit": DISPLAY_UNIT[curve.dimension],
-                "low": float(curve.command[0] * PER_SI[curve.dimension][DISPLAY_UNIT[curve.dimension]]),
-                "high": float(curve.command[-1] * PER_SI[curve.dimension][DISPLAY_UNIT[curve.dimension]]),
+                "low": float(curve.command[0] * display_scale(curve.dimension)),
+                "high": float(curve.command[-1] * display_scale(curve.dimension)),
                 "error_unit": ERROR_UNIT[curve.dimension],
                 "rms": curve.rms * error_scale(curve.dimension),
                 "rms_std": curve.rms_std * error_scale(curve.dimension),
@@ -306,8 +308,8 @@ def residual_table(fit: Fit) -> str:
     blocks.sort(key=lambda block: int(np.min(block[0], initial=count)))
     columns: dict[str, list[object]] = {}
     for places, block in blocks:
-        for header, values in block.items():
-            column = columns.setdefault(header, [""] * count)
+        for head, values in block.items():
+            column = columns.setdefault(head, [""] * count)
             for place_of_row, value in zip(places.tolist(), values, strict=True):
                 column[place_of_row] = _cell(value)
     return format_table(list(columns.items()))
@@ -334,9 +336,7 @@ def _residual_columns(fit: Fit, label: str, found: ErrorSet, rows: Rows, name: s
     if setups and n_pairs:  # errors are in its measurement frame
         columns["setup"] = [setups[pair * len(setups) // n_pairs] for pair in readings.pairs]
     columns |= {f"looked_at_{key}": words for key, words in one.texts(readings.pairs, readings.details).items()}
-    for j, joint in enumerate(fit.robot.joint_names):
-        unit, scale = _shown_in(fit.robot.mechanism.dimensions[joint])
-        columns[f"{joint} [{unit}]"] = (scale * found.data.joints[visits, j]).tolist()
+    columns |= {head: values.tolist() for head, values in joint_columns(fit.robot, found.data.joints[visits]).items()}
     for state in STATES:
         for row, number in enumerate(one.part_of_row):
             part = one.parts[number]
@@ -345,9 +345,8 @@ def _residual_columns(fit: Fit, label: str, found: ErrorSet, rows: Rows, name: s
             columns[f"error_{state}_{axis} [{ERROR_UNIT[part.dimension]}]"] = errors.tolist()
     dimensions = {column.name: column.dimension for column in one.columns()}
     for column, numbers in one.cells(readings.values).items():
-        unit, scale = _shown_in(dimensions[column])
-        header = f"measured_{column.removeprefix(f'{name}_')}" + (f" [{unit}]" if unit else "")
-        columns[header] = (scale * numbers).tolist()
+        head = header(f"measured_{column.removeprefix(f'{name}_')}", dimensions[column])
+        columns[head] = shown(numbers, dimensions[column]).tolist()
     lengths = rows.distances()[own] / max(factor, 1e-30) / np.sqrt(np.maximum(layout.width[own], 1))
     unknown = np.full(n, np.nan)
     judgements = {
@@ -357,12 +356,7 @@ def _residual_columns(fit: Fit, label: str, found: ErrorSet, rows: Rows, name: s
         "weight": fit.weights[own] if used else unknown,
         "loop_singular_value": found.singular_value[visits],
     }
-    return columns | {header: values.tolist() for header, values in judgements.items()}
-
-
-def _shown_in(dimension: Dimension | None) -> tuple[str, float]:
-    """The unit to show a dimension in, and how many of it make one SI unit; no unit for what has none."""
-    return ("", 1.0) if dimension is None else (DISPLAY_UNIT[dimension], PER_SI[dimension][DISPLAY_UNIT[dimension]])
+    return columns | {head: values.tolist() for head, values in judgements.items()}
 
 
 def parameter_table(fit: Fit, comments: Sequence[str]) -> str:
@@ -383,21 +377,3 @@ def covariance_table(fit: Fit) -> str:
     ]
     columns += [(one.name, list(column)) for one, column in zip(free, shown.T, strict=True)]
     return format_table(columns, ("covariance of the free parameters: unit of the row times unit of the column",))
-
-
-def _plain(value: object) -> dict[str, object]:
-    """Replace numbers that JSON cannot hold by null, and numpy numbers by Python's."""
-
-    def walk(item: object) -> object:
-        if isinstance(item, dict):
-            return {str(key): walk(entry) for key, entry in item.items()}
-        if isinstance(item, (list, tuple)):
-            return [walk(entry) for entry in item]
-        if isinstance(item, (bool, str, int)) or item is None:
-            return item
-        number = float(item)  # type: ignore[arg-type]
-        return number if math.isfinite(number) else None
-
-    result = walk(value)
-    assert isinstance(result, dict)
-    return result

@@ -102,7 +102,7 @@ def load_calibrated(folder: Path | str, robot: Robot, *, failed_too: bool = Fals
         )
     calibrated = robot.with_parameters(read_parameters(Path(folder) / "parameters.csv", robot, complete=True))
     for row, parameter, value in zip(content["parameters"], robot.parameters, calibrated.values, strict=True):
-        shown, per_si = row.get("value"), PER_SI[parameter.dimension][parameter.unit]
+        shown, per_si = row.get("value"), parameter.per_si
         if not isinstance(shown, (int, float)) or not abs(shown / per_si - value) <= _AGREE:
             raise DataError(
                 f"{folder}: parameters.csv and result.json give different values of '{parameter.name}';"

@@ -72,7 +72,7 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
     if not failed:
         files[_URDF] = urdf_bytes(fit.robot, _NO_TERMS) if fit.robot.terms else fit.robot.calibrated_urdf()
     elif force:
-        files[_URDF] = _forced_urdf(fit)
+        files[_URDF] = urdf_bytes(fit.robot, _said_inside(fit.verdict, "exported by force"))
     files |= pages or {}
     write_folder(folder, files, obsolete=sorted(set(_OF_GOOD_FITS) - set(files)))
 
@@ -88,11 +88,6 @@ def _with_meshes(urdf: UrdfText) -> bytes:
             text = html.escape(str(found)).encode("ascii", "xmlcharrefreplace")
             edits.append((*match.span(group), text))
     return apply_edits(urdf.source, edits)
-
-
-def _forced_urdf(fit: Fit) -> bytes:
-    """The calibrated URDF with a comment that says that its fit failed, and why."""
-    return urdf_bytes(fit.robot, _said_inside(fit.verdict, "exported by force"))
 
 
 def _said_inside(verdict: Verdict, how: str) -> list[str]:

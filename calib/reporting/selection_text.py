@@ -6,11 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
 from rich.table import Table as Printed
 
 from calib.data.instrument_cells import columns_in
-from calib.data.measurement_text import format_positions
+from calib.data.measurement_files import format_positions
 from calib.data.measurements import Poses
 from calib.data.plan_files import INSTRUMENT, TOGETHER
 from calib.data.tables import Table, format_table
@@ -21,7 +20,7 @@ from calib.pose_choice.selection import Run, Selection
 from calib.pose_choice.selection_bound import CERTIFIED
 from calib.pose_choice.selection_problem import TASK
 from calib.units import millimetres
-from calib.words import counted, plain_text
+from calib.words import as_data, counted, plain_text, text_table
 
 
 def text_report(selection: Selection, poses: Poses, width: int = 110) -> str:
@@ -39,34 +38,36 @@ def to_dict(selection: Selection, poses: Poses) -> dict[str, object]:
     """Return the result as data for JSON; the task index in mm, unknown and infinite numbers None."""
     s = selection
     certified = s.efficiency is not None
-    return {
-        "index": s.index,
-        "count": len(s),
-        "candidates": len(poses),
-        "chosen": [poses.names[k] for k in s.chosen],
-        "instruments": list(s.instruments) or None,
-        "before": _values(s.before),
-        "after": _values(s.after),
-        "on_grid": _values(s.on_grid),
-        "after_raw": _values(s.raw),
-        "measured_only": None if s.measured_only is None else _values(s.measured_only),
-        "efficiency": s.efficiency,
-        "efficiency_percent": 100 * s.efficiency if s.efficiency is not None else None,
-        "bound": _shown(s.index, s.bound) if certified else None,
-        "off_grid": _off_grid(s),
-        "runs": [_run(run, s, poses) for run in s.runs],
-        "travel_joint_ranges": {"candidate_order": s.travel[0], "this_order": s.travel[1]},
-        "rank": s.rank.rank,
-        "rank_of_poses": s.rank_of_poses.rank,
-        "n_parameters": s.rank.n_columns,
-        "sigma_mm": None if s.sigma == WHITENED else millimetres(s.sigma),
-        "sigma_assumed": s.sigma_assumed,
-        "skipped": list(s.skipped),
-        "already_measured": s.already_measured,
-        "seed": s.seed,
-        "seconds": s.seconds,
-        "selecting_seconds": s.selecting_seconds,
-    }
+    return as_data(
+        {
+            "index": s.index,
+            "count": len(s),
+            "candidates": len(poses),
+            "chosen": [poses.names[k] for k in s.chosen],
+            "instruments": list(s.instruments) or None,
+            "before": _values(s.before),
+            "after": _values(s.after),
+            "on_grid": _values(s.on_grid),
+            "after_raw": _values(s.raw),
+            "measured_only": None if s.measured_only is None else _values(s.measured_only),
+            "efficiency": s.efficiency,
+            "efficiency_percent": 100 * s.efficiency if s.efficiency is not None else None,
+            "bound": _shown(s.index, s.bound) if certified else None,
+            "off_grid": _off_grid(s),
+            "runs": [_run(run, s, poses) for run in s.runs],
+            "travel_joint_ranges": {"candidate_order": s.travel[0], "this_order": s.travel[1]},
+            "rank": s.rank.rank,
+            "rank_of_poses": s.rank_of_poses.rank,
+            "n_parameters": s.rank.n_columns,
+            "sigma_mm": None if s.sigma == WHITENED else millimetres(s.sigma),
+            "sigma_assumed": s.sigma_assumed,
+            "skipped": list(s.skipped),
+            "already_measured": s.already_measured,
+            "seed": s.seed,
+            "seconds": s.seconds,
+            "selecting_seconds": s.selecting_seconds,
+        }
+    )
 
 
 def format_poses(robot: Robot, selection: Selection, poses: Poses, table: Table) -> str:
@@ -161,11 +162,9 @@ def _counted(s: Selection, poses: Poses) -> str:
 
 
 def _indices(s: Selection) -> Printed:
-    table = Printed(title="Indices (scaled columns; task: predicted position error)", title_justify="left")
-    table.add_column("")
     keys = [key for key in (*INDICES, TASK) if key in s.after]
-    for key in keys:
-        table.add_column(f"{key}, mm" if key == TASK else key, justify="right")
+    headers = ("", *(f"{key}, mm" if key == TASK else key for key in keys))
+    table = text_table(headers, title="Indices (scaled columns; task: predicted position error)")
     rows = [("uniform", s.before), ("chosen", s.on_grid)]
     if s.measured_only is not None:
         rows.insert(0, ("measured alone", s.measured_only))
@@ -220,7 +219,7 @@ def _off_grid(s: Selection) -> dict[str, float | None] | None:
 def _run(run: Run, s: Selection, poses: Poses) -> dict[str, object]:
     return {
         "start": run.start,
-        "history": [_finite(_shown(s.index, value)) for value in run.history],
+        "history": [_shown(s.index, value) for value in run.history],
         "paper_exchanges": run.n_paper,
         "exchanges": [
             {"added": _candidate(s, poses, added), "removed": _candidate(s, poses, removed)}
@@ -236,7 +235,7 @@ def _candidate(s: Selection, poses: Poses, number: int) -> str:
 
 
 def _values(values: dict[str, float]) -> dict[str, float | None]:
-    return {key: _finite(_shown(key, value)) for key, value in values.items()}
+    return {key: _shown(key, value) for key, value in values.items()}
 
 
 def _shown(index: str, value: float | None) -> float:
@@ -244,7 +243,3 @@ def _shown(index: str, value: float | None) -> float:
     if value is None:
         return math.nan
     return millimetres(value) if index == TASK else value
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

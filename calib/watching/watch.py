@@ -6,21 +6,24 @@
 
 The goal is a root mean square position error over the candidates. It holds with 95 % where the upper end of two 95 %
 intervals lies below it: that of the error predicted from the covariance of the fit, and that of the errors at the last
-poses that were judged before they were fitted (`calib.watching.unseen`). The second contains the noise of the readings:
+poses that were judged before they were fitted (`calib.watching.progress`). The second contains the noise of readings:
 a goal below that noise is never seen to hold.
 """
 
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.arrays import FloatArray
 from calib.data.in_memory import as_poses
+from calib.data.measurement_files import read_measurements
 from calib.data.measurements import Measurements, Poses
 from calib.errors import CalibrationError, DataError, InputError, NotConvergedError, NotIdentifiableError
+from calib.files import read_text
 from calib.identification.fit import identify
 from calib.identification.fitted import Fit
 from calib.identification.settings import Settings
@@ -31,8 +34,7 @@ from calib.model.robot import Robot
 from calib.pose_choice.next_pose import NextPose, next_pose
 from calib.pose_choice.pose_sampling import sample
 from calib.units import quantity
-from calib.watching.progress import UNKNOWN, Progress
-from calib.watching.unseen import LAST, LEAST, MOST, squares_of, unseen_rms
+from calib.watching.progress import LAST, LEAST, MOST, UNKNOWN, Progress, squares_of, unseen_rms
 
 CANDIDATES = 300
 """Poses that are sampled where nobody gives any."""
@@ -169,3 +171,32 @@ def _continues(before: Measurements, data: Measurements) -> bool:
     """Whether measurements start with those of before."""
     n = len(before)
     return len(data) >= n and data.names[:n] == before.names and np.array_equal(data.joints[:n], before.joints)
+
+
+class GrowingFile:
+    """A CSV file to look at now and then; a last line without its end is left for the next time.
+
+    Args:
+        path: The file; it need not exist yet.
+        robot: Whose joints and instruments it is about.
+    """
+
+    def __init__(self, path: str, robot: Robot) -> None:
+        self._path, self._robot = path, robot
+        self._seen = ""
+
+    def changed(self) -> Measurements | None:
+        """Return what the whole lines hold; None where there is nothing, or nothing new since the last time.
+
+        Raises:
+            DataError: A whole line is not valid.
+        """
+        if not Path(self._path).exists():
+            return None
+        text = read_text(self._path, "a CSV file", DataError, growing=True)
+        rows = [line for line in text.split("\n") if line.strip() and not line.lstrip().startswith("#")]
+        if text == self._seen or len(rows) < 2:  # a header is no row
+            return None
+        self._seen = text
+        data = read_measurements(self._path, self._robot, growing=True)
+        return data if len(data) else None

@@ -21,7 +21,7 @@ from calib.data.measurements import Poses
 from calib.data.parameter_files import format_parameters
 from calib.data.tables import format_table
 from calib.files import write_file
-from calib.model.loop_templates import loop_files, read_lengths
+from calib.model.templates import loop_files, read_lengths
 from calib.units import DISPLAY_UNIT, PER_SI
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"

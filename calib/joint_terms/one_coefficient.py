@@ -1,0 +1,127 @@
+"""Terms with one coefficient: gain, backlash, drift by time and temperature, and what gives way under gravity.
+
+Compliance: joints give way in proportion to the torque of gravity that they hold. The torque is that of the URDF's
+masses and of the payload (Pinocchio's generalized gravity at the nominal configuration), through closed loops by
+virtual work. The payload is the mass in the column `load`, beside what the URDF has; it hangs at the first target that
+motors move, or at the frame that the robot description calls `payload`.
+
+Bending: bearings and links give way across the axis of a joint, in proportion to the torque that they hold there.
+Joints of a robot arm are about as soft against tilting as about their axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.joint_terms.term import Context, Joint, JointTerm, TermSection, coefficient
+from calib.parameter import Parameter
+
+_HOUR = 3600.0
+
+
+@dataclass(frozen=True)
+class OneCoefficient(JointTerm):
+    """A term with one coefficient, dq = c phi, named after its joint and the term.
+
+    Attributes:
+        word: Last part of the coefficient's name (class attribute).
+        expected_angle: Expected size of the coefficient of a joint that turns, where nothing is stated [rad] (class
+            attribute).
+        expected_length: The same of one that slides [m] (class attribute).
+    """
+
+    word: ClassVar[str]
+    expected_angle: ClassVar[float]
+    expected_length: ClassVar[float]
+    joint: str
+    parameters: tuple[Parameter, ...]
+
+    @classmethod
+    def of(cls, joint: Joint, section: TermSection, sigma: float | None) -> JointTerm:
+        """Return the term that an entry of a robot description means."""
+        expected = cls.expected_angle if joint.dimension == "angle" else cls.expected_length
+        size = expected if sigma is None else sigma
+        return cls(joint.name, (coefficient(f"{joint.name}.{cls.word}", joint.dimension, size),))
+
+
+class Gain(OneCoefficient):
+    """dq = c q, with q in radians or metres, as of a gear ratio, a belt, or the pitch of a lead screw."""
+
+    word = "gain"
+    counts_turns = True
+    expected_angle, expected_length = 1e-3, 1e-3  # a thousandth of the motion
+
+    def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
+        """Return q, (n, 1)."""
+        return np.asarray(q[:, j : j + 1])
+
+
+class Backlash(OneCoefficient):
+    """dq = c (half the play) times the direction of approach, +1 or -1; 0 where it is not known."""
+
+    word = "backlash"
+    cause = "backlash"
+    depends_on = "the direction of approach"
+    expected_angle, expected_length = 2e-4, 5e-5  # half of the play
+
+    def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
+        """Return the direction of approach, (n, 1)."""
+        return np.asarray(context.approach[:, j : j + 1])
+
+
+class Drift(OneCoefficient):
+    """dq = c times the hours, as the file counts time."""
+
+    word = "drift"
+    cause = "drift"
+    depends_on = "time"
+    expected_angle, expected_length = 1e-4, 2e-5  # per hour
+
+    def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
+        """Return hours, (n, 1)."""
+        return np.asarray(context.time[:, None] / _HOUR)
+
+
+class Temperature(OneCoefficient):
+    """dq = c times the kelvins above 20 degC."""
+
+    word = "temperature"
+    cause = "drift"
+    depends_on = "temperature"
+    expected_angle, expected_length = 1e-4, 2e-5  # per kelvin
+
+    def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
+        """Return kelvins, (n, 1)."""
+        return np.asarray(context.temperature[:, None])
+
+
+class Compliance(OneCoefficient):
+    """dq = c times the torque of gravity that the joint holds."""
+
+    word = "compliance"
+    cause = "load (compliance)"
+    depends_on = "the load"
+    expected_angle, expected_length = 2e-5, 1e-7  # [rad / (N m), m / N]
+    needs_torque = True
+
+    def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
+        """Return the torque, (n, 1)."""
+        assert context.torque is not None
+        return np.asarray(context.torque[:, j : j + 1])
+
+
+class Bending(Compliance):
+    """The link tilts by c times the torque of gravity across the axis, the same about every direction across."""
+
+    word = "bending"
+    tilts = True
+
+    @classmethod
+    def of(cls, joint: Joint, section: TermSection, sigma: float | None) -> JointTerm:
+        """Return the term that an entry of a robot description means."""
+        size = cls.expected_angle if sigma is None else sigma  # a joint that slides tilts, too
+        return cls(joint.name, (coefficient(f"{joint.name}.{cls.word}", "angle", size),))

@@ -11,6 +11,7 @@ import os
 import tempfile
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from itertools import chain
 from pathlib import Path
 
 from calib.errors import CalibrationError, InputError
@@ -64,14 +65,7 @@ def read_text(path: Path | str, wanted: str, error: type[CalibrationError], *, g
         error: What to raise.
         growing: Whether somebody still writes: a last line without its end is left out.
     """
-    content = read_bytes(path, wanted, error)
-    if growing:
-        content = content[: content.rfind(b"\n") + 1]
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise error(f"{path}: is not UTF-8 text; give {wanted} in UTF-8") from None
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+    return "\n".join(chain.from_iterable(read_lines(path, wanted, error, growing=growing)))
 
 
 def read_lines(
@@ -96,8 +90,7 @@ def read_lines(
                 lines = "".join(begun).split("\n")
                 begun = [lines.pop()]
                 yield lines
-        if not growing:
-            yield "".join([*begun, decoder.decode(b"", final=True)]).split("\n")
+        yield [""] if growing else "".join([*begun, decoder.decode(b"", final=True)]).split("\n")
     except UnicodeDecodeError:
         raise error(f"{path}: is not UTF-8 text; give {wanted} in UTF-8") from None
 

@@ -52,6 +52,7 @@ class OnDemand(Sequence[Item]):
 
 
 Texts = tuple[str, ...] | OnDemand[str]
+"""Names or labels, of few or of very many."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
 from calib.identification.fitted import Fit
+from calib.identification.joint_conventions import wrapped_terms
 from calib.identification.joint_curves import beyond_learned
 from calib.identification.pose_checks import unmoved_joints
 from calib.identification.reasons import Reason
@@ -54,7 +55,7 @@ def moved_little(fit: Fit) -> Iterator[Reason]:
     still = np.isin(robot.joint_names, unmoved_joints(robot, data.joints))
     if np.all(part[~still] < CORNER):  # that is one corner
         return
-    here = _rms(fit.identification_uncertainty.distance)
+    here = _rms(fit.identification_uncertainty.located)
     for j in np.flatnonzero((part < CORNER) & ~still):
         there = _uncertainty(fit, _elsewhere(fit, int(j), float(allowed[j])))
         if there > max(LESS_KNOWN * here, np.sqrt(3.0) * fit.sigma):
@@ -74,8 +75,8 @@ def far_validation(fit: Fit) -> Iterator[Reason]:
     """See whether the poses that were not used lie where the poses used tell little."""
     if fit.validation is None or fit.validation_uncertainty is None or fit.computed:
         return
-    here = _rms(fit.identification_uncertainty.distance)
-    there = float(np.median(fit.validation_uncertainty.distance))
+    here = _rms(fit.identification_uncertainty.located)
+    there = float(np.median(fit.validation_uncertainty.located))
     if there > max(LESS_KNOWN * here, np.sqrt(3.0) * fit.sigma):
         yield Reason(
             "CHECK",
@@ -98,7 +99,7 @@ def _elsewhere(fit: Fit, j: int, allowed: float) -> FloatArray:
 
 def _uncertainty(fit: Fit, q: FloatArray) -> float:
     """Root mean square uncertainty of predicted positions at q (n, n_actuated) [m]; 0 without poses."""
-    return _rms(fit.predict(q).distance) if len(q) else 0.0
+    return _rms(fit.predict(q).located) if len(q) else 0.0
 
 
 def _rms(values: FloatArray) -> float:
@@ -121,6 +122,12 @@ def beyond_joint_limits(fit: Fit) -> Iterator[Reason]:
             f" {listed([data.labels[k] for k in beyond])}; check the joint's sign, zero, unit and column, or the"
             " limits",
         )
+
+
+def turns_not_counted(fit: Fit) -> Iterator[Reason]:
+    """Look for joint terms that count turns of a joint whose values may be wrapped."""
+    for words in wrapped_terms(fit.nominal, fit.identification.data.joints):
+        yield Reason("CHECK", "turns_not_counted", words)
 
 
 def _limits(robot: Robot) -> tuple[FloatArray, FloatArray]:
@@ -209,8 +216,8 @@ def _widened(fit: Fit, q: FloatArray) -> str:
 
 def _relative(fit: Fit, configurations: Configurations, covariance: FloatArray) -> float:
     """Root mean square uncertainty of positions beside what moves all of them as one body [m]."""
-    flat = beside_common_motion(linearise(fit.robot, configurations))[..., fit.unknowns.index]
-    flat = flat.reshape(-1, flat.shape[-1])
+    linear = linearise(fit.robot, configurations)
+    flat = beside_common_motion(linear, fit.robot.located)[:, fit.unknowns.index]
     return float(np.sqrt(3.0 * np.mean(np.sum((flat @ covariance) * flat, axis=1))))
 
 

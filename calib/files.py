@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import base64
+import codecs
 import errno
+import io
+import math
 import os
 import tempfile
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from itertools import chain
 from pathlib import Path
 
 from calib.errors import CalibrationError, InputError
@@ -15,6 +19,7 @@ from calib.replacing import clear_leftovers, new_file, new_folder, replace_folde
 
 _STREAM_FOLDERS = (Path("/dev"), Path("/dev/fd"))
 _LARGEST = 2**28  # bytes: a million rows and more, and less than memory
+_PIECE = 2**20  # bytes of a large file at once
 _LARGEST_IMAGE = 2**19  # bytes: it stands in every report
 _IMAGES = ((b"\x89PNG\r\n\x1a\n", "png"), (b"\xff\xd8\xff", "jpeg"), (b"<svg", "svg+xml"), (b"<?xml", "svg+xml"))
 
@@ -30,18 +35,25 @@ def read_bytes(path: Path | str, wanted: str, error: type[CalibrationError]) -> 
     Raises:
         CalibrationError: Of the given type: missing, unreadable, or larger than 256 MB.
     """
+    return b"".join(_pieces(path, wanted, error))
+
+
+def _pieces(path: Path | str, wanted: str, error: type[CalibrationError], largest: float = _LARGEST) -> Iterator[bytes]:
+    """What a file holds, a piece after the other; see `read_bytes`."""
+    size = 0
     try:
         with Path(path).open("rb") as stream:
-            content = stream.read(_LARGEST + 1)
+            while piece := stream.read(_PIECE):
+                size += len(piece)
+                if size > largest:
+                    raise error(f"{path}: is larger than {_LARGEST >> 20} MB; is this {wanted}?")
+                yield piece
     except FileNotFoundError:
         raise error(f"{path}: no such file; give {wanted}") from None
     except OSError as problem:
         raise error(f"{path}: cannot be read ({(problem.strerror or str(problem)).lower()})") from None
     except ValueError as problem:  # a name with a zero byte, which YAML can spell
         raise error(f"{str(path)!r}: cannot be read ({problem})") from None
-    if len(content) > _LARGEST:
-        raise error(f"{path}: is larger than {_LARGEST >> 20} MB; is this {wanted}?")
-    return content
 
 
 def read_text(path: Path | str, wanted: str, error: type[CalibrationError], *, growing: bool = False) -> str:
@@ -53,14 +65,34 @@ def read_text(path: Path | str, wanted: str, error: type[CalibrationError], *, g
         error: What to raise.
         growing: Whether somebody still writes: a last line without its end is left out.
     """
-    content = read_bytes(path, wanted, error)
-    if growing:
-        content = content[: content.rfind(b"\n") + 1]
+    return "\n".join(chain.from_iterable(read_lines(path, wanted, error, growing=growing)))
+
+
+def read_lines(
+    path: Path | str, wanted: str, error: type[CalibrationError], *, growing: bool = False, any_size: bool = False
+) -> Iterator[list[str]]:
+    """Yield the lines of a text file without their ends, those of a piece at a time; see `read_text`.
+
+    Args:
+        path: The file.
+        wanted: What it should be, for the error.
+        error: What to raise.
+        growing: Whether somebody still writes: a last line without its end is left out.
+        any_size: Whether a file on a disk may be as large as it is.
+    """
+    largest = math.inf if any_size and Path(path).is_file() else _LARGEST
+    decoder = io.IncrementalNewlineDecoder(codecs.getincrementaldecoder("utf-8-sig")(), translate=True)
+    begun: list[str] = []  # of the last line
     try:
-        text = content.decode("utf-8-sig")
+        for piece in _pieces(path, wanted, error, largest):
+            begun.append(decoder.decode(piece))
+            if "\n" in begun[-1]:
+                lines = "".join(begun).split("\n")
+                begun = [lines.pop()]
+                yield lines
+        yield [""] if growing else "".join([*begun, decoder.decode(b"", final=True)]).split("\n")
     except UnicodeDecodeError:
         raise error(f"{path}: is not UTF-8 text; give {wanted} in UTF-8") from None
-    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def image_address(path: Path | str) -> str:

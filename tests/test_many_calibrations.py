@@ -5,6 +5,7 @@ import os
 import signal
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +102,23 @@ def test_numbers_do_not_depend_on_who_works(five_bar):
         assert np.all(resampled[0].draws.answered)
     fewer = calib.study(robot, data, **given | {"draws": 5})
     assert fewer.draws.values == pytest.approx(alone.draws.values[:5], rel=1e-9)  # a draw has its own seed
+
+
+def test_code_is_compiled_before_work_is_given_out(five_bar, monkeypatch):
+    """So that processes find it, instead of compiling it each by itself."""
+    pytest.importorskip("numba", reason="numba is not installed (extra 'fast')")
+    used = []
+    monkeypatch.setattr("calib.identification.study._MANY", 1)
+    monkeypatch.setattr("calib.model.acceleration.import_module", lambda name: used.append(name) or import_module(name))
+
+    class Waiting(ThreadPoolExecutor):
+        def submit(self, function, /, *arguments, **named):
+            assert used
+            return super().submit(function, *arguments, **named)
+
+    with Waiting(1) as executor:
+        found = calib.study(*five_bar, draws=4, sigma=SIGMA, seed=1, executor=executor)
+    assert np.all(np.isfinite(found.draws.values))
 
 
 class Mislaying(Executor):

@@ -1,12 +1,14 @@
 """Choosing MedRUE's poses: certified, complementing what is measured, within what is asked for."""
 
 import errno
+import tracemalloc
 
 import numpy as np
 import pytest
 from small_robots import small_arm, write_arm
 
 import calib
+from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
 from calib.errors import InputError
 from calib.linearisation.candidates import build_candidates
@@ -287,3 +289,38 @@ def test_rows_of_positions_in_parts_say_what_all_say(medrue, monkeypatch):
     parts = select(medrue, Q[::4], 30, "task")
     assert parts.before == pytest.approx(whole.before, rel=1e-9)
     assert parts.after["task"] == pytest.approx(whole.after["task"], rel=1e-9)
+
+
+def test_a_candidate_of_a_file_takes_less_than_120_bytes_of_memory(tmp_path, monkeypatch):
+    """Of three joints, where rows go to a file; 55 were measured, and 345 with names and labels as Python strings."""
+    monkeypatch.setattr("calib.memory.free_memory", lambda: 0.0)
+    for part, few in {
+        "calib.files._PIECE": 1 << 14,
+        "calib.data.tables._PART": 250,
+        "calib.linearisation.candidates._PART": 250,
+        "calib.numerics.identifiability._AT_ONCE": 500,
+        "calib.pose_choice.selection_problem._PART": 250,
+        "calib.pose_choice.selection_bound._AT_ONCE": 250,
+        "calib.pose_choice.selection_bound._UNCLEAR": 20,
+        "calib.pose_choice.screening.SCREENED": 500,
+        "calib.pose_choice.screening._SEARCHED": 200,
+    }.items():
+        monkeypatch.setattr(part, few)
+    robot = small_arm(tmp_path)
+    joints = robot.sample(4500, seed=1)
+
+    def most(count):
+        header = ",".join(("pose", *robot.joint_names))
+        lines = [",".join((f"P{k}", *map(repr, q))) for k, q in enumerate(joints[:count].tolist())]
+        (tmp_path / "candidates.csv").write_text("\n".join([header, *lines]))
+        tracemalloc.start()
+        poses = read_poses(tmp_path / "candidates.csv", robot)
+        found = select(robot, poses, 20)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert found.bound > found.after["O1"] > found.before["O1"]
+        return peak
+
+    most(500)  # modules, caches
+    few, many = most(1500), most(4500)
+    assert many - few < 120 * 3000

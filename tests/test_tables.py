@@ -1,13 +1,16 @@
 """CSV tables: what is read, and every mistake with its file, line and column."""
 
 import csv
+import errno
+import io
 import math
 
 import numpy as np
 import pytest
 
+from calib.data.on_demand import cells_of
 from calib.data.tables import check_plausible, format_table, read_number, read_table
-from calib.errors import DataError
+from calib.errors import DataError, InputError
 
 
 @pytest.fixture
@@ -33,7 +36,7 @@ def test_names_units_comments_and_lines_are_told_apart(table_of):
     assert table.names == ("q1", "q2", "note")
     assert table.units == ("mm", None, None)
     assert table.comments == ("first", "in between")
-    assert table.lines == (4, 7)
+    assert tuple(table.lines) == (4, 7)
     assert table.text("note") == ["a", "b"]
     assert table.column("q1", "length").tolist() == [0.001, 0.003]
     assert table.column("q2", "angle").tolist() == [2.0, 4.0]
@@ -50,7 +53,7 @@ def test_a_byte_order_mark_is_not_part_of_the_first_name(table_of):
 
 def test_odd_separators_inside_a_cell_do_not_break_the_line(table_of):
     table = table_of("note,x\nform\x0cfeed\x85next\u2028line,1\n")
-    assert table.lines == (2,)
+    assert tuple(table.lines) == (2,)
     assert table.column("x", "length").tolist() == [1.0]
 
 
@@ -93,7 +96,7 @@ def test_semicolons_and_tabs_part_columns_and_leave_the_comma_for_decimals(table
     text = "# Export, from there\npose;q1 [mm];q2\nA, left;1,5;-,25\nB;-1;2,5e-1\n;;\nC;2,;3\n"
     table = table_of(text.replace(";", mark))
     assert table.text("pose") == ["A, left", "B", "C"]  # text keeps its commas
-    assert table.lines == (3, 4, 6)
+    assert tuple(table.lines) == (3, 4, 6)
     assert table.column("q1", "length").tolist() == [0.0015, -0.001, 0.002]
     assert table.column("q2", "angle").tolist() == [-0.25, 0.25, 3.0]
 
@@ -239,3 +242,44 @@ def test_no_name_is_a_formula_to_a_spreadsheet_and_every_name_reads_back(tmp_pat
 def test_columns_of_different_length_cannot_be_written():
     with pytest.raises(ValueError):
         format_table([("a", [1.0]), ("b", [1.0, 2.0])])
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["1,2,3", " 1,  2 ,3", "a, b c ,", ",,", '"a,b",2,3', ' "a b", "c ""d""",3', "\t1,\x0c,2", "é,\U0001f916,ü"],
+)
+def test_cells_are_those_of_csv(line):
+    assert cells_of(line, ",") == tuple(next(csv.reader([line], skipinitialspace=True, strict=True)))
+
+
+def test_files_are_read_alike_in_pieces_of_any_size_and_beyond_memory(tmp_path, monkeypatch):
+    """Pieces end between the bytes of a letter and between those of a line's end; rows go to a file."""
+    content = "\ufeff# größer\r\npose,q1 [mm]\r\n" + "".join(f"Ü{k},{k}.5\r\n" for k in range(600)) + "# Ende\r\nlast,7"
+    (tmp_path / "table.csv").write_bytes(content.encode())
+    monkeypatch.setattr("calib.memory.free_memory", lambda: 0.0)
+    for size in (1, 2, 3, 1 << 20):
+        monkeypatch.setattr("calib.files._PIECE", size)
+        table = read_table(tmp_path / "table.csv")
+        assert table.comments == ("größer", "Ende")
+        assert table.text("pose") == [f"Ü{k}" for k in range(600)] + ["last"]
+        assert tuple(table.lines) == (*range(3, 603), 604)
+        assert table.rows[-2:] == (("Ü599", "599.5"), ("last", "7"))
+        np.testing.assert_allclose(1e3 * table.column("q1", "length"), [*np.arange(600) + 0.5, 7.0])
+
+
+def test_rows_without_room_say_where_it_would_have_been(tmp_path, monkeypatch):
+    class Full(io.BytesIO):
+        def write(self, _):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("calib.data.on_demand.scratch", Full)
+    (tmp_path / "table.csv").write_text("q1\n1\n")
+    with pytest.raises(InputError, match=r"does not fit into the free memory, and .* is full; .* in TMPDIR"):
+        read_table(tmp_path / "table.csv")
+
+
+def test_only_candidates_may_be_larger_than_memory(tmp_path, monkeypatch):
+    monkeypatch.setattr("calib.files._LARGEST", 100)
+    (tmp_path / "table.csv").write_text("q1\n" + "1\n" * 100)
+    assert "is larger than" in complaint(read_table, tmp_path / "table.csv")
+    assert len(read_table(tmp_path / "table.csv", any_size=True).rows) == 100

@@ -240,18 +240,16 @@ def read_pose_files(paths: Sequence[str], robot: Robot, table: Table | None = No
         return read_measurements(paths, robot)
     table = read_table(paths[0], robot.description.columns) if table is None else table
     measured = _measured(table, robot)
-    repeated = "pose" in table.names and len(set(table.text("pose"))) < len(table.rows)
-    if np.all(measured) or (repeated and INSTRUMENT not in table.names and np.any(measured)):
+    if np.all(measured) or (np.any(measured) and INSTRUMENT not in table.names and _repeats(table)):
         return read_measurements(paths, robot)
     poses = plan_of_table(table, robot)
     if robot.description.instruments and INSTRUMENT in table.names:  # a row for each instrument, if need be
         check_repeats(poses, robot)
         return poses
-    seen: set[str] = set()
-    for label, name in zip(poses.labels, poses.names, strict=True):
-        if name in seen:
-            raise DataError(f"{label}: pose '{name}' is given twice; names of poses must be unique")
-        seen.add(name)
+    again = np.flatnonzero(np.diff(np.maximum.accumulate(poses.pose_numbers), prepend=-1) == 0)
+    if len(again):
+        k = int(again[0])
+        raise DataError(f"{poses.labels[k]}: pose '{poses.names[k]}' is given twice; names of poses must be unique")
     return poses
 
 
@@ -261,13 +259,23 @@ def _measured(table: Table, robot: Robot) -> BoolArray:
     for one in robot.instruments:
         names = [*(column.name for column in one.columns()), *one.text_columns()]
         if names and set(names) <= set(table.names):
-            measured |= np.all([[bool(cell) for cell in table.text(name)] for name in names], axis=0)
+            filled = np.ones(len(measured), dtype=bool)
+            for name in names:
+                filled &= np.fromiter(map(bool, table.texts(name)), dtype=bool)
+            measured |= filled
     return measured
+
+
+def _repeats(table: Table) -> bool:
+    """Whether rows repeat a pose."""
+    return "pose" in table.names and len(set(table.texts("pose"))) < len(table.rows)
 
 
 def different_poses(poses: Poses) -> Poses:
     """Return each pose once, as it was visited first, with all that is to be read there in that setup."""
     numbers = poses.pose_numbers
+    if poses.n_poses == len(poses):
+        return poses
     first = np.unique(numbers, return_index=True)[1]
     setups = np.zeros(len(poses), dtype=np.intp) if poses.setups is None else poses.setups
     same_setup = setups == setups[first][numbers]

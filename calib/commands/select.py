@@ -19,7 +19,7 @@ from calib.commands.common import (
 )
 from calib.commands.next_steps import after_select
 from calib.data.measurement_files import read_poses
-from calib.data.measurements import Poses
+from calib.data.measurements import Measurements, Poses
 from calib.data.plan_files import plan_of_table
 from calib.data.tables import read_table
 from calib.errors import InputError, nearest
@@ -126,12 +126,12 @@ def command(
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
     model = with_values(loaded(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)
-    table = read_table(candidates, model.description.columns)
+    table = read_table(candidates, model.description.columns, any_size=True)
     poses = read_pose_files((candidates,), model, table)
     done = None if measured is None else read_pose_files((measured,), model)
     if parameters is None and result is None:
         model = placed(model, done, poses)
-    poses = different_poses(plan_of_table(table, model))
+    poses = different_poses(plan_of_table(table, model) if isinstance(poses, Measurements) else poses)
     with output.working(f"choosing from {len(poses)} poses") as progress:
         selection = select(
             model,

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from calib.arrays import FloatArray
 from calib.data.measurements import Measurements, Poses, check_repeats
+from calib.data.on_demand import Numbered
 from calib.errors import DataError, nearest
 from calib.model.robot import Robot
 from calib.observation.kind import Instrument, Readings
@@ -33,7 +34,10 @@ def as_poses(robot: Robot, poses: Poses | ArrayLike, names: Sequence[str] | None
     joints = robot.joint_vector(poses)
     if names is not None and len(names) != len(joints):
         raise DataError(f"names: {len(names)} for {len(joints)} poses; give one for each")
-    called = tuple(str(k) for k in range(len(joints))) if names is None else tuple(str(name) for name in names)
+    if names is None:
+        numbers = range(len(joints))
+        return Poses(joints, Numbered("pose ", numbers), Numbered("", numbers), _SOURCE, ())
+    called = tuple(str(name) for name in names)
     return Poses(joints, tuple(f"pose {name}" for name in called), called, _SOURCE, ())
 
 
@@ -82,8 +86,8 @@ def measurements(poses: Poses, readings: Mapping[str, Readings]) -> Measurements
     """Put poses and readings together."""
     return Measurements(
         poses.joints,
-        poses.labels,
-        poses.names,
+        tuple(poses.labels),
+        tuple(poses.names),
         poses.path,
         poses.ignored,
         readings,

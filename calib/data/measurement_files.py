@@ -20,6 +20,7 @@ from calib.data.in_memory import measurements
 from calib.data.instrument_cells import columns_in, concatenated, named_columns, readings_in, setups_of
 from calib.data.measurement_columns import APPROACH, CONTEXT, header, shown
 from calib.data.measurements import Measurements, Poses, check_repeats
+from calib.data.on_demand import Numbered, Packed
 from calib.data.tables import Table, format_table, read_table
 from calib.errors import DataError, nearest
 from calib.model.robot import Robot
@@ -96,16 +97,16 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
                 f"{table.path}: no column '{name}'{nearest(name, table.names)}; under 'columns' a robot description"
                 " says what files call it"
             )
-    joints = np.stack([table.column(name, robot.mechanism.dimensions[name]) for name in robot.joint_names], axis=1)
-    named = "pose" in table.names
-    if named and "" in table.text("pose"):
-        line = table.lines[table.text("pose").index("")]
+    joints = np.empty((len(table.rows), len(robot.joint_names)))
+    for j, name in enumerate(robot.joint_names):
+        joints[:, j] = table.column(name, robot.mechanism.dimensions[name])
+    joints.flags.writeable = False  # who holds it needs no copy
+    called = Packed(table.texts("pose")) if "pose" in table.names else None
+    if called is not None and "" in called:
+        line = table.lines[called.index("")]
         raise DataError(f"{table.path}, line {line}, column 'pose': is empty; name the pose, or leave the column out")
-    names = tuple(table.text("pose")) if named else tuple(str(first + k + 1) for k in range(len(table.rows)))
-    labels = tuple(
-        f"{table.path}, line {line}" + (f" (pose {name})" if named else "")
-        for line, name in zip(table.lines, names, strict=True)
-    )
+    labels = Numbered(f"{table.path}, line ", table.lines, called)
+    names = Numbered("", range(first + 1, first + 1 + len(labels))) if called is None else called
     context, approach = conditions_of_table(table, robot)
     directions = {f"{APPROACH}{name}" for name in robot.joint_names}
     used = used | set(robot.joint_names) | {"pose", "setup", "instrument"} | set(context) | directions
@@ -169,10 +170,12 @@ def conditions_of_table(table: Table, robot: Robot) -> tuple[dict[str, FloatArra
         if joint != name and joint not in robot.joint_names and difflib.get_close_matches(joint, robot.joint_names):
             raise DataError(f"{table.path}, column '{name}': no joint '{joint}'{nearest(joint, robot.joint_names)}")
     present = [(j, name) for j, one in enumerate(robot.joint_names) if (name := f"{APPROACH}{one}") in table.names]
+    if not present:
+        return context, None
     directions = np.zeros((len(table.rows), len(robot.joint_names)))
     for j, name in present:
         directions[:, j] = np.sign(np.nan_to_num(table.column(name, None, gaps=True)))
-    return context, directions if present else None
+    return context, directions
 
 
 def _visits_by_pose(table: Table, poses: Poses) -> IntArray:

@@ -79,7 +79,9 @@ def _instrument_cells(robot: Robot, table: Table) -> tuple[str, ...]:
 def _wanted(
     robot: Robot, one: Instrument, table: Table, reading: BoolArray, setups: IntArray | None
 ) -> Readings | None:
-    """What an instrument is to read in the rows of a plan; None where it is not said what is touched."""
+    """What an instrument is to read in the rows of a plan; None where nothing is said, or not what is touched."""
+    if one.columns() and np.all(reading):
+        return None  # all that it can, as if nobody said anything
     rows = np.flatnonzero(reading)
     if one.columns():
         pairs, details = one.looks()

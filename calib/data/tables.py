@@ -13,20 +13,24 @@ import csv
 import io
 import math
 import re
-from collections.abc import Mapping, Sequence
+from array import array
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from calib.arrays import FloatArray
+from calib.data.on_demand import TextRows, cells_of, is_plain
 from calib.data.rosbag import is_bag, read_bag
 from calib.errors import DataError, InputError, nearest
-from calib.files import read_text
+from calib.files import read_lines
 from calib.units import Dimension, per_si, split_column
 
 _LARGEST = 1e6  # [m or rad]
 _SEPARATORS = ",;\t"
+_PART = 8192  # cells that are read together
 _WITH_THOUSANDS = re.compile(r"[-+]?\d+(\.\d+)+,\d*|[-+]?\d+(,\d+)+\.\d*|[-+]?\d+(,\d+){2,}", re.ASCII)
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 _FORMULA = re.compile(r"'*[=+\-@\uff1d\uff0b\uff0d\uff20]")  # the last four: of full width
@@ -52,8 +56,8 @@ class Table:
     path: str
     names: tuple[str, ...]
     units: tuple[str | None, ...]
-    rows: tuple[tuple[str, ...], ...]
-    lines: tuple[int, ...]
+    rows: Sequence[tuple[str, ...]]
+    lines: tuple[int, ...] | range | array[int]
     comments: tuple[str, ...]
     separator: str
 
@@ -95,17 +99,28 @@ class Table:
 
     def text(self, name: str) -> list[str]:
         """Return a column as text, without blanks around it."""
+        return list(self.texts(name))
+
+    def texts(self, name: str) -> Iterator[str]:
+        """Yield what `text` returns, one after the other."""
         index = self.names.index(name)
-        return [_read_text(row[index].strip()) for row in self.rows]
+        return (_read_text(row[index].strip()) for row in self.rows)
 
     def _numbers(self, index: int, *, gaps: bool) -> FloatArray:
-        cells = [row[index] for row in self.rows]
-        self._check_marks(cells, index)
+        if self.separator != ",":
+            self._check_marks(index)
+        cells, values = (row[index] for row in self.rows), np.empty(len(self.rows))
+        for start in range(0, len(values), _PART):
+            values[start : start + _PART] = self._numbers_in(list(islice(cells, _PART)), start, index, gaps=gaps)
+        return values
+
+    def _numbers_in(self, cells: list[str], first: int, index: int, *, gaps: bool) -> FloatArray:
+        """Numbers in cells of a column, of which the first is in that row."""
         if gaps and not all(cell.strip() for cell in cells):
             return np.array(
                 [
                     read_number(cell, self._where(k, index), self.separator) if cell.strip() else np.nan
-                    for k, cell in enumerate(cells)
+                    for k, cell in enumerate(cells, start=first)
                 ]
             )
         try:
@@ -114,15 +129,18 @@ class Table:
             values = np.array([np.nan])
         if np.all(np.isfinite(values)) and not any("_" in cell for cell in cells):  # float() also reads 1_000
             return values
-        return np.array([read_number(cell, self._where(k, index), self.separator) for k, cell in enumerate(cells)])
+        return np.array(
+            [read_number(cell, self._where(k, index), self.separator) for k, cell in enumerate(cells, start=first)]
+        )
 
-    def _check_marks(self, cells: list[str], index: int) -> None:
+    def _check_marks(self, index: int) -> None:
         """Raise `DataError` where a column has decimal commas and decimal points: which of them part thousands?"""
-        comma = next((k for k, cell in enumerate(cells) if "," in cell and "." not in cell), None)
-        point = next((k for k, cell in enumerate(cells) if "." in cell and "," not in cell), None)
-        if self.separator != "," and comma is not None and point is not None:
+        comma = next((k for k, row in enumerate(self.rows) if "," in row[index] and "." not in row[index]), None)
+        point = next((k for k, row in enumerate(self.rows) if "." in row[index] and "," not in row[index]), None)
+        if comma is not None and point is not None:
+            with_comma, with_point = (self.rows[k][index].strip() for k in (comma, point))
             raise DataError(
-                f"{self._where(comma, index)}: '{cells[comma].strip():.60}', but '{cells[point].strip():.60}' in line"
+                f"{self._where(comma, index)}: '{with_comma:.60}', but '{with_point:.60}' in line"
                 f" {self.lines[point]}; write all decimals of a column one way"
             )
 
@@ -178,44 +196,61 @@ def check_plausible(value: float, dimension: Dimension, where: str, place: str) 
         )
 
 
-def read_table(path: Path | str, renamed: Mapping[str, str] | None = None, *, growing: bool = False) -> Table:
+def read_table(
+    path: Path | str, renamed: Mapping[str, str] | None = None, *, growing: bool = False, any_size: bool = False
+) -> Table:
     """Read a CSV file, its columns separated by commas, semicolons or tabs; or a ROS bag (`calib.data.rosbag`).
 
     Args:
         path: The file, or the folder of a bag.
         renamed: Foreign column names and the `name` or `name [unit]` they stand for.
         growing: Whether somebody still writes: a last line without its end is left out.
+        any_size: Whether a file on a disk may be as large as it is, beyond what `calib.files.read_bytes` allows.
 
     Raises:
         DataError: Missing or unreadable file, no header or rows, duplicate columns, rows of the wrong length.
     """
     if is_bag(path):
         return _bag_table(path, renamed or {})
-    text = read_text(path, "a CSV file", DataError, growing=growing)
-    comments, kept, numbers = [], [], []
-    for number, line in enumerate(text.split("\n"), start=1):
+    pieces = read_lines(path, "a CSV file", DataError, growing=growing, any_size=any_size)
+    comments, numbers = list[str](), array("q")
+    lines = _without_comments(pieces, comments, numbers)
+    header = next(lines, None)
+    if header is None:
+        raise DataError(f"{path}: is empty; expected a header line and rows of numbers")
+    separator = max(_SEPARATORS, key=re.sub('"[^"]*"', "", header).count)
+    names, units = _header(str(path), _cells(str(path), header, numbers[0], separator), renamed or {})
+    rows = TextRows(_checked(str(path), lines, numbers, len(names), separator), separator)
+    if not rows:
+        raise DataError(f"{path}: has a header but no rows")
+    first, last = numbers[1], numbers[-1]
+    where = numbers[1:] if last - first >= len(rows) else range(first, last + 1)
+    return Table(str(path), names, units, rows, where, tuple(comments), separator)
+
+
+def _without_comments(pieces: Iterable[list[str]], comments: list[str], numbers: array[int]) -> Iterator[str]:
+    """Header and rows among the lines of a file; their numbers, and what the comments say, go into the lists."""
+    for number, line in enumerate((line for piece in pieces for line in piece), start=1):
         if line.lstrip().startswith("#"):
             comments.append(line.lstrip()[1:].strip())
         elif line.strip().strip(_SEPARATORS):
-            kept.append(line)
             numbers.append(number)
-    if not kept:
-        raise DataError(f"{path}: is empty; expected a header line and rows of numbers")
-    separator = max(_SEPARATORS, key=re.sub('"[^"]*"', "", kept[0]).count)
-    cells = [_cells(str(path), line, number, separator) for line, number in zip(kept, numbers, strict=True)]
-    names, units = _header(str(path), cells[0], renamed or {})
-    for row, number in zip(cells[1:], numbers[1:], strict=True):
-        if len(row) != len(names):
+            yield line
+
+
+def _checked(path: str, lines: Iterable[str], numbers: array[int], width: int, separator: str) -> Iterator[str]:
+    """The lines, of which the last number is that of the present one, if they have as many cells as the header."""
+    for line in lines:
+        n = line.count(separator) + 1 if is_plain(line) else len(_cells(path, line, numbers[-1], separator))
+        if n != width:
             hint = "; write decimals with a point, or separate columns by semicolons"
-            if len(names) == 1:
+            if width == 1:
                 hint = f"; if line {numbers[0]} is not the header, begin it with #"
             raise DataError(
-                f"{path}, line {number}: {len(row)} cells for {len(names)} columns"
-                + (hint if len(row) > len(names) and (separator == "," or len(names) == 1) else "")
+                f"{path}, line {numbers[-1]}: {n} cells for {width} columns"
+                + (hint if n > width and (separator == "," or width == 1) else "")
             )
-    if len(cells) == 1:
-        raise DataError(f"{path}: has a header but no rows")
-    return Table(str(path), names, units, tuple(cells[1:]), tuple(numbers[1:]), tuple(comments), separator)
+        yield line
 
 
 def _bag_table(path: Path | str, renamed: Mapping[str, str]) -> Table:
@@ -227,7 +262,7 @@ def _bag_table(path: Path | str, renamed: Mapping[str, str]) -> Table:
 
 def _cells(path: str, line: str, number: int, separator: str) -> tuple[str, ...]:
     try:
-        return tuple(next(csv.reader([line], delimiter=separator, strict=True, skipinitialspace=True)))
+        return cells_of(line, separator)
     except csv.Error as error:
         raise DataError(f"{path}, line {number}: is not CSV ({error})") from None
 

@@ -130,6 +130,8 @@ def study(
     with Workers(executor, len(chunks)) as workers:
         source = simulated(robot, poses, truth, sigma, noise) if not resample else _measured(poses, truth, noise)
         setting = _prepared(robot, source, settings, elsewhere, seeds)
+        if setting.compiled and workers is not None:
+            _chunk(setting, seeds[:1])  # compiles what they then load, instead of each by itself
         for part in in_order(partial(_chunk, setting), chunks, workers):
             parts.append(part)
             if progress is not None:

@@ -71,7 +71,7 @@ def asked_by_joints(meant: Robot, program: Poses, keep: str | None) -> Asked:
     positions[closed.ok], rotations[closed.ok], jacobian = pose_and_jacobian
     if keep is None:
         keep = "pose" if _moves_freely(jacobian * mechanism.joint_scale, mechanism.length) else "position"
-    pose = Goals(positions, rotations, names=program.names, labels=program.labels, target=target.name)
+    pose = Goals(positions, rotations, names=tuple(program.names), labels=tuple(program.labels), target=target.name)
     goals = pose if keep == "pose" else replace(pose, rotations=None)
     if keep == "axis":
         goals = replace(goals, directions=rotations[:, :, 2])

@@ -9,9 +9,9 @@ import numpy as np
 import scipy
 
 from calib.arrays import BoolArray, FloatArray, IntArray
-from calib.data.in_memory import measurements
+from calib.data.in_memory import as_poses, measurements
 from calib.data.measurement_columns import rank_in_visit
-from calib.data.measurements import Measurements, Poses, of_visits
+from calib.data.measurements import Measurements, Poses
 from calib.errors import DataError, InputError, UnreachablePoseError
 from calib.linearisation.jacobian import linearise
 from calib.linearisation.observed import Observed, looks_at, observe, predicted_readings
@@ -32,6 +32,7 @@ _MEASURED_AGAIN = 1e-4
 WHITENED = 1.0
 """Unit of rows where no instrument measures a length, in place of its noise."""
 _SHOWN = 10
+_MIXING = 0x9E3779B97F4A7C15 - 2**64  # odd, and far from a power of two
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +116,7 @@ def rows_of_poses(
     """
     chosen = Unknowns.chosen_by_poses(robot) if unknowns is None else unknowns
     n = len(configurations.actuated)
-    names = tuple(str(k) for k in range(n))
-    poses = Poses(configurations.actuated[:, : len(robot.joint_names)], names, names, "", ())
+    poses = as_poses(robot, configurations.actuated[:, : len(robot.joint_names)])
     looks = looks_at(robot, poses) if looks is None else looks
     places = blocks_of(robot, looks) if blocks is None else blocks
     readings = predicted_readings(robot, configurations, looks)
@@ -209,32 +209,31 @@ def build_candidates(
     """
     _require_different(poses)
     n, n_targets, unknowns = len(poses), len(robot.target_names), Unknowns.chosen_by_poses(robot)
-    looks = looks_at(robot, poses)
-    blocks = blocks_of(robot, looks)
+    blocks = blocks_of(robot, looks_at(robot, poses))
     per_pose = max(block.stop for block in blocks.values())
-    conditions = poses.conditions
     rows = zeros_with_room((n, per_pose, len(unknowns)), f"rows of {n} candidates")
     read = np.zeros((n, per_pose), dtype=bool)
-    positions = np.full((n, n_targets, 3), np.nan)
+    positions = zeros_with_room((n, n_targets, 3), f"positions of {n} candidates")
     position_rows: FloatArray = np.zeros((0, len(unknowns)))
     usable, reasons = np.zeros(n, dtype=bool), list[str]()
     for start in range(0, n, _PART):
-        q = poses.joints[start : min(start + _PART, n)]
-        columns = robot.term_columns(q, conditions.at(slice(start, start + len(q))))
+        part_poses = poses.subset(np.arange(start, min(start + _PART, n)))
+        q = part_poses.joints
+        columns = robot.term_columns(q, part_poses.conditions)
         closed = robot.close(q, columns=columns)
         good = np.flatnonzero(closed.ok)
         distance = np.zeros(len(q))
         distance[good] = robot.singular_values(configurations_at(robot, q, closed, columns, good))
         good = np.flatnonzero(distance >= robot.description.singularity_limit)
         configurations = configurations_at(robot, q, closed, columns, good)
-        here = {name: of_visits(readings, start + good) for name, readings in looks.items()}
+        here = looks_at(robot, part_poses.subset(good))
         part = rows_of_poses(robot, configurations, sigma, unknowns, here, blocks)
+        positions[start : start + len(q)] = np.nan
         rows[start + good], read[start + good], positions[start + good] = part.rows, part.read, part.positions
         position_rows = reduced(np.vstack([position_rows, part.position_rows.reshape(-1, len(unknowns))]))
         usable[start + good] = True
         if len(good) < len(q):
-            labels = poses.labels[start : start + len(q)]
-            reasons += _reasons(robot, q, closed.ok, distance, labels, len(reasons))
+            reasons += _reasons(robot, q, closed.ok, distance, part_poses.labels, len(reasons))
     if reasons and not skip_unreachable:
         raise UnreachablePoseError(_listed(reasons) + "; remove these poses, or leave them out with --skip-unreachable")
     rows.flags.writeable = False  # who holds it needs no copy
@@ -279,19 +278,30 @@ def near_measured(candidates: FloatArray, measured: FloatArray) -> BoolArray:
 
 
 def _require_different(poses: Poses) -> None:
-    conditions = [np.nan_to_num(values) for values in poses.context.values()]
-    given = [poses.joints] if poses.approach is None else [poses.joints, poses.approach]
-    rounded = np.round(np.column_stack(given + conditions) / _SAME).astype(np.int64)
+    columns = [*poses.joints.T, *(() if poses.approach is None else poses.approach.T), *poses.context.values()]
+    key = np.zeros(len(poses), dtype=np.int64)
+    for column in columns:  # a number for each pose, the same where all columns are
+        key = key * _MIXING + _rounded(column)
+    ordered = np.sort(key)
+    some = np.flatnonzero(np.isin(key, ordered[1:][np.diff(ordered) == 0]))
+    if len(some) == 0:
+        return
+    rounded = np.stack([_rounded(column[some]) for column in columns], axis=1)
     _, first, inverse = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
-    again = np.flatnonzero(first[inverse.ravel()] != np.arange(len(poses)))
+    earlier = some[first[inverse.ravel()]]
+    again = np.flatnonzero(earlier != some)
     if len(again):
-        k = int(again[0])
+        k, same = some[again[0]], earlier[again[0]]
         more = f" (and {len(again) - 1} more)" if len(again) > 1 else ""
         raise DataError(
-            f"{poses.labels[k]}{more}: the same joint values as {poses.labels[first[inverse.ravel()[k]]]},"
+            f"{poses.labels[k]}{more}: the same joint values as {poses.labels[same]},"
             " under the same conditions;"
             " each candidate can be chosen once, so give it once"
         )
+
+
+def _rounded(values: FloatArray) -> IntArray:
+    return np.round(np.nan_to_num(values) / _SAME).astype(np.int64)
 
 
 def _reasons(

@@ -115,7 +115,7 @@ def pairs_of(groups: Groups, poses: PoseRows) -> Pairs:
     together = np.all if groups.chosen else np.any
     return Pairs(
         np.tile(np.arange(n), n_groups),
-        np.repeat(np.arange(n_groups), n),
+        np.repeat(np.arange(n_groups), n) if n_groups > 1 else np.broadcast_to(np.intp(0), n),
         rows,
         np.concatenate([np.sum(poses.read[:, columns], axis=1) for columns in own]),
         np.concatenate([together(parts, axis=0) for parts in read]),

@@ -21,7 +21,7 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.pose_choice.exchange import Exchange
-from calib.pose_choice.selection_bound import CERTIFIED, Relaxation, largest, slopes
+from calib.pose_choice.selection_bound import CERTIFIED, Relaxation, slopes
 from calib.pose_choice.selection_setting import Setting
 
 SCREENED = 20_000
@@ -90,10 +90,9 @@ def _is_screened(setting: Setting) -> bool:
 
 def _narrowed(setting: Setting, slope: FloatArray, kept: IntArray) -> Searched:
     """The candidates with the largest slope (n_candidates,), and those to keep in any case (n,)."""
-    counts = np.array(setting.wanted.groups.counts or (setting.wanted.count,))
-    kinds = np.zeros(len(slope), dtype=np.intp) if setting.space.kind is None else setting.space.kind
+    counts = setting.counts
     ranked = np.where(setting.space.usable, slope, -np.inf)
-    best = largest(ranked, kinds, np.maximum(_SEARCHED // len(counts), _FOR_EACH * counts))
+    best = setting.largest(ranked, np.maximum(_SEARCHED // len(counts), _FOR_EACH * counts))
     index = np.union1d(np.concatenate(best), kept).astype(np.intp)
     problem, pairs, space = setting.problem, setting.pairs, setting.space
     few = replace(

@@ -212,8 +212,7 @@ def _certify(setting: Setting, runs: tuple[Run, ...], best: Exchange) -> tuple[t
     """Bound all choices, start once more from the relaxed weights, and compare the best choice with the bound."""
     problem, index, usable = setting.problem, setting.wanted.index, setting.space.usable
     relaxation = relax(problem, index, best.chosen, usable, setting.space.kind)
-    order = np.argsort(-np.where(usable, relaxation.weights, -1.0), kind="stable")
-    heaviest = np.concatenate([own[:count] for own, count in setting.by_kind(order)])
+    heaviest = np.concatenate(setting.largest(np.where(usable, relaxation.weights, -1.0), setting.counts))
     searched = after_relaxation(setting, relaxation, best.chosen)
     starts = {"relaxed": np.sort(heaviest)}
     if searched.is_part:

@@ -77,7 +77,7 @@ def relax(
         kind: Kind of each candidate, (n_candidates,), of which each has its number; None: all are alike.
     """
     weights = chosen.astype(float)
-    kinds = np.zeros(len(problem), dtype=np.intp) if kind is None else kind
+    kinds = kinds_of(kind, len(problem))
     counts = np.bincount(kinds[chosen], minlength=int(np.max(kinds)) + 1)
     lowest = np.inf
     for _ in range(_ROUNDS):
@@ -97,13 +97,21 @@ def relax(
     return Relaxation(lowest, weights)
 
 
-def largest(slope: FloatArray, kinds: IntArray, counts: IntArray) -> list[IntArray]:
+def largest(slope: FloatArray | IntArray, kinds: IntArray, counts: IntArray) -> list[IntArray]:
     """Return the `counts` candidates of each kind whose slope (n_candidates,) is largest, a list by kind."""
     result = []
     for number, count in enumerate(counts):
         own = np.flatnonzero(kinds == number)
+        if 0 < count < len(own):  # in order of slope: only those that can be among them
+            of_own = slope[own]
+            own = own[of_own >= np.partition(of_own, len(own) - count)[len(own) - count]]
         result.append(own[np.argsort(-slope[own], kind="stable")[:count]])
     return result
+
+
+def kinds_of(kind: IntArray | None, n: int) -> IntArray:
+    """Return the kind of each of n candidates, (n,); None: all are alike."""
+    return np.broadcast_to(np.intp(0), n) if kind is None else kind
 
 
 def log_phi(problem: Problem, index: str, gathered: FloatArray) -> float:
@@ -144,11 +152,14 @@ def slopes(problem: Problem, index: str, gathered: FloatArray) -> FloatArray:
 
 def _unclear(slope: FloatArray, weights: FloatArray, kinds: IntArray, counts: IntArray) -> IntArray:
     """Candidates whose weight the interior-point method shall find, ascending."""
-    level = np.array([np.min(slope[best], initial=np.inf) for best in largest(slope, kinds, counts)])[kinds]
-    # how much a candidate's slope speaks against its weight; fractional ones are always in
-    against = np.where(weights == 0, slope - level, np.where(weights == 1, level - slope, np.inf))
+    level = np.array([np.min(slope[best], initial=np.inf) for best in largest(slope, kinds, counts)])
+    # how much a candidate's slope speaks for its weight; fractional ones are always in
+    speaks = level[kinds]
+    speaks -= slope
+    used = np.flatnonzero(weights)
+    speaks[used] = np.where(weights[used] == 1, -speaks[used], -np.inf)
     size = min(_UNCLEAR + int(np.sum((weights > 0) & (weights < 1))), int(np.sum(slope > -np.inf)))
-    return np.sort(np.argpartition(-against, size - 1)[:size])
+    return np.sort(np.argpartition(speaks, size - 1)[:size])
 
 
 def _interior_point(

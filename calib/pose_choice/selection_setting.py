@@ -31,7 +31,7 @@ from calib.model.robot import Robot
 from calib.numerics.observability import prior_rows
 from calib.pose_choice.exchange import Spacing, uniform_start
 from calib.pose_choice.instrument_choice import Groups, Pairs, already_read, pairs_of, require_touches_said
-from calib.pose_choice.selection_bound import CERTIFIED, largest
+from calib.pose_choice.selection_bound import CERTIFIED, kinds_of, largest
 from calib.pose_choice.selection_problem import TASK, Problem, build_problem
 from calib.pose_choice.selection_scores import CHOICES
 
@@ -97,6 +97,15 @@ class Setting:
         usable = np.flatnonzero(self.space.usable)
         return np.sort(np.concatenate([rng.choice(own, n, replace=False) for own, n in self.by_kind(usable)]))
 
+    @property
+    def counts(self) -> IntArray:
+        """How many candidates of each kind are wanted, (n_kinds,)."""
+        return np.array(self.wanted.groups.counts or (self.wanted.count,))
+
+    def largest(self, values: FloatArray | IntArray, counts: IntArray) -> list[IntArray]:
+        """Return so many of each kind (n_kinds,), those whose values (n_candidates,) are largest, a list by kind."""
+        return largest(values, kinds_of(self.space.kind, len(self.problem)), counts)
+
     def by_kind(self, candidates: IntArray) -> list[tuple[IntArray, int]]:
         """Return those of the candidates (n,) that are of each kind, and how many are wanted of it."""
         counts = self.wanted.groups.counts
@@ -150,7 +159,8 @@ def prepare(
         require_memory(2 * pairs.rows.size, "an index without a bound, or a least distance, looks at all at once; it")
     done_rows, n_before, points, again = None, 0, points_of(candidate_rows.positions[:0]), 0
     usable = pairs.possible & (assembled.usable & ~_excluded(exclude, len(poses)))[pairs.pose]
-    pose_points = points_of(candidate_rows.positions)
+    keeps_distance = wanted.minimum_distance > 0 or wanted.off_grid  # nobody else asks where poses are
+    pose_points = points_of(candidate_rows.positions) if keeps_distance else np.zeros((len(poses), 0))
     if measured is not None:
         done = as_poses(robot, measured)
         done_rows, positions, _ = rows_of_measured(robot, done, sigma)
@@ -213,10 +223,8 @@ def require_count(setting: Setting) -> None:
     _require_candidates(wanted, usable, pairs)
     problem = setting.problem
     missing = problem.known.rank.rank - int(np.linalg.matrix_rank(problem.before, hermitian=True))
-    kinds = np.zeros(len(usable), dtype=np.intp) if wanted.groups.counts is None else pairs.group
-    counts = np.array(wanted.groups.counts or (wanted.count,))
     n_read = np.where(usable, pairs.n_read, 0)
-    coordinates = int(sum(np.sum(n_read[best]) for best in largest(n_read, kinds, counts)))
+    coordinates = int(sum(np.sum(n_read[best]) for best in setting.largest(n_read, setting.counts)))
     if coordinates < missing:
         raise InputError(
             f"count {wanted.count}: {coordinates} coordinates cannot determine {missing} parameters;"

@@ -87,7 +87,7 @@ def format_poses(robot: Robot, selection: Selection, poses: Poses, table: Table)
         headers = [
             name if unit is None else f"{name} [{unit}]" for name, unit in zip(table.names, table.units, strict=True)
         ]
-        lines = _lines_of(table) if "pose" in table.names else {name: [k] for k, name in enumerate(poses.names)}
+        lines = _lines_of(table, [(int(k), poses.names[k]) for k in selection.chosen])
         if selection.groups:
             columns = _plan(robot, selection, poses, table, headers, lines)
         else:
@@ -125,11 +125,14 @@ def _plan(
     return [columns[0], *(column for column in columns[1:] if column[0] != INSTRUMENT)]
 
 
-def _lines_of(table: Table) -> dict[str, list[int]]:
-    """Rows of the file by pose name; a measured file may repeat a pose."""
-    lines: dict[str, list[int]] = {}
-    for line, name in enumerate(table.text("pose")):
-        lines.setdefault(name, []).append(line)
+def _lines_of(table: Table, poses: Sequence[tuple[int, str]]) -> dict[str, list[int]]:
+    """Rows of the file of some poses, by name; a measured file may repeat a pose."""
+    if "pose" not in table.names:
+        return {name: [k] for k, name in poses}
+    lines: dict[str, list[int]] = {name: [] for _, name in poses}
+    for line, name in enumerate(table.texts("pose")):
+        if name in lines:
+            lines[name].append(line)
     return lines
 
 

@@ -1,0 +1,155 @@
+"""Long sequences whose items are made when somebody looks at them: as Python objects they take ten times the memory.
+
+What is kept is what the items are made of: numbers, or text in one piece. A million poses of a file have names, labels
+for messages and rows of cells, and hardly any of them is looked at twice.
+"""
+
+from __future__ import annotations
+
+import csv
+import tempfile
+import weakref
+from abc import abstractmethod
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import SupportsIndex, TypeVar, overload
+
+import numpy as np
+
+from calib.arrays import IntArray
+from calib.errors import InputError
+from calib.memory import scratch
+
+Item = TypeVar("Item")
+_PART = 256  # rows that are kept together
+
+
+class OnDemand(Sequence[Item]):
+    """A sequence that equals a tuple of its items; slices of it are tuples."""
+
+    @abstractmethod
+    def _made(self, k: int) -> Item:
+        """Return item k, which there is."""
+
+    @overload
+    def __getitem__(self, which: SupportsIndex) -> Item: ...
+    @overload
+    def __getitem__(self, which: slice) -> tuple[Item, ...]: ...
+    def __getitem__(self, which: SupportsIndex | slice) -> Item | tuple[Item, ...]:
+        places = range(len(self))[which]
+        return self._made(places) if isinstance(places, int) else tuple(self._made(k) for k in places)
+
+    def __iter__(self) -> Iterator[Item]:
+        return (self._made(k) for k in range(len(self)))
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Sequence) or len(self) != len(other):
+            return False
+        return all(one == another for one, another in zip(self, other, strict=True))
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+Texts = tuple[str, ...] | OnDemand[str]
+"""Names or labels, of few or of very many."""
+
+
+@dataclass(frozen=True, eq=False)
+class Numbered(OnDemand[str]):
+    """Texts that end with a number, such as `pose 7`, or with a name after it.
+
+    Attributes:
+        before: What they begin with.
+        numbers: Of each.
+        names: What comes after these, in brackets; None: nothing.
+    """
+
+    before: str
+    numbers: Sequence[int]
+    names: Texts | None = None
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def _made(self, k: int) -> str:
+        return f"{self.before}{self.numbers[k]}" + ("" if self.names is None else f" (pose {self.names[k]})")
+
+
+class Packed(OnDemand[str]):
+    """Texts, one behind the other."""
+
+    def __init__(self, texts: Iterable[str]) -> None:
+        kept = bytearray()
+        self._ends: IntArray = np.fromiter((_length_after(kept, text) for text in texts), dtype=np.intp)
+        self._kept = bytes(kept)
+
+    def __len__(self) -> int:
+        return len(self._ends)
+
+    def _made(self, k: int) -> str:
+        return self._kept[self._ends[k - 1] if k else 0 : self._ends[k]].decode()
+
+
+def _length_after(kept: bytearray, text: str) -> int:
+    kept += text.encode()
+    return len(kept)
+
+
+class TextRows(OnDemand[tuple[str, ...]]):
+    """Cells of rows, kept as text (`calib.memory.scratch`).
+
+    Args:
+        lines: A row each.
+        separator: What stands between cells.
+
+    Raises:
+        InputError: There is no room for them.
+    """
+
+    def __init__(self, lines: Iterable[str], separator: str) -> None:
+        self._text, self._separator = scratch(), separator
+        weakref.finalize(self, self._text.close)
+        self._ends, self._length, left = [0], 0, iter(lines)
+        while part := list(islice(left, _PART)):
+            self._length += len(part)
+            try:
+                self._ends.append(self._ends[-1] + self._text.write("\n".join(part).encode()))
+            except OSError:
+                raise InputError(
+                    f"a file does not fit into the free memory, and {tempfile.gettempdir()} is full; name a folder with"
+                    " more room in TMPDIR"
+                ) from None
+
+    def __len__(self) -> int:
+        return self._length
+
+    def __iter__(self) -> Iterator[tuple[str, ...]]:
+        for number in range(len(self._ends) - 1):
+            for line in self._lines(number):
+                yield cells_of(line, self._separator)
+
+    def _made(self, k: int) -> tuple[str, ...]:
+        return cells_of(self._lines(k // _PART)[k % _PART], self._separator)
+
+    def _lines(self, number: int) -> list[str]:
+        start, end = self._ends[number : number + 2]
+        self._text.seek(start)
+        return self._text.read(end - start).decode().split("\n")
+
+
+def cells_of(line: str, separator: str) -> tuple[str, ...]:
+    """Return the cells of a line of CSV.
+
+    Raises:
+        csv.Error: It is none.
+    """
+    if not is_plain(line):
+        return tuple(next(csv.reader([line], delimiter=separator, strict=True, skipinitialspace=True)))
+    cells = line.split(separator)  # what csv does, in a third of the time
+    return tuple([cell.lstrip(" ") for cell in cells] if " " in line else cells)
+
+
+def is_plain(line: str) -> bool:
+    """Return whether every separator in a line of CSV parts two cells."""
+    return '"' not in line and len(line) <= csv.field_size_limit()

@@ -71,6 +71,11 @@ def loose_joint(lab: Lab) -> Measurements:
     return _joint_error(lab, lambda q, way: np.radians(0.1) * lab.rng.uniform(-0.5, 0.5, len(q)))
 
 
+def loose_joints(lab: Lab) -> Measurements:
+    """Every joint that turns comes to rest anywhere within 0.03 degrees."""
+    return _joint_error(lab, lambda q, way: np.radians(0.03) * lab.rng.uniform(-0.5, 0.5, len(q)), count=6)
+
+
 def one_corner(lab: Lab) -> Measurements:
     """All poses within a few degrees (and millimetres) of each other."""
     return lab.sent(lab.joints[0] + 0.03 * (lab.joints - lab.joints[0])).good()
@@ -154,5 +159,8 @@ ROBOT: dict[str, Scenario] = {
     "too few poses": Scenario("sick", too_few, validate=0.0),
     "six poses": Scenario("sick", handful, validate=0.0),
     "a joint that sags, over a short range": Scenario("hidden", sag, robots=("MedRUE", "3-RRR")),
+    "all joints a little loose, noise not stated": Scenario(
+        "hidden", loose_joints, stated=False, named="nobody stated the noise"
+    ),
 }
 """Sick scenarios of robots and poses, by name."""

@@ -89,9 +89,19 @@ def still_joint(lab: Lab) -> Measurements:
 
 def little_moved(lab: Lab) -> Measurements:
     """One joint moved through a fiftieth of the range that the others had."""
+    return _little_moved(lab).good()
+
+
+def little_moved_otherwise(lab: Lab) -> Measurements:
+    """The same, by instruments that do not measure positions."""
+    little = _little_moved(lab)
+    return calib.simulate(little.truth, little.joints, seed=little.rng)
+
+
+def _little_moved(lab: Lab) -> Lab:
     j = int(lab.strong_joints()[0])
     q = lab.joints[:, j]
-    return lab.sent(lab.with_joint(j, q[0] + 0.02 * (q - q[0]))).good()
+    return lab.sent(lab.with_joint(j, q[0] + 0.02 * (q - q[0])))
 
 
 def together(lab: Lab) -> Measurements:
@@ -152,6 +162,12 @@ ROBOT: dict[str, Scenario] = {
     "all poses in one corner": Scenario("sick", one_corner),
     "a joint that never moved": Scenario("sick", still_joint),
     "a joint that moved too little": Scenario("sick", little_moved),
+    "a joint that moved too little, distances measured": Scenario(
+        "sick", little_moved_otherwise, robots=("arm",), measured="distances"
+    ),
+    "a joint that moved too little, pixels measured": Scenario(
+        "sick", little_moved_otherwise, robots=("arm",), measured="pixels"
+    ),
     "joints that moved together": Scenario("sick", together),
     "calibrated in a small region, validated far away": Scenario("sick", far_validation),
     "validated with another robot": Scenario("sick", another_on_validation),

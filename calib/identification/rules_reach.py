@@ -7,10 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
+from calib.identification.blocks_left_out import left_out
 from calib.identification.fitted import Fit
 from calib.identification.joint_curves import beyond_learned
 from calib.identification.pose_checks import unmoved_joints
 from calib.identification.reasons import Reason
+from calib.identification.rules_data import UNLIKELY
+from calib.identification.validation import boxes
 from calib.linearisation.jacobian import linearise
 from calib.linearisation.prediction import beside_common_motion, other_combinations
 from calib.model.robot import Configurations, Robot
@@ -26,6 +29,8 @@ LESS_KNOWN = 3.0
 """Uncertainty of positions elsewhere, over that at the poses used, from which the calibration does not reach there."""
 WIDENED = np.sqrt(2.0)
 """Uncertainty of positions with joint terms over that without them, from which most of it is theirs."""
+BLOCKS = 8
+"""Number of boxes of joint space that are left out in turn."""
 _TRIED = 50  # poses at which a joint is moved through its limits in thought
 _EXACT = 1e-9  # of a variance, nothing
 _SAMPLED = 200  # poses at which uncertainties are looked at
@@ -164,6 +169,27 @@ def beyond_curves(fit: Fit) -> Iterator[Reason]:
             f" {'joint' if len(joints) == 1 else 'joints'} {listed(joints)} was learned:"
             f" {listed([fit.validation.data.labels[k] for k in poses])}; there a curve says nothing, and its band is as"
             " wide as before: measure there, too, before you rely on it",
+        )
+
+
+def blocks_disagree(fit: Fit) -> Iterator[Reason]:
+    """Leave out boxes of joint space, and whole setups, in turn, and see whether the parameters stand."""
+    data = fit.identification.data
+    if fit.computed:
+        return
+    cuts = {"boxes of joint space": boxes(data, BLOCKS)}
+    if data.setups is not None and np.ptp(data.setups) > 0:
+        cuts["whole setups"] = [np.flatnonzero(data.setups == one) for one in np.unique(data.setups)]
+    found = {name: left_out(fit.linear, blocks) for name, blocks in cuts.items()}
+    surely = {name: one.ratio for name, one in found.items() if one.chance < UNLIKELY / len(found)}
+    if surely:
+        name, ratio = max(surely.items(), key=lambda entry: entry[1])
+        yield Reason(
+            "CHECK",
+            "blocks_disagree",
+            f"with {name} left out in turn, parameters move {ratio:.2g} times as much as noise explains: the model"
+            " leaves something out that is not the same everywhere; take intervals, and what positions are known to,"
+            f" for at least {ratio:.2g} times as wide, and for wider still in places unlike those measured",
         )
 
 

@@ -8,6 +8,7 @@ leftover survives the next writing. Processes are forked, so that thousands are 
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import signal
@@ -165,4 +166,5 @@ def verdict(found: dict[str, Counter[str]]) -> int:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
     sys.exit(verdict(steps()))

@@ -7,6 +7,7 @@ train.csv, test.csv, camera), mukca (urdf, panda_1, kuka_14). None is part of th
 they come from. Errors are of rows that the fit never saw. All together take about ten minutes.
 """
 
+import argparse
 import csv
 import shutil
 import sys
@@ -274,5 +275,11 @@ def _print_mukca(folder, arm, places, held, masses):
 
 if __name__ == "__main__":
     printers = {name.removeprefix("print_"): one for name, one in globals().items() if name.startswith("print_")}
-    for name in sys.argv[2:] or printers:
-        printers[name](Path(sys.argv[1]) / name)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", metavar="FOLDER", type=Path)
+    parser.add_argument("robots", metavar="ROBOT", nargs="*", help=f"of {', '.join(printers)}; all if none are named")
+    options = parser.parse_args()
+    for name in options.robots or printers:
+        if name not in printers:
+            parser.error(f"no robot {name}; there are {', '.join(printers)}")
+        printers[name](options.folder / name)

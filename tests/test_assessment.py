@@ -16,6 +16,7 @@ from calib.pose_choice.assessment import check
 from calib.pose_choice.pose_count import accuracy_by_count
 from calib.pose_choice.pose_sampling import sample
 from calib.reporting.assessment_text import text_report
+from calib.reporting.selection_text import text_report as told
 from medrue.workspace import target_workspace
 
 Q = target_workspace().q
@@ -48,6 +49,22 @@ def test_observability_on_scaled_and_on_raw_columns(medrue, found):
     # O1 changes by the same factor for every set of poses when units change
     other = check(medrue, as_poses(medrue, Q[1::3]))
     assert found.raw["O1"] / found.scaled["O1"] == pytest.approx(other.raw["O1"] / other.scaled["O1"], rel=1e-9)
+
+
+def test_where_nothing_measures_lengths_observability_is_in_noise(tmp_path):
+    """One turn, read 20 times with a noise of 0.1 mrad per axis: sqrt(20) pi / 180 / 1e-4 per deg."""
+    turned = "instruments: {level: {kind: orientation, target: ball, sigma: 0.1 mrad}}\nparametrisation:\n"
+    one = "  - {origin: j1, components: [rz], sigma: 5 mrad}\n"
+    robot = calib.load(write_six_axis(tmp_path, YAML.replace("parametrisation:\n", turned) + one))
+    found = check(robot, joints(20))
+    expected = np.sqrt(20) * np.pi / 180 / 1e-4
+    assert found.raw["O3"] == pytest.approx(expected)
+    assert found.scaled["O3"] == pytest.approx(np.sqrt(20) * 5e-3 / 1e-4)
+    assert "raw, noise per deg" in text_report(found, "")
+    candidates = as_poses(robot, joints(40))
+    selection = calib.select(robot, candidates, 20, index="O3")
+    assert selection.raw["O3"] == pytest.approx(expected)
+    assert "noise per unit" in told(selection, candidates)
 
 
 def test_uncertainty_is_the_spread_of_the_normal_equations(medrue, found):

@@ -124,6 +124,15 @@ def test_repeats_of_a_measured_pose_count_as_readings(run_calib, tmp_path):
     assert many["accuracy_mm"]["rms"] == pytest.approx(few["accuracy_mm"]["rms"] / math.sqrt(3), rel=1e-6)
 
 
+def test_a_repeat_that_was_not_read_leaves_the_file_measurements(run_calib, tmp_path):
+    names = [str(k // 2) for k in range(60)]
+    cells = [(f"tool_{axis} [mm]", [""] + [0.0] * 59) for axis in "xyz"]
+    data = write_poses(tmp_path / "a.csv", np.repeat(Q[::14], 2, axis=0), cells, names)
+    run = run_calib("check", ROBOT, data, "--json", "-")
+    assert run.code == 0, run.err
+    assert json.loads(run.out)["n_rows"] == 3 * 59
+
+
 def test_a_file_that_waits_for_its_measurements_is_poses_only(run_calib, tmp_path):
     blank = [(f"tool_{axis} [mm]", [""] * 21) for axis in "xyz"]
     run = run_calib("check", ROBOT, write_poses(tmp_path / "poses.csv", Q[::20], blank), "--json", "-")

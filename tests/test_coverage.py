@@ -3,7 +3,7 @@
 `python tests/test_coverage.py` prints the table of docs/uncertainty.md, every loss on both robots.
 """
 
-import sys
+import argparse
 import tempfile
 from dataclasses import dataclass, replace
 from functools import partial
@@ -153,4 +153,6 @@ def main(n):
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 1000)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("n", nargs="?", type=int, default=1000, help="simulated calibrations of each row (%(default)s)")
+    main(parser.parse_args().n)

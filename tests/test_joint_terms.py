@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from six_axis_arm import FREE, YAML, joints, noisy, write_six_axis
 
 import calib
 from calib.identification.candidate_terms import candidates
@@ -281,3 +282,64 @@ def test_the_report_and_the_urdf_say_what_a_urdf_cannot_hold(tmp_path):
     assert "calibrated.urdf alone has" in line
     fit.save(tmp_path / "out", force=True)
     assert b"cannot hold joint terms" in (tmp_path / "out" / "calibrated.urdf").read_bytes()
+
+
+TURNS = np.linspace(-7.0, 9.0, 60)
+
+
+def endless(folder, *terms):
+    """The six-axis arm with a first joint that turns without end, and these terms."""
+    path = write_six_axis(folder, YAML + FREE + "".join(f"  - {term}\n" for term in terms))
+    urdf = (folder / "arm.urdf").read_text()
+    (folder / "arm.urdf").write_text(urdf.replace('name="j1" type="revolute"', 'name="j1" type="continuous"'))
+    return calib.load(path)
+
+
+def turned(first):
+    q = joints(60)
+    q[:, 0] = first
+    return q
+
+
+@pytest.mark.parametrize(
+    ("first", "doubted"),
+    [
+        ((TURNS + np.pi) % (2 * np.pi) - np.pi, True),
+        (np.degrees(TURNS) % 360 // 0.01 * 0.01 * np.pi / 180, True),
+        (TURNS, False),  # turns are counted
+        (TURNS / 8, False),  # nowhere near both ends of a turn
+    ],
+)
+def test_terms_that_count_turns_are_doubted_where_values_may_be_wrapped(first, doubted, tmp_path, run_calib):
+    robot = endless(tmp_path, "{joint: j1, term: gain}", "{joint: j3, term: coupling, driven_by: j1}")
+    q = turned(first)
+    fit = calib.fit(robot, noisy(robot, q, 4e-5, seed=1))
+    words = [reason.text for reason in fit.verdict.reasons if reason.code == "turns_not_counted"]
+    assert ["joint j1, without" in text and "j1.gain, j3.by_j1 cannot be right" in text for text in words] == [
+        True
+    ] * doubted
+    rows = [",".join(robot.joint_names), *(",".join(repr(float(v)) for v in row) for row in q)]
+    (tmp_path / "poses.csv").write_text("\n".join(rows) + "\n")
+    run = run_calib("check", robot.path, tmp_path / "poses.csv")
+    assert run.code == 0
+    assert ("j1.gain, j3.by_j1 cannot be right; give values that count turns" in run.err) == doubted
+
+
+def test_auto_asks_no_joint_that_may_be_wrapped_for_what_counts_turns(tmp_path):
+    robot = endless(tmp_path)
+    found = {}
+    for first in (TURNS, TURNS % (2 * np.pi)):
+        for one in candidates(robot, noisy(robot, turned(first), 4e-5, seed=1)):
+            found.setdefault(one.term, []).append(one)
+    for term in ("gain", "coupling"):
+        counted, wrapped, told = found[term]
+        asked = [
+            {section.driven_by if term == "coupling" else section.joint for section in one.sections}
+            for one in (counted, wrapped)
+        ]
+        assert asked == [{"all"} if term == "gain" else set(robot.joint_names), set(robot.joint_names) - {"j1"}]
+        assert told.refused.startswith("all values of joint j1, without limits in the URDF, lie within one turn")
+        assert f"and a {term} cannot be right" in told.refused
+    assert [one.sections for one in found["curve"]] == [found["curve"][0].sections] * 2  # periodic: no matter
+    only = candidates(robot, noisy(robot, np.column_stack([TURNS % (2 * np.pi), np.zeros((60, 5))]), 4e-5, seed=1))
+    assert "a gain cannot be right" in next(one for one in only if one.term == "gain").refused

@@ -5,7 +5,7 @@ equations in closed form, the law of cosines. `python tests/test_kind_coverage.p
 docs/uncertainty.md.
 """
 
-import sys
+import argparse
 import tempfile
 from dataclasses import dataclass, replace
 from functools import partial
@@ -336,4 +336,6 @@ def told(name, found):
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 500)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("n", nargs="?", type=int, default=500, help="simulated calibrations of each row (%(default)s)")
+    main(parser.parse_args().n)

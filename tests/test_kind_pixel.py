@@ -1,5 +1,6 @@
 """Pixels: derivatives, cameras found from anywhere, a known truth found again, intervals, and input that cannot be."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -280,6 +281,19 @@ def written(folder, header="pose,camera,point,px_u [px],px_v [px]", rows=None):
     )
     (folder / "pixels.csv").write_text("\n".join([header, *(lines if rows is None else rows)]) + "\n")
     return robot, [folder / "joints.csv", folder / "pixels.csv"]
+
+
+def test_check_reads_the_files_that_fit_reads(tmp_path, run_calib):
+    robot, files = written(tmp_path)
+    data = read_measurements(files, robot)
+    run = run_calib("check", robot.path, *files, "--json", tmp_path / "check.json")
+    assert run.code == 0, run.err
+    content = json.loads((tmp_path / "check.json").read_text())
+    assert content["n_rows"] == 2 * sum(len(readings) for readings in data.readings.values())
+    assert content["poses"] == f"{files[0]}, {files[1]}"
+    none = run_calib("check", robot.path, files[0], files[0])
+    assert (none.code, none.out) == (2, "")
+    assert "has no column of any instrument" in none.err
 
 
 def test_two_cameras_share_the_columns_of_a_long_file_and_see_one_body(tmp_path):

@@ -26,6 +26,11 @@ def test_pixels_and_tracker_together_are_no_worse_than_the_tracker_alone(shared_
     assert all(one.sigma < 1.1 for one in fit.noise if one.group.part == "pixel")
     errors = fit.validation.errors("after")
     assert 1e3 * np.sqrt(np.mean(np.sum(errors**2, axis=1))) < 0.0726
+    known = fit.identification_uncertainty  # of the ball; where the body is that cameras see, nobody knows to 10 mm
+    assert fit.robot.target_names == ("body", "ball")
+    assert 1e3 * np.mean(known.distance[:, 0]) > 10
+    assert known.summary()["mean"] == 1e3 * np.mean(known.distance[:, 1]) < 0.05
+    assert "not counted: body (known to" in fit.report()
 
 
 def test_pixels_that_do_not_fit_their_camera_do_not_spoil_what_the_tracker_finds(shared_data):

@@ -58,10 +58,10 @@ def test_what_passed_on_other_poses_goes_on_to_be_used(robot, data):
 
 def test_a_check_leads_to_poses_to_measure_or_to_a_fit(robot, data):
     found = calib.check(robot, data)
-    assert "calib sample" in after_check(found, "a.yaml", data, None)[0]
-    assert "calib fit a.yaml d.csv --validate 0.25" in after_check(found, "a.yaml", data, "d.csv")[0]
+    assert "calib sample" in after_check(found, "a.yaml", data, ())[0]
+    assert "calib fit a.yaml d.csv --validate 0.25" in after_check(found, "a.yaml", data, ("d.csv",))[0]
     poses = calib.as_poses(robot, data.joints)
-    assert "calib select a.yaml d.csv --count 40" in after_check(found, "a.yaml", poses, "d.csv")[0]
+    assert "calib select a.yaml d.csv --count 40" in after_check(found, "a.yaml", poses, ("d.csv",))[0]
 
 
 def test_what_is_offered_can_be_typed_as_it_stands(run_calib, tmp_path, monkeypatch):

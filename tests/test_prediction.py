@@ -3,10 +3,11 @@ import json
 
 import numpy as np
 import pytest
-from six_axis_arm import joints, noisy, six_axis_arm
+from six_axis_arm import FREE, joints, noisy, six_axis_arm, write_six_axis
 
 import calib
-from calib.linearisation.prediction import other_combinations
+from calib.linearisation.candidates import rows_of_poses
+from calib.linearisation.prediction import PositionUncertainty, other_combinations
 from calib.reporting.result_reading import load_calibrated, load_uncertainty
 
 SIGMA = 4e-5
@@ -53,6 +54,52 @@ def test_the_summary_names_mean_rms_largest_and_the_worst_pose(fit):
     assert summary["mean"] == pytest.approx(distance.mean())
     assert summary["rms"] == pytest.approx(np.sqrt(np.mean(distance**2)))
     assert summary["max"] == pytest.approx(distance.max())
+
+
+TWO_TARGETS = """\
+urdf: arm.urdf
+name_mot: [j1, j2, j3, j4, j5, j6]
+base: {frame: l0, pose: POSE}
+targets:
+  body: {frame: l6, position: unknown}
+  ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm]}
+  tip: {frame: l6, xyz: [0, 0, 200 mm]}
+instruments: {OTHER, eye: {kind: pixel, target: body, camera: {frame: l0, PLACE},
+              intrinsics: {fx: 2400, fy: 2410, cx: 1000, cy: 800}, points: {a: [0, 0, 0], b: [0, 50 mm, 0]}}}
+parametrisation:
+"""
+BALL = "ball: {kind: position}"
+KNOWN = "pose: known, xyz: [2, 0, 0]"
+
+
+@pytest.mark.parametrize(
+    ("other", "pose", "place", "left_out"),
+    [
+        (BALL, "known", "", {"body": 0}),
+        (BALL, "unknown", "", {"body": 0}),  # the measurement frame is the tracker's then
+        (BALL, "known", KNOWN, {}),
+        ("level: {kind: orientation, target: ball}", "known", "", {}),  # nobody reads a position: all count
+        (
+            "wire: {kind: distance, target: ball, end: {frame: l0, xyz: [2, 0, 0]}}",
+            "known",
+            "",
+            {"body": 0},
+        ),
+    ],
+)
+def test_targets_read_from_unknown_places_only_do_not_count_beside_others(tmp_path, other, pose, place, left_out):
+    text = TWO_TARGETS.replace("OTHER", other).replace("POSE", pose).replace("PLACE", place).replace(", }", "}")
+    robot = calib.load(write_six_axis(tmp_path, text + FREE))
+    assert robot.left_out == left_out
+    q = joints(5)
+    rows = rows_of_poses(robot, robot.assemble(q), SIGMA).position_rows
+    assert rows.shape[1] == 3 * (3 - len(left_out))  # nobody reads the tip, and it counts all the same
+    covariance = np.zeros((5, 3, 3, 3))
+    covariance[:, 0], covariance[:, 1:] = np.eye(3), 1e-6 * np.eye(3)
+    known = PositionUncertainty(robot.positions(q), covariance, 2.0, left_out=robot.left_out)
+    expected = 1e3 * np.sqrt(3) * (1e-3 if left_out else (1 + 2e-3) / 3)  # mm, by hand
+    assert known.summary()["mean"] == pytest.approx(expected)
+    assert ("body (known to 1.7e+03 mm)" in known.remark()) == bool(left_out)
 
 
 def test_positions_are_better_known_than_single_parameters(fit):

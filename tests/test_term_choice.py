@@ -4,8 +4,8 @@
 further number is the seed.
 """
 
+import argparse
 import re
-import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -455,4 +455,9 @@ def _print_tables(what, n, seed=1):
 
 
 if __name__ == "__main__":
-    _print_tables(sys.argv[1], *map(int, sys.argv[2:]))
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("what", choices=("choice", "coverage"))
+    parser.add_argument("n", type=int, help="simulated calibrations of each row")
+    parser.add_argument("seed", nargs="?", type=int, default=1)
+    options = parser.parse_args()
+    _print_tables(options.what, options.n, options.seed)

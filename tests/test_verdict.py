@@ -82,13 +82,37 @@ def test_not_converged_fails(good, end, words):
     assert failed.verdict.reasons[0].grade == "FAIL"
 
 
-def test_noise_three_times_what_was_stated_fails_without_proof(arm, truth):
+def test_noise_three_times_what_was_stated_is_proven_by_poses_left_out_unasked(arm, truth):
     fit = calib.fit(arm, noisy(truth, joints(80), 4 * SIGMA, 1), sigma=SIGMA)
     found = reason(fit, "noise")
-    assert found.grade == fit.verdict.grade == "FAIL"
+    assert fit.folds is not None
+    assert found.grade == fit.verdict.grade == "CHECK"
     assert "times what was stated (0.1" in found.text
     assert "where 0.04 mm was stated" in found.text
+    assert "do get better beyond chance" in found.text
+
+
+def test_noise_that_only_an_unfit_model_leaves_fails_without_proof(arm):
+    """Noise of two hundredths of the measured space: nobody's robot with the base of a good one leaves that."""
+    fit = calib.fit(arm, noisy(arm, joints(80), 0.02, 1), sigma=SIGMA)
+    found = reason(fit, "noise")
+    assert found.grade == fit.verdict.grade == "FAIL"
     assert "--validate" in found.text
+
+
+@pytest.mark.parametrize("loss", ["none", "huber"])
+@pytest.mark.parametrize("stated", [0.1 * SIGMA, 0.01 * SIGMA])
+def test_priors_are_weighed_by_the_noise_found_where_it_contradicts_what_is_stated(prior_arm, truth, stated, loss):
+    """As where nobody states it, whatever was stated; where they do not contradict it, it counts."""
+    data = noisy(truth, joints(80), SIGMA, 1)
+    contradicted, unstated = (calib.fit(prior_arm, data, sigma=sigma, loss=loss) for sigma in (stated, None))
+    np.testing.assert_allclose(contradicted.sigma, unstated.sigma, rtol=0.03)
+    change = (contradicted.robot.values - unstated.robot.values)[unstated.unknowns.index]
+    far = np.abs(change) / unstated.statistics.std
+    assert far.max() < 0.1
+    assert contradicted.scales.groups * stated == pytest.approx(unstated.scales.groups, rel=0.03)
+    believed = calib.fit(prior_arm, data, sigma=2 * SIGMA, loss=loss)
+    assert believed.scales.groups == 1.0
 
 
 def test_noise_three_times_what_was_stated_is_a_check_where_unused_poses_prove_the_fit(arm, truth):
@@ -276,9 +300,12 @@ def test_a_gain_that_is_far_from_halving_the_error_proves_a_fit_with_more_noise_
     assert "poses that were not used do get better beyond chance" in found.text
 
 
-def test_unused_poses_that_do_not_get_better_prove_nothing(arm):
+def test_more_noise_than_stated_of_a_robot_that_needs_no_correction_is_a_check(arm):
     data, other = noisy(arm, joints(80), 4 * SIGMA, 1), noisy(arm, joints(30, 5), 4 * SIGMA, 2)
-    assert reason(calib.fit(arm, data, sigma=SIGMA, validation=other), "noise").grade == "FAIL"
+    fit = calib.fit(arm, data, sigma=SIGMA, validation=other)
+    assert reason(fit, "noise").grade == fit.verdict.grade == "CHECK"
+    assert "get neither better nor worse" in reason(fit, "noise").text
+    assert reason(fit, "nothing_to_correct").grade == "PASS"
 
 
 def test_outliers_are_listed_with_row_and_what_to_do(arm, truth):

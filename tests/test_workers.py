@@ -17,6 +17,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 import pytest
+from killed_workers import outcome
 
 from calib.errors import ComputationError
 from calib.workers import Workers, in_order
@@ -104,6 +105,11 @@ def dies_half_way(task: tuple[str, int]) -> bytes:
         grave.touch()
         Connection._send = send_half  # type: ignore[attr-defined]
     return bytes([number] * 1000)
+
+
+def test_programs_of_which_a_worker_is_killed_at_any_moment_end_with_all_results() -> None:
+    chance = random.Random(1)
+    assert [outcome("ours", chance, BUSY) for _ in range(3)] == ["complete"] * 3
 
 
 class Unreadable:

@@ -94,6 +94,7 @@ def report_page(
             only_positions=all(part.name == "position" for one in fit.nominal.instruments for part in one.parts),
             reach=position_uncertainty_table(fit),
             reach_of="identification" if fit.validation is None else "validation",
+            uncounted=fit.identification_uncertainty.remark(),
             sources=sources(fit),
             versions=versions(),
             program=PROGRAM,

@@ -67,21 +67,21 @@ def workspace_map(calibrated: Calibrated, nominal: Robot, table: PoseTable, coun
     if measured_too:
         q = np.concatenate([q, robot.sample(measured_too, SEED, within=table.joints)])
     known = calibrated.predict(q)
-    targets = known.positions.shape[1]
-    before = np.full_like(known.positions, np.nan)
+    located = known.positions[:, robot.located]
+    before = np.full_like(located, np.nan)
     closes = nominal.close(q).ok
     if np.any(closes):
-        before[closes] = nominal.positions(q[closes])
-    places = known.positions.reshape(-1, 3)
+        before[closes] = nominal.positions(q[closes])[:, robot.located]
+    places = located.reshape(-1, 3)
     measured = table.measured[np.isfinite(table.measured).all(axis=1)]
     inside, edges = _within_hull(measured, places)
     low, high = (end(table.joints, axis=0) for end in (np.min, np.max)) if len(table) else (np.inf, -np.inf)
     centres, half_axes = _ellipsoids(calibrated, table)
     return WorkspaceMap(
         places,
-        np.linalg.norm(before - known.positions, axis=2).ravel(),
-        known.distance.ravel(),
-        inside & np.repeat(np.all((q >= low) & (q <= high), axis=1), targets),
+        np.linalg.norm(before - located, axis=2).ravel(),
+        known.located.ravel(),
+        inside & np.repeat(np.all((q >= low) & (q <= high), axis=1), located.shape[1]),
         edges,
         centres,
         half_axes,

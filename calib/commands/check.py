@@ -10,7 +10,7 @@ from calib.commands.common import (
     folder_of_values,
     loaded,
     placed,
-    read_pose_file,
+    read_pose_files,
     shared_options,
     sigma_in_metres,
     with_values,
@@ -21,6 +21,7 @@ from calib.data.measurements import Measurements
 from calib.errors import InputError
 from calib.files import check_folder, write_folder
 from calib.identification.blind_spots import unordered
+from calib.identification.joint_conventions import wrapped_terms
 from calib.linearisation.observed import unsaid_touches
 from calib.pictures import figures
 from calib.pose_choice.assessment import check
@@ -30,7 +31,7 @@ from calib.reporting.assessment_text import text_report, to_dict
 
 @click.command("check")
 @click.argument("robot")
-@click.argument("data", required=False)
+@click.argument("data", nargs=-1)
 @click.option("--poses", type=int, default=100, show_default=True, help="Without DATA: how many poses to sample.")
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Without DATA: seed of the sample."
@@ -43,7 +44,7 @@ from calib.reporting.assessment_text import text_report, to_dict
 @shared_options(json_output=True)
 def command(
     robot: str,
-    data: str | None,
+    data: tuple[str, ...],
     poses: int,
     seed: int,
     task: str | None,
@@ -56,14 +57,15 @@ def command(
     """Say which parameters of ROBOT the poses in DATA (CSV) determine, which combinations they cannot, and why.
 
     DATA needs joint values only, so it can be checked before anything is measured; rows with the same pose value
-    count as repeats. Without DATA, poses are spread over the joint limits.
+    count as repeats. Several files are measurements that belong together, as for `calib fit`. Without DATA, poses are
+    spread over the joint limits.
     """
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
     if plots is not None:
         check_folder(plots)
     model = with_values(loaded(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)
-    if data is None:
+    if not data:
         if poses < 1:
             raise InputError(f"--poses {poses}: at least one is needed")
         pose_set, source = (
@@ -75,7 +77,7 @@ def command(
                 "note: sampled poses are all in the first setup, and say nothing of what was moved before others"
             )
     else:
-        pose_set, source = read_pose_file(data, model), data
+        pose_set, source = read_pose_files(data, model), ", ".join(data)
         if parameters is None and result is None:
             model = placed(model, pose_set)
     for one in () if isinstance(pose_set, Measurements) else unsaid_touches(model, pose_set):
@@ -85,6 +87,7 @@ def command(
             f" size); give poses at contact, with a column '{one.text_columns()[0]}'"
         )
     task_poses = None if task is None else read_poses(task, model)
+    output.remarks(wrapped_terms(model, pose_set.joints))
     if isinstance(pose_set, Measurements):
         output.remarks(unordered(pose_set))
     with output.working(f"checking {len(pose_set)} poses"):

@@ -224,20 +224,24 @@ def with_values(robot: Robot, parameters: str | None, result: str | None) -> Rob
     return load_calibrated(result, robot) if result else robot
 
 
-def read_pose_file(path: str, robot: Robot, table: Table | None = None) -> Poses:
-    """Read poses; as `Measurements` where some instrument read in every row: these may repeat a pose.
+def read_pose_files(paths: Sequence[str], robot: Robot, table: Table | None = None) -> Poses:
+    """Read poses; as `Measurements` where some instrument read in every row, or where rows repeat a pose.
 
     Args:
-        path: The file.
+        paths: The file; several are measurements that belong together.
         robot: The robot.
-        table: What is in it, if it has been read.
+        table: What is in the one file, if it has been read.
 
     Raises:
         DataError: The file is not valid, or poses that are not measured have the same name.
     """
-    table = read_table(path, robot.description.columns) if table is None else table
-    if _measured(table, robot):
-        return read_measurements(path, robot)
+    if len(paths) > 1:
+        return read_measurements(paths, robot)
+    table = read_table(paths[0], robot.description.columns) if table is None else table
+    measured = _measured(table, robot)
+    repeated = "pose" in table.names and len(set(table.text("pose"))) < len(table.rows)
+    if np.all(measured) or (repeated and INSTRUMENT not in table.names and np.any(measured)):
+        return read_measurements(paths, robot)
     poses = plan_of_table(table, robot)
     if robot.description.instruments and INSTRUMENT in table.names:  # a row for each instrument, if need be
         check_repeats(poses, robot)
@@ -250,14 +254,14 @@ def read_pose_file(path: str, robot: Robot, table: Table | None = None) -> Poses
     return poses
 
 
-def _measured(table: Table, robot: Robot) -> bool:
-    """Whether every row has all cells of some instrument."""
+def _measured(table: Table, robot: Robot) -> BoolArray:
+    """Which rows have all cells of some instrument, (n_rows,)."""
     measured = np.zeros(len(table.rows), dtype=bool)
     for one in robot.instruments:
         names = [*(column.name for column in one.columns()), *one.text_columns()]
         if names and set(names) <= set(table.names):
             measured |= np.all([[bool(cell) for cell in table.text(name)] for name in names], axis=0)
-    return bool(np.all(measured))
+    return measured
 
 
 def different_poses(poses: Poses) -> Poses:

@@ -57,7 +57,7 @@ def after_fit(fit: Fit, robot: str, data: Sequence[str], out: str) -> list[str]:
         if option is not None:
             return [*lines, f"Next: {again} {option} --out {shlex.quote(f'{out}-2')}"]
         if code in _POSES:
-            return [*lines, f"Next: {typed('calib', 'check', robot, data[0])}    (what these poses do not tell)"]
+            return [*lines, f"Next: {typed('calib', 'check', robot, *data)}    (what these poses do not tell)"]
     if grade != "FAIL" and fit.validation is None and fit.folds is None:
         return [*lines, f"Next: {again} --validate 0.25 --out {shlex.quote(out)}    (how good it is on other poses)"]
     if codes:
@@ -65,22 +65,22 @@ def after_fit(fit: Fit, robot: str, data: Sequence[str], out: str) -> list[str]:
     return [*lines, f"Next: {typed('calib', 'export', out, '--format', 'urdf', '--out', 'calibrated.urdf')}"]
 
 
-def after_check(found: Assessment, robot: str, poses: object, data: str | None) -> list[str]:
+def after_check(found: Assessment, robot: str, poses: object, data: Sequence[str]) -> list[str]:
     """Return the command that follows on what poses determine.
 
     Args:
         found: What they determine.
         robot: ROBOT, as it was typed.
         poses: What was looked at.
-        data: DATA, likewise; None where poses were sampled.
+        data: DATA, likewise; nothing where poses were sampled.
     """
-    if data is None:
+    if not data:
         return [f"Next: {typed('calib', 'sample', robot, '--count', '1000', '--seed', '1', '--out', 'poses.csv')}"]
     if found.determination.missing:
         return [f"Next: hold what is named above (`held` in {robot}), or add poses; then the same command again"]
     if isinstance(poses, Measurements):
-        return [f"Next: {typed('calib', 'fit', robot, data, '--validate', '0.25', '--out', 'out/robot')}"]
-    return [f"Next: {typed('calib', 'select', robot, data, '--count', '40', '--out', 'chosen.csv')}"]
+        return [f"Next: {typed('calib', 'fit', robot, *data, '--validate', '0.25', '--out', 'out/robot')}"]
+    return [f"Next: {typed('calib', 'select', robot, *data, '--count', '40', '--out', 'chosen.csv')}"]
 
 
 def after_select(robot: str, out: str) -> list[str]:

@@ -37,7 +37,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     content: dict[str, object] = {"robot": model.path, "values": source, "n_poses": len(poses), "file": out}
     content["near_singular"] = remarks
     if result:
-        text, summary = _with_uncertainty(model, poses, result, comment)
+        text, summary, remark = _with_uncertainty(model, poses, result, comment)
         content["position_uncertainty"] = summary
         content["beyond_curves"] = beyond = poses_beyond_curves(result, model, poses)
         remarks = remarks + beyond
@@ -49,15 +49,16 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     if result:
         output.say(
             f"Positions are known to {summary['mean']:.4f} mm on average, {summary['max']:.4f} mm at worst"
-            f" (pose {summary['worst_pose']}); from measurement noise alone"
+            f" (pose {summary['worst_pose']}); from measurement noise alone{remark}"
         )
     output.json(content)
 
 
 def _with_uncertainty(
     model: Robot, poses: Poses, result: str, comment: tuple[str, ...]
-) -> tuple[str, dict[str, object]]:
-    """Return the CSV text with standard deviations, and their summary [mm]."""
+) -> tuple[str, dict[str, object], str]:
+    """Return the CSV text with standard deviations, their summary [mm], and what to add to it."""
     uncertainty = load_uncertainty(result, model).at(model, poses.joints, poses.conditions)
     text = format_positions(model, poses, uncertainty.positions, comment, uncertainty.std)
-    return text, {**uncertainty.summary(), "worst_pose": poses.names[uncertainty.worst]}
+    summary = {**uncertainty.summary(), "worst_pose": poses.names[uncertainty.worst]}
+    return text, summary | {"left_out": list(uncertainty.left_out)}, uncertainty.remark()

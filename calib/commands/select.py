@@ -12,7 +12,7 @@ from calib.commands.common import (
     jobs_option,
     loaded,
     placed,
-    read_pose_file,
+    read_pose_files,
     shared_options,
     sigma_in_metres,
     with_values,
@@ -127,8 +127,8 @@ def command(
     model = with_values(loaded(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)
     table = read_table(candidates, model.description.columns)
-    poses = read_pose_file(candidates, model, table)
-    done = None if measured is None else read_pose_file(measured, model)
+    poses = read_pose_files((candidates,), model, table)
+    done = None if measured is None else read_pose_files((measured,), model)
     if parameters is None and result is None:
         model = placed(model, done, poses)
     poses = different_poses(plan_of_table(table, model))

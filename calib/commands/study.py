@@ -12,7 +12,7 @@ from calib.commands.common import (
     Output,
     jobs_option,
     loaded,
-    read_pose_file,
+    read_pose_files,
     shared_options,
     sigma_in_metres,
 )
@@ -68,8 +68,7 @@ def command(
     """
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
     model = loaded(robot, output)
-    one = len(poses) == 1 and not resample
-    measured = read_pose_file(poses[0], model) if one else read_measurements(poses, model)
+    measured = read_measurements(poses, model) if resample else read_pose_files(poses, model)
     with output.working("calibrating") as progress:
         found = study(
             model,

@@ -49,7 +49,7 @@ def _whose_noise(fit: Fit) -> Iterator[str]:
     """What the robot may do beside the model where nobody states the instrument's noise."""
     one = fit.first_noise
     if one.stated is None and one.group.part == "position":
-        predicted = float(np.mean(fit.identification_uncertainty.distance**2))
+        predicted = float(np.mean(fit.identification_uncertainty.located**2))
         single = millimetres(float(np.sqrt(predicted + 3.0 * one.sigma**2)))
         yield (
             "nobody stated the noise, so that play, changing loads and whatever else the robot does by chance count as"

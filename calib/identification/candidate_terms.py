@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.data.measurements import Measurements
 from calib.errors import DescriptionError
+from calib.identification.joint_conventions import may_be_wrapped, uncounted_turns
 from calib.identification.pose_checks import unmoved_joints, unstated
 from calib.joint_terms.coupling import CouplingSection, coupling_name
 from calib.joint_terms.term import JointTerm, TermSection
@@ -99,13 +100,18 @@ class TermChoice:
 
 
 def candidates(robot: Robot, data: Measurements) -> tuple[Candidate, ...]:
-    """Return a candidate for each kind of term, in the order of the registry.
+    """Return a candidate for each kind of term, in the order of the registry, then what some joints cannot be asked.
 
     Args:
         robot: The robot with the terms that it has anyway.
         data: Its measurements.
     """
-    return tuple(_candidate(name, robot, data) for name in TERMS)
+    found = [_candidate(name, robot, data) for name in TERMS]
+    uncounted = uncounted_turns(robot, data.joints)
+    if uncounted:
+        tried = [one.term for one in found if one.sections and TERMS[one.term].counts_turns]
+        found += [Candidate(name, refused=may_be_wrapped(uncounted, [f"a {name}"])) for name in tried]
+    return tuple(found)
 
 
 def missing_terms(robot: Robot, sections: tuple[TermSection, ...]) -> tuple[TermSection, ...]:
@@ -131,7 +137,7 @@ def _candidate(name: str, robot: Robot, data: Measurements) -> Candidate:
         return Candidate(name, refused=f"some rows do not say {kind.depends_on}")
     joints = [joint for joint in robot.joint_names if _shows(name, joint, robot, data)]
     if not joints:
-        return Candidate(name, refused=_nothing_shows(name, robot))
+        return Candidate(name, refused=_nothing_shows(name, robot, data))
     if name == "coupling":
         sections = _couplings(joints, robot)
     else:
@@ -167,6 +173,8 @@ def _shows(name: str, joint: str, robot: Robot, data: Measurements) -> bool:
         return False  # after which length a screw repeats, nobody said
     if name == "backlash":
         return bool(np.ptp(data.approach_directions[:, robot.joint_names.index(joint)]) > 0)
+    if TERMS[name].counts_turns and joint in uncounted_turns(robot, data.joints):
+        return False
     return joint not in unmoved_joints(robot, data.joints)  # of a coupling: what drives moved
 
 
@@ -181,7 +189,10 @@ def _couplings(moving: list[str], robot: Robot) -> tuple[TermSection, ...]:
     )
 
 
-def _nothing_shows(name: str, robot: Robot) -> str:
+def _nothing_shows(name: str, robot: Robot, data: Measurements) -> str:
+    uncounted = uncounted_turns(robot, data.joints)
+    if TERMS[name].counts_turns and uncounted:
+        return may_be_wrapped(uncounted, [f"a {name}"])
     if name == "backlash":
         return "no joint was approached from both sides"
     if name == "harmonics" and all(robot.mechanism.dimensions[joint] == "length" for joint in robot.joint_names):

@@ -12,7 +12,8 @@ are not known, they are placed alone, near where they are expected if a sigma sa
 `before`; (3) all free parameters together, with the noise that nobody states, from several starts if asked for
 (`calib.identification.solving`); (4) with a robust loss, again with weights (`calib.identification.robust`); (5) rank,
 statistics and error tables at the solution; (6) if asked for, outliers are left out and all is done again, and poses
-are left out in turns for cross-validation.
+are left out in turns for cross-validation; also where noise is so far above its statement that nothing else can prove
+the result.
 
 When it fails. Fewer coordinates than unknowns, or columns that the poses cannot tell apart and no prior holds, is a
 `NotIdentifiableError` that names the parameters. A fit that did not converge comes back with the verdict FAIL.
@@ -22,6 +23,7 @@ from __future__ import annotations
 
 import time
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
@@ -29,13 +31,14 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.data.measurements import Measurements
-from calib.errors import ComputationError, InputError, UnreachablePoseError
+from calib.errors import CalibrationError, ComputationError, InputError, UnreachablePoseError
 from calib.identification.candidate_terms import TermChoice, missing_terms
 from calib.identification.errors_found import ErrorSet
 from calib.identification.fitted import Fit
 from calib.identification.pose_checks import check_measurements, likely_mistake, require_identifiable
 from calib.identification.problem import Evaluation, Problem
 from calib.identification.robust import without_outliers
+from calib.identification.rules_model import unproven
 from calib.identification.settings import Settings
 from calib.identification.solving import convergence_at, place, seen_from, solve_from, uncertainty_at
 from calib.identification.term_choice import choose_terms
@@ -47,6 +50,8 @@ from calib.model.robot import Configurations, Robot
 from calib.numerics.observability import observability
 from calib.threads import one_blas_thread
 from calib.workers import Progress, Workers
+
+_PROVING = 5  # folds, where nobody asked for any and only poses left out can prove the result
 
 
 @one_blas_thread
@@ -105,9 +110,13 @@ def _identified(
             robust=lambda: _fit(robot, replace(plain, loss="tukey"), data),
             again=lambda kept: _fit(robot, settings, kept, validation, workers, progress),
         )
+    fold = partial(_fit, robot, plain)
+    leave_out = partial(cross_validate, fit.identification.data, seed=settings.seed, fit=fold, executor=workers)
     if settings.folds:
-        used, fold = fit.identification.data, partial(_fit, robot, plain)
-        fit = replace(fit, folds=cross_validate(used, settings.folds, settings.seed, fold, workers, progress))
+        fit = replace(fit, folds=leave_out(settings.folds, progress=progress))
+    elif unproven(fit):
+        with suppress(CalibrationError):  # too few poses to leave some out: then nothing is proven
+            fit = replace(fit, folds=leave_out(_PROVING))
     return replace(fit, terms=choice)
 
 

@@ -1,10 +1,10 @@
-"""Joint signs and zeros that would make measurements fit: which joints count the other way, or from another zero.
+"""What joint values mean: signs and zeros that would make measurements fit, and whether whole turns are counted.
 
-Several joints may be wrong at once, and one put right among three wrong ones need not help: all patterns of signs are
-tried, and any two changes; from the best few of them zeros and signs are changed one by one, as long as that halves the
-miss. Patterns are compared by a lower bound of the miss that needs no iteration: where the base is unknown, its
-rotation may be any matrix, so that base and target follow from one linear system. `joint_changes` yields the best
-patterns; the caller compares the nominal robot under each.
+Joints may count the other way, or from another zero. Several may be wrong at once, and one put right among three wrong
+ones need not help: all patterns of signs are tried, and any two changes; from the best few of them zeros and signs are
+changed one by one, as long as that halves the miss. Patterns are compared by a lower bound of the miss that needs no
+iteration: where the base is unknown, its rotation may be any matrix, so that base and target follow from one linear
+system. `joint_changes` yields the best patterns; the caller compares the nominal robot under each.
 
 When it fails. Robots with loops, whose poses are expensive to close: there one or two signs or one zero are tried, and
 of more than one sign only where the joints stay within their limits.
@@ -29,6 +29,8 @@ _ROUNDS = 4
 _HALVED = 0.5
 _SAME = 1e-6
 _MIRRORED = 0.1  # size of a negative determinant that no noise explains
+_FILLED = 0.75  # part of a turn beyond which values are so near to both of its ends that they may be wrapped there
+_ROUND = 1e-3  # beyond the ends of a turn, values that were rounded [rad]
 _MARGIN = 0.1  # beyond a joint's limit, of a robot with loops [m or rad]
 
 Pattern = tuple[tuple[int, ...], tuple[int, ...]]
@@ -182,3 +184,41 @@ def _systems(robot: Robot, data: Measurements, patterns: Sequence[Pattern]) -> F
     else:
         explained += T[..., :3, :3] @ np.array(section.xyz)
     return np.concatenate([*parts, explained[..., None]], axis=-1).reshape(len(patterns), 3 * len(data), -1)
+
+
+def uncounted_turns(robot: Robot, joints: FloatArray) -> list[str]:
+    """Return the joints that turn without end whose values (n_poses, n_actuated) fill one turn, and leave none.
+
+    Values that are wrapped look so: how often the joint had turned is then not known.
+    """
+    endless = {joint.name for joint in robot.urdf.joints if joint.type == "continuous"}
+    turn, within = 2.0 * np.pi, np.zeros(joints.shape[1], dtype=bool)
+    for least in (-np.pi, 0.0):
+        within |= (joints.min(axis=0) > least - _ROUND) & (joints.max(axis=0) < least + turn + _ROUND)
+    filled = within & (np.ptp(joints, axis=0) > _FILLED * turn)
+    return [name for name, wrapped in zip(robot.joint_names, filled, strict=True) if wrapped and name in endless]
+
+
+def may_be_wrapped(joints: Sequence[str], wrong: Sequence[str]) -> str:
+    """Return what is wrong, and what to do, where the values of some joints may be wrapped.
+
+    Args:
+        joints: The joints.
+        wrong: What follows them and counts turns.
+    """
+    return (
+        f"all values of {'joint' if len(joints) == 1 else 'joints'} {listed(joints)}, without limits in the URDF, lie"
+        f" within one turn: if they were wrapped, whole turns are not known, and {listed(wrong)} cannot be right; give"
+        " values that count turns, or limits if the joint turns no further, or take harmonics or a curve, which repeat"
+        " with the turn"
+    )
+
+
+def wrapped_terms(robot: Robot, joints: FloatArray) -> tuple[str, ...]:
+    """Say what is wrong with joint terms that count turns of joints whose values (n_poses, n_actuated) may not."""
+    uncounted = uncounted_turns(robot, joints)
+    followed = [
+        (term.followed(robot.joint_names), term.parameters[0].name) for term in robot.terms if term.counts_turns
+    ]
+    wrong = {name: joint for joint, name in followed if joint in uncounted}
+    return (may_be_wrapped(list(dict.fromkeys(wrong.values())), list(wrong)),) if wrong else ()

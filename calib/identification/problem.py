@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.arrays import BoolArray, FloatArray
 from calib.data.measurements import Measurements
 from calib.errors import ComputationError
 from calib.linearisation.observed import Observed, observe
@@ -62,6 +62,9 @@ class Evaluation:
 class Problem:
     """Rows of a fit as functions of the parameters; remembers the last solution of the loops to start the next from.
 
+    Attributes:
+        found: Of which groups the noise is found from the residuals, (n_groups,): at first where nobody states it.
+
     Args:
         robot: Nominal robot.
         data: Measurements.
@@ -81,6 +84,17 @@ class Problem:
         self._seed = robot.assemble(data.joints, near, data.labels, data.conditions).passive
         self._recent: dict[bytes, Evaluation | None] = {}
         self.weigh(np.zeros(self.whitening.n_offsets))
+        self.found = self.unstated
+
+    @property
+    def unstated(self) -> BoolArray:
+        """Of which groups nobody states the noise, (n_groups,)."""
+        return np.array([not group.stated for group in self.whitening.groups])
+
+    @property
+    def noise_weighs(self) -> bool:
+        """Whether the scales of the groups change the solution: against priors, or against each other."""
+        return bool(np.any(self.unknowns.has_prior)) or len(self.whitening.groups) > 1
 
     def weigh(self, ratios: FloatArray) -> None:
         """Weigh all that comes by these ratios of offsets to the scales of their groups, (n_offsets,)."""
@@ -99,6 +113,7 @@ class Problem:
         again.whitening = Whitening(self.robot, data, self._sigma)
         again._seed = near.configurations.passive
         again.weigh(np.zeros(again.whitening.n_offsets))
+        again.found = again.unstated
         return again
 
     def apart(self) -> Problem:
@@ -153,7 +168,6 @@ class Problem:
     def _model(self, rows: Rows) -> LinearModel:
         """What rows whitened by what is stated say of the noise."""
         layout = self.whitening.layout
-        unstated = np.array([not group.stated for group in layout.groups])
         unknowns = self.unknowns
         return LinearModel(
             rows.residuals,
@@ -161,13 +175,13 @@ class Problem:
             rows.has_prior,
             rows.deviations,
             layout.group,
-            unstated,
+            self.found,
             unknowns.family,
             len(unknowns.families),
         )
 
     def found_scales(self, evaluation: Evaluation, groups: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Find scales that nobody stated, and factors on the sigmas of families, from the residuals.
+        """Find the scales of the groups `found`, and factors on the sigmas of families, from the residuals.
 
         Args:
             evaluation: An evaluation near the minimum.

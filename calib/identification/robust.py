@@ -6,7 +6,8 @@ nothing, until the weights stand; then the parameters go where the linear model 
 there too. Last, the true problem is solved with these weights.
 
 Noise that nobody stated is that of the median reading: least squares finds the scales of the groups of rows, and each
-is brought to where the median length of its readings says.
+is brought to where the median length of its readings says. So is noise that is stated, where the median reading
+contradicts it (`calib.identification.solving` says why); of a few gross errors the median knows nothing.
 
 Cauchy and Tukey have several minima. They start from Huber's solution, which on a linear model has one, and keep its
 scale (the MM principle), so that the alternation cannot run away with a shrinking scale.
@@ -26,10 +27,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from calib.arrays import FloatArray
+from calib.arrays import BoolArray, FloatArray
 from calib.data.measurements import Measurements
 from calib.errors import ComputationError, NotIdentifiableError
-from calib.identification.fitted import Fit
+from calib.identification.fitted import NOISE_RATIO, Fit
 from calib.identification.judged import Outlier
 from calib.identification.problem import Evaluation, Problem
 from calib.linearisation.rows import Rows
@@ -85,7 +86,8 @@ def solve_robust(problem: Problem, start: Robot, loss: Loss, groups: FloatArray)
         NotIdentifiableError: What the loss leaves of the data does not determine the parameters.
     """
     layout = problem.whitening.layout
-    found_everywhere = not any(group.stated for group in layout.groups)
+    groups = _believed(problem, problem.rows(problem.evaluate(start), groups), groups)
+    found_everywhere = bool(np.all(problem.found))
     robot, scale = start, float("nan")
     stages: tuple[Loss, ...] = ("huber",) if loss == "huber" else ("huber", loss)
     for stage in stages:
@@ -95,7 +97,7 @@ def solve_robust(problem: Problem, start: Robot, loss: Loss, groups: FloatArray)
         for _ in range(_ROUNDS):
             rows = problem.rows(problem.evaluate(robot), groups)
             if stage == "huber":
-                groups = _median_scales(rows, groups)
+                groups = _median_scales(rows, groups, problem.found)
                 rows = problem.rows(problem.evaluate(robot), groups)
             now, scale, step = _linear_solution(rows, stage, fixed, found_everywhere)
             settled = bool(np.max(np.abs(now - weights)) < _WEIGHTS_STAND)
@@ -119,21 +121,36 @@ def solve_robust(problem: Problem, start: Robot, loss: Loss, groups: FloatArray)
     return RobustFit(robot, solution, weights, factors, groups, settled)
 
 
-def _median_scales(rows: Rows, groups: FloatArray) -> FloatArray:
-    """Bring the scale of each unstated group, beside the first, to where the median length of its readings says."""
+def _believed(problem: Problem, rows: Rows, groups: FloatArray) -> FloatArray:
+    """Return scales (n_groups,): the stated ones 1, or as found where the median reading contradicts them."""
+    unstated = problem.found = problem.unstated
+    if not problem.noise_weighs or np.all(unstated):
+        return groups
+    step = _linear_solution(rows, "huber", None, True)[2]
+    found = groups * _levels(replace(rows, residuals=rows.residuals + rows.jacobian @ step))
+    problem.found = unstated | (found > NOISE_RATIO)
+    return np.where(unstated, groups, np.where(problem.found, found, 1.0))
+
+
+def _levels(rows: Rows) -> FloatArray:
+    """Scale of each group, over what it is assumed to be, by the median length of its readings, (n_groups,)."""
     layout = rows.layout
     levels = np.ones(len(layout.groups))
-    for g, group in enumerate(layout.groups):
+    for g in range(len(levels)):
         mine = layout.group == g
         width = np.bincount(layout.reading[mine], minlength=layout.n_readings)
         length = np.sqrt(np.bincount(layout.reading[mine], rows.residuals[mine] ** 2, layout.n_readings))
         has_rows = width > 0
-        if not group.stated and np.any(has_rows):
+        if np.any(has_rows):
             levels[g] = float(np.median(length[has_rows] / median_length(width[has_rows])))
-    unstated = [g for g, group in enumerate(layout.groups) if not group.stated]
-    if len(unstated) < 2 and not (unstated and len(layout.groups) > 1):
+    return levels
+
+
+def _median_scales(rows: Rows, groups: FloatArray, found: BoolArray) -> FloatArray:
+    """Bring the scale of each group whose noise is found, beside the first, to where its median reading says."""
+    if len(groups) == 1 or not np.any(found):
         return groups
-    result: FloatArray = groups * np.maximum(levels, EXACT)
+    result: FloatArray = groups * np.where(found, np.maximum(_levels(rows), EXACT), 1.0)
     return result
 
 

@@ -12,7 +12,7 @@ from calib.arrays import FloatArray
 from calib.errors import DataError
 from calib.identification.comparison import CHANCE, comparisons
 from calib.identification.errors_found import ErrorSet
-from calib.identification.fitted import Fit, FoundNoise
+from calib.identification.fitted import NOISE_RATIO, Fit, FoundNoise
 from calib.identification.reasons import Reason
 from calib.identification.rules_data import UNLIKELY
 from calib.identification.systematic import describe
@@ -24,8 +24,6 @@ from calib.numerics.variance_components import EXACT
 from calib.units import ERROR_UNIT, PER_SI, error_scale, millimetres
 from calib.words import counted, listed
 
-NOISE_RATIO = 3.0
-"""Found over stated noise from which the statement, or the model, is wrong."""
 GROSS = 2.0
 """Noise of every instrument, over the largest that it has, from which the result rests on what the model leaves out."""
 ELSEWHERE = 0.2
@@ -38,6 +36,8 @@ EXPLAINED = 0.3
 """Errors on validation poses that a rigid motion of the frame leaves, over all of them, if it explains them."""
 LARGE_NOISE = 0.1
 """Noise, over the spread of the measured positions, that means that nothing fits."""
+LEFT_OUT = 0.01
+"""The same, up to which it may be what a model leaves out of a robot that needs no correction."""
 OTHER_MINIMUM = 10.0
 """Difference of the cost within which another minimum explains the data as well."""
 
@@ -113,6 +113,23 @@ def _proven_by_another(fit: Fit) -> bool:
     return another and any(comparison.better for comparison in comparisons(fit))
 
 
+def unproven(fit: Fit) -> bool:
+    """Whether noise is so far above its statement that only poses that were not used tell whether the fit can be used.
+
+    Args:
+        fit: A fit that was judged with no such poses, or with some that prove nothing.
+    """
+    beyond = not fit.computed and any(_beyond_statement(one) for one in fit.noise)
+    return beyond and not any(comparison.better or comparison.worse for comparison in comparisons(fit))
+
+
+def _beyond_statement(one: FoundNoise) -> bool:
+    if one.stated is None or one.freedom <= 0:
+        return False
+    ratio = one.sigma / one.stated
+    return ratio > NOISE_RATIO and chi_square(ratio, one.freedom).p_larger < UNLIKELY
+
+
 def _against_statement(fit: Fit, one: FoundNoise) -> Iterator[Reason]:
     stated = one.stated or 1.0
     ratio = one.sigma / stated
@@ -120,17 +137,21 @@ def _against_statement(fit: Fit, one: FoundNoise) -> Iterator[Reason]:
     p_larger, p_smaller = chi.p_larger, chi.p_smaller
     numbers = f"{_in_words(one, one.sigma)} per axis where {_in_words(one, stated)} was stated"
     of = _of(fit, one)
-    if ratio > NOISE_RATIO and p_larger < UNLIKELY:
-        proven = any(comparison.better for comparison in comparisons(fit))
+    if _beyond_statement(one):
+        compared = list(comparisons(fit))
+        better = any(comparison.better for comparison in compared)
+        no_worse = bool(compared) and not any(comparison.worse for comparison in compared)
+        usable = better or (no_worse and one.sigma < LEFT_OUT * _spread(fit) < np.inf)
+        told = "do get better beyond chance" if better else "get neither better nor worse"
         yield Reason(
-            "CHECK" if proven else "FAIL",
+            "CHECK" if usable else "FAIL",
             "noise",
             f"noise found{of} is {ratio:.1f} times what was stated ({numbers}): the model does not explain the"
             " measurements;"
             + (
-                " poses that were not used do get better beyond chance, so what is left is what the model leaves out,"
-                " and intervals do not count it: state the noise of robot and sensor together (--sigma-mm)"
-                if proven
+                f" poses that were not used {told}, so what is left is what the model leaves out, or outliers, and"
+                " intervals do not count it: state the noise of robot and sensor together (--sigma-mm)"
+                if usable
                 else " look at outliers and units, state the noise of robot and sensor together (--sigma-mm), or prove"
                 " the result on other poses (--validate, --folds)"
             ),

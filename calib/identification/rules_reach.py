@@ -9,6 +9,7 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray
 from calib.identification.blocks_left_out import left_out
 from calib.identification.fitted import Fit
+from calib.identification.joint_conventions import wrapped_terms
 from calib.identification.joint_curves import beyond_learned
 from calib.identification.pose_checks import unmoved_joints
 from calib.identification.reasons import Reason
@@ -80,8 +81,8 @@ def far_validation(fit: Fit) -> Iterator[Reason]:
     """See whether the poses that were not used lie where the poses used tell little."""
     if fit.validation is None or fit.validation_uncertainty is None or fit.computed:
         return
-    here = _rms(fit.identification_uncertainty.distance)
-    there = float(np.median(fit.validation_uncertainty.distance))
+    here = _rms(fit.identification_uncertainty.located)
+    there = float(np.median(fit.validation_uncertainty.located))
     if there > _well_known(fit, here):
         yield Reason(
             "CHECK",
@@ -137,6 +138,12 @@ def beyond_joint_limits(fit: Fit) -> Iterator[Reason]:
         )
 
 
+def turns_not_counted(fit: Fit) -> Iterator[Reason]:
+    """Look for joint terms that count turns of a joint whose values may be wrapped."""
+    for words in wrapped_terms(fit.nominal, fit.identification.data.joints):
+        yield Reason("CHECK", "turns_not_counted", words)
+
+
 def _limits(robot: Robot) -> tuple[FloatArray, FloatArray]:
     """Lower and upper limits of the actuated joints, (n_actuated,) each [m or rad]; infinite where there are none."""
     limits = {joint.name: (joint.lower, joint.upper) for joint in robot.urdf.joints}
@@ -156,8 +163,8 @@ def beyond_curves(fit: Fit) -> Iterator[Reason]:
     if fit.validation is None or fit.validation_uncertainty is None or fit.computed:
         return
     outside = beyond_learned(fit.robot, fit.identification.data.joints, fit.validation.data.joints)
-    here = _rms(fit.identification_uncertainty.distance)
-    there = np.max(fit.validation_uncertainty.distance, axis=1)
+    here = _rms(fit.identification_uncertainty.located)
+    there = np.max(fit.validation_uncertainty.located, axis=1)
     outside[there <= _well_known(fit, here)] = False
     poses = np.flatnonzero(np.any(outside, axis=1))
     if len(poses):
@@ -244,8 +251,8 @@ def _widened(fit: Fit, q: FloatArray) -> str:
 
 def _relative(fit: Fit, configurations: Configurations, covariance: FloatArray) -> float:
     """Root mean square uncertainty of positions beside what moves all of them as one body [m]."""
-    flat = beside_common_motion(linearise(fit.robot, configurations))[..., fit.unknowns.index]
-    flat = flat.reshape(-1, flat.shape[-1])
+    linear = linearise(fit.robot, configurations)
+    flat = beside_common_motion(linear, fit.robot.located)[:, fit.unknowns.index]
     return float(np.sqrt(3.0 * np.mean(np.sum((flat @ covariance) * flat, axis=1))))
 
 

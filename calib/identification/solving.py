@@ -3,18 +3,26 @@
 Where nobody states the noise of an instrument, it is found from the residuals, and so is an error that the rows of a
 pose share (`calib.numerics.variance_components`): the solve is repeated until noise changes by less than one percent,
 and offsets by less than one in twenty. With a robust loss no shared errors are looked for: a gross error is one, too.
+
+Where priors are to be weighed against noise that is stated, what counts is all that the model leaves out: of a robot
+with gear errors, the noise of a good tracker is the least part. By a statement that residuals contradict, they would
+pull parameters hundreds of sigmas away from where they are expected, and slowly, along bent valleys. So the noise of
+such a group is found as well. The linear model around the start tells; where what it leaves is its curvature, and no
+more than the statement allows is left in the end, the statement holds again. (The statement itself is judged by
+`calib.identification.rules_model`.)
 """
 
 from __future__ import annotations
 
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from calib.arrays import FloatArray
 from calib.errors import NotConvergedError
-from calib.identification.fitted import Convergence
+from calib.identification.fitted import NOISE_RATIO, Convergence
 from calib.identification.problem import Evaluation, Problem
 from calib.identification.robust import solve_robust
 from calib.identification.settings import Settings
@@ -156,23 +164,20 @@ def solve_from(
     Raises:
         NotConvergedError: The noise cannot be found.
     """
-    exact = TOLERANCE if settings.loss == "none" else _LOOSE  # a robust loss goes on from there
-    plain = settings.loss == "none"
-    solved = _solve_with_offsets(problem, placed) if plain else _solve_with_noise(problem, placed, exact)
+    to_go_on = partial(_solve_with_noise, exact=_LOOSE)  # from where a robust loss begins
+    solve = _solve_with_offsets if settings.loss == "none" else to_go_on
+    solved = solve(problem, placed)
     if settings.starts > 1:
         first = (solved.robot, solved.solution)
         tried = explore(problem, placed, first, solved.groups, settings.starts, settings.seed, workers, progress)
         best = tried.minima[0]
         if best.solution is not solved.solution:  # the noise that was found belongs to the minimum left behind
-            robot = best.robot
-            solved = _solve_with_offsets(problem, robot) if plain else _solve_with_noise(problem, robot, exact)
+            solved = solve(problem, best.robot)
         solved = replace(solved, starts=tried)
     if settings.loss == "none":
         return solved
-    robust = solve_robust(problem, solved.robot, settings.loss, solved.groups)
-    return Solved(
-        robust.robot, robust.groups, robust.solution, robust.weights, robust.factors, robust.settled, solved.starts
-    )
+    end = solve_robust(problem, solved.robot, settings.loss, solved.groups)
+    return Solved(end.robot, end.groups, end.solution, end.weights, end.factors, end.settled, solved.starts)
 
 
 def _solve_with_offsets(problem: Problem, start: Robot) -> Solved:
@@ -191,20 +196,25 @@ def _solve_with_offsets(problem: Problem, start: Robot) -> Solved:
 
 
 def _solve_with_noise(problem: Problem, start: Robot, exact: float) -> Solved:
-    """Solve with the stated noise; find what is not stated of it."""
-    groups = problem.whitening.start(problem.evaluate(start).residuals)
-    unstated = np.array([not group.stated for group in problem.whitening.groups])
-    matters = np.any(problem.unknowns.has_prior) or len(unstated) > 1
-    if (
-        not (np.any(unstated) and matters) and not problem.unknowns.families
-    ):  # without priors and with one instrument, the noise weighs nothing
-        robot, solution = problem.solve(start, groups, tolerance=exact)
-        return Solved(robot, groups, solution)
+    """Solve with the stated noise; find what is not stated of it, and what residuals contradict."""
+    evaluation = problem.evaluate(start)
+    groups = problem.whitening.start(evaluation.residuals)
+    unstated = problem.found = problem.unstated
+    if problem.noise_weighs and not np.all(unstated):
+        groups = _contradicted(problem, evaluation, groups)
     robot, tolerance = start, _LOOSE
     for _ in range(_NOISE_ROUNDS):
-        robot, solution = problem.solve(robot, groups, tolerance=tolerance)
+        finds = (np.any(problem.found) and problem.noise_weighs) or problem.unknowns.families
+        robot, solution = problem.solve(robot, groups, tolerance=tolerance if finds else exact)
+        if not finds:
+            return Solved(robot, groups, solution)
         scales, sizes = problem.found_scales(problem.evaluate(robot), groups)
-        counts = unstated & (scales > EXACT)
+        stands = problem.found & ~unstated & (scales <= NOISE_RATIO)
+        if np.any(stands):
+            problem.found = problem.found & ~stands
+            groups = np.where(stands, 1.0, scales)
+            continue
+        counts = problem.found & (scales > EXACT)
         change = float(np.max(np.abs(scales / groups - 1.0)[counts], initial=0.0))
         change = max(change, float(np.max(np.abs(sizes - 1.0), initial=0.0)) / _FAMILIES_STAND)
         if change <= _NOISE_STANDS and tolerance == exact:
@@ -215,6 +225,15 @@ def _solve_with_noise(problem: Problem, start: Robot, exact: float) -> Solved:
             groups = scales
             problem.unknowns = problem.unknowns.rescaled(sizes)
     raise NotConvergedError(_NO_NOISE)
+
+
+def _contradicted(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
+    """Have the noise found of groups whose statement the linear model contradicts; return scales to start from."""
+    unstated = problem.found
+    problem.found = np.ones(len(groups), dtype=bool)
+    scales, _ = problem.found_scales(evaluation, groups)
+    problem.found = unstated | (scales > NOISE_RATIO)
+    return np.where(problem.found & ~unstated, scales, groups)
 
 
 def uncertainty_at(

@@ -34,6 +34,7 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_reach.far_validation,
     rules_reach.beyond_joint_limits,
     rules_reach.terms_untested,
+    rules_reach.turns_not_counted,
     rules_data.too_few_poses,
     rules_parameters.loose,
     rules_model.nothing_to_correct,

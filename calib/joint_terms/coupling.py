@@ -38,6 +38,7 @@ class Coupling(JointTerm):
     section = CouplingSection
     cause = "coupling"
     depends_on = "another joint"
+    counts_turns = True
     joint: str
     parameters: tuple[Parameter, ...]
     other: int
@@ -57,6 +58,10 @@ class Coupling(JointTerm):
         size = EXPECTED[joint.dimension] if sigma is None else sigma
         name = coupling_name(joint.name, other)
         return cls(joint.name, (coefficient(name, joint.dimension, size),), joint.actuated.index(other))
+
+    def followed(self, actuated: tuple[str, ...]) -> str:
+        """Return the joint that drives."""
+        return actuated[self.other]
 
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
         """Return the other joint's command, (n, 1)."""

@@ -12,6 +12,7 @@ class Gain(OneCoefficient):
     """dq = c q, with q in radians or metres."""
 
     word = "gain"
+    counts_turns = True
     expected_angle, expected_length = 1e-3, 1e-3  # a thousandth of the motion
 
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:

@@ -124,6 +124,7 @@ class JointTerm(ABC):
         tilts: Whether it tilts the link behind its joint, in place of moving the joint (class attribute).
         cause: Under which name an error budget counts it (class attribute).
         depends_on: What it depends on beside the joint's own command; empty: nothing (class attribute).
+        counts_turns: Whether a whole turn of the joint that it follows changes its columns (class attribute).
     """
 
     section: ClassVar[type[TermSection]] = TermSection
@@ -131,6 +132,7 @@ class JointTerm(ABC):
     tilts: ClassVar[bool] = False
     cause: ClassVar[str] = "gain and harmonics"
     depends_on: ClassVar[str] = ""
+    counts_turns: ClassVar[bool] = False
     joint: str
     parameters: tuple[Parameter, ...]
 
@@ -147,6 +149,10 @@ class JointTerm(ABC):
         Raises:
             ValueError: The entry does not fit the joint.
         """
+
+    def followed(self, actuated: tuple[str, ...]) -> str:
+        """Return the joint whose command it follows, of the actuated ones."""
+        return self.joint
 
     @abstractmethod
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:

@@ -44,7 +44,8 @@ class PoseRows:
         read: Which rows are read, (n, n_rows_per_pose).
         blocks: Rows of each instrument, by name.
         positions: Targets at the robot's present values, (n, n_targets, 3) [m].
-        position_rows: Derivative of these by the scaled parameters, (n, 3 n_targets, n_parameters) [m].
+        position_rows: Derivative by the scaled parameters of those whose accuracy counts (`Robot.located`), (n,
+            3 n_located, n_parameters) [m].
     """
 
     rows: FloatArray
@@ -122,7 +123,7 @@ def rows_of_poses(
     data = measurements(poses, readings)
     observed = observe(robot, configurations, readings)
     positions, by_parameter = _positions(robot, configurations, data, observed)
-    position_rows = (by_parameter[..., chosen.index] * chosen.scales).reshape(n, -1, len(chosen))
+    position_rows = (by_parameter[:, robot.located][..., chosen.index] * chosen.scales).reshape(n, -1, len(chosen))
     width = max((place.stop for place in places.values()), default=0)
     rows, read = np.zeros((n, width, len(chosen))), np.zeros((n, width), dtype=bool)
     if data.n_readings == 0:
@@ -241,7 +242,7 @@ def build_candidates(
 
 
 def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return whitened rows of poses that are measured, positions of the targets there, and their rows.
+    """Return whitened rows of poses that are measured, positions of the targets there, and rows of those that count.
 
     Of measurements: of what was really read. Of poses alone: of all that the instruments can read.
 
@@ -251,7 +252,7 @@ def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> tuple[F
         sigma: Noise of positions per axis in place of what is stated [m], or None.
 
     Returns:
-        (n_rows, n_parameters); (n, n_targets, 3) [m]; (n, 3 n_targets, n_parameters) [m].
+        (n_rows, n_parameters); (n, n_targets, 3) [m]; (n, 3 n_located, n_parameters) [m].
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
@@ -265,7 +266,8 @@ def rows_of_measured(robot: Robot, poses: Poses, sigma: float | None) -> tuple[F
     observed = observe(robot, configurations, poses.readings)
     whitened = whitening.rows(observed, whitening.start(), unknowns, unknowns.deviations(robot.values))
     linear = linearise(robot, configurations)
-    position_rows = (linear.jacobian[..., unknowns.index] * unknowns.scales).reshape(len(poses), -1, len(unknowns))
+    located = linear.jacobian[:, robot.located]
+    position_rows = (located[..., unknowns.index] * unknowns.scales).reshape(len(poses), -1, len(unknowns))
     return whitened.jacobian, linear.positions, position_rows
 
 

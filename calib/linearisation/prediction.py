@@ -13,7 +13,8 @@ Reference: jcgm100 (GUM), section 5.2.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy
@@ -23,6 +24,7 @@ from calib.joint_terms.term import Context
 from calib.linearisation.jacobian import Linearisation, linearise
 from calib.model.robot import Robot
 from calib.units import millimetres
+from calib.words import listed
 
 _CHUNK = 4096
 
@@ -36,12 +38,14 @@ class PositionUncertainty(ReadOnlyArrays):
         covariance: (n_poses, n_targets, 3, 3) [m^2].
         coverage_factor: How many standard deviations make half a 95 % interval of one coordinate.
         turn_covariance: Of small turns of the targets, (n_poses, n_targets, 3, 3) [rad^2]; None where not computed.
+        left_out: Targets that summaries leave out (`Robot.left_out`), and their places among the targets.
     """
 
     positions: FloatArray
     covariance: FloatArray
     coverage_factor: float
     turn_covariance: FloatArray | None = None
+    left_out: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def std(self) -> FloatArray:
@@ -60,13 +64,24 @@ class PositionUncertainty(ReadOnlyArrays):
         return length95(self.covariance, self.coverage_factor)
 
     @property
+    def located(self) -> FloatArray:
+        """`distance` without targets that are left out, (n_poses, n) [m]."""
+        return np.delete(self.distance, list(self.left_out.values()), axis=1)
+
+    @property
     def worst(self) -> int:
-        """The pose at which `distance` is largest."""
-        return int(np.argmax(np.max(self.distance, axis=1)))
+        """The pose at which `located` is largest."""
+        return int(np.argmax(np.max(self.located, axis=1)))
+
+    def remark(self) -> str:
+        """Return what to add to a summary, of targets that it leaves out; empty if none."""
+        mean = np.mean(millimetres(self.distance), axis=0)
+        said = [f"{name} (known to {mean[k]:.2g} mm)" for name, k in self.left_out.items()]
+        return f"; not counted: {listed(said)}, read from unknown places only" if said else ""
 
     def summary(self) -> dict[str, float]:
-        """Return mean, root mean square and largest `distance` over the poses [mm]."""
-        distance = millimetres(self.distance)
+        """Return mean, root mean square and largest `located` over the poses [mm]."""
+        distance = millimetres(self.located)
         return {
             "mean": float(np.mean(distance)),
             "rms": float(np.sqrt(np.mean(distance**2))),
@@ -121,17 +136,21 @@ def other_combinations(q: FloatArray, most: int) -> FloatArray:
     return np.asarray(mixed[np.unique(np.linspace(0, n - 1, most).astype(np.intp))])
 
 
-def beside_common_motion(linear: Linearisation) -> FloatArray:
-    """Return derivatives of positions beside what moves all of them as one body, (n, n_targets, 3, n_parameters).
+def beside_common_motion(linear: Linearisation, targets: list[int]) -> FloatArray:
+    """Return derivatives of positions beside what moves all of them as one body, (n_coordinates, n_parameters).
 
     Where base and tool are placed anew, nothing else is seen of an error of the parameters.
+
+    Args:
+        linear: At n poses.
+        targets: Places of those that count.
     """
-    points = linear.positions.reshape(-1, 3)
+    points = linear.positions[:, targets].reshape(-1, 3)
     turns = np.cross(np.eye(3), (points - points.mean(axis=0))[:, None]).swapaxes(1, 2)
     common = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2).reshape(-1, 6)
     basis = scipy.linalg.orth(common)
-    flat = linear.jacobian.reshape(len(common), -1)
-    return np.asarray(flat - basis @ (basis.T @ flat)).reshape(linear.jacobian.shape)
+    flat = linear.jacobian[:, targets].reshape(len(common), -1)
+    return np.asarray(flat - basis @ (basis.T @ flat))
 
 
 def rms_length(covariance: FloatArray) -> FloatArray:
@@ -203,5 +222,5 @@ def position_uncertainty(
         spread.append(carried(jacobian[:, :, :3], covariance))
         turned.append(carried(jacobian[:, :, 3:], covariance))
     return PositionUncertainty(
-        np.concatenate(positions), np.concatenate(spread), coverage_factor, np.concatenate(turned)
+        np.concatenate(positions), np.concatenate(spread), coverage_factor, np.concatenate(turned), robot.left_out
     )

@@ -120,6 +120,27 @@ class Robot(ReadOnlyArrays):
         return tuple(target.name for target in self.mechanism.targets)
 
     @cached_property
+    def left_out(self) -> dict[str, int]:
+        """Targets of which is not told how well their positions are known, and their places among the targets.
+
+        Where a target is that is only read from unknown places, as by a camera that stands somewhere, readings may
+        hardly tell. It is left out beside targets that are read in the measurement frame, or from known places.
+        """
+        read: dict[bool, set[str]] = {True: set(), False: set()}
+        for one in self.instruments:
+            unknown = {place.name for place in one.places() if place.unknown}
+            if any(part.dimension != "angle" for part in one.parts):
+                for place, target in one.pairs(""):
+                    read[place in unknown].add(target)
+        unsure = read[True] - read[False] if read[False] else set()
+        return {name: k for k, name in enumerate(self.target_names) if name in unsure}
+
+    @property
+    def located(self) -> list[int]:
+        """Places of the targets that are not left out."""
+        return [k for k, name in enumerate(self.target_names) if name not in self.left_out]
+
+    @cached_property
     def parameters(self) -> Parameters:
         """Parameters, in the order of `values`, and by name."""
         of_instruments = tuple(p for one in self.instruments for p in one.unknowns)

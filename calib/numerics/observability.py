@@ -73,20 +73,21 @@ def observability(singular_values: FloatArray, n_poses: int) -> dict[str, float]
     }
 
 
-def raw_columns(jacobian: FloatArray, parameters: Iterable[Parameter]) -> FloatArray:
+def raw_columns(jacobian: FloatArray, parameters: Iterable[Parameter], *, lengths: bool = True) -> FloatArray:
     """Return the Jacobian in the units of tables, as the paper has it: mm per unit of each parameter (mm or deg).
 
     Args:
         jacobian: d(positions)/d(parameters), (..., n_parameters) [m per m or rad].
         parameters: The parameters of its columns.
+        lengths: Whether its rows are lengths; else they are over their noise, and stay so.
     """
     per_unit = np.array([1.0 / PER_SI[parameter.dimension][parameter.unit] for parameter in parameters])
-    result: FloatArray = PER_SI["length"]["mm"] * jacobian * per_unit
+    result: FloatArray = (PER_SI["length"]["mm"] if lengths else 1.0) * jacobian * per_unit
     return result
 
 
 def observability_of(
-    rows: FloatArray, parameters: Sequence[Parameter], n_poses: int
+    rows: FloatArray, parameters: Sequence[Parameter], n_poses: int, *, lengths: bool = True
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Return O1 to O5 of poses, on scaled columns [m] and on raw ones (mm per unit of table).
 
@@ -96,11 +97,12 @@ def observability_of(
         rows: Scaled Jacobian, (..., n_parameters) [m]; leading axes are flattened.
         parameters: The parameters of its columns.
         n_poses: Number of poses that the rows are of.
+        lengths: Whether the rows are lengths; else they are over their noise, and so are the indices.
     """
     width = rows.shape[-1]
     scales = np.array([parameter.sigma for parameter in parameters])
     scaled = numerical_rank(rows.reshape(-1, width))
-    raw = numerical_rank(raw_columns(rows / scales, parameters).reshape(-1, width))
+    raw = numerical_rank(raw_columns(rows / scales, parameters, lengths=lengths).reshape(-1, width))
     kept = slice(max(scaled.rank, 1))
     return observability(scaled.singular_values[kept], n_poses), observability(raw.singular_values[kept], n_poses)
 

@@ -19,7 +19,7 @@ from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.data.in_memory import as_poses
 from calib.data.measurements import Measurements, Poses
 from calib.errors import DataError
-from calib.linearisation.candidates import assumed_sigma, require_free, rows_of_measured, rows_of_poses
+from calib.linearisation.candidates import WHITENED, assumed_sigma, require_free, rows_of_measured, rows_of_poses
 from calib.linearisation.determination import Determination, determination
 from calib.linearisation.observed import looks_at, observe
 from calib.linearisation.unknowns import Unknowns
@@ -55,12 +55,14 @@ class Assessment(ReadOnlyArrays):
         groups: Parameters that move together unseen, of all parameters, from the poses alone.
         open_groups: The same of the free ones, priors included: what stays undetermined.
         elimination: Parameters to hold so that the poses determine the rest.
-        scaled, raw: O1 to O5 of the free parameters, on columns scaled by sigma [m], and in mm per unit of table.
+        scaled, raw: O1 to O5 of the free parameters, on columns scaled by sigma [m], and in mm per unit of table; where
+            nothing measures lengths, in noise of a reading and in that per unit.
         std: Predicted standard deviation of each free parameter, infinite where undetermined, (n_free,) [m, rad].
         accuracy: Predicted position error at the task poses.
-        position_errors: The same at each of them, (n_task, n_targets) [m].
+        position_errors: The same at each of them, of targets that count (`Robot.located`), (n_task, n_located) [m].
         by_count: Predicted accuracy against number of poses.
         near_singular: Poses closer to a singularity of the loops than the description's limit.
+        left_out: Targets whose accuracy does not count (`Robot.left_out`).
     """
 
     parameters: tuple[Parameter, ...]
@@ -81,6 +83,7 @@ class Assessment(ReadOnlyArrays):
     position_errors: FloatArray
     by_count: tuple[CountRow, ...]
     near_singular: tuple[str, ...]
+    left_out: tuple[str, ...]
 
     def __repr__(self) -> str:
         return (
@@ -177,7 +180,7 @@ def check(
     task_rows = (measured[2] if task is None else rows_of_measured(robot, task, sigma)[2]) / lengths[free]
     errors = known.position_errors(task_rows)
     kept = [p for p, use in zip(parameters, free, strict=True) if use]
-    scaled, raw = observability_of(noise * columns[:, free], kept, poses.n_poses)
+    scaled, raw = observability_of(noise * columns[:, free], kept, poses.n_poses, lengths=noise != WHITENED)
     near = np.flatnonzero(robot.singular_values(configurations) < robot.description.singularity_limit)
     return Assessment(
         parameters=parameters,
@@ -198,6 +201,7 @@ def check(
         position_errors=errors,
         by_count=accuracy_by_count(rows[..., free] / lengths[free], priors, task_rows),
         near_singular=tuple(poses.labels[k] for k in near),
+        left_out=tuple(robot.left_out),
     )
 
 

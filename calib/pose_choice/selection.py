@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike
 from calib.arrays import FloatArray, IntArray, random_numbers
 from calib.data.measurements import Poses
 from calib.errors import InputError
+from calib.linearisation.candidates import WHITENED
 from calib.model.robot import Robot, require_robot
 from calib.numerics.observability import observability_of
 from calib.pose_choice.exchange import Exchange, Spacing, exchange, swap
@@ -275,7 +276,7 @@ def _raw(setting: Setting, rows: FloatArray) -> dict[str, float]:
     known, robot = setting.problem.known, setting.robot
     scaled = setting.sigma * (rows * known.strengths) @ known.directions.T
     kept = [p for p, free in zip(robot.parameters, robot.is_free, strict=True) if free and not p.family]
-    return observability_of(scaled, kept, len(rows))[1]
+    return observability_of(scaled, kept, len(rows), lengths=setting.sigma != WHITENED)[1]
 
 
 def _measured_only(setting: Setting) -> dict[str, float] | None:

@@ -40,7 +40,8 @@ class Selection(ReadOnlyArrays):
         before: All indices of the uniform choice; the task index in m.
         after: All indices of these poses.
         on_grid: All indices of the best choice from the candidates; equal to `after` where poses stay on the grid.
-        raw: O1 to O5 of these poses alone, without priors, on raw columns: mm per unit of table.
+        raw: O1 to O5 of these poses alone, without priors, on raw columns: mm per unit of table, or
+            noise of a reading per unit where nothing measures lengths.
         measured_only: All indices of the poses measured already, if there are any; 0 where they determine too little.
         efficiency: Index of the best choice from the candidates over a proven bound for all such choices; None where
             none is proven.

@@ -165,10 +165,10 @@ def prepare(
             allowed[others] = distance >= wanted.minimum_distance
             usable &= allowed[pairs.pose]
     task_rows = candidate_rows.position_rows
-    n_task = int(np.sum(assembled.usable)) * len(robot.target_names)
+    n_task = int(np.sum(assembled.usable)) * len(robot.located)
     if task is not None:
         task_rows = rows_of_measured(robot, as_poses(robot, task), sigma)[2]
-        n_task = task_rows.shape[0] * len(robot.target_names)
+        n_task = task_rows.shape[0] * len(robot.located)
     problem = build_problem(
         pairs.rows, done_rows, prior_rows(Unknowns.chosen_by_poses(robot).has_prior), n_before, task_rows, n_task
     )

@@ -12,7 +12,7 @@ from calib.numerics.null_space import describe_group, natural_coefficients
 from calib.numerics.observability import INDICES, TaskIndex
 from calib.pose_choice.assessment import CORRELATION_LIMIT, HARDLY, Assessment
 from calib.units import PER_SI, millimetres
-from calib.words import counted, plain_text, sentence
+from calib.words import counted, listed, plain_text, sentence
 
 _SHOWN = 12
 _SINGLE = 5  # parameters without effect that get a line of their own
@@ -64,6 +64,7 @@ def to_dict(assessment: Assessment) -> dict[str, object]:
             for row in a.by_count
         ],
         "near_singular": list(a.near_singular),
+        "left_out": list(a.left_out),
     }
 
 
@@ -119,8 +120,10 @@ def _observability(a: Assessment) -> Table:
     table.add_column("columns")
     for name in INDICES:
         table.add_column(name, justify="right")
-    table.add_row("scaled by sigma, m", *(f"{a.scaled[name]:.4g}" for name in INDICES))
-    table.add_row("raw, mm per mm or deg", *(f"{a.raw[name]:.4g}" for name in INDICES))
+    units = " or ".join(dict.fromkeys(parameter.unit for parameter in a.free_parameters))
+    scaled, raw = ("noise", "noise") if a.sigma == WHITENED else ("m", "mm")
+    table.add_row(f"scaled by sigma, {scaled}", *(f"{a.scaled[name]:.4g}" for name in INDICES))
+    table.add_row(f"raw, {raw} per {units}", *(f"{a.raw[name]:.4g}" for name in INDICES))
     return table
 
 
@@ -162,7 +165,7 @@ def _accuracy(a: Assessment) -> list[str]:
     return [
         f"With all {a.n_poses}: rms {rms} mm, largest {largest} mm. From measurement noise alone: what the model"
         " leaves out (backlash, bending) comes on top, and more poses do not remove it."
-    ]
+    ] + ([f"Not counted: {listed(a.left_out)}, read from unknown places only."] if a.left_out else [])
 
 
 def _pair(task: TaskIndex) -> tuple[str, str]:

@@ -188,7 +188,7 @@ def _positions(fit: Fit) -> list[str]:
         summary = uncertainty.summary()
         lines.append(
             f"Predicted positions are known to {summary['mean']:.4f} mm on average, {summary['max']:.4f} mm at worst"
-            f" (pose {errors.data.names[uncertainty.worst]}), over the {name}; from noise alone"
+            f" (pose {errors.data.names[uncertainty.worst]}), over the {name}; from noise alone{uncertainty.remark()}"
         )
     return lines
 

@@ -165,7 +165,7 @@ def position_uncertainty_table(fit: Fit) -> dict[str, object]:
         ("validation", fit.validation, fit.validation_uncertainty),
     ]
     return {
-        name: {**found.summary(), "worst_pose": errors.data.names[found.worst]}
+        name: found.summary() | {"worst_pose": errors.data.names[found.worst], "left_out": list(found.left_out)}
         for name, errors, found in sets
         if found is not None and errors is not None
     }

@@ -148,7 +148,9 @@ class Watch:
         found = linearise(fit.robot, configurations_at(fit.robot, self.candidates.joints, closed, columns, reached))
         uncertainty = fit.statistics
         return predicted_rms(
-            found.jacobian[..., fit.unknowns.index], uncertainty.covariance, uncertainty.coverage_factor
+            found.jacobian[:, fit.robot.located][..., fit.unknowns.index],
+            uncertainty.covariance,
+            uncertainty.coverage_factor,
         )
 
     def _next(self, data: Measurements | None) -> NextPose | None:

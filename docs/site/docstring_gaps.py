@@ -10,6 +10,7 @@ that an abstract base class of the project promises: its docstring says what the
 
 from __future__ import annotations
 
+import argparse
 import ast
 import re
 from collections.abc import Iterator, Mapping
@@ -98,6 +99,7 @@ def all_gaps() -> list[str]:
 
 def main() -> None:
     """Run the command line."""
+    argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0]).parse_args()
     for line in all_gaps():
         print(line)
 

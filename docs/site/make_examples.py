@@ -9,7 +9,7 @@ is shipped too, so that a reader can see how near a calibration comes to it. Fou
 
 from __future__ import annotations
 
-import sys
+import argparse
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -144,7 +144,9 @@ def every_file() -> dict[str, str]:
 
 def main() -> None:
     """Run the command line."""
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else EXAMPLES
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folder", metavar="FOLDER", nargs="?", type=Path, default=EXAMPLES, help="where to write")
+    folder = parser.parse_args().folder
     for name, text in every_file().items():
         write_file(folder / name, text)
         print(f"{folder / name} written")

@@ -7,7 +7,7 @@ Each function makes one figure from the program itself, with fixed seeds.
 
 from __future__ import annotations
 
-import sys
+import argparse
 from collections.abc import Callable
 from pathlib import Path
 
@@ -133,7 +133,9 @@ def drawing(name: str) -> bytes:
 
 def main() -> None:
     """Run the command line."""
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else FIGURES
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folder", metavar="FOLDER", nargs="?", type=Path, default=FIGURES, help="where to write")
+    folder = parser.parse_args().folder
     folder.mkdir(parents=True, exist_ok=True)
     for name in FIGURE_MAKERS:
         (folder / f"{name}.svg").write_bytes(drawing(name))

@@ -7,7 +7,7 @@ Outputs of cells with the tag `no-output` are not stored: a viewer takes more th
 
 from __future__ import annotations
 
-import sys
+import argparse
 from pathlib import Path
 
 import nbformat
@@ -40,7 +40,9 @@ def stored(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
 
 def main() -> None:
     """Run the command line."""
-    for path in [Path(name) for name in sys.argv[1:]] or sorted(NOTEBOOKS.glob("*.ipynb")):
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("notebooks", metavar="NOTEBOOK", nargs="*", type=Path, help="all if none are named")
+    for path in parser.parse_args().notebooks or sorted(NOTEBOOKS.glob("*.ipynb")):
         nbformat.write(stored(run(path)), path)
         print(f"{path} run")
 

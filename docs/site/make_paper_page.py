@@ -13,12 +13,12 @@ page are copied to docs/figures/paper.
 
 from __future__ import annotations
 
+import argparse
 import csv
 import html
 import json
 import re
 import shutil
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -101,7 +101,10 @@ def _cell(text: str) -> str:
 
 def main() -> None:
     """Run the command line."""
-    sources = dict(zip(("poses", "study", "experiment", "touch"), map(Path, sys.argv[1:]), strict=True))
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    for name in ("poses", "study", "experiment", "touch"):
+        parser.add_argument(name, type=Path, help=f"what `medrue {name}` wrote")
+    sources: dict[str, Path] = vars(parser.parse_args())
     page = filled(PAGE.read_text(encoding="utf-8"), sources)
     PAGE.write_text(page, encoding="utf-8")
     FIGURES.mkdir(parents=True, exist_ok=True)

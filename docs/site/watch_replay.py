@@ -11,8 +11,8 @@ so is the first pose.
 
 from __future__ import annotations
 
+import argparse
 import shutil
-import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -117,7 +117,9 @@ def figure(found: dict[str, list[Replay]]) -> Figure:
 
 def main() -> None:
     """Command line."""
-    found = replays(Path(sys.argv[1]))
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folder", metavar="FOLDER", type=Path, help="measurements of the UR10")
+    found = replays(parser.parse_args().folder)
     for name, runs in found.items():
         for what in ("needed", "stop"):
             numbers = sorted(getattr(run, what) or np.inf for run in runs)  # infinite: not within `MOST`

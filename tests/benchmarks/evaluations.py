@@ -4,13 +4,14 @@
 
 FOLDER holds the measurements of others: motoman_right (docs/examples/motoman_right.yaml), and ur10_tracker
 (docs/examples/ur10_tracker.yaml, 300 random rows). Without it, only robots that ship with the project are fitted. A
-number is the evaluations of the last solve of a fit; * says that the fit is not converged. With N starts that are a
-random prior sigma away in every parameter that has one, it is the most that one of them takes.
+number is the evaluations of a fit, all its solves together; * says that it is not converged, or failed. With N starts
+that are a random prior sigma away in every parameter that has one, it is the most that one of them takes.
 """
 
 import argparse
 import shutil
 import tempfile
+from collections import Counter
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +22,8 @@ from motoman_choice import load as motoman
 
 import calib
 from calib.identification.problem import Problem
-from calib.identification.solving import place
+from calib.identification.settings import Settings
+from calib.identification.solving import place, solve_from
 from calib.joint_terms.term import Context
 from medrue import robot_file
 from medrue.imperfections import from_direction
@@ -33,12 +35,12 @@ SIGMAS = np.array([1000, 300, 100, 42.6, 10, 7, 3, 1]) * 1e-6
 
 @contextmanager
 def counted():
-    """Inside, how many evaluations the last solve of a fit took is the last entry of the list that this gives."""
-    counts, solve = [], Problem.solve
+    """Inside, the counter that this gives has how many evaluations all solves of a problem took."""
+    counts, solve = Counter(), Problem.solve
 
-    def counting(self, *given, **options):
-        robot, solution = solve(self, *given, **options)
-        counts.append(solution.evaluations)
+    def counting(self, start, groups, unknowns=None, **options):
+        robot, solution = solve(self, start, groups, unknowns, **options)
+        counts[self] += solution.evaluations if unknowns is None else 0
         return robot, solution
 
     with mock.patch.object(Problem, "solve", counting):
@@ -84,17 +86,17 @@ def problems(folder=None):
 
 
 def fitted(robot, data, sigma):
-    """Evaluations of a fit, and whether it converged."""
+    """The most evaluations of a fit and of those that prove it, and whether it converged and did not fail."""
     with counted() as counts:
         fit = calib.fit(robot, data, sigma=sigma)
-    return counts[-1], fit.converged
+    return max(counts.values()), fit.converged and fit.verdict.grade != "FAIL"
 
 
 def most_of(starts, robot, data, sigma):
     """The most evaluations of solves from random starts, and whether all of them converged."""
     problem = Problem(robot, data, sigma)
     placed, unknowns = place(problem), problem.unknowns
-    groups = problem.whitening.start(problem.evaluate(placed).residuals)
+    groups = solve_from(problem, placed, Settings(sigma=sigma)).groups
     found = []
     for seed in range(starts):
         away = np.where(unknowns.has_prior, np.random.default_rng(seed).standard_normal(len(unknowns)), 0.0)

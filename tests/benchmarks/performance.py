@@ -128,7 +128,7 @@ def fits(problems, rounds):
             compiled=fast(lambda robot=robot, data=data, sigma=sigma: calib.fit(robot, data, sigma=sigma)),
         )
         ours, quick = (ratio(taken[key], taken["hand"]) for key in ("ours", "compiled"))
-        rows.append((name, len(data), len(found.unknowns), ours, quick if NUMBA else "-", counts[-1], hand))
+        rows.append((name, len(data), len(found.unknowns), ours, quick if NUMBA else "-", sum(counts.values()), hand))
     return rows
 
 

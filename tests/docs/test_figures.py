@@ -20,6 +20,23 @@ def test_every_drawing_has_its_maker_and_every_picture_is_shown():
         assert path.name in shown, f"{path.name} is on no page"
 
 
+def test_scripts_leave_their_options_to_argparse_and_help_writes_nothing(tmp_path, monkeypatch, capsys):
+    scripts = [path for folder in ("docs/site", "tests", "tests/benchmarks") for path in (ROOT / folder).glob("*.py")]
+    assert not [path.name for path in scripts if re.search(r"^[^\"']*sys\.argv\[[12]", _own(path), re.MULTILINE)]
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["make_figures.py", "--help"])
+    with pytest.raises(SystemExit) as ended:
+        make_figures.main()
+    assert ended.value.code == 0
+    assert "[FOLDER]" in capsys.readouterr().out
+    assert not list(tmp_path.iterdir())
+
+
+def _own(path):
+    """What a script does itself: the code of another one may be in a string of three quotes."""
+    return re.sub(r'"""[\s\S]*?"""', "", path.read_text())
+
+
 def test_pictures_are_those_that_the_screenshot_command_takes():
     screenshots = pytest.importorskip("viz.screenshots")
     taken = {f"{name}.png" for name, *_ in screenshots.PICTURES}

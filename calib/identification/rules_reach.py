@@ -105,9 +105,10 @@ def _elsewhere(fit: Fit, j: int, allowed: float) -> FloatArray:
 
 def _at_used(fit: Fit) -> Configurations:
     """Poses that were used, as many of them as are looked at."""
-    data = fit.identification.data
+    data, passive = fit.identification.data, fit.identification.passive
     used = np.unique(np.linspace(0, len(data) - 1, _SAMPLED).astype(np.intp))
-    return fit.robot.assemble(data.joints[used], context=data.conditions.at(used))
+    near = None if passive is None else passive[used]
+    return fit.robot.assemble(data.joints[used], near, context=data.conditions.at(used))
 
 
 def _well_known(fit: Fit, here: float) -> float:

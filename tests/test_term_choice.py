@@ -16,6 +16,7 @@ from test_compliance import arm, torques, upright_five_bar
 
 import calib
 from calib.identification.candidate_terms import Candidate, candidates
+from calib.identification.joint_curves import beyond_learned
 from calib.identification.term_choice import _Search
 from calib.identification.term_trials import Trial, Trials
 from calib.identification.validation import boxes, stretches
@@ -343,6 +344,29 @@ def test_beyond_the_range_measured_predictions_widen_and_the_verdict_says_so(cur
     assert "beyond_curves" in [reason.code for reason in fit.verdict.reasons]
     near = calib.fit(robot, data, validation=data.subset(np.arange(20)), terms="joint_2=curve")
     assert "beyond_curves" not in [reason.code for reason in near.verdict.reasons]
+
+
+def test_poses_just_beyond_the_range_measured_are_no_reason_where_a_curve_is_still_sure():
+    robot = example_arm(None)
+    rng = np.random.default_rng(14)
+    q, edge = rng.uniform(-1.0, 1.0, (60, 6)), rng.uniform(-1.0, 1.0, (5, 6))
+    edge[:, 1] = 1.06
+    used, other = (
+        calib.as_measurements(
+            robot, joints, robot.positions(_geared(joints))[:, 0] + NOISE * rng.standard_normal((len(joints), 3))
+        )
+        for joints in (q, edge)
+    )
+    fit = calib.fit(robot, used, validation=other, terms="joint_2=curve")
+    assert np.all(beyond_learned(fit.robot, q, edge)[:, 1])
+    assert "beyond_curves" not in fit.verdict.to_dict()["codes"], fit.verdict
+
+
+def _geared(q):
+    """What joints stand at whose second one is off by a slow wave."""
+    off = q.copy()
+    off[:, 1] += 4e-4 * np.sin(q[:, 1])
+    return off
 
 
 def test_a_result_with_terms_is_read_back_by_other_commands(curved, run_calib):

@@ -19,6 +19,8 @@ from calib.identification.starts import Minimum, Starts
 from calib.identification.systematic import visible
 
 SIGMA = 4e-5
+ALONE = "  - {origin: j6, components: [y, z], sigma: 2 mm}\n  - {origin: ball, components: [x, y, z], sigma: 2 mm}\n"
+"""What only a pose that moves joint 6 tells apart."""
 
 
 @pytest.fixture(scope="module")
@@ -338,11 +340,7 @@ def test_another_minimum_as_good_is_a_check_and_a_worse_one_is_not(good):
 
 def test_a_pose_that_decides_its_own_prediction_is_named(tmp_path):
     # only one pose moves joint 6, so that it alone tells the place of that joint's axis from that of the ball
-    yaml = f"priors: false\n{YAML}"
-    yaml += (
-        "  - {origin: j6, components: [y, z], sigma: 2 mm}\n  - {origin: ball, components: [x, y, z], sigma: 2 mm}\n"
-    )
-    robot = calib.load(write_six_axis(tmp_path, yaml))
+    robot = calib.load(write_six_axis(tmp_path, f"priors: false\n{YAML}{ALONE}"))
     q = joints(60)
     q[:, 5] = 0.3
     q[11, 5] = 1.9
@@ -350,6 +348,24 @@ def test_a_pose_that_decides_its_own_prediction_is_named(tmp_path):
     assert np.argmax(fit.studentised.leverage) == 11
     assert "1 pose decides its own prediction" in reason(fit, "leverage").text
     assert "row 11" in reason(fit, "leverage").text
+
+
+def test_a_pose_that_only_curves_follow_is_not_said_to_decide_itself(tmp_path):
+    curves = "  - {joint: all, term: curve, orders: 9}\n"
+    robot, q = calib.load(write_six_axis(tmp_path, YAML + FREE + curves)), joints(80)
+    gears = robot.positions(q + 0.01 * np.sin(7 * q))
+    data = measurements(robot, q, gears + SIGMA * np.random.default_rng(1).standard_normal(gears.shape))
+    fit = calib.fit(robot, data, sigma=SIGMA)
+    assert np.max(fit.studentised.largest_leverage) > 0.95
+    assert "leverage" not in fit.verdict.to_dict()["codes"]
+    q = joints(60)
+    q[:, 5] = 0.3
+    q[11, 5] = 1.9  # alone tells the place of that joint's axis
+    curve = "  - {joint: j2, term: curve, orders: 5}\n"
+    robot = calib.load(write_six_axis(tmp_path, f"priors: false\n{YAML}{ALONE}{curve}"))
+    text = reason(calib.fit(robot, noisy(robot, q, SIGMA, 1), sigma=SIGMA), "leverage").text
+    assert text.startswith("1 pose decides its own prediction")
+    assert "row 11" in text
 
 
 def test_poses_near_a_singularity_are_named(good):
@@ -454,6 +470,26 @@ def test_a_scale_that_nothing_shows_is_named(tmp_path, prior_arm):
     robot = calib.load(write_six_axis(tmp_path, yaml))
     known = calib.fit(robot, noisy(robot, joints(3000), SIGMA, 1), sigma=SIGMA)
     assert not any("scale" in text for text in known.verdict.not_covered)
+
+
+def test_noise_that_nobody_stated_may_be_the_robots(arm, truth):
+    """A robot with play that goes either way by chance: the sentence says how far off it is at other poses."""
+
+    def played(q, seed):
+        play = 2e-4 * np.random.default_rng(seed).choice([-1.0, 1.0], q.shape)
+        return truth.positions(q + play)[:, 0]
+
+    noise = SIGMA / 4 * np.random.default_rng(3).standard_normal((80, 3))
+    data = with_points(arm, noisy(truth, joints(80), SIGMA, 1), (played(joints(80), 4) + noise)[:, None])
+    fit, other = calib.fit(arm, data), joints(500, 5)
+    (line,) = (text for text in fit.verdict.not_covered if text.startswith("nobody stated the noise"))
+    off = fit.predict(other).positions[:, 0] - played(other, 6)
+    told = float(re.search(r"known to ([\d.]+) mm RMS only", line)[1])
+    assert told == pytest.approx(1e3 * np.sqrt(np.mean(np.sum(off**2, axis=1))), rel=0.15)
+    assert told > 2 * fit.identification_uncertainty.summary()["rms"]
+    stated = calib.fit(arm, data, sigma=SIGMA / 4, validation=noisy(truth, joints(30, 5), SIGMA, 2))
+    assert not any("nobody stated" in text for text in stated.verdict.not_covered)
+    assert stated.verdict.grade != "PASS"
 
 
 def test_the_scale_that_shows_is_five_standard_deviations(arm, truth):

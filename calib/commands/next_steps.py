@@ -21,7 +21,7 @@ _MEANINGS = {
 }
 _ANSWERS = (
     ("--exclude-outliers", ("outliers", "doubtful_readings", "many_excluded", "leverage")),
-    ("--terms auto", ("systematic", "noise", "worse_on_validation")),
+    ("--terms auto", ("systematic", "blocks_disagree", "noise", "worse_on_validation")),
     ("--starts 5", ("other_minimum", "not_converged", "not_linear")),
 )
 """Options of `calib fit` that answer reasons, by the codes of these; the first that fits is offered."""

@@ -12,6 +12,7 @@ from calib.identification.effects import scale
 from calib.identification.fitted import Fit
 from calib.identification.rules_reach import terms_beyond
 from calib.identification.systematic import PARTS_PER_MILLION, visible
+from calib.units import millimetres
 
 NO_MATTER = 0.25
 """Errors that a scale makes where it begins to show, over the noise, up to which nobody needs to know."""
@@ -24,7 +25,9 @@ _FEW = 10  # rows from which their order can be told
 
 def not_covered(fit: Fit) -> tuple[str, ...]:
     """Return what the measurements of a fit cannot show, a line each."""
-    return () if fit.computed else (*_scale(fit), *unordered(fit.identification.data), *terms_beyond(fit))
+    if fit.computed:
+        return ()
+    return (*_scale(fit), *_whose_noise(fit), *unordered(fit.identification.data), *terms_beyond(fit))
 
 
 def _scale(fit: Fit) -> Iterator[str]:
@@ -39,6 +42,19 @@ def _scale(fit: Fit) -> Iterator[str]:
         yield (
             f"nothing here would show a scale error{below}, of the instrument or of a robot that is warmer or colder:"
             " no known length was measured"
+        )
+
+
+def _whose_noise(fit: Fit) -> Iterator[str]:
+    """What the robot may do beside the model where nobody states the instrument's noise."""
+    one = fit.first_noise
+    if one.stated is None and one.group.part == "position":
+        predicted = float(np.mean(fit.identification_uncertainty.located**2))
+        single = millimetres(float(np.sqrt(predicted + 3.0 * one.sigma**2)))
+        yield (
+            "nobody stated the noise, so that play, changing loads and whatever else the robot does by chance count as"
+            f" the instrument's: as far as they are the robot's, predicted positions are known to {single:.2g} mm RMS"
+            " only; state the instrument's noise (--sigma-mm)"
         )
 
 

@@ -10,11 +10,12 @@ from calib.arrays import IntArray
 from calib.data.grouping import pose_labels
 from calib.data.measurements import Measurements
 from calib.identification.fitted import Fit
+from calib.identification.judged import blocks
 from calib.identification.pose_checks import directions_moved, equal_columns, unmoved_joints, zero_visits
 from calib.identification.reasons import Reason
 from calib.identification.repeats import beyond_repeatability
 from calib.identification.rounding import rounding
-from calib.numerics.losses import FALSE_ALARM, HIGH_LEVERAGE
+from calib.numerics.losses import FALSE_ALARM, HIGH_LEVERAGE, studentised
 from calib.units import ERROR_UNIT, error_scale
 from calib.words import counted, listed
 
@@ -213,8 +214,19 @@ def rounded(fit: Fit) -> Iterator[Reason]:
 
 
 def leverage(fit: Fit) -> Iterator[Reason]:
-    """List poses that decide their own prediction."""
-    high = _visits(fit, np.flatnonzero(fit.studentised.largest_leverage > HIGH_LEVERAGE))
+    """List poses that decide their own prediction, curves aside.
+
+    A curve follows each pose a little; what an error at any of them spoils is as local as at the others.
+    """
+    deciding = fit.studentised.largest_leverage > HIGH_LEVERAGE
+    lasting = fit.unknowns.family < 0
+    if np.any(deciding) and not np.all(lasting):
+        rows = fit.rows.only(lasting)
+        root = rows.weighted(fit.weights).known.root
+        deciding &= (
+            studentised(blocks(rows, fit.weights), root, fit.statistics.freedom).largest_leverage > HIGH_LEVERAGE
+        )
+    high = _visits(fit, np.flatnonzero(deciding))
     if high and fit.statistics.freedom >= FEW:
         yield Reason(
             "CHECK",

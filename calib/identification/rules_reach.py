@@ -7,11 +7,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
+from calib.identification.blocks_left_out import left_out
 from calib.identification.fitted import Fit
 from calib.identification.joint_conventions import wrapped_terms
 from calib.identification.joint_curves import beyond_learned
 from calib.identification.pose_checks import unmoved_joints
 from calib.identification.reasons import Reason
+from calib.identification.rules_data import UNLIKELY
+from calib.identification.validation import boxes
 from calib.linearisation.jacobian import linearise
 from calib.linearisation.prediction import beside_common_motion, other_combinations
 from calib.model.robot import Configurations, Robot
@@ -27,9 +30,11 @@ LESS_KNOWN = 3.0
 """Uncertainty of positions elsewhere, over that at the poses used, from which the calibration does not reach there."""
 WIDENED = np.sqrt(2.0)
 """Uncertainty of positions with joint terms over that without them, from which most of it is theirs."""
+BLOCKS = 8
+"""Number of boxes of joint space that are left out in turn."""
 _TRIED = 50  # poses at which a joint is moved through its limits in thought
 _EXACT = 1e-9  # of a variance, nothing
-_SAMPLED = 200  # poses at which what joint terms leave open is looked at
+_SAMPLED = 200  # poses at which uncertainties are looked at
 
 
 def one_corner(fit: Fit) -> Iterator[Reason]:
@@ -55,10 +60,11 @@ def moved_little(fit: Fit) -> Iterator[Reason]:
     still = np.isin(robot.joint_names, unmoved_joints(robot, data.joints))
     if np.all(part[~still] < CORNER):  # that is one corner
         return
-    here = _rms(fit.identification_uncertainty.located)
     for j in np.flatnonzero((part < CORNER) & ~still):
-        there = _uncertainty(fit, _elsewhere(fit, int(j), float(allowed[j])))
-        if there > max(LESS_KNOWN * here, np.sqrt(3.0) * fit.sigma):
+        q = _elsewhere(fit, int(j), float(allowed[j]))
+        here = _relative(fit, _at_used(fit), fit.statistics.covariance)
+        there = _relative(fit, fit.robot.assemble(q), fit.statistics.covariance) if len(q) else 0.0
+        if there > _well_known(fit, here):
             name = robot.joint_names[j]
             dimension = robot.mechanism.dimensions[name]
             unit, reach = DISPLAY_UNIT[dimension], np.ptp(data.joints[:, j]) * display_scale(dimension)
@@ -66,8 +72,8 @@ def moved_little(fit: Fit) -> Iterator[Reason]:
                 "CHECK",
                 "joint_moved_little",
                 f"joint {name} moved through {reach:.2g} {unit} only: where it moves further, positions are known to"
-                f" {millimetres(there):.2g} mm RMS, and to {millimetres(here):.2g} mm at the poses used; measure poses"
-                " that move it through its range",
+                f" {millimetres(there):.2g} mm RMS, and to {millimetres(here):.2g} mm at the poses used, base and tool"
+                " placed anew; measure poses that move it through its range",
             )
 
 
@@ -77,7 +83,7 @@ def far_validation(fit: Fit) -> Iterator[Reason]:
         return
     here = _rms(fit.identification_uncertainty.located)
     there = float(np.median(fit.validation_uncertainty.located))
-    if there > max(LESS_KNOWN * here, np.sqrt(3.0) * fit.sigma):
+    if there > _well_known(fit, here):
         yield Reason(
             "CHECK",
             "validated_elsewhere",
@@ -97,9 +103,18 @@ def _elsewhere(fit: Fit, j: int, allowed: float) -> FloatArray:
     return np.asarray(q[fit.robot.close(q).ok])
 
 
-def _uncertainty(fit: Fit, q: FloatArray) -> float:
-    """Root mean square uncertainty of predicted positions at q (n, n_actuated) [m]; 0 without poses."""
-    return _rms(fit.predict(q).located) if len(q) else 0.0
+def _at_used(fit: Fit) -> Configurations:
+    """Poses that were used, as many of them as are looked at."""
+    data, passive = fit.identification.data, fit.identification.passive
+    used = np.unique(np.linspace(0, len(data) - 1, _SAMPLED).astype(np.intp))
+    near = None if passive is None else passive[used]
+    return fit.robot.assemble(data.joints[used], near, context=data.conditions.at(used))
+
+
+def _well_known(fit: Fit, here: float) -> float:
+    """Uncertainty of positions up to which they are known well enough [m], if it is `here` at the poses used."""
+    lengths = fit.first_noise.group.dimension == "length"
+    return max(LESS_KNOWN * here, np.sqrt(3.0) * fit.sigma if lengths else 0.0)
 
 
 def _rms(values: FloatArray) -> float:
@@ -138,10 +153,13 @@ def _allowed(robot: Robot) -> FloatArray:
 
 
 def beyond_curves(fit: Fit) -> Iterator[Reason]:
-    """Look for validation poses at joint values where no curve of a joint was learned."""
-    if fit.validation is None:
+    """Look for validation poses at joint values where no curve of a joint was learned, and where that matters."""
+    if fit.validation is None or fit.validation_uncertainty is None or fit.computed:
         return
     outside = beyond_learned(fit.robot, fit.identification.data.joints, fit.validation.data.joints)
+    here = _rms(fit.identification_uncertainty.located)
+    there = np.max(fit.validation_uncertainty.located, axis=1)
+    outside[there <= _well_known(fit, here)] = False
     poses = np.flatnonzero(np.any(outside, axis=1))
     if len(poses):
         joints = [fit.robot.joint_names[j] for j in np.flatnonzero(np.any(outside, axis=0))]
@@ -152,6 +170,27 @@ def beyond_curves(fit: Fit) -> Iterator[Reason]:
             f" {'joint' if len(joints) == 1 else 'joints'} {listed(joints)} was learned:"
             f" {listed([fit.validation.data.labels[k] for k in poses])}; there a curve says nothing, and its band is as"
             " wide as before: measure there, too, before you rely on it",
+        )
+
+
+def blocks_disagree(fit: Fit) -> Iterator[Reason]:
+    """Leave out boxes of joint space, and whole setups, in turn, and see whether the parameters stand."""
+    data = fit.identification.data
+    if fit.computed:
+        return
+    cuts = {"boxes of joint space": boxes(data, BLOCKS)}
+    if data.setups is not None and np.ptp(data.setups) > 0:
+        cuts["whole setups"] = [np.flatnonzero(data.setups == one) for one in np.unique(data.setups)]
+    found = {name: left_out(fit.linear, blocks) for name, blocks in cuts.items()}
+    surely = {name: one.ratio for name, one in found.items() if one.chance < UNLIKELY / len(found)}
+    if surely:
+        name, ratio = max(surely.items(), key=lambda entry: entry[1])
+        yield Reason(
+            "CHECK",
+            "blocks_disagree",
+            f"with {name} left out in turn, parameters move {ratio:.2g} times as much as noise explains: the model"
+            " leaves something out that is not the same everywhere; take intervals, and what positions are known to,"
+            f" for at least {ratio:.2g} times as wide, and for wider still in places unlike those measured",
         )
 
 
@@ -191,18 +230,15 @@ def _widened(fit: Fit, q: FloatArray) -> str:
     if len(q) == 0 or fit.computed:
         return ""
     covariance = fit.statistics.covariance
-    data = fit.identification.data
-    used = np.unique(np.linspace(0, len(data) - 1, _SAMPLED).astype(np.intp))
-    at_used = fit.robot.assemble(data.joints[used], context=data.conditions.at(used))
     here, there, alone = (
         _relative(fit, configurations, known)
         for configurations, known in (
-            (at_used, covariance),
+            (_at_used(fit), covariance),
             (fit.robot.assemble(q), covariance),
             (fit.robot.assemble(q), _given(covariance, terms)),
         )
     )
-    if there <= max(LESS_KNOWN * here, np.sqrt(3.0) * fit.sigma, WIDENED * alone):
+    if there <= max(_well_known(fit, here), WIDENED * alone):
         return ""
     return f"{millimetres(there):.2g} mm RMS only, and to {millimetres(here):.2g} mm at the poses used"
 

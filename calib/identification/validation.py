@@ -104,7 +104,7 @@ def boxes(data: Measurements, count: int) -> list[IntArray]:
 
     Args:
         data: All measurements.
-        count: Number of boxes.
+        count: Number of boxes; no more than there are different poses.
 
     Returns:
         Indices of each box, ascending, (n_in_box,) each; repeats of one pose stay together.
@@ -124,8 +124,8 @@ def boxes(data: Measurements, count: int) -> list[IntArray]:
         middle = len(order) * left // into
         return cut(order[:middle], left) + cut(order[middle:], into - left)
 
-    parts = cut(np.arange(len(groups)), count)
-    return [np.sort(np.concatenate([groups[k] for k in part])) for part in parts if len(part)]
+    parts = cut(np.arange(len(groups)), min(count, len(groups)))
+    return [np.sort(np.concatenate([groups[k] for k in part])) for part in parts]
 
 
 def stretches(data: Measurements, count: int) -> list[IntArray]:

@@ -4,9 +4,9 @@ FAIL: the numbers must not be used (the robot is not exported as calibrated unle
 CHECK: they can be used by someone who has read the reasons.
 PASS: nothing was found; that is no proof that nothing is wrong.
 
-Each rule looks at one thing. Tests with a chance in them state it where they are made: chi-square, gain, comparisons
-and repeats 0.1 %, patterns and outliers 1 % each. Good data therefore get a CHECK by chance in about one fit of thirty
-(measured: docs/verdict.md).
+Each rule looks at one thing. Tests with a chance in them state it where they are made: chi-square, gain, comparisons,
+repeats and blocks left out 0.1 %, patterns and outliers 1 % each. Good data therefore get a CHECK by chance in about
+one fit of thirty (measured: docs/verdict.md).
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_model.nothing_to_correct,
     rules_model.unused_fits_worse,
     rules_model.systematic,
+    rules_reach.blocks_disagree,
     rules_reach.beyond_curves,
     rules_data.rounded,
     rules_data.outliers,

@@ -181,6 +181,15 @@ class Rows:
         """Sum of the squares of residuals and priors."""
         return float(self.residuals @ self.residuals + np.sum(self.deviations[self.has_prior] ** 2))
 
+    def only(self, chosen: BoolArray) -> Rows:
+        """Return the rows by some of the parameters, (n_free,)."""
+        return replace(
+            self,
+            jacobian=self.jacobian[:, chosen],
+            has_prior=self.has_prior[chosen],
+            deviations=self.deviations[chosen],
+        )
+
     def weighted(self, weights: FloatArray) -> Rows:
         """Return the rows with these weights of the readings, (n_readings,)."""
         root = np.sqrt(weights)[self.layout.reading]

@@ -71,6 +71,11 @@ def loose_joint(lab: Lab) -> Measurements:
     return _joint_error(lab, lambda q, way: np.radians(0.1) * lab.rng.uniform(-0.5, 0.5, len(q)))
 
 
+def loose_joints(lab: Lab) -> Measurements:
+    """Every joint that turns comes to rest anywhere within 0.03 degrees."""
+    return _joint_error(lab, lambda q, way: np.radians(0.03) * lab.rng.uniform(-0.5, 0.5, len(q)), count=6)
+
+
 def one_corner(lab: Lab) -> Measurements:
     """All poses within a few degrees (and millimetres) of each other."""
     return lab.sent(lab.joints[0] + 0.03 * (lab.joints - lab.joints[0])).good()
@@ -84,9 +89,19 @@ def still_joint(lab: Lab) -> Measurements:
 
 def little_moved(lab: Lab) -> Measurements:
     """One joint moved through a fiftieth of the range that the others had."""
+    return _little_moved(lab).good()
+
+
+def little_moved_otherwise(lab: Lab) -> Measurements:
+    """The same, by instruments that do not measure positions."""
+    little = _little_moved(lab)
+    return calib.simulate(little.truth, little.joints, seed=little.rng)
+
+
+def _little_moved(lab: Lab) -> Lab:
     j = int(lab.strong_joints()[0])
     q = lab.joints[:, j]
-    return lab.sent(lab.with_joint(j, q[0] + 0.02 * (q - q[0]))).good()
+    return lab.sent(lab.with_joint(j, q[0] + 0.02 * (q - q[0])))
 
 
 def together(lab: Lab) -> Measurements:
@@ -147,6 +162,12 @@ ROBOT: dict[str, Scenario] = {
     "all poses in one corner": Scenario("sick", one_corner),
     "a joint that never moved": Scenario("sick", still_joint),
     "a joint that moved too little": Scenario("sick", little_moved),
+    "a joint that moved too little, distances measured": Scenario(
+        "sick", little_moved_otherwise, robots=("arm",), measured="distances"
+    ),
+    "a joint that moved too little, pixels measured": Scenario(
+        "sick", little_moved_otherwise, robots=("arm",), measured="pixels"
+    ),
     "joints that moved together": Scenario("sick", together),
     "calibrated in a small region, validated far away": Scenario("sick", far_validation),
     "validated with another robot": Scenario("sick", another_on_validation),
@@ -154,5 +175,8 @@ ROBOT: dict[str, Scenario] = {
     "too few poses": Scenario("sick", too_few, validate=0.0),
     "six poses": Scenario("sick", handful, validate=0.0),
     "a joint that sags, over a short range": Scenario("hidden", sag, robots=("MedRUE", "3-RRR")),
+    "all joints a little loose, noise not stated": Scenario(
+        "hidden", loose_joints, stated=False, named="nobody stated the noise"
+    ),
 }
 """Sick scenarios of robots and poses, by name."""

@@ -29,6 +29,12 @@ def test_what_the_model_leaves_out_is_seen():
     assert calibrate(Run("arm", "the tracker is moved half-way", 0)).grade == "CHECK"
 
 
+@pytest.mark.parametrize("measured", ["distances", "pixels"])
+def test_a_joint_that_moved_too_little_is_seen_where_nobody_measures_positions(measured):
+    outcome = calibrate(Run("arm", f"a joint that moved too little, {measured} measured", 0))
+    assert (outcome.grade, outcome.codes) == ("CHECK", ("joint_moved_little",))
+
+
 def test_there_are_sixty_scenarios_and_three_robots():
     assert len(SCENARIOS) >= 60
     assert set(ROBOTS) == {"arm", "MedRUE", "3-RRR"}

@@ -97,6 +97,16 @@ def test_noise_that_only_an_unfit_model_leaves_fails_without_proof(arm):
     fit = calib.fit(arm, noisy(arm, joints(80), 0.02, 1), sigma=SIGMA)
     found = reason(fit, "noise")
     assert found.grade == fit.verdict.grade == "FAIL"
+    assert fit.folds is None
+    assert "no healthy robot leaves more than 1 % of the space measured" in found.text
+
+
+def test_unused_poses_that_get_worse_prove_nothing(arm, truth):
+    """Another robot's poses, and more noise than was stated."""
+    other = noisy(arm, joints(30, 5), SIGMA, 2)
+    fit = calib.fit(arm, noisy(truth, joints(80), 4 * SIGMA, 1), sigma=SIGMA, validation=other)
+    found = reason(fit, "noise")
+    assert found.grade == fit.verdict.grade == "FAIL"
     assert "--validate" in found.text
 
 

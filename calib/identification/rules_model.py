@@ -37,7 +37,7 @@ EXPLAINED = 0.3
 LARGE_NOISE = 0.1
 """Noise, over the spread of the measured positions, that means that nothing fits."""
 LEFT_OUT = 0.01
-"""The same, up to which it may be what a model leaves out of a robot that needs no correction."""
+"""The same, up to which it may be what a model leaves out of a healthy robot."""
 OTHER_MINIMUM = 10.0
 """Difference of the cost within which another minimum explains the data as well."""
 
@@ -119,8 +119,9 @@ def unproven(fit: Fit) -> bool:
     Args:
         fit: A fit that was judged with no such poses, or with some that prove nothing.
     """
-    beyond = not fit.computed and any(_beyond_statement(one) for one in fit.noise)
-    return beyond and not any(comparison.better or comparison.worse for comparison in comparisons(fit))
+    beyond = [] if fit.computed else [one for one in fit.noise if _beyond_statement(one)]
+    provable = bool(beyond) and all(_may_be_left_out(fit, one) for one in beyond)
+    return provable and not any(comparison.better or comparison.worse for comparison in comparisons(fit))
 
 
 def _beyond_statement(one: FoundNoise) -> bool:
@@ -130,39 +131,54 @@ def _beyond_statement(one: FoundNoise) -> bool:
     return ratio > NOISE_RATIO and chi_square(ratio, one.freedom).p_larger < UNLIKELY
 
 
+def _may_be_left_out(fit: Fit, one: FoundNoise) -> bool:
+    """Whether a noise may be what the model leaves out of a healthy robot."""
+    return one.group.dimension != "length" or one.sigma < LEFT_OUT * _spread(fit)
+
+
 def _against_statement(fit: Fit, one: FoundNoise) -> Iterator[Reason]:
     stated = one.stated or 1.0
     ratio = one.sigma / stated
     chi = chi_square(ratio, one.freedom)
-    p_larger, p_smaller = chi.p_larger, chi.p_smaller
     numbers = f"{_in_words(one, one.sigma)} per axis where {_in_words(one, stated)} was stated"
     of = _of(fit, one)
     if _beyond_statement(one):
-        compared = list(comparisons(fit))
-        better = any(comparison.better for comparison in compared)
-        no_worse = bool(compared) and not any(comparison.worse for comparison in compared)
-        usable = better or (no_worse and one.sigma < LEFT_OUT * _spread(fit) < np.inf)
-        told = "do get better beyond chance" if better else "get neither better nor worse"
-        yield Reason(
-            "CHECK" if usable else "FAIL",
-            "noise",
-            f"noise found{of} is {ratio:.1f} times what was stated ({numbers}): the model does not explain the"
-            " measurements;"
-            + (
-                f" poses that were not used {told}, so what is left is what the model leaves out, or outliers, and"
-                " intervals do not count it: state the noise of robot and sensor together (--sigma-mm)"
-                if usable
-                else " look at outliers and units, state the noise of robot and sensor together (--sigma-mm), or prove"
-                " the result on other poses (--validate, --folds)"
-            ),
-        )
-    elif p_larger < UNLIKELY:
+        yield _beyond(fit, one, f"noise found{of} is {ratio:.1f} times what was stated ({numbers})")
+    elif chi.p_larger < UNLIKELY:
         text = f"noise found{of} is {ratio:.2f} times what was stated ({numbers}), more than chance explains"
         yield Reason("CHECK", "noise", f"{text}: state what robot and sensor do together, or look for what is missing")
-    elif p_smaller < UNLIKELY:
+    elif chi.p_smaller < UNLIKELY:
         text = f"noise found{of} is only {ratio:.2g} times what was stated ({numbers}), less than chance explains"
         advice = "state it anew; the same reading may have been used more than once"
         yield Reason("CHECK", "noise", f"{text}: {advice}")
+
+
+def _beyond(fit: Fit, one: FoundNoise, text: str) -> Reason:
+    """Judge a noise that is far above its statement."""
+    text += ": the model does not explain the measurements;"
+    compared = list(comparisons(fit))
+    better = any(comparison.better for comparison in compared)
+    bounded = one.group.dimension == "length" and np.isfinite(_spread(fit))
+    no_worse = bounded and bool(compared) and not any(comparison.worse for comparison in compared)
+    if not _may_be_left_out(fit, one):
+        text += (
+            f" no healthy robot leaves more than {100 * LEFT_OUT:g} % of the space measured"
+            f" ({millimetres(_spread(fit)):.4g} mm): look at units, joint order and signs, and outliers; if it is all"
+            " noise, state that (--sigma-mm)"
+        )
+        return Reason("FAIL", "noise", text)
+    if better or no_worse:
+        told = "do get better beyond chance" if better else "get neither better nor worse"
+        text += (
+            f" poses that were not used {told}, so what is left is what the model leaves out, or outliers, and"
+            " intervals do not count it: state the noise of robot and sensor together (--sigma-mm)"
+        )
+        return Reason("CHECK", "noise", text)
+    text += (
+        " look at outliers and units, state the noise of robot and sensor together (--sigma-mm), or prove the result on"
+        " other poses (--validate, --folds)"
+    )
+    return Reason("FAIL", "noise", text)
 
 
 def not_assembled(fit: Fit) -> Iterator[Reason]:

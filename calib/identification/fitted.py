@@ -37,8 +37,6 @@ from calib.numerics.variance_components import EXACT
 from calib.threads import one_blas_thread
 
 _LEAST_FACTOR = 1e-3  # found over assumed noise of a group, over that of all, below which a group has none
-NOISE_RATIO = 3.0
-"""Found over stated noise from which the statement, or the model, is wrong."""
 COMPUTED = 1e-7
 """Noise below this [SI], and below a hundredth of what was stated, is what priors leave of data without noise."""
 

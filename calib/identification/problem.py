@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from calib.arrays import BoolArray, FloatArray
 from calib.data.measurements import Measurements
@@ -36,6 +37,8 @@ from calib.numerics.variance_components import (
 )
 
 _ROUNDING = 1e-14  # a parameter that moves by less stays nominal, to the last digit [m or rad]
+_UNLIKELY = 1e-3  # chance of a noise as found, if what is stated holds, below which it does not
+_LEAST_FREEDOM = 0.1  # degrees of freedom of each row, where priors hold more parameters than there are rows
 _REMEMBERED = 3  # evaluations: the start, where the solver is, and its trial step
 
 
@@ -90,6 +93,20 @@ class Problem:
     def unstated(self) -> BoolArray:
         """Of which groups nobody states the noise, (n_groups,)."""
         return np.array([not group.stated for group in self.whitening.groups])
+
+    def contradicted(self, scales: FloatArray, efficiency: float = 1.0) -> BoolArray:
+        """Return of which groups noise is stated that scales as found contradict, (n_groups,).
+
+        Args:
+            scales: As found, where what is stated is 1, (n_groups,).
+            efficiency: Of how they were found, over that of least squares.
+        """
+        group = self.whitening.layout.group
+        counts = np.bincount(group[group >= 0], minlength=len(scales))
+        left = max(1.0 - len(self.unknowns) / max(int(np.sum(counts)), 1), _LEAST_FREEDOM)
+        freedom = np.maximum(efficiency * left * counts, 1e-3)
+        chance = scipy.special.chdtrc(freedom, freedom * scales**2)
+        return np.asarray(~self.unstated & (scales > 1.0) & (chance < _UNLIKELY))
 
     @property
     def noise_weighs(self) -> bool:

@@ -30,7 +30,7 @@ import scipy
 from calib.arrays import BoolArray, FloatArray
 from calib.data.measurements import Measurements
 from calib.errors import ComputationError, NotIdentifiableError
-from calib.identification.fitted import NOISE_RATIO, Fit
+from calib.identification.fitted import Fit
 from calib.identification.judged import Outlier
 from calib.identification.problem import Evaluation, Problem
 from calib.linearisation.rows import Rows
@@ -44,6 +44,7 @@ from calib.numerics.variance_components import EXACT
 _ROUNDS = 20
 _LINEAR_ROUNDS = 200
 _WEIGHTS_STAND = 1e-4
+_MEDIAN = 0.37  # efficiency of the median of absolute values as a scale, for normal noise (maronna2019)
 _SMALLEST_SCALE = 1e-8  # below ten nanometres a residual is rounding [SI]
 _TOO_FEW_LEFT = (
     "the poses that the robust loss still believes do not determine the parameters: too many measurements disagree with"
@@ -128,7 +129,7 @@ def _believed(problem: Problem, rows: Rows, groups: FloatArray) -> FloatArray:
         return groups
     step = _linear_solution(rows, "huber", None, True)[2]
     found = groups * _levels(replace(rows, residuals=rows.residuals + rows.jacobian @ step))
-    problem.found = unstated | (found > NOISE_RATIO)
+    problem.found = unstated | problem.contradicted(found, _MEDIAN)
     return np.where(unstated, groups, np.where(problem.found, found, 1.0))
 
 

@@ -12,7 +12,7 @@ from calib.arrays import FloatArray
 from calib.errors import DataError
 from calib.identification.comparison import CHANCE, comparisons
 from calib.identification.errors_found import ErrorSet
-from calib.identification.fitted import NOISE_RATIO, Fit, FoundNoise
+from calib.identification.fitted import Fit, FoundNoise
 from calib.identification.reasons import Reason
 from calib.identification.rules_data import UNLIKELY
 from calib.identification.systematic import describe
@@ -24,6 +24,8 @@ from calib.numerics.variance_components import EXACT
 from calib.units import ERROR_UNIT, PER_SI, error_scale, millimetres
 from calib.words import counted, listed
 
+NOISE_RATIO = 3.0
+"""Found over stated noise from which the statement, or the model, is wrong."""
 GROSS = 2.0
 """Noise of every instrument, over the largest that it has, from which the result rests on what the model leaves out."""
 ELSEWHERE = 0.2

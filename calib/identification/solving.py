@@ -7,9 +7,9 @@ and offsets by less than one in twenty. With a robust loss no shared errors are 
 Where priors are to be weighed against noise that is stated, what counts is all that the model leaves out: of a robot
 with gear errors, the noise of a good tracker is the least part. By a statement that residuals contradict, they would
 pull parameters hundreds of sigmas away from where they are expected, and slowly, along bent valleys. So the noise of
-such a group is found as well. The linear model around the start tells; where what it leaves is its curvature, and no
-more than the statement allows is left in the end, the statement holds again. (The statement itself is judged by
-`calib.identification.rules_model`.)
+such a group is found as well, where chance explains what is left in less than one case of a thousand. The linear model
+around the start tells; where what it leaves is its curvature, and the minimum contradicts nothing, the statement holds
+again. (The statement itself is judged by `calib.identification.rules_model`.)
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.errors import NotConvergedError
-from calib.identification.fitted import NOISE_RATIO, Convergence
+from calib.identification.fitted import Convergence
 from calib.identification.problem import Evaluation, Problem
 from calib.identification.robust import solve_robust
 from calib.identification.settings import Settings
@@ -209,7 +209,7 @@ def _solve_with_noise(problem: Problem, start: Robot, exact: float) -> Solved:
         if not finds:
             return Solved(robot, groups, solution)
         scales, sizes = problem.found_scales(problem.evaluate(robot), groups)
-        stands = problem.found & ~unstated & (scales <= NOISE_RATIO)
+        stands = problem.found & ~unstated & ~problem.contradicted(scales)
         if np.any(stands):
             problem.found = problem.found & ~stands
             groups = np.where(stands, 1.0, scales)
@@ -232,7 +232,7 @@ def _contradicted(problem: Problem, evaluation: Evaluation, groups: FloatArray) 
     unstated = problem.found
     problem.found = np.ones(len(groups), dtype=bool)
     scales, _ = problem.found_scales(evaluation, groups)
-    problem.found = unstated | (scales > NOISE_RATIO)
+    problem.found = unstated | problem.contradicted(scales)
     return np.where(problem.found & ~unstated, scales, groups)
 
 

@@ -100,9 +100,9 @@ def _identified(
     try:
         robot, choice = _with_terms(robot, data, settings)
         fit = _fit(robot, settings, data, validation, workers, progress)
-    except UnreachablePoseError as error:
+    except (UnreachablePoseError, ComputationError) as error:
         mistake = likely_mistake(robot, data)
-        raise UnreachablePoseError(f"{error}{'; ' if mistake else ''}{mistake}") from None
+        raise type(error)(f"{error}{'; ' if mistake else ''}{mistake}") from None
     plain = replace(settings, starts=1)
     if settings.exclude_outliers:
         fit = without_outliers(

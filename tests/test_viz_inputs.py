@@ -68,7 +68,9 @@ def test_a_folder_without_a_result_and_a_fit_of_another_robot_are_refused(fit, t
 
 
 def test_a_failed_result_can_be_looked_at_and_says_that_it_failed(tmp_path):
-    fit = calib.fit(medrue_robot(), measurements(range(0, 420, 5)), sigma=1e-6)  # a fortieth of the noise
+    data = measurements(range(0, 420, 5))
+    points = data.points(medrue_robot()) + np.random.default_rng(1).normal(scale=0.01, size=(len(data), 1, 3))
+    fit = calib.fit(medrue_robot(), calib.as_measurements(medrue_robot(), data.joints, points), sigma=4e-5)
     assert fit.verdict.grade == "FAIL"
     fit.save(str(tmp_path / "out"))
     for scene in (gather(medrue_robot(), fit).scene, gather(medrue_robot(), tmp_path / "out").scene):

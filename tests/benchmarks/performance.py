@@ -168,9 +168,9 @@ others ([benchmarks](benchmarks.md)).
 ## Kinematics through closed loops
 
 MedRUE, 420 poses, after a small step of the parameters; and whole fits. The unit is Pinocchio's own loop: one
-`computeJointJacobians` of the same model for each pose, called from Python, nothing read out. With the extra `fast`, numba compiles the same
-formulas (`calib.model.kernels`, to 1e-12 the same numbers); studies of many calibrations and work on thousands of poses
-at once use that by themselves, `with calib.model.acceleration.compiled():` asks for it.
+`computeJointJacobians` of the same model for each pose, called from Python, nothing read out. With the extra `fast`,
+numba compiles the same formulas (`calib.model.kernels`, to 1e-12 the same numbers); studies of many calibrations and
+work on thousands of poses at once use that by themselves, `with calib.model.acceleration.compiled():` asks for it.
 
 | work for each pose | over Pinocchio's loop | with `fast` |
 |---|---:|---:|"""

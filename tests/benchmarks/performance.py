@@ -105,6 +105,7 @@ def kinematics(rounds):
     }
     quick = {f"{name} compiled": fast(function) for name, function in columns.items() if NUMBA}
     taken = least(rounds, loop=loop, **columns, **quick)
+    one_blas_thread(ours)()
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
     one_blas_thread(ours)()
     faults = resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before

@@ -31,6 +31,7 @@ def test_pixels_and_tracker_together_are_no_worse_than_the_tracker_alone(shared_
     assert 1e3 * np.mean(known.distance[:, 0]) > 10
     assert known.summary()["mean"] == 1e3 * np.mean(known.distance[:, 1]) < 0.05
     assert "not counted: body (known to" in fit.report()
+    assert max(share.std for share in fit.budget.shares) < 0.05e-6  # directions that readings leave open do not count
 
 
 def test_pixels_that_do_not_fit_their_camera_do_not_spoil_what_the_tracker_finds(shared_data):

@@ -25,7 +25,8 @@ What is left splits into noise and what nobody explains only if the noise is kno
 
 Standard deviations are of the choice of poses (from the sums of each pose, which repeats share) and, for causes, of
 their parameters: s_k = (J_k d_k)^T J d has the gradient J_k^T J d (of its own parameters) + J^T J_k d_k; with places,
-J_k projected.
+J_k projected. The J that is transposed is that of the end: what the readings leave open moves no reading there, and
+must not count, however far it may be off.
 
 When it fails: with few poses the split of the rest is loose. Parameters of a named parametrisation all count as
 geometry.
@@ -192,32 +193,40 @@ def _along(
         layout: Which row is what.
         counted: Which rows count, (n_rows,).
     """
-    data, way = errors.data, after.values - before.values
+    way = after.values - before.values
     steps = (members * way[unknowns.index]).T
     places = _cause_of_places(unknowns, members)
     removed, gradient = np.zeros((int(np.sum(counted)), len(members))), np.zeros(members.shape)
-    passive = errors.passive
+    end, _ = _seen(after, errors, unknowns, layout, counted)
     for node, weight in zip(*np.polynomial.legendre.leggauss(3), strict=True):
         robot = before.with_parameters(before.values + (node + 1.0) / 2.0 * way)
-        configurations = robot.assemble(data.joints, passive, data.labels, data.conditions)
-        observed, passive = observe(robot, configurations, data.readings), configurations.passive
-        residuals = _flat({name: one.residuals for name, one in observed.items()}, layout)[counted]
-        jacobian = _flat({name: one.jacobian[:, :, unknowns.index] for name, one in observed.items()}, layout)[counted]
+        jacobian, residuals = _seen(robot, errors, unknowns, layout, counted)
         placing, moved = _span(jacobian[:, unknowns.placement]), jacobian @ steps
         total = np.sum(moved, axis=1)
         taken = placing @ (placing.T @ total)
         moved -= placing @ (placing.T @ moved)
         moved[:, places] += taken
-        own = members * (jacobian.T @ (total - taken))
-        own[places] += jacobian.T @ taken
+        own = members * (end.T @ (total - taken))
+        own[places] += end.T @ taken
         removed -= weight * residuals[:, None] * moved
-        gradient += weight / 2.0 * (own + (jacobian.T @ moved).T)
+        gradient += weight / 2.0 * (own + (end.T @ moved).T)
     of_reading = layout.reading[counted]
     chosen, number = np.unique(of_reading, return_inverse=True)
     squares, sums = np.zeros(len(chosen)), np.zeros((len(chosen), len(members)))
     np.add.at(squares, number, _flat(errors.before, layout)[counted] ** 2)
     np.add.at(sums, number, removed)
     return _Path(squares, sums, gradient, layout.pose[chosen])
+
+
+def _seen(
+    robot: Robot, errors: ErrorSet, unknowns: Unknowns, layout: Layout, counted: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Derivative (n_counted, n_free) and residuals (n_counted,) of the rows that count, under a robot on the way."""
+    data = errors.data
+    configurations = robot.assemble(data.joints, errors.passive, data.labels, data.conditions)
+    observed = observe(robot, configurations, data.readings)
+    jacobian = _flat({name: one.jacobian[:, :, unknowns.index] for name, one in observed.items()}, layout)
+    return jacobian[counted], _flat({name: one.residuals for name, one in observed.items()}, layout)[counted]
 
 
 def _leverage(rows: Rows, unknowns: Unknowns, members: BoolArray, counted: BoolArray) -> FloatArray:

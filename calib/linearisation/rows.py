@@ -1,8 +1,8 @@
 """One system of whitened rows: what every question about measurements is asked of.
 
 A reading of m components gives m rows. With the covariance of its noise, s_g^2 C_k (C_k as stated, s_g the scale of its
-group, 1 where it is stated and found from the residuals where not), residuals r and scaled Jacobian J (columns times
-the parameters' sigma) are whitened reading by reading,
+group, 1 where it is stated and not contradicted, else found from the residuals), residuals r and scaled Jacobian J
+(columns times the parameters' sigma) are whitened reading by reading,
 
     [rw, Jw] = D^(-1/2) [r, J],        D = blocks s_g^2 C_k
 

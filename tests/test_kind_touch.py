@@ -433,7 +433,7 @@ def test_real_robots_that_touched_two_sockets(shared_data, robot, tools, held_ou
     ("arm", "places", "held", "added", "after"),
     [
         ("panda_1", ("front", "back-high"), "right", {"compliance"}, 0.44),
-        ("kuka_14", ("front", "raised_left"), "left_back", {"compliance"}, 0.09),
+        ("kuka_14", ("front", "raised_left"), "left_back", {"compliance", "bending"}, 0.09),
     ],
 )
 def test_joint_terms_chosen_on_two_places_help_in_a_third(shared_data, arm, places, held, added, after):

@@ -74,13 +74,15 @@ def _measured(robot, true, q, rng):
 def choices(robot, terms, n, seed):
     """Of n simulated calibrations with these terms, how often what is there is added, and anything else.
 
-    Each in two numbers: where its kind is said to be proven, and where it is not.
+    Each in three numbers: its kind said to be proven; added alone, not proven; one of several that were added together.
+    Of several, what is there counts, if it is among them.
     """
-    counts = np.zeros((2, 2), dtype=int)
+    counts = np.zeros((2, 3), dtype=int)
     for number in range(n):
         _, data, _ = simulated(robot, terms, np.random.default_rng([seed, number]))
-        for one in calib.fit(robot, data, terms="auto").terms.tried:
-            counts[int(one.term not in terms), int(not one.proven)] += one.added
+        told = [one for one in calib.fit(robot, data, terms="auto").terms.tried if one.added]
+        for kinds, one in {frozenset((one.term, *one.together)): one for one in told}.items():
+            counts[int(not kinds & set(terms)), 2 if one.together else int(not one.proven)] += 1
     return counts.ravel()
 
 
@@ -140,17 +142,24 @@ def test_which_joint_drives_which_is_found():
 
 
 @pytest.mark.parametrize(("there", "number", "other"), [("gain", 28, "harmonics"), ("harmonics", 7, "gain")])
-def test_of_terms_that_look_alike_the_likelier_is_added_and_the_other_named(tmp_path, there, number, other):
+def test_terms_that_look_alike_are_added_together_and_none_is_claimed(tmp_path, there, number, other):
     robot = five_bar(tmp_path)  # its motors turn through half a radian to either side
-    _, data, _ = simulated(robot, (there,), np.random.default_rng([2, number]))
+    _, data, elsewhere = simulated(robot, (there,), np.random.default_rng([2, number]))
     fit = calib.fit(robot, data, terms="auto")
-    told = next(one for one in fit.terms.tried if one.term == there)
-    assert told.added
-    assert not told.proven
-    assert other in told.alike
-    assert told.alike[other] == pytest.approx(told.evidence - evidence_of(fit, robot, data, other))
-    named = re.search(r"its kind is not proven, it may be ([a-z, ]+)", " ".join(fit.report().split()))
-    assert other in named[1]
+    assert {there, other} <= added(fit)
+    told = {one.term: one for one in fit.terms.tried if one.added}
+    for one in told.values():
+        assert not one.proven
+        assert {one.term, *one.together} == set(told)
+    less = evidence_of(fit, robot, data, there) - evidence_of(fit, robot, data, other)
+    assert told[there].alike[other] == pytest.approx(less)
+    assert told[other].alike[there] == pytest.approx(-less)
+    report = " ".join(fit.report().split())
+    named = re.search(r"Joint terms added: ([a-z ]+) \(", report)
+    assert set(named[1].split(" or ")) == set(told)
+    assert "which of them, the data cannot tell: they were added together" in report
+    alone = [calib.fit(robot, data, terms=term).predict(elsewhere) for term in (there, other)]
+    assert np.all(fit.predict(elsewhere).std.mean() > [0.99 * one.std.mean() for one in alone])
 
 
 def evidence_of(fit, robot, data, term):
@@ -182,57 +191,67 @@ def search_in(*made_up):
 
 
 def test_what_would_make_an_added_term_superfluous_is_not_added():
-    table = {"": (0, 40, 40), "g": (50, 30, 30), "h": (40, 31, 30), "c": (20, 36, 39)}
+    table = {"": (0, 40, 40), "g": (50, 30, 30), "h": (40, 31, 31), "c": (20, 36, 39)}
     search = search_in({**table, "gh": (70, 28, 20), "cg": (55, 29, 29), "ch": (75, 26, 35), "cgh": (90, 27, 19)})
-    chosen, brought = search.chosen()  # beside curve and harmonics, gain makes boxes worse: 27 in place of 26
-    assert chosen.terms == ("gain", "harmonics")
+    groups, brought = search.chosen()  # beside curve and harmonics, gain makes boxes worse: 27 in place of 26
+    assert groups == (("gain",), ("harmonics",))
     assert [after.evidence - before.evidence for before, after in brought.values()] == [50, 20]
-    left_out = search.told(search.tried[2], chosen, brought)
+    left_out = search.told(search.tried[2], groups, brought)
     assert left_out.why == "beside it gain would not earn its place: poses of blocks left out are not predicted better"
     search = search_in({**table, "gh": (70, 28, 20), "cg": (55, 29, 29), "ch": (75, 26, 35), "cgh": (90, 25, 19)})
-    assert search.chosen()[0].terms == ("gain", "harmonics", "curve")
+    assert search.chosen()[0] == (("gain",), ("harmonics",), ("curve",))
 
 
 @pytest.mark.parametrize(
     ("evidence", "unsure", "chosen"),
     [
-        ((20, 18), (90, 1), ("harmonics",)),  # gain loses 89 mm^2 and brings 80; harmonics are the likelier guess then
-        ((20, 18), (90, 90), ()),
-        ((20, 18), (70, 90), ("gain",)),
-        ((20, 16), (90, 90), ("gain",)),  # its kind is known, whatever it costs
+        ((20, 18), (90, 90, 70), (("gain", "harmonics"),)),  # lost 69 mm^2, brought 80
+        ((20, 18), (90, 1, 90), (("harmonics",),)),  # together they lose 89, harmonics alone nothing
+        ((20, 18), (90, 90, 90), ()),
+        ((20, 16), (90, 90, 90), (("gain",),)),  # its kind is known, whatever it costs
     ],
 )
 def test_a_guess_must_bring_more_than_it_costs_where_joint_values_are_combined_otherwise(evidence, unsure, chosen):
     gain, harmonics = evidence
-    table = {"": (0, 40), "g": (gain, 20), "h": (harmonics, 20), "c": (-1, 41)}
-    table |= {"gh": (gain + 1, 20), "cg": (gain, 21), "ch": (harmonics, 21)}
-    search = search_in(table, {"": 1, "g": unsure[0], "h": unsure[1]})
-    found, _ = search.chosen()
-    assert found.terms == chosen
+    table = {"": (0, 40), "g": (gain, 20), "h": (harmonics, 21), "c": (-1, 41)}
+    table |= {"gh": (gain + 1, 20), "cg": (gain, 21), "ch": (harmonics, 21), "cgh": (gain, 21)}
+    search = search_in(table, {"": 1, "g": unsure[0], "h": unsure[1], "gh": unsure[2]})
+    groups, _ = search.chosen()
+    assert groups == chosen
     if not chosen:
-        why = search.told(search.tried[0], found, {}).why
+        why = search.told(search.tried[0], groups, {}).why
         assert why.startswith("the data cannot tell it from harmonics, and it costs more than it brings: ")
         assert why.endswith("are known to 9.49 mm, to 1 mm without it")
 
 
 @pytest.mark.parametrize(
-    ("harmonics", "proven"),
+    ("harmonics", "groups", "proven"),
     [
-        ((16.9, 21), True),
-        ((17.1, 21), False),  # odds below 20 to 1
-        ((10, 20), False),  # predicts blocks as well
-        ((3, 20), True),  # the same, but would not earn its place: less evidence than chance gives
+        ((16.9, 21), (("gain",),), True),
+        ((17.1, 21), (("gain", "harmonics"),), False),  # odds below 20 to 1
+        ((10, 20), (("gain", "harmonics"),), False),  # predicts blocks as well
+        ((3, 20), (("gain",),), True),  # the same, but would not earn its place: less evidence than chance gives
+        ((5.2, 21), (("gain",),), True),
     ],
 )
-def test_a_kind_is_proven_where_evidence_and_blocks_left_out_both_say_so(harmonics, proven):
+def test_a_kind_is_claimed_where_evidence_and_blocks_left_out_both_say_so(harmonics, groups, proven):
     table = {"": (0, 40), "g": (20, 20), "h": harmonics, "c": (-1, 41)}
-    table |= {"gh": (20, 20), "cg": (19, 21), "ch": (harmonics[0], 21)}
+    table |= {"gh": (20, 20), "cg": (19, 21), "ch": (harmonics[0], 21), "cgh": (19, 21)}
     search = search_in(table)
     found, brought = search.chosen()
+    assert found == groups
     told = search.told(search.tried[0], found, brought)
-    assert found.terms == ("gain",)
     assert told.proven == proven
     assert told.alike == ({} if proven else {"harmonics": pytest.approx(20 - harmonics[0])})
+    assert told.together == groups[0][1:]
+
+
+def test_what_a_later_term_tells_apart_leaves_its_group():
+    table = {"": (0, 90), "g": (20, 60), "h": (19, 61), "c": (10, 80), "gh": (20, 60)}
+    table |= {"cg": (60, 20), "ch": (40, 30), "cgh": (60, 20)}
+    search = search_in(table)
+    assert search.step((), "gain") == (("gain", "harmonics"),)
+    assert search.chosen()[0] == (("gain",), ("curve",))
 
 
 def test_through_a_loop_too_nothing_is_added_where_there_is_nothing(tmp_path):

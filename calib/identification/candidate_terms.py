@@ -66,8 +66,10 @@ class TriedTerm:
         before, after: Root mean square of the main part of the readings without it and with it, each block of poses
             left out in turn [SI]; NaN where it was not tried.
         why: Why it was left out; empty where it was added.
+        together: Kinds that were added together with it, because the data cannot tell them from it; evidence and errors
+            are then those of all of them.
         alike: Of one that was added, kinds of terms that may be there in its place, and by how much lower the log
-            marginal likelihood is with them.
+            marginal likelihood is with each of them alone.
     """
 
     term: str
@@ -76,6 +78,7 @@ class TriedTerm:
     before: float = float("nan")
     after: float = float("nan")
     why: str = ""
+    together: tuple[str, ...] = ()
     alike: Mapping[str, float] = field(default_factory=dict)
 
     @property

@@ -16,16 +16,20 @@ Of the candidates that earn their place, the one is added whose evidence rises f
 prediction no other one beats by two standard errors (breiman1984). The others are then tried beside it, until none
 earns its place. What would make an added term superfluous is not added: every term earns its place beside all others.
 
-Kinds that look alike at the poses measured say different things elsewhere. Each of the others is tried in the place of
-each that is added. Where one comes within odds of 20 to 1 (kass1995), the kind is a guess, and so is what the term says
-of poses unlike those measured. It must then bring more than it costs, both mean squares of positions:
+Kinds that look alike at the poses measured say different things elsewhere. Another kind that would earn the place is
+told apart from the one added only if its log evidence, beyond what chance gives for its sizes, is lower by odds of 20
+to 1 (kass1995), and it predicts blocks left out worse. Kinds that are not told apart are added together: predictions
+then lie between what each would say, intervals hold either, and no single kind is claimed. Such a group is a guess,
+and so is a kind alone to which the evidence of any other one comes within these odds. A guess must bring more than it
+costs, both mean squares of positions:
 
     brought      what poses of blocks left out are predicted better
     lost         what positions become less sure with it where the joint values measured are combined in other ways,
                  base and tool placed anew
 
-A kind is called proven only if its evidence leads that of every other one by these odds, also beyond what chance gives
-for its sizes, and none that would earn the place predicts blocks left out as well; else the others are named.
+Where a group costs more, its likeliest kind is tried alone. Terms that are added later may tell the kinds of a group
+apart; then the others leave it. A kind is called proven only if it was added alone and every other one is told from it,
+whether that one would earn the place or not; else the others are named.
 What is added is then fitted as any robot is, without linearising.
 
 When it fails. Errors that no candidate describes stay. Blocks of a small part of joint space are neighbours of each
@@ -58,6 +62,10 @@ SURE = 2.0
 LEAST_POSES = 2 * BLOCKS
 """Different poses below which nothing is tried."""
 
+Group = tuple[str, ...]
+"""Terms that the data cannot tell from each other, the likeliest first; or a term alone."""
+Groups = tuple[Group, ...]
+
 
 @one_blas_thread
 def choose_terms(fit: Fit) -> TermChoice:
@@ -81,10 +89,11 @@ def choose_terms(fit: Fit) -> TermChoice:
         return TermChoice("auto", fit.robot.description.terms, tuple(TriedTerm(one.term, why=why) for one in kinds))
     tried = tuple(one for one in kinds if not one.refused)
     search = _Search(Trials(fit, tried), tried)
-    chosen, brought = search.chosen()
-    added = [section for one in search.tried if one.term in brought for section in search.entries(one, chosen)]
+    groups, brought = search.chosen()
+    chosen = search.of(groups)
+    added = [section for one in search.tried if one.term in chosen.terms for section in search.entries(one, chosen)]
     sections = (*fit.robot.description.terms, *added)
-    told = sorted((search.told(one, chosen, brought) for one in kinds), key=lambda one: not one.added)
+    told = sorted((search.told(one, groups, brought) for one in kinds), key=lambda one: not one.added)
     return TermChoice("auto", sections, tuple(told))
 
 
@@ -99,22 +108,58 @@ class _Search:
     def __init__(self, trials: Trials, tried: tuple[Candidate, ...]) -> None:
         self.trials, self.tried = trials, tried
 
-    def chosen(self) -> tuple[Trial, dict[str, tuple[Trial, Trial]]]:
-        """Return the trial with all terms that earn their place, and for each the trials without and with it."""
-        current = self.trials.of(())
+    def of(self, groups: Groups) -> Trial:
+        """Return the trial with all terms of some groups."""
+        return self.trials.of(tuple(term for group in groups for term in group))
+
+    def chosen(self) -> tuple[Groups, dict[str, tuple[Trial, Trial]]]:
+        """Return the groups that earn their place, and for each term the trials before and after it was added."""
+        groups: Groups = ()
         brought: dict[str, tuple[Trial, Trial]] = {}
         while True:
-            free = [one.term for one in self.tried if not one.doubt and one.term not in current.terms]
-            trials = [self.trials.of((*current.terms, term)) for term in free]
-            earning = [trial for trial in trials if self.refused(trial) == ""]
+            without = self.of(groups)
+            alone = {term: self.of((*groups, (term,))) for term in self.free(groups)}
+            steps = {term: self.step(groups, term) for term, one in alone.items() if not self.failed(without, one)}
+            earning = [term for term, step in steps.items() if step]
             if not earning:
-                return current, brought
-            best = min(earning, key=lambda trial: float(np.sum(trial.squares[0])))
-            near = [trial for trial in earning if not _surely_better(best, trial)]
-            rises = [self.beyond_chance(current, trial) for trial in near]
-            step = near[int(np.argmax(rises))]
-            brought[step.terms[-1]] = current, step
-            current = step
+                return groups, brought
+            best = min((alone[term] for term in earning), key=lambda one: float(np.sum(one.squares[0])))
+            near = [term for term in earning if not _surely_better(best, alone[term])]
+            groups = steps[max(near, key=lambda term: self.beyond_chance(without, alone[term]))]
+            brought |= dict.fromkeys(groups[-1], (without, self.of(groups)))
+
+    def free(self, groups: Groups) -> list[str]:
+        """Return the terms that may be added to some groups."""
+        return [one.term for one in self.tried if not one.doubt and not any(one.term in group for group in groups)]
+
+    def step(self, groups: Groups, term: str) -> Groups:
+        """Return the groups with a term and what cannot be told from it, or with it alone; none if neither earns it."""
+        without, own = self.of(groups), self.of((*groups, (term,)))
+        others = [other for other in self.free(groups) if other != term and self.alike(without, own, groups, other)]
+        for group in dict.fromkeys([(term, *others), (term,)]):
+            stepped = self.told_apart((*groups, group))
+            if not self.refused(stepped):
+                return stepped
+        return ()
+
+    def alike(self, without: Trial, own: Trial, groups: Groups, other: str) -> bool:
+        """Whether another term would earn the place of one, and is not told from it."""
+        instead = self.of((*groups, (other,)))
+        return not self.failed(without, instead) and (
+            self.beyond_chance(without, own) - self.beyond_chance(without, instead) < 2.0 * TELLS
+            or not _predicts_better(own, instead)
+        )
+
+    def told_apart(self, groups: Groups) -> Groups:
+        """Return groups without the terms that can be told from the likeliest one of theirs beside the other groups."""
+        kept = list(groups)
+        for k, group in enumerate(groups):
+            rest = (*kept[:k], *kept[k + 1 :])
+            without, alone = self.of(rest), {term: self.of((*rest, (term,))) for term in group}
+            best = max(group, key=lambda term: self.beyond_chance(without, alone[term]))
+            others = (term for term in group if term != best and self.alike(without, alone[best], rest, term))
+            kept[k] = best, *others
+        return tuple(kept)
 
     def beyond_chance(self, without: Trial, trial: Trial) -> float:
         """Return by how much more twice the log evidence rises than chance makes it rise."""
@@ -129,20 +174,25 @@ class _Search:
             return "poses of blocks left out are not predicted better"
         return ""
 
-    def refused(self, trial: Trial) -> str:
-        """Return why not every term of a trial earns its place beside the others; empty if all do."""
-        for term in trial.terms:
-            without = self.trials.of(tuple(other for other in trial.terms if other != term))
-            why = self.failed(without, trial) or self.guessed(term, without, trial)
+    def refused(self, groups: Groups) -> str:
+        """Return why not every group, by its likeliest term, earns its place beside the others; empty if all do."""
+        trial = self.of(groups)
+        for group in groups:
+            rest = tuple(other for other in groups if other != group)
+            without = self.of(rest)
+            why = self.failed(without, self.of((*rest, group[:1]))) or self.guessed(group, without, trial)
             if why:
-                return why if term == trial.terms[-1] else f"beside it {term} would not earn its place: {why}"
+                name = " or ".join(group)
+                return why if group == groups[-1] else f"beside it {name} would not earn its place: {why}"
         return ""
 
-    def guessed(self, term: str, without: Trial, trial: Trial) -> str:
-        """Return why a term of a trial is a guess that costs more than it brings; empty if it is not."""
+    def guessed(self, group: Group, without: Trial, trial: Trial) -> str:
+        """Return why a group of a trial is a guess that costs more than it brings; empty if it is not."""
         if trial.unsure - without.unsure <= without.rms[0] ** 2 - trial.rms[0] ** 2:
             return ""
-        alike = [name for name, other in self.instead(term, trial).items() if trial.evidence - other.evidence < TELLS]
+        alike = list(group[1:]) or [
+            name for name, other in self.instead(group[0], trial).items() if trial.evidence - other.evidence < TELLS
+        ]
         if not alike:
             return ""
         known, before = (millimetres(float(np.sqrt(one.unsure))) for one in (trial, without))
@@ -163,26 +213,31 @@ class _Search:
             return one.sections
         return one.resized(self.trials.robot, trial.sizes[one.term])
 
-    def told(self, one: Candidate, chosen: Trial, brought: dict[str, tuple[Trial, Trial]]) -> TriedTerm:
+    def told(self, one: Candidate, groups: Groups, brought: dict[str, tuple[Trial, Trial]]) -> TriedTerm:
         """Return what a candidate brought, or why it was left out."""
         if one.refused:
             return TriedTerm(one.term, why=one.refused)
-        added = one.term in brought
-        without, with_it = brought[one.term] if added else (chosen, self.trials.of((*chosen.terms, one.term)))
-        why = "" if added else self.failed(without, with_it) or one.doubt or self.refused(with_it)
-        alike = self.alike(one.term, chosen) if added else {}
+        group = next((group for group in groups if one.term in group), ())
+        tried = (*groups, (one.term,))
+        without, with_it = brought[one.term] if group else (self.of(groups), self.of(tried))
+        why = "" if group else self.failed(without, with_it) or one.doubt or self.refused(self.told_apart(tried))
+        together = tuple(term for term in group if term != one.term)
+        alike = self.rivals(one.term, groups) if group else {}
         gain = with_it.evidence - without.evidence
-        return TriedTerm(one.term, added, gain, without.rms[0], with_it.rms[0], why, alike)
+        return TriedTerm(one.term, bool(group), gain, without.rms[0], with_it.rms[0], why, together, alike)
 
-    def alike(self, term: str, chosen: Trial) -> dict[str, float]:
+    def rivals(self, term: str, groups: Groups) -> dict[str, float]:
         """Return the terms that may be there in the place of one that was added, and how much less likely they are."""
-        without = self.trials.of(tuple(other for other in chosen.terms if other != term))
-        rise = self.beyond_chance(without, chosen)
+        rest = tuple(group for group in groups if term not in group)
+        together = {other for group in groups if term in group for other in group}
+        without, own = self.of(rest), self.of((*rest, (term,)))
+        rise = self.beyond_chance(without, own)
         return {
-            name: chosen.evidence - other.evidence
-            for name, other in self.instead(term, chosen).items()
-            if rise - self.beyond_chance(without, other) < 2.0 * TELLS
-            or not (self.failed(without, other) or _predicts_better(chosen, other))
+            name: own.evidence - other.evidence
+            for name, other in self.instead(term, own).items()
+            if name in together
+            or rise - self.beyond_chance(without, other) < 2.0 * TELLS
+            or not (self.failed(without, other) or _predicts_better(own, other))
         }
 
 

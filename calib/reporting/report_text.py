@@ -117,7 +117,11 @@ def _terms(fit: Fit) -> list[str]:
     added: list[str] = []
     left: list[str] = []
     refused: list[str] = []
+    shown: set[str] = set()
     for one in fit.terms.tried:
+        if one.term in shown:
+            continue
+        shown |= set(one.together)
         if np.isnan(one.evidence):
             refused.append(f"{one.term} ({one.why})")
         else:
@@ -126,9 +130,11 @@ def _terms(fit: Fit) -> list[str]:
                 f"poses of blocks left out {scale * one.before:.4f} -> {scale * one.after:.4f} {unit} RMS, log evidence"
                 f" {one.evidence:+.1f}"
             )
-            others = listed([_rival(kind, less) for kind, less in one.alike.items()])
+            others = listed([_rival(kind, less) for kind, less in one.alike.items() if kind not in one.together])
             alike = f"; its kind is not proven, it may be {others}" if others else ""
-            (added if one.added else left).append(f"{one.term} ({one.why}{': ' if one.why else ''}{numbers}{alike})")
+            which = "; which of them, the data cannot tell: they were added together" if one.together else ""
+            name = " or ".join([one.term, *one.together])
+            (added if one.added else left).append(f"{name} ({one.why}{': ' if one.why else ''}{numbers}{which}{alike})")
     every = len(fit.terms.tried)
     lines = [f"Joint terms added: {listed(added, '; ', every) or 'none earns its place'}"]
     lines += [f"Joint terms left out: {listed(left, '; ', every)}"] if left else []

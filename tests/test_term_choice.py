@@ -126,6 +126,22 @@ def test_what_is_there_is_added_and_nothing_else():
     assert "no more evidence than chance gives" in report
 
 
+@pytest.mark.parametrize(("times", "said"), [(2.0, False), (30.0, True)])
+def test_a_term_far_larger_than_is_usual_is_a_reason_to_look(times, said):
+    robot = example_arm(None)
+    usual = robot.with_terms(listed_terms("joint_2=gain")).parameters[-1].sigma
+    true = robot.with_terms(listed_terms("joint_2=gain")).with_parameters({"joint_2.gain": times * usual})
+    q = np.random.default_rng(19).uniform(-1.5, 1.5, (40, 6))
+    fit = calib.fit(robot, _measured(robot, true, q, np.random.default_rng(20)), terms="auto")
+    assert added(fit) == {"gain"}
+    gain = next(one for one in fit.terms.tried if one.term == "gain")
+    found = [reason.text for reason in fit.verdict.reasons if reason.code == "large_terms"]
+    assert len(found) == said
+    if said:  # the size is that of all six joints, of which one is off
+        assert gain.size == pytest.approx(times / np.sqrt(6), rel=0.2)
+        assert f"gain ({gain.size:.0f} times)" in found[0]
+
+
 def test_which_joint_drives_which_is_found():
     robot = example_arm(None)
     driven = robot.with_terms([CouplingSection(joint="joint_6", term="coupling", driven_by="joint_5", sigma=1e-3)])

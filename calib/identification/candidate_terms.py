@@ -66,6 +66,8 @@ class TriedTerm:
         before, after: Root mean square of the main part of the readings without it and with it, each block of poses
             left out in turn [SI]; NaN where it was not tried.
         why: Why it was left out; empty where it was added.
+        size: How many times as large as is usual its coefficients are, the largest of a curve's joints; NaN where it
+            was not added.
         together: Kinds that were added together with it, because the data cannot tell them from it; evidence and errors
             are then those of all of them.
         alike: Of one that was added, kinds of terms that may be there in its place, and by how much lower the log
@@ -78,6 +80,7 @@ class TriedTerm:
     before: float = float("nan")
     after: float = float("nan")
     why: str = ""
+    size: float = float("nan")
     together: tuple[str, ...] = ()
     alike: Mapping[str, float] = field(default_factory=dict)
 

@@ -38,7 +38,7 @@ from calib.identification.fitted import Fit
 from calib.identification.pose_checks import check_measurements, likely_mistake, require_identifiable
 from calib.identification.problem import Evaluation, Problem
 from calib.identification.robust import without_outliers
-from calib.identification.rules_model import unproven
+from calib.identification.rules_noise import unproven
 from calib.identification.settings import Settings
 from calib.identification.solving import convergence_at, place, seen_from, solve_from, uncertainty_at
 from calib.identification.term_choice import choose_terms

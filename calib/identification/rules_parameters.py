@@ -20,6 +20,8 @@ sigma that was guessed five times too small. Calibrated robots stay near 2; a jo
 hundreds, and the prior, a thousand times its sigma away, then pulls all the others out of place."""
 SMALLEST_SHARE = 0.05
 """Share of a parameter that the data must decide for its deviation to say anything."""
+UNUSUAL = 10.0
+"""Size of a joint term that was chosen, over what is usual, from which something else may be the cause."""
 LOOSE_ANGLE = 0.1
 """Standard deviation of an angle beyond which its effect is not linear [rad]."""
 
@@ -56,6 +58,19 @@ def far_from_nominal(fit: Fit) -> Iterator[Reason]:
             "at_bounds",
             f"parameters further from nominal than {PLAUSIBLE:g} times what their stated sigma allows: {words};"
             " check zero positions and units, or, if that is possible, state a larger sigma in the description",
+        )
+
+
+def large_terms(fit: Fit) -> Iterator[Reason]:
+    """List joint terms that were chosen, and are much larger than is usual: each was fitted with the sigma it needs."""
+    tried = () if fit.terms is None else fit.terms.tried
+    words = listed([f"{one.term} ({one.size:.0f} times)" for one in tried if one.added and one.size > UNUSUAL])
+    if words:
+        yield Reason(
+            "CHECK",
+            "large_terms",
+            f"joint terms that were added are more than {UNUSUAL:g} times as large as is usual: {words}; look for a"
+            " ratio, unit, mass or load that is wrong in the description or the data",
         )
 
 

@@ -9,7 +9,7 @@ with gear errors, the noise of a good tracker is the least part. By a statement 
 pull parameters hundreds of sigmas away from where they are expected, and slowly, along bent valleys. So the noise of
 such a group is found as well, where chance explains what is left in less than one case of a thousand. The linear model
 around the start tells; where what it leaves is its curvature, and the minimum contradicts nothing, the statement holds
-again. (The statement itself is judged by `calib.identification.rules_model`.)
+again. (The statement itself is judged by `calib.identification.rules_noise`.)
 """
 
 from __future__ import annotations

@@ -224,7 +224,8 @@ class _Search:
         together = tuple(term for term in group if term != one.term)
         alike = self.rivals(one.term, groups) if group else {}
         gain = with_it.evidence - without.evidence
-        return TriedTerm(one.term, bool(group), gain, without.rms[0], with_it.rms[0], why, together, alike)
+        size = self.of(groups).sizes[one.term] if group else float("nan")
+        return TriedTerm(one.term, bool(group), gain, without.rms[0], with_it.rms[0], why, size, together, alike)
 
     def rivals(self, term: str, groups: Groups) -> dict[str, float]:
         """Return the terms that may be there in the place of one that was added, and how much less likely they are."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from calib.identification import rules_data, rules_model, rules_parameters, rules_reach
+from calib.identification import rules_data, rules_model, rules_noise, rules_parameters, rules_reach
 from calib.identification.blind_spots import not_covered
 from calib.identification.fitted import Fit
 from calib.identification.pose_checks import likely_mistake
@@ -23,7 +23,7 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_data.dead_readings,
     rules_model.not_converged,
     rules_model.not_assembled,
-    rules_model.noise,
+    rules_noise.noise,
     rules_data.doubtful_readings,
     rules_model.worse_on_validation,
     rules_model.frame_moved,
@@ -34,6 +34,7 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_reach.far_validation,
     rules_reach.beyond_joint_limits,
     rules_reach.terms_untested,
+    rules_parameters.large_terms,
     rules_reach.turns_not_counted,
     rules_data.too_few_poses,
     rules_parameters.loose,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from concurrent.futures import Executor
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Literal
 
 from calib import pictures
 from calib.data.measurements import Measurements
@@ -83,7 +84,7 @@ def fit(
     loss: str = "none",
     exclude_outliers: bool = False,
     starts: int = 1,
-    folds: int = 0,
+    folds: int | Literal["setups"] = 0,
     seed: int = 0,
     terms: str | None = None,
     executor: Executor | int | None = None,
@@ -99,7 +100,7 @@ def fit(
         loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey`.
         exclude_outliers: Leave outliers out and fit again.
         starts: Number of starting points.
-        folds: Number of folds for cross-validation by pose; 0 for none.
+        folds: Number of folds for cross-validation by pose, 0 for none; `setups`: every setup is one, placed anew.
         seed: Seed of perturbed starts and folds.
         terms: Joint terms in place of those of the description: `none`; or in addition to them: `auto` for those that
             earn their place, or a list such as `curve,elbow=backlash`.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import click
 
@@ -28,7 +29,12 @@ from calib.words import counted
     help="Measurements to judge the result with: a CSV file, or the part"
     " of DATA to hold out (0.2: a fifth of the poses).",
 )
-@click.option("--folds", type=int, default=0, help="Cross-validation: leave out each of so many parts of DATA in turn.")
+@click.option(
+    "--folds",
+    metavar="N|setups",
+    default="0",
+    help="Cross-validation: leave out each of so many parts of DATA in turn, or each setup, which is then placed anew.",
+)
 @click.option(
     "--sigma-mm",
     type=float,
@@ -66,7 +72,7 @@ def command(
     robot: str,
     data: tuple[str, ...],
     validate: str | None,
-    folds: int,
+    folds: str,
     sigma_mm: float | None,
     loss: str,
     terms: str | None,
@@ -105,7 +111,7 @@ def command(
             loss=loss,
             exclude_outliers=exclude_outliers,
             starts=starts,
-            folds=folds,
+            folds=_folds(folds),
             seed=seed,
             terms=terms,
             executor=jobs,
@@ -121,6 +127,16 @@ def command(
         raise ComputationError(
             f"verdict FAIL: {result.verdict.reasons[0].text}; calibrated.urdf was not written (--force writes it)"
         )
+
+
+def _folds(text: str) -> int | Literal["setups"]:
+    """The number of folds that was typed, or `setups`."""
+    if text == "setups":
+        return "setups"
+    try:
+        return int(text)
+    except ValueError:
+        raise InputError(f"--folds {text}: must be a number of folds, or 'setups'") from None
 
 
 def _hold_out(robot: Robot, data: Measurements, validate: str, seed: int) -> tuple[Measurements, Measurements]:

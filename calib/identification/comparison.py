@@ -70,7 +70,8 @@ def comparisons(fit: Fit) -> Iterator[Comparison]:
         yield _compare(fit, "the validation poses", fit.validation, 1.0)
     if fit.folds is not None:
         fewer = fit.folds.count / (fit.folds.count - 1)  # each fold is predicted by a fit of the others
-        yield _compare(fit, "poses left out in turns", fit.folds.errors, fewer)
+        left_out = "setups" if fit.folds.setups else "poses"
+        yield _compare(fit, f"{left_out} left out in turns", fit.folds.errors, fewer)
 
 
 def _compare(fit: Fit, name: str, errors: ErrorSet, covariance: float) -> Comparison:

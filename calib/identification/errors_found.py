@@ -116,6 +116,7 @@ class Folds:
         errors: In the order of the data.
         rms: Root mean square distance after calibration of each fold [m], (count,).
         converged: Whether all fits converged.
+        setups: Of each fold its setup, as the description counts them, (count,); empty where poses were dealt.
     """
 
     count: int
@@ -123,6 +124,7 @@ class Folds:
     errors: ErrorSet
     rms: tuple[float, ...]
     converged: bool
+    setups: tuple[int, ...] = ()
 
 
 def _numbered(details: FloatArray) -> IntArray:

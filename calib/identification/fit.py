@@ -10,10 +10,10 @@ with r the residuals of all readings of a visit and V the covariance of their no
 Order of work: (1) close every pose at nominal, or name those that cannot be; (2) where measurement frames or targets
 are not known, they are placed alone, near where they are expected if a sigma says so: this is the honest state
 `before`; (3) all free parameters together, with the noise that nobody states, from several starts if asked for
-(`calib.identification.solving`); (4) with a robust loss, again with weights (`calib.identification.robust`); (5) rank,
-statistics and error tables at the solution; (6) if asked for, outliers are left out and all is done again, and poses
-are left out in turns for cross-validation; also where noise is so far above its statement that nothing else can prove
-the result.
+(`calib.identification.solving`); (4) with a robust loss, again with weights (`calib.identification.robust`); (5)
+rank, statistics and error tables at the solution, places that only validation poses show placed by these; (6) if
+asked for, outliers are left out and all is done again, and poses are left out in turns for cross-validation; also
+where noise is so far above its statement that nothing else can prove the result.
 
 When it fails. Fewer coordinates than unknowns, or columns that the poses cannot tell apart and no prior holds, is a
 `NotIdentifiableError` that names the parameters. A fit that did not converge comes back with the verdict FAIL.
@@ -42,7 +42,8 @@ from calib.identification.rules_noise import unproven
 from calib.identification.settings import Settings
 from calib.identification.solving import convergence_at, place, seen_from, solve_from, uncertainty_at
 from calib.identification.term_choice import choose_terms
-from calib.identification.validation import cross_validate
+from calib.identification.unseen_places import placed_by, unseen
+from calib.identification.validation import cross_validate, n_folds
 from calib.identification.verdict import judge
 from calib.joint_terms.terms import listed_terms
 from calib.linearisation.observed import observe
@@ -83,7 +84,7 @@ def identify(
     """
     started = time.perf_counter()
     _require_measurements(data, validation)
-    with Workers(executor, max(settings.starts - 1, settings.folds)) as workers:
+    with Workers(executor, max(settings.starts - 1, n_folds(data, settings.folds))) as workers:
         fit = _identified(robot, data, validation, settings, workers, progress)
     return replace(fit, seconds=time.perf_counter() - started)
 
@@ -153,6 +154,8 @@ def _fit(
     progress: Progress | None = None,
 ) -> Fit:
     """Do steps 1 to 5 of the module docstring."""
+    later = () if validation is None else unseen(robot, data, validation)
+    robot = robot.hold(*later) if later else robot
     check_measurements(robot, data)
     problem = Problem(robot, data, settings.sigma)
     placed = place(problem)
@@ -163,19 +166,22 @@ def _fit(
     final = problem.evaluate(solved.robot)
     require_identifiable(problem, final)
     rows, scales, uncertainty = uncertainty_at(problem, final, solved, settings)
+    calibrated = solved.robot
+    if validation is not None and later:
+        placed, calibrated = (placed_by(validation, one, later) for one in (placed, calibrated))
     return Fit(
         nominal=robot,
         placed=placed,
-        robot=solved.robot,
+        robot=calibrated,
         identification=ErrorSet(
             data,
             robot.instruments,
             start.residuals,
             final.residuals,
-            solved.robot.singular_values(final.configurations),
+            calibrated.singular_values(final.configurations),
             final.configurations.passive,
         ),
-        validation=None if validation is None else errors_on(placed, solved.robot, validation),
+        validation=None if validation is None else errors_on(placed, calibrated, validation),
         configurations=final.configurations,
         unknowns=problem.unknowns,
         statistics=uncertainty,
@@ -193,6 +199,7 @@ def _fit(
         judge=judge,
         starts=solved.starts,
         seed=settings.seed,
+        placed_later=later,
     )
 
 

@@ -109,6 +109,7 @@ class Fit(ReadOnlyArrays):
         with_all: The fit of all visits, where outliers were left out of this one.
         terms: Which joint terms were asked for, if any were, and what choosing them found.
         seed: Seed of every random choice.
+        placed_later: Parameters of places that validation poses alone show, and that these placed.
         judge: What gives the verdict when it is asked for.
     """
 
@@ -138,6 +139,7 @@ class Fit(ReadOnlyArrays):
     with_all: Fit | None = None
     terms: TermChoice | None = None
     seed: int = 0
+    placed_later: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -20,7 +21,7 @@ class Settings:
         loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey` (see `calib.numerics.losses`).
         exclude_outliers: Leave outliers out and fit again; the result holds both fits.
         starts: Number of starting points, the nominal one and perturbed ones.
-        folds: Number of folds for cross-validation by pose; 0 for none.
+        folds: Number of folds for cross-validation by pose, 0 for none; `setups`: every setup is one, placed anew.
         seed: Seed of perturbed starts and folds.
         terms: Joint terms: those of the description if not given; `none`; a list such as `curve,elbow=backlash`, in
             addition to these; `auto`, in addition those that earn their place (`calib.identification.term_choice`).
@@ -34,7 +35,7 @@ class Settings:
     loss: Loss = "none"
     exclude_outliers: bool = False
     starts: int = 1
-    folds: int = 0
+    folds: int | Literal["setups"] = 0
     seed: int = 0
     terms: str | None = None
 
@@ -42,6 +43,8 @@ class Settings:
         if self.sigma is not None and not (np.isfinite(self.sigma) and self.sigma > 0):
             raise DataError(f"sigma {self.sigma:g} m: must be a positive number")
         checked_loss(self.loss)
+        if isinstance(self.folds, str) and self.folds != "setups":
+            raise InputError(f"folds '{self.folds}': must be a number of folds, or 'setups'")
         if self.starts < 1:
             raise InputError(f"starts {self.starts}: must be 1 or more")
         if self.seed < 0:

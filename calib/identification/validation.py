@@ -1,7 +1,8 @@
 """Cross-validation by pose: every pose is predicted once by a fit that did not see it.
 
 Poses are dealt into folds at random; those with the same joint values (repeats of one pose that the file does not mark
-as such) go into the same fold, because a repeat is no new pose. Or they are cut into blocks of neighbours.
+as such) go into the same fold, because a repeat is no new pose. Or every setup is a fold: then what was put up anew in
+it is placed by its own poses, and the errors are those of another place. Or they are cut into blocks of neighbours.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Executor
 from functools import partial
+from typing import Literal
 
 import numpy as np
 
@@ -38,9 +40,30 @@ def deal(data: Measurements, count: int, seed: int = 0) -> list[IntArray]:
     return [np.sort(np.array(fold, dtype=np.intp)) for fold in folds]
 
 
+def n_folds(data: Measurements, folds: int | Literal["setups"]) -> int:
+    """Return how many folds there are."""
+    return len(_setups(data)) if folds == "setups" else folds
+
+
+def _setups(data: Measurements) -> list[int]:
+    return [0] if data.setups is None else [int(one) for one in np.unique(data.setups)]
+
+
+def _folds(data: Measurements, folds: int | Literal["setups"], seed: int) -> list[IntArray]:
+    """Indices of each fold, (n_in_fold,) each."""
+    if folds == "setups":
+        if data.setups is None or len(_setups(data)) < 2:
+            raise InputError(f"folds setups: {data.path} has one setup only; give a number of folds")
+        return [np.flatnonzero(data.setups == one) for one in _setups(data)]
+    dealt = deal(data, folds, seed)
+    if folds < 2 or min(len(fold) for fold in dealt) == 0:
+        raise InputError(f"folds {folds}: must be 2 or more, and not more than there are different poses")
+    return dealt
+
+
 def cross_validate(
     data: Measurements,
-    count: int,
+    count: int | Literal["setups"],
     seed: int,
     fit: FitBoth,
     executor: Executor | None = None,
@@ -50,18 +73,17 @@ def cross_validate(
 
     Args:
         data: All measurements.
-        count: Number of folds, 2 or more.
+        count: Number of folds, 2 or more; or `setups`, each of which is one.
         seed: Seed of the random choice.
         fit: Fits one part and predicts the other; of a module, so that other processes find it.
         executor: Who fits; this process if not given.
         progress: Told after each fold.
 
     Raises:
-        InputError: More folds than poses, or fewer than 2.
+        InputError: More folds than poses, or fewer than 2; one setup only.
     """
-    folds = deal(data, count, seed)
-    if count < 2 or min(len(fold) for fold in folds) == 0:
-        raise InputError(f"folds {count}: must be 2 or more, and not more than there are different poses")
+    folds = _folds(data, count, seed)
+    setups = tuple(_setups(data)) if count == "setups" else ()
     before = {name: np.empty((len(readings), 0)) for name, readings in data.readings.items()}
     after = dict(before)
     singular: FloatArray = np.empty(len(data))
@@ -78,7 +100,8 @@ def cross_validate(
         singular[held] = errors.singular_value
         rms.append(float(np.sqrt(np.mean(np.sum(errors.errors("after", errors.parts()[0][1].name) ** 2, axis=1)))))
         converged &= well
-    return Folds(count, seed, ErrorSet(data, instruments, before, after, singular), tuple(rms), converged)
+    errors = ErrorSet(data, instruments, before, after, singular)
+    return Folds(len(folds), seed, errors, tuple(rms), converged, setups)
 
 
 @one_blas_thread

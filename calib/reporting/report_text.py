@@ -240,8 +240,16 @@ def _options(fit: Fit) -> list[str]:
         lines.append(f"{counted(fit.starts.total, 'start')} (seed {fit.starts.seed}): {listed(minima, '; ')}{failed}")
     if fit.folds is not None:
         scale, unit = _unit(fit)
-        rms = ", ".join(f"{scale * value:.4f}" for value in fit.folds.rms)
-        lines.append(f"Cross-validation in {fit.folds.count} folds (seed {fit.folds.seed}): RMS of each {rms} {unit}")
+        rms = [f"{scale * value:.4f}" for value in fit.folds.rms]
+        if fit.folds.setups:
+            names = list(fit.nominal.description.setups)
+            each = [f"{names[k]} {value}" for k, value in zip(fit.folds.setups, rms, strict=True)]
+            lines.append(f"Setups left out in turns, each placed anew: RMS of {', '.join(each)} {unit}")
+        else:
+            folds = f"{fit.folds.count} folds (seed {fit.folds.seed})"
+            lines.append(f"Cross-validation in {folds}: RMS of each {', '.join(rms)} {unit}")
+    if fit.placed_later:
+        lines.append(f"Seen by the poses not used alone, and placed by them: {listed(list(fit.placed_later))}")
     return lines
 
 

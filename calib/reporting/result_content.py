@@ -219,7 +219,14 @@ def _folds(fit: Fit) -> dict[str, object] | None:
     if fit.folds is None:
         return None
     rms = [error_scale(fit.identification.main_part.dimension) * value for value in fit.folds.rms]
-    return {"folds": fit.folds.count, "seed": fit.folds.seed, "rms": rms, "converged": fit.folds.converged}
+    names = list(fit.nominal.description.setups)
+    return {
+        "folds": fit.folds.count,
+        "seed": fit.folds.seed,
+        "setups": [names[k] for k in fit.folds.setups],
+        "rms": rms,
+        "converged": fit.folds.converged,
+    }
 
 
 def _terms(fit: Fit) -> dict[str, object]:

@@ -93,8 +93,11 @@ def test_validation_in_a_setup_that_the_data_do_not_have_is_placed_by_itself(tmp
     where = dict(zip((p.name for p in fit.robot.parameters), fit.robot.values, strict=True))
     distance = np.linalg.norm([where[f"{origin}.{axis}"] for axis in "xyz"])
     assert distance == pytest.approx(np.linalg.norm(PLACES[later]), abs=5e-3)
-    assert f"Seen by the poses not used alone, and placed by them: {origin}.x" in " ".join(fit.report().split())
-    assert {fit.parameters[name].status for name in fit.placed_later} == {"held"}
+    said = f"Places that only the poses not used show, and that these placed: {origin} "
+    assert said in " ".join(fit.report().split())
+    assert {fit.parameters[name].status for name in fit.placed_later} == {"placed"}
+    assert "Held at nominal" not in fit.report()
+    assert robot.is_free.sum() == fit.robot.is_free.sum() == len(fit.free_names) + 6
 
 
 def test_folds_that_are_neither_a_number_nor_setups_are_errors(tmp_path, measured, run_calib):

@@ -155,9 +155,9 @@ def _fit(
 ) -> Fit:
     """Do steps 1 to 5 of the module docstring."""
     later = () if validation is None else unseen(robot, data, validation)
-    robot = robot.hold(*later) if later else robot
-    check_measurements(robot, data)
-    problem = Problem(robot, data, settings.sigma)
+    seen = robot.hold(*later) if later else robot
+    check_measurements(seen, data)
+    problem = Problem(seen, data, settings.sigma)
     placed = place(problem)
     start = problem.evaluate(placed)
     begin = seen_from(problem, placed)
@@ -168,7 +168,7 @@ def _fit(
     rows, scales, uncertainty = uncertainty_at(problem, final, solved, settings)
     calibrated = solved.robot
     if validation is not None and later:
-        placed, calibrated = (placed_by(validation, one, later) for one in (placed, calibrated))
+        placed, calibrated = (placed_by(validation, one.free(*later), later) for one in (placed, calibrated))
     return Fit(
         nominal=robot,
         placed=placed,

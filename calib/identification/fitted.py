@@ -170,7 +170,9 @@ class Fit(ReadOnlyArrays):
     @cached_property
     def parameters(self) -> Estimates:
         """What was found of each parameter, by name [m or rad]."""
-        return estimates(self.nominal.parameters, self.robot.values, self.free, self.statistics)
+        found = estimates(self.nominal.parameters, self.robot.values, self.free, self.statistics)
+        later = {name: replace(found[name], status="placed") for name in self.placed_later}
+        return Estimates({**found, **later}) if later else found
 
     @property
     def covariance(self) -> Covariance:

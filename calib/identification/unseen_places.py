@@ -32,7 +32,7 @@ def placed_by(later: Measurements, robot: Robot, names: tuple[str, ...]) -> Robo
 
     Args:
         later: Measurements that show them.
-        robot: The robot, before or after calibration.
+        robot: The robot, before or after calibration; of the places, the free ones are placed.
         names: Parameters of the places.
 
     Raises:
@@ -40,7 +40,7 @@ def placed_by(later: Measurements, robot: Robot, names: tuple[str, ...]) -> Robo
         UnreachablePoseError: A pose cannot be assembled.
     """
     others = [p.name for p in robot.parameters if p.name not in names]
-    alone = robot.free(*names).hold(*others)
+    alone = robot.hold(*others)
     return robot.with_parameters(place(Problem(alone, later)).values)
 
 

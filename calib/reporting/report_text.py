@@ -249,7 +249,8 @@ def _options(fit: Fit) -> list[str]:
             folds = f"{fit.folds.count} folds (seed {fit.folds.seed})"
             lines.append(f"Cross-validation in {folds}: RMS of each {', '.join(rms)} {unit}")
     if fit.placed_later:
-        lines.append(f"Seen by the poses not used alone, and placed by them: {listed(list(fit.placed_later))}")
+        places = dict.fromkeys(name.rpartition(".")[0] for name in fit.placed_later)
+        lines.append(f"Places that only the poses not used show, and that these placed: {listed(list(places))}")
     return lines
 
 

@@ -56,6 +56,19 @@ def one_line(run):
     return run.err
 
 
+@pytest.mark.parametrize("command", ["fit", "check", "verify"])
+def test_a_file_given_twice_is_refused(folder, fit_file, run_calib, command):
+    q = joints(40)
+    fit_file(q, arm_positions(folder, q))
+    again = folder / ".." / folder.name / "data.csv"
+    options = ("--result", folder / "out") if command == "verify" else ()
+    options += ("--out", folder / "twice") if command == "fit" else ()
+    run = run_calib(command, folder / "arm.yaml", folder / "data.csv", again, *options)
+    assert run.code == 2
+    assert "data.csv: is given twice, so that every reading would count as two" in " ".join(one_line(run).split())
+    assert not (folder / "twice").exists()
+
+
 @pytest.mark.parametrize("n", [1, 2, 8])
 def test_too_few_rows_are_a_wrong_input(folder, fit_file, n):
     run, result = fit_file(joints(n), arm_positions(folder, joints(n)))

@@ -3,7 +3,7 @@
 A candidate is a kind of term for all joints that can show it; all are tried on one linear model
 (`calib.identification.term_trials`). A candidate earns its place by
 
-    evidence     twice its log marginal likelihood rises by more than chance makes it rise in one data set of twenty:
+    evidence     twice its log marginal likelihood rises by more than chance makes it rise in one data set of fifty:
                  a chi-square of as many degrees of freedom as it has sizes, the chance shared among the candidates
     prediction   poses of blocks that were left out are predicted better: boxes of joint space; where the data tell
                  time, stretches of it as well; where they have several setups, whole setups as well
@@ -53,7 +53,7 @@ from calib.threads import one_blas_thread
 from calib.units import millimetres
 from calib.words import listed
 
-CHANCE = 0.05
+CHANCE = 0.02
 """Chance that some term rises in evidence by as much as is asked where there is none."""
 TELLS = 3.0
 """Difference in log marginal likelihood from which data tell terms apart: odds of 20 to 1 (kass1995)."""

@@ -5,10 +5,11 @@
 prints the table of docs/theory/joint_terms.md. The arms, their places and about where their joints stood are those of
 real data (docs/benchmarks.md); errors, joint values at contact and noise are simulated. Errors of origins are 0.7 times
 those expected, each kind of term is there with a chance of 0.35, its size from 0.3 to 3 times what is expected, noise
-0.05 to 0.2 mm. "Lacking" robots have errors besides that no term describes: each joint is off by a wave over two.
+0.05 to 0.2 mm. "Lacking" robots have errors besides that no term describes: each joint is off by the product of two
+waves over two joints.
 """
 
-import sys
+import argparse
 from dataclasses import replace
 from pathlib import Path
 
@@ -97,16 +98,21 @@ def held_out(folder, arm, lacks, n, seed):
 
 
 @one_blas_thread
-def main(folder, n=30, seed=1):
+def main(folder, n, seed):
     """Print the table."""
     print(f"| arm | errors | origins alone | {' | '.join(RULES)} | wrong, of those added |")
     for arm in PLACES:
         for lacks in (False, True):
-            errors, counts = held_out(Path(folder), arm, lacks, int(n), int(seed))
+            errors, counts = held_out(folder, arm, lacks, n, seed)
             mean = " | ".join(f"{one:.3f}" for one in np.exp(np.mean(np.log(errors), axis=0)))
             wrong = ", ".join(f"{bad} of {added}" for added, bad in counts)
             print(f"| {arm} | {'lacking' if lacks else 'all described'} | {mean} | {wrong} |", flush=True)
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", metavar="FOLDER/mukca", type=Path, help="the real data")
+    parser.add_argument("n", nargs="?", type=int, default=16, help="simulated robots of each arm, each in three places")
+    parser.add_argument("seed", nargs="?", type=int, default=1)
+    options = parser.parse_args()
+    main(options.folder, options.n, options.seed)

@@ -49,9 +49,9 @@ def read_measurements(path: Path | str | Sequence[Path | str], robot: Robot, *, 
         DataError: The message names file, line and column.
     """
     paths = [path] if isinstance(path, (str, Path)) else list(path)
-    for k, one in enumerate(paths):
-        if Path(one).resolve() in [Path(other).resolve() for other in paths[:k]]:
-            raise DataError(f"{one}: is given twice, so that every reading would count as two; give it once")
+    for k, again in enumerate(paths):
+        if Path(again).resolve() in [Path(other).resolve() for other in paths[:k]]:
+            raise DataError(f"{again}: is given twice, so that every reading would count as two; give it once")
     tables = [read_table(one, robot.description.columns, growing=growing) for one in paths]
     with_joints = [table for table in tables if len(tables) == 1 or set(robot.joint_names) <= set(table.names)]
     if not with_joints:

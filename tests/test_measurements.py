@@ -237,7 +237,8 @@ def test_several_files_are_joined_by_the_pose(tmp_path):
     (tmp_path / "arm.csv").write_text("arm_x,arm_y,arm_z\n4,5,6\n")
     text = complaint(read_measurements, [tmp_path / "joints.csv", tmp_path / "arm.csv"], robot)
     assert "arm.csv: has neither a column for every joint nor a column 'pose'" in text
-    text = complaint(read_measurements, [tmp_path / "tracker.csv"] * 2, robot)
+    (tmp_path / "again.csv").write_text((tmp_path / "tracker.csv").read_text())
+    text = complaint(read_measurements, [tmp_path / "tracker.csv", tmp_path / "again.csv"], robot)
     assert "none of the files has a column for every joint (turn, slide, wrist)" in text
 
 

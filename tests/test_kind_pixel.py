@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -291,7 +292,8 @@ def test_check_reads_the_files_that_fit_reads(tmp_path, run_calib):
     content = json.loads((tmp_path / "check.json").read_text())
     assert content["n_rows"] == 2 * sum(len(readings) for readings in data.readings.values())
     assert content["poses"] == f"{files[0]}, {files[1]}"
-    none = run_calib("check", robot.path, files[0], files[0])
+    (tmp_path / "again.csv").write_text(Path(files[0]).read_text())
+    none = run_calib("check", robot.path, files[0], tmp_path / "again.csv")
     assert (none.code, none.out) == (2, "")
     assert "has no column of any instrument" in none.err
 

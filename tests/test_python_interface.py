@@ -414,9 +414,7 @@ def test_a_figure_of_its_own_is_made_where_no_axes_are_given(fit):
     pyplot.close(axes.figure)
 
 
-@pytest.mark.parametrize(
-    "call", ["check", "compensate", "export", "fit", "sample", "select", "simulate", "solve", "study"]
-)
+@pytest.mark.parametrize("call", ["check", "export", "fit", "sample", "select", "simulate", "study"])
 def test_a_fit_in_place_of_a_robot_is_answered_with_what_to_give(data, fit, call):
     arguments = {"export": ("urdf", "calibrated.urdf"), "sample": (5,), "fit": (data,)}.get(call, (data.joints,))
     options = {"count": 3} if call == "select" else {}

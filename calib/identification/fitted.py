@@ -19,13 +19,14 @@ from calib.identification.error_budget import ErrorBudget, error_budget
 from calib.identification.errors_found import ErrorSet, Folds
 from calib.identification.estimates import Covariance, Estimates, estimates
 from calib.identification.judged import Outlier, blocks, outliers_of
-from calib.identification.reasons import Verdict
+from calib.identification.reasons import NOTHING_TO_CORRECT, Verdict
 from calib.identification.starts import Starts
 from calib.identification.systematic import Pattern, Residuals, patterns
 from calib.joint_terms.term import Context
 from calib.linearisation.determination import Determination
+from calib.linearisation.known_robot import KnownRobot
 from calib.linearisation.observed import observe
-from calib.linearisation.prediction import PositionUncertainty, position_uncertainty
+from calib.linearisation.prediction import ParameterUncertainty, PositionUncertainty
 from calib.linearisation.rows import Group, Rows, Scales
 from calib.linearisation.unknowns import Unknowns
 from calib.linearisation.whitening import Whitening
@@ -277,10 +278,18 @@ class Fit(ReadOnlyArrays):
 
     def _predicted(self, q: FloatArray, context: Context, near: FloatArray | None = None) -> PositionUncertainty:
         """`predict`, with passive joints to start from, (n, n_passive) [m or rad]."""
-        found = self.statistics
-        return position_uncertainty(
-            self.robot, self.unknowns.index, found.covariance, found.coverage_factor, q, context, near
-        )
+        return self.uncertainty.at(self.robot, q, context, near)
+
+    @property
+    def uncertainty(self) -> ParameterUncertainty:
+        """How sure the free parameters are."""
+        return ParameterUncertainty(self.free, self.statistics.covariance, self.statistics.coverage_factor)
+
+    @property
+    def known(self) -> KnownRobot:
+        """The calibrated robot, with how well it is known and where it was measured."""
+        nothing_to_correct = any(reason.code == NOTHING_TO_CORRECT for reason in self.verdict.reasons)
+        return KnownRobot(self.robot, self.uncertainty, self.identification.data.joints, nothing_to_correct)
 
     @cached_property
     def identification_uncertainty(self) -> PositionUncertainty:

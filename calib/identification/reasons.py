@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 Grade = Literal["PASS", "CHECK", "FAIL"]
+NOTHING_TO_CORRECT = "nothing_to_correct"
+"""Code of the reason that the nominal values are as good as any."""
 
 
 @dataclass(frozen=True)

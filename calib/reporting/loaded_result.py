@@ -9,15 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arrays import ReadOnlyArrays
+from calib.arrays import FloatArray, ReadOnlyArrays
 from calib.data.in_memory import as_poses
 from calib.data.measurements import Poses
 from calib.identification.estimates import Covariance, Estimate, Estimates
 from calib.identification.fitted import Fit
+from calib.identification.reasons import NOTHING_TO_CORRECT
 from calib.joint_terms.term import Context
-from calib.linearisation.prediction import PositionUncertainty
+from calib.linearisation.known_robot import KnownRobot
+from calib.linearisation.prediction import ParameterUncertainty, PositionUncertainty
 from calib.model.robot import Robot
-from calib.reporting.result_reading import LoadedUncertainty, load, load_uncertainty, read_result
+from calib.reporting.result_reading import joints_used, load, load_uncertainty, read_result
 from calib.words import titled_html
 
 _NUMBERS = ("nominal", "value", "std", "low95", "high95")
@@ -33,13 +35,15 @@ class LoadedResult(ReadOnlyArrays):
         parameters: What was found of each parameter, by name [m or rad].
         content: What `result.json` says, in mm and degrees.
         uncertainty: How sure the free parameters are.
+        joints: Of the visits that they were found from, (n, n_actuated) [m or rad].
     """
 
     path: str
     robot: Robot
     parameters: Estimates
     content: dict[str, Any]
-    uncertainty: LoadedUncertainty
+    uncertainty: ParameterUncertainty
+    joints: FloatArray
 
     def __repr__(self) -> str:
         return f"<result of '{self.robot.name}' in {self.path}: {self.grade}, {self.content['n_poses']} poses>"
@@ -51,6 +55,12 @@ class LoadedResult(ReadOnlyArrays):
     def grade(self) -> str:
         """PASS, CHECK or FAIL."""
         return str(self.content["verdict"]["grade"])
+
+    @property
+    def known(self) -> KnownRobot:
+        """The robot, with how well it is known."""
+        codes = self.content.get("verdict", {}).get("codes", ())
+        return KnownRobot(self.robot, self.uncertainty, self.joints, NOTHING_TO_CORRECT in codes)
 
     @property
     def free_names(self) -> tuple[str, ...]:
@@ -88,7 +98,8 @@ def load_result(folder: Path | str) -> LoadedResult:
         found[one.name] = Estimate(
             one.name, one.unit, **numbers, status=row["status"], family=one.family, per_si=per_si
         )
-    return LoadedResult(str(folder), robot, Estimates(found), content, load_uncertainty(folder, robot))
+    known, joints = load_uncertainty(folder, robot), joints_used(folder, robot)
+    return LoadedResult(str(folder), robot, Estimates(found), content, known, joints)
 
 
 def predict(calibrated: Robot | Fit | LoadedResult, poses: Poses | ArrayLike) -> PositionUncertainty:

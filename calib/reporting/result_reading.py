@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scipy
 
-from calib.arrays import BoolArray, FloatArray
+from calib.arrays import FloatArray
 from calib.data.measurements import Poses
 from calib.data.parameter_files import read_parameters
 from calib.data.tables import read_table
@@ -19,9 +19,10 @@ from calib.errors import ComputationError, DataError, DescriptionError
 from calib.files import read_text
 from calib.identification.joint_curves import beyond_learned
 from calib.identification.promise import Promise
-from calib.joint_terms.term import Context
+from calib.identification.reasons import NOTHING_TO_CORRECT
 from calib.joint_terms.terms import stored_terms
-from calib.linearisation.prediction import PositionUncertainty, position_uncertainty
+from calib.linearisation.known_robot import KnownRobot
+from calib.linearisation.prediction import ParameterUncertainty
 from calib.model import loading
 from calib.model.robot import Robot
 from calib.reporting.result_content import FORMAT_VERSION, NOMINAL_URDF, NOMINAL_YAML
@@ -154,33 +155,7 @@ def poses_beyond_curves(folder: Path | str, robot: Robot, poses: Poses) -> list[
     ]
 
 
-@dataclass(frozen=True, eq=False)
-class LoadedUncertainty:
-    """The uncertainty of a result folder.
-
-    Attributes:
-        free: Which parameters were free, (n_parameters,).
-        covariance: Of these, (n_free, n_free) [m, rad].
-        coverage_factor: How many standard deviations make half a 95 % interval.
-    """
-
-    free: BoolArray
-    covariance: FloatArray
-    coverage_factor: float
-
-    def at(self, robot: Robot, q: FloatArray, context: Context | None = None) -> PositionUncertainty:
-        """Predict positions of the calibrated robot at actuated joints q (n, n_actuated), with their covariance.
-
-        Args:
-            robot: The calibrated robot.
-            q: Commands, (n, n_actuated) [m or rad].
-            context: Under which conditions they are given.
-        """
-        free = np.flatnonzero(self.free)
-        return position_uncertainty(robot, free, self.covariance, self.coverage_factor, q, context)
-
-
-def load_uncertainty(folder: Path | str, robot: Robot) -> LoadedUncertainty:
+def load_uncertainty(folder: Path | str, robot: Robot) -> ParameterUncertainty:
     """Return the uncertainty of a result folder.
 
     Raises:
@@ -204,7 +179,25 @@ def load_uncertainty(folder: Path | str, robot: Robot) -> LoadedUncertainty:
     if not np.all(np.isfinite(covariance)) or not isinstance(freedom, (int, float)) or not 0 < freedom < _MOST_FREEDOM:
         raise DataError(f"{folder}: its covariance or degrees of freedom are not numbers; run the fit again")
     free = np.array([p.name in names for p in robot.parameters])
-    return LoadedUncertainty(free, covariance, float(scipy.special.stdtrit(freedom, 0.975)))
+    return ParameterUncertainty(free, covariance, float(scipy.special.stdtrit(freedom, 0.975)))
+
+
+def load_known(folder: Path | str, robot: Robot) -> KnownRobot:
+    """Return the calibrated robot of a result folder, with how well it is known and where it was measured.
+
+    Args:
+        folder: Of `save`.
+        robot: The nominal robot.
+
+    Raises:
+        DataError: The folder holds no result, one of another robot, or a damaged one.
+        ComputationError: The result failed, and was not forced.
+    """
+    calibrated = load_calibrated(folder, robot)
+    codes = read_result(folder).get("verdict", {}).get("codes", ())
+    return KnownRobot(
+        calibrated, load_uncertainty(folder, calibrated), joints_used(folder, robot), NOTHING_TO_CORRECT in codes
+    )
 
 
 def load_promise(folder: Path | str, robot: Robot) -> Promise:

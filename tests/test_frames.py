@@ -65,6 +65,26 @@ def test_robots_with_errors_are_off_by_what_is_promised_of_every_form_of_program
         assert form == "solve" or rms(after) < 0.03 * rms(before), form
 
 
+def test_what_a_point_of_unknown_place_leaves_open_is_counted_and_not_corrected(tmp_path):
+    """The last origin may be off by 1 mm, the point by the half; of s together the first is 0.8 s +- 0.447 mm."""
+    nominal = arm(tmp_path, "known", "unknown, sigma: 0.5 mm")
+    trial = Trial.of(nominal, errors=True, seed=7)
+    together = sum(
+        value - parameter.nominal
+        for parameter, value in zip(nominal.parameters, trial.truth.values, strict=True)
+        if parameter.name in ("j6.x", "ball.x")
+    )
+    after, expected, high95, *_ = FORMS["joints"](trial, trial.known(False))[""]
+    assert expected == pytest.approx(np.hypot(0.8 * together, 1e-3 * np.sqrt(0.2)), rel=0.02)  # the noise is small
+    assert 0.5 * rms(expected) < rms(after) < rms(high95)
+    found = calib.compensate(trial.known(False), trial.program)
+    for angles in (found.expected_angle, found.high95_angle):  # nothing turns this robot
+        assert np.all(angles[found.ok] == 0)
+    unharmed = Trial.of(nominal, errors=False, seed=1)
+    moved = FORMS["joints"](unharmed, unharmed.known(False))[""][0]
+    assert rms(moved) < 0.05e-3  # though the point is elsewhere by 0.5 mm
+
+
 @pytest.mark.parametrize("name", ["five_bar", "rail_and_five_bar"])
 def test_a_good_robot_stays_as_it_is_and_would_not_be_harmed_either_way(tmp_path, name):
     """These moved by 0.15 to 0.47 mm, ten to forty times what was promised, along what priors alone hold."""

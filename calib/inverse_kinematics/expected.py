@@ -1,7 +1,7 @@
 """How far a target will be from its goals, at commands that were found for them: what is promised of a program.
 
 In the frame in which the goals are meant (`calib.linearisation.frames`). An error is normal, its covariance that of the
-predicted position; where nothing was corrected its mean is what the calibrated robot is off at the command.
+predicted position; its mean is what the calibrated robot is off at the command, as far as that was not corrected.
 """
 
 from __future__ import annotations
@@ -67,11 +67,12 @@ def _errors(frame: Frame, goals: Goals, commands: FloatArray, context: Context) 
     errors = np.full((6, len(goals)), np.nan)
     asked = ~np.isnan(goals.positions)
     spread = predicted.covariance[:, t] * (asked[:, :, None] & asked[:, None, :])
-    off = goals.off(predicted.positions[:, t])
+    left = frame.not_corrected(commands, context)[:, t]
+    off = goals.off(predicted.positions[:, t] + left[:, :3])
     errors[:3] = rms_length(spread, off), *length95(spread, predicted.coverage_factor, off)
     if predicted.turn_covariance is None or goals.asks_for == "position":
         return errors
-    turned = _turned(frame, goals, t, commands, context)
+    turned = _turned(frame, goals, t, commands, context) + left[:, 3:]
     spread = predicted.turn_covariance[:, t]
     if goals.directions is not None:  # turns about the axis itself do not count
         across = np.eye(3) - goals.directions[:, :, None] * goals.directions[:, None, :]

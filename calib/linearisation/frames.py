@@ -13,6 +13,9 @@ may as well have, and none is counted.
 The measurement frame. Goals that are meant where the instruments see them are places of the measured point itself, in
 the frame in which it was measured, wherever the calibration found base and target.
 
+What a fit gave an error of the robot, and readings would as well have where the measured point is on its link, is not
+corrected. Where a program is meant in the measurement frame, it is counted: the robot is most likely off by it.
+
 With d the error of the parameters and J' the derivative of positions by them, these are off by J' d: in the measurement
 frame with all parameters; of a program there with those of the robot itself; and in its own base frame beside the
 common motion that follows d. The covariance of just this is what is promised. It counts the noise of the measurements
@@ -98,6 +101,25 @@ class Frame(ReadOnlyArrays):
             jacobian = jacobian - self.motion.columns(*target_poses(self.robot, configurations)) @ self._following
         spread, turned = (carried(jacobian[:, :, rows], covariance) for rows in (slice(3), slice(3, 6)))
         return linear.positions, spread, turned
+
+    def not_corrected(self, q: FloatArray, context: Context) -> FloatArray:
+        """Return by how much positions [m] and turns [rad] are off that the fit found and that are not corrected.
+
+        Args:
+            q: Commands, (n, n_actuated) [m or rad].
+            context: Under which conditions they are given.
+
+        Returns:
+            In the axes of the frame, (n, n_targets, 6).
+        """
+        uncertainty, shape = self.known.uncertainty, (len(q), len(self.robot.target_names), 6)
+        if uncertainty is None or self.motion is not None:  # common motion takes it
+            return np.zeros(shape)
+        left = (self.known.robot.values - self.robot.values)[uncertainty.free][self.counts]
+        if not np.any(left):
+            return np.zeros(shape)
+        linear = linearise(self.robot, self.robot.assemble(q, context=context), turns=True)
+        return np.asarray(linear.jacobian[..., uncertainty.free][..., self.counts] @ left)
 
     @cached_property
     def _following(self) -> FloatArray:

@@ -28,6 +28,7 @@ from calib.words import listed
 
 CHUNK = 4096
 """Poses at once."""
+_CERTAIN = 1e-12  # of the square of a length, its variance that does not show
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,11 +180,12 @@ def length95(covariance: FloatArray, coverage_factor: float, mean: FloatArray | 
 
 def _root95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> FloatArray:
     """95 % limits of the root of a sum of squares of normal numbers, from the sums of its weights and their squares."""
-    trace = np.maximum(trace, 1e-300)
-    squares = np.maximum(squares, 1e-300 * trace)
-    limits = [scipy.special.chdtri(trace**2 / squares, tail) * squares / trace for tail in (0.975, 0.025)]
-    low, high = np.sqrt(limits)
-    return np.stack([low, high * coverage_factor / scipy.special.ndtri(0.975)])
+    certain = squares <= _CERTAIN * trace**2  # of zero size too
+    share = np.where(certain, 1.0, squares) / np.where(certain, 1.0, trace)
+    freedom = np.where(certain, 1.0, trace) / share
+    low, high = (np.sqrt(scipy.special.chdtri(freedom, tail) * share) for tail in (0.975, 0.025))
+    high = high * coverage_factor / scipy.special.ndtri(0.975)
+    return np.where(certain, np.sqrt(np.maximum(trace, 0.0)), np.stack([low, high]))
 
 
 def carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:

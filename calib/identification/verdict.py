@@ -39,6 +39,7 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_data.too_few_poses,
     rules_parameters.loose,
     rules_model.nothing_to_correct,
+    rules_model.files_hold_less,
     rules_model.unused_fits_worse,
     rules_model.systematic,
     rules_reach.blocks_disagree,

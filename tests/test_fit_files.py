@@ -376,6 +376,18 @@ def test_values_of_terms_that_no_fit_has_are_refused_unless_forced(fit, tmp_path
     assert fit.robot.with_parameters({"j2.x": 0.05}).files == {}
 
 
+def test_terms_that_stay_at_zero_are_no_loss(tmp_path, true_tip):
+    arm = arm_with(tmp_path, "  - {joint: j2, term: gain}\n", "held: [j2.gain]\n")
+    fit = calib.fit(arm, measured(arm, true_tip, 40, 7))
+    fit.save(tmp_path / "out", pages=False)
+    robot = calib.load(tmp_path / "out")
+    assert fit.reduced == {}
+    assert b"<!--" not in (tmp_path / "out" / "calibrated.urdf").read_bytes()
+    np.testing.assert_allclose(_numbers_of(robot.calibrated_urdf()), _numbers(tmp_path / "out" / "calibrated.urdf"))
+    calib.export(robot, "toolbox", tmp_path / "robot.yaml")
+    calib.load(tmp_path / "robot.yaml")  # which holds no term that is not there
+
+
 def test_a_fit_that_starts_from_a_result_is_held_against_the_nominal_robot(fit, folder):
     again = calib.fit(calib.load(folder), fit.identification.data, validation=fit.validation.data)
     assert again.validation.rms("before") < 3 * SIGMA  # the robot of the result

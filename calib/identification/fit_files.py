@@ -57,7 +57,7 @@ def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = N
     n_tasks = max(settings.starts - 1, n_folds(fit.identification.data, settings.folds))
     with Workers(executor if kinds else None, n_tasks) as workers:
         for holds in kinds:
-            robot = nominal_robot(fit, holds)
+            robot = start_of(fit, holds)
             if robot.terms or holds is Holds.ORIGINS:
                 with suppress(CalibrationError):  # then there is no such file, and who asks for one is told
                     reduced[holds] = _fitted_again(fit, robot, settings, workers)
@@ -65,10 +65,13 @@ def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = N
     return replace(fit, robot=replace(fit.robot, files=FitFiles(fit, settings)))
 
 
-def nominal_robot(fit: Fit, holds: Holds) -> Robot:
-    """Return the nominal robot of a fit, without the terms of joint errors that files lose which hold so much."""
+def start_of(fit: Fit, holds: Holds) -> Robot:
+    """Return the robot that a fit began with, without the terms of joint errors that files lose which hold so much.
+
+    The nominal one, where its values belong to these terms, as those of an earlier result.
+    """
     robot = fit.nominal.without_terms(holds)
-    return robot.with_parameters([parameter.nominal for parameter in robot.parameters])
+    return robot.at_nominal() if fit.nominal.lost_by(holds) else robot
 
 
 def _fitted_again(
@@ -115,6 +118,9 @@ class FitFiles(Mapping[Holds, FileRobot]):
     def __len__(self) -> int:
         return sum(1 for _ in self)
 
+    def __reduce__(self) -> tuple[type, tuple[dict[Holds, FileRobot]]]:
+        return dict, (dict(self),)  # a robot that goes to other processes takes no measurements along
+
     @one_blas_thread
     def _found(self, holds: Holds) -> FileRobot | None:
         if holds is Holds.ZEROS:
@@ -122,7 +128,7 @@ class FitFiles(Mapping[Holds, FileRobot]):
         if holds is Holds.TO_LAST_AXIS:
             return self._to_last_axis()
         if not self._fit.robot.lost_by(holds):
-            return file_robot(self._fit)
+            return replace(file_robot(self._fit), values=_values(self._fit.robot.without_terms(holds)))
         fitted = (self._fit.reduced or {}).get(holds)
         return None if fitted is None else file_robot(fitted)
 
@@ -131,16 +137,18 @@ class FitFiles(Mapping[Holds, FileRobot]):
 
     def _to_last_axis(self) -> FileRobot | None:
         """The robot with what lies behind the last axis as it is nominally."""
-        nominal = nominal_robot(self._fit, Holds.ORIGINS)
-        behind = behind_last_axis(nominal)
-        named = [p.name for p in nominal.parameters if p.name.rpartition(".")[0] in behind and not p.placement]
-        if not set(named) - set(nominal.description.held):
-            return self.get(Holds.ORIGINS)
-        return file_robot(self._again(nominal.hold(*named)))
+        start = start_of(self._fit, Holds.ORIGINS)
+        behind = behind_last_axis(start)
+        there = {
+            p.name: p.nominal
+            for p in start.parameters
+            if p.name.rpartition(".")[0] in behind and not p.placement and p.name not in start.description.held
+        }
+        return file_robot(self._again(start.with_parameters(there).hold(*there))) if there else self.get(Holds.ORIGINS)
 
     def _zeros(self) -> FileRobot:
         """The nominal robot with joint zeros."""
-        fit, nominal = self._fit, nominal_robot(self._fit, Holds.ORIGINS)
+        fit, nominal = self._fit, self._fit.nominal.without_terms(Holds.ZEROS).at_nominal()
         told = fit.identification.data.joints
         actual = fit.robot.actual(told, fit.configurations.term_columns)[:, : told.shape[1]]
         moved, errors = told - told.mean(axis=0), actual - told

@@ -174,7 +174,7 @@ def _chance_of_gain(fit: Fit) -> float:
 
 def files_hold_less(fit: Fit) -> Iterator[Reason]:
     """Say what `calibrated.urdf` is worth where it is not the whole model; and if it is not written, why."""
-    if not fit.reduced and (fit.reduced is None or (fit.validation is None and fit.folds is None)):
+    if fit.reduced is None:  # nobody asked for files
         return
     why = why_no_origins(fit)
     if why:
@@ -198,10 +198,10 @@ def files_hold_less(fit: Fit) -> Iterator[Reason]:
 
 def why_no_origins(fit: Fit) -> str:
     """Return why no file of joint origins is written of a fit that did not fail; empty if they are."""
-    if fit.reduced is None:  # nobody asked for files
-        return ""
     known = fit.robot.files.get(Holds.ORIGINS)
-    return "the robot cannot be fitted without its joint terms" if known is None else known.withheld
+    if known is not None:
+        return known.withheld
+    return "no fit without its joint terms has succeeded" if fit.robot.lost_by(Holds.ORIGINS) else ""
 
 
 def systematic(fit: Fit) -> Iterator[Reason]:

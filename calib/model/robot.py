@@ -361,6 +361,10 @@ class Robot(ReadOnlyArrays):
         value_of = dict(zip((parameter.name for parameter in self.parameters), self.values, strict=True))
         return replace(changed, values=np.array([value_of.get(p.name, p.nominal) for p in changed.parameters]))
 
+    def at_nominal(self) -> Robot:
+        """Return a robot with nominal parameter values."""
+        return self.with_parameters([parameter.nominal for parameter in self.parameters])
+
     def lost_by(self, holds: Holds) -> tuple[str, ...]:
         """Return the joints of whose errors a file that holds so much loses terms, as far as these are not zero."""
         joints, start = dict[str, None](), self.coefficients.start
@@ -372,6 +376,8 @@ class Robot(ReadOnlyArrays):
 
     def held_by(self, holds: Holds) -> Robot:
         """Return the robot that files get which hold so much; this one where nothing of it is lost.
+
+        Of joint zeros alone it is the nominal one, which the zeros in `files` belong to.
 
         Args:
             holds: How much; see `calib.model.held`.
@@ -390,7 +396,7 @@ class Robot(ReadOnlyArrays):
                 )
             return self
         robot = self.without_terms(holds)
-        return robot.with_parameters(known.values)
+        return robot.at_nominal() if len(known.offsets) else robot.with_parameters(known.values)
 
     def without_terms(self, holds: Holds) -> Robot:
         """Return the robot without the terms of joint errors that files lose which hold so much, values as they are."""

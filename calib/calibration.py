@@ -11,6 +11,7 @@ from calib import pictures
 from calib.data.measurements import Measurements
 from calib.identification.errors_found import error_table
 from calib.identification.fit import identify
+from calib.identification.fit_files import with_files
 from calib.identification.fitted import Fit
 from calib.identification.settings import Settings
 from calib.model.robot import Robot, require_robot
@@ -110,5 +111,5 @@ def fit(
     """
     require_robot(robot)
     settings = Settings(sigma, checked_loss(loss), exclude_outliers, starts, folds, seed, terms)
-    found = identify(robot, data, validation, settings, executor, progress)
+    found = with_files(identify(robot, data, validation, settings, executor, progress), settings, executor)
     return Calibration(**{field.name: getattr(found, field.name) for field in fields(found)})

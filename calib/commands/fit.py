@@ -14,6 +14,7 @@ from calib.data.measurement_files import read_measurements
 from calib.data.measurements import Measurements
 from calib.errors import ComputationError, InputError
 from calib.files import check_folder, image_address
+from calib.identification.rules_model import why_no_origins
 from calib.model.robot import Robot
 from calib.numerics.losses import LOSSES
 from calib.reporting.result_content import to_dict
@@ -63,7 +64,11 @@ from calib.words import counted
     help="Seed of the random choice of held-out poses, folds and starting points.",
 )
 @jobs_option("folds and starts")
-@click.option("--force", is_flag=True, help="Export calibrated.urdf even if the verdict is FAIL; it says so inside.")
+@click.option(
+    "--force",
+    is_flag=True,
+    help="Write calibrated.urdf even if the verdict is FAIL, or the file worse than the nominal robot; it says so.",
+)
 @click.option("--no-pages", is_flag=True, help="Write no report.html and no viewer.html, which take most of the time.")
 @click.option("--logo", metavar="FILE", help="PNG, JPEG or SVG image (up to 512 kB) to put into report.html.")
 @click.option("--out", required=True, metavar="DIR", help="Folder for the result.")
@@ -121,6 +126,9 @@ def command(
     result.save(out, force=force, pages=not no_pages, logo=logo)
     output.say(result.report())
     output.say(f"Written to {Path(out)}")
+    withheld = "" if failed or force else why_no_origins(result)
+    if withheld:
+        output.note(f"note: calibrated.urdf was not written: {withheld} (--force writes it)")
     output.hint(after_fit(result, robot, data, out))
     output.json(to_dict(result, forced=failed and force))
     if failed and not force:

@@ -52,7 +52,8 @@ from calib.numerics.observability import observability
 from calib.threads import one_blas_thread
 from calib.workers import Progress, Workers
 
-_PROVING = 5  # folds, where nobody asked for any and only poses left out can prove the result
+PROVING = 5
+"""Folds where nobody asked for any, and only poses left out can prove the result."""
 
 
 @one_blas_thread
@@ -100,7 +101,7 @@ def _identified(
     """Do all steps of the module docstring."""
     try:
         robot, choice = _with_terms(robot, data, settings)
-        fit = _fit(robot, settings, data, validation, workers, progress)
+        fit = fit_data(robot, settings, data, validation, workers, progress)
     except (UnreachablePoseError, ComputationError) as error:
         mistake = likely_mistake(robot, data)
         raise type(error)(f"{error}{'; ' if mistake else ''}{mistake}") from None
@@ -108,16 +109,16 @@ def _identified(
     if settings.exclude_outliers:
         fit = without_outliers(
             fit,
-            robust=lambda: _fit(robot, replace(plain, loss="tukey"), data),
-            again=lambda kept: _fit(robot, settings, kept, validation, workers, progress),
+            robust=lambda: fit_data(robot, replace(plain, loss="tukey"), data),
+            again=lambda kept: fit_data(robot, settings, kept, validation, workers, progress),
         )
-    fold = partial(_fit, robot, plain)
+    fold = partial(fit_data, robot, plain)
     leave_out = partial(cross_validate, fit.identification.data, seed=settings.seed, fit=fold, executor=workers)
     if settings.folds:
         fit = replace(fit, folds=leave_out(settings.folds, progress=progress))
     elif unproven(fit):
         with suppress(CalibrationError):  # too few poses to leave some out: then nothing is proven
-            fit = replace(fit, folds=leave_out(_PROVING))
+            fit = replace(fit, folds=leave_out(PROVING))
     return replace(fit, terms=choice)
 
 
@@ -129,7 +130,7 @@ def _with_terms(robot: Robot, data: Measurements, settings: Settings) -> tuple[R
     if terms == "none":
         choice = TermChoice(terms, ())
     elif terms == "auto":
-        choice = choose_terms(_fit(robot, replace(settings, starts=1), data))
+        choice = choose_terms(fit_data(robot, replace(settings, starts=1), data))
     else:
         choice = TermChoice(terms, (*own, *missing_terms(robot, listed_terms(terms))))
     return robot.with_terms(choice.sections), choice
@@ -145,7 +146,7 @@ def _require_measurements(data: object, validation: object) -> None:
             )
 
 
-def _fit(
+def fit_data(
     robot: Robot,
     settings: Settings,
     data: Measurements,
@@ -153,7 +154,19 @@ def _fit(
     workers: Executor | None = None,
     progress: Progress | None = None,
 ) -> Fit:
-    """Do steps 1 to 5 of the module docstring."""
+    """Do steps 1 to 5 of the module docstring.
+
+    Args:
+        robot: The nominal robot, with the joint terms that it shall have.
+        settings: How; outliers, folds and the choice of terms are the caller's.
+        data: Measurements to identify with.
+        validation: Measurements to judge the result with, or None.
+        workers: Who does the fits of other starts; this process if not given.
+        progress: Told how many other starts are done, of how many.
+
+    Raises:
+        UnreachablePoseError, DataError, NotIdentifiableError, NotConvergedError: See `identify`.
+    """
     later = () if validation is None else unseen(robot, data, validation)
     seen = robot.hold(*later) if later else robot
     check_measurements(seen, data)

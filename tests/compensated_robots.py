@@ -2,11 +2,11 @@
 
     python tests/compensated_robots.py [--seeds 20] [--robots arm,delta] [--places known,unknown]
 
-prints the table of docs/howto/accurate_robot.md. Each robot is measured at 40 random poses with 0.02 mm of noise and
-calibrated; a program of 60 random poses is compensated. Robots without errors are exactly as described, and are judged
-twice: as they are, and with the verdict ignored that nothing is to be corrected. The others have errors drawn from what
-the description expects (MedRUE: those of the paper's Table I, signs drawn). Base and tool are known, or both unknown,
-with a tracker that stands somewhere and a reflector off by what is expected of it.
+prints a table, of which docs/howto/accurate_robot.md has the rows of joints. Each robot is measured at 40 random poses
+with 0.02 mm of noise and calibrated; a program of 60 random poses is compensated. Robots without errors are exactly as
+described, and are judged twice: as they are, and with the verdict ignored that nothing is to be corrected. The others
+have errors drawn from what the description expects (MedRUE: those of the paper's Table I, signs drawn). Base and tool
+are known, or both unknown, with a tracker that stands somewhere and a reflector off by what is expected of it.
 
 The truth is judged in the frame that is promised: measured, or laid where the true and the nominal robot agree best.
 That is done here by other code: rigid motions written out, their derivatives by differences, SciPy's least squares.

@@ -29,8 +29,8 @@ def test_every_joint_origin_on_the_way_is_free_with_default_priors(tmp_path):
     )
     origins = [p for p in robot.parameters if not p.placement]
     assert all(p.prior for p in origins)
-    assert {p.sigma for p in origins if p.dimension == "length"} == {0.002}
-    assert {p.sigma for p in origins if p.dimension == "angle"} == {0.005}
+    assert {p.sigma_si for p in origins if p.dimension == "length"} == {0.002}
+    assert {p.sigma_si for p in origins if p.dimension == "angle"} == {0.005}
     assert not any(p.prior for p in robot.parameters if p.placement)
 
 

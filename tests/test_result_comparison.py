@@ -24,7 +24,7 @@ def robot():
 def fits(robot, tmp_path_factory):
     """Result folders of one simulated robot measured twice, and once more after one of its joints was shifted."""
     generator = np.random.default_rng(3)
-    sigma = np.array([0.0 if p.placement else p.sigma for p in robot.parameters])
+    sigma = np.array([0.0 if p.placement else p.sigma_si for p in robot.parameters])
     truth = robot.with_parameters(robot.values + sigma * generator.normal(size=len(sigma)))
     place = [p.name for p in robot.parameters].index("joint_3.z")
     shifted = truth.with_parameters({"joint_3.z": truth.values[place] + 1e-4})

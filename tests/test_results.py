@@ -69,7 +69,9 @@ def fitted(tmp_path_factory):
     yaml = ARM_YAML + "held: [turn.x]\nsigma: 20 um\n"
     arm = calib.load(write_arm(tmp_path_factory.mktemp("arm"), yaml))
     generator = np.random.default_rng(21)
-    off = np.array([p.sigma * generator.normal() * free for p, free in zip(arm.parameters, arm.is_free, strict=True)])
+    off = np.array(
+        [p.sigma_si * generator.normal() * free for p, free in zip(arm.parameters, arm.is_free, strict=True)]
+    )
     truth = arm.with_parameters(arm.values + off)
     return calib.fit(arm, measured(truth, 30, 22), validation=measured(truth, 12, 23))
 
@@ -120,11 +122,11 @@ def test_parameters_are_listed_in_mm_and_deg_and_a_held_one_has_no_uncertainty(f
         assert list(row)[:8] == keys
         scale = 1e3 if parameter.dimension == "length" else 180 / np.pi
         assert (row["name"], row["unit"]) == (parameter.name, "mm" if parameter.dimension == "length" else "deg")
-        assert row["nominal"] == pytest.approx(parameter.nominal * scale, rel=1e-15)
+        assert row["nominal"] == pytest.approx(parameter.nominal_si * scale, rel=1e-15)
         assert row["value"] == pytest.approx(value * scale, rel=1e-15)
         if free:
             assert row["low95"] < row["value"] < row["high95"]
-            assert 0 < row["std"] <= parameter.sigma * scale * (1 + 1e-9)  # never wider than its prior
+            assert 0 < row["std"] <= parameter.sigma_si * scale * (1 + 1e-9)  # never wider than its prior
             assert row["status"] != "held"
         else:
             assert row["std"] is None
@@ -364,7 +366,7 @@ def saved_robot(folder, name):
     nominal = calib.load(folder / f"{name}.yaml")
     reach = generator.uniform(-0.08, 0.08, (90, len(nominal.joint_names)))
     poses = calib.as_poses(nominal, nominal.home + reach * np.where(np.arange(len(reach[0])) == 0, 0.5, 1.0))
-    truth = nominal.with_parameters(nominal.values + [p.sigma * generator.normal() for p in nominal.parameters])
+    truth = nominal.with_parameters(nominal.values + [p.sigma_si * generator.normal() for p in nominal.parameters])
     fit = calib.fit(nominal, calib.simulate(truth, poses, SIGMA, generator))
     fit.save(folder / "out", force=True)
     return fit, poses.joints

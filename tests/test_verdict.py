@@ -35,7 +35,7 @@ def truth(arm):
     values[arm.is_free] += (
         0.5
         * np.random.default_rng(6).standard_normal(arm.is_free.sum())
-        * [p.sigma for p, use in zip(arm.parameters, arm.is_free, strict=True) if use]
+        * [p.sigma_si for p, use in zip(arm.parameters, arm.is_free, strict=True) if use]
     )
     return arm.with_parameters(values)
 

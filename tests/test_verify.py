@@ -39,7 +39,7 @@ def arm():
     """The arm of the examples, its truth, and a fit."""
     robot = calib.load(EXAMPLES / "arm.yaml")
     rng = np.random.default_rng(1)
-    drawn = {p.name: p.nominal + p.sigma * rng.standard_normal() for p in robot.parameters if not p.placement}
+    drawn = {p.name: p.nominal_si + p.sigma_si * rng.standard_normal() for p in robot.parameters if not p.placement}
     truth = robot.with_parameters(drawn | {"base.x": 2.1, "base.rz": 2.0, "reflector.y": -0.003})
     q = rng.uniform(-1.2, 1.2, (80, 6))
     return robot, truth, calib.fit(robot, measured(truth, q, rng))

@@ -63,7 +63,7 @@ def view(
         check_file(html)
     model = loaded(robot, output)
     if result is None and (result := folder_of_values(robot, None, None)) is not None:
-        model = model.with_parameters([parameter.nominal for parameter in model.parameters])  # the robot before
+        model = model.with_parameters([parameter.nominal_si for parameter in model.parameters])  # the robot before
     measurements = None if data is None else read_measurements(data, model)
     with output.working("preparing the scene"):
         shown = gather(model, result, measurements, mapped)

@@ -24,7 +24,7 @@ _RANGE = re.compile(r"^(?P<name>[^=]+)=(?P<low>[^=]*?)\.\.(?P<high>[^=]*?)(?P<un
 @click.command("sample")
 @click.argument("robot")
 @click.option("--count", type=int, required=True, help="How many poses.")
-@click.option("--seed", type=click.IntRange(min=0), required=True, help="Seed of the joint values.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the joint values.")
 @click.option(
     "--within",
     metavar="FILE|RANGE",
@@ -62,7 +62,7 @@ def command(
         found = sample(model, count, seed, within=ranges)
     comments = (f"poses of {model.name}, sampled with seed {seed}", *(f"within {text}" for text in within))
     write_file(out, format_measurements(model, measurements(found, found.wanted), comments))
-    output.say(f"{counted(len(found), 'pose')} written to {out}")
+    output.say(f"{counted(len(found), 'pose')} written to {out}, seed {seed}")
 
 
 def _ranges(text: str, robot: Robot) -> dict[str, tuple[float, float]]:

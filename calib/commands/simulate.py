@@ -30,7 +30,7 @@ from calib.words import counted
     "--parameters", metavar="FILE", help="True parameter values (CSV parameter,value,unit); nominal if not given."
 )
 @click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}; 0: no noise of anything.")
-@click.option("--seed", type=click.IntRange(min=0), required=True, help="Seed of the noise.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the noise.")
 @click.option("--out", required=True, metavar="FILE", help="CSV file to write.")
 @shared_options()
 def command(
@@ -58,7 +58,7 @@ def command(
         comments += (f"joint values of {counted(len(moved), 'visit')} are changed so that the robot touches",)
     write_file(out, format_measurements(model, measured, comments))
     output.remarks(remarks)
-    output.say(f"{counted(len(poses), 'simulated pose')} written to {out}")
+    output.say(f"{counted(len(poses), 'simulated pose')} written to {out}, seed {seed}")
     if len(moved):
         output.say(f"Joint values of {counted(len(moved), 'visit')} were changed so that the robot touches")
 

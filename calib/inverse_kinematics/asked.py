@@ -52,7 +52,7 @@ class Asked:
 def as_meant(robot: Robot) -> Robot:
     """Return the robot that programs were written for: nominal, but its unknown base and targets where they are."""
     bare = robot.with_terms(())
-    return bare.with_parameters({p.name: p.nominal for p in bare.parameters if not p.placement})
+    return bare.with_parameters({p.name: p.nominal_si for p in bare.parameters if not p.placement})
 
 
 def asked_by_joints(meant: Robot, program: Poses, keep: str | None) -> Asked:

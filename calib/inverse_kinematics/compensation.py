@@ -110,7 +110,7 @@ class Compensation(ReadOnlyArrays):
             no command.
         """
         bare = robot.with_terms(())
-        nominal = bare.with_parameters([parameter.nominal for parameter in bare.parameters])
+        nominal = bare.with_parameters([parameter.nominal_si for parameter in bare.parameters])
         positions, rotations = np.full((len(self.q), 3), np.nan), np.full((len(self.q), 3, 3), np.nan)
         rows = np.flatnonzero(self.ok)
         closed = nominal.close(self.q[rows])

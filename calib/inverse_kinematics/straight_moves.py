@@ -114,7 +114,7 @@ def compensate_moves(robot: Robot, moves: StraightMoves, tolerance: float) -> Co
     if not tolerance > 0:
         raise InputError("the tolerance between points must be positive")
     robot = _as_described(robot)
-    nominal = robot.with_parameters([parameter.nominal for parameter in robot.parameters])
+    nominal = robot.with_parameters([parameter.nominal_si for parameter in robot.parameters])
     lengths = np.linalg.norm(moves.ends - moves.starts, axis=1)
     pieces = np.ones(len(lengths), dtype=np.intp)
     ways: dict[int, _Way] = {}
@@ -141,7 +141,7 @@ def compensate_moves(robot: Robot, moves: StraightMoves, tolerance: float) -> Co
 def _as_described(robot: Robot) -> Robot:
     """The calibrated robot with base and targets where the description has them, and without backlash."""
     robot = nearest_to_nominal(robot)
-    placed = {one.name: one.nominal for one in robot.parameters if one.placement}
+    placed = {one.name: one.nominal_si for one in robot.parameters if one.placement}
     backlash = {one.name: 0.0 for term in robot.terms if isinstance(term, Backlash) for one in term.parameters}
     return robot.with_parameters(placed | backlash)
 

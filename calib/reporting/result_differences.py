@@ -241,7 +241,7 @@ def _of_common(one: _Result, common: Sequence[str]) -> tuple[FloatArray, FloatAr
     """Values, covariance, and sigmas of priors that are known beforehand (NaN: none) of these free parameters [SI]."""
     place = [one.free.index(name) for name in common]
     values = one.robot.values[[index_of(one.robot.parameters, name) for name in common]]
-    sigma = np.array([p.sigma if p.prior and not p.family else np.nan for p in one.parameters(common)])
+    sigma = np.array([p.sigma_si if p.prior and not p.family else np.nan for p in one.parameters(common)])
     return values, one.covariance[np.ix_(place, place)], sigma
 
 

@@ -70,7 +70,7 @@ class Calibration(Fit):
 
         Args:
             folder: Where to.
-            force: Export a failed fit all the same.
+            force: Export a failed fit all the same, and replace files that this program did not write.
             pages: Whether to write report.html and viewer.html.
             logo: PNG, JPEG or SVG file to put into the report.
         """

@@ -229,9 +229,7 @@ def test_a_robot_made_in_python_is_saved_and_loads_the_same(robot, tmp_path):
     np.testing.assert_array_equal(again.is_free, made.is_free)
     q = calib.sample(robot, 5, seed=1).joints
     np.testing.assert_array_equal(again.positions(q), made.positions(q))
-    with pytest.raises(calib.InputError, match="exists already"):
-        made.save(tmp_path / "robot.yaml")
-    made.save(tmp_path / "robot.yaml", overwrite=True)
+    made.save(tmp_path / "robot.yaml")
     plain = calib.robot(EXAMPLES / "arm.urdf", target="link_5")
     plain.save(tmp_path / "plain.yaml")
     assert calib.load(tmp_path / "plain.yaml").parameters == plain.parameters

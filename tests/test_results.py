@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from signed_files import read_plain
 from small_robots import ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallelogram
 
 import calib
 from calib.data.tables import read_table
 from calib.errors import CalibrationError, ComputationError, DataError, InputError
+from calib.files import write_folder
 from calib.model.description import description_yaml, read_description
 from calib.reporting.result_reading import load_calibrated, load_uncertainty, read_result
 from calib.reporting.results import save
@@ -206,8 +208,8 @@ def test_predict_uses_the_result(folder, fitted, run_calib, tmp_path):
 
 def test_a_second_result_replaces_the_first_and_leaves_other_files(fitted, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
-    (tmp_path / "result.json").write_text("old")
     out = tmp_path
+    write_folder(out, {"result.json": b"old"})
     fitted.save(out)
     assert (out / "notes.txt").read_text() == "mine"
     assert read_result(out)["n_poses"] == 30
@@ -463,7 +465,7 @@ def test_every_command_takes_a_folder_as_the_robot_and_means_the_same_as_with_re
             out = f"{command}_{k}"
             run = run_calib(command, robot, *[out if word == "OUT" else word for word in rest], *values, cwd=tmp_path)
             assert run.code == 0, run.err
-            text = (tmp_path / out).read_text()
+            text = read_plain(tmp_path / out).decode()
             text = text.replace("done/nominal.urdf", fitted.nominal.urdf.path).replace('"robot": "done"', "robot")
             contents.append(text.replace(f'"robot": "{fitted.nominal.path}"', "robot"))
         assert contents[0] == contents[1]

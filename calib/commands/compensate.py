@@ -19,7 +19,6 @@ from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
 from calib.data.tables import format_table, read_table
 from calib.errors import DataError, InputError, UnreachablePoseError
-from calib.files import check_file, write_file
 from calib.inverse_kinematics.asked import KEEP
 from calib.inverse_kinematics.compensation import Compensation, compensate
 from calib.inverse_kinematics.goals import Goals, read_goals
@@ -92,7 +91,6 @@ def command(
     the nominal model, Cartesian or delta. Straight moves get the points to tell it, in pieces so short that the tool
     stays within --tolerance-mm of the line; what else moves the machine is refused, all other lines stay.
     """
-    check_file(out)
     result = result_folder(robot, result)
     nominal = loaded(robot, output)
     calibrated = load_calibrated(result, nominal)
@@ -105,6 +103,7 @@ def command(
     if any(option is not None for option in (zero, start, tolerance_mm)):
         raise InputError(f"--zero, --start and --tolerance-mm are for G-code ({', '.join(SUFFIXES)}); leave them out")
     rows = _read(program, nominal, output)
+    output.check(out)
     if grid is not None:
         compensate_grid(calibrated, rows, grid, result, out, output)
         return
@@ -119,7 +118,7 @@ def command(
         f"{program} for {nominal.name}, compensated with {result}; kept: {compensation.keep}",
         *said_of_failure(output, result, out),
     )
-    write_file(out, format_table(_columns(nominal, rows, compensation), comments))
+    output.write(out, format_table(_columns(nominal, rows, compensation), comments))
     summary, held_out, n = _summary(compensation), _held_out(result), len(rows)
     output.json(
         {

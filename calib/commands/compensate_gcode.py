@@ -11,10 +11,10 @@ from calib.commands.common import Output, said_of_failure
 from calib.data.gcode import ROUNDING, GcodeProgram
 from calib.data.gcode_reader import read_gcode
 from calib.errors import DataError, InputError
-from calib.files import write_file
 from calib.inverse_kinematics.straight_moves import CompensatedMoves, StraightMoves, compensate_moves
 from calib.linearisation.prediction import PositionUncertainty
 from calib.model.robot import Robot
+from calib.own_files import GCODE_COMMENT
 from calib.units import millimetres, quantity
 from calib.words import counted
 
@@ -54,6 +54,7 @@ def compensate_gcode(
     if len(calibrated.target_names) > 1:
         raise DataError(f"{calibrated.path}: has several targets; which of them X, Y and Z are of is not known")
     program = read_gcode(path, start)
+    output.check(out)
     tolerance = quantity(f"{tolerance_mm!r} mm", "length", "--tolerance-mm") - ROUNDING
     origin = np.zeros(3) if zero is None else np.array(zero)
     unknown = (np.nan, np.nan, np.nan)
@@ -72,7 +73,7 @@ def compensate_gcode(
         *said_of_failure(output, result, out),
     )
     text = program.rewritten([way - origin for way in found.told], [" ".join(line.split()) for line in comments])
-    write_file(out, text)
+    output.write(out, text, GCODE_COMMENT)
     n_pieces = sum(len(way) for way in found.told)
     output.json({"n_moves": len(program.moves), "n_pieces": n_pieces, "n_measured": found.n_measured, **figures})
     output.say(_said(program, n_pieces, found.n_measured, figures, out))

@@ -68,7 +68,17 @@ def command(
         lines = [*(lines or []), *failed]
     notes: list[str] = []
     relative = _relative_meshes(model.urdf)  # before anything is written: it may refuse a broken shape
-    gaps = export(model, file_format, out, free_slide=free_slide, meshes=meshes, provenance=lines, note=notes.append)
+    output.check(*(() if file_format == JOINT_TABLES else (out,)))
+    gaps = export(
+        model,
+        file_format,
+        out,
+        free_slide=free_slide,
+        meshes=meshes,
+        provenance=lines,
+        note=notes.append,
+        force=output.force,
+    )
     output.say(f"{model.name}, {parameters or result or 'nominal values'}: written to {out}")
     for text in notes:
         if file_format in CONTROLLERS:

@@ -8,7 +8,6 @@ import numpy as np
 from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
 from calib.data.measurement_columns import approach_columns, condition_columns, joint_columns
 from calib.data.tables import format_table
-from calib.files import check_file, write_file
 from calib.inverse_kinematics.goals import Goals, read_goals
 from calib.inverse_kinematics.inverse import Solution, solve
 from calib.model.robot import Robot
@@ -43,10 +42,10 @@ def command(
     robot will be there, which joint terms may depend on. Joint limits and the home's assembly mode are kept; what a
     target leaves open stays near home.
     """
-    check_file(out)
     model = with_values(loaded(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)
     goals = read_goals(targets, model)
+    output.check(out)
     with output.working(f"solving {len(goals)} targets"):
         solution = solve(model, goals)
     misses = solution.misses()
@@ -58,7 +57,7 @@ def command(
     source = parameters or result or "nominal values"
     said = f"joint values of {model.name} that reach {targets} ({goals.asks_for}), {source}"
     comments = (said, *said_of_failure(output, result, out))
-    write_file(out, _table(model, goals, solution, comments))
+    output.write(out, _table(model, goals, solution, comments))
     labels = [solution.labels[k] for k in reached]
     remarks = model.near_singularities(model.assemble(solution.q[reached], labels=labels), labels)
     output.remarks(remarks)

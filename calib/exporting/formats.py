@@ -40,6 +40,7 @@ def export(
     meshes: str | None = None,
     provenance: Sequence[str] | None = None,
     note: Callable[[str], None] = lambda text: None,
+    force: bool = False,
 ) -> tuple[Gap, ...]:
     """Write a robot with its current values for another program.
 
@@ -59,13 +60,14 @@ def export(
             comment into the URDF if this is None.
         note: Called with each thing that the user should know, such as a mesh that had to be left out, or what a format
             for controllers holds and which error it leaves.
+        force: Replace files that this program did not write, or that the robot comes from, all the same.
 
     Returns:
         What 3D constraints would have to absorb, for each direction that a closure leaves free.
 
     Raises:
-        InputError: Unknown format, an option that the format does not have, a place that cannot be written or is the
-            robot's own input, or loops that the format cannot express.
+        InputError: Unknown format, an option that the format does not have, a place that cannot be written, a file
+            there that should not be replaced, or loops that the format cannot express.
     """
     require_robot(robot)
     path = Path(path)
@@ -75,22 +77,21 @@ def export(
         raise InputError(f"format '{file_format}' has no variant with free slides; only mjcf and drake have")
     if meshes and file_format not in _WITH_URDF:
         raise InputError(f"format '{file_format}' has no mesh paths to change; only {', '.join(_WITH_URDF)} have")
+    sources = (robot.urdf.path, robot.path)
     if file_format == JOINT_TABLES:
-        check_folder(path)
-        write_folder(path, joint_table_files(robot, provenance or (), note))
+        check_folder(path, force=force)
+        write_folder(path, joint_table_files(robot, provenance or (), note), inputs=sources, force=force)
         return ()
     with_urdf = file_format == "toolbox" and path.name
     urdf = path.with_suffix(".urdf") if with_urdf else path
     if with_urdf and path == urdf:
         raise InputError(f"{path}: format 'toolbox' writes a YAML file and the URDF beside it; name the YAML file")
     for file in {urdf, path}:
-        if file.resolve() in (Path(robot.urdf.path).resolve(), Path(robot.path).resolve()):
-            raise InputError(f"{file}: is the robot's own input; choose another file, so that nominal is not lost")
-        check_file(file)
-    files = _contents(robot, file_format, path, free_slide, provenance, note)
+        check_file(file, inputs=sources, force=force)
+    files = _contents(robot, file_format, path, free_slide, provenance, note, force=force)
     if meshes:
         files[urdf] = with_mesh_prefix(files[urdf], meshes)
-    write_files(files)
+    write_files(files, inputs=sources, force=force)
     return () if free_slide or file_format in CONTROLLERS else loop_gaps(robot)
 
 
@@ -101,6 +102,8 @@ def _contents(
     free_slide: bool,
     provenance: Sequence[str] | None,
     note: Callable[[str], None],
+    *,
+    force: bool,
 ) -> dict[Path, bytes]:
     if file_format == "urdf":
         return {path: urdf_bytes(robot, provenance)}
@@ -114,7 +117,7 @@ def _contents(
             note(text)
         if written.meshes:
             folder = next(iter(written.meshes)).parent
-            write_folder(folder, {mesh.name: content for mesh, content in written.meshes.items()})
+            write_folder(folder, {mesh.name: content for mesh, content in written.meshes.items()}, force=force)
             note(f"meshes that MuJoCo cannot read were converted into {folder}; keep that folder beside {path.name}")
         return {path: written.content}
     if file_format == "drake":

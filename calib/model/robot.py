@@ -290,22 +290,21 @@ class Robot(ReadOnlyArrays):
         known = dict(zip((parameter.name for parameter in self.parameters), self.values, strict=True))
         return replace(self, description=description, parametrisation=parametrisation).with_parameters(known)
 
-    def save(self, path: Path | str, *, overwrite: bool = False) -> None:
+    def save(self, path: Path | str, *, force: bool = False) -> None:
         """Write the robot description; `calib.load` gives the same robot from it.
 
         Args:
             path: YAML file to write. It names the URDF, which stays where it is.
-            overwrite: Whether a file that is there already may be replaced, comments in it and all.
+            force: Whether to replace a file that this program did not write, that was edited, or that the robot comes
+                from; comments in it and all.
 
         Raises:
-            InputError: The file exists, or cannot be written; or parameters are not nominal, which a description
-                cannot say.
+            InputError: The file cannot be written, or should not be replaced; or parameters are not nominal, which a
+                description cannot say.
         """
         path = Path(path)
         if path.suffix.lower() not in (".yaml", ".yml"):
             raise InputError(f"{path}: the name of a robot description ends in .yaml")
-        if path.exists() and not overwrite:
-            raise InputError(f"{path}: exists already; choose another name, or say overwrite=True")
         nominal = np.array([parameter.nominal_si for parameter in self.parameters])
         if not np.array_equal(self.values, nominal):
             name = self.parameters[int(np.argmax(self.values != nominal))].name
@@ -314,7 +313,8 @@ class Robot(ReadOnlyArrays):
                 " loads as a robot, or export a URDF"
             )
         relative = os.path.relpath(Path(self.urdf.path).resolve(), path.resolve().parent)
-        write_file(path, description_yaml(self.description.model_copy(update={"urdf": relative})))
+        text = description_yaml(self.description.model_copy(update={"urdf": relative}))
+        write_file(path, text, inputs=(self.path, self.urdf.path), force=force)
 
     def with_parameters(self, values: Mapping[str, float] | ArrayLike) -> Robot:
         """Return a robot with other parameter values.

@@ -37,6 +37,9 @@ _URDF = "calibrated.urdf"
 _FILE = re.compile(rb"""\bfilename\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 _NO_TERMS = ("a URDF cannot hold joint terms (curves, backlash, ...): they are in parameters.csv, and missing here",)
 _OF_GOOD_FITS = (_URDF, "report.html", "viewer.html")  # an old one must not stay beside a new result
+_ALWAYS = ("result.json", "parameters.csv", "covariance.csv", "residuals.csv", NOMINAL_YAML, NOMINAL_URDF)
+RESULT_FILES = (*_ALWAYS, *_OF_GOOD_FITS)
+"""What a result folder may hold of a fit."""
 
 
 def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[str, bytes] | None = None) -> None:
@@ -48,11 +51,12 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
     Args:
         fit: The fit.
         folder: Where to; files of other names in it stay.
-        force: Export a failed fit all the same; its files say so.
+        force: Export a failed fit all the same; its files say so. Replace what this program did not write, too.
         pages: Further files for people, name -> content.
 
     Raises:
-        InputError: The folder cannot be written; what was there is untouched.
+        InputError: The folder cannot be written, or holds files of these names that this program did not write, or
+            that the fit was made from; what was there is untouched.
     """
     failed = fit.verdict.grade == "FAIL"
     nominal = {
@@ -74,7 +78,8 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
     elif force:
         files[_URDF] = urdf_bytes(fit.robot, _said_inside(fit.verdict, "exported by force"))
     files |= pages or {}
-    write_folder(folder, files, obsolete=sorted(set(_OF_GOOD_FITS) - set(files)))
+    sources = (fit.nominal.path, fit.nominal.urdf.path, fit.identification.data.path)
+    write_folder(folder, files, sorted(set(_OF_GOOD_FITS) - set(files)), inputs=sources, force=force)
 
 
 def _with_meshes(urdf: UrdfText) -> bytes:

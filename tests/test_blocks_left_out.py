@@ -1,15 +1,12 @@
-"""Blocks of poses left out in turn, against fits that really leave them out."""
+"""Blocks of poses left out in turn: what the verdict says of them (tests/test_clusters.py holds the numbers)."""
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from six_axis_arm import FREE, YAML, joints, measurements, noisy, six_axis_arm, write_six_axis
+from six_axis_arm import FREE, YAML, joints, measurements, write_six_axis
 
 import calib
-from calib.identification.blocks_left_out import left_out
-from calib.identification.validation import boxes
 
 SIGMA = 4e-5
 
@@ -17,56 +14,6 @@ SIGMA = 4e-5
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory):
     return calib.load(write_six_axis(tmp_path_factory.mktemp("arm"), YAML + FREE))
-
-
-@pytest.fixture(scope="module")
-def fit(arm):
-    return calib.fit(arm, noisy(arm, joints(60), SIGMA, 1), sigma=SIGMA)
-
-
-def without(fit, use):
-    """Scaled parameters by some rows (n,), priors included, and the information of these rows, by plain algebra."""
-    rows = fit.linear.rows.at_minimum()
-    observed = rows.residuals - rows.jacobian @ rows.deviations
-    information = rows.jacobian[use].T @ rows.jacobian[use] + np.diag(1.0 * rows.has_prior)
-    return -np.linalg.solve(information, rows.jacobian[use].T @ observed[use]), information
-
-
-def test_the_ratio_is_by_how_much_parameters_move_when_blocks_are_left_out(fit):
-    blocks = boxes(fit.identification.data, 6)
-    layout = fit.rows.layout
-    visit = layout.visit[layout.reading]
-    every, information = without(fit, np.full(len(visit), True))
-    moved, effective = 0.0, 0.0
-    for block in blocks:
-        one, known = without(fit, ~np.isin(visit, block))
-        moved += (every - one) @ known @ (every - one) / fit.linear.factor**2
-        effective += np.trace(np.linalg.solve(information, information - known))
-    assert effective == pytest.approx(fit.statistics.effective_parameters, rel=1e-3)
-    assert left_out(fit.linear, blocks).ratio == pytest.approx(np.sqrt(moved / effective), rel=1e-4)
-
-
-def test_by_noise_alone_the_chance_is_what_it_says(fit):
-    linear, blocks, rng = fit.linear, boxes(fit.identification.data, 8), np.random.default_rng(2)
-    chances, ratios = [], []
-    for _ in range(400):
-        drawn = rng.standard_normal(len(linear.rows.residuals))
-        drawn += linear.rows.jacobian[:, linear.rows.has_prior] @ rng.standard_normal(int(linear.rows.has_prior.sum()))
-        left = drawn - linear.pulled @ (linear.pulled.T @ drawn)
-        found = replace(linear, rows=replace(linear.rows, residuals=left), factor=1.0)
-        one = left_out(found, blocks)
-        chances.append(one.chance)
-        ratios.append(one.ratio**2)
-    assert np.mean(ratios) == pytest.approx(1.0, abs=0.05)  # its standard error is 0.01
-    assert 0.01 < np.mean(np.array(chances) < 0.05) < 0.1
-
-
-def test_a_block_that_decides_all_by_itself_says_nothing(tmp_path):
-    robot = six_axis_arm(tmp_path)  # without priors
-    fit = calib.fit(robot, noisy(robot, joints(60), SIGMA, 1), sigma=SIGMA)
-    found = left_out(fit.linear, [np.arange(60)])
-    assert np.isnan(found.ratio)
-    assert found.chance == 1.0
 
 
 def bent(robot, q):

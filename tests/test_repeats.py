@@ -103,7 +103,7 @@ def test_repeats_weigh_and_the_noise_found_is_that_of_one_reading(arm, tmp_path)
     assert fit.sigma == pytest.approx(5e-5, rel=0.15)  # standard error 3 %
     assert repeatability(fit.identification)[0] == pytest.approx(5e-5, rel=0.1)
     assert fit.statistics.freedom == pytest.approx(3 * 180 - 26)
-    assert fit.shared_sigma == {}
+    assert fit.statistics.shared is None
     assert (to_dict(fit)["n_poses"], to_dict(fit)["n_rows"], to_dict(fit)["n_readings"]) == (60, 180, 180)
     assert "repeatability" not in [reason.code for reason in fit.verdict.reasons]
 
@@ -120,7 +120,7 @@ def test_many_repeats_do_not_make_sure_of_what_the_model_leaves_out(arm, tmp_pat
     """Each pose is off by 0.05 mm that all its readings share: three of them tell hardly more than one."""
     fit = calib.fit(arm, measured(arm, tmp_path, scatter=1e-5, between=5e-5))
     once = calib.fit(arm, fit.identification.data.subset(np.arange(0, 180, 3)))
-    assert np.median(fit.statistics.std / once.statistics.std) > 0.9  # and not 1 / sqrt(3)
+    assert np.median(fit.statistics.std / once.statistics.std) > 0.8  # and not 1 / sqrt(3), 0.58
     error = np.abs(fit.robot.values - arm.values)[arm.is_free]
     assert np.mean(error <= fit.statistics.half_width) > 0.8
 

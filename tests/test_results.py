@@ -328,7 +328,7 @@ def test_a_damaged_covariance_gives_no_uncertainty(fitted, folder, tmp_path, dam
     else:
         result = json.loads((tmp_path / "result.json").read_text())
         freedom = {"no freedom": "many", "boundless freedom": 1e300}[damage]
-        (tmp_path / "result.json").write_text(json.dumps(result | {"degrees_of_freedom": freedom}))
+        (tmp_path / "result.json").write_text(json.dumps(result | {"interval_degrees_of_freedom": freedom}))
     with pytest.raises(CalibrationError, match="run the fit again"):
         load_uncertainty(tmp_path, fitted.nominal)
 

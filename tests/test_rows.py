@@ -195,14 +195,3 @@ def test_distances_are_lengths_of_whitened_residuals(tmp_path):
     case = Case(tmp_path, instruments(", sigma: 0.1 mm", ", sigma: 0.3 mm"))
     tip, elbow = (np.linalg.norm(case.plain(target)[0], axis=1) for target in ("tip", "elbow"))
     np.testing.assert_allclose(case.rows().distances(), np.concatenate([tip / 1e-4, elbow / 3e-4]), rtol=1e-12)
-
-
-def test_the_minimum_of_the_linear_model_is_that_of_least_squares(tmp_path):
-    case = Case(tmp_path, TWO + "sigma: 0.1 mm\n")
-    rows = case.rows()
-    stacked = np.vstack([rows.jacobian, np.eye(rows.jacobian.shape[1])])
-    step = np.linalg.lstsq(stacked, -np.concatenate([rows.residuals, rows.deviations]), rcond=None)[0]
-    end = rows.at_minimum()
-    np.testing.assert_allclose(end.deviations, rows.deviations + step, rtol=1e-7, atol=1e-9)
-    np.testing.assert_allclose(end.residuals, rows.residuals + rows.jacobian @ step, rtol=1e-7, atol=1e-9)
-    assert end.cost < rows.cost

@@ -65,6 +65,18 @@ def test_a_hold_out_set_keeps_the_directions_of_the_whole_file(arm):
     np.testing.assert_array_equal(part.approach_directions, directions_of_motion(data.joints)[[4, 7]])
 
 
+@pytest.mark.parametrize("driver", [1, 3])
+def test_a_joint_that_follows_its_neighbour_is_found(arm, driver):
+    q_true = joints(80)
+    q_true[:, 2] += 2e-3 * q_true[:, driver]
+    (one,) = (
+        pattern for pattern in findings(fitted(arm, q_true)) if pattern.kind == "coupling" and pattern.name == "j3"
+    )
+    assert one.detail == f"j{driver + 1}"
+    assert one.amount == pytest.approx(2e-3, rel=0.1)
+    assert f"joint j3 is off by +2 mrad for each rad of joint j{driver + 1}" in describe(one, arm.mechanism.dimensions)
+
+
 def test_backlash_is_found_with_its_joint_and_size(arm):
     q = joints(80)
     half = 1e-4

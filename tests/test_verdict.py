@@ -156,7 +156,19 @@ def test_worse_than_before_on_validation_fails(arm, truth):
     fit = calib.fit(arm, noisy(truth, joints(80), SIGMA, 1), validation=noisy(arm, joints(30, 5), SIGMA, 2))
     found = reason(fit, "worse_on_validation")
     assert found.grade == fit.verdict.grade == "FAIL"
-    assert "worse than before on the validation poses" in found.text
+    assert "the calibration makes the robot worse on the validation poses" in found.text
+    assert fit.verdict.reasons[0] == found
+
+
+def test_worse_than_before_fails_also_where_the_fit_knows_little_of_these_poses(arm, truth):
+    """Poses in a corner leave the rest of the space open: that they get worse there is no surprise, and harm."""
+    corner = joints(40) * 0.05
+    fit = calib.fit(arm, noisy(arm, corner, SIGMA, 1), validation=noisy(arm, joints(40, 5), SIGMA, 2))
+    known = fit.validation_uncertainty.located
+    assert np.sqrt(np.mean(known**2)) > 0.5 * np.sqrt(3) * fit.validation.rms("after") / np.sqrt(3)
+    found = reason(fit, "worse_on_validation")
+    assert found.grade == fit.verdict.grade == "FAIL"
+    assert "nothing_to_correct" not in fit.verdict.to_dict()["codes"]
 
 
 def test_validation_poses_that_fit_worse_than_predicted_are_a_check(arm, truth):

@@ -320,7 +320,7 @@ def test_a_result_without_the_noise_of_its_instruments_is_refused(folder, tmp_pa
     for file in folder.iterdir():
         (other / file.name).write_bytes(file.read_bytes())
     content = json.loads((other / "result.json").read_text())
-    del content["instruments"][0]["parts"][0]["sigma_own"]
+    del content["instruments"][0]["parts"][0]["sigma"]
     (other / "result.json").write_text(json.dumps(content))
     found = run(tmp_path, ONE, other, "--plan")
     assert found.exit_code == 2

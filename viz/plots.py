@@ -45,9 +45,8 @@ def budget_bars(budget: dict[str, Any]) -> Plot:
     rows, unit = budget["causes"], budget["unit"]
     largest = max(budget["rms_before"], 1e-12)
     figure, (axes,) = new_figure(1, 1, (8.9, 0.9 + 0.32 * len(rows)))
-    sizes = np.array([row["rms"] for row in rows])
+    shown = np.nan_to_num([row["rms"] for row in rows])
     high = np.sqrt(np.maximum([row["mean_square"] + np.nan_to_num(row["std"]) for row in rows], 0.0))
-    shown = np.maximum(sizes, 0.0)
     axes.barh(range(len(rows)), shown, color=STATES["after"][0], alpha=0.6)
     axes.errorbar(shown, range(len(rows)), xerr=[0 * shown, np.maximum(high - shown, 0.0)], fmt="none", ecolor="black")
     floor = max(min((size for size in shown if size > 0), default=largest) / 3, largest / 1e5)

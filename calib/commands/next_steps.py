@@ -24,7 +24,8 @@ _ANSWERS = (
     ("--terms auto", ("systematic", "blocks_disagree", "noise", "worse_on_validation")),
     ("--starts 5", ("other_minimum", "not_converged", "not_linear")),
 )
-"""Options of `calib fit` that answer reasons, by the codes of these; the first that fits is offered."""
+"""Options of `calib fit` that answer reasons, by the codes of these; the first that answers any is offered. Outliers
+come first: what they do to a fit looks like noise, and like joint terms."""
 _POSES = (
     "joint_never_moved",
     "joints_move_together",
@@ -52,12 +53,11 @@ def after_fit(fit: Fit, robot: str, data: Sequence[str], out: str) -> list[str]:
     lines = [f"{click.style(grade, fg=colour, bold=True)}: {meaning}"]
     again = typed("calib", "fit", robot, *data)
     codes = [reason.code for reason in fit.verdict.reasons if reason.grade != "PASS"]
-    for code in codes:
-        option = next((option for option, answered in _ANSWERS if code in answered), None)
-        if option is not None:
-            return [*lines, f"Next: {again} {option} --out {shlex.quote(f'{out}-2')}"]
-        if code in _POSES:
-            return [*lines, f"Next: {typed('calib', 'check', robot, *data)}    (what these poses do not tell)"]
+    answers = [option for option, answered in _ANSWERS if set(codes) & set(answered)]
+    if answers[:1] == ["--exclude-outliers"] or (answers and codes[0] not in _POSES):
+        return [*lines, f"Next: {again} {answers[0]} --out {shlex.quote(f'{out}-2')}"]
+    if set(codes) & set(_POSES):
+        return [*lines, f"Next: {typed('calib', 'check', robot, *data)}    (what these poses do not tell)"]
     if grade != "FAIL" and fit.validation is None and fit.folds is None:
         return [*lines, f"Next: {again} --validate 0.25 --out {shlex.quote(out)}    (how good it is on other poses)"]
     if codes:

@@ -13,6 +13,10 @@ With C = L L^T this is the least-squares problem y = X b + e of
 As noise and C were found with nu degrees of freedom, Q / m is compared with F(m, nu). This counts what the calibration
 did not know exactly; residuals against the noise alone would condemn every calibration.
 
+Where the readings of a pose shared errors in the calibration, so that poses scattered rho times as much as independent
+readings (`calib.numerics.clusters`), m readings tell as much as m / rho^2 of them: so many degrees of freedom count
+beside nu, and z is divided by rho.
+
 Drift. A change d of one parameter, or of one joint's zero, adds its column: y = X b + B d + e. With B' what of [B; 0]
 is orthogonal to X, d = B'.y / |B'|^2, and z = B'.y / |B'| is Student's t with nu degrees of freedom if nothing changed.
 The smallest p-value times the number of distinct candidates (Holm's first step; parallel columns count once) is the
@@ -109,19 +113,20 @@ def verify(promise: Promise | Fit, data: Measurements, *, same_setup: bool = Fal
     promise = Promise.of(promise) if isinstance(promise, Fit) else promise
     system = System.of(promise, data, same_setup)
     system, left_out = without_outliers(system)
-    p_value = float(scipy.special.fdtrc(system.freedom, promise.freedom, system.square / system.freedom))
+    independent = system.freedom / promise.shared**2
+    p_value = float(scipy.special.fdtrc(independent, promise.freedom, system.square / system.freedom))
     changes, distinct = system.changes()
     p_drift = p_rest = 1.0
     if changes:
         p_drift = min(1.0, distinct * 2.0 * float(scipy.special.stdtr(promise.freedom, -abs(changes[0].z))))
-        rest = max(system.square - changes[0].z ** 2, 0.0) / max(system.freedom - 1, 1)
-        p_rest = float(scipy.special.fdtrc(max(system.freedom - 1, 1), promise.freedom, rest))
+        rest = max(system.square - (promise.shared * changes[0].z) ** 2, 0.0) / max(system.freedom - 1, 1)
+        p_rest = float(scipy.special.fdtrc(max(independent - 1, 1), promise.freedom, rest))
     level = FALSE_ALARM / 2
     verdict = "agrees"
     if p_value < level or p_drift < level:
         explained = "drifted" if p_drift < level <= p_rest else "calibrate again"
         verdict = "noisier" if p_drift >= level and _is_noise(promise, system, level) else explained
-    low, high = scipy.special.fdtri(system.freedom, promise.freedom, [0.025, 0.975])
+    low, high = scipy.special.fdtri(independent, promise.freedom, [0.025, 0.975])
     alike = tuple(c.name for c in changes if c.z**2 > changes[0].z ** 2 - _SUPPORT)
     return Acceptance(
         verdict,
@@ -209,4 +214,5 @@ def _is_noise(promise: Promise, system: System, level: float) -> bool:
     more = (scatter / sigma[0]) ** 2
     if scipy.special.fdtrc(freedom, promise.freedom, more) >= level:
         return False
-    return bool(scipy.special.fdtrc(system.freedom, freedom, system.square / system.freedom / more) >= level)
+    independent = system.freedom / promise.shared**2
+    return bool(scipy.special.fdtrc(independent, freedom, system.square / system.freedom / more) >= level)

@@ -9,7 +9,9 @@ import numpy as np
 from calib.data.measurements import Measurements, Poses
 from calib.identification.effect_setting import has_time
 from calib.identification.effects import scale
+from calib.identification.error_budget import ENOUGH_REPEATS
 from calib.identification.fitted import Fit
+from calib.identification.repeats import repeatability
 from calib.identification.rules_reach import terms_beyond
 from calib.identification.systematic import PARTS_PER_MILLION, visible
 from calib.units import millimetres
@@ -46,9 +48,10 @@ def _scale(fit: Fit) -> Iterator[str]:
 
 
 def _whose_noise(fit: Fit) -> Iterator[str]:
-    """What the robot may do beside the model where nobody states the instrument's noise."""
+    """What the robot may do beside the model where nobody states the instrument's noise, and no repeats measured it."""
     one = fit.first_noise
-    if one.stated is None and one.group.part == "position":
+    measured = repeatability(fit.identification)[1] >= ENOUGH_REPEATS
+    if one.stated is None and not measured and one.group.part == "position":
         predicted = float(np.mean(fit.identification_uncertainty.located**2))
         single = millimetres(float(np.sqrt(predicted + 3.0 * one.sigma**2)))
         yield (

@@ -12,7 +12,13 @@ its own noise: the change is then positive, though nothing is wrong. With G = su
 The calibration is `worse`, or `better`, where the change lies above, or below, what this gives with a chance of 0.1 %
 each: the quadratic part as a scaled chi-square of the same mean and variance, the mixed part as normal. In the place of
 e, which nobody knows, stand the errors of the better state, where they are larger than the noise: that is what the
-model leaves out.
+model leaves out. Where poses scatter by more than independent readings would (`calib.numerics.clusters`), the mixed
+part has the variance 4 times the sum over poses of e_b^T B_b C B_b^T e_b.
+
+This asks whether the uncertainty of the fit explains what happened. A fit that knows little of the poses that were not
+used explains much, and harms the robot all the same. So a calibration is `worse`, too, where these errors are more than
+`HARM` times as large as before, and the differences |a_k|^2 - |b_k|^2, summed pose by pose, have a mean above zero with
+a chance of 0.1 % by Student's t.
 
 When it fails. What the model leaves out is no noise, and follows the poses: where the poses not used are few and alike,
 the chance is larger.
@@ -28,13 +34,17 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.arrays import FloatArray
+from calib.arrays import FloatArray, IntArray
 from calib.identification.errors_found import ErrorSet
 from calib.identification.fitted import Fit
 from calib.units import ERROR_UNIT, Dimension, error_scale
 
 CHANCE = 1e-3
 """Chance that a calibration that changes nothing is called better, or worse."""
+HARM = 1.25
+"""Errors after over errors before from which a fit harms. With twice as many rows as parameters, the least that is
+enough, the noise of a fit makes errors of a robot that needs no correction sqrt(1 + 1/2) = 1.22 times as large."""
+_FEWEST = 5  # poses from which Student's t says anything
 
 
 @dataclass(frozen=True)
@@ -79,28 +89,44 @@ def _compare(fit: Fit, name: str, errors: ErrorSet, covariance: float) -> Compar
     scaled = fit.statistics.covariance / np.outer(fit.unknowns.scales, fit.unknowns.scales)
     product = rows.jacobian.T @ rows.jacobian @ (covariance * scaled)
     squares = float(before @ before), float(rows.residuals @ rows.residuals)
-    per_row = max(1.0, min(squares) / rows.layout.n_read)
-    change, expected, spread = squares[1] - squares[0], float(np.trace(product)), _spread(product, per_row)
+    change, expected = squares[1] - squares[0], float(np.trace(product))
+    pose = np.unique(rows.layout.pose_of_row, return_inverse=True)[1]
+    if fit.statistics.shared is not None:
+        left = rows.residuals if squares[1] < squares[0] else before
+        felt = np.stack([np.bincount(pose, column * left) for column in rows.jacobian.T], axis=1)
+        mixed = float(np.sum((felt @ (covariance * scaled)) * felt))
+    else:
+        mixed = max(1.0, min(squares) / rows.layout.n_read) * expected
+    spread = _spread(product, mixed)
     return Comparison(
         name,
         errors.rms("before"),
         errors.rms("after"),
         errors.main_part.dimension,
         better=change < min(0.0, expected - spread),
-        worse=change > expected + spread,
+        worse=change > expected + spread or _harmed(pose, before, rows.residuals),
     )
 
 
-def _spread(product: FloatArray, per_row: float) -> float:
+def _harmed(pose: IntArray, before: FloatArray, after: FloatArray) -> bool:
+    """Whether errors of rows (n_rows,), pose by pose, have grown by more than `HARM`, beyond chance."""
+    squares = [np.bincount(pose, errors**2) for errors in (before, after)]
+    n, change = len(squares[0]), squares[1] - squares[0]
+    if n < _FEWEST or not np.sum(squares[1]) > HARM**2 * np.sum(squares[0]):
+        return False
+    t = float(np.mean(change) / (np.std(change, ddof=1) / np.sqrt(n)))
+    return bool(scipy.special.stdtr(n - 1, -t) < CHANCE)
+
+
+def _spread(product: FloatArray, mixed: float) -> float:
     """Return how far above its mean T goes with `CHANCE`.
 
     Args:
         product: GC, (n_free, n_free).
-        per_row: Mean square of a component of e.
+        mixed: Variance of e^T B d.
     """
     mean, squares = float(np.trace(product)), float(np.sum(product * product.T))
     if mean <= 0:
         return 0.0
     quadratic = squares / mean * float(scipy.special.chdtri(mean**2 / squares, CHANCE)) - mean
-    mixed = -float(scipy.special.ndtri(CHANCE)) * 2.0 * float(np.sqrt(per_row * mean))
-    return float(np.hypot(quadratic, mixed))
+    return float(np.hypot(quadratic, -2.0 * float(scipy.special.ndtri(CHANCE)) * np.sqrt(mixed)))

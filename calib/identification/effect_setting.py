@@ -42,17 +42,21 @@ class Setting:
 
     def whitened(self, arrays: Mapping[str, FloatArray]) -> FloatArray:
         """Return what effects do to the rows of each instrument, (n, n_rows, k) [SI], as whitened rows, (n_all, k)."""
-        rows: FloatArray = self.whitening.flatten(arrays) / self.whitening.row_scale(self.scales.own)[:, None]
-        if self.shared is not None:
-            rows = self.shared.whiten(rows)
+        rows: FloatArray = self.whitening.flatten(arrays) / self.whitening.row_scale(self.scales.groups)[:, None]
+        if self._weighing is not None:
+            rows = self._weighing.whiten(rows)
         return np.sqrt(self.weights)[self.whitening.layout.reading][:, None] * rows
 
     @cached_property
-    def shared(self) -> SharedError | None:
-        """What whitens for an error shared by visits; None without one."""
-        if not self.scales.shares:
-            return None
-        return self.whitening.shared_error(self.observed, self.scales.own, self.scales.shared)
+    def _weighing(self) -> SharedError | None:
+        return self.whitening.weighing(self.scales.ratios)
+
+    def size(self, rows: FloatArray) -> float:
+        """Return the root mean square of whitened rows (n_rows,) over the readings of `dimension` [SI]."""
+        layout, whole = self.whitening.layout, rows if self._weighing is None else self._weighing.unwhiten(rows)
+        of_first = layout.group == self._first
+        squares = (whole[of_first] * self.metre) ** 2
+        return float(np.sqrt(np.sum(squares) / len(np.unique(layout.reading[of_first]))))
 
     def per_visit(self, values: FloatArray) -> FloatArray:
         """Return values of the visits, (n_visits, ...), for each row."""
@@ -72,7 +76,7 @@ class Setting:
     @property
     def metre(self) -> float:
         """What a whitened row of a position is in metres; of the first kind of rows where no positions are."""
-        return float(self.scales.own[self._first] * self.whitening.groups[self._first].typical)
+        return float(self.scales.groups[self._first] * self.whitening.groups[self._first].typical)
 
     @property
     def dimension(self) -> Dimension:

@@ -10,6 +10,7 @@ frames that positions are measured in:
     joint                  each joint off by a smooth curve of its own value (Legendre polynomials of degree 1 to 3 over
                            the range measured): gear error, lead error, gravity sag
     wave                   each joint off by a sine of 1 to 120 cycles a turn: the teeth of a gear, an encoder's lines
+    coupling               each joint off in proportion to the value of a neighbour: gears or belts on one shaft
     approach               each joint off by +-b, by the direction in which it moved last: backlash 2b
     zero                   each joint off by an error that changes in the course of the measurement: an encoder or a
                            belt that slipped, warming up
@@ -35,9 +36,11 @@ from calib.joint_terms.periodic import TURN
 from calib.model import kinematics
 from calib.observation.kind import Instrument
 
-Kind = Literal["axis", "turn", "scale", "drift", "turning", "growth", "slip", "joint", "wave", "approach", "zero"]
+Kind = Literal[
+    "axis", "turn", "scale", "drift", "turning", "growth", "slip", "joint", "coupling", "wave", "approach", "zero"
+]
 FAMILIES: tuple[tuple[Kind, ...], ...] = (
-    ("axis", "drift", "joint", "approach", "zero"),
+    ("axis", "drift", "joint", "coupling", "approach", "zero"),
     ("turn", "scale", "turning", "growth", "slip"),
     ("wave",),
 )
@@ -47,6 +50,7 @@ ORDERS = range(1, 121)
 SLIPS = 15
 """At how many places in the course of the measurement a target is supposed to have slipped."""
 _DEGREE = 3
+_SAME = 1e-6  # cycles that rounding may add
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +61,7 @@ class Effect:
         kind: Which one.
         name: Its axis, joint, target or instrument; `xyz` for all axes.
         columns: What it adds to the whitened rows, (n_rows, k).
-        detail: Cycles of a wave, the first visit of a slip, in words.
+        detail: Cycles of a wave, the first visit of a slip, in words; the neighbour of a coupling.
     """
 
     kind: Kind
@@ -76,6 +80,8 @@ class Waves:
         visit: Visit of each row, (n_rows,).
         phase: Phase of the first order at each visit, (n_visits,) [rad].
         words: What follows the number of cycles.
+
+    Only orders of which the joint went through half a cycle count: the height of less is not known.
     """
 
     name: str
@@ -83,6 +89,18 @@ class Waves:
     visit: IntArray
     phase: FloatArray
     words: str
+
+    @property
+    def orders(self) -> range:
+        """Orders that count."""
+        reach = float(np.ptp(self.phase))
+        return range(min(int(np.ceil(TURN / 2 / reach - _SAME)), ORDERS.stop), ORDERS.stop) if reach > 0 else range(0)
+
+    def effect(self, order: int) -> Effect:
+        """Return the wave of one order."""
+        angle = order * self.phase[self.visit]
+        columns = self.column[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return Effect("wave", self.name, columns, f"{order} {self.words}")
 
 
 def effects(setting: Setting) -> Iterator[Effect | Waves]:
@@ -135,6 +153,10 @@ def _of_joints(setting: Setting) -> Iterator[Effect | Waves]:
         yield Effect("joint", name, column * setting.per_visit(_curves(q)))
         yield Effect("approach", name, column * setting.per_visit(data.approach_directions[:, j])[:, None])
         yield Effect("zero", name, column * in_course)
+        for neighbour in (j - 1, j + 1):
+            if 0 <= neighbour < len(robot.joint_names) and robot.joint_names[neighbour] not in still:
+                driving = setting.per_visit(np.mean(data.joints[:, neighbour]) - data.joints[:, neighbour])
+                yield Effect("coupling", name, column * driving[:, None], robot.joint_names[neighbour])
         turns = robot.mechanism.dimensions[name] == "angle"
         words = "cycles a turn" if turns else "cycles over the range measured"
         yield Waves(name, column[:, 0], setting.visit, q if turns else q * (TURN / float(np.ptp(q))), words)
@@ -182,13 +204,16 @@ def _lengths(setting: Setting) -> dict[str, FloatArray]:
 
 
 def _points(setting: Setting) -> dict[str, FloatArray]:
-    """Points that were read, from their middle, (n, 3) [m] of each instrument that measures positions."""
+    """Points that were read, from the middle of all, (n, 3) [m] of each instrument that measures positions."""
     result = {}
     for name, readings in setting.data.readings.items():
         points = setting.robot.instrument(name).points(readings.values)
         if points is not None and len(points) and len(_position_rows(setting.robot.instrument(name))) == 3:
-            result[name] = np.nan_to_num(points - np.nanmean(points, axis=0))
-    return result
+            result[name] = points
+    if not result:
+        return {}
+    middle = np.nanmean(np.concatenate(list(result.values())), axis=0)
+    return {name: np.nan_to_num(points - middle) for name, points in result.items()}
 
 
 def _moved_targets(setting: Setting) -> dict[str, dict[str, FloatArray]]:

@@ -52,8 +52,9 @@ from calib.observation.kind import Part
 PLACES, GEOMETRY = "base, targets and instruments", "geometry (joint origins)"
 NOISE, UNEXPLAINED = "noise", "not explained"
 REST = "noise or not explained: cannot be told apart"
+ENOUGH_REPEATS = 10.0
+"""Degrees of freedom that repeats need to count as known noise."""
 _OPEN = 1e-9  # singular value over the largest, from which on a direction counts
-_ENOUGH_REPEATS = 10.0  # degrees of freedom that repeats need to count as known noise
 _AS_LARGE = 1.1  # left over noise (RMS) up to which the rest is as large as the noise
 _SURE = 0.5  # mean square not explained over that of noise, below which two standard deviations must end
 
@@ -269,7 +270,7 @@ def _std(parts: FloatArray, pose: IntArray) -> float:
 def _noise(errors: ErrorSet, stated: float, width: float) -> tuple[float, float, str]:
     """Mean square of the noise of a reading with so many components, its standard deviation, and where it is from."""
     scatter, freedom = repeatability(errors)
-    if freedom >= _ENOUGH_REPEATS and errors.main_part.name == "position":
+    if freedom >= ENOUGH_REPEATS and errors.main_part.name == "position":
         return width * scatter**2, width * scatter**2 * float(np.sqrt(2.0 / freedom)), "repeats"
     return (stated, 0.0, "stated") if np.isfinite(stated) else (float("nan"), float("nan"), "")
 

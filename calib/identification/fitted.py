@@ -67,14 +67,12 @@ class FoundNoise:
     Attributes:
         group: The group.
         sigma: Typical standard deviation of one component, as found [SI].
-        own: What of it is left to the instrument alone, where visits share an error; the same where they do not.
         stated: The same as stated [SI], or None.
         freedom: Degrees of freedom that it was found with.
     """
 
     group: Group
     sigma: float
-    own: float
     stated: float | None
     freedom: float
 
@@ -197,8 +195,6 @@ class Fit(ReadOnlyArrays):
             FoundNoise(
                 group,
                 float(factors.found[g] * totals[g] * group.typical),
-                float(self.scales.own[g] if self.scales.shares else factors.found[g] * self.scales.groups[g])
-                * group.typical,
                 group.typical if group.stated else None,
                 float(factors.freedom[g]),
             )
@@ -221,17 +217,10 @@ class Fit(ReadOnlyArrays):
         return self.first_noise.stated
 
     @property
-    def shared_sigma(self) -> dict[str, float]:
-        """Error of each joint that all rows of a visit share, as found [m or rad]; empty where there is none."""
-        names = self.robot.joint_names
-        sizes = self.scales.shared[: len(names)]
-        return dict(zip(names, map(float, sizes), strict=True)) if np.any(sizes > 0) else {}
-
-    @property
     def offsets(self) -> dict[str, FloatArray]:
-        """Error in all readings of an instrument at a pose, (n_rows,) [SI], by name; only where one was found."""
+        """Error in all readings of an instrument at a pose that they are weighed for, (n_rows,) [SI], by name."""
         instruments = self.robot.instruments
-        sizes = self.scales.shared[len(self.robot.joint_names) :] if self.scales.shares else np.zeros(0)
+        sizes = self.scales.ratios * self.whitening.offset_scale(self.scales.groups)
         ends = np.cumsum([one.n_rows for one in instruments])[:-1]
         parts = zip(instruments, np.split(sizes, ends), strict=True)
         return {one.name: part for one, part in parts if np.any(part > 0)}
@@ -325,21 +314,17 @@ class Fit(ReadOnlyArrays):
         data = errors.data
         whitening = Whitening(self.robot, data, self.sigma_given)
         configurations = self.robot.assemble(data.joints, errors.passive, data.labels, data.conditions)
-        observed = observe(self.robot, configurations, data.readings, joints=self.scales.shares)
+        observed = observe(self.robot, configurations, data.readings)
         known = {(one.group.name, one.group.part, one.group.stated): one for one in self.noise}
         factors = whitening.start(errors.after)  # of instruments that the fit has not seen
         for g, group in enumerate(whitening.groups):
             one = known.get((group.name, group.part, group.stated))
             if one is not None:
-                factors[g] = max(one.own, 1e-30) / one.group.typical
+                factors[g] = max(one.sigma, 1e-30) / one.group.typical
         divisor = whitening.row_scale(factors)
         rows = whitening.rows(observed, factors, self.unknowns, self.unknowns.deviations(self.robot.values))
         rows = replace(rows, residuals=whitening.flatten(errors.after) / divisor)
-        before = whitening.flatten(errors.before) / divisor
-        if self.scales.shares:
-            shared = whitening.shared_error(observed, factors, self.scales.shared)
-            return shared.whiten(before), rows.whitened(shared)
-        return before, rows
+        return whitening.flatten(errors.before) / divisor, rows
 
     @cached_property
     def validation_rows(self) -> Rows | None:
@@ -375,15 +360,12 @@ class Fit(ReadOnlyArrays):
     @cached_property
     def linear(self) -> Residuals:
         """The fit as a linear model, in which effects are looked for."""
-        if self.setting.shared is None:
-            factors = self.statistics.factors
-            factor = float(np.sqrt(np.sum(factors.freedom * factors.found**2) / factors.total_freedom))
-            return Residuals(self.rows.weighted(self.weights), self._root, self.statistics.freedom, factor)
-        # errors that visits share must not count as patterns: judged as weighed by what the rows scatter by
-        deviations = self.unknowns.deviations(self.robot.values)
-        rows = self.whitening.rows(self.setting.observed, self.scales.own, self.unknowns, deviations)
-        rows = rows.whitened(self.setting.shared).at_minimum()
-        return Residuals(rows, rows.known.root, self.statistics.freedom, 1.0)
+        factors = self.statistics.factors
+        factor = float(np.sqrt(np.sum(factors.freedom * factors.found**2) / factors.total_freedom))
+        rows = self.rows.weighted(self.weights)
+        shared = self.statistics.shared
+        pose_freedom = np.inf if shared is None else shared.freedom
+        return Residuals(rows, self._root, self.statistics.freedom, factor, pose_freedom)
 
     @cached_property
     @one_blas_thread

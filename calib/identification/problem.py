@@ -22,14 +22,13 @@ from calib.arrays import BoolArray, FloatArray
 from calib.data.measurements import Measurements
 from calib.errors import ComputationError
 from calib.linearisation.observed import Observed, observe
-from calib.linearisation.rows import Rows, Scales
+from calib.linearisation.rows import Rows
 from calib.linearisation.unknowns import Unknowns
 from calib.linearisation.whitening import Whitening
 from calib.model.robot import Configurations, Robot, describe_open
+from calib.numerics.clusters import foretold
 from calib.numerics.least_squares import TOLERANCE, Solution, minimise
-from calib.numerics.statistics import NoiseOfRows
 from calib.numerics.variance_components import (
-    Components,
     LinearModel,
     found_components,
     found_scales,
@@ -82,7 +81,6 @@ class Problem:
         self.unknowns = Unknowns.of(robot)
         self.whitening = Whitening(robot, data, sigma)
         self._sigma = sigma
-        self._joints = self.whitening.shares_visits
         self._columns = robot.term_columns(data.joints, data.conditions)
         self._seed = robot.assemble(data.joints, near, data.labels, data.conditions).passive
         self._recent: dict[bytes, Evaluation | None] = {}
@@ -166,9 +164,7 @@ class Problem:
             return None
         self._seed = closed.passive
         configurations = robot.configurations(self.data.joints, closed, self._columns)
-        return Evaluation(
-            robot, configurations, observe(robot, configurations, self.data.readings, joints=self._joints)
-        )
+        return Evaluation(robot, configurations, observe(robot, configurations, self.data.readings))
 
     def rows(self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns | None = None) -> Rows:
         """Return the whitened rows.
@@ -219,46 +215,40 @@ class Problem:
             evaluation: An evaluation near the minimum.
             groups: Scales to start from, (n_groups,).
         """
-        whitening = self.whitening
-        wanted = self.ratios > 0 if np.any(self.ratios) else whitening.tells_offsets
-        if not np.any(wanted):
+        whitening, own = self.whitening, self.unknowns
+        tried = self.ratios > 0 if np.any(self.ratios) else whitening.tells_offsets
+        if not np.any(tried):
             return self.ratios
         known = self.ratios * whitening.offset_scale(groups)
-        found = self._found(evaluation, groups, whitening.offset_columns * wanted, known)
-        ratios: FloatArray = found.shared / whitening.offset_scale(found.scales)
+        # whitened by what is stated alone
+        rows = whitening.rows(evaluation.observed, np.ones(len(groups)), own, own.deviations(evaluation.robot.values))
+        components = found_components(
+            self._model(rows), groups, whitening.offset_columns * tried, whitening.layout.pose_of_row, known
+        )
+        ratios: FloatArray = components.shared / whitening.offset_scale(components.scales)
         return ratios
 
-    def found_shared(self, evaluation: Evaluation, groups: FloatArray) -> Scales:
-        """Find what of the residuals around a minimum the rows of a pose share.
+    def left_out(self, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
+        """Return how far off readings are of poses that are left out in turn: their root mean square, (n_groups,).
+
+        By the linear model around the evaluation, in units of what is stated. Every pose counts the same, however many
+        readings it has.
 
         Args:
             evaluation: An evaluation at the minimum.
-            groups: Scales of the noise without that, (n_groups,).
+            groups: Scale of the noise of each group, (n_groups,).
         """
-        whitening = self.whitening
-        if not whitening.shares_visits:
-            return Scales.of(groups)
-        joints = whitening.joint_columns(evaluation.observed)
-        offsets = self.ratios * whitening.offset_scale(groups)
-        known = np.concatenate([np.zeros(joints.shape[1]), offsets])
-        columns = np.hstack([joints, whitening.offset_columns * (offsets > 0)])
-        found = self._found(evaluation, groups, columns, known)
-        found_any = bool(np.any(found.shared > 0))
-        return Scales(groups, found.scales, found.shared, self.ratios) if found_any else Scales.of(groups)
-
-    def _found(self, evaluation: Evaluation, groups: FloatArray, columns: FloatArray, known: FloatArray) -> Components:
-        """Find errors with these columns, beside those that are known, in rows whitened by what is stated alone."""
-        whitening, own = self.whitening, self.unknowns
-        deviations = own.deviations(evaluation.robot.values)
-        rows = whitening.rows(evaluation.observed, np.ones(len(groups)), own, deviations)
-        return found_components(self._model(rows), groups, columns, whitening.pose_of_row, known)
-
-    def noise_of_rows(self, evaluation: Evaluation, scales: Scales) -> NoiseOfRows | None:
-        """Return what the rows of an evaluation scatter by, where visits share an error; None where they do not."""
-        if not scales.shares:
-            return None
-        shared = self.whitening.shared_error(evaluation.observed, scales.groups, scales.shared)
-        return NoiseOfRows(scales.own / scales.groups, shared, self.whitening.layout.group, self.weighing)
+        layout, rows = self.whitening.layout, self.rows(evaluation, groups)
+        pose = layout.pose_of_row
+        errors = foretold(rows.jacobian, rows.known.root, rows.residuals, pose)
+        errors = errors if self.weighing is None else self.weighing.unwhiten(errors)
+        squares = (errors * self.whitening.row_scale(groups)) ** 2
+        means = []
+        for g in range(len(groups)):
+            of_group = layout.group == g
+            count = np.bincount(pose[of_group])
+            means.append(np.mean((np.bincount(pose[of_group], squares[of_group]) / np.maximum(count, 1))[count > 0]))
+        return np.sqrt(means)
 
     def moved(self, start: Robot, unknowns: Unknowns, u: FloatArray) -> Robot:
         """Return `start` with these parameters at nominal + scale u, u (n_unknowns,)."""

@@ -43,30 +43,24 @@ class Promise:
         robot: The calibrated robot.
         covariance: Of its free parameters, (n_free, n_free) [m, rad].
         freedom: Degrees of freedom that the noise was found with.
-        sigma: Noise of one component by group and part of the instruments, without what visits share [SI].
-        shared: Error of each joint that all rows of a visit share, (n_actuated,) [m or rad]; zeros for none.
-        offsets: Error in all readings of an instrument at a pose, (n_rows,) [SI], by name; only where it has one.
+        sigma: Noise of one component by group and part of the instruments [SI].
+        shared: How many times as much as independent readings those of a pose scatter together (`Scatter.ratio`).
     """
 
     robot: Robot
     covariance: FloatArray
     freedom: float
     sigma: Mapping[tuple[str, str], float]
-    shared: FloatArray
-    offsets: Mapping[str, FloatArray]
+    shared: float
 
     @staticmethod
     def of(fit: Fit) -> Promise:
         """Return what a fit promises."""
-        sigma = {(one.group.name, one.group.part): one.own for one in fit.noise}
-        shared = np.array([fit.shared_sigma.get(name, 0.0) for name in fit.robot.joint_names])
-        return Promise(fit.robot, fit.statistics.covariance, fit.statistics.freedom, sigma, shared, fit.offsets)
-
-    @property
-    def alike(self) -> FloatArray:
-        """All errors that rows of a pose share, (n_actuated + n_offsets,) [SI]; see `Scales.shared`."""
-        offsets = [self.offsets.get(one.name, np.zeros(one.n_rows)) for one in self.robot.instruments]
-        return np.concatenate([self.shared, *offsets])
+        sigma = {(one.group.name, one.group.part): one.sigma for one in fit.noise}
+        found = fit.statistics
+        return Promise(
+            fit.robot, found.covariance, found.freedom, sigma, 1.0 if found.shared is None else found.shared.ratio
+        )
 
 
 @dataclass(frozen=True)
@@ -167,9 +161,6 @@ class System:
                 scales[g] = max(promise.sigma[group.name, group.part], 1e-30) / group.typical
         rows = whitening.rows(observed, scales, unknowns, unknowns.deviations(robot.values))
         joints = whitening.joint_columns(observed) / whitening.row_scale(scales)[:, None]
-        if np.any(promise.alike > 0):
-            shared = whitening.shared_error(observed, scales, promise.alike)
-            rows, joints = rows.whitened(shared), np.asarray(shared.whiten(joints))
         own = np.ones(len(unknowns), dtype=bool) if same_setup else ~unknowns.placement
         covariance = promise.covariance / np.outer(unknowns.scales, unknowns.scales)
         values, vectors = np.linalg.eigh(covariance[np.ix_(own, own)])
@@ -282,16 +273,16 @@ class System:
         for j in range(len(visible)):
             if all(abs(unit[:, j] @ unit[:, i]) < _PARALLEL for i in distinct):
                 distinct.append(j)
-        z = unit[: len(self.residuals)].T @ self.residuals
+        z, spread = unit[: len(self.residuals)].T @ self.residuals, self.promise.shared
         needed = _noncentrality(FALSE_ALARM / 2 / len(distinct), self.promise.freedom)
         changes = [
             Change(
                 every[k].name,
                 every[k].dimension,
                 float(-z[j] / size[k] * every[k].scale),  # the residual is prediction minus read
-                float(every[k].scale / size[k]),
-                float(-z[j]),
-                float(needed * every[k].scale / size[k]),
+                float(spread * every[k].scale / size[k]),
+                float(-z[j] / spread),
+                float(spread * needed * every[k].scale / size[k]),
             )
             for j, k in enumerate(visible)
         ]
@@ -346,7 +337,7 @@ def _promised(
     Args:
         promise: Says noise and shared errors.
         robot: The robot where the readings see it.
-        observed: With derivatives by parameters and joints.
+        observed: With derivatives by parameters.
         own: Which of the free parameters are not placed anew, (n_free,).
         root: A root of their covariance, (n_own, k) [m or rad].
     """
@@ -358,9 +349,6 @@ def _promised(
             n += len(derivatives.jacobian)
             slopes.append(derivatives.jacobian[:, rows][:, :, free].reshape(-1, len(free)))
             square += len(rows) * len(derivatives.jacobian) * promise.sigma.get((one.group, "position"), np.nan) ** 2
-            square += float(np.sum((derivatives.by_joint[:, rows] * promise.shared) ** 2))
-            offsets = promise.offsets.get(name, np.zeros(one.n_rows))[rows]
-            square += len(derivatives.jacobian) * float(offsets @ offsets)
     if not n:
         return float("nan")
     slope = np.concatenate(slopes)

@@ -66,9 +66,6 @@ def rounding(fit: Fit) -> Rounding | None:
         if step > 0:
             words[f"{step * display_scale(dimension):.3g} {DISPLAY_UNIT[dimension]}"] = None
     scatter = steps / np.sqrt(12.0)
-    if fit.shared_sigma:  # then what the joints are off by was found
-        found = float(np.sum((np.array(list(fit.shared_sigma.values())) * (steps > 0)) ** 2))
-        return Rounding(listed(list(words), " and "), float(np.sum(scatter**2)) / max(found, 1e-30), 0.0)
     return Rounding(listed(list(words), " and "), *_score(fit, scatter))
 
 

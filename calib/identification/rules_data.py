@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import combinations
 
 import numpy as np
 
@@ -16,11 +17,15 @@ from calib.identification.reasons import Reason
 from calib.identification.repeats import beyond_repeatability
 from calib.identification.rounding import rounding
 from calib.numerics.losses import FALSE_ALARM, HIGH_LEVERAGE, studentised
-from calib.units import ERROR_UNIT, error_scale
+from calib.units import ERROR_UNIT, error_scale, millimetres
 from calib.words import counted, listed
 
 FEW = 10.0 - 1e-6  # ten, also where rounding took a little
 """Degrees of freedom below which intervals are very wide."""
+FEW_SHARED = 5
+"""The same of poses whose readings share errors; poses from which distances of targets say something."""
+RIGID = 1e-6
+"""Scatter of the distance of two targets below which no instrument read both [m]."""
 EXCLUDED = 0.1
 """Part of the poses that may be outliers."""
 BEYOND_REPEATS = 1.5
@@ -86,6 +91,41 @@ def too_few_poses(fit: Fit) -> Iterator[Reason]:
             "too_few_poses",
             f"too few poses: {rows} measured coordinates decide {used:.1f} parameters and leave"
             f" {fit.statistics.freedom:.1f} degrees of freedom; measure several times as many",
+        )
+
+
+def few_shared(fit: Fit) -> Iterator[Reason]:
+    """Count poses whose readings share errors."""
+    found = fit.statistics
+    if found.shared is not None and found.interval_freedom < FEW_SHARED:
+        yield Reason(
+            "CHECK",
+            "too_few_poses",
+            f"too few poses: the readings of a pose share errors, so that intervals rest on"
+            f" {found.interval_freedom:.1f} independent errors only; measure several times as many poses, not more"
+            " readings of each",
+        )
+
+
+def moves_as_one(fit: Fit) -> Iterator[Reason]:
+    """Look for targets that keep their distances so exactly that they were computed from one pose."""
+    data, names = fit.identification.data, fit.nominal.target_names
+    if len(names) < 2 or fit.computed:
+        return
+    points = data.points(fit.nominal)
+    rigid = set()
+    for a, b in combinations(range(len(names)), 2):
+        distances = np.linalg.norm(points[:, a] - points[:, b], axis=1)
+        distances = distances[np.isfinite(distances)]
+        if len(distances) >= FEW_SHARED and np.std(distances) < RIGID < fit.sigma:
+            rigid |= {names[a], names[b]}
+    if rigid:
+        yield Reason(
+            "PASS",
+            "moves_as_one",
+            f"targets {listed([name for name in names if name in rigid])} keep their distances to {1e6 * RIGID:g} um,"
+            f" while readings are off by {millimetres(fit.sigma):.3g} mm per axis: they were computed from one pose."
+            " Intervals count each pose once; an instrument of kind pose reads it as what it is",
         )
 
 

@@ -10,7 +10,7 @@ import scipy
 
 from calib.arrays import FloatArray
 from calib.errors import DataError
-from calib.identification.comparison import CHANCE, comparisons
+from calib.identification.comparison import CHANCE, HARM, comparisons
 from calib.identification.errors_found import ErrorSet
 from calib.identification.fitted import Fit
 from calib.identification.reasons import Reason
@@ -21,11 +21,13 @@ from calib.linearisation.registration import registration
 from calib.numerics.losses import median_length
 from calib.numerics.rigid import best_transform
 from calib.numerics.variance_components import EXACT
-from calib.units import PER_SI, millimetres
+from calib.units import ERROR_UNIT, PER_SI, error_scale, millimetres
 from calib.words import counted, listed
 
 ELSEWHERE = 0.2
 """Errors of the nominal robot with its base placed by the data, over those where it is stated, if it is elsewhere."""
+BELIEVED = 0.5
+"""Weight of a robust loss from which a reading counts."""
 UNUSED_RATIO = 1.5
 """Residuals of poses that were not used, over their predicted scatter."""
 FEW_POSES = 6
@@ -71,9 +73,47 @@ def worse_on_validation(fit: Fit) -> Iterator[Reason]:
             yield Reason(
                 "FAIL",
                 "worse_on_validation",
-                f"worse than before on {comparison.name}: {comparison.words}, more than the uncertainty of the fit"
-                f" explains (chance {100 * CHANCE:g} %); the fit follows its own measurements, not the robot: measure"
-                " more poses, spread over the same space",
+                f"the calibration makes the robot worse on {comparison.name}: {comparison.words} (chance below"
+                f" {100 * CHANCE:g} %). The fit follows its own measurements, not the robot: measure more poses, spread"
+                " over the space where the robot will work",
+            )
+
+
+def residuals_grew(fit: Fit) -> Iterator[Reason]:
+    """See whether readings that were used are explained worse than by the nominal robot, in sum or of one instrument.
+
+    Least squares make their sum smaller. Where it grew, weights or priors were believed more than the readings.
+    """
+    if fit.computed:
+        return
+    before, rows = fit.whitened(fit.identification)
+    layout, believed = rows.layout, fit.weights > BELIEVED
+    squares = [np.bincount(layout.reading, errors**2, layout.n_readings) for errors in (before, rows.residuals)]
+    sums = [float(np.sum(one[believed])) for one in squares]
+    if sums[1] > HARM**2 * sums[0]:
+        yield Reason(
+            "FAIL",
+            "residuals_grew",
+            f"the poses used are explained {np.sqrt(sums[1] / sums[0]):.2f} times as badly as by the nominal robot with"
+            " base and targets placed: the fit believes priors or weights more than the measurements; check the stated"
+            " noise and the sigmas of the description",
+        )
+        return
+    for one, part, of_part in fit.identification.parts():
+        kept = believed[layout.readings_of(one.name)]
+        if not np.any(kept):
+            continue
+        states = fit.identification.before, fit.identification.after
+        sizes = [float(np.nanmean(errors[one.name][kept][:, of_part] ** 2)) for errors in states]
+        if sizes[1] > HARM**2 * sizes[0]:
+            scale, unit = error_scale(part.dimension), ERROR_UNIT[part.dimension]
+            before_rms, after_rms = (scale * float(np.sqrt(size * len(part.axes))) for size in sizes)
+            yield Reason(
+                "CHECK",
+                "instruments_disagree",
+                f"readings of {one.name}, {part.name}, are explained worse than before ({after_rms:.4g} {unit} RMS,"
+                f" {before_rms:.4g} before), so that others are explained better: the instruments contradict each"
+                " other; check how each is described, and the noise that is stated",
             )
 
 
@@ -145,19 +185,25 @@ def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
     if fit.computed:
         return
     entries = list(comparisons(fit))
-    chance = _chance_of_gain(fit)
-    no_gain = chance > UNLIKELY or (bool(entries) and all(entry.after >= entry.before for entry in entries))
-    if not no_gain or any(entry.better or entry.worse for entry in entries):
+    if np.all(fit.unknowns.placement) or any(entry.better or entry.worse for entry in entries):
         return
+    chance = _chance_of_gain(fit)
     said = "; ".join(f"on {entry.name} {entry.words}, no gain beyond the uncertainty" for entry in entries)
     if chance > UNLIKELY:
         said += f"{'; ' if said else ''}on the poses used, no more than chance gives (p = {chance:.2g})"
-    yield Reason(
-        "PASS",
-        "nothing_to_correct",
-        f"nothing to correct: {said}; the nominal values are as good as any, as far as measurements with"
-        f" {in_words(fit.first_noise, fit.sigma)} of noise can tell",
-    )
+        yield Reason(
+            "PASS",
+            "nothing_to_correct",
+            f"nothing to correct: {said}; the nominal values are as good as any, as far as measurements with"
+            f" {in_words(fit.first_noise, fit.sigma)} of noise can tell",
+        )
+    elif entries and all(entry.after >= entry.before for entry in entries):
+        yield Reason(
+            "CHECK",
+            "no_gain",
+            f"poses that were not used get no better: {said}. The poses used do, beyond chance: the fit follows what"
+            " is special to them; measure more poses, spread over the space where the robot will work",
+        )
 
 
 def _chance_of_gain(fit: Fit) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.identification.comparison import comparisons
 from calib.identification.fitted import Fit, FoundNoise
+from calib.identification.other_meanings import other_meaning
 from calib.identification.reasons import Reason
 from calib.identification.rules_data import UNLIKELY
 from calib.numerics.statistics import chi_square
@@ -19,6 +20,8 @@ GROSS = 2.0
 """Noise of every instrument, over the largest that it has, from which the result rests on what the model leaves out."""
 LARGE_NOISE = 0.1
 """Noise, over the spread of the measured positions, that means that nothing fits."""
+DOUBTFUL = 0.05
+"""Noise, over that which no such instrument has, from which other meanings of its numbers are tried."""
 LEFT_OUT = 0.01
 """Noise, over the spread of the measured positions, that a model of a healthy robot may leave."""
 
@@ -45,6 +48,25 @@ def noise(fit: Fit) -> Iterator[Reason]:
         for one in fit.noise:
             if one.freedom > 0:
                 yield from _against_usual(fit, one) if one.stated is None else _against_statement(fit, one)
+
+
+def misread(fit: Fit) -> Iterator[Reason]:
+    """Look for noise that no such instrument has, whatever robot it reads, and for what the numbers mean then."""
+    for one in fit.noise:
+        if not one.sigma > DOUBTFUL * one.group.largest:
+            continue
+        data, beyond = fit.identification.data, ""
+        readers = [name for name in data.readings if fit.nominal.instrument(name).group == one.group.name]
+        meaning = next(filter(None, (other_meaning(fit.nominal, data, name) for name in readers)), "")
+        if one.sigma > one.group.largest:
+            beyond = f", more than any such instrument has ({in_words(one, one.group.largest)})"
+        if meaning or beyond:
+            yield Reason(
+                "FAIL",
+                "misread",
+                f"noise found of {one.group.name}, {one.group.part}, is {in_words(one, one.sigma)} per axis{beyond}:"
+                f" the numbers mean something else; {meaning or 'look at their order, form, unit and frame'}",
+            )
 
 
 def in_words(one: FoundNoise, size: float, digits: int = 3) -> str:

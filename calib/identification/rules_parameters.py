@@ -6,8 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calib.identification.effects import scale
 from calib.identification.fitted import Fit
 from calib.identification.reasons import Reason
+from calib.numerics.identifiability import reduced
 from calib.parameter import Parameter
 from calib.units import PER_SI
 from calib.words import listed
@@ -20,6 +22,10 @@ sigma that was guessed five times too small. Calibrated robots stay near 2; a jo
 hundreds, and the prior, a thousand times its sigma away, then pulls all the others out of place."""
 SMALLEST_SHARE = 0.05
 """Share of a parameter that the data must decide for its deviation to say anything."""
+SCALED = 2e-3
+"""Part by which no robot and no instrument is longer as a whole: heat makes a tenth of it."""
+SCALED_SIGMAS = 6.0
+"""Standard deviations of a scale, by the sigmas of the parameters, from which it is none of them."""
 UNUSUAL = 10.0
 """Size of a joint term that was chosen, over what is usual, from which something else may be the cause."""
 LOOSE_ANGLE = 0.1
@@ -58,6 +64,37 @@ def far_from_nominal(fit: Fit) -> Iterator[Reason]:
             "at_bounds",
             f"parameters further from nominal than {PLAUSIBLE:g} times what their stated sigma allows: {words};"
             " check zero positions and units, or, if that is possible, state a larger sigma in the description",
+        )
+
+
+def lengths_scaled(fit: Fit) -> Iterator[Reason]:
+    """See whether one scale of all lengths explains why parameters are far from nominal: then the unit is off.
+
+    In the linear model around the solution, with deviations u over the sigmas of all that are no places, a scale s of
+    everything that was measured is tried beside the parameters: |r + J du + z s|^2 + |u + du|^2.
+    """
+    column = scale(fit.setting)
+    if fit.computed or not np.any(column):
+        return
+    linear, inside = fit.linear, ~fit.unknowns.placement
+    rows = np.hstack([column, linear.rows.jacobian, linear.rows.residuals[:, None]]) / linear.factor
+    priors = np.hstack([np.zeros((len(inside), 1)), np.eye(len(inside)), linear.rows.deviations[:, None]])[inside]
+    stacked = np.vstack([reduced(rows), priors])
+    costs, part = [], 0.0
+    for kept in (slice(1, None), slice(None)):
+        matrix, right = stacked[:, kept][:, :-1], -stacked[:, -1]
+        size = np.linalg.norm(matrix, axis=0)
+        solution = np.linalg.lstsq(matrix / np.where(size > 0, size, 1.0), right, rcond=None)[0]
+        costs.append(float(np.sum((matrix / np.where(size > 0, size, 1.0) @ solution - right) ** 2)))
+        part = float(solution[0] / size[0])
+    gain = costs[0] - costs[1]
+    if abs(part) > SCALED and gain > SCALED_SIGMAS**2:
+        yield Reason(
+            "FAIL",
+            "lengths_scaled",
+            f"all lengths are measured {100 * abs(part):.2g} % {'shorter' if part > 0 else 'longer'} than the robot is"
+            " by its description: no robot is built so. Look at the unit of the measurements, the scale of the"
+            " instrument and the size of the artefact",
         )
 
 

@@ -6,8 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray
-from calib.identification.blocks_left_out import left_out
+from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.identification.fitted import Fit
 from calib.identification.joint_conventions import wrapped_terms
 from calib.identification.joint_curves import beyond_learned
@@ -18,6 +17,7 @@ from calib.identification.validation import boxes
 from calib.linearisation.jacobian import linearise
 from calib.linearisation.prediction import beside_common_motion, other_combinations
 from calib.model.robot import Configurations, Robot
+from calib.numerics.clusters import scatter
 from calib.numerics.halton import halton
 from calib.units import DISPLAY_UNIT, display_scale, millimetres
 from calib.words import counted, listed
@@ -178,11 +178,14 @@ def blocks_disagree(fit: Fit) -> Iterator[Reason]:
     data = fit.identification.data
     if fit.computed:
         return
-    cuts = {"boxes of joint space": boxes(data, BLOCKS)}
+    block = np.zeros(len(data), dtype=np.intp)
+    for k, visits in enumerate(boxes(data, BLOCKS)):
+        block[visits] = k
+    cuts = {"boxes of joint space": block}
     if data.setups is not None and np.ptp(data.setups) > 0:
-        cuts["whole setups"] = [np.flatnonzero(data.setups == one) for one in np.unique(data.setups)]
-    found = {name: left_out(fit.linear, blocks) for name, blocks in cuts.items()}
-    surely = {name: one.ratio for name, one in found.items() if one.chance < UNLIKELY / len(found)}
+        cuts["whole setups"] = data.setups
+    found = {name: left_out(fit, blocks) for name, blocks in cuts.items()}
+    surely = {name: ratio for name, (ratio, chance) in found.items() if chance < UNLIKELY / len(found)}
     if surely:
         name, ratio = max(surely.items(), key=lambda entry: entry[1])
         yield Reason(
@@ -192,6 +195,21 @@ def blocks_disagree(fit: Fit) -> Iterator[Reason]:
             " leaves something out that is not the same everywhere; take intervals, and what positions are known to,"
             f" for at least {ratio:.2g} times as wide, and for wider still in places unlike those measured",
         )
+
+
+def left_out(fit: Fit, block: IntArray) -> tuple[float, float]:
+    """Return how many times as much as noise explains parameters move without blocks of visits, and the chance of that.
+
+    Args:
+        fit: The fit.
+        block: Block of each visit, (n_visits,).
+    """
+    linear, layout = fit.linear, fit.rows.layout
+    noise = np.full(layout.n_rows, linear.factor)
+    of_row = block[layout.visit[layout.reading]]
+    found = scatter(linear.rows.jacobian, linear.root, linear.rows.residuals, noise, of_row, linear.freedom)
+    shared = fit.statistics.shared
+    return (found.ratio, found.chance) if shared is None else found.beyond(shared)
 
 
 def terms_untested(fit: Fit) -> Iterator[Reason]:

@@ -1,8 +1,15 @@
 """From placed base and targets to the minimum, with the noise that nobody states found on the way.
 
-Where nobody states the noise of an instrument, it is found from the residuals, and so is an error that the rows of a
-pose share (`calib.numerics.variance_components`): the solve is repeated until noise changes by less than one percent,
-and offsets by less than one in twenty. With a robust loss no shared errors are looked for: a gross error is one, too.
+Where nobody states the noise of an instrument, it is found from the residuals (`calib.numerics.variance_components`):
+the solve is repeated until noise changes by less than one percent.
+
+Where an instrument reads several times at a pose, an offset that these readings share is found as well, and the solve
+repeated with rows weighed for it, until offsets change by less than one in twenty. Such weights believe what differs
+within a pose more than what differs between poses. That is right for repeats and wrong where the model of what happens
+within a pose is itself off (the lens of a camera, the points of a board). So they are kept only where they predict
+poses that are left out in turn better: the sum over groups of n log(RMS weighed / RMS plain), n poses each, must be
+below -1. Judges are the readings of other instruments, which the weights are to protect, where there are any. With a
+robust loss no offsets are looked for: a gross error is one, too.
 
 Where priors are to be weighed against noise that is stated, what counts is all that the model leaves out: of a robot
 with gear errors, the noise of a good tracker is the least part. By a statement that residuals contradict, they would
@@ -31,7 +38,9 @@ from calib.linearisation.registration import register
 from calib.linearisation.rows import Rows, Scales
 from calib.linearisation.unknowns import Unknowns
 from calib.model.robot import Robot
+from calib.numerics.clusters import Scatter, scatter
 from calib.numerics.least_squares import TOLERANCE, Solution
+from calib.numerics.observability import Information
 from calib.numerics.prior_sizes import variance_by_sizes
 from calib.numerics.statistics import Factors, Statistics, found_factors, statistics
 from calib.numerics.variance_components import EXACT
@@ -43,6 +52,7 @@ _NOISE_ROUNDS = 20
 _NOISE_STANDS = 0.01  # relative change of scales below which they are found
 _FAMILIES_STAND = 5.0  # how much less exactly the sizes of families need to be found
 _RATIOS_STAND = 0.05  # the same of offsets over noise, from 1 on; they change weights and nothing else
+_GAINED = 1.0  # by how much weights must better the log error of poses left out, summed over the poses
 _NO_NOISE = (
     "the noise of the measurements could not be found from the residuals; state it (`sigma` in the description, or"
     " --sigma-mm)"
@@ -181,18 +191,37 @@ def solve_from(
 
 
 def _solve_with_offsets(problem: Problem, start: Robot) -> Solved:
-    """Solve; where readings of an instrument share offsets, find these and weigh by them."""
+    """Solve; where readings of an instrument share offsets, find these, and weigh by them where that helps."""
+    plain = _solve_with_noise(problem, start, TOLERANCE)
     if not np.any(problem.whitening.tells_offsets):
-        return _solve_with_noise(problem, start, TOLERANCE)
-    solved = _solve_with_noise(problem, start, _LOOSE)
+        return plain
+    unweighed, errors = problem.ratios, problem.left_out(problem.evaluate(plain.robot), plain.groups)
+    weighed = _solve_weighed(problem, plain)
+    if weighed is not None:
+        gain = np.log(errors / problem.left_out(problem.evaluate(weighed.robot), weighed.groups))
+        judges = problem.whitening.without_offsets(problem.ratios)
+        if problem.whitening.layout.poses_of_groups[judges] @ gain[judges] > _GAINED:
+            return weighed
+    problem.weigh(unweighed)
+    return plain
+
+
+def _solve_weighed(problem: Problem, plain: Solved) -> Solved | None:
+    """Solve with rows weighed for the offsets that are found; None without any, or where they cannot be found."""
+    solved = plain
     for _ in range(_NOISE_ROUNDS):
-        ratios = problem.found_ratios(problem.evaluate(solved.robot), solved.groups)
-        stands = np.all(np.abs(ratios - problem.ratios) <= _RATIOS_STAND * (1.0 + problem.ratios))
-        problem.weigh(ratios)
-        solved = _solve_with_noise(problem, solved.robot, TOLERANCE if stands else _LOOSE)
+        try:
+            ratios = problem.found_ratios(problem.evaluate(solved.robot), solved.groups)
+            stands = np.all(np.abs(ratios - problem.ratios) <= _RATIOS_STAND * (1.0 + problem.ratios))
+            problem.weigh(ratios)
+            if not np.any(ratios):
+                return None
+            solved = _solve_with_noise(problem, solved.robot, TOLERANCE if stands else _LOOSE)
+        except NotConvergedError:
+            return None
         if stands:
             return solved
-    raise NotConvergedError(_NO_NOISE)
+    return None
 
 
 def _solve_with_noise(problem: Problem, start: Robot, exact: float) -> Solved:
@@ -250,8 +279,7 @@ def uncertainty_at(
     Raises:
         NotIdentifiableError: No degrees of freedom are left.
     """
-    rows = problem.rows(final, solved.groups)
-    scales = problem.found_shared(final, solved.groups) if settings.loss == "none" else Scales.of(solved.groups)
+    rows, scales = problem.rows(final, solved.groups), Scales(solved.groups, problem.ratios)
     layout, unknowns = problem.whitening.layout, problem.unknowns
     factors = solved.factors or found_factors(
         rows.residuals, rows.jacobian, layout.group, len(layout.groups), rows.known
@@ -264,10 +292,25 @@ def uncertainty_at(
         factors,
         unknowns.scales,
         unknowns.has_prior,
-        problem.noise_of_rows(final, scales),
+        scatter_of_poses(rows, slowed.known, factors, solved.weights),
         variance_by_sizes(slowed.known.root @ slowed.known.root.T, unknowns.family, rows.deviations),
     )
     return rows, scales, uncertainty
+
+
+def scatter_of_poses(rows: Rows, known: Information, factors: Factors, weights: FloatArray | None) -> Scatter:
+    """Return how the readings of each pose scatter together (`calib.numerics.clusters`).
+
+    Args:
+        rows: At the minimum, without the weights of a robust loss.
+        known: What they, with the slope of a robust loss, and the priors determine.
+        factors: What the residuals say about the noise.
+        weights: Of each reading, (n_readings,); None without a robust loss.
+    """
+    layout = rows.layout
+    noise = factors.slope * np.where(layout.group >= 0, factors.effective[layout.group], 1.0)
+    pulling = rows.residuals if weights is None else weights[layout.reading] * rows.residuals
+    return scatter(rows.jacobian, known.root, pulling, noise, layout.pose_of_row, factors.total_freedom)
 
 
 def convergence_at(problem: Problem, solved: Solved, rows: Rows, std: FloatArray) -> Convergence:

@@ -11,7 +11,9 @@ The effects are those of `calib.identification.effects`. One that the fit absorb
 free) cannot be seen and is not tested: `visible` says how large it would have to be. Effects come in families of kinds,
 which share the chance of a false finding evenly; in a family, the chance of each finding is multiplied by the number of
 its tests. A finding needs a chance below 1 % over all families, and an effect of at least a tenth of the noise: enough
-data make any trifle significant. Of waves and of slips, which are tried by the dozen for each joint or target, the best
+data make any trifle significant. Where poses scatter by more than independent readings would
+(`calib.numerics.clusters`), F is divided by how much more the score of the effect scatters, summed pose by pose, and
+nu is that of this scatter. Of waves and of slips, which are tried by the dozen for each joint or target, the best
 is kept.
 
 The direction of approach and, without a time, the course of the measurement come from the order of the rows in the data
@@ -30,7 +32,7 @@ Reference: cook1982, chapter 2.4 (added variables).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -65,10 +67,10 @@ class Pattern:
         p_value: Chance of such a pattern from noise, over all tests.
         size: Root mean square of what it explains [m]; of readings in another unit where no positions are [SI].
         amount: The shift or slip [m], half the backlash or the height of a wave [m or rad], the part by which lengths
-            are off; NaN for a curve.
+            are off, the error for a unit of the neighbour; NaN for a curve.
         significant: Whether it counts as a finding.
         dimension: What `size` measures.
-        detail: Cycles of a wave, the first visit of a slip, in words.
+        detail: Cycles of a wave, the first visit of a slip, in words; the neighbour of a coupling.
     """
 
     kind: Kind
@@ -90,12 +92,15 @@ class Residuals:
         root: T of `calib.numerics.observability`, (n_free, rank).
         freedom: Degrees of freedom.
         factor: Found over assumed noise.
+        pose_freedom: Degrees of freedom of the scatter of poses, where they scatter by more than independent readings
+            would; infinite where they do not.
     """
 
     rows: Rows
     root: FloatArray
     freedom: float
     factor: float
+    pose_freedom: float = np.inf
 
     def after_fit(self, effect: FloatArray) -> FloatArray:
         """Return M Z, what a fit leaves of effects Z (n_rows, n_effects) on the residuals, (n_rows, n_effects)."""
@@ -126,11 +131,22 @@ class _Moments:
 
 @dataclass(frozen=True)
 class _Tested:
-    """What the test of one effect gave: chance, root mean square of what it explains (whitened), coefficients."""
+    """What the test of one effect gave.
+
+    Attributes:
+        effect: The effect.
+        p_value: Chance of such a gain if readings are independent.
+        ratio: F of the module docstring.
+        freedom: k and nu - k.
+        gain: By how much |r|^2 would fall.
+        coefficients: c, (n_columns,).
+    """
 
     effect: _Moments
     p_value: float
-    size: float
+    ratio: float
+    freedom: tuple[int, float]
+    gain: float
     coefficients: FloatArray
 
 
@@ -145,17 +161,32 @@ def patterns(residuals: Residuals, setting: Setting) -> tuple[Pattern, ...]:
         return ()
     all_moments = (moments for effect in effects(setting) for moments in _moments(residuals, effect))
     tested = [one for moments in all_moments if (one := _test(residuals, moments)) is not None]
-    result = []
+    kept: dict[tuple[str, str, str], tuple[_Tested, int]] = {}
     for family in FAMILIES:
         members = [one for one in tested if one.effect.kind in family]
         times = len(FAMILIES) * len(members)
-        for one in _best(members):
-            p = min(1.0, one.p_value * times)
-            significant = p < FALSE_ALARM and one.size > SMALLEST_EFFECT * np.sqrt(3.0) * residuals.factor
-            kind, name, size = one.effect.kind, one.effect.name, one.size * setting.metre
-            amount = float(np.linalg.norm(one.coefficients)) if kind in _BEST_ONLY else _only(one.coefficients)
-            result.append(Pattern(kind, name, p, size, amount, bool(significant), setting.dimension, one.effect.detail))
+        kept |= {(one.effect.kind, one.effect.name, one.effect.detail): (one, times) for one in _best(members)}
+    noise = setting.size(np.full(len(residuals.rows.residuals), residuals.factor))
+    result = []
+    for effect in _columns_of(setting, kept):
+        one, times = kept[effect.kind, effect.name, effect.detail]
+        columns = residuals.after_fit(effect.columns)
+        explained = columns @ one.coefficients
+        p = min(1.0, _chance(residuals, one, columns, explained) * times)
+        size = setting.size(explained)
+        significant = p < FALSE_ALARM and size > SMALLEST_EFFECT * noise
+        amount = float(np.linalg.norm(one.coefficients)) if effect.kind in _BEST_ONLY else _only(one.coefficients)
+        result.append(
+            Pattern(effect.kind, effect.name, p, size, amount, bool(significant), setting.dimension, effect.detail)
+        )
     return tuple(sorted(result, key=lambda pattern: (pattern.p_value, -pattern.size)))
+
+
+def _columns_of(setting: Setting, kept: Container[tuple[str, str, str]]) -> Iterator[Effect]:
+    """Yield the effects with these kinds, names and details, with their columns."""
+    for effect in effects(setting):
+        every = [effect] if isinstance(effect, Effect) else map(effect.effect, effect.orders)
+        yield from (one for one in every if (one.kind, one.name, one.detail) in kept)
 
 
 def _best(tested: list[_Tested]) -> list[_Tested]:
@@ -163,7 +194,7 @@ def _best(tested: list[_Tested]) -> list[_Tested]:
     kept: dict[tuple[str, str, int], _Tested] = {}
     for number, one in enumerate(tested):
         key = (one.effect.kind, one.effect.name, 0 if one.effect.kind in _BEST_ONLY else number)
-        if key not in kept or (one.p_value, -one.size) < (kept[key].p_value, -kept[key].size):
+        if key not in kept or (one.p_value, -one.gain) < (kept[key].p_value, -kept[key].gain):
             kept[key] = one
     return list(kept.values())
 
@@ -200,6 +231,8 @@ def _moments(residuals: Residuals, effect: Effect | Waves) -> Iterator[_Moments]
 def _moments_of_waves(residuals: Residuals, waves: Waves) -> Iterator[_Moments]:
     """Yield the moments of all waves of a joint; see the module docstring."""
     n_visits, n_orders, rank = len(waves.phase), len(ORDERS), residuals.pulled.shape[1]
+    if not waves.orders:
+        return
 
     def by_visit(values: FloatArray) -> FloatArray:
         return np.asarray(np.bincount(waves.visit, weights=values, minlength=n_visits), dtype=float)
@@ -215,17 +248,15 @@ def _moments_of_waves(residuals: Residuals, waves: Waves) -> Iterator[_Moments]:
         cosine, sine = powers.real, powers.imag
         squares += [weights[block] @ product for product in (cosine * cosine, cosine * sine, sine * sine)]
         products += sums[:, block] @ powers.view(float)
-    for k, order in enumerate(ORDERS):
+    for order in waves.orders:
+        k = order - ORDERS.start
         one = squares[[[0, 1], [1, 2]], k]
         own = products[:, 2 * k : 2 * k + 2]
         yield _Moments("wave", waves.name, f"{order} {waves.words}", one, own[:rank], own[rank])
 
 
 def _test(residuals: Residuals, effect: _Moments) -> _Tested | None:
-    """Test one effect; None if it cannot be seen.
-
-    The size is the root mean square of what it explains of a point's three rows.
-    """
+    """Test one effect; None if it cannot be seen."""
     size = np.sqrt(np.diag(effect.squares))
     if not np.all(size > 0):
         return None
@@ -239,9 +270,30 @@ def _test(residuals: Residuals, effect: _Moments) -> _Tested | None:
     score = vectors.T @ (effect.score / size)
     gain = float(np.sum(score**2 / values))
     rest = max(residuals.square - gain, 1e-12 * residuals.square) / (residuals.freedom - k)
-    p_value = float(scipy.special.fdtrc(k, residuals.freedom - k, max(gain / k / rest, 0.0)))
-    coefficients = vectors @ (score / values) / size
-    return _Tested(effect, p_value, float(np.sqrt(3.0 * gain / residuals.rows.layout.n_read)), coefficients)
+    freedom, ratio = (k, residuals.freedom - k), max(gain / k / rest, 0.0)
+    p_value = float(scipy.special.fdtrc(*freedom, ratio))
+    return _Tested(effect, p_value, ratio, freedom, gain, vectors @ (score / values) / size)
+
+
+def _chance(residuals: Residuals, tested: _Tested, columns: FloatArray, explained: FloatArray) -> float:
+    """Chance of a gain as large from noise; where poses scatter together, F is divided by how much more its score does.
+
+    Args:
+        residuals: The fit.
+        tested: The effect.
+        columns: M Z, (n_rows, k).
+        explained: M Z c, (n_rows,).
+    """
+    if not np.isfinite(residuals.pose_freedom):
+        return tested.p_value
+    basis = scipy.linalg.orth(columns, rcond=np.sqrt(_ABSORBED))
+    left = residuals.rows.residuals - explained
+    pose = np.unique(residuals.rows.layout.pose_of_row, return_inverse=True)[1]
+    scores = [np.bincount(pose, direction * left) for direction in basis.T]
+    inflation = float(np.sum(np.square(scores))) / (residuals.factor**2 * basis.shape[1])
+    k = tested.freedom[0]
+    left_over = max(residuals.pose_freedom - k, 1.0)
+    return float(scipy.special.fdtrc(k, left_over, tested.ratio / max(inflation, 1.0)))
 
 
 def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:
@@ -269,6 +321,10 @@ def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:
     }
     if pattern.kind in said:
         return f"{said[pattern.kind]} ({size})"
+    if pattern.kind == "coupling":
+        slope = f"{error_scale(dimensions[pattern.name]) * pattern.amount:+.2g} {ERROR_UNIT[dimensions[pattern.name]]}"
+        each = "rad" if dimensions[pattern.detail] == "angle" else "m"
+        return f"joint {pattern.name} is off by {slope} for each {each} of joint {pattern.detail} ({size})"
     unit = DISPLAY_UNIT[dimensions[pattern.name]]
     amount = abs(pattern.amount) * display_scale(dimensions[pattern.name])
     if pattern.kind == "wave":

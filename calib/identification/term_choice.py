@@ -89,11 +89,11 @@ def choose_terms(fit: Fit) -> TermChoice:
         return TermChoice("auto", fit.robot.description.terms, tuple(TriedTerm(one.term, why=why) for one in kinds))
     tried = tuple(one for one in kinds if not one.refused)
     search = _Search(Trials(fit, tried), tried)
-    groups, brought = search.chosen()
+    groups = search.chosen()
     chosen = search.of(groups)
     added = [section for one in search.tried if one.term in chosen.terms for section in search.entries(one, chosen)]
     sections = (*fit.robot.description.terms, *added)
-    told = sorted((search.told(one, groups, brought) for one in kinds), key=lambda one: not one.added)
+    told = sorted((search.told(one, groups) for one in kinds), key=lambda one: not one.added)
     return TermChoice("auto", sections, tuple(told))
 
 
@@ -112,21 +112,19 @@ class _Search:
         """Return the trial with all terms of some groups."""
         return self.trials.of(tuple(term for group in groups for term in group))
 
-    def chosen(self) -> tuple[Groups, dict[str, tuple[Trial, Trial]]]:
-        """Return the groups that earn their place, and for each term the trials before and after it was added."""
+    def chosen(self) -> Groups:
+        """Return the groups that earn their place."""
         groups: Groups = ()
-        brought: dict[str, tuple[Trial, Trial]] = {}
         while True:
             without = self.of(groups)
             alone = {term: self.of((*groups, (term,))) for term in self.free(groups)}
             steps = {term: self.step(groups, term) for term, one in alone.items() if not self.failed(without, one)}
             earning = [term for term, step in steps.items() if step]
             if not earning:
-                return groups, brought
+                return groups
             best = min((alone[term] for term in earning), key=lambda one: float(np.sum(one.squares[0])))
             near = [term for term in earning if not _surely_better(best, alone[term])]
             groups = steps[max(near, key=lambda term: self.beyond_chance(without, alone[term]))]
-            brought |= dict.fromkeys(groups[-1], (without, self.of(groups)))
 
     def free(self, groups: Groups) -> list[str]:
         """Return the terms that may be added to some groups."""
@@ -213,13 +211,14 @@ class _Search:
             return one.sections
         return one.resized(self.trials.robot, trial.sizes[one.term])
 
-    def told(self, one: Candidate, groups: Groups, brought: dict[str, tuple[Trial, Trial]]) -> TriedTerm:
-        """Return what a candidate brought, or why it was left out."""
+    def told(self, one: Candidate, groups: Groups) -> TriedTerm:
+        """Return what a candidate, with what it is not told from, brings beside the others, or why it was left out."""
         if one.refused:
             return TriedTerm(one.term, why=one.refused)
         group = next((group for group in groups if one.term in group), ())
         tried = (*groups, (one.term,))
-        without, with_it = brought[one.term] if group else (self.of(groups), self.of(tried))
+        without = self.of(tuple(other for other in groups if other != group))
+        with_it = self.of(groups if group else tried)
         why = "" if group else self.failed(without, with_it) or one.doubt or self.refused(self.told_apart(tried))
         together = tuple(term for term in group if term != one.term)
         alike = self.rivals(one.term, groups) if group else {}

@@ -20,13 +20,16 @@ from calib.identification.pose_checks import likely_mistake
 from calib.identification.reasons import Reason, Verdict
 
 _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
+    rules_model.worse_on_validation,
     rules_data.dead_readings,
+    rules_model.residuals_grew,
     rules_model.not_converged,
     rules_model.not_assembled,
+    rules_noise.misread,
     rules_noise.noise,
     rules_data.doubtful_readings,
-    rules_model.worse_on_validation,
     rules_model.frame_moved,
+    rules_parameters.lengths_scaled,
     rules_parameters.far_from_nominal,
     rules_data.poses_that_say_little,
     rules_reach.one_corner,
@@ -37,6 +40,8 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_parameters.large_terms,
     rules_reach.turns_not_counted,
     rules_data.too_few_poses,
+    rules_data.few_shared,
+    rules_data.moves_as_one,
     rules_parameters.loose,
     rules_model.nothing_to_correct,
     rules_model.unused_fits_worse,

@@ -14,16 +14,13 @@ component c does to the instrument's rows,
 
 with kappa_c^2 the variance of that offset: n readings weigh like n / (1 + n kappa^2 / s^2), many like one or two.
 
-All rows of a visit also share what the robot itself is off there: joints that do not come back to the same place. With
-an error N(0, tau_j^2) of each joint and the derivatives h_j of the rows by the joints,
-
-    covariance of the rows of a visit      V = D_own + sum of kappa_c^2 e_c e_c^T + sum of tau_j^2 h_j h_j^T
-
-with D_own = blocks o_g^2 C_k, o_g what is left to a single reading, and kappa_c found anew beside tau_j. Estimates are
-weighed by D, whatever the robot's joints do: weighing by a guess at the shape of what the model leaves out made real
-robots' predictions worse (UR10, full poses: 0.467 mm in place of 0.442 on rows not used; Motoman, tracker and cameras:
-0.076 in place of 0.072). How sure they are is judged by V (`calib.numerics.statistics`), which holds for any weights.
-Visits that repeat one pose share one error: what the model leaves out there is the same each time.
+Estimates are weighed by R only where it predicts poses that were left out better than R = 1 does
+(`calib.identification.solving`): what looks precise within a pose may be wrong in the same way at each, as a lens or a
+board is, and would then get all the weight. Whatever readings of a pose share, and whatever its shape is, widens
+intervals, not weights (`calib.numerics.clusters`): weighing by a guess at the shape of what the model leaves out made
+real robots' predictions worse (UR10, full poses: 0.467 mm in place of 0.442 on rows not used; Motoman, tracker and
+cameras: 0.076 in place of 0.072). Visits that repeat one pose share one error: what the model leaves out there is the
+same each time.
 
 A component that was not read has a row of zeros, which says nothing; it is not counted.
 """
@@ -53,6 +50,7 @@ class Group:
         stated: Whether their noise is stated.
         typical: Typical standard deviation as stated, or 1 SI unit [SI].
         usual: The largest that such instruments have [SI]; infinite where nothing is known.
+        largest: Beyond which the numbers mean something else [SI]; infinite likewise.
     """
 
     name: str
@@ -61,6 +59,7 @@ class Group:
     stated: bool
     typical: float
     usual: float = float("inf")
+    largest: float = float("inf")
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,26 +68,11 @@ class Scales(ReadOnlyArrays):
 
     Attributes:
         groups: s_g of the module docstring, (n_groups,).
-        own: o_g of the module docstring, (n_groups,); s_g without an error shared by visits.
-        shared: tau_j and then kappa_c of the module docstring, (n_actuated + n_offsets,) [SI]; all 0, or empty, for
-            none.
-        ratios: kappa_c over s_g, by which estimates are weighed, (n_offsets,); all 0, or empty, for none.
+        ratios: kappa_c over s_g, by which estimates are weighed, (n_offsets,); all 0 for none.
     """
 
     groups: FloatArray
-    own: FloatArray
-    shared: FloatArray
     ratios: FloatArray
-
-    @staticmethod
-    def of(groups: FloatArray) -> Scales:
-        """Return scales (n_groups,) without errors shared by visits."""
-        return Scales(groups, groups, np.zeros(0), np.zeros(0))
-
-    @property
-    def shares(self) -> bool:
-        """Whether visits share errors."""
-        return bool(np.any(self.shared > 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +115,17 @@ class Layout(ReadOnlyArrays):
     def n_readings(self) -> int:
         """Number of readings."""
         return len(self.visit)
+
+    @property
+    def pose_of_row(self) -> IntArray:
+        """Pose of each row, (n_rows,)."""
+        return self.pose[self.reading]
+
+    @property
+    def poses_of_groups(self) -> IntArray:
+        """Number of poses that each group was read at, (n_groups,)."""
+        pose = self.pose_of_row
+        return np.array([len(np.unique(pose[self.group == g])) for g in range(len(self.groups))])
 
     def rows_of(self, instrument: str) -> slice:
         """Return the rows of an instrument."""
@@ -200,12 +195,6 @@ class Rows:
         if shared is None:
             return self
         return replace(self, residuals=shared.whiten(self.residuals), jacobian=shared.whiten(self.jacobian))
-
-    def at_minimum(self) -> Rows:
-        """Return the rows of the linear model at its minimum."""
-        pull = self.jacobian.T @ self.residuals + np.where(self.has_prior, self.deviations, 0.0)
-        step = -self.known.root @ (self.known.root.T @ pull)
-        return replace(self, residuals=self.residuals + self.jacobian @ step, deviations=self.deviations + step)
 
     def distances(self) -> FloatArray:
         """Return the length of each reading's whitened residual, (n_readings,)."""

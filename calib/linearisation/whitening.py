@@ -57,13 +57,6 @@ class Whitening:
         """Groups of rows whose noise has one scale."""
         return self.layout.groups
 
-    @cached_property
-    def shares_visits(self) -> bool:
-        """Whether some pose has enough rows for an error that they share to show."""
-        n_rows = np.bincount(self.layout.pose, self.layout.width)
-        n_readings = np.bincount(self.layout.pose)
-        return bool(np.any(n_readings > 1) or np.any(n_rows > 3))
-
     def flatten(self, arrays: Mapping[str, FloatArray], columns: IntArray | None = None) -> FloatArray:
         """Whiten what each instrument has, (n, n_rows) or (n, n_rows, k), by the stated covariance; NaN become 0.
 
@@ -115,17 +108,6 @@ class Whitening:
         columns *= unknowns.scales / divisor[:, None]
         return Rows(residuals, columns, unknowns.has_prior, deviations, self.layout)
 
-    def shared_error(self, observed: Mapping[str, Observed], groups: FloatArray, tau: FloatArray) -> SharedError:
-        """Return errors that the rows of a pose share, for rows whitened by these scales.
-
-        Args:
-            observed: Of each instrument, with derivatives by the joints.
-            groups: Scale of the noise of each group, (n_groups,).
-            tau: Standard deviation of each joint's error and of each offset, (n_actuated + n_offsets,) [SI].
-        """
-        columns = np.hstack([self.joint_columns(observed), self.offset_columns])[:, tau > 0] * tau[tau > 0]
-        return SharedError(columns / self.row_scale(groups)[:, None], self.pose_of_row)
-
     def weighing(self, ratios: FloatArray) -> SharedError | None:
         """Return offsets as estimates are weighed for them, whatever the scales are; None without any.
 
@@ -133,7 +115,9 @@ class Whitening:
             ratios: Of the standard deviation of each offset to the scale of its group, (n_offsets,).
         """
         there = ratios > 0
-        return SharedError(self.offset_columns[:, there] * ratios[there], self.pose_of_row) if np.any(there) else None
+        if not np.any(there):
+            return None
+        return SharedError(self.offset_columns[:, there] * ratios[there], self.layout.pose_of_row)
 
     def totals(self, scales: Scales) -> FloatArray:
         """Return the scale of a reading of each group with the offsets that it is weighed for, (n_groups,)."""
@@ -144,11 +128,6 @@ class Whitening:
         number = self.layout.group[read]
         squares = np.bincount(number, weighing.variances()[read]) / np.bincount(number)
         return scales.groups * np.sqrt(squares)
-
-    @property
-    def pose_of_row(self) -> IntArray:
-        """Pose of each row, (n_rows,)."""
-        return self.layout.pose[self.layout.reading]
 
     @property
     def n_offsets(self) -> int:
@@ -176,6 +155,14 @@ class Whitening:
         """Return the scale of the group that each offset is in, (n_offsets,); 1 for what was not read."""
         rows = self.offset_columns != 0
         return np.where(rows.any(axis=0), self.row_scale(groups)[np.argmax(rows, axis=0)], 1.0)
+
+    def without_offsets(self, ratios: FloatArray) -> BoolArray:
+        """Return which groups are of instruments without offsets (n_offsets,), (n_groups,); all, if each has one."""
+        ends = np.cumsum(list(self._n_rows.values()))[:-1]
+        own = dict(zip(self._n_rows, (bool(np.any(part > 0)) for part in np.split(ratios, ends)), strict=True))
+        weighed = [self.layout.group[self.layout.rows_of(name)] for name in self._names if own[name]]
+        free = ~np.isin(np.arange(len(self.groups)), np.concatenate([np.zeros(0, dtype=np.intp), *weighed]))
+        return free if np.any(free) else ~free
 
     def joint_columns(self, observed: Mapping[str, Observed]) -> FloatArray:
         """Return the derivative of the rows by the joints, whitened by what is stated, (n_rows, n_actuated)."""
@@ -236,7 +223,7 @@ def _group(
     if key not in groups:
         rows = [k for k, number in enumerate(one.part_of_row) if number == index]
         typical = float(np.sqrt(np.median(covariance[:, rows, rows]))) if len(covariance) else 1.0
-        groups[key] = Group(one.group, part.name, part.dimension, stated, typical, part.usual)
+        groups[key] = Group(one.group, part.name, part.dimension, stated, typical, part.usual, part.largest)
     return list(groups).index(key)
 
 

@@ -17,35 +17,36 @@ several groups of rows (instruments, or position and orientation), each with its
 
     f_g^2 = |r_g|^2 / (rows_g - trace(T^T J_g^T J_g T)),         C = T (sum of f_g^2 T^T J_g^T J_g T + S) T^T
 
-Where rows of a visit share errors, the covariance of rows divided by the noise of a single reading is
-W = diag(o_g^2) + sum of tau_j^2 h_j h_j^T, and of rows that were then multiplied by R^-1, R^-1 W R^-1
-(`calib.linearisation.rows`). That stands between J T and its transpose in the place of the sum.
+Where the readings of a pose share errors, or poses scatter by more than others, beyond what chance explains, the sum
+between T and its transpose is replaced by how the poses themselves scatter (`calib.numerics.clusters`).
 
 Where the size of some priors was found from the same data, `calib.numerics.prior_sizes` says what that adds to C.
 
 A robust loss changes what a residual tells: see `calib.identification.robust`, which gives f and its counterpart in C.
 
 Intervals are value +- t std with Student's t at 97.5 % and the degrees of freedom above, because the noise is found
-from the same residuals. The part of a parameter that the data decide is 1 - C_kk (prior variance 1): near 1 the
-measurements know the value, near 0 the prior holds it.
+from the same residuals; with those of the scatter of poses, where that counts and they are fewer. The part of a
+parameter that the data decide is 1 - C_kk (prior variance 1): near 1 the measurements know the value, near 0 the prior
+holds it.
 
 When it fails. All of it is linear in the parameters at the solution, and counts noise that is independent from visit to
-visit. Errors that the model leaves out are not noise: `calib.identification.systematic` tests for them.
+pose. Errors that the model leaves out are not noise: `calib.identification.systematic` tests for them.
 
 Reference: jcgm100 (GUM), sections 4.2 and G.3; tarantola2005, section 3.2, for the resolution.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 import scipy
 
 from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.numerics.clusters import Scatter
 from calib.numerics.observability import Information
-from calib.numerics.variance_components import SharedError, require_freedom
+from calib.numerics.variance_components import CHANCE, require_freedom
 
 DECIDED_BY_DATA = 0.9
 """Share of a parameter's expected variance that the data must remove for `identified`; up to 1 - this, `prior`."""
@@ -79,31 +80,6 @@ class Factors(ReadOnlyArrays):
 
 
 @dataclass(frozen=True, eq=False)
-class NoiseOfRows:
-    """What whitened rows scatter by, where visits share an error.
-
-    Attributes:
-        own: o_g of the module docstring, over what was assumed, (n_groups,).
-        shared: The errors shared by the rows of a visit.
-        group: Of each row, -1 for rows that were not read, (n_rows,).
-        weighing: The part of it that the rows were whitened for; None for none.
-    """
-
-    own: FloatArray
-    shared: SharedError
-    group: IntArray
-    weighing: SharedError | None
-
-    def core(self, pulled: FloatArray) -> FloatArray:
-        """Return B^T W B of rows B, (n_rows, k) -> (k, k)."""
-        read = self.group >= 0
-        pulled = pulled if self.weighing is None else self.weighing.whiten(pulled)
-        scaled = np.where(read, self.own[np.where(read, self.group, 0)], 0.0)[:, None] * pulled
-        felt = self.shared.felt(pulled).reshape(-1, pulled.shape[1])
-        return scaled.T @ scaled + felt.T @ felt
-
-
-@dataclass(frozen=True, eq=False)
 class Statistics(ReadOnlyArrays):
     """Uncertainty of the free parameters.
 
@@ -116,6 +92,7 @@ class Statistics(ReadOnlyArrays):
         data_share: Part of each that the data decide, 0 to 1, (n_free,).
         effective_parameters: How many parameters the data decide, n_eff of the module docstring.
         root: T of the module docstring, (n_free, n_free).
+        poses: How the readings of each pose scatter together; None: independently.
     """
 
     factors: Factors
@@ -126,17 +103,32 @@ class Statistics(ReadOnlyArrays):
     data_share: FloatArray
     effective_parameters: float
     root: FloatArray
+    poses: Scatter | None = None
+
+    @property
+    def shared(self) -> Scatter | None:
+        """How poses scatter, where that is by more than independent readings would; else None."""
+        return _beyond_chance(self.poses)
+
+    @property
+    def interval_freedom(self) -> float:
+        """Degrees of freedom of the intervals."""
+        return self.freedom if self.shared is None else min(self.freedom, self.shared.freedom)
 
     @property
     def coverage_factor(self) -> float:
         """How many standard deviations make half a 95 % interval."""
-        return float(scipy.special.stdtrit(self.freedom, 0.975))
+        return float(scipy.special.stdtrit(self.interval_freedom, 0.975))
 
     def correlations(self) -> FloatArray:
         """Return the correlation coefficients of the free parameters, (n_free, n_free); NaN where nothing scatters."""
         with np.errstate(divide="ignore", invalid="ignore"):
             unit = self.covariance / self.std / self.std[:, None]
         return np.clip(unit, -1.0, 1.0)
+
+
+def _beyond_chance(poses: Scatter | None) -> Scatter | None:
+    return poses if poses is not None and poses.ratio > 1.0 and poses.chance < CHANCE else None
 
 
 def status(data_share: float, relative_std: float, *, prior: bool, placement: bool) -> Status:
@@ -237,7 +229,7 @@ def statistics(
     factors: Factors,
     scales: FloatArray,
     has_prior: BoolArray,
-    noise: NoiseOfRows | None = None,
+    poses: Scatter | None = None,
     by_sizes: FloatArray | None = None,
 ) -> Statistics:
     """Return the statistics at the solution.
@@ -249,15 +241,16 @@ def statistics(
         factors: What the residuals say about the noise.
         scales: s of the module docstring, (n_free,) [m, rad].
         has_prior: Which parameters have a prior, (n_free,).
-        noise: What the rows scatter by, where visits share an error.
+        poses: How the readings of each pose scatter together; None: independently.
         by_sizes: What is added to the covariance of u where sizes of priors were found, (n_free, n_free).
     """
     root = known.root
     share = prior_shares(known, has_prior)
     core = share.copy()  # with a robust loss J counts times the root of the slope in T, and in the scatter
-    if noise is not None:
-        core += noise.core(jacobian @ root)
-    for group, factor in enumerate(factors.effective if noise is None else ()):
+    shared = _beyond_chance(poses)
+    if shared is not None:
+        core += shared.core
+    for group, factor in enumerate(factors.effective if shared is None else ()):
         pulled = jacobian[groups == group] @ root
         core += (factors.slope * factor) ** 2 * (pulled.T @ pulled)
     scaled_covariance = root @ core @ root.T
@@ -266,7 +259,6 @@ def statistics(
     covariance = scales[:, None] * scaled_covariance * scales
     std: FloatArray = np.sqrt(np.diag(covariance))
     decided = np.where(has_prior, np.clip(1.0 - np.diag(scaled_covariance), 0.0, 1.0), 1.0)
-    freedom = factors.total_freedom
-    half_width = float(scipy.special.stdtrit(freedom, 0.975)) * std
     n_effective = float(len(share) - np.trace(share))
-    return Statistics(factors, freedom, covariance, std, half_width, decided, n_effective, root)
+    found = Statistics(factors, factors.total_freedom, covariance, std, std, decided, n_effective, root, poses)
+    return replace(found, half_width=found.coverage_factor * std)

@@ -1,19 +1,12 @@
-"""Errors that the rows of a visit share: covariance I + C C^T of whitened rows, visit by visit.
-
-C are the derivatives of the rows by the joints, each column times the standard deviation tau_j of that joint's error.
-By the singular value decomposition C = U S V^T of each visit, a function f of the covariance is I + U (f(1 + S^2) - 1)
-U^T.
-
-How large the noise is: scales of groups of rows, and an error shared by the rows of a visit, from the residuals.
+"""How large the noise is: scales of groups of rows, and an error shared by the rows of a pose, from the residuals.
 
 Model. Rows y (whitened by what is stated) of a linear problem with priors, and
 
     covariance      V = S (I + sum of tau_j^2 h_j h_j^T) S        S = diag(s_g), h_j in units of the scaled rows
 
-with one h_j for the error of each joint and for each component of the offsets that instruments have at a pose
-(`calib.linearisation.rows`). s_g is 1 for groups whose noise is stated; the other s_g and the tau_j are
-found by restricted maximum likelihood: with A = J^T V^-1 J + P and Q = V^-1 - V^-1 J A^-1 J^T V^-1, its stationary
-point has for every component V_i of V
+with one h_j for each component of the offsets that instruments have at a pose (`calib.linearisation.rows`). s_g is 1
+for groups whose noise is stated; the other s_g and the tau_j are found by restricted maximum likelihood: with
+A = J^T V^-1 J + P and Q = V^-1 - V^-1 J A^-1 J^T V^-1, its stationary point has for every component V_i of V
 
     y^T Q V_i Q y = trace(Q V_i)
 
@@ -22,8 +15,9 @@ one group this is sigma^2 = |r|^2 / (rows - effective parameters). Components st
 shrinks towards zero.
 
 Shared errors have to earn their place: they are taken only where they raise twice the restricted log-likelihood by more
-than chance does to one data set in a thousand (a chi-square of as many degrees of freedom as there are h_j). Offsets,
-which change weights, come first; joints are then tried beside them.
+than chance does to one data set in a thousand (a chi-square of as many degrees of freedom as there are h_j). With the
+columns tau_j h_j as C, and its singular value decomposition C = U S V^T pose by pose, a function f of the covariance
+I + C C^T is I + U (f(1 + S^2) - 1) U^T.
 
 When it fails. A group with fewer rows than parameters that it alone determines says nothing about its noise.
 
@@ -43,7 +37,7 @@ from calib.numerics.identifiability import reduced
 from calib.numerics.observability import Information, information, prior_rows
 
 CHANCE = 1e-3
-"""Chance that shared errors are found where there are none."""
+"""Chance that errors shared by the readings of a pose are found where there are none."""
 EXACT = 1e-9
 """Noise below this [SI] is rounding: the data were computed, not measured."""
 _ROUNDS = 60
@@ -98,6 +92,13 @@ class SharedError:
         packed += np.matmul(self._left, gain[:, :, None] * np.matmul(self._left.transpose(0, 2, 1), packed))
         result = self._unpacked(packed)
         return result[:, 0] if rows.ndim == 1 else result
+
+    def unwhiten(self, rows: FloatArray) -> FloatArray:
+        """Return (I + C C^T)^(1/2) rows, (n_rows,): the way back."""
+        gain = np.sqrt(1.0 + self._values**2) - 1.0
+        packed = self._packed(rows[:, None])
+        packed += np.matmul(self._left, gain[:, :, None] * np.matmul(self._left.transpose(0, 2, 1), packed))
+        return self._unpacked(packed)[:, 0]
 
     def diagonal(self) -> FloatArray:
         """Return the diagonal of (I + C C^T)^-1, (n_rows,)."""

@@ -14,7 +14,7 @@ Derivatives are by the twist [dp; dw] of b seen from a, in the axes of a:
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -36,12 +36,14 @@ class Part:
         axes: What its rows are called.
         dimension: What they measure.
         usual: The largest noise that such instruments have [SI]: more is what the model leaves out.
+        largest: Noise beyond which the numbers mean something else, whatever robot they are of [SI].
     """
 
     name: str
     axes: tuple[str, ...]
     dimension: Dimension
     usual: float = float("inf")
+    largest: float = float("inf")
 
 
 @dataclass(frozen=True)
@@ -281,6 +283,10 @@ class Instrument(ABC):
     def doubts(self, readings: Readings) -> tuple[str, ...]:
         """Return what looks wrong about the readings by themselves, in words; nothing where nothing does."""
         return ()
+
+    def other_meanings(self, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+        """Yield what else values (n, n_values) may mean, in words, and the values then; nothing where nothing else."""
+        yield from ()
 
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
         """Return first guesses at what is unknown, the best of which is kept; none where there is nothing to guess.

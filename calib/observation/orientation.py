@@ -17,7 +17,7 @@ where the other axis is upright too.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
@@ -32,6 +32,7 @@ from calib.observation.noise import AngleSigma, Noise, PartNoise
 from calib.observation.rotations import (
     ORIENTATION,
     Form,
+    other_rotations,
     read_rotations,
     rotation_columns,
     rotation_errors,
@@ -43,7 +44,7 @@ from calib.observation.rotations import (
 from calib.parameter import Parameter
 from calib.sections import ANGLE_COMPONENTS, Section
 
-TILT = Part("tilt", ("tilt_x", "tilt_y"), "angle")
+TILT = Part("tilt", ("tilt_x", "tilt_y"), "angle", largest=0.1)
 _DOWN = np.array([0.0, 0.0, -1.0])
 _SMALLEST = 1e-12  # square of the part of g that a tilt is the angle of
 _ROUNDS = 100
@@ -135,6 +136,11 @@ class Orientation(Instrument):
     def moved(self, values: FloatArray, change: FloatArray) -> FloatArray:
         """Return orientations or tilts with errors."""
         return _within_half_turn(values + change) if self.gravity else turned_by(values, change)
+
+    def other_meanings(self, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+        """Yield rotations that were read otherwise."""
+        if not self.gravity:
+            yield from other_rotations(self.rotation, values)
 
     def orientations(self, values: FloatArray) -> FloatArray | None:
         """Return R_ab, (n, 3, 3); None of an inclinometer."""

@@ -7,7 +7,7 @@ Rows are the position error p_ab - p and the rotation error of `calib.observatio
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
@@ -20,6 +20,7 @@ from calib.observation.position import AXES, POSITION
 from calib.observation.rotations import (
     ORIENTATION,
     Form,
+    other_rotations,
     read_rotations,
     rotation_columns,
     rotation_errors,
@@ -106,6 +107,11 @@ class Pose(Instrument):
     def points(self, values: FloatArray) -> FloatArray:
         """Return the positions."""
         return values[:, :3]
+
+    def other_meanings(self, values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+        """Yield poses whose rotations were read otherwise."""
+        for words, vectors in other_rotations(self.rotation, values[:, 3:]):
+            yield words, np.hstack([values[:, :3], vectors])
 
     def orientations(self, values: FloatArray) -> FloatArray:
         """Return R_ab, (n, 3, 3)."""

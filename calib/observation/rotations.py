@@ -12,6 +12,7 @@ Reference: sola2018, equation 146.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
@@ -24,7 +25,7 @@ from calib.observation.kind import Column, Part
 from calib.units import Dimension
 
 Form = Literal["quaternion", "rpy", "intrinsic_xyz", "intrinsic_zyx", "intrinsic_zyz", "rotation_vector", "matrix"]
-ORIENTATION = Part("orientation", ("rx", "ry", "rz"), "angle")
+ORIENTATION = Part("orientation", ("rx", "ry", "rz"), "angle", largest=0.1)
 _COLUMNS: dict[Form, tuple[str, ...]] = {
     "quaternion": ("qx", "qy", "qz", "qw"),
     "rpy": ("roll", "pitch", "yaw"),
@@ -68,6 +69,28 @@ def written_rotations(form: Form, vectors: FloatArray) -> FloatArray:
     if form == "rotation_vector":
         return np.asarray(rotations.as_rotvec())
     return np.asarray(rotations.as_euler(_EULER[form]))
+
+
+def other_rotations(form: Form, vectors: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+    """Yield what else numbers may mean that were read in this form, in words, and the rotation vectors then, (n, 3).
+
+    Args:
+        form: As it was read.
+        vectors: Rotation vectors (n, 3) [rad] of complete readings.
+    """
+    numbers = written_rotations(form, vectors)
+    yield "its rotations were inverse (the frame seen from the sensor)", -vectors
+    if form == "quaternion":
+        for order, names in (((1, 2, 3, 0), "qw qx qy qz"), ((3, 0, 1, 2), "qy qz qw qx")):
+            other = scipy.spatial.transform.Rotation.from_quat(numbers[:, order]).as_rotvec()
+            yield f"its columns qx qy qz qw held {names}", other
+            yield f"its columns qx qy qz qw held {names}, of inverse rotations", -other
+    elif form != "matrix":
+        for other_form in (*_EULER, "rotation_vector"):
+            if other_form != form:
+                other = _rotations("", other_form, numbers).as_rotvec()  # type: ignore[arg-type]
+                yield f"its angles were of the form {other_form}", other
+        yield "its angles were degrees read as radians", _rotations("", form, np.radians(numbers)).as_rotvec()
 
 
 def rotation_errors(rotations: FloatArray, vectors: FloatArray) -> tuple[FloatArray, FloatArray]:

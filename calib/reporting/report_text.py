@@ -77,14 +77,10 @@ def _noise(fit: Fit) -> list[str]:
 def _scatter(fit: Fit) -> list[str]:
     """Beside the noise: what readings of a visit share, and whether the scatter agrees with what was stated."""
     lines = []
-    if fit.shared_sigma:
-        sizes = []
-        for name, size in fit.shared_sigma.items():
-            dimension = fit.nominal.mechanism.dimensions[name]
-            sizes.append(f"{name} {error_scale(dimension) * size:.3g} {ERROR_UNIT[dimension]}")
+    if fit.statistics.shared is not None:
         lines.append(
-            "All readings of a visit share an error, as of joints that are off there (what the model leaves out, or"
-            f" places that the robot does not come back to): {', '.join(sizes)}; intervals count it"
+            f"Readings of the same pose share errors: poses scatter {fit.statistics.shared.ratio:.2g} times as much as"
+            " independent readings would. Intervals count it"
         )
     for name, offsets in fit.offsets.items():
         one = fit.nominal.instrument(name)
@@ -94,8 +90,8 @@ def _scatter(fit: Fit) -> list[str]:
             for (axis, part), size in zip(axes, offsets, strict=True)
         ]
         lines.append(
-            f"All readings of {name} at a pose are off alike (what the model leaves out): {', '.join(sizes)}; they are"
-            " weighed for it, and intervals count it"
+            f"All readings of {name} at a pose are off alike (what the model leaves out): {', '.join(sizes)}. They are"
+            " weighed for it, because that predicts poses left out better"
         )
     if fit.chi_square is not None:
         chi = fit.chi_square
@@ -296,7 +292,8 @@ def _budget(fit: Fit) -> list[Table]:
     table = text_table(("", f"RMS {unit}", f"mean square {unit}^2", "std", "share"), title=title)
     for row in cast(list[dict[str, Any]], budget["causes"]):
         squares = [f"{row[key]:.3g}" if np.isfinite(row[key]) else "-" for key in ("mean_square", "std")]
-        table.add_row(row["cause"], f"{row['rms']:.4f}", *squares, f"{100 * row['share']:.1f} %")
+        rms = f"{row['rms']:.4f}" if np.isfinite(row["rms"]) else "-"
+        table.add_row(row["cause"], rms, *squares, row["remark"] or f"{100 * row['share']:.1f} %")
     before = cast(float, budget["rms_before"])
     table.add_row("together: before", f"{before:.4f}", f"{before**2:.3g}", "", "100.0 %")
     return [table]

@@ -65,11 +65,8 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "degrees_of_freedom": fit.statistics.freedom,
             "effective_parameters": fit.statistics.effective_parameters,
             "chi_square": None if fit.chi_square is None else asdict(fit.chi_square),
-            "shared_sigma": [
-                {"joint": name, "unit": ERROR_UNIT[d], "sigma": error_scale(d) * size}
-                for name, size in fit.shared_sigma.items()
-                for d in (fit.nominal.mechanism.dimensions[name],)
-            ],
+            "interval_degrees_of_freedom": fit.statistics.interval_freedom,
+            "shared": None if fit.statistics.shared is None else fit.statistics.shared.ratio,
             "repeatability": repeatability(fit.identification)[0],
             "repeats": repeat_table(fit.identification),
             "repeats_validation": None if fit.validation is None else repeat_table(fit.validation),
@@ -131,19 +128,24 @@ def repeat_table(errors: ErrorSet) -> dict[str, object] | None:
 
 
 def budget_table(fit: Fit) -> dict[str, object] | None:
-    """Return the error budget in the unit of errors and its square; see `calib.identification.error_budget`."""
+    """Return the error budget in the unit of errors and its square; see `calib.identification.error_budget`.
+
+    A cause whose mean square is negative has no root mean square and no share, but a remark.
+    """
     found = fit.budget
     if found is None:
         return None
     scale = error_scale(found.part.dimension)
 
     def row(cause: str, mean_square: float, std: float) -> dict[str, object]:
+        made = mean_square >= 0.0
         return {
             "cause": cause,
             "mean_square": scale**2 * mean_square,
             "std": scale**2 * std,
-            "rms": scale * math.copysign(math.sqrt(abs(mean_square)), mean_square),
-            "share": mean_square / found.before if found.before > 0 else math.nan,
+            "rms": scale * math.sqrt(mean_square) if made else math.nan,
+            "share": mean_square / found.before if made and found.before > 0 else math.nan,
+            "remark": "" if made else "makes it larger" if mean_square < -2.0 * std else "none to be seen",
         }
 
     return {
@@ -271,8 +273,7 @@ def instrument_blocks(fit: Fit) -> list[dict[str, object]]:
                     "name": part.name,
                     "unit": ERROR_UNIT[part.dimension],
                     "sigma": None if noise is None else scale * noise.sigma,
-                    "sigma_own": None if noise is None else scale * noise.own,
-                    "sigma_shared": [scale * float(size) for size in offsets[np.equal(one.part_of_row, index)]],
+                    "sigma_weighed": [scale * float(size) for size in offsets[np.equal(one.part_of_row, index)]],
                     "sigma_stated": None if noise is None or noise.stated is None else scale * noise.stated,
                     "degrees_of_freedom": None if noise is None else noise.freedom,
                     "errors": {

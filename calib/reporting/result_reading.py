@@ -204,7 +204,7 @@ def load_uncertainty(folder: Path | str, robot: Robot) -> LoadedUncertainty:
         covariance = np.array([[float(cell) for cell in row[2:]] for row in table.rows]) / scale[:, None] / scale
     except ValueError:
         raise DataError(f"{path}: holds text where a number is expected; run the fit again") from None
-    freedom = read_result(folder).get("degrees_of_freedom")
+    freedom = read_result(folder).get("interval_degrees_of_freedom")
     if not np.all(np.isfinite(covariance)) or not isinstance(freedom, (int, float)) or not 0 < freedom < _MOST_FREEDOM:
         raise DataError(f"{folder}: its covariance or degrees of freedom are not numbers; run the fit again")
     free = np.array([p.name in names for p in robot.parameters])
@@ -224,27 +224,19 @@ def load_promise(folder: Path | str, robot: Robot) -> Promise:
     """
     calibrated, known, content = load_calibrated(folder, robot), load_uncertainty(folder, robot), read_result(folder)
     sigma: dict[tuple[str, str], float] = {}
-    offsets: dict[str, list[float]] = {}
     try:
         for block in content["instruments"]:
             one = robot.instrument(block["name"])
             dimensions = {part.name: part.dimension for part in one.parts}
             for part in block["parts"]:
                 scale = error_scale(dimensions[part["name"]])
-                for size in part.get("sigma_shared", ()):
-                    offsets.setdefault(one.name, []).append(float(size) / scale)
-                if part["sigma_own"] is not None:
-                    sigma[one.group, part["name"]] = float(part["sigma_own"]) / scale
-        shared = {
-            row["joint"]: float(row["sigma"]) / error_scale(robot.mechanism.dimensions[row["joint"]])
-            for row in content["shared_sigma"]
-        }
+                if part["sigma"] is not None:
+                    sigma[one.group, part["name"]] = float(part["sigma"]) / scale
+        shared = 1.0 if content["shared"] is None else float(content["shared"])
         freedom = float(content["degrees_of_freedom"])
     except (KeyError, TypeError, ValueError):
         raise DataError(f"{folder}: does not say the noise of each instrument; run the fit again") from None
-    errors = np.array([shared.get(name, 0.0) for name in robot.joint_names])
-    alike = {name: np.array(sizes) for name, sizes in offsets.items()}
-    return Promise(calibrated, known.covariance, freedom, sigma, errors, alike)
+    return Promise(calibrated, known.covariance, freedom, sigma, shared)
 
 
 def read_result(folder: Path | str) -> dict[str, Any]:

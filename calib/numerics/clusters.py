@@ -1,0 +1,175 @@
+"""Errors that rows of one block share: by how much they widen what is estimated, whatever their shape.
+
+Least squares with span U = J T (`calib.numerics.observability`: H = U U^T is the hat matrix, priors included) moves its
+solution, in the coordinates of T, by U^T e for errors e. Errors that are independent from row to row, with variance
+f^2, scatter it by f^2 U^T U. Where the rows of a block (the readings of a pose, the poses of a region) share errors, it
+scatters by the sum over blocks of U_b^T V_b U_b, with V_b the covariance of the errors of a block. Nobody needs to know
+V_b: the residuals of each block are one draw of its errors. The solution follows them a little, so that for independent
+errors cov r_b = f^2 (1 - H_b), H_b = U_b U_b^T. With
+
+    g_b = U_b^T (1 - H_b)^(-1/2) r_b          core = sum over blocks of g_b g_b^T
+
+the core has the mean f^2 U^T U where errors are independent, and the right one up to the leverage of single blocks
+where they are not (Bell and McCaffrey's CR2). Directions that a block decides nearly alone leave no residual; there the
+noise of the rows counts.
+
+Test. With eigenvalues w of all H_b and y = r / f
+
+    D = sum over blocks of |g_b|^2 / f^2        mean of D = sum of w
+    variance of D = 2 (sum of w^2 + sum over b != c of tr(W_b W_c)),       W_b = U_b^T H_b (1 - H_b)^-1 U_b
+
+for independent errors; D over its mean is compared with F of the same mean and variance. The root of D over its mean
+says how many times too small standard deviations are that suppose independent rows. The same D is what parameters move
+by when blocks are left out in turn: with u those of the fit, u_b without block b, and A_b the information without it,
+D f^2 = sum over blocks of (u - u_b)^T A_b (u - u_b). No fit is needed for that.
+
+When it fails. A core of few blocks is known badly: `freedom` says how many squares stand behind one of its directions.
+What is off in the same way in every block moves nothing. Places unlike all blocks can be worse.
+
+Reference: bell2002; cook1982, chapter 3; roberts2017.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
+
+_OWN = 0.99  # part of a direction that a block decides, from which the other blocks cannot foretell it
+_ROWS_AT_ONCE = 30_000
+_NONE = 1e-150  # noise of data that were computed, not measured
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter(ReadOnlyArrays):
+    """How the rows of blocks scatter together.
+
+    Attributes:
+        core: Covariance of U^T e of the module docstring, (k, k).
+        ratio: Root of D over its mean; NaN where no block shares a direction with another one, or there is no noise.
+        chance: Chance of such a D, or a larger one, from independent rows.
+        freedom: Number of squares behind a direction of the core.
+        total_freedom: Number of squares behind D.
+    """
+
+    core: FloatArray
+    ratio: float
+    chance: float
+    freedom: float
+    total_freedom: float
+
+    def beyond(self, finer: Scatter) -> tuple[float, float]:
+        """Return the ratio beside that of the smaller blocks within, and the chance of it.
+
+        Args:
+            finer: Of blocks, several of which make one of these.
+        """
+        ratio = self.ratio / finer.ratio
+        return ratio, float(scipy.special.fdtrc(self.total_freedom, finer.total_freedom, ratio**2))
+
+
+def scatter(
+    jacobian: FloatArray, root: FloatArray, residuals: FloatArray, noise: FloatArray, block: IntArray, freedom: float
+) -> Scatter:
+    """Return how the rows of blocks scatter together.
+
+    Args:
+        jacobian: J, whitened, (n_rows, n_free).
+        root: T, (n_free, k).
+        residuals: r, whitened, (n_rows,).
+        noise: f of each row, (n_rows,).
+        block: Block of each row, (n_rows,); -1 for rows that belong to none.
+        freedom: Degrees of freedom that f was found with.
+    """
+    k = root.shape[1]
+    core, leverage, moved, mean, squares = np.zeros((k, k)), np.zeros((k, k)), 0.0, 0.0, 0.0
+    decided_parts, fourth = 0.0, 0.0
+    for rows in _of_equal_length(block):
+        span = jacobian[rows] @ root
+        own, errors, directions = _directions(span, residuals[rows])
+        level = np.sqrt(np.mean(noise[rows] ** 2, axis=1, keepdims=True))
+        alone = own >= _OWN
+        left = np.where(alone, 1.0, 1.0 - own)
+        drawn = np.where(alone, 0.0, errors / np.sqrt(left))
+        pulls = np.matmul(drawn[:, None, :], directions)[:, 0]
+        decided = directions[alone] * np.repeat(level, own.shape[1], axis=1)[alone][:, None]
+        core += pulls.T @ pulls + decided.T @ decided
+        w = np.where(alone, 0.0, own)
+        moved += float(np.sum(w * (drawn / np.maximum(level, _NONE)) ** 2))
+        mean += float(np.sum(w))
+        squares += float(np.sum(w**2) - np.sum((w**2 / left) ** 2))
+        scaled = (np.sqrt(w / left)[:, :, None] * directions).reshape(-1, k)
+        leverage += scaled.T @ scaled
+        decided_parts += float(np.sum(own))
+        fourth += float(2.0 * np.sum(own**2) + np.sum(np.sum(own, axis=1) ** 2))
+    half_variance = squares + float(np.sum(leverage**2))
+    behind = decided_parts**2 * (k + 2) / (k * fourth) if fourth > 0 else 0.0
+    if mean <= 0.0 or half_variance <= 0.0 or not np.any(noise > _NONE):
+        return Scatter(core, float("nan"), 1.0, behind, 0.0)
+    total_freedom, square = mean**2 / half_variance, moved / mean
+    chance = float(scipy.special.fdtrc(total_freedom, freedom, square))
+    return Scatter(core, float(np.sqrt(square)), chance, behind, total_freedom)
+
+
+def _of_equal_length(block: IntArray) -> Iterator[IntArray]:
+    """Yield the rows of blocks that have equally many, some at once, (n_blocks, n_rows_of_each)."""
+    order = np.argsort(block, kind="stable")
+    order = order[block[order] >= 0]
+    _, first, counts = np.unique(block[order], return_index=True, return_counts=True)
+    for count in map(int, np.unique(counts)):
+        starts = first[counts == count]
+        at_once = max(_ROWS_AT_ONCE // count, 1)
+        for k in range(0, len(starts), at_once):
+            yield order[starts[k : k + at_once, None] + np.arange(count)]
+
+
+def _directions(span: FloatArray, residuals: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Eigenvalues w of H_b, residuals along its eigenvectors l, and l^T U_b: (n, d), (n, d), (n, d, k).
+
+    Args:
+        span: U of the rows of n blocks, (n, m, k).
+        residuals: (n, m).
+    """
+    n_rows, k = span.shape[1:]
+    if n_rows <= k:
+        own, vectors = np.linalg.eigh(np.matmul(span, span.transpose(0, 2, 1)))
+        turned = vectors.transpose(0, 2, 1)
+        return np.clip(own, 0.0, 1.0), np.matmul(turned, residuals[:, :, None])[:, :, 0], np.matmul(turned, span)
+    own, vectors = np.linalg.eigh(np.matmul(span.transpose(0, 2, 1), span))
+    own, turned = np.clip(own, 0.0, 1.0), vectors.transpose(0, 2, 1)
+    size = np.sqrt(own)
+    felt = np.matmul(turned, np.matmul(span.transpose(0, 2, 1), residuals[:, :, None]))[:, :, 0]
+    errors = np.where(size > 0, felt / np.where(size > 0, size, 1.0), 0.0)
+    return own, errors, size[:, :, None] * turned
+
+
+def foretold(jacobian: FloatArray, root: FloatArray, residuals: FloatArray, block: IntArray) -> FloatArray:
+    """Return the residuals of each block by the fit of all others, (1 - H_b)^-1 r_b, (n_rows,).
+
+    Along directions that a block decides nearly alone they stay as they are: nothing foretells these.
+
+    Args:
+        jacobian: J, whitened, (n_rows, n_free).
+        root: T, (n_free, k).
+        residuals: r, whitened, (n_rows,).
+        block: Block of each row, (n_rows,).
+    """
+    result = residuals.copy()
+    for rows in _of_equal_length(block):
+        span, errors = jacobian[rows] @ root, residuals[rows][:, :, None]
+        across = span.transpose(0, 2, 1)
+        if span.shape[1] <= span.shape[2]:
+            own, vectors = np.linalg.eigh(np.matmul(span, across))
+            gain = np.where(own < _OWN, own / np.maximum(1.0 - own, 1.0 - _OWN), 0.0)
+            added = np.matmul(vectors, gain[:, :, None] * np.matmul(vectors.transpose(0, 2, 1), errors))
+        else:
+            own, vectors = np.linalg.eigh(np.matmul(across, span))
+            gain = np.where(own < _OWN, 1.0 / np.maximum(1.0 - own, 1.0 - _OWN), 0.0)
+            pulled = np.matmul(vectors.transpose(0, 2, 1), np.matmul(across, errors))
+            added = np.matmul(span, np.matmul(vectors, gain[:, :, None] * pulled))
+        result[rows] += added[:, :, 0]
+    return result

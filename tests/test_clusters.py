@@ -1,0 +1,132 @@
+"""Errors that rows of one block share, against dense algebra, refits and many draws."""
+
+import numpy as np
+import pytest
+from scipy.linalg import inv, sqrtm
+
+from calib.numerics.clusters import foretold, scatter
+from calib.numerics.observability import information, prior_rows
+
+N_FREE = 7
+
+
+def problem(seed, lengths, priors=2):
+    """A Jacobian whose rows are alike in each block, the root T of its information with priors, and the blocks."""
+    rng = np.random.default_rng(seed)
+    block = rng.permutation(np.repeat(np.arange(len(lengths)), lengths))
+    jacobian = rng.standard_normal((len(lengths), N_FREE))[block] + 0.5 * rng.standard_normal((len(block), N_FREE))
+    has_prior = np.arange(N_FREE) < priors
+    return jacobian, information(jacobian, prior_rows(has_prior)).root, has_prior, block
+
+
+def fitted(jacobian, root, has_prior, errors):
+    """Residuals of the least-squares solution, priors drawn at zero, and that solution in the coordinates of T."""
+    solution = root.T @ jacobian.T @ errors
+    return errors - jacobian @ root @ solution, solution
+
+
+def by_dense_algebra(jacobian, root, residuals, block):
+    """Core, D and its mean, block by block with matrices of all rows."""
+    span = jacobian @ root
+    hat = span @ span.T
+    core, square, mean = np.zeros((N_FREE, N_FREE)), 0.0, 0.0
+    for b in np.unique(block):
+        rows = np.flatnonzero(block == b)
+        own = hat[np.ix_(rows, rows)]
+        g = span[rows].T @ np.real(inv(sqrtm(np.eye(len(rows)) - own))) @ residuals[rows]
+        core += np.outer(g, g)
+        square += g @ g
+        mean += np.trace(own)
+    return core, square, mean
+
+
+@pytest.mark.parametrize("lengths", [[3] * 20, [1, 2, 3, 4, 12, 15, 15, 20]], ids=["equal", "short and long"])
+def test_core_and_ratio_are_those_of_dense_algebra(lengths):
+    jacobian, root, _, block = problem(1, lengths)
+    residuals = np.random.default_rng(2).standard_normal(len(block))
+    core, square, mean = by_dense_algebra(jacobian, root, residuals, block)
+    one = scatter(jacobian, root, residuals, np.full(len(block), 0.5), block, 50.0)
+    np.testing.assert_allclose(one.core, core, rtol=1e-9, atol=1e-12)
+    assert one.ratio == pytest.approx(np.sqrt(square / mean) / 0.5, rel=1e-9)
+
+
+def test_blocks_are_foretold_as_by_a_fit_of_all_others():
+    jacobian, root, has_prior, block = problem(3, [1, 3, 3, 9, 12, 12])
+    errors = np.random.default_rng(4).standard_normal(len(block))
+    residuals, _ = fitted(jacobian, root, has_prior, errors)
+    expected = np.empty(len(block))
+    for b in np.unique(block):
+        rest = block != b
+        normal = jacobian[rest].T @ jacobian[rest] + np.diag(1.0 * has_prior)
+        expected[~rest] = errors[~rest] - jacobian[~rest] @ np.linalg.solve(normal, jacobian[rest].T @ errors[rest])
+    np.testing.assert_allclose(foretold(jacobian, root, residuals, block), expected, rtol=1e-9, atol=1e-9)
+
+
+def draws(seed, lengths, shared, n=400):
+    """Scatters of many fits whose rows share an error of a block, and the covariance of their solutions."""
+    jacobian, root, has_prior, block = problem(seed, lengths)
+    rng, found, solutions = np.random.default_rng(seed + 1), [], []
+    for _ in range(n):
+        errors = rng.standard_normal(len(block)) + shared * rng.standard_normal(len(lengths))[block]
+        pulled = jacobian[:, has_prior] @ rng.standard_normal(int(has_prior.sum()))  # what priors say is true
+        residuals, _ = fitted(jacobian, root, has_prior, errors + pulled)
+        noise = np.full(len(block), np.sqrt(1.0 + shared**2))
+        found.append(scatter(jacobian, root, residuals, noise, block, 1e6))
+        solutions.append(root.T @ jacobian.T @ errors)
+    return found, np.cov(np.array(solutions).T, bias=True)
+
+
+def test_by_independent_rows_the_chance_is_what_it_says():
+    found, _ = draws(5, [4] * 40, 0.0)
+    assert np.mean([one.ratio**2 for one in found]) == pytest.approx(1.0, abs=0.03)  # its standard error is 0.01
+    assert 0.02 < np.mean([one.chance < 0.05 for one in found]) < 0.09  # of 400, 0.05 +- 0.011
+
+
+@pytest.mark.parametrize("shared", [0.0, 2.0])
+def test_the_core_is_how_solutions_scatter(shared):
+    found, truth = draws(7, [4] * 40, shared)
+    mean = np.mean([one.core for one in found], axis=0)
+    assert np.trace(mean) == pytest.approx(np.trace(truth), rel=0.1)  # of 400 draws of 7 squares: +- 3 %
+    if shared:
+        assert np.mean([one.chance < 1e-3 for one in found]) > 0.9
+
+
+def test_the_freedom_is_how_well_a_direction_of_the_core_is_known():
+    """Of squares of normal numbers: twice the squared mean over the variance."""
+    found, _ = draws(9, [4] * 40, 0.0)
+    cores = np.array([np.diag(one.core) for one in found])
+    known = 2.0 * np.mean(cores, axis=0) ** 2 / np.var(cores, axis=0)
+    assert found[0].freedom == pytest.approx(np.mean(known), rel=0.25)
+
+
+def test_a_block_that_decides_all_by_itself_says_nothing_and_keeps_its_noise():
+    jacobian, root, _, block = problem(11, [60], priors=0)
+    residuals = np.random.default_rng(12).standard_normal(60)
+    one = scatter(jacobian, root, residuals, np.full(60, 0.5), block, 53.0)
+    assert np.isnan(one.ratio)
+    assert one.chance == 1.0
+    np.testing.assert_allclose(one.core, 0.25 * np.eye(N_FREE), atol=1e-9)
+
+
+def test_rows_of_no_block_are_left_aside():
+    jacobian, root, _, block = problem(13, [3] * 20)
+    residuals = np.random.default_rng(14).standard_normal(60)
+    some = np.where(block < 15, block, -1)
+    one = scatter(jacobian, root, residuals, np.ones(60), some, 50.0)
+    rows = some >= 0
+    np.testing.assert_allclose(
+        one.core, by_dense_algebra(jacobian[rows], root, residuals[rows], some[rows])[0], rtol=1e-9
+    )
+
+
+def test_larger_blocks_are_judged_beside_the_poses_within():
+    """Readings of a pose share an error, and nothing more: then boxes of poses scatter no more than their poses."""
+    jacobian, root, has_prior, pose = problem(15, [4] * 80)
+    rng, chances = np.random.default_rng(16), []
+    for _ in range(200):
+        errors = rng.standard_normal(len(pose)) + 2.0 * rng.standard_normal(80)[pose]
+        residuals, _ = fitted(jacobian, root, has_prior, errors)
+        noise = np.full(len(pose), np.sqrt(5.0))
+        poses, boxes = (scatter(jacobian, root, residuals, noise, block, 1e6) for block in (pose, pose // 10))
+        chances.append(boxes.beyond(poses)[1])
+    assert np.mean(np.array(chances) < 0.05) < 0.12

@@ -1,0 +1,87 @@
+"""Numbers that mean something else than they were read as: rotations in another order, lengths in another unit."""
+
+import re
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, write_six_axis
+from test_kind_pose import YAML as POSES
+
+import calib
+
+ORDERS = {
+    "qw qx qy qz": lambda q: q[:, [3, 0, 1, 2]],
+    "of inverse rotations": lambda q: (q * [-1, -1, -1, 1])[:, [3, 0, 1, 2]],
+    "were inverse": lambda q: q * [-1, -1, -1, 1],
+}
+
+
+@pytest.fixture(scope="module")
+def poses(tmp_path_factory):
+    """An arm read by a pose sensor, 40 joint values, and where the sensor was: with noise, in a base somewhere."""
+    robot = calib.load(write_six_axis(tmp_path_factory.mktemp("arm"), POSES))
+    q, rng = joints(40), np.random.default_rng(3)
+    T = robot.forward(q, "l6") @ np.block([[np.eye(3), np.array([[0.052], [0.02], [0.1]])], [0, 0, 0, 1]])
+    base = Rotation.from_rotvec([0.3, -0.4, 1.0])
+    points = base.apply(T[:, :3, 3]) + [0.5, -1.0, 0.2] + 2e-5 * rng.standard_normal((40, 3))
+    turns = base * Rotation.from_matrix(T[:, :3, :3]) * Rotation.from_rotvec([0.01, 0.0, -0.02])
+    return robot, q, points, Rotation.from_rotvec(5e-5 * rng.standard_normal((40, 3))) * turns
+
+
+def read(folder, robot, q, points, numbers, columns="qx qy qz qw"):
+    """Measurements from a file with these columns of rotations."""
+    head = [*(f"j{k} [rad]" for k in range(1, 7)), *(f"tracker_{a} [m]" for a in "xyz")]
+    head += [f"tracker_{name}" for name in columns.split()]
+    rows = np.hstack([q, points, numbers])
+    text = "\n".join([",".join(head), *(",".join(map(repr, map(float, row))) for row in rows)])
+    (folder / "data.csv").write_text(text + "\n")
+    return calib.read_measurements(folder / "data.csv", robot)
+
+
+@pytest.mark.parametrize("order", [None, *ORDERS])
+def test_quaternions_in_another_order_fail_and_the_order_is_named(poses, tmp_path, order):
+    robot, q, points, turns = poses
+    numbers = turns.as_quat() if order is None else ORDERS[order](turns.as_quat())
+    fit = calib.fit(robot, read(tmp_path, robot, q, points, numbers))
+    codes = fit.verdict.to_dict()["codes"]
+    if order is None:
+        assert "misread" not in codes
+        assert fit.verdict.grade == "PASS"
+        return
+    assert (fit.verdict.grade, codes[0]) == ("FAIL", "misread")
+    assert order in fit.verdict.reasons[0].text
+
+
+def test_quaternions_that_no_order_explains_fail_all_the_same(poses, tmp_path):
+    robot, q, points, turns = poses
+    fit = calib.fit(robot, read(tmp_path, robot, q, points, turns.as_quat()[:, [2, 1, 0, 3]]))
+    assert fit.verdict.reasons[0].code == "misread"
+    assert "look at their order, form, unit and frame" in fit.verdict.reasons[0].text
+
+
+def test_angles_of_another_form_are_named(tmp_path, poses):
+    _, q, points, turns = poses
+    robot = calib.load(write_six_axis(tmp_path, POSES.replace("kind: pose,", "kind: pose, rotation: intrinsic_xyz,")))
+    data = read(tmp_path, robot, q, points, turns.as_euler("xyz"), "rx ry rz")
+    text = calib.fit(robot, data).verdict.reasons[0].text
+    assert "its angles were of the form rpy" in text
+
+
+@pytest.mark.parametrize("priors", [True, False])
+@pytest.mark.parametrize("scale", [0.984, 1.0, 1.016])
+def test_lengths_of_another_unit_fail(tmp_path, scale, priors):
+    """1.6 % is what a fortieth of a metre lacks to an inch."""
+    robot = calib.load(write_six_axis(tmp_path, ("" if priors else NO_PRIORS) + YAML + FREE))
+    rng, free = np.random.default_rng(5), robot.is_free
+    values = robot.values + 0.5 * free * rng.standard_normal(len(free)) * [p.sigma for p in robot.parameters]
+    points = robot.with_parameters(values).positions(joints(60))
+    fit = calib.fit(robot, measurements(robot, joints(60), scale * points + 4e-5 * rng.standard_normal(points.shape)))
+    if scale == 1.0:
+        assert fit.verdict.grade == "PASS"
+        return
+    assert fit.verdict.grade == "FAIL"
+    text = next(one.text for one in fit.verdict.reasons if one.code == "lengths_scaled")
+    found = re.match(r"all lengths are measured ([\d.]+) % (longer|shorter)", text)
+    assert float(found[1]) == pytest.approx(1.6, abs=0.3)
+    assert found[2] == ("longer" if scale > 1 else "shorter")

@@ -110,7 +110,7 @@ def test_fits_of_the_same_readings_are_shown_and_not_tested(fits, tmp_path):
 def test_a_failed_fit_is_not_tested(fits, tmp_path):
     shutil.copytree(fits / "again", tmp_path / "failed")
     result = json.loads((tmp_path / "failed" / "result.json").read_text())
-    result["verdict"]["grade"] = "FAIL"
+    result["verdict"] |= {"grade": "FAIL", "reasons": ["not to be used"], "grades": ["FAIL"]}
     (tmp_path / "failed" / "result.json").write_text(json.dumps(result))
     found = calib.compare(fits / "before", tmp_path / "failed")
     assert np.isnan(found.together[0])

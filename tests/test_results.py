@@ -483,3 +483,38 @@ def test_without_pages_old_ones_are_removed(fitted, tmp_path):
     with_pages = set(tree(tmp_path))
     save(fitted, tmp_path)
     assert with_pages - set(tree(tmp_path)) == {"report.html", "viewer.html"}
+
+
+@pytest.mark.parametrize(
+    ("entry", "wrong", "words"),
+    [
+        ("parameters", [{}], "'parameters[0].name'"),
+        ("parameters", "none", "'parameters'"),
+        ("verdict", {"grade": "GOOD", "reasons": []}, "'verdict.grade'"),
+        ("verdict", {"grade": "FAIL", "reasons": []}, "failed without a reason"),
+        ("errors", {"identification": {}}, "'errors.identification.after'"),
+        ("instruments", [], "'instruments'"),
+        ("n_poses", -1, "'n_poses'"),
+        ("degrees_of_freedom", "many", "'degrees_of_freedom'"),
+        ("outliers", [3], "'outliers[0]'"),
+        ("joint_terms", None, "'joint_terms'"),
+        ("sha256", None, "'sha256'"),
+    ],
+)
+@pytest.mark.parametrize("command", ["compare", "predict"])
+def test_a_damaged_result_is_one_line_that_names_the_entry(fitted, tmp_path, run_calib, command, entry, wrong, words):
+    for name in ("done", "other"):
+        save(fitted, tmp_path / name)
+    path = tmp_path / "other" / "result.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {entry: wrong}))
+    (tmp_path / "q.csv").write_text("turn,slide,wrist\n0.1,0.1,0.1\n")
+    arguments = {
+        "compare": ("done", "other"),
+        "predict": ("other", "q.csv", "--out", "out.csv"),
+    }[command]
+    run = run_calib(command, *arguments, cwd=tmp_path)
+    assert run.code == 2
+    assert run.err.count("\n") == 1
+    assert "result.json: is damaged" in run.err
+    assert words in run.err
+    assert run.err.endswith("; run the fit again\n")

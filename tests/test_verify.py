@@ -324,7 +324,7 @@ def test_a_result_without_the_noise_of_its_instruments_is_refused(folder, tmp_pa
     (other / "result.json").write_text(json.dumps(content))
     found = run(tmp_path, ONE, other, "--plan")
     assert found.exit_code == 2
-    assert "does not say the noise of each instrument; run the fit again" in found.output
+    assert "'instruments[0].parts[0].sigma': field required; run the fit again" in found.output
 
 
 @pytest.mark.parametrize(("freedom", "code"), [(0.2, 2), (1.0, 0)])

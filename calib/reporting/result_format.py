@@ -56,18 +56,11 @@ class _NoiseOfPart(_Part):
     name: str
     unit: str
     sigma: _Number | None
-    sigma_own: _Number | None
-    sigma_shared: list[_Number]
 
 
 class _Instrument(_Part):
     name: str
     parts: Annotated[list[_NoiseOfPart], Field(min_length=1)]
-
-
-class _SharedNoise(_Part):
-    joint: str
-    sigma: _Number
 
 
 class _Outlier(_Part):
@@ -97,7 +90,8 @@ class _Result(_Part):
     n_rows: _Count
     sigma: _Number | None
     degrees_of_freedom: Annotated[_Number, Field(gt=0)]
-    shared_sigma: list[_SharedNoise]
+    interval_degrees_of_freedom: _Number | None
+    shared: Annotated[_Number, Field(gt=0)] | None
     parameters: list[_Parameter]
     errors: dict[str, _States]
     instruments: Annotated[list[_Instrument], Field(min_length=1)]

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from signed_files import read_plain
 
 import calib
 from calib import pictures
@@ -294,7 +295,7 @@ def test_python_says_what_the_command_line_says(robot, data, fit, tmp_path):
         again.points(robot), calib.simulate(fit.robot, chosen.joints, 3e-5, seed=4).points(robot)
     )
     calib.export(fit.robot, "urdf", tmp_path / "arm.urdf")
-    assert (tmp_path / "arm.urdf").read_bytes() == fit.robot.calibrated_urdf()
+    assert read_plain(tmp_path / "arm.urdf") == fit.robot.calibrated_urdf()
     fit.save(tmp_path / "result", pages=False)
     np.testing.assert_allclose(calib.load(tmp_path / "result").values, fit.robot.values, rtol=1e-14)  # through mm
     compared = calib.compare(fit, calib.fit(robot, again))

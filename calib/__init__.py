@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from calib.inverse_kinematics.goals import Goals
     from calib.inverse_kinematics.inverse import Solution, solve
     from calib.linearisation.simulate import simulate
+    from calib.model.held import Holds
     from calib.model.loading import robot
     from calib.model.parameters import Origin, Parametrisation, twist_of_edit
     from calib.model.robot import Robot
@@ -65,6 +66,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "calib.inverse_kinematics.goals": ("Goals",),
     "calib.inverse_kinematics.inverse": ("Solution", "solve"),
     "calib.linearisation.simulate": ("simulate",),
+    "calib.model.held": ("Holds",),
     "calib.model.loading": ("robot",),
     "calib.model.parameters": ("Origin", "Parametrisation", "twist_of_edit"),
     "calib.model.robot": ("Robot",),
@@ -93,6 +95,7 @@ __all__ = [
     "DescriptionError",
     "Fit",
     "Goals",
+    "Holds",
     "InputError",
     "LoadedResult",
     "Measurements",

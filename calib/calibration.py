@@ -12,6 +12,7 @@ from calib import pictures
 from calib.data.measurements import Measurements
 from calib.identification.errors_found import error_table
 from calib.identification.fit import identify
+from calib.identification.fit_files import with_files
 from calib.identification.fitted import Fit
 from calib.identification.settings import Settings
 from calib.joint_terms.terms import terms_text
@@ -114,5 +115,5 @@ def fit(
     require_robot(robot)
     named = None if terms is None else terms_text(terms)
     settings = Settings(sigma, checked_loss(loss), exclude_outliers, starts, folds, seed, named)
-    found = identify(robot, data, validation, settings, executor, progress)
+    found = with_files(identify(robot, data, validation, settings, executor, progress), settings, executor)
     return Calibration(**{field.name: getattr(found, field.name) for field in fields(found)})

@@ -57,9 +57,10 @@ def _write(path, rows):
         csv.writer(stream).writerows(rows)
 
 
-def ur10_tracker(folder, full_poses=False):
-    """The UR10, all its rows, and what each row is for."""
+def ur10_tracker(folder, full_poses=False, flange="flange"):
+    """The UR10, all its rows, and what each row is for; of a URDF that names the sensor's link so."""
     description = yaml.safe_load((EXAMPLES / "ur10_tracker.yaml").read_text())
+    description["targets"]["sensor"]["frame"] = flange
     if full_poses:
         description["targets"] = {"sensor": {"frame": "flange", "position": "unknown", "orientation": "unknown"}}
         description["instruments"] = {"sensor": {"kind": "pose", "rotation": "intrinsic_xyz"}}

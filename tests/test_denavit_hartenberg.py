@@ -83,7 +83,7 @@ def robot_of(table: Path, out: Path) -> calib.Robot:
 
 def flange_poses(robot: calib.Robot, q: np.ndarray) -> np.ndarray:
     """The flange in the first link, (n, 4, 4), by a Pinocchio model of the calibrated URDF; joints in its order."""
-    model = pin.buildModelFromXML(robot.calibrated_urdf().decode().replace("continuous", "revolute"))
+    model = pin.buildModelFromXML(robot.urdf_of_origins().decode().replace("continuous", "revolute"))
     assert list(model.names)[1:] == list(robot.joint_names)
     data, tip = model.createData(), model.getFrameId("flange")
     found = np.empty((len(q), 4, 4))

@@ -270,20 +270,6 @@ def test_curves_halve_what_origins_leave_of_a_real_robot(tmp_path):
     assert after["curves"] < 0.15  # the data's README: 0.174 by another program
 
 
-def test_the_report_and_the_urdf_say_what_a_urdf_cannot_hold(tmp_path):
-    robot = with_terms(tmp_path, "arm.yaml", ["{joint: joint_2, term: gain}"])
-    rng = np.random.default_rng(11)
-    q = rng.uniform(-1.5, 1.5, (60, 6))
-    gear = q.copy()
-    gear[:, 1] *= 1.002
-    measured = calib.load(EXAMPLES / "arm.yaml").positions(gear)[:, 0] + 2e-5 * rng.standard_normal((60, 3))
-    fit = calib.fit(robot, calib.as_measurements(robot, q, measured))
-    line = next(line for line in fit.report().replace("\n", " ").split("  ") if "cannot hold joint terms" in line)
-    assert "calibrated.urdf alone has" in line
-    fit.save(tmp_path / "out", force=True)
-    assert b"cannot hold joint terms" in (tmp_path / "out" / "calibrated.urdf").read_bytes()
-
-
 TURNS = np.linspace(-7.0, 9.0, 60)
 
 

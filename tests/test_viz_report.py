@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 from markupsafe import escape
+from six_axis_arm import FREE, YAML, joints, write_six_axis
 from viz_examples import measurements, medrue_fit, medrue_robot, spoiled
 
 import calib
@@ -283,6 +284,22 @@ def test_a_column_of_temperatures_is_the_record_where_nothing_else_is_said(fit):
     html = report_page(with_comments(fit, temperature=np.linspace(20.04, 22.3, n)), created=NOON).html
     assert "20.0 to 22.3 degC" in html
     assert 'class="signatures"' not in html
+
+
+def test_what_files_are_worth_stands_in_the_verdict_where_they_hold_less(tmp_path, html):
+    arm = calib.load(write_six_axis(tmp_path, YAML + FREE + "  - {joint: all, term: gain, sigma: 0.01}\n"))
+    q = joints(60)
+    plain = arm.with_terms(())
+    points = plain.positions(1.01 * q) + 2e-5 * np.random.default_rng(1).standard_normal((60, 1, 3))
+    fit = calib.fit(arm, calib.as_measurements(arm, q, points))
+    page = text(report_page(fit, created=NOON).html)
+    start, table = page.index("What files are worth"), page.index("What was calibrated")
+    assert page.index("Verdict:") < start < table
+    for holds, words in ((calib.Holds.ORIGINS, "joint origins"), (calib.Holds.EVERYTHING, "the whole model")):
+        worth = fit.robot.files[holds].accuracy
+        assert f"{words} {millimetres(1e3 * worth.rms)} {millimetres(1e3 * worth.limit95)}" in page[start:table]
+    assert "60 poses left out one by one" in page[start:table]
+    assert "What files are worth" not in text(html)  # whose files hold all
 
 
 def test_nothing_is_told_twice(html):

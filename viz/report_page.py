@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib import Fit, Robot
+from calib.reporting.files_held import worth_of_files
 from calib.reporting.report_text import notes
 from calib.reporting.result_content import budget_table, outlier_rows, parameter_rows, position_uncertainty_table
 from calib.version import PROGRAM
@@ -75,6 +76,7 @@ def report_page(
             headline=headline(tables, judged_by(fit).main_part),
             accuracy=tables,
             noise=noise_lines(fit),
+            worth=worth_of_files(fit),
             budget=budget,
             budget_plot=None if budget is None else budget_bars(budget),
             worst=worst(fit),

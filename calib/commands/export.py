@@ -8,7 +8,8 @@ from typing import cast
 import click
 
 from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
-from calib.exporting.formats import CONTROLLERS, FORMATS, JOINT_TABLES, export
+from calib.exporting.formats import CONTROLLERS, JOINT_TABLES, export
+from calib.exporting.held_formats import HELD
 from calib.exporting.links import read_links
 from calib.model.urdf_text import UrdfText
 from calib.reporting.result_reading import read_result
@@ -25,12 +26,13 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
     "--format",
     "file_format",
     required=True,
-    type=click.Choice((*FORMATS, JOINT_TABLES)),
+    type=click.Choice(tuple(HELD)),
     help="urdf: only edited origins change. mjcf: MuJoCo, Pinocchio, Drake; loops closed. drake: URDF with"
     " ball constraints. toolbox: robot.yaml of toolbox-parallel-robots, and the URDF beside it. dh, mdh:"
     " Denavit-Hartenberg table, standard or modified. ur-kinematics: for Universal Robots' ROS description."
     " joint-offsets: sign and zero of each joint. xacro: joint origins as properties. These five say which error"
-    " they leave. joint-tables: a folder with what each joint really is when it is told a value, as CSV, Python, C.",
+    " they leave. joint-tables: a folder with what each joint really is when it is told a value, as CSV, Python, C, and"
+    " the URDF that goes with it. Each gets the robot that is best among those that it can hold.",
 )
 @click.option(
     "--free-slide",
@@ -48,7 +50,11 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
     "--provenance", is_flag=True, help="urdf, toolbox, joint-tables: say in a comment where the numbers come from."
 )
 @click.option("--out", required=True, metavar="FILE", help="File to write; of joint-tables, the folder.")
-@shared_options(json_output=True)
+@shared_options(
+    json_output=True,
+    forced="Write the file even if its robot is worse than the nominal one, or lacks joint terms that its values belong"
+    " to (it says so inside), or if something would be replaced that this program did not write, or reads.",
+)
 def command(
     robot: str,
     parameters: str | None,

@@ -9,7 +9,6 @@ import click
 
 from calib.calibration import fit
 from calib.commands.common import (
-    FORCED,
     SIGMA_HELP,
     Output,
     jobs_option,
@@ -22,6 +21,7 @@ from calib.data.measurement_files import read_measurements
 from calib.data.measurements import Measurements
 from calib.errors import ComputationError, InputError
 from calib.files import image_address
+from calib.identification.rules_model import why_no_origins
 from calib.model.robot import Robot
 from calib.numerics.losses import LOSSES
 from calib.reporting.result_content import to_dict
@@ -76,7 +76,9 @@ from calib.words import counted
 @click.option("--logo", metavar="FILE", help="PNG, JPEG or SVG image (up to 512 kB) to put into report.html.")
 @click.option("--out", required=True, metavar="DIR", help="Folder for the result.")
 @shared_options(
-    json_output=True, forced=f"Export calibrated.urdf even if the verdict is FAIL; it says so inside. {FORCED}"
+    json_output=True,
+    forced="Write calibrated.urdf even if the verdict is FAIL, or the file worse than the nominal robot (it says so"
+    " inside), and replace files that this program did not write, or reads.",
 )
 def command(
     robot: str,
@@ -130,6 +132,9 @@ def command(
     result.save(out, force=output.force, pages=not no_pages, logo=logo)
     output.say(result.report())
     output.say(f"Written to {Path(out)}")
+    withheld = "" if failed or output.force else why_no_origins(result)
+    if withheld:
+        output.note(f"note: calibrated.urdf was not written: {withheld} (--force writes it)")
     output.hint(after_fit(result, robot, data, out))
     output.json(to_dict(result, forced=failed and output.force))
     if failed and not output.force:

@@ -10,6 +10,7 @@ import click
 
 from calib.data.measurements import Measurements
 from calib.identification.fitted import Fit
+from calib.identification.rules_model import why_no_origins
 
 if TYPE_CHECKING:
     from calib.pose_choice.assessment import Assessment
@@ -62,6 +63,9 @@ def after_fit(fit: Fit, robot: str, data: Sequence[str], out: str) -> list[str]:
         return [*lines, f"Next: {again} --validate 0.25 --out {shlex.quote(out)}    (how good it is on other poses)"]
     if codes:
         return [*lines, f"Next: {typed('calib', 'view', robot, '--result', out)}    (where the errors are)"]
+    if why_no_origins(fit):
+        program = typed("calib", "compensate", out, "program.csv", "--out", "compensated.csv")
+        return [*lines, *([f"Next: {program}"] if fit.robot.terms else [])]
     return [*lines, f"Next: {typed('calib', 'export', out, '--format', 'urdf', '--out', 'calibrated.urdf')}"]
 
 

@@ -97,7 +97,7 @@ def closed_model(robot: Robot, *, free_slide: bool = False) -> ClosedModel:
         InputError: A tie would hold a motion that the mechanism has, or no joint has the motions that are free.
     """
     robot = robot.with_terms(())  # which none of the formats holds
-    urdf = parse_urdf(robot.calibrated_urdf(), robot.urdf.path)
+    urdf = parse_urdf(robot.urdf_of_origins(), robot.urdf.path)
     home = home_values(robot)
     gaps = loop_gaps(robot)
     ends = [(link_of(urdf, a), link_of(urdf, b)) for a, b in robot.description.closed_loop]

@@ -18,11 +18,13 @@ from calib.arrays import FloatArray
 from calib.data.dh_files import format_dh
 from calib.data.tables import format_table
 from calib.errors import InputError
+from calib.exporting.held_formats import compared
 from calib.exporting.joint_zeros import joint_zeros
 from calib.exporting.serial_chain import Remainder, SerialChain, judging_poses, remainder, serial_chain
 from calib.exporting.toolbox import ExactDumper
-from calib.exporting.urdf import comment, numbers, provenance_lines
+from calib.exporting.urdf import comment, numbers, provenance_lines, source_lines
 from calib.model.denavit_hartenberg import Convention, DhRow, Kind, dh_table
+from calib.model.held import Holds
 from calib.model.robot import Robot
 from calib.units import DISPLAY_UNIT, display_scale, millimetres
 from calib.words import listed
@@ -35,6 +37,9 @@ _UR_JOINTS = {
     "wrist_2": "wrist_2_joint",
     "wrist_3": "wrist_3_joint",
 }
+
+
+_FITTED = 0.25  # part of the poses that judge: offsets need no more
 
 
 @dataclass(frozen=True)
@@ -152,6 +157,15 @@ def _xyz_rpy(origin: pin.SE3) -> list[float]:
     return [float(value) + 0.0 for value in values]  # no -0.0
 
 
+def has_ur_kinematics(robot: Robot) -> bool:
+    """Return whether a robot is one that `ur_description` made."""
+    try:
+        _check_ur(robot, serial_chain(robot, robot.nominal))
+    except InputError:
+        return False
+    return True
+
+
 def _check_ur(robot: Robot, chain: SerialChain) -> None:
     """Raise `InputError` unless the chain is that of ur_description: six joints about z, no fixed joints between."""
     names = [joint.name for joint in chain.joints]
@@ -193,27 +207,34 @@ def _product(links: Sequence[pin.SE3]) -> Callable[[FloatArray], FloatArray]:
 
 
 def joint_offsets(robot: Robot, provenance: Sequence[str] = ()) -> ControllerFile:
-    """Return a sign and a zero correction for each joint with a motor, and what they alone reach: see `joint_zeros`."""
-    q, where = judging_poses(robot)
-    zeros = joint_zeros(robot, q)
-    left, before = (Remainder.of(distances, where) for distances in (zeros.left, zeros.before))
-    anew = ", base and target placed anew" if zeros.placed else ""
-    statement = (
-        f"holds one zero and a sign for each joint: {left.text()}{anew}; the nominal model without them has"
-        f" {millimetres(before.rms):.4g} mm RMS"
-    )
+    """Return a sign and a zero correction for each joint with a motor, and what they alone reach.
+
+    Of a fit, those that fit its measurements best; else those of `joint_zeros`, over the joint ranges.
+    """
+    known, placed = robot.files.get(Holds.ZEROS), any(p.placement for p in robot.parameters)
+    anew = ", base and target placed anew" if placed else ""
+    if known is None:
+        q, where = judging_poses(robot)
+        zeros = joint_zeros(robot, q, fitted=_FITTED)
+        left, before = (Remainder.of(distances, where) for distances in (zeros.left, zeros.before))
+        reached = f"{left.text()}; the nominal model without them has {millimetres(before.rms):.4g} mm RMS"
+        signs, offsets = zeros.signs, zeros.offsets
+    else:
+        left, reached = None, compared(robot, Holds.ZEROS)
+        signs, offsets = known.signs, known.offsets
+    statement = f"holds one zero and a sign for each joint{anew}: {reached}"
     lines = [
         f"calib: joint zeros of {robot.name}: a joint is at sign * q + offset where the controller says q",
         statement,
-        *provenance_lines(robot),
+        *(provenance_lines(robot) if known is None else source_lines(robot)),
         *provenance,
     ]
     dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
     units = [DISPLAY_UNIT[dimension] for dimension in dimensions]
-    shown = [float(value) * display_scale(one) for value, one in zip(zeros.offsets, dimensions, strict=True)]
+    shown = [float(value) * display_scale(one) for value, one in zip(offsets, dimensions, strict=True)]
     columns: list[tuple[str, Sequence[object]]] = [
         ("joint", robot.joint_names),
-        ("sign", [f"{sign:.0f}" for sign in zeros.signs]),
+        ("sign", [f"{sign:.0f}" for sign in signs]),
         ("offset", shown),
         ("unit", units),
     ]

@@ -25,7 +25,7 @@ _ARM = 0.1  # from the first to the second and third point of a tie of whole fra
 
 def drake_bytes(model: ClosedModel, provenance: Sequence[str] = ()) -> bytes:
     """Return the URDF for Drake, with these lines among those of its comment."""
-    origin = [*provenance_lines(model.robot), *provenance]
+    origin = [*provenance, *provenance_lines(model.robot)]
     lines = [comment(["calib: a closed robot for Drake", *origin, *tie_lines(model)])]
     lines += [_ball(tie, point) for tie in model.ties for point in _points(tie)]
     lines += [_frame(marker) for marker in model.markers]

@@ -10,7 +10,8 @@ from calib.exporting.closed_model import closed_model
 from calib.exporting.controllers import ControllerFile, dh_file, joint_offsets, ur_kinematics, xacro_origins
 from calib.exporting.drake import drake_bytes
 from calib.exporting.gap import Gap, loop_gaps
-from calib.exporting.joint_tables import joint_table_files
+from calib.exporting.held_formats import HELD, held_of, loses, robot_for, said_of
+from calib.exporting.joint_tables import beside_tables, joint_table_files, require_own_terms
 from calib.exporting.mjcf import mjcf
 from calib.exporting.toolbox import toolbox_yaml
 from calib.exporting.urdf import urdf_bytes, with_mesh_prefix
@@ -26,9 +27,11 @@ CONTROLLERS: dict[str, Callable[[Robot, Sequence[str]], ControllerFile]] = {
 }
 """Formats for controllers and ROS, of which each says what it holds and which error it leaves."""
 _WITH_URDF = ("urdf", "drake", "toolbox")
-FORMATS = ("urdf", "mjcf", "drake", "toolbox", *CONTROLLERS)
+_UNTOUCHED = ("urdf", "toolbox")  # their URDF gets no comment, unless there is something to say
 JOINT_TABLES = "joint-tables"
 """The format that is a folder of files."""
+FORMATS = tuple(name for name in HELD if name != JOINT_TABLES)
+"""Those that are a file."""
 
 
 def export(
@@ -44,6 +47,9 @@ def export(
 ) -> tuple[Gap, ...]:
     """Write a robot with its current values for another program.
 
+    A robot that was calibrated gets as much of it into a file as the format holds: where terms of joint errors have no
+    place, the robot that the fit found to be best without them (`calib.model.held`).
+
     Args:
         robot: The robot.
         file_format: `urdf`: the URDF, only edited origins changed. `mjcf`: for MuJoCo, Pinocchio and Drake, loops
@@ -56,11 +62,12 @@ def export(
         free_slide: Formats `mjcf` and `drake`: a free joint for each direction that a closure leaves free.
         meshes: Formats that hold a URDF (`urdf`, `drake`, `toolbox`): what to put before relative mesh paths, such as
             `package://my_robot`, so that they do not depend on where the file lies.
-        provenance: Lines for the comment that says where the numbers come from; formats `urdf` and `toolbox` put no
-            comment into the URDF if this is None.
+        provenance: Lines for the comment that says where the numbers come from; if this is None, formats `urdf` and
+            `toolbox` put no comment into the URDF, unless it holds less than the robot.
         note: Called with each thing that the user should know, such as a mesh that had to be left out, or what a format
             for controllers holds and which error it leaves.
-        force: Replace files that this program did not write, or that the robot comes from, all the same.
+        force: Write the file even if its robot is worse than the nominal one, or belongs to terms of joint errors that
+            the format cannot hold; and replace files that this program did not write, or that the robot comes from.
 
     Returns:
         What 3D constraints would have to absorb, for each direction that a closure leaves free.
@@ -68,19 +75,20 @@ def export(
     Raises:
         InputError: Unknown format, an option that the format does not have, a place that cannot be written, a file
             there that should not be replaced, or loops that the format cannot express.
+        ComputationError: The robot that the format holds is worse than the nominal one at poses that judge it, or
+            nobody knows which is best without what it cannot hold.
     """
     require_robot(robot)
     path = Path(path)
-    if file_format not in (*FORMATS, JOINT_TABLES):
-        raise InputError(f"format '{file_format}': unknown{nearest(file_format, (*FORMATS, JOINT_TABLES))}")
+    if file_format not in HELD:
+        raise InputError(f"format '{file_format}': unknown{nearest(file_format, HELD)}")
     if free_slide and file_format not in ("mjcf", "drake"):
         raise InputError(f"format '{file_format}' has no variant with free slides; only mjcf and drake have")
     if meshes and file_format not in _WITH_URDF:
         raise InputError(f"format '{file_format}' has no mesh paths to change; only {', '.join(_WITH_URDF)} have")
     sources = (robot.urdf.path, robot.path)
     if file_format == JOINT_TABLES:
-        check_folder(path, force=force)
-        write_folder(path, joint_table_files(robot, provenance or (), note), inputs=sources, force=force)
+        _write_tables(robot, path, provenance or (), note, force=force)
         return ()
     with_urdf = file_format == "toolbox" and path.name
     urdf = path.with_suffix(".urdf") if with_urdf else path
@@ -88,11 +96,32 @@ def export(
         raise InputError(f"{path}: format 'toolbox' writes a YAML file and the URDF beside it; name the YAML file")
     for file in {urdf, path}:
         check_file(file, inputs=sources, force=force)
-    files = _contents(robot, file_format, path, free_slide, provenance, note, force=force)
+    holds = held_of(robot, file_format)
+    held, said = robot_for(robot, file_format, force=force), said_of(robot, holds)
+    lines: list[str] | None = [*said, *(provenance or ())]
+    if loses(robot, holds):
+        for line in said:
+            note(line)
+    elif provenance is None and file_format in _UNTOUCHED:
+        lines = None
+    files = _contents(held, file_format, path, free_slide, lines, note, force=force)
     if meshes:
         files[urdf] = with_mesh_prefix(files[urdf], meshes)
     write_files(files, inputs=sources, force=force)
-    return () if free_slide or file_format in CONTROLLERS else loop_gaps(robot)
+    return () if free_slide or file_format in CONTROLLERS else loop_gaps(held)
+
+
+def _write_tables(
+    robot: Robot, path: Path, provenance: Sequence[str], note: Callable[[str], None], *, force: bool
+) -> None:
+    check_folder(path, force=force)
+    require_own_terms(robot)
+    held, said = robot_for(robot, JOINT_TABLES, force=force), said_of(robot, HELD[JOINT_TABLES])
+    left = beside_tables(robot)
+    files = joint_table_files(held, [*said, *left, *provenance])
+    for line in [*(said if loses(robot, HELD[JOINT_TABLES]) else ()), *left]:
+        note(line)
+    write_folder(path, files, inputs=(robot.urdf.path, robot.path), force=force)
 
 
 def _contents(

@@ -7,13 +7,15 @@ little further, so that the way back (which command gives a wanted value) holds 
 is NaN.
 
 Only errors that depend on the joint's own command fit into a table. What else the model has (backlash, compliance,
-bending, drift) is left out, and said with its size.
+bending, drift) is left out, and said with its size. The tables, and the joint origins that go with them, are then those
+that a fit found to be best without it (`calib.model.held`); the URDF with these origins lies beside the tables. Tables
+and the origins of another file do not go together.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +23,9 @@ import numpy as np
 from calib.arrays import FloatArray, ReadOnlyArrays
 from calib.data.tables import format_table
 from calib.errors import InputError
+from calib.exporting.urdf import urdf_bytes
 from calib.joint_terms.term import Context
+from calib.model.held import Holds
 from calib.model.joint_errors import term_columns
 from calib.model.robot import Robot
 from calib.units import ERROR_UNIT, Dimension, error_scale
@@ -105,28 +109,38 @@ class JointTable(ReadOnlyArrays):
     actual: FloatArray
 
 
-def joint_tables(robot: Robot) -> tuple[tuple[JointTable, ...], list[str]]:
-    """Return the table of each actuated joint, and what no table can hold, one line each.
+def joint_tables(robot: Robot) -> tuple[JointTable, ...]:
+    """Return the table of each actuated joint; terms that no table can hold do not count.
 
     Raises:
-        InputError: The robot has no joint terms, a sliding joint no limits, or a table would be too long.
+        InputError: The robot has no joint terms for tables, a sliding joint no limits, or a table would be too long.
     """
-    if not any(not term.depends_on for term in robot.terms):
+    require_own_terms(robot)
+    kept = robot.without_terms(Holds.TABLES)
+    bound, start = dict.fromkeys(kept.joint_names, 0.0), kept.coefficients.start
+    for term in kept.terms:
+        own = slice(start, start := start + len(term.parameters))
+        bound[term.joint] += term.curvature(kept.values[own])
+    return tuple(_table(kept, joint, curvature) for joint, curvature in bound.items())
+
+
+def require_own_terms(robot: Robot) -> None:
+    """Raise `InputError` where there is nothing to put into tables."""
+    if not robot.without_terms(Holds.TABLES).terms:
         raise InputError(
             f"{robot.path}: has no joint terms that depend on the joint's own value alone; there is nothing to put"
             " into a table"
         )
-    bound = dict.fromkeys(robot.joint_names, 0.0)
-    values, left, start = robot.values.copy(), [], robot.coefficients.start
+
+
+def beside_tables(robot: Robot) -> list[str]:
+    """Return what of a robot no table can hold, with its size, one line each."""
+    left, start = [], robot.coefficients.start
     for term in robot.terms:
         own = slice(start, start := start + len(term.parameters))
-        if term.depends_on:
+        if not Holds.TABLES.keeps(term):
             left.append(_left_out(robot, own, term.joint, term.cause, term.depends_on))
-            values[own] = 0.0
-        else:
-            bound[term.joint] += term.curvature(robot.values[own])
-    kept = robot.with_parameters(values)
-    return tuple(_table(kept, joint, curvature) for joint, curvature in bound.items()), left
+    return left
 
 
 def _table(robot: Robot, joint: str, curvature: float) -> JointTable:
@@ -167,23 +181,18 @@ def _left_out(robot: Robot, own: slice, joint: str, cause: str, depends_on: str)
     return f"{joint}: {cause} is not in the table, because it depends on {depends_on}: {what} remains"
 
 
-def joint_table_files(
-    robot: Robot, provenance: Sequence[str] = (), note: Callable[[str], None] = lambda text: None
-) -> dict[str, bytes]:
-    """Return `joint_tables.csv`, and the same as Python and C with the code that applies it.
+def joint_table_files(robot: Robot, lines: Sequence[str] = ()) -> dict[str, bytes]:
+    """Return `joint_tables.csv`, the same as Python and C with the code that applies it, and the URDF to use with it.
 
     Args:
         robot: The robot.
-        provenance: Lines to put into each file.
-        note: Called with each thing that the tables cannot hold.
+        lines: What to say in each file.
 
     Raises:
         InputError: See `joint_tables`.
     """
-    tables, left = joint_tables(robot)
-    for text in left:
-        note(text)
-    said = [f"joint correction tables of {robot.name} ({robot.path})", *provenance, *left]
+    tables = joint_tables(robot)
+    said = [f"joint correction tables of {robot.name} ({robot.path})", *lines]
     said = [" ".join(line.replace("*/", "* /").split()) for line in said]
     columns: list[tuple[str, Sequence[object]]] = [
         ("joint", [one.joint for one in tables for _ in one.commands]),
@@ -195,6 +204,7 @@ def joint_table_files(
         "joint_tables.csv": format_table(columns, said).encode(),
         "joint_tables.py": ("".join(f"# {line}\n" for line in said) + _python(tables)).encode(),
         "joint_tables.h": ("".join(f"/* {line} */\n" for line in said) + _c(tables)).encode(),
+        "joint_tables.urdf": urdf_bytes(robot, ["joint origins that go with joint_tables.csv", *lines]),
     }
 
 

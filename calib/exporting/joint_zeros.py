@@ -22,7 +22,6 @@ from calib.arrays import FloatArray
 from calib.model import kinematics
 from calib.model.robot import Robot
 
-_FITTED = 0.25  # part of the poses: offsets need no more
 _STEP = 1e-5  # of joints, for differences [rad or m]
 _SMALL = 1e-3  # a change of offsets after which their derivatives still hold [m or rad]
 _ROUNDS, _SETTLED = 50, 1e-12  # [m or rad]
@@ -39,18 +38,22 @@ class JointZeros:
         offsets: Of sign * q + offset, (n_joints,) [m or rad].
         left, before: Error of each target with them and without them, (n_poses, n_targets) [m]; poses in which one of
             the two robots does not close are not among them.
-        placed: Whether base or targets were placed anew.
     """
 
     signs: FloatArray
     offsets: FloatArray
     left: FloatArray
     before: FloatArray
-    placed: bool
 
 
-def joint_zeros(robot: Robot, q: FloatArray) -> JointZeros:
-    """Return the joint zeros that bring the nominal robot nearest at q (n, n_joints) [m or rad]."""
+def joint_zeros(robot: Robot, q: FloatArray, *, fitted: float = 1.0) -> JointZeros:
+    """Return the joint zeros that bring the nominal robot nearest.
+
+    Args:
+        robot: The robot, with its current values.
+        q: Poses, (n, n_joints) [m or rad].
+        fitted: Part of the poses, from the first on, from which the offsets are found.
+    """
     origins = [robot.mechanism.origin(place) for place in robot.mechanism.places]
     places = {origin: robot.mechanism.placement(origin) for origin in origins}
     bare = robot.with_terms(())
@@ -58,15 +61,13 @@ def joint_zeros(robot: Robot, q: FloatArray) -> JointZeros:
     positions = robot.positions(q)
     actual = robot.actual(q, robot.term_columns(q))[:, : q.shape[1]]
     signs = np.where(np.sum((q - q.mean(axis=0)) * (actual - actual.mean(axis=0)), axis=0) < 0, -1.0, 1.0)
-    some = slice(int(np.ceil(_FITTED * len(q))))
+    some = slice(int(np.ceil(fitted * len(q))))
     start = np.mean(actual - signs * q, axis=0)
     offsets, _ = _nearest(plain, signs * q[some], positions[some], start, free=True)
     left = _nearest(plain, signs * q, positions, offsets, free=False)[1]
     before = _nearest(plain, q, positions, np.zeros(len(start)), free=False)[1]
-    description = robot.description
-    unknown = any(target.position == "unknown" for target in description.targets.values())
     offsets = np.where(np.abs(offsets) < _SETTLED, 0.0, offsets)
-    return JointZeros(signs, offsets, left, before, unknown or description.base.pose == "unknown")
+    return JointZeros(signs, offsets, left, before)
 
 
 def _nearest(

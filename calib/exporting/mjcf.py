@@ -100,8 +100,8 @@ class _Writer:
         header = comment(
             [
                 "calib: a closed robot for MuJoCo, Pinocchio and Drake",
-                *provenance_lines(self.model.robot),
                 *provenance,
+                *provenance_lines(self.model.robot),
                 *tie_lines(self.model),
                 *dict.fromkeys(self.remarks + self.shapes.remarks),
             ]

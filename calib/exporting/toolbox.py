@@ -63,8 +63,8 @@ def toolbox_yaml(robot: Robot, urdf_name: str, provenance: Sequence[str] = ()) -
         provenance: Further lines for the comment that says where the numbers come from.
     """
     description = calibrated_description(robot, urdf_name)
-    lines = ["calib: robot description, for Pinocchio's toolbox-parallel-robots as well", *provenance_lines(robot)]
-    lines += provenance
+    lines = ["calib: robot description, for Pinocchio's toolbox-parallel-robots as well", *provenance]
+    lines += provenance_lines(robot)
     gaps = loop_gaps(robot)
     if gaps:
         lines += ["the toolbox holds all directions of a closure; calib those of closed_loop_axes only:"]

@@ -27,10 +27,10 @@ def urdf_bytes(robot: Robot, provenance: Sequence[str] | None = None) -> bytes:
         provenance: None: no comment is added. Otherwise a comment goes behind the `<robot>` tag, with the nominal file,
             every parameter that differs from nominal, and these lines.
     """
-    edited = robot.calibrated_urdf()
+    edited = robot.urdf_of_origins()
     if provenance is None or edited == robot.urdf.source:
         return edited
-    lines = [_MARK, *provenance_lines(robot), *provenance]
+    lines = [_MARK, *provenance, *provenance_lines(robot)]
     cleaned = _EARLIER.sub(b"", edited)
     urdf = parse_urdf(cleaned, robot.urdf.path)
     return with_inserted(urdf, "\n" + comment(lines), at=urdf.root_span[1])
@@ -42,12 +42,16 @@ def with_mesh_prefix(source: bytes, prefix: str) -> bytes:
     return _MESH.sub(lambda match: match.group() + start, source)
 
 
-def provenance_lines(robot: Robot) -> list[str]:
-    """Return what a file was made from: program, nominal file with its checksum, and every value that was changed."""
+def source_lines(robot: Robot) -> list[str]:
+    """Return what a file was made from: program, and nominal file with its checksum."""
     digest = hashlib.sha256(robot.urdf.source).hexdigest()
     hashed = "the URDF that xacro makes of it" if robot.urdf.path.endswith(".xacro") else "that file"
-    lines = [f"written by {PROGRAM} from {robot.urdf.path}", f"sha256 of {hashed}: {digest}"]
-    changed = []
+    return [f"written by {PROGRAM} from {robot.urdf.path}", f"sha256 of {hashed}: {digest}"]
+
+
+def provenance_lines(robot: Robot) -> list[str]:
+    """Return what a file was made from, and every value that was changed."""
+    lines, changed = source_lines(robot), []
     for parameter, value in zip(robot.parameters, robot.values, strict=True):
         if value != parameter.nominal_si:
             shown = float(value) * parameter.per_si

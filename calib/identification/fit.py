@@ -52,7 +52,8 @@ from calib.numerics.observability import observability
 from calib.threads import one_blas_thread
 from calib.workers import Progress, Steps, Workers
 
-_PROVING = 5  # folds, where nobody asked for any and only poses left out can prove the result
+PROVING = 5
+"""Folds where nobody asked for any, and only poses left out can prove the result."""
 _OF_ONE_FIT = 3  # steps that are told: base and targets placed, the minimum found, the result judged
 
 
@@ -105,7 +106,7 @@ def _identified(
     steps.expect(of_each + n_folds(data, settings.folds) + (_OF_ONE_FIT + 1) * (settings.terms == "auto"))
     try:
         robot, choice = _with_terms(robot, data, settings, steps)
-        fit = _fit(robot, settings, data, validation, workers, steps)
+        fit = fit_data(robot, settings, data, validation, workers, steps)
     except (UnreachablePoseError, ComputationError) as error:
         mistake = likely_mistake(robot, data)
         raise type(error)(f"{error}{'; ' if mistake else ''}{mistake}") from None
@@ -114,21 +115,21 @@ def _identified(
 
         def fit_again(kept: Measurements, how: Settings) -> Fit:
             steps.expect(_OF_ONE_FIT + how.starts - 1)
-            return _fit(robot, how, kept, validation, workers, steps)
+            return fit_data(robot, how, kept, validation, workers, steps)
 
         fit = without_outliers(
             fit,
             robust=lambda: fit_again(data, replace(plain, loss="tukey")),
             again=lambda kept: fit_again(kept, settings),
         )
-    fold = partial(_fit, robot, plain)
+    fold = partial(fit_data, robot, plain)
     leave_out = partial(cross_validate, fit.identification.data, seed=settings.seed, fit=fold, executor=workers)
     if settings.folds:
         fit = replace(fit, folds=leave_out(settings.folds, progress=steps.done))
     elif unproven(fit):
-        steps.expect(_PROVING)
+        steps.expect(PROVING)
         with suppress(CalibrationError):  # too few poses to leave some out: then nothing is proven
-            fit = replace(fit, folds=leave_out(_PROVING, progress=steps.done))
+            fit = replace(fit, folds=leave_out(PROVING, progress=steps.done))
     return replace(fit, terms=choice)
 
 
@@ -140,7 +141,7 @@ def _with_terms(robot: Robot, data: Measurements, settings: Settings, steps: Ste
     if terms == "none":
         choice = TermChoice(terms, ())
     elif terms == "auto":
-        choice = choose_terms(_fit(robot, replace(settings, starts=1), data, steps=steps))
+        choice = choose_terms(fit_data(robot, replace(settings, starts=1), data, steps=steps))
         steps.done()
     else:
         choice = TermChoice(terms, (*own, *missing_terms(robot, listed_terms(terms))))
@@ -157,7 +158,7 @@ def _require_measurements(data: object, validation: object) -> None:
             )
 
 
-def _fit(
+def fit_data(
     robot: Robot,
     settings: Settings,
     data: Measurements,
@@ -165,7 +166,19 @@ def _fit(
     workers: Executor | None = None,
     steps: Steps | None = None,
 ) -> Fit:
-    """Do steps 1 to 5 of the module docstring."""
+    """Do steps 1 to 5 of the module docstring.
+
+    Args:
+        robot: The nominal robot, with the joint terms that it shall have.
+        settings: How; outliers, folds and the choice of terms are the caller's.
+        data: Measurements to identify with.
+        validation: Measurements to judge the result with, or None.
+        workers: Who does the fits of other starts; this process if not given.
+        steps: Told of each step that is done; of nobody if not given.
+
+    Raises:
+        UnreachablePoseError, DataError, NotIdentifiableError, NotConvergedError: See `identify`.
+    """
     steps = steps or Steps()
     later = () if validation is None else unseen(robot, data, validation)
     seen = robot.hold(*later) if later else robot

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -29,6 +29,7 @@ from calib.linearisation.prediction import PositionUncertainty, position_uncerta
 from calib.linearisation.rows import Group, Rows, Scales
 from calib.linearisation.unknowns import Unknowns
 from calib.linearisation.whitening import Whitening
+from calib.model.held import Holds
 from calib.model.robot import Configurations, Robot
 from calib.numerics.identifiability import Rank
 from calib.numerics.losses import Loss, Studentised, studentised
@@ -106,6 +107,8 @@ class Fit(ReadOnlyArrays):
         excluded: Outliers that were left out, as they were in `with_all`.
         with_all: The fit of all visits, where outliers were left out of this one.
         terms: Which joint terms were asked for, if any were, and what choosing them found.
+        reduced: Fits of the same measurements without terms of joint errors that files lose, by how much these hold;
+            None where nobody asked for files.
         seed: Seed of every random choice.
         placed_later: Parameters of places that validation poses alone show, and that these placed.
         judge: What gives the verdict when it is asked for.
@@ -136,6 +139,7 @@ class Fit(ReadOnlyArrays):
     excluded: tuple[Outlier, ...] = ()
     with_all: Fit | None = None
     terms: TermChoice | None = None
+    reduced: Mapping[Holds, Fit] | None = None
     seed: int = 0
     placed_later: tuple[str, ...] = ()
 
@@ -293,7 +297,7 @@ class Fit(ReadOnlyArrays):
         relative = np.maximum(factors / max(self._factor, 1e-30), _LEAST_FACTOR)
         divisor = np.where(number >= 0, relative[number], 1.0)
         rows = replace(self.rows, residuals=self.rows.residuals / divisor)
-        return studentised(blocks(rows, self.weights), self._root, self.statistics.freedom)
+        return studentised(blocks(rows, self.weights), self.root, self.statistics.freedom)
 
     @property
     def _factor(self) -> float:
@@ -365,7 +369,7 @@ class Fit(ReadOnlyArrays):
         rows = self.rows.weighted(self.weights)
         shared = self.statistics.shared
         pose_freedom = np.inf if shared is None else shared.freedom
-        return Residuals(rows, self._root, self.statistics.freedom, factor, pose_freedom)
+        return Residuals(rows, self.root, self.statistics.freedom, factor, pose_freedom)
 
     @cached_property
     @one_blas_thread
@@ -395,8 +399,8 @@ class Fit(ReadOnlyArrays):
             return None
 
     @cached_property
-    def _root(self) -> FloatArray:
-        """T of `calib.numerics.observability` at the solution, with the weights of a robust loss."""
+    def root(self) -> FloatArray:
+        """T of `calib.numerics.observability` at the solution, with the weights of a robust loss, (n_free, rank)."""
         rows = self.rows if np.all(self.weights == 1.0) else self.rows.weighted(self.weights)
         return rows.known.root
 

@@ -1,15 +1,14 @@
-"""What joint terms say together: curves of joint errors with their bands, and what the origins are worth alone."""
+"""What joint terms say together: curves of joint errors with their bands."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.identification.fitted import Fit
 from calib.joint_terms.term import Context
-from calib.linearisation.observed import observe
 from calib.model.robot import Robot
 from calib.units import Dimension
 
@@ -86,21 +85,6 @@ def beyond_learned(robot: Robot, learned: FloatArray, q: FloatArray) -> BoolArra
     margin = BEYOND * (high - low)
     outside: BoolArray = (q < low - margin) | (q > high + margin)
     return outside & np.isin(robot.joint_names, list(curved))
-
-
-def without_terms(fit: Fit) -> tuple[float, float]:
-    """Return root mean square errors of the main part [SI], with the joint terms and of the origins alone.
-
-    Over the visits that were not used, or all if there are no others: what a URDF, which cannot hold terms, is worth.
-    """
-    errors = fit.identification if fit.validation is None else fit.validation
-    data = errors.data
-    values = fit.robot.values.copy()
-    values[fit.robot.coefficients] = 0.0
-    bare = fit.robot.with_parameters(values)
-    observed = observe(bare, bare.assemble(data.joints, labels=data.labels, context=data.conditions), data.readings)
-    alone = replace(errors, after={name: one.residuals for name, one in observed.items()})
-    return errors.rms("after"), alone.rms("after")
 
 
 def _std(phi: FloatArray, covariance: FloatArray) -> FloatArray:

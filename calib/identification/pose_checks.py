@@ -154,6 +154,10 @@ def require_identifiable(problem: Problem, evaluation: Evaluation) -> Determinat
     own = [k for k, p in enumerate(robot.parameters) if not p.family]  # families have priors
     parameters, free = [robot.parameters[k] for k in own], robot.is_free[own]
     determined = determination(columns if len(own) == columns.shape[1] else columns[:, own], parameters, free)
+    if determined.free.rank == 0:
+        raise NotIdentifiableError(
+            f"{problem.data.path}: no reading depends on any free parameter; measure something that moves with them"
+        )
     if determined.missing == 0:
         return determined
     names = [p.name for p, use in zip(parameters, free, strict=True) if use]

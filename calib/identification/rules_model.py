@@ -18,6 +18,7 @@ from calib.identification.rules_data import UNLIKELY
 from calib.identification.rules_noise import in_words
 from calib.identification.systematic import describe
 from calib.linearisation.registration import registration
+from calib.model.held import Holds
 from calib.numerics.losses import median_length
 from calib.numerics.rigid import best_transform
 from calib.numerics.variance_components import EXACT
@@ -215,6 +216,38 @@ def _chance_of_gain(fit: Fit) -> float:
     if k < 0.5 or after <= 0:
         return 0.0
     return float(scipy.special.fdtrc(k, fit.statistics.freedom, max((before - after) / k, 0.0)))
+
+
+def files_hold_less(fit: Fit) -> Iterator[Reason]:
+    """Say what `calibrated.urdf` is worth where it is not the whole model; and if it is not written, why."""
+    if fit.reduced is None:  # nobody asked for files
+        return
+    why = why_no_origins(fit)
+    if why:
+        others = "calib's own commands have the terms" if fit.robot.terms else "the nominal robot is as good as any"
+        yield Reason(
+            "PASS",
+            "file_withheld",
+            f"calibrated.urdf is not written, nor any other file of joint origins: {why}; {others}; --force writes it"
+            " anyway",
+        )
+    elif fit.robot.lost_by(Holds.ORIGINS):
+        judged, whole = (fit.robot.files[holds].accuracy for holds in (Holds.ORIGINS, Holds.EVERYTHING))
+        yield Reason(
+            "PASS",
+            "file_holds_less",
+            "calibrated.urdf, as every file of joint origins, holds no joint terms, and has the origins that are best"
+            f" without them: {judged.words}; nominal robot: {judged.shown(judged.before)}, whole model:"
+            f" {whole.shown(whole.rms)}",
+        )
+
+
+def why_no_origins(fit: Fit) -> str:
+    """Return why no file of joint origins is written of a fit that did not fail; empty if they are."""
+    known = fit.robot.files.get(Holds.ORIGINS)
+    if known is not None:
+        return known.withheld
+    return "no fit without its joint terms has succeeded" if fit.robot.lost_by(Holds.ORIGINS) else ""
 
 
 def systematic(fit: Fit) -> Iterator[Reason]:

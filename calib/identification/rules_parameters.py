@@ -26,6 +26,8 @@ SCALED = 2e-3
 """Part by which no robot and no instrument is longer as a whole: heat makes a tenth of it."""
 SCALED_SIGMAS = 6.0
 """Standard deviations of a scale, by the sigmas of the parameters, from which it is none of them."""
+MOST = 0.5
+"""Part of squared residuals and deviations that a scale must explain to be the cause: others look a bit like it."""
 UNUSUAL = 10.0
 """Size of a joint term that was chosen, over what is usual, from which something else may be the cause."""
 LOOSE_ANGLE = 0.1
@@ -88,7 +90,7 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
         costs.append(float(np.sum((matrix / np.where(size > 0, size, 1.0) @ solution - right) ** 2)))
         part = float(solution[0] / size[0])
     gain = costs[0] - costs[1]
-    if abs(part) > SCALED and gain > SCALED_SIGMAS**2:
+    if abs(part) > SCALED and gain > max(SCALED_SIGMAS**2, MOST * costs[0]):
         yield Reason(
             "FAIL",
             "lengths_scaled",

@@ -96,7 +96,7 @@ def cross_validate(
             for name, rows in part.items():
                 if whole[name].shape[1] == 0:
                     whole[name] = np.empty((len(data.readings[name]), rows.shape[1]))
-                whole[name][_readings_at(data.readings[name], held)] = rows
+                whole[name][readings_at(data.readings[name], held)] = rows
         singular[held] = errors.singular_value
         rms.append(float(np.sqrt(np.mean(np.sum(errors.errors("after", errors.parts()[0][1].name) ** 2, axis=1)))))
         converged &= well
@@ -112,8 +112,8 @@ def _left_out(fit: FitBoth, data: Measurements, held: IntArray) -> tuple[ErrorSe
     return fitted.validation, fitted.converged
 
 
-def _readings_at(readings: Readings, visits: IntArray) -> IntArray:
-    """Indices of the readings at these visits, in the order of the visits."""
+def readings_at(readings: Readings, visits: IntArray) -> IntArray:
+    """Return indices of the readings at these visits (n,), in the order of the visits, (n_at_visits,)."""
     place = np.full(int(readings.visits.max(initial=-1)) + 1, -1)
     inside = visits[visits < len(place)]
     place[inside] = np.arange(len(inside))

@@ -44,6 +44,7 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_data.moves_as_one,
     rules_parameters.loose,
     rules_model.nothing_to_correct,
+    rules_model.files_hold_less,
     rules_model.unused_fits_worse,
     rules_model.systematic,
     rules_reach.blocks_disagree,

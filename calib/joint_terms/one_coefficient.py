@@ -1,4 +1,4 @@
-"""Terms with one coefficient: gain, backlash, drift by time and temperature, and what gives way under gravity.
+"""Terms with one coefficient: zero, gain, backlash, drift by time and temperature, and what gives way under gravity.
 
 Compliance: joints give way in proportion to the torque of gravity that they hold. The torque is that of the URDF's
 masses and of the payload (Pinocchio's generalized gravity at the nominal configuration), through closed loops by
@@ -46,6 +46,17 @@ class OneCoefficient(JointTerm):
         expected = cls.expected_angle if joint.dimension == "angle" else cls.expected_length
         size = expected if sigma is None else sigma
         return cls(joint.name, (coefficient(f"{joint.name}.{cls.word}", joint.dimension, size),))
+
+
+class Zero(OneCoefficient):
+    """dq = c: the joint's zero, where that alone is looked for. Joint origins have it already, so nobody lists it."""
+
+    word = "zero"
+    expected_angle, expected_length = 5e-3, 1e-3
+
+    def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
+        """Return ones, (n, 1)."""
+        return np.ones((len(q), 1))
 
 
 class Gain(OneCoefficient):

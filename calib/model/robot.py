@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import cast
@@ -15,13 +15,23 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, random_numbers, read_only
-from calib.errors import DataError, DescriptionError, InputError, ParameterError, UnreachablePoseError, nearest
+from calib.errors import (
+    ComputationError,
+    DataError,
+    DescriptionError,
+    InputError,
+    ParameterError,
+    UnreachablePoseError,
+    nearest,
+)
 from calib.files import write_file
 from calib.joint_terms.term import Context, JointTerm, TermSection
+from calib.joint_terms.terms import TERMS
 from calib.memory import require_memory
 from calib.model import kinematics, loops
 from calib.model.closure import AssemblyMode, singular_values
 from calib.model.description import Description, description_yaml
+from calib.model.held import FileRobot, Holds
 from calib.model.instruments import pair_names, places_of
 from calib.model.joint_errors import build_terms, gravity_torque, joint_errors, term_columns
 from calib.model.joint_sampling import Ranges, checked_ranges, joint_box, spread
@@ -35,7 +45,7 @@ from calib.observation.kind import Instrument
 from calib.parameter import Parameters, index_of
 from calib.sections import COMPONENTS, Component
 from calib.units import quantity
-from calib.words import titled_html
+from calib.words import listed, titled_html
 
 _LARGEST_JOINT = 1e6  # [m or rad]
 _COMMAND_ROUNDS = 50
@@ -76,6 +86,7 @@ class Robot(ReadOnlyArrays):
         values: Current parameter values, (n_parameters,) [m or rad]: of the parametrisation, then unknown numbers of
             the instruments, then coefficients of the terms.
         mode: Home configuration and assembly mode of the nominal robot.
+        files: The robots that files get, by how much these hold; of a fit alone, and gone where values are changed.
     """
 
     path: str
@@ -88,6 +99,7 @@ class Robot(ReadOnlyArrays):
     terms: tuple[JointTerm, ...]
     values: FloatArray
     mode: AssemblyMode
+    files: Mapping[Holds, FileRobot] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return (
@@ -337,7 +349,7 @@ class Robot(ReadOnlyArrays):
             bad = self.parameters[int(np.argmin(np.isfinite(vector)))].name
             raise ParameterError(f"parameter '{bad}': value is not finite")
         mechanism = self.nominal.with_placements(self.parametrisation.placements(vector[: self.n_origin_parameters]))
-        return replace(self, values=vector, mechanism=mechanism)
+        return replace(self, values=vector, mechanism=mechanism, files={})
 
     def with_terms(self, sections: Sequence[TermSection]) -> Robot:
         """Return a robot with these joint terms in place of its own; parameters that stay keep their values.
@@ -347,7 +359,7 @@ class Robot(ReadOnlyArrays):
         """
         description = self.description.with_terms(sections)
         terms = build_terms(description, self.urdf, self.nominal, self.path)
-        changed = replace(self, description=description, terms=terms)
+        changed = replace(self, description=description, terms=terms, files={})
         if tilted_joints(description) != tilted_joints(self.description):
             nominal = build_mechanism(self.urdf, description, self.instruments, self.path)
             mechanism = nominal.with_placements(
@@ -358,6 +370,51 @@ class Robot(ReadOnlyArrays):
         changed.check_names()
         value_of = dict(zip((parameter.name for parameter in self.parameters), self.values, strict=True))
         return replace(changed, values=np.array([value_of.get(p.name, p.nominal_si) for p in changed.parameters]))
+
+    def at_nominal(self) -> Robot:
+        """Return a robot with nominal parameter values."""
+        return self.with_parameters([parameter.nominal_si for parameter in self.parameters])
+
+    def lost_by(self, holds: Holds) -> tuple[str, ...]:
+        """Return the joints of whose errors a file that holds so much loses terms, as far as these are not zero."""
+        joints, start = dict[str, None](), self.coefficients.start
+        for term in self.terms:
+            own = slice(start, start := start + len(term.parameters))
+            if not holds.keeps(term) and np.any(self.values[own]):
+                joints[term.joint] = None
+        return tuple(joints)
+
+    def held_by(self, holds: Holds) -> Robot:
+        """Return the robot that files get which hold so much; this one where nothing of it is lost.
+
+        Of joint zeros alone it is the nominal one, which the zeros in `files` belong to.
+
+        Args:
+            holds: How much; see `calib.model.held`.
+
+        Raises:
+            ComputationError: Terms of joint errors would be lost, and no fit says what is best without them.
+        """
+        known = self.files.get(holds)
+        if known is None:
+            lost = self.lost_by(holds)
+            if lost:
+                raise ComputationError(
+                    f"{self.path}: a file that holds {holds.value} loses the terms of joint errors of {listed(lost)},"
+                    " and the origins here belong to these terms; a fit finds those that are best without them: export"
+                    " its result, or fit again what an earlier version has fitted"
+                )
+            return self
+        robot = self.without_terms(holds)
+        return robot.at_nominal() if len(known.offsets) else robot.with_parameters(known.values)
+
+    def without_terms(self, holds: Holds) -> Robot:
+        """Return the robot without the terms of joint errors that files lose which hold so much, values as they are."""
+        kept = [section for section in self.description.terms if holds.keeps(TERMS[section.term])]
+        robot = self.with_terms(kept)
+        names = {parameter.name for parameter in robot.parameters}
+        held = tuple(name for name in robot.description.held if name in names)
+        return replace(robot, description=robot.description.model_copy(update={"held": held}))
 
     def check_names(self) -> None:
         """Raise `DescriptionError` if two parameters share a name."""
@@ -550,7 +607,20 @@ class Robot(ReadOnlyArrays):
         return found
 
     def calibrated_urdf(self) -> bytes:
-        """Return the URDF with the origins that the current values give; unchanged numbers keep their bytes."""
+        """Return the URDF of the calibrated robot; unchanged numbers keep their bytes.
+
+        Terms of joint errors have no place in it. Of a fit that has some, it gets the origins that are best without.
+
+        Raises:
+            ComputationError: There are such terms, and no fit says which origins are best without them.
+        """
+        return self.held_by(Holds.ORIGINS).urdf_of_origins()
+
+    def urdf_of_origins(self) -> bytes:
+        """Return the URDF with the origins that the current values give, whatever terms of joint errors go with them.
+
+        Unchanged numbers keep their bytes.
+        """
         edits: dict[str, tuple[Triple, Triple]] = {}
         for joint in self.urdf.joints:
             before, after = self.nominal.placement(joint.name), self.mechanism.placement(joint.name)

@@ -16,6 +16,7 @@ from calib.identification.estimates import NUMBERS, Covariance, Estimate, Estima
 from calib.identification.fitted import Fit
 from calib.joint_terms.term import Context
 from calib.linearisation.prediction import PositionUncertainty
+from calib.model.held import Holds
 from calib.model.robot import Robot
 from calib.reporting.result_reading import LoadedUncertainty, load, load_uncertainty, read_result
 from calib.words import titled_html
@@ -59,6 +60,16 @@ class LoadedResult(ReadOnlyArrays):
     def covariance(self) -> Covariance:
         """Covariance of the free parameters, by name."""
         return Covariance(self.free_names, self.uncertainty.covariance)
+
+    def held_by(self, holds: Holds) -> tuple[Robot, LoadedUncertainty]:
+        """Return the robot that files get which hold so much (`calib.model.held`), and how sure its parameters are.
+
+        Raises:
+            ComputationError: An earlier version wrote the result, and files lose joint terms that it has.
+            DataError: There is no covariance of that.
+        """
+        robot = self.robot.held_by(holds)
+        return robot, load_uncertainty(self.path, robot, holds)
 
     def predict(self, poses: Poses | ArrayLike, context: Context | None = None) -> PositionUncertainty:
         """Predict positions with their covariance; see `calib.identification.fitted.Fit.predict`."""

@@ -9,11 +9,12 @@ from rich.table import Table
 
 from calib.identification.errors_found import STATES, ErrorSet, error_table, format_error
 from calib.identification.fitted import Fit
-from calib.identification.joint_curves import joint_curves, without_terms
+from calib.identification.joint_curves import joint_curves
 from calib.identification.reasons import Verdict
 from calib.identification.repeats import repeatability, repeats
 from calib.identification.term_choice import TELLS
 from calib.observation.kind import Part
+from calib.reporting.files_held import worth_of_files
 from calib.reporting.result_content import budget_table, correlated, error_sets, parameter_rows
 from calib.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale, millimetres
 from calib.words import counted, listed, plain_text, sentence, text_table
@@ -25,6 +26,7 @@ def text_report(fit: Fit, width: int = 120) -> str:
         f"Calibration of {fit.nominal.name} ({fit.nominal.path})",
         *verdict_lines(fit.verdict),
         *_accuracy(fit),
+        *_files(fit),
         *_budget(fit),
         _parameters(fit),
         *notes(fit),
@@ -151,13 +153,6 @@ def _curves(fit: Fit) -> list[str]:
             f" {unit}; it holds from {shown * curve.command[0]:.4g} to {shown * curve.command[-1]:.4g}"
             f" {DISPLAY_UNIT[curve.dimension]}, where it was measured"
         )
-    if fit.robot.terms:
-        scale, unit = _unit(fit)
-        whole, alone = without_terms(fit)
-        lines.append(
-            f"A URDF cannot hold joint terms: calibrated.urdf alone has {scale * alone:.4f} {unit} RMS where the whole"
-            f" model has {scale * whole:.4f} {unit}"
-        )
     return lines
 
 
@@ -280,6 +275,19 @@ def _accuracy_of(fit: Fit, part: Part) -> Table:
                 cells = format_error(error_table(errors, part))
                 table.add_row(f"{label}, {state}", str(error_set.data.n_poses), *cells)
     return table
+
+
+def _files(fit: Fit) -> list[Table]:
+    """What each kind of file is worth, where some hold less than the whole model."""
+    worth = worth_of_files(fit)
+    if worth is None:
+        return []
+    title = f"What files are worth, {worth.unit} ({worth.part} error, {worth.where})"
+    table = text_table(("file holds", "rms", "95 % limit", "formats"), ("file holds", "formats"), title)
+    for line in worth.lines:
+        numbers = [f"{number:.4f}" if np.isfinite(number) else "-" for number in (line.rms, line.limit95)]
+        table.add_row(line.holds, *numbers, line.formats)
+    return [table]
 
 
 def _budget(fit: Fit) -> list[Table]:

@@ -18,6 +18,7 @@ from calib.identification.judged import Outlier
 from calib.identification.repeats import repeatability, repeats
 from calib.linearisation.prediction import PositionUncertainty
 from calib.linearisation.rows import Rows
+from calib.reporting.files_held import file_entries
 from calib.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale
 from calib.version import PROGRAM
 from calib.words import as_data
@@ -85,6 +86,7 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "starts": _starts(fit),
             "cross_validation": _folds(fit),
             "joint_terms": _terms(fit),
+            "files": file_entries(fit),
         }
     )
 

@@ -23,7 +23,9 @@ from calib.joint_terms.term import Context
 from calib.joint_terms.terms import stored_terms
 from calib.linearisation.prediction import PositionUncertainty, position_uncertainty
 from calib.model import loading
+from calib.model.held import Holds
 from calib.model.robot import Robot
+from calib.reporting.files_held import file_entry, stored_files
 from calib.reporting.result_content import FORMAT_VERSION, NOMINAL_URDF, NOMINAL_YAML
 from calib.reporting.result_format import damage
 from calib.units import error_scale, per_si
@@ -109,7 +111,7 @@ def load_calibrated(folder: Path | str, robot: Robot, *, failed_too: bool = Fals
                 f"{folder}: parameters.csv and result.json give different values of '{parameter.name}';"
                 " run the fit again"
             )
-    return calibrated
+    return replace(calibrated, files=stored_files(folder, content, calibrated))
 
 
 def _with_stored_terms(folder: Path | str, content: dict[str, Any], robot: Robot) -> Robot:
@@ -184,13 +186,20 @@ class LoadedUncertainty:
         return position_uncertainty(robot, free, self.covariance, self.coverage_factor, q, context)
 
 
-def load_uncertainty(folder: Path | str, robot: Robot) -> LoadedUncertainty:
+def load_uncertainty(folder: Path | str, robot: Robot, holds: Holds = Holds.EVERYTHING) -> LoadedUncertainty:
     """Return the uncertainty of a result folder.
+
+    Args:
+        folder: Of `save`.
+        robot: The calibrated robot, as files get it that hold so much.
+        holds: How much.
 
     Raises:
         DataError: The file is missing or broken, or belongs to another robot.
     """
-    path = Path(folder) / "covariance.csv"
+    content = read_result(folder)
+    entry = file_entry(content, holds)
+    path = Path(folder) / (f"{entry['values']}_covariance.csv" if entry.get("values") else "covariance.csv")
     if not path.is_file():
         raise DataError(f"{path}: no such file; run the fit again")
     table = read_table(path)
@@ -204,7 +213,7 @@ def load_uncertainty(folder: Path | str, robot: Robot) -> LoadedUncertainty:
         covariance = np.array([[float(cell) for cell in row[2:]] for row in table.rows]) / scale[:, None] / scale
     except ValueError:
         raise DataError(f"{path}: holds text where a number is expected; run the fit again") from None
-    freedom = read_result(folder).get("interval_degrees_of_freedom")
+    freedom = (entry if entry.get("values") else content).get("interval_degrees_of_freedom")
     if not np.all(np.isfinite(covariance)) or not isinstance(freedom, (int, float)) or not 0 < freedom < _MOST_FREEDOM:
         raise DataError(f"{folder}: its covariance or degrees of freedom are not numbers; run the fit again")
     free = np.array([p.name in names for p in robot.parameters])

@@ -3,9 +3,10 @@
 `result.json` holds everything in mm and degrees; unknown numbers are null, never zero. The folder has all that the
 calibrated robot is made of, so that it can be moved, and loads like any robot: the nominal robot (`nominal.yaml`,
 `nominal.urdf`) and the values of all its parameters (`parameters.csv`), joint terms and places included. It is the same
-to the last digits. Its uncertainty comes from `covariance.csv`. A fit with the verdict FAIL is written without
-`calibrated.urdf`, and is not read back as a calibrated robot (`calib.reporting.result_reading`), unless that is forced;
-then the files say so.
+to the last digits. Its uncertainty comes from `covariance.csv`. What files get that hold less is there, too
+(`calib.reporting.files_held`). A fit with the verdict FAIL is written without `calibrated.urdf`, and is not read back
+as a calibrated robot (`calib.reporting.result_reading`), unless that is forced; then the files say so. Nor is
+`calibrated.urdf` written where it is worse than the nominal robot, unless that is forced.
 """
 
 from __future__ import annotations
@@ -17,13 +18,18 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
+from calib.data.parameter_files import format_parameters
+from calib.exporting.held_formats import loses, robot_for, said_of
 from calib.exporting.links import find_mesh
 from calib.exporting.urdf import urdf_bytes
 from calib.files import write_folder
 from calib.identification.fitted import Fit
 from calib.identification.reasons import Verdict
+from calib.identification.rules_model import why_no_origins
 from calib.model.description import description_yaml
+from calib.model.held import Holds
 from calib.model.urdf_text import UrdfText, apply_edits
+from calib.reporting.files_held import VALUES, files_of, name_of_values
 from calib.reporting.result_content import (
     NOMINAL_URDF,
     NOMINAL_YAML,
@@ -35,10 +41,11 @@ from calib.reporting.result_content import (
 
 _URDF = "calibrated.urdf"
 _FILE = re.compile(rb"""\bfilename\s*=\s*(?:"([^"]*)"|'([^']*)')""")
-_NO_TERMS = ("a URDF cannot hold joint terms (curves, backlash, ...): they are in parameters.csv, and missing here",)
-_OF_GOOD_FITS = (_URDF, "report.html", "viewer.html")  # an old one must not stay beside a new result
+_PAGES = ("report.html", "viewer.html")
+_NOT_ALWAYS = (_URDF, *_PAGES, *(f"{name}{end}.csv" for name in VALUES.values() for end in ("", "_covariance")))
+"""Files that must not stay beside a new result that has none."""
 _ALWAYS = ("result.json", "parameters.csv", "covariance.csv", "residuals.csv", NOMINAL_YAML, NOMINAL_URDF)
-RESULT_FILES = (*_ALWAYS, *_OF_GOOD_FITS)
+RESULT_FILES = (*_ALWAYS, *_NOT_ALWAYS)
 """What a result folder may hold of a fit."""
 
 
@@ -73,13 +80,33 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
         "residuals.csv": residual_table(fit).encode(),
         **nominal,
     }
-    if not failed:
-        files[_URDF] = urdf_bytes(fit.robot, _NO_TERMS) if fit.robot.terms else fit.robot.calibrated_urdf()
-    elif force:
-        files[_URDF] = urdf_bytes(fit.robot, _said_inside(fit.verdict, "exported by force"))
+    files |= _values_of_files(fit, remark)
+    if force or not (failed or why_no_origins(fit)):
+        files[_URDF] = _calibrated_urdf(fit, _said_inside(fit.verdict, "exported by force") if failed else [])
     files |= pages or {}
     sources = (fit.nominal.path, fit.nominal.urdf.path, fit.identification.data.path)
-    write_folder(folder, files, sorted(set(_OF_GOOD_FITS) - set(files)), inputs=sources, force=force)
+    write_folder(folder, files, sorted(set(_NOT_ALWAYS) - set(files)), inputs=sources, force=force)
+
+
+def _calibrated_urdf(fit: Fit, remarks: list[str]) -> bytes:
+    """The URDF, with a comment only if it holds less than the robot, or is forced."""
+    lines = said_of(fit.robot, Holds.ORIGINS) if loses(fit.robot, Holds.ORIGINS) else []
+    return urdf_bytes(robot_for(fit.robot, "urdf", force=True), [*remarks, *lines] or None)
+
+
+def _values_of_files(fit: Fit, remark: list[str]) -> dict[str, bytes]:
+    """Parameter files of the robots that files get, where these are others, with covariances where fits have them."""
+    robots, reduced, files = files_of(fit), fit.reduced or {}, dict[str, bytes]()
+    for holds, name in VALUES.items():
+        if holds not in robots or name_of_values(robots, holds) != name:
+            continue
+        lines = [*remark, f"values that are best where a file holds {holds.value}"]
+        if holds in reduced:
+            files[f"{name}.csv"] = parameter_table(reduced[holds], lines).encode()
+            files[f"{name}_covariance.csv"] = covariance_table(reduced[holds]).encode()
+        else:
+            files[f"{name}.csv"] = format_parameters(fit.robot.held_by(holds), lines).encode()
+    return files
 
 
 def _with_meshes(urdf: UrdfText) -> bytes:

@@ -1,0 +1,190 @@
+"""What a result stores of the robots that files get: their values, how sure these are, how good they are.
+
+`result.json` has an entry for each under `files`. Values that are not those of the whole model stand in parameter files
+of their own, with their covariance where a fit has one (`without_terms.csv`, `with_tables.csv`, `to_last_axis.csv`), so
+that `calib export` needs no measurements. A result of an earlier version has none of it, and loads all the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib.data.parameter_files import read_parameters
+from calib.errors import DataError
+from calib.exporting.controllers import has_ur_kinematics
+from calib.exporting.held_formats import formats_that_hold
+from calib.identification.fitted import Fit
+from calib.identification.rules_model import why_no_origins
+from calib.model.held import Accuracy, FileRobot, Holds, SeenAt
+from calib.model.robot import Robot
+from calib.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale
+
+VALUES = {Holds.ORIGINS: "without_terms", Holds.TABLES: "with_tables", Holds.TO_LAST_AXIS: "to_last_axis"}
+"""Names of files with values of their own, without their ending; a covariance has `_covariance` behind it."""
+
+
+def files_of(fit: Fit) -> dict[Holds, FileRobot]:
+    """Return the robots that files of a fit get, as far as there are such files of this robot."""
+    nowhere = () if has_ur_kinematics(fit.nominal) else (Holds.TO_LAST_AXIS,)
+    known = {holds: fit.robot.files.get(holds) for holds in Holds if holds not in nowhere}
+    return {holds: one for holds, one in known.items() if one is not None}
+
+
+@dataclass(frozen=True)
+class FileLine:
+    """What one kind of file is worth.
+
+    Attributes:
+        holds: What it holds, in words.
+        rms, limit95: As of `calib.model.held.Accuracy`, in the unit of errors; NaN where not known.
+        formats: Who is such a file, and whether it is withheld, in words.
+    """
+
+    holds: str
+    rms: float
+    limit95: float
+    formats: str
+
+
+@dataclass(frozen=True)
+class FileWorth:
+    """What files are worth, at the same poses.
+
+    Attributes:
+        part, unit: What errors are of, and their unit.
+        where: At which poses.
+        lines: The nominal robot first, the whole model last.
+    """
+
+    part: str
+    unit: str
+    where: str
+    lines: tuple[FileLine, ...]
+
+
+def worth_of_files(fit: Fit) -> FileWorth | None:
+    """Return what each kind of file of a fit is worth; None if files of joint origins hold it all and are written."""
+    if fit.reduced is None or not (fit.reduced or fit.robot.lost_by(Holds.ORIGINS) or why_no_origins(fit)):
+        return None
+    files = files_of(fit)
+    if Holds.EVERYTHING not in files:
+        return None
+    whole = files[Holds.EVERYTHING].accuracy
+    scale, nominal = error_scale(whole.dimension), files.get(Holds.ORIGINS, files[Holds.EVERYTHING]).accuracy
+    lines = [FileLine("nominal robot", scale * nominal.before, np.nan, "")]
+    for holds in reversed(Holds):
+        if holds in files:
+            judged, formats = files[holds].accuracy, formats_that_hold(holds, fit.nominal)
+            withheld = "withheld: " if formats and files[holds].withheld else ""
+            words = withheld + (", ".join(formats) or "predict, solve, compensate, view")
+            lines.append(FileLine(holds.value, scale * judged.rms, scale * judged.limit95, words))
+    return FileWorth(whole.part, ERROR_UNIT[whole.dimension], whole.where, tuple(lines))
+
+
+def name_of_values(files: Mapping[Holds, FileRobot], holds: Holds) -> str:
+    """Return which of `VALUES` has the values of a file's robot; empty where they are those of the whole model."""
+    own, whole = files[holds].values, files[Holds.EVERYTHING].values
+    if holds not in VALUES or own == whole:
+        return ""
+    return VALUES[next(one for one in VALUES if one in files and files[one].values == own)]
+
+
+def file_entries(fit: Fit) -> list[dict[str, object]]:
+    """Return the entries of `result.json`: what each kind of file holds, which formats do, and how good they are."""
+    files, reduced, entries = files_of(fit), fit.reduced or {}, list[dict[str, object]]()
+    for holds, one in files.items():
+        judged, scale = one.accuracy, error_scale(one.accuracy.dimension)
+        entries.append(
+            {
+                "holds": holds.name.lower(),
+                "formats": formats_that_hold(holds, fit.nominal),
+                "values": name_of_values(files, holds) or None,
+                "interval_degrees_of_freedom": reduced[holds].statistics.interval_freedom if holds in reduced else None,
+                "poses": judged.poses.name.lower(),
+                "n_poses": judged.n_poses,
+                "part": judged.part,
+                "dimension": judged.dimension,
+                "unit": ERROR_UNIT[judged.dimension],
+                "rms_nominal": scale * judged.before,
+                "rms": scale * judged.rms,
+                "limit95": scale * judged.limit95,
+                "withheld": one.withheld or None,
+                "joint_zeros": _zeros(fit.nominal, one),
+            }
+        )
+    return entries
+
+
+def _zeros(robot: Robot, one: FileRobot) -> list[dict[str, object]] | None:
+    if not len(one.offsets):
+        return None
+    dimensions = [robot.mechanism.dimensions[name] for name in robot.joint_names]
+    rows = zip(robot.joint_names, one.signs, one.offsets, dimensions, strict=True)
+    return [
+        {"joint": name, "sign": int(sign), "offset": float(offset) * display_scale(d), "unit": DISPLAY_UNIT[d]}
+        for name, sign, offset, d in rows
+    ]
+
+
+def file_entry(content: Mapping[str, Any], holds: Holds) -> Mapping[str, Any]:
+    """Return the entry of a `result.json` for files that hold so much; an empty one where it has none."""
+    entries = content.get("files") or ()
+    return next((entry for entry in entries if entry.get("holds") == holds.name.lower()), {})
+
+
+def stored_files(folder: Path | str, content: Mapping[str, Any], robot: Robot) -> dict[Holds, FileRobot]:
+    """Return the robots that files of a result get; none of a result that an earlier version wrote.
+
+    Args:
+        folder: Of the result.
+        content: Its `result.json`.
+        robot: Its robot, calibrated.
+
+    Raises:
+        DataError, ParameterError: They cannot be read.
+    """
+    try:
+        entries = {Holds[entry["holds"].upper()]: entry for entry in content.get("files") or ()}
+        files = {holds: _stored(Path(folder), entry, holds, robot) for holds, entry in entries.items()}
+        if content["verdict"]["grade"] == "FAIL":  # who has its files has forced them already
+            return {holds: replace(one, withheld="") for holds, one in files.items()}
+        return files
+    except (AttributeError, KeyError, TypeError, ValueError):
+        raise DataError(f"{folder}: what its result.json says of files cannot be read; run the fit again") from None
+
+
+def _stored(folder: Path, entry: Mapping[str, Any], holds: Holds, robot: Robot) -> FileRobot:
+    dimension: Dimension = entry["dimension"]
+    scale = error_scale(dimension)
+
+    def error(key: str) -> float:
+        return np.nan if entry[key] is None else float(entry[key]) / scale
+
+    accuracy = Accuracy(
+        SeenAt[entry["poses"].upper()],
+        int(entry["n_poses"]),
+        str(entry["part"]),
+        dimension,
+        error("rms_nominal"),
+        error("rms"),
+        error("limit95"),
+    )
+    rows, zeros = entry["joint_zeros"] or (), np.zeros((2, 0))
+    if rows:
+        named = {row["joint"]: row for row in rows}
+        scales = [display_scale(robot.mechanism.dimensions[name]) for name in robot.joint_names]
+        numbers = [(named[name]["sign"], named[name]["offset"]) for name in robot.joint_names]
+        zeros = np.array(numbers, dtype=float).T / np.array([np.ones(len(scales)), scales])
+    values = {} if rows else _stored_values(folder, entry["values"], holds, robot)
+    return FileRobot(values, accuracy, entry["withheld"] or "", zeros[0], zeros[1])
+
+
+def _stored_values(folder: Path, name: str | None, holds: Holds, robot: Robot) -> dict[str, float]:
+    if name is None:
+        return dict(zip((p.name for p in robot.parameters), map(float, robot.values), strict=True))
+    return read_parameters(folder / f"{name}.csv", robot.without_terms(holds), complete=True)

@@ -219,13 +219,13 @@ def test_what_a_format_has_no_place_for_is_fitted_as_it_is(tmp_path):
     behind = [p.name for p in held.parameters if p.name.startswith(("left_tool_mount", "left_wrist_3-flange"))]
     values = dict(zip((p.name for p in held.parameters), held.values, strict=True))
     assert [values[name] for name in behind] == [held.parameters[name].nominal_si for name in behind]
-    calib.export(robot, "ur-kinematics", tmp_path / "ur.yaml")
+    calib.export(robot, "ur-kinematics", tmp_path / "kinematics.yaml")
     q = test[:5]
-    found = in_file(nominal, "ur-kinematics", tmp_path / "ur.yaml")(q)
+    found = in_file(nominal, "ur-kinematics", tmp_path / "kinematics.yaml")(q)
     base = nominal.description.base.frame
     expected = np.linalg.inv(held.forward(q, base)) @ held.forward(q, "left_tool")
     np.testing.assert_allclose(found, expected, atol=1e-9)
-    dropped = fit.robot.with_parameters({name: nominal.parameters[name].nominal for name in behind})
+    dropped = fit.robot.with_parameters({name: nominal.parameters[name].nominal_si for name in behind})
     left = np.sqrt(np.mean(np.sum((dropped.positions(test) - true.positions(test)) ** 2, axis=2)))
     assert robot.files[Holds.TO_LAST_AXIS].accuracy.rms < 0.9 * left
 

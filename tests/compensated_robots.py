@@ -89,7 +89,7 @@ def true_robot(nominal, errors, rng):
     values = {}
     for p, free in zip(nominal.parameters, nominal.is_free, strict=True):
         if (p.placement and p.prior) or (errors and free and not p.placement):
-            values[p.name] = p.nominal + p.sigma * rng.standard_normal()
+            values[p.name] = p.nominal_si + p.sigma_si * rng.standard_normal()
     if errors and nominal.parameters[0].name == "A1y":
         table = table1()
         signs = rng.choice([-1.0, 1.0], len(table.names))
@@ -268,7 +268,7 @@ def of_plan(trial, rng):
     """Whether a change of the size that a plan calls visible is seen, and whether an unchanged robot agrees."""
     nominal, promise = trial.nominal, Promise.of(trial.fit)
     poses = as_poses(nominal, trial.program)
-    sigma = {p.name: p.sigma for p in nominal.parameters}
+    sigma = {p.name: p.sigma_si for p in nominal.parameters}
     changes = [c for c in visible_changes(promise, poses) if c.visible < 5 * sigma.get(c.name, 0.0)]
 
     def verdict(robot):

@@ -61,7 +61,9 @@ def six_axis(folder, extra=""):
 def perturbed(robot, seed, share=1.0):
     """The robot with own parameters drawn from their sigmas."""
     rng = np.random.default_rng(seed)
-    drawn = {p.name: p.nominal + share * p.sigma * rng.standard_normal() for p in robot.parameters if not p.placement}
+    drawn = {
+        p.name: p.nominal_si + share * p.sigma_si * rng.standard_normal() for p in robot.parameters if not p.placement
+    }
     return robot.with_parameters(drawn)
 
 
@@ -154,11 +156,11 @@ def test_a_reflector_and_a_tracker_somewhere_else_move_no_command():
     q = np.random.default_rng(3).uniform(-1.2, 1.2, (60, 6))
     fit = calib.fit(robot, calib.as_measurements(robot, q, truth.positions(q)))
     fitted = fit.robot
-    left = fitted.values - np.array([p.nominal for p in robot.parameters])
+    left = fitted.values - np.array([p.nominal_si for p in robot.parameters])
     own = np.array([not p.placement for p in robot.parameters])
     assert np.abs(left[own]).max() > 2e-4  # what would be corrected, were it taken for the robot's
     cleaned = nearest_to_nominal(fitted)
-    assert np.abs((cleaned.values - np.array([p.nominal for p in robot.parameters]))[own]).max() < 2e-6
+    assert np.abs((cleaned.values - np.array([p.nominal_si for p in robot.parameters]))[own]).max() < 2e-6
     assert np.abs(cleaned.positions(q) - fitted.positions(q)).max() < 1e-12
     program = q[:20] * [1, 1, 0.5, 1, 0.3, 1] + np.array([0, 0, 0.8, 0, 1.0, 0])
     for calibrated in (fit, fitted):
@@ -524,7 +526,7 @@ def test_a_ur10_with_gears_that_no_line_describes_runs_at_the_error_of_its_calib
     (tmp_path / "curves.yaml").write_text(text)
     described = calib.load(tmp_path / "curves.yaml")
     rng = np.random.default_rng(30)
-    drawn = {p.name: p.nominal + p.sigma * rng.standard_normal() for p in nominal.parameters if not p.placement}
+    drawn = {p.name: p.nominal_si + p.sigma_si * rng.standard_normal() for p in nominal.parameters if not p.placement}
     truth = nominal.with_parameters({**drawn, "base.x": 1.8, "base.rz": 1.0})
     size, order, phase = 3e-4 * rng.standard_normal((2, 6)), rng.uniform(1, 5, (2, 6)), rng.uniform(0, 6, (2, 6))
 

@@ -70,7 +70,7 @@ def test_what_a_point_of_unknown_place_leaves_open_is_counted_and_not_corrected(
     nominal = arm(tmp_path, "known", "unknown, sigma: 0.5 mm")
     trial = Trial.of(nominal, errors=True, seed=7)
     together = sum(
-        value - parameter.nominal
+        value - parameter.nominal_si
         for parameter, value in zip(nominal.parameters, trial.truth.values, strict=True)
         if parameter.name in ("j6.x", "ball.x")
     )
@@ -116,7 +116,7 @@ def test_a_robot_that_only_stands_elsewhere_is_laid_exactly(tmp_path):
 def test_uncertainty_beside_common_motion_follows_parameters_as_differences_say(tmp_path):
     nominal = described("five_bar", tmp_path, "unknown")
     rng = np.random.default_rng(2)
-    small = {p.name: p.nominal + 0.05 * p.sigma * rng.standard_normal() for p in nominal.parameters if not p.placement}
+    small = {p.name: p.nominal_si + 0.05 * p.sigma_si * rng.standard_normal() for p in nominal.parameters if not p.placement}
     robot, joints, q = nominal.with_parameters(small | ELSEWHERE), program(nominal, 30), program(nominal, 40)[30:]
 
     def off(moved):
@@ -245,7 +245,7 @@ def test_commands_leave_a_good_robot_alone_and_say_so(nominal_delta, tmp_path, r
             "Errors are in the robot's own base frame, laid where the nominal and the calibrated robot agree" in one.out
         )
     written = (tmp_path / "out_part.gcode").read_text()
-    assert written.splitlines()[1:] == (tmp_path / "part.gcode").read_text().splitlines()
+    assert written.splitlines()[1:-1] == (tmp_path / "part.gcode").read_text().splitlines()
     table = [line.split(",") for line in (tmp_path / "out_box.csv").read_text().splitlines()[2:]]
     assert np.all(np.array(table, dtype=float)[:, 3:] == 0)
     rows = json.loads((tmp_path / "rows.json").read_text())
@@ -263,7 +263,7 @@ def test_solve_writes_what_is_expected_at_each_target(nominal_delta, tmp_path, r
     assert done.code == 0, done.err
     assert "The real robot is expected to be off by 0.0" in done.out
     assert "Errors are in the measurement frame, base and targets where the calibration found them." in done.out
-    header, cells = (line.split(",") for line in out.read_text().splitlines()[1:])
+    header, cells = (line.split(",") for line in out.read_text().splitlines()[1:-1])
     row = dict(zip(header, map(float, cells), strict=True))
     assert 0 < row["low95 [mm]"] < row["expected [mm]"] < row["high95 [mm]"] < 0.2
     assert json.loads(content.read_text())["targets"][0]["expected_mm"] == pytest.approx(row["expected [mm]"])

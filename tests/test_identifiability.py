@@ -110,7 +110,7 @@ def test_noise_is_stated_or_described_or_assumed(tmp_path, medrue):
 
 
 def medrue_rows(robot, q):
-    return (linearise(robot, robot.assemble(q)).jacobian * [p.sigma for p in robot.parameters]).reshape(-1, 36)
+    return (linearise(robot, robot.assemble(q)).jacobian * [p.sigma_si for p in robot.parameters]).reshape(-1, 36)
 
 
 def test_medrue_has_rank_28_with_a_gap_of_ten_decades(medrue):

@@ -35,7 +35,7 @@ def truth(arm):
     values[arm.is_free] += (
         0.5
         * np.random.default_rng(6).standard_normal(arm.is_free.sum())
-        * [p.sigma for p, use in zip(arm.parameters, arm.is_free, strict=True) if use]
+        * [p.sigma_si for p, use in zip(arm.parameters, arm.is_free, strict=True) if use]
     )
     return arm.with_parameters(values)
 
@@ -252,6 +252,10 @@ def test_validation_poses_that_the_fit_has_used_are_pointed_out(arm, truth):
     assert "20 of 20 validation poses are measurements that the fit has used" in reason(same, "used_for_both").text
     again = calib.fit(arm, data, validation=noisy(truth, joints(80)[:30], SIGMA, 2))
     assert "30 of 30 validation poses were measured at poses of the fit" in reason(again, "used_for_both").text
+    loaded = replace(noisy(truth, joints(80)[:30], SIGMA, 2), context={"load": np.full(30, 3.0)})
+    assert "used_for_both" not in calib.fit(arm, data, validation=loaded).verdict.to_dict()["codes"]
+    light = replace(loaded, context={"load": np.full(30, 0.01), "time": np.arange(30.0)})
+    reason(calib.fit(arm, data, validation=light), "used_for_both")
     one = np.concatenate([joints(30, 5), joints(80)[:1]])  # home, say, measured in both sessions
     assert calib.fit(arm, data, validation=noisy(truth, one, SIGMA, 2)).verdict.grade == "PASS"
 

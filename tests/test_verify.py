@@ -39,7 +39,7 @@ def arm():
     """The arm of the examples, its truth, and a fit."""
     robot = calib.load(EXAMPLES / "arm.yaml")
     rng = np.random.default_rng(1)
-    drawn = {p.name: p.nominal + p.sigma * rng.standard_normal() for p in robot.parameters if not p.placement}
+    drawn = {p.name: p.nominal_si + p.sigma_si * rng.standard_normal() for p in robot.parameters if not p.placement}
     truth = robot.with_parameters(drawn | {"base.x": 2.1, "base.rz": 2.0, "reflector.y": -0.003})
     q = rng.uniform(-1.2, 1.2, (80, 6))
     return robot, truth, calib.fit(robot, measured(truth, q, rng))
@@ -324,7 +324,7 @@ def test_a_result_without_the_noise_of_its_instruments_is_refused(folder, tmp_pa
     (other / "result.json").write_text(json.dumps(content))
     found = run(tmp_path, ONE, other, "--plan")
     assert found.exit_code == 2
-    assert "does not say the noise of each instrument; run the fit again" in found.output
+    assert "'instruments[0].parts[0].sigma': field required; run the fit again" in found.output
 
 
 @pytest.mark.parametrize(("freedom", "code"), [(0.2, 2), (1.0, 0)])

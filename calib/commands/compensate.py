@@ -18,7 +18,6 @@ from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
 from calib.data.tables import format_table, read_table
 from calib.errors import DataError, InputError, UnreachablePoseError
-from calib.files import check_file, write_file
 from calib.inverse_kinematics.asked import KEEP
 from calib.inverse_kinematics.compensation import Compensation, compensate
 from calib.inverse_kinematics.goals import Goals, read_goals
@@ -94,7 +93,6 @@ def command(
     the nominal model, Cartesian or delta. Straight moves get the points to tell it, in pieces so short that the tool
     stays within --tolerance-mm of the line; what else moves the machine is refused, all other lines stay.
     """
-    check_file(out)
     result = result_folder(robot, result)
     nominal = loaded(robot, output)
     known = load_known(result, nominal)
@@ -111,6 +109,7 @@ def command(
     if any(option is not None for option in (zero, start, tolerance_mm)):
         raise InputError(f"--zero, --start and --tolerance-mm are for G-code ({', '.join(SUFFIXES)}); leave them out")
     rows = _read(program, nominal, output)
+    output.check(out)
     if grid is not None:
         compensate_grid(known, rows, grid, result, out, output)
         return
@@ -128,7 +127,7 @@ def command(
         f"{program} for {nominal.name}, {done}; kept: {compensation.keep}; errors are {compensation.frame}; {COUNTED}",
         *said_of_failure(output, result, out),
     )
-    write_file(out, format_table(_columns(nominal, rows, compensation), comments))
+    output.write(out, format_table(_columns(nominal, rows, compensation), comments))
     figures, held_out, n = _summary(compensation), _held_out(result), len(rows)
     output.json(
         {

@@ -8,9 +8,9 @@ from calib.commands.common import Output, said_of_failure
 from calib.data.gcode import ROUNDING, GcodeProgram
 from calib.data.gcode_reader import read_gcode
 from calib.errors import DataError, InputError
-from calib.files import write_file
 from calib.inverse_kinematics.straight_moves import CompensatedMoves, StraightMoves, compensate_moves
 from calib.linearisation.known_robot import KnownRobot
+from calib.own_files import GCODE_COMMENT
 from calib.reporting.expected_text import COUNTED, before_and_now, expected_now, left_as_it_is, of_frame, summary
 from calib.units import millimetres, quantity
 from calib.words import counted
@@ -49,6 +49,7 @@ def compensate_gcode(
     if len(known.robot.target_names) > 1:
         raise DataError(f"{known.robot.path}: has several targets; which of them X, Y and Z are of is not known")
     program = read_gcode(path, start)
+    output.check(out)
     tolerance = quantity(f"{tolerance_mm!r} mm", "length", "--tolerance-mm") - ROUNDING
     origin = np.zeros(3) if zero is None else np.array(zero)
     unknown = (np.nan, np.nan, np.nan)
@@ -67,7 +68,7 @@ def compensate_gcode(
     comments = (f"{done}; errors are {found.frame}", *said_of_failure(output, result, out))
     comments = tuple(" ".join(line.split()) for line in comments)
     ways = None if found.nothing_to_correct else [way - origin for way in found.told]
-    write_file(out, program.rewritten(ways, comments))
+    output.write(out, program.rewritten(ways, comments), GCODE_COMMENT)
     n_pieces = sum(len(way) for way in found.told)
     output.json(
         {

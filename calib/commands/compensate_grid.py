@@ -9,7 +9,6 @@ from calib.data.measurement_columns import cells_of
 from calib.data.measurements import Poses
 from calib.data.tables import format_table
 from calib.errors import InputError
-from calib.files import write_file
 from calib.inverse_kinematics.correction_grid import correction_grid
 from calib.inverse_kinematics.goals import Goals
 from calib.linearisation.known_robot import KnownRobot
@@ -62,7 +61,7 @@ def compensate_grid(
         f"corrections from {result}; {done}; errors are {corrections.frame}; {COUNTED}",
         *said_of_failure(output, result, out),
     )
-    write_file(out, format_table(columns, comments))
+    output.write(out, format_table(columns, comments))
     output.json(
         {
             "n_nodes": len(corrections.nodes),

@@ -7,7 +7,6 @@ import click
 from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
 from calib.data.measurement_files import format_positions, read_poses
 from calib.data.measurements import Poses
-from calib.files import check_file, write_file
 from calib.model.robot import Robot
 from calib.reporting.result_reading import load_uncertainty, poses_beyond_curves
 from calib.words import counted
@@ -25,10 +24,10 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
 
     With --result, also how well they are known: the standard deviation of each coordinate, from the measurement noise.
     """
-    check_file(out)
     model = with_values(loaded(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)
     poses = read_poses(joints, model)
+    output.check(out)
     configurations = model.assemble(poses.joints, labels=poses.labels, context=poses.conditions)
     remarks = model.near_singularities(configurations, poses.labels)
     source = parameters or result or "nominal values"
@@ -42,7 +41,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
         remarks = remarks + beyond
     else:
         text = format_positions(model, poses, model.positions(poses.joints, poses.conditions), comment)
-    write_file(out, text)
+    output.write(out, text)
     output.remarks(remarks)
     output.say(f"{counted(len(poses), 'pose')} written to {out}")
     if result:

@@ -9,7 +9,6 @@ from calib.arrays import IntArray
 from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
 from calib.data.measurement_columns import approach_columns, condition_columns, joint_columns
 from calib.data.tables import format_table
-from calib.files import check_file, write_file
 from calib.inverse_kinematics.goals import Goals, read_goals
 from calib.inverse_kinematics.inverse import Solution, solve
 from calib.model.robot import Robot
@@ -50,10 +49,10 @@ def command(
     frame. Where the verdict of the calibration is that nothing is to be corrected, the nominal robot counts, with base
     and targets where it agrees best with the calibrated one.
     """
-    check_file(out)
     nominal, folder = loaded(robot, output), folder_of_values(robot, parameters, result)
     model = with_values(nominal, parameters, result)
     goals = read_goals(targets, model)
+    output.check(out)
     with output.working(f"solving {len(goals)} targets"):
         solution = solve(load_known(folder, nominal) if folder else model, goals)
     misses = solution.misses()
@@ -69,7 +68,7 @@ def command(
     if folder:
         said += f"; errors are {solution.expected.frame}; {COUNTED}"
     comments = (said, *said_of_failure(output, folder, out))
-    write_file(out, _table(model, goals, solution, comments))
+    output.write(out, _table(model, goals, solution, comments))
     labels = [solution.labels[k] for k in reached]
     remarks = model.near_singularities(model.assemble(solution.q[reached], labels=labels), labels)
     output.remarks(remarks)

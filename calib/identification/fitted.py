@@ -172,7 +172,7 @@ class Fit(ReadOnlyArrays):
 
     @cached_property
     def parameters(self) -> Estimates:
-        """What was found of each parameter, by name [m or rad]."""
+        """What was found of each parameter, by name: in the unit of each, and in m or rad as `..._si`."""
         found = estimates(self.nominal.parameters, self.robot.values, self.free, self.statistics)
         later = {name: replace(found[name], status="placed") for name in self.placed_later}
         return Estimates({**found, **later}) if later else found

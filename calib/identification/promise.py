@@ -107,7 +107,7 @@ def candidates(robot: Robot) -> list[Candidate]:
     """Return what can change: parameters of the robot's origins, and zeros of its joints."""
     free = np.flatnonzero(robot.is_free)
     parameters = [
-        Candidate(p.name, p.dimension, k, False, p.sigma)
+        Candidate(p.name, p.dimension, k, False, p.sigma_si)
         for k, p in enumerate(robot.parameters[i] for i in free)
         if not p.placement and not p.family and free[k] < robot.n_origin_parameters
     ]

@@ -7,8 +7,8 @@ from itertools import combinations
 
 import numpy as np
 
-from calib.arrays import IntArray
-from calib.data.grouping import pose_labels
+from calib.arrays import FloatArray, IntArray
+from calib.data.grouping import SAME_JOINTS, pose_labels
 from calib.data.measurements import Measurements
 from calib.identification.fitted import Fit
 from calib.identification.judged import blocks
@@ -44,6 +44,8 @@ FAR = 3.0
 """Residual over the median residual from which a reading of 0, 0, 0 is not the origin of the measurement frame."""
 USED_FOR_BOTH = 0.1
 """Part of the validation poses that may be poses of the fit, measured again."""
+ANOTHER = {"load": 0.05, "temperature": 2.0}
+"""Differences in stated conditions [kg, K] that make a measurement at the same joint values another one."""
 
 
 def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
@@ -158,7 +160,7 @@ def used_for_both(fit: Fit) -> Iterator[Reason]:
     if fit.validation is None:
         return
     used, other = fit.identification.data, fit.validation.data
-    label = pose_labels(np.vstack([used.joints, other.joints]))
+    label = pose_labels(np.hstack([np.vstack([used.joints, other.joints]), _conditions(used, other)]))
     same_pose = np.isin(label[len(used) :], label[: len(used)])
     known = {key for keys in _reading_keys(used) for key in keys}
     same_reading = [bool(keys & known) for keys, same in zip(_reading_keys(other), same_pose, strict=True) if same]
@@ -193,6 +195,16 @@ def copied(fit: Fit) -> Iterator[Reason]:
             f"{copies} of {counted(len(rows), 'reading')} are copies of others to the last digit: nothing new, so that"
             " intervals are too narrow; leave the copies out",
         )
+
+
+def _conditions(used: Measurements, other: Measurements) -> FloatArray:
+    """Setups and stated conditions of the visits of both, (n, ...), in units of what makes it another measurement."""
+    both = (used, other)
+    columns = [np.concatenate([np.zeros(len(one)) if one.setups is None else one.setups for one in both])]
+    for name, size in ANOTHER.items():
+        values = [np.nan_to_num(one.context.get(name, np.zeros(len(one)))) for one in both]
+        columns.append(SAME_JOINTS / size * np.concatenate(values))
+    return np.column_stack(columns)
 
 
 def _reading_keys(data: Measurements) -> list[set[bytes]]:

@@ -122,11 +122,11 @@ def _deviations(fit: Fit) -> Iterator[tuple[Parameter, float]]:
         std, share = next(known)
         if (parameter.placement and not parameter.prior) or parameter.family:  # a family's size is found
             continue
-        away = abs(float(value) - parameter.nominal) / parameter.sigma
+        away = abs(float(value) - parameter.nominal_si) / parameter.sigma_si
         if parameter.prior:
             yield parameter, away / float(np.sqrt(max(share, SMALLEST_SHARE)))
         else:
-            yield parameter, away - 2.0 * float(std) / parameter.sigma
+            yield parameter, away - 2.0 * float(std) / parameter.sigma_si
 
 
 def loose(fit: Fit) -> Iterator[Reason]:

@@ -314,7 +314,9 @@ def scatter_of_poses(rows: Rows, known: Information, factors: Factors, weights: 
 
 
 def convergence_at(problem: Problem, solved: Solved, rows: Rows, std: FloatArray) -> Convergence:
-    """Judge the end of the iteration by its stopping rule and by the Gauss-Newton step that is left.
+    """Judge the end of the iteration by the Gauss-Newton step that is left, in standard deviations.
+
+    That is what counts, whether a stopping rule ended the iteration or its limit of evaluations.
 
     Args:
         problem: The problem.
@@ -327,7 +329,7 @@ def convergence_at(problem: Problem, solved: Solved, rows: Rows, std: FloatArray
     root = weighted.known.root
     left = np.abs(problem.unknowns.scales * (root @ (root.T @ pull))) / (std + _ROUNDING)
     largest = int(np.argmax(left))
-    converged = solved.solution.converged and solved.settled and bool(left[largest] < _STEP_LEFT)
+    converged = solved.settled and bool(left[largest] < _STEP_LEFT)
     return Convergence(
         converged, solved.solution.message, float(left[largest]), problem.unknowns.names[largest], solved.settled
     )

@@ -133,7 +133,7 @@ class Frame(ReadOnlyArrays):
 def as_described(robot: Robot) -> Robot:
     """Return the robot as its description has it, without joint terms."""
     bare = robot.with_terms(())
-    return bare.with_parameters([parameter.nominal for parameter in bare.parameters])
+    return bare.with_parameters([parameter.nominal_si for parameter in bare.parameters])
 
 
 @one_blas_thread

@@ -46,8 +46,8 @@ def nearest_to_nominal(robot: Robot) -> Robot:
     own = np.array([not parameters[k].placement for k in free], dtype=bool)
     if np.all(own):
         return robot
-    sigma = np.array([parameters[k].sigma for k in free])
-    nominal = np.array([parameters[k].nominal for k in free])
+    sigma = np.array([parameters[k].sigma_si for k in free])
+    nominal = np.array([parameters[k].nominal_si for k in free])
     q = around_home(robot)
     readings = predicted_readings(robot, robot.assemble(q))
     for _ in range(_ROUNDS):

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from calib.arrays import FloatArray, ReadOnlyArrays
 from calib.data.in_memory import as_poses
 from calib.data.measurements import Poses
-from calib.identification.estimates import Covariance, Estimate, Estimates
+from calib.identification.estimates import NUMBERS, Covariance, Estimate, Estimates
 from calib.identification.fitted import Fit
 from calib.identification.reasons import NOTHING_TO_CORRECT
 from calib.joint_terms.term import Context
@@ -23,8 +23,6 @@ from calib.model.robot import Robot
 from calib.reporting.result_reading import joints_used, load, load_uncertainty, read_result
 from calib.words import titled_html
 
-_NUMBERS = ("nominal", "value", "std", "low95", "high95")
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LoadedResult(ReadOnlyArrays):
@@ -33,7 +31,7 @@ class LoadedResult(ReadOnlyArrays):
     Attributes:
         path: Its folder.
         robot: The calibrated robot.
-        parameters: What was found of each parameter, by name [m or rad].
+        parameters: What was found of each parameter, by name.
         content: What `result.json` says, in mm and degrees.
         uncertainty: How sure the free parameters are.
         joints: Of the visits that they were found from, (n, n_actuated) [m or rad].
@@ -104,8 +102,8 @@ def load_result(folder: Path | str) -> LoadedResult:
     found = {}
     for row, one, value in rows:
         per_si = one.per_si
-        numbers = {key: np.nan if row[key] is None else float(row[key]) / per_si for key in _NUMBERS}
-        numbers |= {"nominal": one.nominal, "value": float(value)}  # these to the last digit
+        numbers = {f"{key}_si": np.nan if row[key] is None else float(row[key]) / per_si for key in NUMBERS}
+        numbers |= {"nominal_si": one.nominal_si, "value_si": float(value)}  # these to the last digit
         found[one.name] = Estimate(
             one.name, one.unit, **numbers, status=row["status"], family=one.family, per_si=per_si
         )

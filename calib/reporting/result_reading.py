@@ -28,7 +28,8 @@ from calib.model.held import Holds
 from calib.model.robot import Robot
 from calib.reporting.files_held import file_entry, stored_files
 from calib.reporting.result_content import FORMAT_VERSION, NOMINAL_URDF, NOMINAL_YAML
-from calib.units import PER_SI, error_scale, per_si
+from calib.reporting.result_format import damage
+from calib.units import error_scale, per_si
 from calib.words import counted, listed
 
 _AGREE = 1e-9  # of the same value in two files [m or rad]
@@ -143,9 +144,12 @@ def poses_beyond_curves(folder: Path | str, robot: Robot, poses: Poses) -> list[
     learned = np.zeros((2, len(robot.joint_names)))
     curves = (read_result(folder).get("joint_terms") or {}).get("curves", [])
     for curve in curves:
-        joint = robot.joint_names.index(curve["joint"])
-        scale = PER_SI[robot.mechanism.dimensions[curve["joint"]]][curve["unit"]]
-        learned[:, joint] = curve["low"] / scale, curve["high"] / scale
+        name = curve["joint"]
+        if name not in robot.joint_names:
+            raise DataError(f"{folder}: has an error curve of joint '{name}', which the robot does not have; run the"
+                            " fit again")  # fmt: skip
+        scale = per_si(curve["unit"], robot.mechanism.dimensions[name], f"{folder}, curve of joint '{name}'")
+        learned[:, robot.joint_names.index(name)] = curve["low"] / scale, curve["high"] / scale
     outside = beyond_learned(robot, learned, poses.joints) if curves else np.zeros((0, 0), dtype=bool)
     found = np.flatnonzero(np.any(outside, axis=1))
     if not len(found):
@@ -252,7 +256,6 @@ def read_result(folder: Path | str) -> dict[str, Any]:
         raise DataError(f"{path}: cannot be read ({error}); run the fit again") from None
     if not isinstance(content, dict) or content.get("version") != FORMAT_VERSION:
         raise DataError(f"{path}: is not a result of format version {FORMAT_VERSION}; run the fit again")
-    rows = content.get("parameters")
-    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows) or "robot" not in content:
-        raise DataError(f"{path}: is incomplete; run the fit again")
+    if problem := damage(content):
+        raise DataError(f"{path}: is damaged, {problem}; run the fit again")
     return content

@@ -198,7 +198,7 @@ def open_lab(robot: str, seed: int, measured: str = "positions") -> Lab:
     size = rng.uniform(0.5, 1.0)
     own = nominal.parameters[: nominal.n_origin_parameters]
     values = {
-        p.name: p.nominal + size * p.sigma * rng.normal()
+        p.name: p.nominal_si + size * p.sigma_si * rng.normal()
         for p, use in zip(own, nominal.is_free, strict=False)
         if use and not p.placement
     }

@@ -134,7 +134,7 @@ def _twin(lab: Lab) -> calib.Robot:
     values = dict(zip((p.name for p in nominal.parameters), lab.truth.values, strict=True))
     for p, use in zip(nominal.parameters[: nominal.n_origin_parameters], nominal.is_free, strict=False):
         if use and not p.placement:
-            values[p.name] = p.nominal + p.sigma * lab.rng.normal()
+            values[p.name] = p.nominal_si + p.sigma_si * lab.rng.normal()
     return nominal.with_parameters(values)
 
 

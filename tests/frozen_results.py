@@ -143,9 +143,9 @@ def write_truth(robot: Path, path: Path) -> None:
     units = {"length": "m", "angle": "rad"}
     lines = ["parameter,value,unit"]
     for parameter, free in zip(loaded.parameters, loaded.is_free, strict=True):
-        off = 0.5 * parameter.sigma * rng.standard_normal()
+        off = 0.5 * parameter.sigma_si * rng.standard_normal()
         if free and parameter.dimension in units:
-            lines.append(f"{parameter.name},{parameter.nominal + off!r},{units[parameter.dimension]}")
+            lines.append(f"{parameter.name},{parameter.nominal_si + off!r},{units[parameter.dimension]}")
     path.write_text("\n".join(lines) + "\n")
 
 
@@ -186,10 +186,12 @@ def _differ(before: Any, after: Any, where: str) -> list[str]:
         return [
             line for k, (a, b) in enumerate(zip(before, after, strict=True)) for line in _differ(a, b, f"{where}[{k}]")
         ]
+    if before == after:
+        return []
     a, b = _number(before), _number(after)
     if a is None or b is None:
-        return [] if before == after or _same_sentence(before, after) else [f"{where}: {before!r}, now {after!r}"]
-    return [] if math.isclose(a, b, rel_tol=SAME, abs_tol=NOTHING) or a == b else [f"{where}: {before}, now {after}"]
+        return [] if _same_sentence(before, after) else [f"{where}: {before!r}, now {after!r}"]
+    return [] if math.isclose(a, b, rel_tol=SAME, abs_tol=NOTHING) else [f"{where}: {before}, now {after}"]
 
 
 def _same_sentence(before: Any, after: Any) -> bool:

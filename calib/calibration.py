@@ -9,27 +9,27 @@ from pathlib import Path
 from typing import Literal
 
 from calib import pictures
+from calib.base.units import ERROR_UNIT
+from calib.base.words import titled_html
+from calib.base.workers import Progress
 from calib.data.measurements import Measurements
-from calib.identification.errors_found import error_table
-from calib.identification.fit import identify
-from calib.identification.fit_files import with_files
-from calib.identification.fitted import Fit
-from calib.identification.settings import Settings
+from calib.fitting.error_sets import error_table
+from calib.fitting.file_robots import with_files
+from calib.fitting.fit import identify
+from calib.fitting.fitted import Fit
+from calib.fitting.settings import Settings
 from calib.joint_terms.terms import terms_text
-from calib.model.robot import Robot, require_robot
 from calib.numerics.losses import checked_loss
 from calib.pictures import Plots
 from calib.reporting.report_text import text_report, verdict_lines
 from calib.reporting.result_content import error_sets
 from calib.reporting.results import save
-from calib.units import ERROR_UNIT
-from calib.words import titled_html
-from calib.workers import Progress
+from calib.robots.robot import Robot, require_robot
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration(Fit):
-    """A finished fit for users: see `calib.identification.fitted.Fit` for what it holds."""
+    """A finished fit for users: see `calib.fitting.fitted.Fit` for what it holds."""
 
     def __str__(self) -> str:
         return self.report()
@@ -93,7 +93,7 @@ def fit(
     executor: Executor | int | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Calibrate a robot; see `calib.identification.fit` for the method and its errors.
+    """Calibrate a robot; see `calib.fitting.fit` for the method and its errors.
 
     Args:
         robot: The nominal robot.

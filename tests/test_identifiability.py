@@ -8,10 +8,10 @@ from small_robots import small_arm
 
 import calib
 from calib import fit
-from calib.linearisation.candidates import assumed_sigma
-from calib.linearisation.jacobian import linearise
 from calib.numerics.identifiability import RANK_TOLERANCE, numerical_rank, reduced
 from calib.numerics.observability import information, prior_rows
+from calib.rows.candidates import assumed_sigma
+from calib.rows.jacobian import linearise
 from medrue.closed_form import forward
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import target_workspace

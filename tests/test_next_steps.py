@@ -8,7 +8,7 @@ import pytest
 
 import calib
 from calib.commands.next_steps import after_check, after_fit, after_select
-from calib.identification.reasons import Reason, Verdict
+from calib.judging.reasons import Reason, Verdict
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 

@@ -16,9 +16,9 @@ import psutil
 import pytest
 
 import calib
-from calib.arrays import ReadOnlyArrays
-from calib.identification.fit import identify
-from calib.identification.settings import Settings
+from calib.base.arrays import ReadOnlyArrays
+from calib.fitting.fit import identify
+from calib.fitting.settings import Settings
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 ROBOT, DATA = EXAMPLES / "five_bar.yaml", EXAMPLES / "five_bar_simulated.csv"

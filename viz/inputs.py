@@ -7,11 +7,11 @@ from functools import partial
 from pathlib import Path
 
 from calib import Fit, Measurements, Robot
-from calib.errors import InputError
-from calib.linearisation.registration import register
-from calib.linearisation.whitening import Whitening
+from calib.base.errors import InputError
+from calib.base.words import counted
 from calib.reporting.result_reading import load_calibrated, load_uncertainty, read_result
-from calib.words import counted
+from calib.rows.registration import register
+from calib.rows.whitening import Whitening
 from viz.judgement import of_result, of_verdict
 from viz.pose_sources import Sigmas, from_measurements, from_saved, noise
 from viz.poses import IDENTIFICATION, Calibrated

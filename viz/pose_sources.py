@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from calib import Fit, Measurements, Robot
-from calib.arrays import FloatArray, IntArray
-from calib.identification.errors_found import ErrorSet
-from calib.identification.judged import Outlier
-from calib.linearisation.observed import predicted_readings
-from calib.linearisation.prediction import PositionUncertainty
-from calib.observation.kind import Instrument
+from calib.base.arrays import FloatArray, IntArray
+from calib.fitting.error_sets import ErrorSet
+from calib.fitting.outliers import Outlier
+from calib.instruments.kind import Instrument
+from calib.rows.observed import predicted_readings
+from calib.rows.prediction import PositionUncertainty
 from viz.poses import EXCLUDED, IDENTIFICATION, MEASURED, VALIDATION, Calibrated, PoseTable, averaged, concatenate
 from viz.saved_readings import Saved
 

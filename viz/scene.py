@@ -8,8 +8,8 @@ import numpy as np
 import scipy
 
 from calib import Fit, Robot
-from calib.arrays import FloatArray, IntArray
-from calib.units import DISPLAY_UNIT, PER_SI
+from calib.base.arrays import FloatArray, IntArray
+from calib.base.units import DISPLAY_UNIT, PER_SI
 from viz.bodies import Bodies, PosedRobot, bodies_of, posed_robot
 from viz.decorations import decorations_of
 from viz.drive import Drive, drive_of

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import click
 
 from calib.data.measurements import Measurements
-from calib.identification.fitted import Fit
-from calib.identification.rules_model import why_no_origins
+from calib.fitting.fitted import Fit
+from calib.judging.rules_model import why_no_origins
 
 if TYPE_CHECKING:
-    from calib.pose_choice.assessment import Assessment
+    from calib.planning.assessment import Assessment
 
 _MEANINGS = {
     "PASS": ("green", "nothing was found against this fit"),

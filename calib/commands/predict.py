@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import click
 
+from calib.base.words import counted
 from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
 from calib.data.measurement_files import format_positions, read_poses
 from calib.data.measurements import Poses
-from calib.model.robot import Robot
 from calib.reporting.result_reading import load_uncertainty, poses_beyond_curves
-from calib.words import counted
+from calib.robots.robot import Robot
 
 
 @click.command("predict")

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from calib.errors import InputError, nearest
+from calib.base.errors import InputError, nearest
+from calib.base.files import check_file, check_folder, write_files, write_folder
 from calib.exporting.closed_model import closed_model
 from calib.exporting.controllers import ControllerFile, dh_file, joint_offsets, ur_kinematics, xacro_origins
 from calib.exporting.drake import drake_bytes
@@ -15,8 +16,7 @@ from calib.exporting.joint_tables import beside_tables, joint_table_files, requi
 from calib.exporting.mjcf import mjcf
 from calib.exporting.toolbox import toolbox_yaml
 from calib.exporting.urdf import urdf_bytes, with_mesh_prefix
-from calib.files import check_file, check_folder, write_files, write_folder
-from calib.model.robot import Robot, require_robot
+from calib.robots.robot import Robot, require_robot
 
 CONTROLLERS: dict[str, Callable[[Robot, Sequence[str]], ControllerFile]] = {
     "dh": lambda robot, lines: dh_file(robot, "standard", lines),
@@ -48,7 +48,7 @@ def export(
     """Write a robot with its current values for another program.
 
     A robot that was calibrated gets as much of it into a file as the format holds: where terms of joint errors have no
-    place, the robot that the fit found to be best without them (`calib.model.held`).
+    place, the robot that the fit found to be best without them (`calib.robots.held`).
 
     Args:
         robot: The robot.

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import FloatArray
-from calib.errors import nearest
+from calib.base.arrays import FloatArray
+from calib.base.errors import nearest
+from calib.base.parameter import Parameter
+from calib.base.units import Dimension
 from calib.joint_terms.term import Context, Joint, JointTerm, TermSection, coefficient
-from calib.parameter import Parameter
-from calib.units import Dimension
 
 EXPECTED: dict[Dimension, float] = {"angle": 1e-3, "length": 1e-3}
 """Expected error per radian or metre of the other joint, where nothing is stated [rad, m]."""

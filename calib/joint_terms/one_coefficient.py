@@ -16,9 +16,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.base.arrays import FloatArray
+from calib.base.parameter import Parameter
 from calib.joint_terms.term import Context, Joint, JointTerm, TermSection, coefficient
-from calib.parameter import Parameter
 
 _HOUR = 3600.0
 

@@ -7,17 +7,17 @@ from typing import Any, cast
 import numpy as np
 from rich.table import Table
 
-from calib.identification.errors_found import STATES, ErrorSet, error_table, format_error
-from calib.identification.fitted import Fit
-from calib.identification.joint_curves import joint_curves
-from calib.identification.reasons import Verdict
-from calib.identification.repeats import repeatability, repeats
-from calib.identification.term_choice import TELLS
-from calib.observation.kind import Part
+from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale, millimetres
+from calib.base.words import counted, listed, plain_text, sentence, text_table
+from calib.fitting.error_sets import STATES, ErrorSet, error_table, format_error
+from calib.fitting.fitted import Fit
+from calib.fitting.terms.joint_curves import joint_curves
+from calib.fitting.terms.term_choice import TELLS
+from calib.instruments.kind import Part
+from calib.judging.reasons import Verdict
+from calib.judging.repeatability import repeatability, repeats
 from calib.reporting.files_held import worth_of_files
 from calib.reporting.result_content import budget_table, correlated, error_sets, parameter_rows
-from calib.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale, millimetres
-from calib.words import counted, listed, plain_text, sentence, text_table
 
 
 def text_report(fit: Fit, width: int = 120) -> str:

@@ -8,20 +8,20 @@ from dataclasses import asdict
 
 import numpy as np
 
-from calib.arrays import IntArray
+from calib.base.arrays import IntArray
+from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale
+from calib.base.version import PROGRAM
+from calib.base.words import as_data
 from calib.data.measurement_columns import header, joint_columns, shown
 from calib.data.tables import format_table
-from calib.identification.errors_found import STATES, ErrorSet
-from calib.identification.fitted import Fit
-from calib.identification.joint_curves import joint_curves
-from calib.identification.judged import Outlier
-from calib.identification.repeats import repeatability, repeats
-from calib.linearisation.prediction import PositionUncertainty
-from calib.linearisation.rows import Rows
+from calib.fitting.error_sets import STATES, ErrorSet
+from calib.fitting.fitted import Fit
+from calib.fitting.outliers import Outlier
+from calib.fitting.terms.joint_curves import joint_curves
+from calib.judging.repeatability import repeatability, repeats
 from calib.reporting.files_held import file_entries
-from calib.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale
-from calib.version import PROGRAM
-from calib.words import as_data
+from calib.rows.prediction import PositionUncertainty
+from calib.rows.rows import Rows
 
 FORMAT_VERSION = 1
 NOMINAL_YAML, NOMINAL_URDF = "nominal.yaml", "nominal.urdf"
@@ -130,7 +130,7 @@ def repeat_table(errors: ErrorSet) -> dict[str, object] | None:
 
 
 def budget_table(fit: Fit) -> dict[str, object] | None:
-    """Return the error budget in the unit of errors and its square; see `calib.identification.error_budget`.
+    """Return the error budget in the unit of errors and its square; see `calib.judging.error_budget`.
 
     A cause whose mean square is negative has no root mean square and no share, but a remark.
     """

@@ -18,17 +18,14 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
+from calib.base.files import write_folder
 from calib.data.parameter_files import format_parameters
 from calib.exporting.held_formats import loses, robot_for, said_of
 from calib.exporting.links import find_mesh
 from calib.exporting.urdf import urdf_bytes
-from calib.files import write_folder
-from calib.identification.fitted import Fit
-from calib.identification.reasons import Verdict
-from calib.identification.rules_model import why_no_origins
-from calib.model.description import description_yaml
-from calib.model.held import Holds
-from calib.model.urdf_text import UrdfText, apply_edits
+from calib.fitting.fitted import Fit
+from calib.judging.reasons import Verdict
+from calib.judging.rules_model import why_no_origins
 from calib.reporting.files_held import VALUES, files_of, name_of_values
 from calib.reporting.result_content import (
     NOMINAL_URDF,
@@ -38,6 +35,9 @@ from calib.reporting.result_content import (
     residual_table,
     to_dict,
 )
+from calib.robots.description import description_yaml
+from calib.robots.held import Holds
+from calib.robots.urdf.text import UrdfText, apply_edits
 
 _URDF = "calibrated.urdf"
 _FILE = re.compile(rb"""\bfilename\s*=\s*(?:"([^"]*)"|'([^']*)')""")

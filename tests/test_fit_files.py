@@ -11,7 +11,7 @@ from read_back import held_out, in_file, tip_of, urdf_links
 from six_axis_arm import FREE, YAML, joints, write_six_axis
 
 import calib
-from calib.fitting.file_robots import why_withheld
+from calib.calibrating.file_robots import why_withheld
 from calib.reporting.result_reading import read_result
 from calib.robots.held import Accuracy, Holds, SeenAt
 

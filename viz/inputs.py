@@ -9,6 +9,7 @@ from pathlib import Path
 from calib import Fit, Measurements, Robot
 from calib.base.errors import InputError
 from calib.base.words import counted
+from calib.judging.verdict import judge
 from calib.reporting.result_reading import load_calibrated, load_uncertainty, read_result
 from calib.rows.registration import register
 from calib.rows.whitening import Whitening
@@ -72,7 +73,7 @@ def _from_fit(robot: Robot, fit: Fit, data: Measurements | None, mapped: int) ->
     if data is None:
         return Shown(_mapped(scene_of_fit(fit), calibrated, fit.placed, mapped), fit.robot, fit.placed)
     table = from_measurements(data, fit.placed, calibrated, noise(fit))
-    scene = build_scene(fit.placed, fit.robot, table, verdict=of_verdict(fit.verdict), comments=remarks(data.comments))
+    scene = build_scene(fit.placed, fit.robot, table, verdict=of_verdict(judge(fit)), comments=remarks(data.comments))
     return Shown(_mapped(scene, calibrated, fit.placed, mapped), fit.robot, fit.placed)
 
 

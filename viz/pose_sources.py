@@ -17,6 +17,7 @@ from calib.base.arrays import FloatArray, IntArray
 from calib.fitting.error_sets import ErrorSet
 from calib.fitting.outliers import Outlier
 from calib.instruments.kind import Instrument
+from calib.judging import findings
 from calib.rows.observed import predicted_readings
 from calib.rows.prediction import PositionUncertainty
 from viz.poses import EXCLUDED, IDENTIFICATION, MEASURED, VALIDATION, Calibrated, PoseTable, averaged, concatenate
@@ -52,9 +53,11 @@ class _Set:
 
 def from_fit(fit: Fit) -> PoseTable:
     """Return the poses of a fit, identification first, outliers that were left out last."""
-    sets = [of_errors(fit, IDENTIFICATION, fit.identification, fit.identification_uncertainty, fit.outliers)]
+    sets = [of_errors(fit, IDENTIFICATION, fit.identification, fit.identification_uncertainty, findings.outliers(fit))]
     if fit.validation is not None:
-        sets.append(of_errors(fit, VALIDATION, fit.validation, fit.validation_uncertainty, fit.validation_outliers))
+        sets.append(
+            of_errors(fit, VALIDATION, fit.validation, fit.validation_uncertainty, findings.validation_outliers(fit))
+        )
     if fit.with_all is not None and fit.excluded:
         visits = np.array(sorted({outlier.pose for outlier in fit.excluded}), dtype=np.intp)
         data = fit.with_all.identification.data.subset(visits)

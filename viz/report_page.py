@@ -16,6 +16,7 @@ import numpy as np
 from calib import Fit, Robot
 from calib.base.version import PROGRAM
 from calib.base.words import sentence
+from calib.judging.verdict import judge
 from calib.reporting.files_held import worth_of_files
 from calib.reporting.report_text import notes
 from calib.reporting.result_content import budget_table, outlier_rows, parameter_rows, position_uncertainty_table
@@ -72,7 +73,7 @@ def report_page(
         .render(
             fit=fit,
             robot=fit.nominal,
-            verdict=fit.verdict,
+            verdict=judge(fit),
             headline=headline(tables, judged_by(fit).main_part),
             accuracy=tables,
             noise=noise_lines(fit),

@@ -1,8 +1,8 @@
-"""A finished fit: what was found, and what follows from it on request (outliers, patterns, uncertainty)."""
+"""A finished fit: what was found, and what follows from that alone. What it is worth is for `calib.judging` to say."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,35 +10,27 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
-from calib.base.errors import UnreachablePoseError
-from calib.base.threads import one_blas_thread
 from calib.data.in_memory import as_poses
 from calib.data.measurements import Poses
 from calib.fitting.error_sets import ErrorSet, Folds
 from calib.fitting.estimates import Covariance, Estimates, estimates
-from calib.fitting.outliers import Outlier, blocks, outliers_of
+from calib.fitting.outliers import Outlier
 from calib.fitting.starts import Starts
 from calib.fitting.terms.candidate_terms import TermChoice
 from calib.joint_terms.term import Context
-from calib.judging.effect_setting import Setting
-from calib.judging.error_budget import ErrorBudget, error_budget
-from calib.judging.reasons import NOTHING_TO_CORRECT, Verdict
-from calib.judging.systematic import Pattern, Residuals, patterns
 from calib.numerics.identifiability import Rank
-from calib.numerics.losses import Loss, Studentised, studentised
+from calib.numerics.losses import Loss
 from calib.numerics.statistics import ChiSquare, Statistics, chi_square
 from calib.numerics.variance_components import EXACT
 from calib.robots.held import Holds
 from calib.robots.robot import Configurations, Robot
 from calib.rows.determination import Determination
-from calib.rows.known_robot import KnownRobot
 from calib.rows.observed import observe
 from calib.rows.prediction import ParameterUncertainty, PositionUncertainty
 from calib.rows.rows import Group, Rows, Scales
 from calib.rows.unknowns import Unknowns
 from calib.rows.whitening import Whitening
 
-_LEAST_FACTOR = 1e-3  # found over assumed noise of a group, over that of all, below which a group has none
 COMPUTED = 1e-7
 """Noise below this [SI], and below a hundredth of what was stated, is what priors leave of data without noise."""
 
@@ -112,7 +104,6 @@ class Fit(ReadOnlyArrays):
             None where nobody asked for files.
         seed: Seed of every random choice.
         placed_later: Parameters of places that validation poses alone show, and that these placed.
-        judge: What gives the verdict when it is asked for.
     """
 
     nominal: Robot
@@ -134,7 +125,6 @@ class Fit(ReadOnlyArrays):
     loss: Loss
     weights: FloatArray
     sigma_given: float | None
-    judge: Callable[[Fit], Verdict]
     starts: Starts | None = None
     folds: Folds | None = None
     excluded: tuple[Outlier, ...] = ()
@@ -146,8 +136,8 @@ class Fit(ReadOnlyArrays):
 
     def __repr__(self) -> str:
         return (
-            f"<{type(self).__name__} of '{self.nominal.name}': {self.verdict.grade}, {self.identification.data.n_poses}"
-            f" poses, {len(self.unknowns)} free parameters>"
+            f"<{type(self).__name__} of '{self.nominal.name}': {self.identification.data.n_poses} poses,"
+            f" {len(self.unknowns)} free parameters>"
         )
 
     @property
@@ -278,12 +268,6 @@ class Fit(ReadOnlyArrays):
         """How sure the free parameters are."""
         return ParameterUncertainty(self.free, self.statistics.covariance, self.statistics.coverage_factor)
 
-    @property
-    def known(self) -> KnownRobot:
-        """The calibrated robot, with how well it is known and where it was measured."""
-        nothing_to_correct = any(reason.code == NOTHING_TO_CORRECT for reason in self.verdict.reasons)
-        return KnownRobot(self.robot, self.uncertainty, self.identification.data.joints, nothing_to_correct)
-
     @cached_property
     def identification_uncertainty(self) -> PositionUncertainty:
         """Predicted positions of the visits that were used, with their covariance."""
@@ -297,26 +281,6 @@ class Fit(ReadOnlyArrays):
             return None
         data = self.validation.data
         return self._predicted(data.joints, data.conditions, self.validation.passive)
-
-    @cached_property
-    def studentised(self) -> Studentised:
-        """Every reading that was used, judged; see `calib.numerics.losses`."""
-        factors, number = self.statistics.factors.found, self.rows.layout.group
-        # groups whose stated noise is off by different factors are judged by what each of them really has
-        relative = np.maximum(factors / max(self._factor, 1e-30), _LEAST_FACTOR)
-        divisor = np.where(number >= 0, relative[number], 1.0)
-        rows = replace(self.rows, residuals=self.rows.residuals / divisor)
-        return studentised(blocks(rows, self.weights), self.root, self.statistics.freedom)
-
-    @property
-    def _factor(self) -> float:
-        """Found over assumed noise, of all groups together."""
-        return float(np.sqrt(np.mean(self.statistics.factors.found**2)))
-
-    @cached_property
-    def outliers(self) -> tuple[Outlier, ...]:
-        """Readings that were used and lie further off than noise explains, worst first."""
-        return outliers_of(self.studentised, self.identification, self.rows.layout)
 
     def whitened(self, errors: ErrorSet) -> tuple[FloatArray, Rows]:
         """Return whitened residuals before calibration (n_rows,), and the rows after it, by the noise as found.
@@ -345,75 +309,7 @@ class Fit(ReadOnlyArrays):
         return None if self.validation is None else self.whitened(self.validation)[1]
 
     @cached_property
-    def validation_studentised(self) -> Studentised | None:
-        """Every reading that was not used, judged; None without them."""
-        rows = self.validation_rows
-        if rows is None:
-            return None
-        known = self.statistics.covariance / np.outer(self.unknowns.scales, self.unknowns.scales)
-        values, vectors = np.linalg.eigh(known)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        scale = self.studentised.scale / max(self._factor, 1e-30)
-        return studentised(blocks(rows, np.zeros(rows.layout.n_readings)), root, self.statistics.freedom, scale)
-
-    @cached_property
-    def validation_outliers(self) -> tuple[Outlier, ...]:
-        """Readings that were not used and lie further off than noise and uncertainty explain, worst first."""
-        if self.validation is None or self.validation_rows is None or self.validation_studentised is None:
-            return ()
-        return outliers_of(self.validation_studentised, self.validation, self.validation_rows.layout)
-
-    @cached_property
-    def setting(self) -> Setting:
-        """What effects that the model may leave out are made of."""
-        data = self.identification.data
-        observed = observe(self.robot, self.configurations, data.readings, joints=True)
-        return Setting(self.robot, data, self.configurations, observed, self.whitening, self.scales, self.weights)
-
-    @cached_property
-    def linear(self) -> Residuals:
-        """The fit as a linear model, in which effects are looked for."""
-        factors = self.statistics.factors
-        factor = float(np.sqrt(np.sum(factors.freedom * factors.found**2) / factors.total_freedom))
-        rows = self.rows.weighted(self.weights)
-        shared = self.statistics.shared
-        pose_freedom = np.inf if shared is None else shared.freedom
-        return Residuals(rows, self.root, self.statistics.freedom, factor, pose_freedom)
-
-    @cached_property
-    @one_blas_thread
-    def patterns(self) -> tuple[Pattern, ...]:
-        """Systematic patterns that were looked for in the residuals, most significant first."""
-        return () if self.computed else patterns(self.linear, self.setting)
-
-    @cached_property
-    @one_blas_thread
-    def budget(self) -> ErrorBudget | None:
-        """What made the error before, and what is left: of the readings that were not used, or of all there are.
-
-        None where the robot cannot be assembled on the way from before to after.
-        """
-        used = self.validation is None
-        try:
-            return error_budget(
-                self.placed,
-                self.robot,
-                self.validation or self.identification,
-                self.unknowns,
-                self.statistics.covariance,
-                self.rows if used else None,
-                self.sigma_given,
-            )
-        except UnreachablePoseError:
-            return None
-
-    @cached_property
     def root(self) -> FloatArray:
         """T of `calib.numerics.observability` at the solution, with the weights of a robust loss, (n_free, rank)."""
         rows = self.rows if np.all(self.weights == 1.0) else self.rows.weighted(self.weights)
         return rows.known.root
-
-    @cached_property
-    def verdict(self) -> Verdict:
-        """PASS, CHECK or FAIL, with reasons."""
-        return self.judge(self)

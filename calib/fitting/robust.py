@@ -13,15 +13,10 @@ Cauchy and Tukey have several minima. They start from Huber's solution, which on
 scale (the MM principle), so that the alternation cannot run away with a shrinking scale.
 
 Reference: maronna2019, chapter 5.
-
-Outliers that are to be left out are found with a robust loss, so that they cannot hide behind each other. A pose goes
-as a whole, even where only one of its targets is off. After each fit the rest is judged again, up to five times: what a
-gross error hid may show then. Both results stay: that of all poses, and that without outliers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,9 +24,6 @@ import scipy
 
 from calib.base.arrays import BoolArray, FloatArray
 from calib.base.errors import ComputationError, NotIdentifiableError
-from calib.data.measurements import Measurements
-from calib.fitting.fitted import Fit
-from calib.fitting.outliers import Outlier
 from calib.fitting.problem import Evaluation, Problem
 from calib.numerics.least_squares import Solution
 from calib.numerics.losses import Loss, median_length, robust_factors, scale_of, weights_of
@@ -50,7 +42,6 @@ _TOO_FEW_LEFT = (
     "the poses that the robust loss still believes do not determine the parameters: too many measurements disagree with"
     " each other; check them, or fit with --loss none"
 )
-_EXCLUSION_ROUNDS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,28 +196,3 @@ def _step(rows: Rows, weights: FloatArray, sigma: float) -> FloatArray:
     if np.min(diagonal) <= 1e-12 * np.max(diagonal):
         raise NotIdentifiableError(_TOO_FEW_LEFT)
     return -scipy.linalg.solve_triangular(triangle, q.T @ right)
-
-
-def without_outliers(first: Fit, robust: Callable[[], Fit], again: Callable[[Measurements], Fit]) -> Fit:
-    """Return the fit without outliers; `first` itself if there are none.
-
-    Args:
-        first: The fit of all poses.
-        robust: Fits all poses with a robust loss.
-        again: Fits some of the poses as asked.
-    """
-    data = first.identification.data
-    kept = np.arange(len(data))
-    excluded: list[Outlier] = []
-    current = first
-    outliers = (first if first.loss == "tukey" else robust()).outliers
-    for _ in range(_EXCLUSION_ROUNDS):
-        if not outliers:
-            break
-        excluded += [replace(outlier, pose=int(kept[outlier.pose])) for outlier in outliers]
-        kept = np.delete(kept, sorted({outlier.pose for outlier in outliers}))
-        current = again(data.subset(kept))
-        outliers = current.outliers
-    if current is first:
-        return first
-    return replace(current, excluded=tuple(excluded), with_all=first)

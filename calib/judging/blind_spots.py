@@ -9,6 +9,7 @@ import numpy as np
 from calib.base.units import millimetres
 from calib.data.measurements import Measurements, Poses
 from calib.fitting.fitted import Fit
+from calib.judging import findings
 from calib.judging.effect_setting import has_time
 from calib.judging.effects import scale
 from calib.judging.error_budget import ENOUGH_REPEATS
@@ -34,12 +35,12 @@ def not_covered(fit: Fit) -> tuple[str, ...]:
 
 def _scale(fit: Fit) -> Iterator[str]:
     """Whether all lengths could be too long: an instrument's scale, or heat."""
-    column = scale(fit.setting)
+    column = scale(findings.setting(fit))
     if not np.any(column):
         return
-    least = visible(fit.linear, column)
+    least = visible(findings.linear(fit), column)
     made = least * float(np.linalg.norm(column)) / np.sqrt(fit.statistics.freedom)
-    if made > NO_MATTER * fit.linear.factor:
+    if made > NO_MATTER * findings.linear(fit).factor:
         below = "" if least > LARGE_SCALE else f" below {float(f'{PARTS_PER_MILLION * least:.2g}'):.0f} ppm"
         yield (
             f"nothing here would show a scale error{below}, of the instrument or of a robot that is warmer or colder:"

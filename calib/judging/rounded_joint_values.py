@@ -27,6 +27,7 @@ from calib.base.arrays import FloatArray
 from calib.base.units import DISPLAY_UNIT, PER_SI, Dimension, display_scale
 from calib.base.words import listed
 from calib.fitting.fitted import Fit
+from calib.judging import findings
 from calib.robots.robot import Robot
 
 _STEPS = tuple(round(figure * 10.0**power, 12) for power in range(2, -6, -1) for figure in (5.0, 2.0, 1.0))
@@ -96,7 +97,7 @@ def _step(values: FloatArray, dimension: Dimension) -> float:
 
 def _score(fit: Fit, scatter: FloatArray) -> tuple[float, float]:
     """Return which part of the noise, squared, joints that scatter so (n_actuated,) make, and the chance of T."""
-    linear, setting = fit.linear, fit.setting
+    linear, setting = findings.linear(fit), findings.setting(fit)
     every = setting.whitened({name: observed.by_joint for name, observed in setting.observed.items()}) * scatter
     visit = setting.whitening.layout.visit[setting.whitening.layout.reading]
     pulled = linear.pulled

@@ -15,6 +15,7 @@ from calib.data.measurements import Measurements
 from calib.fitting.fitted import Fit
 from calib.fitting.outliers import blocks
 from calib.fitting.pose_checks import directions_moved, equal_columns, unmoved_joints, zero_visits
+from calib.judging import findings
 from calib.judging.reasons import Reason
 from calib.judging.repeatability import beyond_repeatability
 from calib.judging.rounded_joint_values import rounding
@@ -133,7 +134,10 @@ def moves_as_one(fit: Fit) -> Iterator[Reason]:
 
 def outliers(fit: Fit) -> Iterator[Reason]:
     """List outliers, and count the excluded ones."""
-    for where, outlying in (("", fit.outliers), (" among the poses that were not used", fit.validation_outliers)):
+    for where, outlying in (
+        ("", findings.outliers(fit)),
+        (" among the poses that were not used", findings.validation_outliers(fit)),
+    ):
         if outlying:
             words = listed([str(outlier) for outlier in outlying], "; ")
             yield Reason(
@@ -270,7 +274,7 @@ def leverage(fit: Fit) -> Iterator[Reason]:
 
     A curve follows each pose a little; what an error at any of them spoils is as local as at the others.
     """
-    deciding = fit.studentised.largest_leverage > HIGH_LEVERAGE
+    deciding = findings.studentised(fit).largest_leverage > HIGH_LEVERAGE
     lasting = fit.unknowns.family < 0
     if np.any(deciding) and not np.all(lasting):
         rows = fit.rows.only(lasting)

@@ -14,6 +14,7 @@ from calib.base.units import ERROR_UNIT, PER_SI, error_scale, millimetres
 from calib.base.words import counted, listed
 from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
+from calib.judging import findings
 from calib.judging.better_or_worse import CHANCE, HARM, comparisons
 from calib.judging.reasons import Reason
 from calib.judging.rules_data import UNLIKELY
@@ -122,7 +123,7 @@ def unused_fits_worse(fit: Fit) -> Iterator[Reason]:
     """Compare errors on unused poses with what noise and uncertainty predict."""
     if fit.validation is None or fit.computed:
         return
-    judged, rows = fit.validation_studentised, fit.validation_rows
+    judged, rows = findings.validation_studentised(fit), fit.validation_rows
     if judged is None or rows is None:
         return
     size = judged.ratio * judged.scale / median_length(rows.layout.width)
@@ -252,7 +253,7 @@ def why_no_origins(fit: Fit) -> str:
 
 def systematic(fit: Fit) -> Iterator[Reason]:
     """List patterns in the residuals."""
-    patterns = [pattern for pattern in fit.patterns if pattern.significant]
+    patterns = [pattern for pattern in findings.patterns(fit) if pattern.significant]
     if patterns:
         words = [describe(pattern, fit.nominal.mechanism.dimensions) for pattern in patterns]
         yield Reason(

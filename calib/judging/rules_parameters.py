@@ -10,6 +10,7 @@ from calib.base.parameter import Parameter
 from calib.base.units import PER_SI
 from calib.base.words import listed
 from calib.fitting.fitted import Fit
+from calib.judging import findings
 from calib.judging.effects import scale
 from calib.judging.reasons import Reason
 from calib.numerics.identifiability import reduced
@@ -75,10 +76,10 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     In the linear model around the solution, with deviations u over the sigmas of all that are no places, a scale s of
     everything that was measured is tried beside the parameters: |r + J du + z s|^2 + |u + du|^2.
     """
-    column = scale(fit.setting)
+    column = scale(findings.setting(fit))
     if fit.computed or not np.any(column):
         return
-    linear, inside = fit.linear, ~fit.unknowns.placement
+    linear, inside = findings.linear(fit), ~fit.unknowns.placement
     rows = np.hstack([column, linear.rows.jacobian, linear.rows.residuals[:, None]]) / linear.factor
     priors = np.hstack([np.zeros((len(inside), 1)), np.eye(len(inside)), linear.rows.deviations[:, None]])[inside]
     stacked = np.vstack([reduced(rows), priors])

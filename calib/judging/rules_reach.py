@@ -14,6 +14,7 @@ from calib.fitting.joint_conventions import wrapped_terms
 from calib.fitting.pose_checks import unmoved_joints
 from calib.fitting.terms.joint_curves import beyond_learned
 from calib.fitting.validation import boxes
+from calib.judging import findings
 from calib.judging.reasons import Reason
 from calib.judging.rules_data import UNLIKELY
 from calib.numerics.clusters import scatter
@@ -204,7 +205,7 @@ def left_out(fit: Fit, block: IntArray) -> tuple[float, float]:
         fit: The fit.
         block: Block of each visit, (n_visits,).
     """
-    linear, layout = fit.linear, fit.rows.layout
+    linear, layout = findings.linear(fit), fit.rows.layout
     noise = np.full(layout.n_rows, linear.factor)
     of_row = block[layout.visit[layout.reading]]
     found = scatter(linear.rows.jacobian, linear.root, linear.rows.residuals, noise, of_row, linear.freedom)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+from calib.base.remembered import remembered
 from calib.fitting.fitted import Fit
 from calib.fitting.pose_checks import likely_mistake
 from calib.judging import rules_data, rules_model, rules_noise, rules_parameters, rules_reach
@@ -64,6 +65,7 @@ _NOTHING_FITS = ("not_converged", "not_assembled", "noise_as_large_as_robot", "f
 _MOVED = ("at_bounds",)  # what a base that stands a little elsewhere does
 
 
+@remembered
 def judge(fit: Fit) -> Verdict:
     """Return the verdict on a fit: the worst of the reasons found, FAIL before CHECK."""
     reasons = [reason for rule in _RULES for reason in rule(fit)]

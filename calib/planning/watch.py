@@ -30,10 +30,10 @@ from calib.base.errors import (
 )
 from calib.base.files import read_lines
 from calib.base.units import quantity
+from calib.calibrating.calibrate import calibrate
 from calib.data.in_memory import as_poses
 from calib.data.measurement_files import read_measurements
 from calib.data.measurements import Measurements, Poses
-from calib.fitting.fit import identify
 from calib.fitting.fitted import Fit
 from calib.fitting.settings import Settings
 from calib.planning.next_pose import NextPose, next_pose
@@ -143,7 +143,7 @@ class Watch:
     def _fitted(self, data: Measurements) -> tuple[Fit | None, CalibrationError | None]:
         """A fit of these, or why there is none yet."""
         try:
-            return identify(self.robot, data, None, self._settings), None
+            return calibrate(self.robot, data, None, self._settings), None
         except (DataError, NotIdentifiableError, NotConvergedError) as error:  # too few poses, all on one line
             return None, error
 

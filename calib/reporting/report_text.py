@@ -14,8 +14,10 @@ from calib.fitting.fitted import Fit
 from calib.fitting.terms.joint_curves import joint_curves
 from calib.fitting.terms.term_choice import TELLS
 from calib.instruments.kind import Part
+from calib.judging import findings
 from calib.judging.reasons import Verdict
 from calib.judging.repeatability import repeatability, repeats
+from calib.judging.verdict import judge
 from calib.reporting.files_held import worth_of_files
 from calib.reporting.result_content import budget_table, correlated, error_sets, parameter_rows
 
@@ -24,7 +26,7 @@ def text_report(fit: Fit, width: int = 120) -> str:
     """Return verdict, accuracy before and after, parameters with their 95 % intervals, and what to know about them."""
     parts: list[str | Table] = [
         f"Calibration of {fit.nominal.name} ({fit.nominal.path})",
-        *verdict_lines(fit.verdict),
+        *verdict_lines(judge(fit)),
         *_accuracy(fit),
         *_files(fit),
         *_budget(fit),
@@ -140,7 +142,8 @@ def _terms(fit: Fit) -> list[str]:
 
 
 def _left(fit: Fit) -> list[str]:
-    return [] if fit.budget is None else [f"What is left: {fit.budget.advice}"]
+    budget = findings.budget(fit)
+    return [] if budget is None else [f"What is left: {budget.advice}"]
 
 
 def _curves(fit: Fit) -> list[str]:

@@ -18,7 +18,9 @@ from calib.fitting.error_sets import STATES, ErrorSet
 from calib.fitting.fitted import Fit
 from calib.fitting.outliers import Outlier
 from calib.fitting.terms.joint_curves import joint_curves
+from calib.judging import findings
 from calib.judging.repeatability import repeatability, repeats
+from calib.judging.verdict import judge
 from calib.reporting.files_held import file_entries
 from calib.rows.prediction import PositionUncertainty
 from calib.rows.rows import Rows
@@ -46,7 +48,7 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "robot": fit.nominal.path,
             "data": data.path,
             "comments": comments(fit),
-            "verdict": fit.verdict.to_dict(forced=forced),
+            "verdict": judge(fit).to_dict(forced=forced),
             "converged": fit.converged,
             "message": fit.message,
             "seconds": fit.seconds,
@@ -82,7 +84,7 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "outliers": outlier_rows(fit),
             "excluded": [_outlier(fit.with_all, "identification", found) for found in fit.excluded],
             "with_excluded": _with_excluded(fit),
-            "patterns": [asdict(pattern) for pattern in fit.patterns],
+            "patterns": [asdict(pattern) for pattern in findings.patterns(fit)],
             "starts": _starts(fit),
             "cross_validation": _folds(fit),
             "joint_terms": _terms(fit),
@@ -134,7 +136,7 @@ def budget_table(fit: Fit) -> dict[str, object] | None:
 
     A cause whose mean square is negative has no root mean square and no share, but a remark.
     """
-    found = fit.budget
+    found = findings.budget(fit)
     if found is None:
         return None
     scale = error_scale(found.part.dimension)
@@ -179,8 +181,8 @@ def position_uncertainty_table(fit: Fit) -> dict[str, object]:
 
 def outlier_rows(fit: Fit) -> list[dict[str, object]]:
     """Return the outliers of both sets, worst first in each."""
-    rows = [_outlier(fit, "identification", outlier) for outlier in fit.outliers]
-    return rows + [_outlier(fit, "validation", outlier) for outlier in fit.validation_outliers]
+    rows = [_outlier(fit, "identification", outlier) for outlier in findings.outliers(fit)]
+    return rows + [_outlier(fit, "validation", outlier) for outlier in findings.validation_outliers(fit)]
 
 
 def _outlier(fit: Fit | None, label: str, outlier: Outlier) -> dict[str, object]:
@@ -204,7 +206,7 @@ def _with_excluded(fit: Fit) -> dict[str, object] | None:
         return None
     return {
         "n_poses": fit.with_all.identification.data.n_poses,
-        "verdict": fit.with_all.verdict.to_dict(),
+        "verdict": judge(fit.with_all).to_dict(),
         "sigma": fit.with_all.sigma,
         "parameters": parameter_rows(fit.with_all),
         "errors": {name: found.table() for name, found in error_sets(fit.with_all)},
@@ -332,7 +334,7 @@ def _cell(value: object) -> object:
 def _residual_columns(fit: Fit, label: str, found: ErrorSet, rows: Rows, name: str) -> dict[str, Sequence[object]]:
     """A column of cells for each header, for the readings of one instrument in a set."""
     used = label == "identification"
-    judged = fit.studentised if used else fit.validation_studentised
+    judged = findings.studentised(fit) if used else findings.validation_studentised(fit)
     assert judged is not None
     layout, factor = rows.layout, float(np.sqrt(np.mean(fit.statistics.factors.found**2))) if used else 1.0
     one, own, readings = fit.nominal.instrument(name), layout.readings_of(name), found.data.readings[name]

@@ -57,13 +57,15 @@ ROOMS = (
     Room("Data", 4, ("data",)),
     Room("Rows", 5, ("rows",)),
     Room("Exporting", 5, ("exporting",)),
-    Room("Fitting and judging", 6, ("fitting", "judging")),
+    Room("Fitting", 6, ("fitting",)),
     Room("Using", 6, ("using",)),
-    Room("Planning", 7, ("planning",)),
-    Room("Studies", 7, ("planning.studies",)),
+    Room("Judging", 7, ("judging",)),
     Room("Programs", 7, ("using.programs",)),
-    Room("Reporting", 8, ("reporting",)),
-    Room("Commands", 9, ("commands",)),
+    Room("Calibrating", 8, ("calibrating",)),
+    Room("Planning", 9, ("planning",)),
+    Room("Studies", 9, ("planning.studies",)),
+    Room("Reporting", 10, ("reporting",)),
+    Room("Commands", 11, ("commands",)),
 )
 
 

@@ -35,8 +35,8 @@ from calib.base.arrays import FloatArray
 from calib.base.errors import CalibrationError, InputError, NotConvergedError
 from calib.base.threads import one_blas_thread
 from calib.base.workers import Progress, Workers, in_order
+from calib.calibrating.calibrate import calibrate
 from calib.data.measurements import Measurements, Poses
-from calib.fitting.fit import identify
 from calib.fitting.fitted import Fit
 from calib.fitting.settings import Settings
 from calib.numerics.losses import checked_loss
@@ -159,7 +159,7 @@ def _prepared(
     there = np.zeros((0, len(robot.joint_names))) if elsewhere is None else robot.joint_vector(elsewhere)
     near = robot.assemble(there).passive
     data = source if isinstance(source, Measurements) else source.measured(seeds[0]).data
-    first = identify(robot, data, None, settings)
+    first = calibrate(robot, data, None, settings)
     if not first.converged:
         which = "calibration from all poses" if data is source else "first of the simulated calibrations"
         raise NotConvergedError(f"the {which} did not converge: {first.message}")

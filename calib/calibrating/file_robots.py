@@ -27,13 +27,15 @@ from calib.base.arrays import FloatArray
 from calib.base.errors import CalibrationError
 from calib.base.threads import one_blas_thread
 from calib.base.workers import Workers
-from calib.fitting.fit import PROVING, fit_data
+from calib.calibrating.calibrate import PROVING
+from calib.fitting.fit import fit_data
 from calib.fitting.fitted import COMPUTED, Fit
 from calib.fitting.settings import Settings
 from calib.fitting.unseen_errors import accuracy
 from calib.fitting.validation import cross_validate, n_folds
 from calib.joint_terms.one_coefficient import Zero
 from calib.joint_terms.term import Joint, TermSection
+from calib.judging.judged_fit import JudgedFit
 from calib.robots.held import Accuracy, FileRobot, Holds
 from calib.robots.robot import Robot
 
@@ -42,7 +44,7 @@ _SAME = 1.0 + 1e-6  # times the error of the nominal robot, beside `COMPUTED`: w
 
 
 @one_blas_thread
-def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = None) -> Fit:
+def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = None) -> JudgedFit:
     """Return a fit that knows the robots which files of it get.
 
     Fits without joint terms are done at once; what else a file may need is found when it is first asked for.
@@ -50,7 +52,7 @@ def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = N
     Args:
         fit: The fit.
         settings: How it was done.
-        executor: Who does the fits of other starts and of folds, as in `calib.fitting.fit.identify`.
+        executor: Who does the fits of other starts and of folds, as in `calib.calibrating.calibrate.calibrate`.
     """
     started, reduced = time.perf_counter(), dict[Holds, Fit]()
     kinds = [holds for holds in (Holds.TABLES, Holds.ORIGINS) if fit.robot.lost_by(holds)]
@@ -62,7 +64,7 @@ def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = N
                 with suppress(CalibrationError):  # then there is no such file, and who asks for one is told
                     reduced[holds] = _fitted_again(fit, robot, settings, workers)
     fit = replace(fit, reduced=reduced, seconds=fit.seconds + time.perf_counter() - started)
-    return replace(fit, robot=replace(fit.robot, files=FitFiles(fit, settings)))
+    return JudgedFit.of(replace(fit, robot=replace(fit.robot, files=FitFiles(fit, settings))))
 
 
 def start_of(fit: Fit, holds: Holds) -> Robot:

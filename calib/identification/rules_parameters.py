@@ -66,6 +66,7 @@ def far_from_nominal(fit: Fit) -> Iterator[Reason]:
             "at_bounds",
             f"parameters further from nominal than {PLAUSIBLE:g} times what their stated sigma allows: {words};"
             " check zero positions and units, or, if that is possible, state a larger sigma in the description",
+            counted=True,
         )
 
 
@@ -110,6 +111,7 @@ def large_terms(fit: Fit) -> Iterator[Reason]:
             "large_terms",
             f"joint terms that were added are more than {UNUSUAL:g} times as large as is usual: {words}; look for a"
             " ratio, unit, mass or load that is wrong in the description or the data",
+            counted=True,
         )
 
 

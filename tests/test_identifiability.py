@@ -203,3 +203,23 @@ def test_other_valid_choices_of_eight_predict_the_same_positions(medrue):
     # The fits stop within a small part of a standard deviation, which is about 10 um at the tool.
     np.testing.assert_allclose(predicted[1], predicted[0], atol=2e-7)
     np.testing.assert_allclose(predicted[2], predicted[0], atol=2e-7)
+
+
+def test_a_fit_on_an_unclear_rank_gets_a_check_and_says_so(tmp_path, monkeypatch):
+    robot = small_arm(tmp_path)
+    q = np.random.default_rng(5).uniform([-2, 0.1, -1], [2, 0.9, 1], (40, 3))
+    made = fit(robot, calib.as_measurements(robot, q, robot.positions(q) + 2e-5 * np.sin(7 * q)[:, None]))
+    assert "rank_unclear" not in [reason.code for reason in made.verdict.reasons]
+    n = len(made.unknowns)
+    unclear = numerical_rank(np.diag([*np.ones(n - 1), 4e-9]))
+    doubtful = replace(made, determination=replace(made.determination, free=unclear, together=unclear))
+    assert doubtful.verdict.grade == "CHECK"
+    assert "no clear gap" in next(r.text for r in doubtful.verdict.reasons if r.code == "rank_unclear")
+    assert "No clear gap" in doubtful.report()
+    short = numerical_rank(np.diag([*np.ones(n - 2), 2e-9, 0.7e-9]))
+    monkeypatch.setattr(
+        "calib.identification.pose_checks.determination",
+        lambda *columns: replace(made.determination, together=short),
+    )
+    with pytest.raises(calib.NotIdentifiableError, match="1 is NOT determined.*no clear gap"):
+        fit(robot, made.identification.data)

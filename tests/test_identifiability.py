@@ -221,5 +221,5 @@ def test_a_fit_on_an_unclear_rank_gets_a_check_and_says_so(tmp_path, monkeypatch
         "calib.identification.pose_checks.determination",
         lambda *columns: replace(made.determination, together=short),
     )
-    with pytest.raises(calib.NotIdentifiableError, match="1 is NOT determined.*no clear gap"):
+    with pytest.raises(calib.NotIdentifiableError, match=r"1 is NOT determined.*no clear gap"):
         fit(robot, made.identification.data)

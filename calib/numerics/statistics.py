@@ -25,9 +25,9 @@ Where the size of some priors was found from the same data, `calib.numerics.prio
 A robust loss changes what a residual tells: see `calib.identification.robust`, which gives f and its counterpart in C.
 
 What readings see of a direction that only a prior holds bends with it: `calib.identification.curvature` says what that
-adds to the standard deviations. It is no part of C.
+adds to the variance in intervals. It is no part of C, nor of std.
 
-Intervals are value +- t std with Student's t at 97.5 % and the degrees of freedom above, because the noise is found
+Intervals are value +- t std, or a little more as said, with Student's t at 97.5 % and the degrees of freedom above, because the noise is found
 from the same residuals; with those of the scatter of poses, where that counts and they are fewer. The part of a
 parameter that the data decide is 1 - C_kk (prior variance 1): near 1 the measurements know the value, near 0 the prior
 holds it.
@@ -96,7 +96,7 @@ class Statistics(ReadOnlyArrays):
         effective_parameters: How many parameters the data decide, n_eff of the module docstring.
         root: T of the module docstring, (n_free, n_free).
         poses: How the readings of each pose scatter together; None: independently.
-        beyond_linear: Mean square of what they are off beyond the linear model, part of `std` and not of `covariance`,
+        beyond_linear: Mean square of what they are off beyond the linear model, part of `half_width` alone,
             (n_free,) [m^2, rad^2].
     """
 
@@ -129,8 +129,7 @@ class Statistics(ReadOnlyArrays):
     def correlations(self) -> FloatArray:
         """Return the correlation coefficients of the free parameters, (n_free, n_free); NaN where nothing scatters."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            linear = np.sqrt(np.diag(self.covariance))
-            unit = self.covariance / linear / linear[:, None]
+            unit = self.covariance / self.std / self.std[:, None]
         return np.clip(unit, -1.0, 1.0)
 
 
@@ -267,8 +266,8 @@ def statistics(
         scaled_covariance = scaled_covariance + by_sizes
     covariance = scales[:, None] * scaled_covariance * scales
     beyond = np.zeros(len(scales)) if beyond_linear is None else scales**2 * beyond_linear
-    std: FloatArray = np.sqrt(np.diag(covariance) + beyond)
+    std: FloatArray = np.sqrt(np.diag(covariance))
     decided = np.where(has_prior, np.clip(1.0 - np.diag(scaled_covariance), 0.0, 1.0), 1.0)
     n_effective = float(len(share) - np.trace(share))
     found = Statistics(factors, factors.total_freedom, covariance, std, std, decided, n_effective, root, poses, beyond)
-    return replace(found, half_width=found.coverage_factor * std)
+    return replace(found, half_width=found.coverage_factor * np.sqrt(std**2 + beyond))

@@ -27,10 +27,10 @@ A robust loss changes what a residual tells: see `calib.identification.robust`, 
 What readings see of a direction that only a prior holds bends with it: `calib.identification.curvature` says what that
 adds to the variance in intervals. It is no part of C, nor of std.
 
-Intervals are value +- t std, or a little more as said, with Student's t at 97.5 % and the degrees of freedom above, because the noise is found
-from the same residuals; with those of the scatter of poses, where that counts and they are fewer. The part of a
-parameter that the data decide is 1 - C_kk (prior variance 1): near 1 the measurements know the value, near 0 the prior
-holds it.
+Intervals are value +- t std, widened as said, with Student's t at 97.5 % and the degrees of freedom above, because the
+noise is found from the same residuals; with those of the scatter of poses, where that counts and they are fewer. The
+part of a parameter that the data decide is 1 - C_kk (prior variance 1): near 1 the measurements know the value, near 0
+the prior holds it.
 
 When it fails. All of it is linear in the parameters at the solution, and counts noise that is independent from visit to
 pose. Errors that the model leaves out are not noise: `calib.identification.systematic` tests for them.

@@ -131,6 +131,18 @@ def _deviations(fit: Fit) -> Iterator[tuple[Parameter, float]]:
             yield parameter, away - 2.0 * float(std) / parameter.sigma_si
 
 
+def unclear_rank(fit: Fit) -> Iterator[Reason]:
+    """See whether all that is free counts as determined only because of where the threshold lies."""
+    rank = fit.determination.together
+    if rank.unclear:
+        yield Reason(
+            "CHECK",
+            "rank_unclear",
+            f"{rank.doubt}: a combination of parameters is as good as not determined; hold one more (`calib check`"
+            " tells which), or measure other poses",
+        )
+
+
 def loose(fit: Fit) -> Iterator[Reason]:
     """List angles that are hardly determined."""
     free = [p for p, use in zip(fit.nominal.parameters, fit.free, strict=True) if use]

@@ -45,6 +45,7 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_data.too_few_poses,
     rules_data.few_shared,
     rules_data.moves_as_one,
+    rules_parameters.unclear_rank,
     rules_parameters.loose,
     rules_model.nothing_to_correct,
     rules_model.files_hold_less,

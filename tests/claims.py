@@ -24,6 +24,7 @@ import calib
 from calib.data.measurements import Measurements
 from calib.errors import CalibrationError
 from calib.identification.claim_of_fit import claim_of
+from calib.words import counted
 
 PAGE = EXAMPLES.parent / "verdict.md"
 _PLACE = re.compile(r"(<!-- begin real robots -->\n).*?(<!-- end real robots -->)", re.DOTALL)
@@ -48,7 +49,7 @@ def splits(folder: Path) -> Iterator[Split]:
     for points in (0, 1, 4):
         robot, data = fr3(folder, points)
         order = np.random.default_rng(points).permutation(len(data))
-        kind = "poses" if points == 0 else f"poses as {points} points"
+        kind = "poses" if points == 0 else f"poses as {counted(points, 'point')}"
         yield Split("FR3", f"{kind}, 60 at random", robot, *_parts(data, order[:60], order[60:]))
     for arm, places in PLACES.items():
         if (folder / "mukca").is_dir():
@@ -152,7 +153,7 @@ def main() -> None:
         "| robot | poses used, and judging | before [mm] | unused [mm] | claimed [mm] | ratio | grade | first reason |",
         "|---|---|---:|---:|---:|---:|---|---|",
     ]
-    right, counts, ratios = [0, 0], [0, 0], []
+    right, n_splits, ratios = [0, 0], [0, 0], []
     for split in splits(options.folder):
         if options.only not in f"{split.robot} {split.how}":
             continue
@@ -165,7 +166,7 @@ def main() -> None:
         before, after = (1e3 * fit.validation.rms(state) for state in ("before", "after"))
         told = 1e3 * made.told.rms if made else float("nan")
         good = after <= 1.25 * told and after < before
-        counts[good] += 1
+        n_splits[good] += 1
         right[good] += (fit.verdict.grade == "PASS") == good
         ratios.append(after / told)
         codes = [reason.code for reason in fit.verdict.reasons if reason.grade != "PASS"]
@@ -175,9 +176,9 @@ def main() -> None:
         print(lines[-1], flush=True)
     passed = np.array(ratios)
     words = (
-        f"Of {counts[True]} fits that are as accurate as claimed (up to 1.25 times) and better than before,"
-        f" {right[True]} are PASS. Of the {counts[False]} others, {right[False]} are CHECK or FAIL. Errors of poses that"
-        f" were not used, over those claimed: median {np.median(passed):.2f}."
+        f"Of {n_splits[True]} fits that are as accurate as claimed (up to 1.25 times) and better than before,"
+        f" {right[True]} are PASS. Of the {n_splits[False]} others, {right[False]} are CHECK or FAIL. Errors of poses"
+        f" that were not used, over those claimed: median {np.median(passed):.2f}."
     )
     print(words)
     if options.page:

@@ -107,7 +107,8 @@ class Scene:
 
 def scene_of_fit(fit: Fit) -> Scene:
     """Return the scene of a fit."""
-    return build_scene(fit.placed, fit.robot, from_fit(fit), verdict=of_verdict(judge(fit)), comments=fit_remarks(fit))
+    verdict, notes = of_verdict(judge(fit)), fit.told_positions.notes
+    return build_scene(fit.placed, fit.robot, from_fit(fit), verdict=verdict, notes=notes, comments=fit_remarks(fit))
 
 
 def build_scene(

@@ -8,8 +8,9 @@ from calib.base.words import counted
 from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
 from calib.data.measurement_files import format_positions, read_poses
 from calib.data.measurements import Poses
-from calib.reporting.result_reading import load_uncertainty, poses_beyond_curves
+from calib.reporting.result_reading import joints_used, load_uncertainty, poses_beyond_curves
 from calib.robots.robot import Robot
+from calib.rows.told_positions import ToldPositions
 
 
 @click.command("predict")
@@ -56,7 +57,8 @@ def _with_uncertainty(
     model: Robot, poses: Poses, result: str, comment: tuple[str, ...]
 ) -> tuple[str, dict[str, object], str]:
     """Return the CSV text with standard deviations, their summary [mm], and what to add to it."""
-    uncertainty = load_uncertainty(result, model).at(model, poses.joints, poses.conditions)
-    text = format_positions(model, poses, uncertainty.positions, comment, uncertainty.std)
-    summary = {**uncertainty.summary(), "worst_pose": poses.names[uncertainty.worst]}
-    return text, summary | {"left_out": list(uncertainty.left_out)}, uncertainty.remark()
+    known = ToldPositions.of(model, load_uncertainty(result, model), joints_used(result, model))
+    told = known.at(poses.joints, poses.conditions)
+    measured = told.measured or told  # what is written is where the instruments see it
+    text = format_positions(model, poses, measured.positions, comment, measured.std)
+    return text, told.table() | {"worst_pose": poses.names[told.worst]}, told.remark()

@@ -28,6 +28,7 @@ from calib.rows.determination import Determination
 from calib.rows.observed import observe
 from calib.rows.prediction import ParameterUncertainty, PositionUncertainty
 from calib.rows.rows import Group, Rows, Scales
+from calib.rows.told_positions import ToldPositions
 from calib.rows.unknowns import Unknowns
 from calib.rows.whitening import Whitening
 
@@ -257,11 +258,12 @@ class Fit(ReadOnlyArrays):
             UnreachablePoseError: A loop stays open.
         """
         told = as_poses(self.robot, poses)
-        return self._predicted(told.joints, told.conditions if context is None else context)
+        return self.uncertainty.at(self.robot, told.joints, told.conditions if context is None else context)
 
-    def _predicted(self, q: FloatArray, context: Context, near: FloatArray | None = None) -> PositionUncertainty:
-        """`predict`, with passive joints to start from, (n, n_passive) [m or rad]."""
-        return self.uncertainty.at(self.robot, q, context, near)
+    @cached_property
+    def told_positions(self) -> ToldPositions:
+        """How well positions are known, in the frame that means something."""
+        return ToldPositions.of(self.robot, self.uncertainty, self.identification.data.joints)
 
     @property
     def uncertainty(self) -> ParameterUncertainty:
@@ -270,17 +272,17 @@ class Fit(ReadOnlyArrays):
 
     @cached_property
     def identification_uncertainty(self) -> PositionUncertainty:
-        """Predicted positions of the visits that were used, with their covariance."""
+        """Predicted positions of the visits that were used, with their covariance as it is told."""
         data = self.identification.data
-        return self._predicted(data.joints, data.conditions, self.identification.passive)
+        return self.told_positions.at(data.joints, data.conditions, self.identification.passive)
 
     @cached_property
     def validation_uncertainty(self) -> PositionUncertainty | None:
-        """Predicted positions of the visits that were not used, with their covariance."""
+        """Predicted positions of the visits that were not used, with their covariance as it is told."""
         if self.validation is None:
             return None
         data = self.validation.data
-        return self._predicted(data.joints, data.conditions, self.validation.passive)
+        return self.told_positions.at(data.joints, data.conditions, self.validation.passive)
 
     def whitened(self, errors: ErrorSet) -> tuple[FloatArray, Rows]:
         """Return whitened residuals before calibration (n_rows,), and the rows after it, by the noise as found.

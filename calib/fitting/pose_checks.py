@@ -163,10 +163,11 @@ def require_identifiable(problem: Problem, evaluation: Evaluation) -> Determinat
     names = [p.name for p, use in zip(parameters, free, strict=True) if use]
     null = np.linalg.svd(determined.open_columns)[2][determined.together.rank :]
     involved = [name for name, size in zip(names, np.max(np.abs(null), axis=0), strict=True) if size > 1e-3]
+    doubt = f"; {determined.together.doubt}" if determined.together.unclear else ""
     raise NotIdentifiableError(
         f"{problem.data.path}: {determined.words()}; not separable:"
         f" {', '.join(involved[:12])}{', ...' if len(involved) > 12 else ''}{_why(problem)};"
-        f" hold {determined.missing} of them (`held`; `calib check` tells which), or measure other poses"
+        f" hold {determined.missing} of them (`held`; `calib check` tells which), or measure other poses{doubt}"
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -13,13 +13,14 @@ from calib.base.words import counted, listed
 from calib.data.grouping import SAME_JOINTS, pose_labels
 from calib.data.measurements import Measurements
 from calib.fitting.fitted import Fit
-from calib.fitting.outliers import blocks
+from calib.fitting.outliers import Outlier, blocks
 from calib.fitting.pose_checks import directions_moved, equal_columns, unmoved_joints, zero_visits
 from calib.judging import findings
 from calib.judging.reasons import Reason
 from calib.judging.repeatability import beyond_repeatability
 from calib.judging.rounded_joint_values import rounding
 from calib.numerics.losses import FALSE_ALARM, HIGH_LEVERAGE, studentised
+from calib.rows.rows import Rows
 
 FEW = 10.0 - 1e-6  # ten, also where rounding took a little
 """Degrees of freedom below which intervals are very wide."""
@@ -27,6 +28,8 @@ FEW_SHARED = 5
 """The same of poses whose readings share errors; poses from which distances of targets say something."""
 RIGID = 1e-6
 """Scatter of the distance of two targets below which no instrument read both [m]."""
+COSTLY = 0.36
+"""Part of the squared residuals that outliers make, from which errors are a fifth smaller without them."""
 EXCLUDED = 0.1
 """Part of the poses that may be outliers."""
 BEYOND_REPEATS = 1.5
@@ -64,6 +67,7 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
             f"{'joint' if len(still) == 1 else 'joints'} {', '.join(still)} never moved: what depends on"
             f" {'it' if len(still) == 1 else 'them'} rests on priors, and poses that move"
             f" {'it' if len(still) == 1 else 'them'} are not calibrated",
+            counted=True,
         )
     n_moved = len(fit.nominal.joint_names) - len(still)
     directions = directions_moved(data.joints)
@@ -73,6 +77,7 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
             "joints_move_together",
             f"{n_moved} joints moved, but only together: the poses lie along {counted(directions, 'direction')} of"
             " joint space, and what depends on the joints one by one rests on priors; move each joint by itself",
+            counted=True,
         )
     limit = fit.nominal.description.singularity_limit
     near = [data.labels[k] for k in np.flatnonzero(fit.identification.singular_value < limit)]
@@ -82,6 +87,7 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
             "near_singular",
             f"{counted(len(near), 'pose is', 'poses are')} near a singularity of the loops (smallest singular value"
             f" below {limit:g}): {listed(near)}; leave {'it' if len(near) == 1 else 'them'} out",
+            counted=True,
         )
 
 
@@ -94,6 +100,7 @@ def too_few_poses(fit: Fit) -> Iterator[Reason]:
             "too_few_poses",
             f"too few poses: {rows} measured coordinates decide {used:.1f} parameters and leave"
             f" {fit.statistics.freedom:.1f} degrees of freedom; measure several times as many",
+            counted=fit.statistics.freedom >= FEW,
         )
 
 
@@ -146,6 +153,7 @@ def outliers(fit: Fit) -> Iterator[Reason]:
                 f"{counted(len(outlying), 'outlier')}{where} (chance below {100 * FALSE_ALARM:g} %): {words};"
                 f" look at {'this measurement' if len(outlying) == 1 else 'these measurements'}"
                 + ("" if where else f"; --exclude-outliers fits without {'it' if len(outlying) == 1 else 'them'}"),
+                counted=_share(outlying, fit.validation_rows if where else fit.rows) < COSTLY,
             )
     if fit.with_all is not None:
         total = len(fit.with_all.identification.data)
@@ -183,6 +191,14 @@ def doubtful_readings(fit: Fit) -> Iterator[Reason]:
     for name, readings in fit.identification.data.readings.items():
         for text in fit.nominal.instrument(name).doubts(readings):
             yield Reason("CHECK", "doubtful_readings", text)
+
+
+def _share(outlying: Sequence[Outlier], rows: Rows | None) -> float:
+    """Part of the squared residuals that outliers make."""
+    if rows is None:
+        return 1.0
+    squares = np.bincount(rows.layout.reading, rows.residuals**2, rows.layout.n_readings)
+    return float(np.sum(squares[[one.reading for one in outlying]]) / max(float(np.sum(squares)), 1e-300))
 
 
 def copied(fit: Fit) -> Iterator[Reason]:
@@ -251,6 +267,7 @@ def repeats(fit: Fit) -> Iterator[Reason]:
             "repeatability",
             f"residuals are {ratio:.1f} times what repeats of a pose scatter: the model leaves something out, or the"
             " repeats were read without moving the robot",
+            counted=True,
         )
 
 
@@ -266,6 +283,7 @@ def rounded(fit: Fit) -> Iterator[Reason]:
             f"joint values stand in steps of {found.steps}, and residuals scatter as if they were rounded to these:"
             f" that alone makes about {size:.2g} {ERROR_UNIT[one.group.dimension]} of noise; export all digits that"
             " the controller has",
+            counted=True,
         )
 
 
@@ -289,6 +307,7 @@ def leverage(fit: Fit) -> Iterator[Reason]:
             "leverage",
             f"{counted(len(high), 'pose decides its', 'poses decide their')} own prediction, so that an error there"
             f" would not show: {listed(high)}; measure more poses near {'it' if len(high) == 1 else 'them'}",
+            counted=True,
         )
 
 

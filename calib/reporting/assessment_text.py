@@ -188,6 +188,7 @@ def _rank(a: Assessment, *, everything: bool) -> dict[str, object]:
         "threshold": rank.threshold,
         "smallest_kept": rank.smallest_kept,
         "largest_dropped": rank.largest_dropped,
+        "unclear": rank.unclear,
     }
 
 

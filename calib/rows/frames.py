@@ -174,11 +174,11 @@ def _of_the_robot(known: KnownRobot) -> BoolArray:
 
 def _laid(nominal: Robot, robot: Robot, loose: Loose, known: KnownRobot) -> CommonMotion:
     """The nominal robot laid on the calibrated one, over the poses at which that was measured."""
-    return CommonMotion.of(nominal, robot, loose, _poses(known, nominal))
+    return CommonMotion.of(nominal, robot, loose, poses_of_agreement(known, nominal))
 
 
-def _poses(known: KnownRobot, nominal: Robot) -> FloatArray:
-    """The poses over which the nominal and the calibrated robot are to agree, (n, n_actuated) [m or rad]."""
+def poses_of_agreement(known: KnownRobot, nominal: Robot) -> FloatArray:
+    """Return the poses over which the nominal and the calibrated robot are to agree, (n, n_actuated) [m or rad]."""
     measured = np.unique(known.joints, axis=0)
     chosen = measured[np.unique(np.linspace(0, len(measured) - 1, _MOST).astype(np.intp))] if len(measured) else None
     joints = around_home(nominal) if chosen is None else chosen

@@ -28,6 +28,7 @@ from calib.rows.jacobian import Linearisation, linearise
 
 CHUNK = 4096
 """Poses at once."""
+_DIFFERS = 1.5  # uncertainty in the measurement frame over that told, above which both are said
 _CERTAIN = 1e-12  # of the square of a length, its variance that does not show
 
 
@@ -41,6 +42,8 @@ class PositionUncertainty(ReadOnlyArrays):
         coverage_factor: How many standard deviations make half a 95 % interval of one coordinate.
         turn_covariance: Of small turns of the targets, (n_poses, n_targets, 3, 3) [rad^2]; None where not computed.
         left_out: Targets that summaries leave out (`Robot.left_out`), and their places among the targets.
+        frame: In which frame the covariances are, in words; empty for the measurement frame.
+        measured: The same positions with their covariance in the measurement frame, where that is another one.
     """
 
     positions: FloatArray
@@ -48,6 +51,8 @@ class PositionUncertainty(ReadOnlyArrays):
     coverage_factor: float
     turn_covariance: FloatArray | None = None
     left_out: Mapping[str, int] = field(default_factory=dict)
+    frame: str = ""
+    measured: PositionUncertainty | None = None
 
     @property
     def std(self) -> FloatArray:
@@ -75,10 +80,19 @@ class PositionUncertainty(ReadOnlyArrays):
         return int(np.argmax(np.max(self.located, axis=1)))
 
     def remark(self) -> str:
-        """Return what to add to a summary, of targets that it leaves out; empty if none."""
+        """Return what to add to a summary, of its frame and of targets that it leaves out; empty if nothing."""
+        frame = f"; {self.frame}" if self.frame else ""
+        if self.measured is not None and self.measured.summary()["mean"] > _DIFFERS * self.summary()["mean"]:
+            frame += f" (in the measurement frame to {self.measured.summary()['mean']:.2g} mm on average)"
         mean = np.mean(millimetres(self.distance), axis=0)
         said = [f"{name} (known to {mean[k]:.2g} mm)" for name, k in self.left_out.items()]
-        return f"; not counted: {listed(said)}, read from unknown places only" if said else ""
+        return frame + (f"; not counted: {listed(said)}, read from unknown places only" if said else "")
+
+    def table(self) -> dict[str, object]:
+        """Return `summary` as data, with its frame, and the same in the measurement frame where that is another one."""
+        other = {} if self.measured is None else {"measurement_frame": self.measured.summary()}
+        frame = "measurement" if self.measured is None else "robot base"
+        return {**self.summary(), "frame": frame, **other, "left_out": list(self.left_out)}
 
     def summary(self) -> dict[str, float]:
         """Return mean, root mean square and largest `located` over the poses [mm]."""

@@ -70,7 +70,7 @@ class _Periodic(JointTerm):
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
         """Return sines and cosines, (n, 2 n_orders)."""
         phase = np.outer(q[:, j], self.orders) * (TURN / self.period)
-        return np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(q), -1)
+        return np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(q), 2 * phase.shape[1])
 
     def curvature(self, values: FloatArray) -> float:
         """Return sum of |a_k| (2 pi k / period)^2 [1/rad or 1/m], from the coefficients (2 n_orders,)."""

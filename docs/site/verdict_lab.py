@@ -175,7 +175,7 @@ class Scenario:
         named: What a PASS must say that it does not cover, where that hides it; empty where it cannot know.
     """
 
-    kind: Literal["healthy", "sick", "hidden"]
+    kind: Literal["healthy", "counted", "sick", "hidden"]
     make: Callable[[Lab], Trial | Measurements]
     stated: bool = True
     validate: float = 0.25

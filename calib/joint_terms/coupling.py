@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from calib.arrays import FloatArray
 from calib.errors import nearest
-from calib.joint_terms.term import Context, Joint, JointTerm, TermSection, coefficient
+from calib.joint_terms.formula import Formula, Proportional, Source
+from calib.joint_terms.term import Joint, JointTerm, TermSection, coefficient
 from calib.parameter import Parameter
 from calib.units import Dimension
 
@@ -63,6 +61,6 @@ class Coupling(JointTerm):
         """Return the joint that drives."""
         return actuated[self.other]
 
-    def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
-        """Return the other joint's command, (n, 1)."""
-        return np.asarray(q[:, self.other : self.other + 1])
+    def formula(self, j: int) -> Formula:
+        """Return the other joint's command."""
+        return Proportional(Source.COMMAND, self.other)

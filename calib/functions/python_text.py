@@ -44,7 +44,7 @@ def python_text(facts: RobotFacts, library: str, lines: Sequence[str]) -> str:
 def _docstring(facts: RobotFacts, library: str, lines: Sequence[str]) -> str:
     functions = ["forward(q)", "jacobian(q)", *(["inverse(poses, start)"] if library == "numpy" else [])]
     text = [
-        *said(facts, lines),
+        *said(facts, lines, "BASE"),
         "",
         f"{', '.join(functions)}: of one pose, or of batches of any shape; q is (..., {len(facts.joints)}).",
     ]

@@ -34,12 +34,13 @@ def template(name: str) -> str:
     return (Path(__file__).parent / f"{name}.txt").read_text(encoding="utf-8")
 
 
-def said(facts: RobotFacts, lines: Sequence[str]) -> list[str]:
+def said(facts: RobotFacts, lines: Sequence[str], base: str) -> list[str]:
     """Return what a file says of a robot, line by line.
 
     Args:
         facts: Of the robot.
         lines: Where the numbers come from.
+        base: What the file calls the pose of the measurement frame.
     """
     joints = ", ".join(f"{name} [{unit}]" for name, unit in zip(facts.joints, facts.units, strict=True))
     text = [f"The robot {facts.name}: poses of its tools from the commands of its joints.", "", *lines]
@@ -48,7 +49,7 @@ def said(facts: RobotFacts, lines: Sequence[str]) -> list[str]:
     if facts.base is None:
         text.append("Joints move that frame.")
     else:
-        text.append("BASE is the pose of that frame in the root link: BASE times a pose is the pose in the root link.")
+        text.append(f"{base} is the pose of that frame in the root link: it times a pose is the pose in the root link.")
     if facts.tree.closures:
         text.append("Where loops do not close, or not as they are assembled at home, the numbers are NaN.")
     return [" ".join(line.split()) for line in text]

@@ -22,6 +22,10 @@ _OF_LIBRARY: dict[str, tuple[str, ...]] = {
         "Importing this switches jax to double precision. Derivatives are exact up to the third order, in closed loops",
         "too. `forward` and `jacobian` are compiled, once for each shape of q.",
     ),
+    "casadi": (
+        "",
+        "Both take MX symbols or numbers. Derivatives are exact up to the third order, in closed loops too.",
+    ),
     "torch": ("", "Computes in double precision. Derivatives are exact up to the third order, in closed loops too."),
 }
 
@@ -35,6 +39,8 @@ def python_text(facts: RobotFacts, library: str, lines: Sequence[str]) -> str:
         lines: What it says of where the numbers come from.
     """
     parts = [_docstring(facts, library, lines), template(f"python_{library}"), _numbers(facts)]
+    if library == "casadi":
+        return "".join([*parts, template("casadi_code")])
     parts += [template("python_core"), template("python_doors")]
     if library == "numpy":
         parts.append(template("python_inverse"))

@@ -6,6 +6,7 @@ The one place that knows what formats hold; `calib.model.held` says what that me
 from __future__ import annotations
 
 from calib.errors import ComputationError
+from calib.functions.functions import LANGUAGES
 from calib.model.held import Holds
 from calib.model.robot import Robot
 from calib.words import listed
@@ -21,6 +22,7 @@ HELD: dict[str, Holds] = {
     "joint-offsets": Holds.ZEROS,
     "xacro": Holds.ORIGINS,
     "joint-tables": Holds.TABLES,
+    **dict.fromkeys(LANGUAGES, Holds.EVERYTHING),
 }
 """Every format, in the order of help and messages."""
 _CHAINS = ("dh", "mdh", "ur-kinematics")

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.arrays import FloatArray, ReadOnlyArrays
-from calib.errors import DataError
+from calib.errors import ComputationError, DataError
 from calib.functions.trees import Tree, tree_of
 from calib.joint_terms.formula import Proportional, Source
 from calib.model import loops
@@ -119,7 +119,11 @@ class RobotFacts(ReadOnlyArrays):
 
 
 def facts_of(robot: Robot) -> RobotFacts:
-    """Return the facts of a robot with its current values."""
+    """Return the facts of a robot with its current values.
+
+    Raises:
+        ComputationError: No configuration is known at which the loops close.
+    """
     mechanism = robot.mechanism
     commands, configurations = _starts(robot)
     frames = [mechanism.targets[0].a, *(target.b for target in mechanism.targets)]
@@ -152,6 +156,8 @@ def _starts(robot: Robot) -> tuple[FloatArray, FloatArray]:
             commands = np.vstack([commands, robot.sample(_STARTS - 1)])
     closed = robot.close(commands)
     kept = np.flatnonzero(closed.ok)
+    if len(kept) == 0:
+        raise ComputationError(f"{robot.path}: no pose is known at which the loops close with these values")
     found = robot.configurations(commands[kept], closed.at(kept))
     return commands[kept], np.hstack([found.actuated, found.passive])
 

@@ -105,12 +105,19 @@ def _tree(tree: Tree) -> dict[str, Any]:
         "closures": [(one.a, one.b) for one in tree.closures],
         "rows": [3 * k + row for k, one in enumerate(tree.closures) for row in one.rows],
         "follows": tree.follows,
+        "order": _order(tree),
         "scale": tree.scale,
         "starts": tree.starts.T if tree.closures else (),
         "blocks": [(*block, float(sign)) for block, sign in zip(tree.blocks, tree.signs, strict=True)],
         "limits": tree.limits,
         "tolerance": tree.tolerance,
     }
+
+
+def _order(tree: Tree) -> list[int] | None:
+    """Which joint's value each of x is; None where that is not so for each."""
+    order = {joint.coordinate: k for k, joint in enumerate(tree.joints) if joint.factor == 1.0}
+    return [order[k] for k in range(len(order))] if len(tree.scale) == len(order) == len(tree.joints) else None
 
 
 def _literal(value: Any) -> str:

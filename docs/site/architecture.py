@@ -50,6 +50,7 @@ ROOMS = (
     Room("Model", 3, "model"),
     Room("Data", 4, "data"),
     Room("Linearisation", 5, "linearisation"),
+    Room("Functions", 5, "functions"),
     Room("Pose choice", 6, "pose_choice"),
     Room("Identification", 6, "identification"),
     Room("Inverse kinematics", 6, "inverse_kinematics"),

@@ -43,7 +43,7 @@ bench: $(VENV)/.ready-dev
 # The pictures of README and docs, from a fresh demo.
 pictures: demo
 	$(BIN)/calib view urdf/medrue.yaml --result out/demo --map 500 --html out/demo/map.html
-	$(BIN)/python -m viz.screenshots out/demo --out docs/figures
+	$(BIN)/python -m viz.screenshots out/demo --out docs/figures --force
 
 # Needs the extra `docs`: make ci-packages.
 docs: $(VENV)/.ready

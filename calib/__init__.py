@@ -49,6 +49,8 @@ if TYPE_CHECKING:
     from calib.watching.progress import Progress
     from calib.watching.watch import Watch
 
+    __version__: str
+
 _NAMES: dict[str, tuple[str, ...]] = {
     "calib.calibration": ("Calibration", "fit"),
     "calib.data.in_memory": ("as_measurements", "as_poses"),
@@ -138,6 +140,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return import_module("calib.version").VERSION
     if name not in _HOMES:
         raise AttributeError(f"module 'calib' has no attribute '{name}'")
     found = globals()[name] = getattr(import_module(_HOMES[name]), name)

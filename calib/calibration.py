@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -14,6 +15,7 @@ from calib.identification.fit import identify
 from calib.identification.fit_files import with_files
 from calib.identification.fitted import Fit
 from calib.identification.settings import Settings
+from calib.joint_terms.terms import terms_text
 from calib.model.robot import Robot, require_robot
 from calib.numerics.losses import checked_loss
 from calib.pictures import Plots
@@ -69,7 +71,7 @@ class Calibration(Fit):
 
         Args:
             folder: Where to.
-            force: Export a failed fit all the same.
+            force: Export a failed fit all the same, and replace files that this program did not write.
             pages: Whether to write report.html and viewer.html.
             logo: PNG, JPEG or SVG file to put into the report.
         """
@@ -87,7 +89,7 @@ def fit(
     starts: int = 1,
     folds: int | Literal["setups"] = 0,
     seed: int = 0,
-    terms: str | None = None,
+    terms: str | Sequence[str] | None = None,
     executor: Executor | int | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
@@ -104,12 +106,14 @@ def fit(
         folds: Number of folds for cross-validation by pose, 0 for none; `setups`: every setup is one, placed anew.
         seed: Seed of perturbed starts and folds.
         terms: Joint terms in place of those of the description: `none`; or in addition to them: `auto` for those that
-            earn their place, or a list such as `curve,elbow=backlash`.
+            earn their place, or a list such as `curve,elbow=backlash` or `["curve", "elbow=backlash"]`.
         executor: Who does the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
             processes on this machine; this process if not given.
-        progress: Called with how many other starts are done and of how many, then with how many folds.
+        progress: Called after each step with how many are done, and of how many that are known by then; three steps in
+            a plain fit, one more for each start and each fold.
     """
     require_robot(robot)
-    settings = Settings(sigma, checked_loss(loss), exclude_outliers, starts, folds, seed, terms)
+    named = None if terms is None else terms_text(terms)
+    settings = Settings(sigma, checked_loss(loss), exclude_outliers, starts, folds, seed, named)
     found = with_files(identify(robot, data, validation, settings, executor, progress), settings, executor)
     return Calibration(**{field.name: getattr(found, field.name) for field in fields(found)})

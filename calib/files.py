@@ -9,12 +9,13 @@ import io
 import math
 import os
 import tempfile
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import chain
 from pathlib import Path
 
 from calib.errors import CalibrationError, InputError
+from calib.own_files import MANIFEST, manifest_of, note_input, require_replaceable, signed
 from calib.replacing import clear_leftovers, new_file, new_folder, replace_folder
 
 _STREAM_FOLDERS = (Path("/dev"), Path("/dev/fd"))
@@ -43,6 +44,7 @@ def _pieces(path: Path | str, wanted: str, error: type[CalibrationError], larges
     size = 0
     try:
         with Path(path).open("rb") as stream:
+            note_input(os.fstat(stream.fileno()))
             while piece := stream.read(_PIECE):
                 size += len(piece)
                 if size > largest:
@@ -56,16 +58,9 @@ def _pieces(path: Path | str, wanted: str, error: type[CalibrationError], larges
         raise error(f"{str(path)!r}: cannot be read ({problem})") from None
 
 
-def read_text(path: Path | str, wanted: str, error: type[CalibrationError], *, growing: bool = False) -> str:
-    """Return the text of a file, without the mark that some editors put first; see `read_bytes`.
-
-    Args:
-        path: The file.
-        wanted: What it should be, for the error.
-        error: What to raise.
-        growing: Whether somebody still writes: a last line without its end is left out.
-    """
-    return "\n".join(chain.from_iterable(read_lines(path, wanted, error, growing=growing)))
+def read_text(path: Path | str, wanted: str, error: type[CalibrationError]) -> str:
+    """Return the text of a file, without the mark that some editors put first; see `read_bytes`."""
+    return "\n".join(chain.from_iterable(read_lines(path, wanted, error)))
 
 
 def read_lines(
@@ -112,34 +107,48 @@ def image_address(path: Path | str) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
 
 
-def write_file(path: Path | str, content: bytes | str) -> None:
-    """Write a whole file, or leave what was there untouched. Pipes and devices are written to as they are.
+def write_file(
+    path: Path | str,
+    content: bytes | str,
+    *,
+    comment: str = "",
+    inputs: Iterable[Path | str] = (),
+    force: bool = False,
+) -> None:
+    """Write a whole file, or leave what was there untouched; see `write_files`."""
+    text = content.encode("utf-8") if isinstance(content, str) else content
+    write_files({Path(path): text}, comment=comment, inputs=inputs, force=force)
 
-    Raises:
-        InputError: The folder does not exist or cannot be written to.
-    """
-    write_files({Path(path): content.encode("utf-8") if isinstance(content, str) else content})
 
-
-def write_files(files: Mapping[Path, bytes]) -> None:
+def write_files(
+    files: Mapping[Path, bytes], *, comment: str = "", inputs: Iterable[Path | str] = (), force: bool = False
+) -> None:
     """Write files that belong together: each as a whole, and none takes its place before all are complete.
+
+    Each ends in a line that says who wrote it. Pipes and devices are written to as they are.
 
     Args:
         files: Content by path.
+        comment: How comments of these files begin, if not as in tables or XML; see `calib.own_files.signed`.
+        inputs: What they were made from.
+        force: Replace what this program did not write, or has read, all the same.
 
     Raises:
-        InputError: A folder does not exist or cannot be written to; nothing was written.
+        InputError: A folder does not exist or cannot be written to, or a file should not be replaced; nothing was
+            written.
     """
     with ExitStack() as stack:
         complete = []
-        for path, content in files.items():
+        for path, plain in files.items():
             with _explained(path):
                 if path.is_dir():
                     raise IsADirectoryError(errno.EISDIR, "is a folder")
                 if _is_stream(path):
                     with path.open("ab") as stream:  # appending: standard output may be a file that holds something
-                        stream.write(content)
+                        stream.write(plain)
                     continue
+                content = signed(plain, comment)
+                require_replaceable(path, content, inputs=inputs, force=force)
                 target = path.resolve()  # a symbolic link stays one
                 clear_leftovers(target.parent)
                 temporary, handle = stack.enter_context(new_file(target.parent))
@@ -152,11 +161,19 @@ def write_files(files: Mapping[Path, bytes]) -> None:
                 temporary.replace(target)
 
 
-def check_folder(path: Path | str) -> None:
-    """Raise `InputError` now if a result could not be written to the folder `path` later."""
+def check_folder(path: Path | str, names: Collection[str] = (), *, force: bool = False) -> None:
+    """Raise `InputError` now if a result could not be written to the folder `path` later.
+
+    Args:
+        path: The folder.
+        names: What will be written, as far as it is known.
+        force: See `write_folder`.
+    """
     path = Path(path)
     with _explained(path):
         _check_replaceable(path.resolve())
+        for name in names:
+            require_replaceable(path / name, force=force)
         parent = path.resolve().parent
         while not parent.exists():
             parent = parent.parent
@@ -165,8 +182,8 @@ def check_folder(path: Path | str) -> None:
                 pass
 
 
-def check_file(path: Path | str) -> None:
-    """Raise `InputError` now if the file `path` could not be written later."""
+def check_file(path: Path | str, *, inputs: Iterable[Path | str] = (), force: bool = False) -> None:
+    """Raise `InputError` now if the file `path` could not be written later; see `write_files`."""
     path = Path(path)
     with _explained(path):
         if path.is_dir():
@@ -175,30 +192,45 @@ def check_file(path: Path | str) -> None:
             if not os.access(path, os.W_OK):
                 raise PermissionError(errno.EACCES, "permission denied")
             return
+        require_replaceable(path, inputs=inputs, force=force)
         with tempfile.TemporaryFile(dir=path.resolve().parent):
             pass
 
 
-def write_folder(path: Path | str, files: Mapping[str, bytes], obsolete: Collection[str] = ()) -> None:
+def write_folder(
+    path: Path | str,
+    files: Mapping[str, bytes],
+    obsolete: Collection[str] = (),
+    *,
+    inputs: Iterable[Path | str] = (),
+    force: bool = False,
+) -> None:
     """Write a folder of files in one go; files of other names that were in it stay.
 
-    The new folder is completed beside the old one and takes its place in one step; see `calib.replacing`.
+    The new folder is completed beside the old one and takes its place in one step; see `calib.replacing`. A manifest
+    in it says what was written (`calib.own_files`).
 
     Args:
         path: The folder.
         files: Content by name.
         obsolete: Names of files that do not stay if they were there.
+        inputs: What the files were made from.
+        force: Replace what this program did not write, or has read, all the same.
 
     Raises:
-        InputError: The folder cannot be written; what was there is untouched.
+        InputError: The folder cannot be written, or a file in it should not be replaced; what was there is untouched.
     """
     path = Path(path).resolve()
     with _explained(path):
         _check_replaceable(path)
+        for name in (*files, *obsolete):
+            if (path / name).is_dir():
+                raise IsADirectoryError(errno.EISDIR, f"{name} in it is a folder")
+            require_replaceable(path / name, files.get(name), inputs=inputs, force=force)
         path.parent.mkdir(parents=True, exist_ok=True)
         clear_leftovers(path.parent)
         with new_folder(path.parent) as staging:
-            for name, content in files.items():
+            for name, content in {**files, MANIFEST: manifest_of(path, files, obsolete)}.items():
                 (staging / name).write_bytes(content)
             staging.chmod(_permissions(path, 0o777))
             replace_folder(staging, path, obsolete)

@@ -53,13 +53,12 @@ def scratch() -> IO[bytes]:
     return tempfile.SpooledTemporaryFile(max_size=max(1, int(limit)) if math.isfinite(limit) else 0)
 
 
-def require_memory(numbers: int, what: str) -> None:
-    """Raise `InputError` where so many numbers of 8 bytes do not fit into the free memory."""
+def require_memory(numbers: int, what: str, advice: str) -> None:
+    """Raise `InputError` with advice on what to do where so many numbers of 8 bytes do not fit into the free memory."""
     needed, free = 8.0 * numbers, free_memory()
     if needed > free:
         raise InputError(
-            f"{what} needs about {needed / 1e9:.2g} GB of memory, and {free / 1e9:.2g} GB are free; choose from each"
-            " part of the candidates, and then from what was chosen"
+            f"{what} needs about {needed / 1e9:.2g} GB of memory, and {free / 1e9:.2g} GB are free; {advice}"
         )
 
 

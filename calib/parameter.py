@@ -17,9 +17,10 @@ class Parameter:
     Attributes:
         name: Unique name.
         dimension: Length or angle.
-        nominal: Value in the description [m or rad].
-        sigma: Expected deviation from nominal, one standard deviation [m or rad]; scales its column, and is its prior.
-        unit: Unit in tables.
+        nominal_si: Value in the description [m or rad].
+        sigma_si: Expected deviation from nominal, one standard deviation [m or rad]; scales its column, and is its
+            prior.
+        unit: Unit of tables, and of every number here whose name does not end in `_si`.
         prior: Whether nominal +- sigma counts as information in a fit. False: the measurements alone decide.
         placement: Whether it only says where the measurement frame or a target is, which is no error of the robot.
         family: Parameters of one family share a factor on their sigmas that is found from the data; empty: none.
@@ -27,8 +28,8 @@ class Parameter:
 
     name: str
     dimension: Dimension
-    nominal: float
-    sigma: float
+    nominal_si: float
+    sigma_si: float
     unit: str
     prior: bool = True
     placement: bool = False
@@ -39,6 +40,16 @@ class Parameter:
         """How many of `unit` make one SI unit."""
         return PER_SI[self.dimension][self.unit]
 
+    @property
+    def nominal(self) -> float:
+        """Value in the description, in `unit`."""
+        return self.nominal_si * self.per_si
+
+    @property
+    def sigma(self) -> float:
+        """Expected deviation from nominal, one standard deviation, in `unit`."""
+        return self.sigma_si * self.per_si
+
     def row(self, value: float, free: bool) -> dict[str, object]:
         """Return the row of a table, in `unit`.
 
@@ -46,8 +57,7 @@ class Parameter:
             value: Its present value [m or rad].
             free: Whether it is not held.
         """
-        numbers = {"nominal": self.nominal, "value": value, "sigma": self.sigma}
-        shown: dict[str, object] = {key: float(number) * self.per_si for key, number in numbers.items()}
+        shown = {"nominal": self.nominal, "value": float(value) * self.per_si, "sigma": self.sigma}
         return {"name": self.name, "unit": self.unit, **shown, "free": "free" if free else "held"}
 
 

@@ -115,6 +115,28 @@ def _is_lost(future: _Sent) -> bool:
     return future is not None and future.done() and (future.cancelled() or future.exception() is not None)
 
 
+class Steps:
+    """Tells how many steps of a long call are done, and of how many: of those known by now.
+
+    Args:
+        progress: Who is told after each step; nobody if not given.
+    """
+
+    def __init__(self, progress: Progress | None = None) -> None:
+        self._progress = progress
+        self._done = self._total = 0
+
+    def expect(self, count: int) -> None:
+        """Count further steps among those to do."""
+        self._total += count
+
+    def done(self, *_: int) -> None:
+        """Tell that one more is done; takes what a `Progress` is told, so that it can be one of a part of the steps."""
+        self._done += 1
+        if self._progress is not None:
+            self._progress(self._done, self._total)
+
+
 class Workers:
     """Who works inside a `with` block, which gives the executor; None where this process does the work.
 

@@ -91,7 +91,7 @@ def extended_parameter_table(found: BothSides) -> ResultTable:
     """Parameters of the extended model about which the readings decide, of those that the paper's model lacks."""
     draw, parameters, terms = found.draws[0], found.extended.parameters, found.extended.coefficients
     scale = np.array([parameter.per_si for parameter in parameters])
-    expected = np.array([parameter.sigma for parameter in parameters])
+    expected = np.array([parameter.sigma_si for parameter in parameters])
     tilts = tuple(f"{joint.name}.{tilt}" for joint in found.extended.urdf.joints for tilt in ("ry", "rz"))
     lacking = [k >= terms.start or (p.name in tilts and p.name[:-3] != "base_origin") for k, p in enumerate(parameters)]
     shown = np.flatnonzero(lacking & (draw.std < _DECIDED * expected))

@@ -15,7 +15,7 @@ import numpy as np
 from calib.commands.common import Output, shared_options
 from calib.commands.program import run_program
 from calib.data.measurement_files import format_positions
-from calib.files import check_file, check_folder, write_file, write_folder
+from calib.files import write_folder
 from calib.model.loading import load
 from calib.units import metres, millimetres
 from calib.workers import Workers
@@ -50,7 +50,7 @@ def poses_command(out: str, output: Output) -> None:
     """Write the 420 poses of the target workspace: joint values, and the nominal position of the tool."""
     from medrue.poses import pose_facts, target_poses
 
-    check_file(out)
+    output.check(out)
     robot = load(robot_file())
     with output.working("solving 420 poses"):
         found = target_poses(robot)
@@ -58,7 +58,7 @@ def poses_command(out: str, output: Output) -> None:
         "420 poses on a half cylinder, 300 mm by 700 mm, around a patient's leg",
         "joint values by inverse kinematics through the closed loops, nominal parameters; tool: nominal position",
     )
-    write_file(out, format_positions(robot, found.poses, found.positions, comments))
+    output.write(out, format_positions(robot, found.poses, found.positions, comments))
     output.json(pose_facts(found))
     output.say(
         f"{len(found.poses)} poses written to {out}\n"
@@ -96,7 +96,7 @@ def _simulation_options(function: Callable[..., None]) -> Callable[..., None]:
 @shared_options(json_output=True)
 def study_command(out: str, quick: bool, draws: int | None, jobs: int, seed: int, output: Output) -> None:
     """Reproduce the paper's simulation study: Tables I and II, Figures 4 and 5. Everything is simulated."""
-    check_folder(out)
+    output.check(folders=(out,))
     with Workers(jobs) as executor:  # they start while the rest is loaded
         from medrue.reports import study_report
         from medrue.study import QUICK, StudySize, run_study
@@ -129,7 +129,7 @@ def experiment_command(
     Beside the paper's model, one with the robot's full geometry and the errors of its rail is identified from poses
     that are approached from both sides.
     """
-    check_folder(out)
+    output.check(folders=(out,))
     with Workers(jobs) as executor:  # they start while the rest is loaded
         from medrue.both_sides import COUNTS, QUICK_COUNTS
         from medrue.experiment import DRAWS, QUICK_DRAWS, run_experiment
@@ -155,7 +155,7 @@ def experiment_command(
 @shared_options(json_output=True)
 def touch_command(out: str, quick: bool, draws: int | None, jobs: int, seed: int, output: Output) -> None:
     """Calibrate without a tracker: by touched sockets, and by encoders on passive joints. Everything is simulated."""
-    check_folder(out)
+    output.check(folders=(out,))
     with Workers(jobs) as executor:  # they start while the rest is loaded
         from medrue.reports import touch_report
         from medrue.touch import QUICK, SIZE, run_touch
@@ -168,7 +168,7 @@ def touch_command(out: str, quick: bool, draws: int | None, jobs: int, seed: int
 
 def _finish(report: Report, out: str, output: Output, shown: tuple[str, ...]) -> None:
     """Write a report and say what is in it."""
-    write_folder(out, report.files())
+    write_folder(out, report.files(), force=output.force)
     output.json(report.to_dict())
     for table in report.tables:
         if table.name in shown:

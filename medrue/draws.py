@@ -163,7 +163,7 @@ class Calibrator:
 
     def __init__(self, task: Task, pose_set: PoseSet, start: Robot, nearby: FloatArray) -> None:
         self._chosen, self._joints, self._free = pose_set.chosen, task.joints, task.robot.is_free
-        self._scales = np.array([parameter.sigma for parameter in task.robot.parameters])[self._free]
+        self._scales = np.array([parameter.sigma_si for parameter in task.robot.parameters])[self._free]
         self._start, self._passive = start, nearby
         self._first = linearise(start, self._assembled(start, self._chosen))
 

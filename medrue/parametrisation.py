@@ -127,7 +127,7 @@ class MedrueParametrisation:
     @cached_property
     def _nominal(self) -> dict[str, tuple[FloatArray, FloatArray]]:
         """Xyz and rpy of each origin from the nominal parameters."""
-        nominal = np.array([parameter.nominal for parameter in self.parameters])
+        nominal = np.array([parameter.nominal_si for parameter in self.parameters])
         return {name: _formula(name, nominal) for name in _COORDINATES}
 
     def _edited(self, name: str, values: FloatArray) -> tuple[FloatArray, FloatArray]:

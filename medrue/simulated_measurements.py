@@ -90,13 +90,14 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("out", type=Path, metavar="OUT.csv", help="file to write")
     parser.add_argument("--seed", type=int, default=1, help="seed of the measurement noise (default 1)")
     parser.add_argument("--sigma-mm", type=float, default=0.04, help="noise on each axis in mm (default 0.04)")
+    parser.add_argument("--force", action="store_true", help="replace a file that this program did not write")
     options = parser.parse_args(arguments)
     if not (np.isfinite(options.sigma_mm) and options.sigma_mm >= 0.0):
         parser.error(f"--sigma-mm is {options.sigma_mm}, expected zero or more")
     if options.seed < 0:
         parser.error(f"--seed is {options.seed}, expected zero or more")
     try:
-        write_file(options.out, measurement_file(options.seed, options.sigma_mm))
+        write_file(options.out, measurement_file(options.seed, options.sigma_mm), force=options.force)
     except InputError as error:
         parser.error(str(error))
 

@@ -110,6 +110,7 @@ def started(work: Callable[[], None]) -> int:
     """Fork, and work there; return the number of the process."""
     number = os.fork()
     if number == 0:
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # which the background of a script ignores
         try:
             work()
         finally:

@@ -2,8 +2,9 @@
 
 OpenBLAS, below numpy and scipy, has kernels for each family of processors. They add in different orders, so results
 differ in the last digit; a decision that hangs on that digit is wrong on some machine. OPENBLAS_CORETYPE chooses the
-kernels of another processor. Those that this one cannot run are skipped, and so are its own, with which `make test`
-runs everything.
+kernels of another processor. numpy's own sums depend on the processor as well: NPY_DISABLE_CPU_FEATURES makes it add as
+one without AVX512, or without AVX2, would. What this processor cannot run is skipped, and so are its own sums, with
+which `make test` runs everything.
 """
 
 from __future__ import annotations
@@ -22,6 +23,11 @@ CORE_TYPES = {
     "SkylakeX": {"avx512f", "avx512dq", "avx512bw", "avx512vl"},
 }
 """Names of OpenBLAS, and what the processor must be able to do, in the words of /proc/cpuinfo."""
+WITHOUT = {
+    "AVX512": ("X86_V4", "AVX512"),
+    "AVX2": ("X86_V4", "AVX512", "X86_V3", "AVX2", "FMA3"),
+}
+"""Beginnings of the names of what numpy is told to do without, in the words of several of its versions."""
 MODULES = (
     *("elimination", "identifiability", "least_squares", "losses", "nist", "null_space", "observability", "outliers"),
     *("placement", "world_frame", "registration", "statistics", "jacobian", "prediction", "assessment", "selection"),
@@ -30,9 +36,13 @@ MODULES = (
     *("error_before", "validation", "rows", "observed", "shared_error", "variance_components", "repeats"),
     *("instruments", "result_comparison"),
     *("instrument_choice", "iso9283", "error_budget", "term_choice", "compliance", "compensate", "verify"),
-    *("denavit_hartenberg", "joint_terms"),
+    *("denavit_hartenberg", "joint_terms", "clusters", "misread_numbers", "motoman_pixels"),
 )
 """Tests whose expectations rest on linear algebra; about a minute on two cores for each kind of kernels."""
+_DISPATCHED = (
+    "from numpy._core._multiarray_umath import __cpu_dispatch__ as names, __cpu_features__ as able\n"
+    "print(*(name for name in names if able.get(name)))"
+)
 _ARCHITECTURES = (
     "import numpy, scipy.linalg, threadpoolctl\n"
     "print(*sorted({str(library.get('architecture')) for library in threadpoolctl.threadpool_info()}))"
@@ -59,12 +69,28 @@ def main() -> int:
             print(f"{name}: skipped, the same kernels as those of {seen[kernels]}", flush=True)
             continue
         seen[kernels] = name
-        print(f"{name}:", flush=True)
-        command = [sys.executable, "-m", "pytest", "-n", jobs, "-p", "no:cacheprovider", *files]
-        if subprocess.run(command, env=environment, cwd=ROOT, check=False).returncode:
+        if not _passes(name, environment, files, jobs):
             failed.append(name)
-    print(f"failed with the kernels of {', '.join(failed)}" if failed else "passed with all that could be run")
+    kernels = _output([sys.executable, "-c", _DISPATCHED], dict(os.environ)).split()
+    left_out = set[str]()
+    for name, beginnings in WITHOUT.items():
+        off = {kernel for kernel in kernels if kernel.startswith(beginnings)}
+        if off == left_out:
+            print(f"numpy without {name}: skipped, the same sums as before", flush=True)
+            continue
+        left_out = off
+        environment = os.environ | {"NPY_DISABLE_CPU_FEATURES": " ".join(sorted(off))}
+        if not _passes(f"numpy without {name}", environment, files, jobs):
+            failed.append(f"numpy without {name}")
+    print(f"failed with the sums of {', '.join(failed)}" if failed else "passed with all that could be run")
     return int(bool(failed))
+
+
+def _passes(name: str, environment: dict[str, str], files: list[str], jobs: str) -> bool:
+    """Whether the tests pass there."""
+    print(f"{name}:", flush=True)
+    command = [sys.executable, "-m", "pytest", "-n", jobs, "-p", "no:cacheprovider", *files]
+    return subprocess.run(command, env=environment, cwd=ROOT, check=False).returncode == 0
 
 
 def _output(command: list[str], environment: dict[str, str]) -> str:

@@ -54,7 +54,7 @@ def true_robot(placed, rng):
     true = placed.with_terms(listed_terms(",".join(kinds)) if kinds else ())
     family = {p.name: kind for kind in kinds for term in placed.with_terms(listed_terms(kind)).terms
               for p in term.parameters}  # fmt: skip
-    sizes = [0.0 if p.placement else p.sigma * kinds.get(family.get(p.name, ""), 0.7) for p in true.parameters]
+    sizes = [0.0 if p.placement else p.sigma_si * kinds.get(family.get(p.name, ""), 0.7) for p in true.parameters]
     return true.with_parameters(true.values + np.array(sizes) * rng.standard_normal(len(sizes))), set(kinds)
 
 

@@ -111,7 +111,7 @@ def test_priors_hold_what_poses_do_not(tmp_path):
     assert found.rank_free.rank < found.rank_free.n_columns
     assert found.known.rank.rank == found.rank_free.n_columns
     assert found.open_groups == ()
-    assert np.all(found.std <= np.array([p.sigma for p in found.free_parameters]) * (1 + 1e-9))
+    assert np.all(found.std <= np.array([p.sigma_si for p in found.free_parameters]) * (1 + 1e-9))
     assert any(part > 0.99 for _, part in found.hardly_known())
     assert np.isfinite(found.accuracy.rms)
 

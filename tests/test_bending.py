@@ -89,7 +89,7 @@ def test_a_sliding_carriage_tilts_about_all_three_axes(tmp_path):
         target={"ball": {"frame": "carriage", "xyz": [0.2, 0.3, 0.0]}},
         parametrisation=[{"joint": "rail", "term": "bending", "sigma": "0.02 mrad"}],
     ).with_parameters({"rail.bending": -1e-5})
-    assert (robot.parameters[0].dimension, robot.parameters[0].sigma) == ("angle", 2e-5)
+    assert (robot.parameters[0].dimension, robot.parameters[0].sigma_si) == ("angle", 2e-5)
     ball = robot.positions([[0.5]])[0, 0]
     weight = 4 * G
     roll, pitch = -1e-5 * weight * 0.3, 1e-5 * weight * 0.2  # down at +y, and down at +x
@@ -147,13 +147,13 @@ def test_derivatives_are_central_differences(tmp_path, machine):
         (tmp_path / "five_bar.urdf").write_text(urdf)
     robot = calib.load(path)
     rng = np.random.default_rng(2)
-    at = robot.values + 0.3 * rng.standard_normal(len(robot.values)) * [p.sigma for p in robot.parameters]
+    at = robot.values + 0.3 * rng.standard_normal(len(robot.values)) * [p.sigma_si for p in robot.parameters]
     robot, q = robot.with_parameters(at), poses(robot, 5, 3)
     jacobian = linearise(robot, robot.assemble(q)).jacobian
     for k, parameter in enumerate(robot.parameters):
-        step = 1e-2 * parameter.sigma * np.eye(len(at))[k]
+        step = 1e-2 * parameter.sigma_si * np.eye(len(at))[k]
         ends = [robot.with_parameters(at + sign * step).positions(q) for sign in (1, -1)]
-        difference = (ends[0] - ends[1]) / (2e-2 * parameter.sigma)
+        difference = (ends[0] - ends[1]) / (2e-2 * parameter.sigma_si)
         assert np.allclose(jacobian[..., k], difference, rtol=0, atol=1e-6 * np.abs(difference).max() + 1e-9)
 
 

@@ -69,7 +69,7 @@ def test_positions_from_both_sides_determine_54_combinations(extended: Robot) ->
     q = np.array(target_workspace().q[::4])
     sides = Context.of(from_direction(np.tile([1.0, -1.0], len(q))), {})
     jacobian = linearise(extended, extended.assemble(np.repeat(q, 2, axis=0), context=sides)).jacobian
-    scaled = jacobian.reshape(-1, len(extended.parameters)) * [parameter.sigma for parameter in extended.parameters]
+    scaled = jacobian.reshape(-1, len(extended.parameters)) * [parameter.sigma_si for parameter in extended.parameters]
     values = np.linalg.svd(scaled, compute_uv=False)
     assert values[53] > 1e5 * values[54]
     unseen = {

@@ -6,6 +6,7 @@ import sys
 
 import click
 import pytest
+from signed_files import read_plain
 
 from calib.commands.common import shared_options, sigma_in_metres, with_values
 from calib.commands.program import run_program
@@ -82,7 +83,7 @@ def test_output_goes_where_it_belongs(run, tmp_path):
     assert run(function, "do", "--quiet") == (0, "", "")
     path = tmp_path / "out.json"
     assert run(function, "do", "--json", str(path)) == (0, "for people\n", "remark\n")
-    assert json.loads(path.read_text()) == {"µ": [1, None]}
+    assert json.loads(read_plain(path)) == {"µ": [1, None]}
     code, out, err = run(function, "do", "--json", "-")
     assert (code, err) == (0, "remark\n")
     assert json.loads(out) == {"µ": [1, None]}  # and nothing else is on standard output

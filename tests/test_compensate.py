@@ -8,16 +8,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from click.testing import CliRunner
+from compensated_robots import TrueFrame, poses_of
 from six_axis_arm import write_six_axis
 from test_denavit_hartenberg import robot_of, write_table
 
 import calib
 from calib.commands.compensate import command
-from calib.inverse_kinematics.asked import as_meant
 from calib.inverse_kinematics.compensation import compensate
 from calib.inverse_kinematics.inverse import solve
 from calib.inverse_kinematics.reaching import actuated_jacobian
+from calib.linearisation.frames import program_frame
 from calib.linearisation.gauge import nearest_to_nominal
+from calib.linearisation.known_robot import known_robot
 from calib.linearisation.prediction import PositionUncertainty
 from medrue import robot_file
 from medrue.closed_form import forward
@@ -59,7 +61,9 @@ def six_axis(folder, extra=""):
 def perturbed(robot, seed, share=1.0):
     """The robot with own parameters drawn from their sigmas."""
     rng = np.random.default_rng(seed)
-    drawn = {p.name: p.nominal + share * p.sigma * rng.standard_normal() for p in robot.parameters if not p.placement}
+    drawn = {
+        p.name: p.nominal_si + share * p.sigma_si * rng.standard_normal() for p in robot.parameters if not p.placement
+    }
     return robot.with_parameters(drawn)
 
 
@@ -71,7 +75,7 @@ def test_medrue_runs_a_compensated_program_at_the_error_of_its_calibration():
     noise = 4e-5 * np.random.default_rng(1).standard_normal((84, 3))
     fit = calib.fit(robot, calib.as_measurements(robot, used, forward(used, actual).p_world_tool + noise))
     held_out = rms(np.linalg.norm(fit.robot.positions(program)[:, 0] - forward(program, actual).p_world_tool, axis=1))
-    found = compensate(fit.robot, program, predict=fit.predict)
+    found = compensate(fit, program)
     meant, did = forward(program, nominal), forward(found.q, actual)  # shares no code with the engine
     error = np.linalg.norm(did.p_world_tool - meant.p_world_tool, axis=1)
     before = np.linalg.norm(forward(program, actual).p_world_tool - meant.p_world_tool, axis=1)
@@ -129,17 +133,20 @@ def test_an_arm_of_unknown_base_and_reflector_is_as_good_as_its_calibration():
     program[:, [1, 2, 4]] += [0.6, 0.3, 1.1]  # away from the singular poses of shoulder, elbow and wrist
     measured = truth.positions(q)[:, 0] + 3e-5 * rng.standard_normal((90, 3))
     fit = calib.fit(robot, calib.as_measurements(robot, q, measured))
-    found = compensate(fit.robot, program, predict=fit.predict)
-    nominal = robot.with_parameters(
-        {p.name: v for p, v in zip(robot.parameters, nearest_to_nominal(fit.robot).values, strict=True) if p.placement}
-    )
-    meant = nominal.positions(program)[:, 0]
+    found = compensate(fit, program)
+    meant, wanted = TrueFrame(truth, robot, q).meant(program)
+    (did, turns), (plain, _) = (poses_of(truth, joints) for joints in (found.q, program))
+    error, before = (np.linalg.norm(x - meant, axis=2)[:, 0] for x in (did, plain))
     held_out = rms(np.linalg.norm(truth.positions(program) - fit.robot.positions(program), axis=2))
-    error = np.linalg.norm(truth.positions(found.q)[:, 0] - meant, axis=1)
     assert rms(error) < 1.1 * held_out
-    assert rms(np.linalg.norm(truth.positions(program)[:, 0] - meant, axis=1)) > 30 * held_out
+    assert rms(before) > 30 * held_out
+    assert rms(found.before) == pytest.approx(rms(before), rel=0.01)
     inside = np.mean((error > found.low95) & (error < found.high95))
     assert inside > 0.85  # one calibration: its errors are the same for all rows
+    assert (
+        turned(turns[:, 0], wanted[:, 0]).max() < 3 * found.expected_angle.max()
+    )  # most of it about the flange's axis
+    assert "the robot's own base frame" in found.frame
 
 
 def test_a_reflector_and_a_tracker_somewhere_else_move_no_command():
@@ -147,15 +154,17 @@ def test_a_reflector_and_a_tracker_somewhere_else_move_no_command():
     robot = calib.load(EXAMPLES / "arm.yaml")
     truth = robot.with_parameters({"base.x": 2.1, "base.rz": 2.0, "reflector.x": 0.03, "reflector.y": -0.008})
     q = np.random.default_rng(3).uniform(-1.2, 1.2, (60, 6))
-    fitted = calib.fit(robot, calib.as_measurements(robot, q, truth.positions(q))).robot
-    left = fitted.values - np.array([p.nominal for p in robot.parameters])
+    fit = calib.fit(robot, calib.as_measurements(robot, q, truth.positions(q)))
+    fitted = fit.robot
+    left = fitted.values - np.array([p.nominal_si for p in robot.parameters])
     own = np.array([not p.placement for p in robot.parameters])
     assert np.abs(left[own]).max() > 2e-4  # what would be corrected, were it taken for the robot's
     cleaned = nearest_to_nominal(fitted)
-    assert np.abs((cleaned.values - np.array([p.nominal for p in robot.parameters]))[own]).max() < 2e-6
+    assert np.abs((cleaned.values - np.array([p.nominal_si for p in robot.parameters]))[own]).max() < 2e-6
     assert np.abs(cleaned.positions(q) - fitted.positions(q)).max() < 1e-12
     program = q[:20] * [1, 1, 0.5, 1, 0.3, 1] + np.array([0, 0, 0.8, 0, 1.0, 0])
-    assert np.abs(compensate(fitted, program).q - program).max() < 2e-5
+    for calibrated in (fit, fitted):
+        assert np.abs(compensate(calibrated, program).q - program).max() < 2e-5
 
 
 def test_a_robot_whose_base_and_targets_are_known_has_nothing_to_trade(tmp_path):
@@ -194,12 +203,14 @@ def test_an_arm_of_seven_joints_stays_near_the_program(tmp_path):
     )
     (tmp_path / "seven.urdf").write_text(urdf)
     nominal = calib.load(tmp_path / "seven.urdf")
-    truth = nearest_to_nominal(perturbed(nominal, 7, share=0.2))
+    truth = perturbed(nominal, 7, share=0.2)
     program = np.random.default_rng(8).uniform(-0.5, 0.5, (30, 7))
     program[:, 4] += 1.0
     found = compensate(truth, program)
+    frame = program_frame(known_robot(truth))
+    truth = frame.robot
     assert found.ok.all()
-    assert np.abs(truth.forward(found.q) - as_meant(truth).forward(program)).max() < 1e-8
+    assert np.abs(truth.forward(found.q) - frame.meant.forward(program)).max() < 1e-8
     for k in range(3):  # no other joints that do it are nearer: the way left has no part along the null space
         step = 1e-6
         columns = []
@@ -216,14 +227,13 @@ def test_a_scara_keeps_the_position_and_most_of_the_orientation(tmp_path):
     (tmp_path / "scara.urdf").write_text(SCARA)
     nominal = calib.load(tmp_path / "scara.urdf")
     truth = nominal.with_parameters({"a.rz": 0.02, "c.x": 0.253, "b.rx": 0.002})
-    truth = nearest_to_nominal(truth)
-    meant = as_meant(truth)
     rng = np.random.default_rng(9)
     program = rng.uniform([-1.5, 0.5, 0.03, -1.0], [1.5, 2.0, 0.15, 1.0], (25, 4))
     found = compensate(truth, program)
+    frame = program_frame(known_robot(truth))
     assert found.keep == "position"
     assert found.ok.all()
-    wanted, did, naive = meant.forward(program), truth.forward(found.q), truth.forward(program)
+    wanted, did, naive = frame.meant.forward(program), frame.robot.forward(found.q), frame.robot.forward(program)
     assert np.abs(did[:, :3, 3] - wanted[:, :3, 3]).max() < 1e-9
     after, before = (turned(T[:, :3, :3], wanted[:, :3, :3]) for T in (did, naive))
     assert (after <= before + 1e-9).all()
@@ -248,18 +258,26 @@ def test_goals_are_on_one_branch_and_tell_a_nominal_controller_what_to_be_told(t
     assert np.abs(positions - nominal.positions(found.q)[:, 0]).max() < 1e-12
 
 
-def test_a_base_that_the_description_has_elsewhere_moves_goals_with_it():
-    """The program is written in the description's frame; the tracker's own frame is another one."""
-    robot = calib.load(EXAMPLES / "arm.yaml")
-    truth = perturbed(robot, 11, 0.3).with_parameters({"base.x": 2.1, "base.ry": 0.3, "base.rz": 2.0})
-    truth = nearest_to_nominal(truth)
+def test_goals_are_in_the_frame_of_the_description_wherever_the_tracker_stands(tmp_path):
+    """The description sees the base from another frame; the tracker's own is a third one."""
+    (tmp_path / "arm.urdf").write_text((EXAMPLES / "arm.urdf").read_text())
+    seen = "base: {frame: base_link, pose: unknown, xyz: [0.4, -0.2, 0.1], rpy: [0, 0, 90 deg]}"
+    text = (EXAMPLES / "arm.yaml").read_text()
+    (tmp_path / "arm.yaml").write_text(re.sub("base: .*", seen, text))
+    robot, plain = calib.load(tmp_path / "arm.yaml"), calib.load(EXAMPLES / "arm.yaml")
     q = np.array([[0.3, 0.2, 0.4, 0.1, 0.9, 0.2], [0.1, 0.3, 0.5, 0.1, 0.8, 0.3]])
-    in_base = robot.positions(q)[:, 0]  # the description has the measurement frame in the base
-    found = compensate(truth, calib.Goals(in_base))
-    base = as_meant(truth).forward(q, "base_link")
-    expected = np.einsum("nij,nj->ni", base[:, :3, :3], in_base) + base[:, :3, 3]
-    assert np.abs(found.meant - expected).max() < 1e-7
-    assert np.abs(truth.positions(found.q)[:, 0] - expected).max() < 1e-7
+    goals = robot.positions(q)[:, 0]
+    turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    assert np.abs(goals - (plain.positions(q)[:, 0] @ turn.T + [0.4, -0.2, 0.1])).max() < 1e-12
+    own = {
+        p.name: v for p, v in zip(plain.parameters, perturbed(plain, 11, 0.3).values, strict=True) if not p.placement
+    }
+    towers = ({}, {"base.x": 2.1, "base.ry": 0.3, "base.rz": 2.0})
+    by_tower = [compensate(robot.with_parameters(own | tower), calib.Goals(goals)) for tower in towers]
+    in_base = compensate(plain.with_parameters(own), calib.Goals(plain.positions(q)[:, 0]))
+    assert np.abs(by_tower[0].q - q).max() > 1e-4
+    for other in (by_tower[1], in_base):
+        assert np.abs(other.q - by_tower[0].q).max() < 1e-7
 
 
 def test_what_cannot_be_is_not_clipped_but_said(tmp_path):
@@ -333,7 +351,7 @@ def test_orientations_are_off_by_what_is_expected(tmp_path, keep):
     )
     fit = calib.fit(nominal, calib.read_measurements(tmp_path / "poses.csv", nominal))
     program = rng.uniform(-0.8, 0.8, (6, 6)) + np.array([0, 0, 0, 0, 1.2, 0])
-    found = compensate(fit.robot, program, keep=keep, predict=fit.predict)
+    found = compensate(fit, program, keep=keep)
     assert found.ok.all()
     meant = nominal.forward(program)[:, :3, :3]
     root = np.linalg.cholesky(fit.statistics.covariance + 1e-30 * np.eye(len(fit.statistics.covariance)))
@@ -508,13 +526,15 @@ def test_a_ur10_with_gears_that_no_line_describes_runs_at_the_error_of_its_calib
     (tmp_path / "curves.yaml").write_text(text)
     described = calib.load(tmp_path / "curves.yaml")
     rng = np.random.default_rng(30)
-    drawn = {p.name: p.nominal + p.sigma * rng.standard_normal() for p in nominal.parameters if not p.placement}
+    drawn = {p.name: p.nominal_si + p.sigma_si * rng.standard_normal() for p in nominal.parameters if not p.placement}
     truth = nominal.with_parameters({**drawn, "base.x": 1.8, "base.rz": 1.0})
     size, order, phase = 3e-4 * rng.standard_normal((2, 6)), rng.uniform(1, 5, (2, 6)), rng.uniform(0, 6, (2, 6))
 
-    def did(q):  # shares no code with the terms of the engine
-        waves = sum(size[k] * np.sin(order[k] * q + phase[k]) for k in range(2))
-        return truth.positions(q + waves)[:, 0]
+    def waves(q):  # shares no code with the terms of the engine
+        return q + sum(size[k] * np.sin(order[k] * q + phase[k]) for k in range(2))
+
+    def did(q):
+        return truth.positions(waves(q))[:, 0]
 
     q, program = (
         rng.uniform(-1.5, 1.5, (n, 6)) * [1, 0.5, 0.6, 1, 0.7, 1] + [0, -1, 1.4, 0, 1.6, 0] for n in (400, 336)
@@ -522,15 +542,21 @@ def test_a_ur10_with_gears_that_no_line_describes_runs_at_the_error_of_its_calib
     measured = did(q) + 2e-5 * rng.standard_normal((400, 3))
     with_curves, without = (calib.fit(one, calib.as_measurements(one, q, measured)) for one in (described, nominal))
     held_out = rms(np.linalg.norm(did(program) - with_curves.robot.positions(program)[:, 0], axis=1))
-    found = compensate(with_curves.robot, program, predict=with_curves.predict)
+    found, without_curves = compensate(with_curves, program), compensate(without, program)
     assert found.ok.all()
-    error = np.linalg.norm(did(found.q) - meant_positions(with_curves.robot, program), axis=1)
-    plain = did(compensate(without.robot, program).q) - meant_positions(without.robot, program)
+    meant = TrueFrame(Wavy(truth, waves), nominal, q).meant(program)[0][:, 0]
+    error, plain = (np.linalg.norm(did(one.q) - meant, axis=1) for one in (found, without_curves))
     assert rms(error) < 1.1 * held_out  # 0.011 mm, from 7.4 mm
     assert rms(found.before) > 100 * held_out
-    assert rms(np.linalg.norm(plain, axis=1)) > 5 * held_out  # the same without curves
+    assert rms(plain) > 5 * held_out  # the same without curves
     assert np.mean((error > found.low95) & (error < found.high95)) > 0.85  # one calibration
 
 
-def meant_positions(robot, program):
-    return as_meant(nearest_to_nominal(robot)).positions(program)[:, 0]
+class Wavy:
+    """A robot whose joints are where a function says, not where they are told."""
+
+    def __init__(self, robot, joints):
+        self.robot, self.joints = robot, joints
+
+    def positions(self, q):
+        return self.robot.positions(self.joints(q))

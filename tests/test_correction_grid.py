@@ -57,7 +57,7 @@ def test_an_arm_with_the_table_stands_where_the_table_says(tmp_path: Path) -> No
     yaml = "urdf: arm.urdf\nname_mot: [j1, j2, j3, j4, j5, j6]\nbase: {frame: l0}\ntargets:\n"
     robot = calib.load(write_six_axis(tmp_path, f"{yaml}  ball: {{frame: l6}}\nparametrisation:\n{free}"))
     rng = np.random.default_rng(0)
-    truth = robot.with_parameters({p.name: p.nominal + p.sigma * rng.standard_normal() for p in robot.parameters})
+    truth = robot.with_parameters({p.name: p.nominal_si + p.sigma_si * rng.standard_normal() for p in robot.parameters})
     R = pin.rpy.rpyToMatrix(0.2, 0.4, 0.1)
     box = calib.Goals(np.array([[0.5, -0.1, 0.6], [0.7, 0.1, 0.8]]), np.tile(R, (2, 1, 1)))
     found = correction_grid(truth, box, (5, 5, 5))

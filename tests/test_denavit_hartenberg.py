@@ -255,7 +255,7 @@ def test_bad_tables(old: str, new: str, words: str, tmp_path: Path) -> None:
         (("arm.urdf", "--convention", "modified", "--out", "x.yaml"), "is for a table given with --dh"),
         (("--dh", "good.csv", "--convention", "modified", "--out", "x.yaml"), "says 'convention: standard', but"),
         (("--dh", "good.csv", "--out", "x.urdf"), "ends in .yaml"),
-        (("--dh", "good.csv", "--out", "taken.yaml"), "taken.urdf: exists already"),
+        (("--dh", "good.csv", "--out", "taken.yaml"), "taken.urdf: was not written by this program"),
         (("--dh", "good.csv", "--target", "hand", "--out", "x.yaml"), "no link 'hand'"),
     ],
 )

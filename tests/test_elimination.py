@@ -15,7 +15,7 @@ PAPER = ["A2y", "A2z", "d31", "d32", "d41", "d5", "xb", "zb"]
 @pytest.fixture(scope="module")
 def scaled(medrue):
     jacobian = linearise(medrue, medrue.assemble(target_workspace().q)).jacobian
-    return (jacobian * np.array([p.sigma for p in medrue.parameters])).reshape(-1, 36)
+    return (jacobian * np.array([p.sigma_si for p in medrue.parameters])).reshape(-1, 36)
 
 
 def test_the_order_of_medrues_description_gives_the_papers_eight(medrue, scaled):

@@ -70,7 +70,7 @@ def mixed(tmp_path_factory):
     """A fit of a robot that is off in every way, and its truth."""
     nominal = arm(tmp_path_factory.mktemp("arm"))
     generator = np.random.default_rng(11)
-    off = np.array([p.sigma * generator.normal() for p in nominal.parameters])
+    off = np.array([p.sigma_si * generator.normal() for p in nominal.parameters])
     truth = nominal.with_parameters(nominal.values + off)
     return calib.fit(nominal, measured(truth, 200, 1), validation=measured(truth, 300, 2)), truth
 

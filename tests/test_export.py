@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 import yaml
 from click.testing import CliRunner, Result
+from signed_files import plain, read_plain
 
 import calib
 from calib.commands.export import command
@@ -54,7 +55,7 @@ def run(*arguments: str | Path) -> Result:
 
 def test_nominal_urdf_goes_out_byte_for_byte(nominal: calib.Robot, tmp_path: Path) -> None:
     export(nominal, "urdf", tmp_path / "out.urdf", provenance=["not needed: nothing was edited"])
-    assert (tmp_path / "out.urdf").read_bytes() == URDF.read_bytes()
+    assert read_plain(tmp_path / "out.urdf") == URDF.read_bytes()
 
 
 def test_calibrated_urdf_differs_in_origin_numbers_only(calibrated: calib.Robot) -> None:
@@ -109,7 +110,7 @@ def test_export_load_export_is_identical(values: str, tmp_path: Path, request: p
     robot = request.getfixturevalue(values)
     export(robot, "toolbox", tmp_path / "robot.yaml")
     loaded = calib.load(tmp_path / "robot.yaml")
-    assert urdf_bytes(loaded) == urdf_bytes(robot)
+    assert plain(urdf_bytes(loaded)) == urdf_bytes(robot)
     for file_format in ("toolbox", "mjcf", "drake"):
         one, two = tmp_path / "one" / "robot.yaml", tmp_path / "two" / "robot.yaml"
         for path, source in ((one, robot), (two, loaded)):
@@ -187,12 +188,12 @@ def test_mjcf_has_a_servo_for_each_motor_and_a_connect_for_each_loop(nominal: ca
 
 def test_drake_urdf_is_the_calibrated_urdf_plus_one_block(calibrated: calib.Robot, tmp_path: Path) -> None:
     export(calibrated, "drake", tmp_path / "out.urdf")
-    written, plain = (tmp_path / "out.urdf").read_bytes(), urdf_bytes(calibrated)
+    written, before = read_plain(tmp_path / "out.urdf"), urdf_bytes(calibrated)
     start = written.index(b"\n<!-- calib: a closed robot for Drake")
     end = written.index(b"</robot>")
     namespace = b' xmlns:drake="http://drake.mit.edu"'
     assert written.count(namespace) == 1
-    assert (written[:start] + written[end:]).replace(namespace, b"") == plain
+    assert (written[:start] + written[end:]).replace(namespace, b"") == before
     assert written[start:end].count(b"<drake:ball_constraint>") == 3
     assert written[start:end].count(b"<transmission ") == 6
     assert [j.name for j in parse_urdf(written).joints] == [j.name for j in calibrated.urdf.joints]
@@ -220,7 +221,7 @@ def test_command_writes_every_format(tmp_path: Path) -> None:
         result = run(ROBOT, "--format", file_format, "--out", tmp_path / f"{file_format}.yaml")
         assert result.exit_code == 0, result.output
         assert (tmp_path / f"{file_format}.yaml").stat().st_size > 500
-    assert (tmp_path / "toolbox.urdf").read_bytes() == URDF.read_bytes()
+    assert read_plain(tmp_path / "toolbox.urdf") == URDF.read_bytes()
 
 
 def test_command_reads_a_parameter_file(tmp_path: Path) -> None:
@@ -248,8 +249,8 @@ def test_command_prints_the_gaps_as_json(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--format", "urdf", "--out", "robot.urdf"), "is the robot's own input"),
-        (("--format", "toolbox", "--out", "robot.yaml"), "is the robot's own input"),
+        (("--format", "urdf", "--out", "robot.urdf"), "robot.urdf: is read here"),
+        (("--format", "toolbox", "--out", "robot.yaml"), "robot.yaml: is read here"),
         (("--format", "toolbox", "--out", "x.urdf"), "name the YAML file"),
         (("--format", "urdf", "--free-slide", "--out", "x.urdf"), "has no variant with free slides"),
         (("--format", "mjcf", "--out", "no/such/folder/x.xml"), "cannot be written"),

@@ -52,7 +52,9 @@ def test_without_priors_the_stated_noise_changes_no_parameter(arm):
 
 
 def test_with_priors_the_found_noise_is_that_which_weighed_them(prior_arm):
-    values = prior_arm.values + np.random.default_rng(2).standard_normal(36) * [p.sigma for p in prior_arm.parameters]
+    values = prior_arm.values + np.random.default_rng(2).standard_normal(36) * [
+        p.sigma_si for p in prior_arm.parameters
+    ]
     fit = calib.fit(prior_arm, noisy(prior_arm.with_parameters(values), joints(60), SIGMA, 1))
     assert fit.scales.groups[0] == pytest.approx(fit.sigma, rel=0.01)
     assert fit.sigma == pytest.approx(SIGMA, rel=0.2)  # standard error 6 %

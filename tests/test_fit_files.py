@@ -218,14 +218,14 @@ def test_what_a_format_has_no_place_for_is_fitted_as_it_is(tmp_path):
     held = robot.held_by(Holds.TO_LAST_AXIS)
     behind = [p.name for p in held.parameters if p.name.startswith(("left_tool_mount", "left_wrist_3-flange"))]
     values = dict(zip((p.name for p in held.parameters), held.values, strict=True))
-    assert [values[name] for name in behind] == [held.parameters[name].nominal for name in behind]
-    calib.export(robot, "ur-kinematics", tmp_path / "ur.yaml")
+    assert [values[name] for name in behind] == [held.parameters[name].nominal_si for name in behind]
+    calib.export(robot, "ur-kinematics", tmp_path / "kinematics.yaml")
     q = test[:5]
-    found = in_file(nominal, "ur-kinematics", tmp_path / "ur.yaml")(q)
+    found = in_file(nominal, "ur-kinematics", tmp_path / "kinematics.yaml")(q)
     base = nominal.description.base.frame
     expected = np.linalg.inv(held.forward(q, base)) @ held.forward(q, "left_tool")
     np.testing.assert_allclose(found, expected, atol=1e-9)
-    dropped = fit.robot.with_parameters({name: nominal.parameters[name].nominal for name in behind})
+    dropped = fit.robot.with_parameters({name: nominal.parameters[name].nominal_si for name in behind})
     left = np.sqrt(np.mean(np.sum((dropped.positions(test) - true.positions(test)) ** 2, axis=2)))
     assert robot.files[Holds.TO_LAST_AXIS].accuracy.rms < 0.9 * left
 
@@ -259,10 +259,12 @@ def withheld(tmp_path_factory, true_tip):
 
 def test_a_file_that_is_worse_than_the_nominal_robot_is_not_written(withheld, run_calib, tmp_path):
     folder, *_ = withheld
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "calibrated.urdf").write_text("an earlier result")
     arguments = ("fit", folder / "arm.yaml", folder / "train.csv", "--validate", folder / "test.csv", "--no-pages",
                  "--out", tmp_path / "out")  # fmt: skip
+    run = run_calib(*arguments, "--force")
+    assert run.code == 0, run.err
+    assert "exported by force: it is worse than" in (tmp_path / "out" / "calibrated.urdf").read_text()
+    assert "was not written" not in run.err
     run = run_calib(*arguments)
     assert run.code == 0, run.err
     assert "calibrated.urdf was not written: it is worse than the nominal robot:" in run.err
@@ -284,10 +286,6 @@ def test_a_file_that_is_worse_than_the_nominal_robot_is_not_written(withheld, ru
     run = run_calib("export", tmp_path / "out", "--format", "urdf", "--force", "--out", tmp_path / "forced.urdf")
     assert run.code == 0, run.err
     assert "exported by force: it is worse than the nominal robot" in (tmp_path / "forced.urdf").read_text()
-    run = run_calib(*arguments, "--force")
-    assert run.code == 0
-    assert "exported by force: it is worse than" in (tmp_path / "out" / "calibrated.urdf").read_text()
-    assert "was not written" not in run.err
 
 
 def test_it_is_the_robot_in_the_file_that_is_worse(withheld, tmp_path):

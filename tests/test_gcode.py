@@ -114,7 +114,7 @@ def delta(tmp_path_factory):
 def test_a_delta_goes_straight_within_tolerance_and_calibration(delta, tmp_path):
     robot = delta[1]
     rng = np.random.default_rng(1)
-    drawn = {p.name: p.nominal + 0.5 * p.sigma * rng.standard_normal() for p in robot.parameters}
+    drawn = {p.name: p.nominal_si + 0.5 * p.sigma_si * rng.standard_normal() for p in robot.parameters}
     truth = robot.with_parameters(drawn)  # simulated
     place = np.array([0.0, 0.0, -0.45])
     q = delta_joints(place + rng.uniform(-0.1, 0.1, (60, 3)))

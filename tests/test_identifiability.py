@@ -9,9 +9,11 @@ from small_robots import small_arm
 import calib
 from calib import fit
 from calib.linearisation.candidates import assumed_sigma
+from calib.linearisation.determination import determination
 from calib.linearisation.jacobian import linearise
 from calib.numerics.identifiability import RANK_TOLERANCE, numerical_rank, reduced
 from calib.numerics.observability import information, prior_rows
+from calib.parameter import Parameter
 from medrue.closed_form import forward
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import target_workspace
@@ -41,6 +43,36 @@ def test_rank_of_a_matrix_with_fewer_rows_than_columns():
 def test_the_gap_is_in_the_words():
     assert "rank 7 of 12 (gap: singular value 7 is " in str(numerical_rank(random_matrix(40, 12, 7)))
     assert "smallest singular value" in str(numerical_rank(np.eye(3)))
+
+
+@pytest.mark.parametrize(
+    ("values", "n", "unclear"),
+    [
+        ([1.0, 1e-3, 2e-9, 0.9e-9], 3, True),  # a factor of 2 about the threshold
+        ([1.0, 1e-3, 2e-9, 1e-11], 3, False),  # a factor of 200
+        ([1.0, 1e-3, 1e-4, 3e-9], 4, True),  # full, by a factor of 3
+        ([1.0, 1e-3, 1e-4, 1e-7], 4, False),
+        ([1.0, 1e-3, 1e-4, 1e-15], 3, False),
+    ],
+)
+def test_a_rank_without_a_gap_says_so(values, n, unclear):
+    rng = np.random.default_rng(3)
+    left, right = (np.linalg.qr(rng.standard_normal((size, 4)))[0] for size in (20, 4))
+    rank = numerical_rank(left * values @ right.T)
+    assert (rank.rank, rank.unclear) == (n, unclear)
+    assert ("no clear gap" in rank.doubt) == unclear
+
+
+def test_columns_that_nearly_depend_are_told_wherever_the_rank_is(tmp_path):
+    """A copy of a column that is off by 6e-9 of its length: the smallest singular value is that over sqrt(2)."""
+    rng = np.random.default_rng(4)
+    columns = rng.standard_normal((60, 5))
+    columns[:, 4] = columns[:, 3] + 6e-9 * rng.standard_normal(60)
+    parameters = [Parameter(f"p{k}", "length", 0.0, 1e-3, "mm", prior=False) for k in range(5)]
+    found = determination(columns, parameters, np.ones(5, dtype=bool))
+    assert found.together.unclear
+    assert found.together.smallest_kept == pytest.approx(6e-9 / np.sqrt(2), rel=0.3)
+    assert sum("No clear gap" in line for line in found.lines()) == 1
 
 
 def test_reduced_keeps_singular_values():
@@ -110,7 +142,7 @@ def test_noise_is_stated_or_described_or_assumed(tmp_path, medrue):
 
 
 def medrue_rows(robot, q):
-    return (linearise(robot, robot.assemble(q)).jacobian * [p.sigma for p in robot.parameters]).reshape(-1, 36)
+    return (linearise(robot, robot.assemble(q)).jacobian * [p.sigma_si for p in robot.parameters]).reshape(-1, 36)
 
 
 def test_medrue_has_rank_28_with_a_gap_of_ten_decades(medrue):
@@ -171,3 +203,23 @@ def test_other_valid_choices_of_eight_predict_the_same_positions(medrue):
     # The fits stop within a small part of a standard deviation, which is about 10 um at the tool.
     np.testing.assert_allclose(predicted[1], predicted[0], atol=2e-7)
     np.testing.assert_allclose(predicted[2], predicted[0], atol=2e-7)
+
+
+def test_a_fit_on_an_unclear_rank_gets_a_check_and_says_so(tmp_path, monkeypatch):
+    robot = small_arm(tmp_path)
+    q = np.random.default_rng(5).uniform([-2, 0.1, -1], [2, 0.9, 1], (40, 3))
+    made = fit(robot, calib.as_measurements(robot, q, robot.positions(q) + 2e-5 * np.sin(7 * q)[:, None]))
+    assert "rank_unclear" not in [reason.code for reason in made.verdict.reasons]
+    n = len(made.unknowns)
+    unclear = numerical_rank(np.diag([*np.ones(n - 1), 4e-9]))
+    doubtful = replace(made, determination=replace(made.determination, free=unclear, together=unclear))
+    assert doubtful.verdict.grade == "CHECK"
+    assert "no clear gap" in next(r.text for r in doubtful.verdict.reasons if r.code == "rank_unclear")
+    assert "No clear gap" in doubtful.report()
+    short = numerical_rank(np.diag([*np.ones(n - 2), 2e-9, 0.7e-9]))
+    monkeypatch.setattr(
+        "calib.identification.pose_checks.determination",
+        lambda *columns: replace(made.determination, together=short),
+    )
+    with pytest.raises(calib.NotIdentifiableError, match=r"1 is NOT determined.*no clear gap"):
+        fit(robot, made.identification.data)

@@ -183,7 +183,7 @@ def test_a_target_inside_the_chain_can_be_chosen(tmp_path, run_calib):
     [
         ("--target tol --out new.yaml", "arm.urdf: no link 'tol'; did you mean 'tool'?"),
         ("--target ground --out new.yaml", "arm.urdf: no joint moves link 'ground'; there is nothing to calibrate"),
-        ("--out old.yaml", "old.yaml: exists already; choose another name, so that no edited description is lost"),
+        ("--out old.yaml", "old.yaml: was not written by this program, or was changed since; choose another place"),
         ("--out new.txt", "new.txt: the name of a robot description ends in .yaml"),
         (
             "--out no/new.yaml",

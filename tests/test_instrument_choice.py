@@ -39,7 +39,7 @@ def arm(folder, tracker="0.05 mm", edit=("", "")):
 
 def information(robot, q):
     """Of each instrument at each pose, in units of the parameters' sigma: by central differences of what it reads."""
-    scales, step = np.array([p.sigma for p in robot.parameters]), 1e-3
+    scales, step = np.array([p.sigma_si for p in robot.parameters]), 1e-3
     sides = []
     for sign in (1, -1):
         points = np.stack(
@@ -236,7 +236,7 @@ def test_a_plan_is_checked_simulated_and_fitted(planned, run_calib):
     fit = calib.fit(robot, data)
     truth = {"j2.ry": 0.005, "j3.z": 0.602, "j5.x": 0.397}
     for k, name in enumerate(fit.free_names):
-        value = truth.get(name, robot.parameters[k].nominal)
+        value = truth.get(name, robot.parameters[k].nominal_si)
         assert abs(fit.robot.values[k] - value) < 2 * fit.statistics.half_width[k]
 
 

@@ -69,7 +69,7 @@ def test_positions_come_with_the_derivative(robot):
 
 def test_the_rank_at_nominal_is_28_of_36_with_a_wide_gap(robot):
     jacobian = linearise(robot, robot.assemble(target_workspace().q)).jacobian.reshape(-1, 36)
-    rank = numerical_rank(jacobian * np.array([parameter.sigma for parameter in robot.parameters]))
+    rank = numerical_rank(jacobian * np.array([parameter.sigma_si for parameter in robot.parameters]))
     assert (rank.rank, rank.n_columns) == (28, 36)
     assert rank.largest_dropped < 1e-8 * rank.smallest_kept
     assert "rank 28 of 36 (gap: singular value 28 is" in str(rank)

@@ -29,7 +29,7 @@ BEYOND = """  - {joint: slide, term: backlash}
 def robot_with(folder, terms=TERMS):
     nominal = calib.load(write_arm(folder, ARM_YAML + terms))
     generator = np.random.default_rng(3)
-    return nominal.with_parameters(nominal.values + [p.sigma * generator.normal() for p in nominal.parameters])
+    return nominal.with_parameters(nominal.values + [p.sigma_si * generator.normal() for p in nominal.parameters])
 
 
 @pytest.fixture(scope="module")

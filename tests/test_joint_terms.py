@@ -60,6 +60,7 @@ def test_harmonics_are_sines_and_cosines_of_their_orders(five_bar):
     q = near_home(robot, 6, 2)
     error = 3e-4 * np.sin(17 * q[:, 1]) - 1e-4 * np.cos(q[:, 1])
     assert np.allclose(robot.assemble(q).actuated[:, 1] - q[:, 1], error, rtol=0, atol=1e-15)
+    assert robot.assemble(q[:0]).actuated.shape == (0, 2)
 
 
 def test_of_all_joints_a_period_is_for_the_prismatic_ones_and_a_curve_repeats_after_twice_the_stroke(tmp_path):

@@ -59,7 +59,7 @@ ROBOTS = {
 def case(request, tmp_path):
     """A robot whose parameters are off by a tenth of their sigma, and poses."""
     robot, q = ROBOTS[request.param](tmp_path)
-    sigma = np.array([parameter.sigma for parameter in robot.parameters])
+    sigma = np.array([parameter.sigma_si for parameter in robot.parameters])
     off = np.random.default_rng(2).uniform(-0.1, 0.1, len(sigma)) * sigma * robot.is_free
     return robot, robot.with_parameters(robot.values + off), q
 

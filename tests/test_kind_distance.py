@@ -294,4 +294,4 @@ def test_an_end_that_errors_of_the_robot_draw_into_the_plane_of_its_motion_is_fo
     read = np.linalg.norm(tip - end, axis=1) + np.random.default_rng(3).normal(0, 1e-5, 40)
     found = calib.fit(robot, calib.as_measurements(robot, q, {"wire": read[:, None]})).parameters
     for name, true in zip(("slide.x", "wire_end.x", "wire_end.y", "wire_end.z"), (0.25 + error, *end), strict=True):
-        assert abs(found[name].value - true) < 5 * found[name].std < 5e-3, name
+        assert abs(found[name].value_si - true) < 5 * found[name].std_si < 5e-3, name

@@ -242,3 +242,14 @@ def test_files_that_cannot_be(tmp_path, run_calib, header, said):
     run = run_calib("fit", robot.path, tmp_path / "data.csv", "--out", tmp_path / "out")
     assert run.code == 2
     assert said in run.err
+
+
+def test_an_encoder_alone_of_an_arm_determines_nothing_and_says_so(tmp_path, run_calib):
+    """What an encoder of a commanded joint reads depends on no link."""
+    encoder = "instruments:\n  encoder: {kind: joint_reading, joint: turn, sigma: 0.1 mrad}\n"
+    arm, data = write_arm(tmp_path, ARM_YAML + encoder), tmp_path / "data.csv"
+    rows = [f"{k},{9 * k},{0.01 * k},{5 * k},{9 * k}\n" for k in range(9)]
+    data.write_text("pose,turn [deg],slide [m],wrist [deg],encoder [deg]\n" + "".join(rows))
+    run = run_calib("fit", arm, data, "--out", tmp_path / "out")
+    assert (run.code, "no reading depends on any free parameter" in run.err) == (3, True)
+    assert run_calib("check", arm, data).code == 0

@@ -142,7 +142,7 @@ def test_a_known_truth_is_found_again(tmp_path):
     robot = arm(tmp_path, YAML.replace("target: cell}", "target: cell, sigma: 0.1 um, sigma_angle: 0.1 urad}"))
     rng = np.random.default_rng(6)
     values = robot.values.copy()
-    values += 0.5 * np.array([p.sigma for p in robot.parameters]) * rng.standard_normal(len(values))
+    values += 0.5 * np.array([p.sigma_si for p in robot.parameters]) * rng.standard_normal(len(values))
     truth = robot.with_parameters(values)
     q = joints(50, 7)
     T = truth.forward(q, "cell")
@@ -174,7 +174,7 @@ def test_intervals_hold_the_truth_with_anisotropic_noise_and_with_errors_shared_
         ("shared", "sigma: 0.02 mm, sigma_angle: 0.05 mrad", 2e-4),
     ):
         robot = arm(tmp_path, YAML.replace("target: cell}", f"target: cell, {noise}}}"))
-        sigma = np.array([p.sigma for p in robot.parameters])
+        sigma = np.array([p.sigma_si for p in robot.parameters])
         placed = np.array([p.placement and not p.prior for p in robot.parameters])
         rng, inside = np.random.default_rng(10), 0
         for _ in range(n):

@@ -94,7 +94,7 @@ def test_the_view_of_poses_follows_pinocchio():
 
 def test_a_moved_robot_uses_the_workspace_of_the_one_before(tmp_path):
     robot, there = medrue(tmp_path)
-    step = 0.1 * np.array([parameter.sigma for parameter in robot.parameters])
+    step = 0.1 * np.array([parameter.sigma_si for parameter in robot.parameters])
     moved = robot.with_parameters(robot.values + step)
     assert moved.mechanism.workspaces is robot.mechanism.workspaces
     again, fresh = robot.positions(there.actuated), calib.load(robot_file())

@@ -135,3 +135,19 @@ def test_an_absurdly_long_first_step_is_not_taken(seed):
     assert found.converged
     assert found.cost < 2 * 120  # noise alone; from where that step leads, minima 1000 times as high are found
     assert found.evaluations <= 20  # 9 and 11; 37 and 76 with that step
+
+
+@pytest.mark.parametrize("bend", [3.0, 30.0])
+def test_a_long_bent_valley_is_followed_in_tens_of_evaluations(bend):
+    """The minimum is far along y = bend sin x, 0 at x = y = 3 and bend sin 3: a prior as wide as that is long."""
+
+    def residuals(x):
+        return np.array([1e3 * (x[1] - bend * np.sin(x[0])), x[0] - 3.0])
+
+    def jacobian(x):
+        return np.array([[-1e3 * bend * np.cos(x[0]), 1e3], [1.0, 0.0]])
+
+    found = minimise(residuals, jacobian, np.zeros(2))
+    assert found.converged
+    np.testing.assert_allclose(found.x, [3.0, bend * np.sin(3.0)], rtol=1e-6)
+    assert found.evaluations < 100  # of straight steps alone, 200 are not enough

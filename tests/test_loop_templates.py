@@ -119,7 +119,7 @@ def test_stewart_legs_are_as_long_as_their_motors_say(tmp_path):
 def test_a_simulated_calibration_finds_the_truth(tmp_path, name):
     robot = robot_of(tmp_path, name)
     rng = np.random.default_rng(7)
-    truth = {p.name: p.nominal + (0.0 if p.placement else 0.3 * p.sigma * rng.normal()) for p in robot.parameters}
+    truth = {p.name: p.nominal_si + (0.0 if p.placement else 0.3 * p.sigma_si * rng.normal()) for p in robot.parameters}
     actual, sigma = robot.with_parameters(truth), 2e-5
     q = poses_of(robot, name, 40)
     labels = tuple(str(k) for k in range(40))

@@ -74,7 +74,7 @@ def test_lengths_of_another_unit_fail(tmp_path, scale, priors):
     """1.6 % is what a fortieth of a metre lacks to an inch."""
     robot = calib.load(write_six_axis(tmp_path, ("" if priors else NO_PRIORS) + YAML + FREE))
     rng, free = np.random.default_rng(5), robot.is_free
-    values = robot.values + 0.5 * free * rng.standard_normal(len(free)) * [p.sigma for p in robot.parameters]
+    values = robot.values + 0.5 * free * rng.standard_normal(len(free)) * [p.sigma_si for p in robot.parameters]
     points = robot.with_parameters(values).positions(joints(60))
     fit = calib.fit(robot, measurements(robot, joints(60), scale * points + 4e-5 * rng.standard_normal(points.shape)))
     if scale == 1.0:

@@ -50,6 +50,15 @@ def test_the_first_reason_that_a_command_answers_says_which(fit, grade, codes, w
     assert following.removeprefix("Next: ").startswith(wanted)
 
 
+def test_one_reading_that_is_off_leads_to_leaving_it_out_and_not_to_joint_terms(robot, data):
+    values = data.readings["reflector"].values.copy()
+    values[17, 1] += 2e-3
+    read = calib.as_measurements(robot, data.joints, {"reflector": values})
+    fit = calib.fit(robot, read)
+    assert fit.outliers[0].pose == 17
+    assert "--exclude-outliers" in after_fit(fit, "a.yaml", ("d.csv",), "out")[1]
+
+
 def test_what_passed_on_other_poses_goes_on_to_be_used(robot, data):
     used, held = data.split(0.25, seed=1)
     validated = judged(calib.fit(robot, used, validation=held), "PASS")

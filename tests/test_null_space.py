@@ -104,7 +104,7 @@ def test_linear_programs_find_a_basis_of_elementary_vectors_too(seed, monkeypatc
 @pytest.fixture(scope="module")
 def groups(medrue):
     q = target_workspace().q
-    rows = linearise(medrue, medrue.assemble(q)).jacobian * [p.sigma for p in medrue.parameters]
+    rows = linearise(medrue, medrue.assemble(q)).jacobian * [p.sigma_si for p in medrue.parameters]
     return null_groups(rows.reshape(-1, 36), dropped=np.flatnonzero(~medrue.is_free))
 
 
@@ -142,7 +142,7 @@ def test_the_turn_about_x_moves_nothing_in_the_closed_form(medrue, groups):
 
 def test_groups_do_not_hang_on_rounding(medrue, groups):
     q = np.round(target_workspace().q, 9)
-    rows = linearise(medrue, medrue.assemble(q)).jacobian * [p.sigma for p in medrue.parameters]
+    rows = linearise(medrue, medrue.assemble(q)).jacobian * [p.sigma_si for p in medrue.parameters]
     again = null_groups(rows.reshape(-1, 36), dropped=np.flatnonzero(~medrue.is_free))
     assert [group.members for group in again] == [group.members for group in groups]
 

@@ -84,7 +84,7 @@ def test_a_translation_moves_the_origin_in_the_parent_and_a_rotation_turns_it_in
 def test_the_parameters_of_the_base_are_the_robot_seen_in_the_measurement_frame(tmp_path):
     robot = calib.load(write_arm(tmp_path, EVERYTHING))
     nominal = Rotation.from_euler("xyz", [0.3, -0.7, 2])
-    values = {p.name: p.nominal for p in robot.parameters if p.name.startswith("base.")}
+    values = {p.name: p.nominal_si for p in robot.parameters if p.name.startswith("base.")}
     assert list(values.values()) == [1, -2, 0.5, 0, 0, 0]
     moved = robot.with_parameters({"base.y": 5.0, "base.rx": 0.3, "base.rz": -0.4})
     rotation = (nominal * Rotation.from_rotvec([0.3, 0, -0.4])).as_matrix()
@@ -143,7 +143,7 @@ def test_nominal_values_give_back_the_nominal_urdf_byte_for_byte(tmp_path, medru
         assert robot.with_parameters(robot.values).calibrated_urdf() == robot.urdf.source
         there = robot.with_parameters(robot.values + generator.uniform(-1e-3, 1e-3, len(robot.values)))
         assert there.calibrated_urdf() != robot.urdf.source
-        back = there.with_parameters([p.nominal for p in robot.parameters])
+        back = there.with_parameters([p.nominal_si for p in robot.parameters])
         assert back.calibrated_urdf() == robot.urdf.source
 
 

@@ -29,8 +29,8 @@ def test_every_joint_origin_on_the_way_is_free_with_default_priors(tmp_path):
     )
     origins = [p for p in robot.parameters if not p.placement]
     assert all(p.prior for p in origins)
-    assert {p.sigma for p in origins if p.dimension == "length"} == {0.002}
-    assert {p.sigma for p in origins if p.dimension == "angle"} == {0.005}
+    assert {p.sigma_si for p in origins if p.dimension == "length"} == {0.002}
+    assert {p.sigma_si for p in origins if p.dimension == "angle"} == {0.005}
     assert not any(p.prior for p in robot.parameters if p.placement)
 
 
@@ -77,7 +77,7 @@ def test_a_robot_that_does_not_move_is_an_error(tmp_path):
         plain(tmp_path, links=("alone",))
 
 
-def test_floating_and_planar_joints_are_held(tmp_path):
+def test_floating_and_planar_joints_below_the_robots_base_are_held(tmp_path):
     end = ("t", "fixed", "2", "3", '<origin xyz="1 0 0"/>')
     robot = plain(tmp_path, ("f", "floating", "w", "0"), ("p", "planar", "0", "1", '<origin xyz="0 0 2"/>'),
                   ("a", "continuous", "1", "2", '<axis xyz="0 0 1"/>'), end)  # fmt: skip
@@ -86,6 +86,29 @@ def test_floating_and_planar_joints_are_held(tmp_path):
     T_1_3, T_1_w = robot.forward([np.pi / 2], "3"), robot.forward([np.pi / 2], "w")
     assert np.abs(T_1_3[:3, 3] - [0, 1, 0]).max() < 1e-15
     assert np.abs(T_1_w[:3, 3] - [0, 0, -2]).max() < 1e-15
+
+
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+def test_floating_and_planar_joints_that_carry_what_is_measured_are_refused_by_name(tmp_path, run_calib, kind):
+    axis = '<axis xyz="0 0 1"/>'
+    said = f"joint 'p' is {kind}; planar and floating joints are not supported: make it of"
+    behind = [("a", "continuous", "w", "1", axis), ("p", kind, "1", "2"), ("t", "continuous", "2", "3", axis)]
+    with pytest.raises(DescriptionError, match=said):
+        plain(tmp_path, *behind)
+    with pytest.raises(DescriptionError, match=said):
+        plain(tmp_path, ("p", kind, "w", "1"))
+    (tmp_path / "plain.urdf").write_text(urdf_of(*behind))
+    for text in (
+        "name_mot: [a, t]\nbase: {frame: w, pose: known}\ntargets: {t: {frame: '3'}}\n",
+        "name_mot: [p]\nbase: {frame: w, pose: known}\ntargets: {t: {frame: '1'}}\n",
+    ):
+        (tmp_path / "r.yaml").write_text(f"urdf: plain.urdf\n{text}parametrisation: []\n")
+        with pytest.raises(DescriptionError, match=said):
+            calib.load(tmp_path / "r.yaml")
+    run = run_calib("init", "plain.urdf", "--target", "3", "--out", "new.yaml", cwd=tmp_path)
+    assert run.code == 2
+    assert said in run.err
+    assert not (tmp_path / "new.yaml").exists()
 
 
 def test_a_mimic_joint_follows_and_is_not_actuated(tmp_path):

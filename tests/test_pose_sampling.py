@@ -54,6 +54,31 @@ def test_what_is_written_is_read_by_the_other_commands(run_calib, tmp_path):
     assert np.all(np.abs(calib.read_poses(tmp_path / "b.csv", robot).joints[:, 0]) <= 1)
 
 
+def test_a_seed_is_optional_and_told(arm, run_calib, tmp_path):
+    for name, seed in (("a.csv", ()), ("b.csv", ("--seed", 0)), ("c.csv", ("--seed", 3))):
+        run = run_calib("sample", ARM, "--count", 5, *seed, "--out", name, cwd=tmp_path)
+        assert run.out == f"5 poses written to {name}, seed {seed[1] if seed else 0}\n"
+    same, again, other = (calib.read_poses(tmp_path / f"{name}.csv", arm).joints for name in "abc")
+    np.testing.assert_array_equal(same, again)
+    assert np.any(same != other)
+    assert "sampled with seed 3" in (tmp_path / "c.csv").read_text()
+
+
+def test_more_poses_than_memory_holds_are_an_error(run_calib, tmp_path):
+    given = ("--count", 99999999999, "--within", "joint_1=-10..10deg", "--out", "a.csv")
+    run = run_calib("sample", ARM, *given, cwd=tmp_path)
+    assert run.code == 2
+    assert "sampling 99999999999 poses needs about" in run.err
+    assert run.err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_many_poses_are_tried_part_by_part_with_the_same_numbers(arm, monkeypatch):
+    whole = calib.sample(arm, 30, seed=4, within={"reflector_z": (0.5, 0.8)}).joints
+    monkeypatch.setattr("calib.model.joint_sampling._AT_ONCE", 7)
+    np.testing.assert_array_equal(calib.sample(arm, 30, seed=4, within={"reflector_z": (0.5, 0.8)}).joints, whole)
+
+
 def test_loops_close_at_sampled_poses():
     robot = calib.load(EXAMPLES / "five_bar.yaml")
     robot.assemble(calib.sample(robot, 30, seed=3).joints)

@@ -1,8 +1,10 @@
 import csv
 import json
+import re
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from six_axis_arm import FREE, joints, noisy, six_axis_arm, write_six_axis
 
 import calib
@@ -155,3 +157,54 @@ def test_other_combinations_keep_the_values_of_each_joint_and_break_what_they_do
     np.testing.assert_array_equal(np.sort(mixed, axis=0), path)
     assert np.max(np.abs(np.corrcoef(mixed.T) - np.eye(6))) < 0.6
     assert len(other_combinations(path, 10)) == 10
+
+
+WIRES = """\
+urdf: arm.urdf
+name_mot: [j1, j2, j3, j4, j5, j6]
+base: {frame: l0}
+targets: {ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm], position: unknown, sigma: 2 mm}}
+instruments:
+  one: {kind: distance, target: ball, end: {frame: l0, xyz: [-1.4, 0, 0.2], position: unknown}, sigma: 0.02 mm}
+  two: {kind: distance, target: ball, end: {frame: l0, xyz: [1, 1, 0], position: PLACE}, sigma: 0.02 mm}
+  three: {kind: distance, target: ball, end: {frame: l0, xyz: [0, -1.2, 0], position: PLACE}, sigma: 0.02 mm}
+parametrisation:
+  - {origin: all, components: [x, y, z], sigma: 1 mm}
+  - {origin: all, components: [rx, ry, rz], sigma: 3 mrad}
+"""
+
+
+def test_a_base_that_nobody_measured_does_not_count_in_how_well_positions_are_known(tmp_path, run_calib):
+    """Lengths from unknown points leave millimetres to where the robot stands, and micrometres to what it does."""
+    robot = calib.load(write_six_axis(tmp_path, WIRES.replace("PLACE", "unknown")))
+    rng, q = np.random.default_rng(11), joints(60, seed=3)
+    free = np.array([parameter.prior for parameter in robot.parameters]) & robot.is_free
+    sigma = np.array([parameter.sigma_si for parameter in robot.parameters])
+    truth = robot.with_parameters(robot.values + sigma * free * rng.standard_normal(len(sigma)))
+    fit = calib.fit(robot, calib.simulate(truth, q, None, 5))
+    known = fit.identification_uncertainty
+    there, found = truth.positions(q)[:, 0], fit.robot.positions(q)[:, 0]
+    turn, _ = Rotation.align_vectors(there - there.mean(axis=0), found - found.mean(axis=0))
+    off = turn.apply(found - found.mean(axis=0)) - (there - there.mean(axis=0))
+    told = 1e-3 * known.summary()["rms"]
+    assert 0.5 < np.sqrt(np.mean(np.sum(off**2, axis=1))) / told < 2  # few directions of one draw
+    assert known.measured.summary()["mean"] > 100 * known.summary()["mean"]
+    assert "in the robot's own base frame" in fit.report()
+    fit.save(tmp_path / "out", pages=False)
+    table = json.loads((tmp_path / "out" / "result.json").read_text())["position_uncertainty"]["identification"]
+    assert table["frame"] == "robot base"
+    assert table["measurement_frame"]["mean"] == pytest.approx(known.measured.summary()["mean"])
+    (tmp_path / "q.csv").write_text("j1,j2,j3,j4,j5,j6\n0.1,0.2,0.3,0.1,0.2,0.3\n")
+    run = run_calib("predict", tmp_path / "out", tmp_path / "q.csv", "--out", tmp_path / "p.csv")
+    assert re.search(r"known to 0\.0\d+ mm on average.*own base frame.*in the measurement frame to [\d.]+ mm", run.out)
+    lines = (tmp_path / "p.csv").read_text().splitlines()
+    written = next(csv.DictReader(line for line in lines if not line.startswith("#")))
+    std = 1e3 * fit.predict([0.1, 0.2, 0.3, 0.1, 0.2, 0.3]).std[0, 0]
+    assert float(written["ball_std_x [mm]"]) == pytest.approx(std[0])  # of the coordinate beside it
+
+
+def test_a_point_at_a_known_place_makes_the_measurement_frame_count(tmp_path):
+    robot = calib.load(write_six_axis(tmp_path, WIRES.replace("PLACE", "known")))
+    fit = calib.fit(robot, calib.simulate(robot, joints(60, seed=3), None, 5))
+    assert fit.identification_uncertainty.frame == ""
+    assert fit.identification_uncertainty.summary() == fit.predict(joints(60, seed=3)).summary()

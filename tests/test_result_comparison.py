@@ -24,7 +24,7 @@ def robot():
 def fits(robot, tmp_path_factory):
     """Result folders of one simulated robot measured twice, and once more after one of its joints was shifted."""
     generator = np.random.default_rng(3)
-    sigma = np.array([0.0 if p.placement else p.sigma for p in robot.parameters])
+    sigma = np.array([0.0 if p.placement else p.sigma_si for p in robot.parameters])
     truth = robot.with_parameters(robot.values + sigma * generator.normal(size=len(sigma)))
     place = [p.name for p in robot.parameters].index("joint_3.z")
     shifted = truth.with_parameters({"joint_3.z": truth.values[place] + 1e-4})
@@ -110,7 +110,7 @@ def test_fits_of_the_same_readings_are_shown_and_not_tested(fits, tmp_path):
 def test_a_failed_fit_is_not_tested(fits, tmp_path):
     shutil.copytree(fits / "again", tmp_path / "failed")
     result = json.loads((tmp_path / "failed" / "result.json").read_text())
-    result["verdict"]["grade"] = "FAIL"
+    result["verdict"] |= {"grade": "FAIL", "reasons": ["not to be used"], "grades": ["FAIL"]}
     (tmp_path / "failed" / "result.json").write_text(json.dumps(result))
     found = calib.compare(fits / "before", tmp_path / "failed")
     assert np.isnan(found.together[0])

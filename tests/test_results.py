@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from signed_files import read_plain
 from small_robots import ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallelogram
 
 import calib
 from calib.data.tables import read_table
 from calib.errors import CalibrationError, ComputationError, DataError, InputError
+from calib.files import write_folder
 from calib.model.description import description_yaml, read_description
 from calib.reporting.result_reading import load_calibrated, load_uncertainty, read_result
 from calib.reporting.results import save
@@ -69,7 +71,9 @@ def fitted(tmp_path_factory):
     yaml = ARM_YAML + "held: [turn.x]\nsigma: 20 um\n"
     arm = calib.load(write_arm(tmp_path_factory.mktemp("arm"), yaml))
     generator = np.random.default_rng(21)
-    off = np.array([p.sigma * generator.normal() * free for p, free in zip(arm.parameters, arm.is_free, strict=True)])
+    off = np.array(
+        [p.sigma_si * generator.normal() * free for p, free in zip(arm.parameters, arm.is_free, strict=True)]
+    )
     truth = arm.with_parameters(arm.values + off)
     return calib.fit(arm, measured(truth, 30, 22), validation=measured(truth, 12, 23))
 
@@ -120,11 +124,11 @@ def test_parameters_are_listed_in_mm_and_deg_and_a_held_one_has_no_uncertainty(f
         assert list(row)[:8] == keys
         scale = 1e3 if parameter.dimension == "length" else 180 / np.pi
         assert (row["name"], row["unit"]) == (parameter.name, "mm" if parameter.dimension == "length" else "deg")
-        assert row["nominal"] == pytest.approx(parameter.nominal * scale, rel=1e-15)
+        assert row["nominal"] == pytest.approx(parameter.nominal_si * scale, rel=1e-15)
         assert row["value"] == pytest.approx(value * scale, rel=1e-15)
         if free:
             assert row["low95"] < row["value"] < row["high95"]
-            assert 0 < row["std"] <= parameter.sigma * scale * (1 + 1e-9)  # never wider than its prior
+            assert 0 < row["std"] <= parameter.sigma_si * scale * (1 + 1e-9)  # never wider than its prior
             assert row["status"] != "held"
         else:
             assert row["std"] is None
@@ -204,8 +208,8 @@ def test_predict_uses_the_result(folder, fitted, run_calib, tmp_path):
 
 def test_a_second_result_replaces_the_first_and_leaves_other_files(fitted, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
-    (tmp_path / "result.json").write_text("old")
     out = tmp_path
+    write_folder(out, {"result.json": b"old"})
     fitted.save(out)
     assert (out / "notes.txt").read_text() == "mine"
     assert read_result(out)["n_poses"] == 30
@@ -364,7 +368,7 @@ def saved_robot(folder, name):
     nominal = calib.load(folder / f"{name}.yaml")
     reach = generator.uniform(-0.08, 0.08, (90, len(nominal.joint_names)))
     poses = calib.as_poses(nominal, nominal.home + reach * np.where(np.arange(len(reach[0])) == 0, 0.5, 1.0))
-    truth = nominal.with_parameters(nominal.values + [p.sigma * generator.normal() for p in nominal.parameters])
+    truth = nominal.with_parameters(nominal.values + [p.sigma_si * generator.normal() for p in nominal.parameters])
     fit = calib.fit(nominal, calib.simulate(truth, poses, SIGMA, generator))
     fit.save(folder / "out", force=True)
     return fit, poses.joints
@@ -461,7 +465,7 @@ def test_every_command_takes_a_folder_as_the_robot_and_means_the_same_as_with_re
             out = f"{command}_{k}"
             run = run_calib(command, robot, *[out if word == "OUT" else word for word in rest], *values, cwd=tmp_path)
             assert run.code == 0, run.err
-            text = (tmp_path / out).read_text()
+            text = read_plain(tmp_path / out).decode()
             text = text.replace("done/nominal.urdf", fitted.nominal.urdf.path).replace('"robot": "done"', "robot")
             contents.append(text.replace(f'"robot": "{fitted.nominal.path}"', "robot"))
         assert contents[0] == contents[1]
@@ -479,3 +483,38 @@ def test_without_pages_old_ones_are_removed(fitted, tmp_path):
     with_pages = set(tree(tmp_path))
     save(fitted, tmp_path)
     assert with_pages - set(tree(tmp_path)) == {"report.html", "viewer.html"}
+
+
+@pytest.mark.parametrize(
+    ("entry", "wrong", "words"),
+    [
+        ("parameters", [{}], "'parameters[0].name'"),
+        ("parameters", "none", "'parameters'"),
+        ("verdict", {"grade": "GOOD", "reasons": []}, "'verdict.grade'"),
+        ("verdict", {"grade": "FAIL", "reasons": []}, "failed without a reason"),
+        ("errors", {"identification": {}}, "'errors.identification.after'"),
+        ("instruments", [], "'instruments'"),
+        ("n_poses", -1, "'n_poses'"),
+        ("degrees_of_freedom", "many", "'degrees_of_freedom'"),
+        ("outliers", [3], "'outliers[0]'"),
+        ("joint_terms", None, "'joint_terms'"),
+        ("sha256", None, "'sha256'"),
+    ],
+)
+@pytest.mark.parametrize("command", ["compare", "predict"])
+def test_a_damaged_result_is_one_line_that_names_the_entry(fitted, tmp_path, run_calib, command, entry, wrong, words):
+    for name in ("done", "other"):
+        save(fitted, tmp_path / name)
+    path = tmp_path / "other" / "result.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {entry: wrong}))
+    (tmp_path / "q.csv").write_text("turn,slide,wrist\n0.1,0.1,0.1\n")
+    arguments = {
+        "compare": ("done", "other"),
+        "predict": ("other", "q.csv", "--out", "out.csv"),
+    }[command]
+    run = run_calib(command, *arguments, cwd=tmp_path)
+    assert run.code == 2
+    assert run.err.count("\n") == 1
+    assert "result.json: is damaged" in run.err
+    assert words in run.err
+    assert run.err.endswith("; run the fit again\n")

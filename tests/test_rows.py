@@ -51,7 +51,7 @@ class Case:
         linear = linearise(self.robot, self.configurations)
         t = self.robot.target_names.index(target)
         seen = np.isfinite(self.measured[:, t, 0])
-        scales = np.array([p.sigma for p in self.robot.parameters])[self.robot.is_free]
+        scales = np.array([p.sigma_si for p in self.robot.parameters])[self.robot.is_free]
         jacobian = linear.jacobian[:, t][..., self.robot.is_free] * scales
         return (linear.positions[:, t] - self.measured[:, t])[seen], jacobian[seen]
 

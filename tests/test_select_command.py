@@ -8,6 +8,7 @@ from small_robots import small_arm, write_arm
 
 import calib
 from calib.data.tables import format_table, read_table
+from calib.files import write_file
 from medrue import robot_file
 from medrue.workspace import target_workspace
 
@@ -189,12 +190,13 @@ def broken(folder):
 )
 def test_bad_input_is_one_line_exit_code_2_and_nothing_is_written(run_calib, tmp_path, arguments, words):
     broken(tmp_path)
-    (tmp_path / "out.csv").write_text("kept")
+    write_file(tmp_path / "out.csv", "kept")
+    kept = (tmp_path / "out.csv").read_bytes()
     run = run_calib("select", ROBOT, *arguments, "--out", "out.csv", cwd=tmp_path)
     assert run.code == 2
     assert words in run.err
     assert len(run.err.strip().splitlines()) == 1
-    assert (tmp_path / "out.csv").read_text() == "kept"
+    assert (tmp_path / "out.csv").read_bytes() == kept
 
 
 def test_unreachable_candidates_are_skipped_on_request_and_listed(run_calib, tmp_path):

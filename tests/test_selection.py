@@ -29,7 +29,7 @@ def by_o1(medrue):
 
 def singular_values(robot, q):
     """Of the Jacobian by parameters in units of their sigma [m]."""
-    jacobian = linearise(robot, robot.assemble(q)).jacobian * [p.sigma for p in robot.parameters]
+    jacobian = linearise(robot, robot.assemble(q)).jacobian * [p.sigma_si for p in robot.parameters]
     rows = jacobian[..., robot.is_free]
     return np.linalg.svd(rows.reshape(-1, rows.shape[-1]), compute_uv=False)
 

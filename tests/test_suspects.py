@@ -25,7 +25,7 @@ def arm(request, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def data(arm):
-    sigmas = np.array([p.sigma * (p.prior and not p.placement) for p in arm.parameters])
+    sigmas = np.array([p.sigma_si * (p.prior and not p.placement) for p in arm.parameters])
     real = arm.with_parameters(arm.values + sigmas * np.random.default_rng(4).standard_normal(len(sigmas)))
     return noisy(real, joints(60), SIGMA, 1)
 
@@ -113,7 +113,7 @@ def test_columns_that_are_copies_are_named(arm, data):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_healthy_arms_show_no_mistake(arm, seed):
-    sigmas = np.array([p.sigma * (p.prior and not p.placement) for p in arm.parameters])
+    sigmas = np.array([p.sigma_si * (p.prior and not p.placement) for p in arm.parameters])
     real = arm.with_parameters(arm.values + sigmas * np.random.default_rng(seed).standard_normal(len(sigmas)))
     assert likely_mistake(arm, noisy(real, joints(60, seed), SIGMA, seed)) == ""
 

@@ -49,7 +49,7 @@ def entries(robot, terms):
 def simulated(robot, terms, rng, n=60):
     """A robot with these terms whose parameters are as large as is expected, and n visits of it with all conditions."""
     true = robot.with_terms(entries(robot, terms))
-    sigma = np.array([0.0 if p.name in robot.description.held else p.sigma for p in true.parameters])
+    sigma = np.array([0.0 if p.name in robot.description.held else p.sigma_si for p in true.parameters])
     if not robot.description.priors:
         sigma[: robot.n_origin_parameters] *= 0.2  # far enough, and every loop closes
     true = true.with_parameters(true.values + sigma * rng.standard_normal(len(sigma)))
@@ -141,7 +141,7 @@ def test_what_is_there_is_added_and_nothing_else():
 @pytest.mark.parametrize(("times", "said"), [(2.0, False), (30.0, True)])
 def test_a_term_far_larger_than_is_usual_is_a_reason_to_look(times, said):
     robot = example_arm(None)
-    usual = robot.with_terms(listed_terms("joint_2=gain")).parameters[-1].sigma
+    usual = robot.with_terms(listed_terms("joint_2=gain")).parameters[-1].sigma_si
     true = robot.with_terms(listed_terms("joint_2=gain")).with_parameters({"joint_2.gain": times * usual})
     q = np.random.default_rng(19).uniform(-1.5, 1.5, (40, 6))
     fit = calib.fit(robot, _measured(robot, true, q, np.random.default_rng(20)), terms="auto")

@@ -2,6 +2,7 @@
 
 import json
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +40,7 @@ def arm():
     """The arm of the examples, its truth, and a fit."""
     robot = calib.load(EXAMPLES / "arm.yaml")
     rng = np.random.default_rng(1)
-    drawn = {p.name: p.nominal + p.sigma * rng.standard_normal() for p in robot.parameters if not p.placement}
+    drawn = {p.name: p.nominal_si + p.sigma_si * rng.standard_normal() for p in robot.parameters if not p.placement}
     truth = robot.with_parameters(drawn | {"base.x": 2.1, "base.rz": 2.0, "reflector.y": -0.003})
     q = rng.uniform(-1.2, 1.2, (80, 6))
     return robot, truth, calib.fit(robot, measured(truth, q, rng))
@@ -114,6 +115,35 @@ def test_a_drift_is_found_with_its_size(arm, name, size):
     one = next(change for change in found.changes if change.name == name)
     assert one.value == pytest.approx(size, abs=4 * one.std)
     assert abs(size) > 4 * one.std
+
+
+def test_no_change_within_its_own_uncertainty_is_called_significant(arm):
+    _, truth, fit = arm
+    rng = np.random.default_rng(41)
+    quiet = verify(fit, measured(truth.with_parameters(MOVED), rng.uniform(-1.2, 1.2, (8, 6)), rng))
+    assert not any(change.significant for change in quiet.changes)
+    assert quiet.alike == ()
+    assert "; none is significant" in text_report(quiet, (), ())
+    changed = truth.with_parameters({"joint_3.ry": value(truth, "joint_3.ry") + 4e-4})
+    loud = verify(fit, measured(changed, rng.uniform(-1.2, 1.2, (30, 6)), rng))
+    significant = [change for change in loud.changes if change.significant]
+    assert 0 < len(significant) < len(loud.changes)
+    assert all(abs(change.value) > 3 * change.std for change in significant)  # 2.8 of normal noise are 1 in 200
+    assert f"{len(significant)} are significant" in text_report(loud, (), ())
+
+
+def test_errors_in_millimetres_and_the_ratio_tell_one_story(arm):
+    """The promise is noise, less what placing takes up, and what is left open; where the two part, the ratio leads."""
+    _, truth, fit = arm
+    rng = np.random.default_rng(42)
+    found = verify(fit, measured(truth, rng.uniform(-1.2, 1.2, (30, 6)), rng))
+    noise = fit.sigma * np.sqrt(3 * (90 - found.placed) / 90)
+    assert np.hypot(noise, found.left_open) == pytest.approx(found.promised, rel=1e-6)
+    assert "The ratio decides" not in text_report(found, (), ())
+    apart = replace(found, verdict="calibrate again", ratio=1.457, promised=1.187e-3, left_open=1.1e-3)
+    text = text_report(apart, (), ())
+    assert text.index("1.457 times as large as promised") < text.index("The ratio decides") < text.index("Changes")
+    assert "what the calibration leaves open 1.1000 mm" in text
 
 
 def test_a_joint_zero_that_no_parameter_stands_for_is_found(arm):
@@ -324,7 +354,7 @@ def test_a_result_without_the_noise_of_its_instruments_is_refused(folder, tmp_pa
     (other / "result.json").write_text(json.dumps(content))
     found = run(tmp_path, ONE, other, "--plan")
     assert found.exit_code == 2
-    assert "does not say the noise of each instrument; run the fit again" in found.output
+    assert "'instruments[0].parts[0].sigma': field required; run the fit again" in found.output
 
 
 @pytest.mark.parametrize(("freedom", "code"), [(0.2, 2), (1.0, 0)])

@@ -8,6 +8,7 @@ import subprocess
 import sys
 
 import pytest
+from child_programs import start
 from click.testing import CliRunner
 from viz_examples import medrue_fit
 
@@ -72,7 +73,7 @@ def test_a_missing_mesh_is_told_and_is_no_error(tmp_path):
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
 def test_it_serves_until_it_is_stopped_and_then_ends_in_order(end, folder):
     program = "from viz.command import view; view()"
-    process = subprocess.Popen(
+    process = start(
         [sys.executable, "-c", program, ROBOT, "--result", folder, "--no-browser"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -37,7 +37,7 @@ def arm(folder, more="", text=ARM):
 
 def bent(robot, seed=1):
     """The robot as it really is: a tenth of what the description expects off."""
-    sigma = np.array([parameter.sigma for parameter in robot.parameters])
+    sigma = np.array([parameter.sigma_si for parameter in robot.parameters])
     return robot.with_parameters(robot.values + 0.1 * sigma * np.random.default_rng(seed).standard_normal(len(sigma)))
 
 

@@ -1,6 +1,7 @@
 """What a viewer shows: scenes with and without poses and results, exaggerations, and the first camera."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import medrue
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
 from viz.decorations import decorations_of, half_cylinder
+from viz.judgement import of_result
 from viz.poses import PoseTable
 from viz.scene import build_scene, nice_factor
 
@@ -150,3 +152,12 @@ def test_the_ghost_of_a_robot_with_unknown_base_stands_on_the_solid_base(tmp_pat
 )
 def test_exaggerations_are_round_numbers(typical, wanted, factor):
     assert nice_factor(typical, wanted) == factor
+
+
+@pytest.mark.parametrize("code", ["nothing_to_correct", "no_gain"])
+def test_no_enlarged_ghost_stands_beside_a_robot_that_needs_no_correction(code):
+    nominal = calib.load(Path(__file__).parents[1] / "docs" / "examples" / "arm.yaml")
+    moved = nominal.with_parameters({"joint_2.x": nominal.parameters["joint_2.x"].nominal_si + 1e-5})
+    entry = {"grade": "CHECK", "reasons": ["why"], "grades": ["CHECK"], "codes": [code]}
+    scene = build_scene(nominal, moved, verdict=of_result(entry))
+    assert (scene.ghost_factor == 1.0) == (code == "nothing_to_correct")

@@ -9,7 +9,7 @@ from viz.screenshots import chromium, take
 def test_a_folder_without_pages_is_an_error(tmp_path):
     pytest.importorskip("playwright.sync_api", reason="playwright is not installed (extra 'browser')")
     with pytest.raises(InputError, match=r"has no viewer\.html"):
-        take(tmp_path, tmp_path / "out")
+        take(tmp_path)
     assert not (tmp_path / "out").exists()
 
 

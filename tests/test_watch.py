@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from child_programs import start
 
 import calib
 from calib.linearisation.prediction import RootMeanSquare, predicted_rms
@@ -294,7 +295,50 @@ def test_too_few_poses_are_an_error_only_where_nobody_waits(run_calib, tmp_path)
     assert run.code == 3  # they do not determine the robot
     assert "next: pose" in run.out
     assert run.err.count("\n") == 1
-    path.write_text("".join(LINES[: HEADER + 4]) + "what\n")
+
+
+def test_a_line_that_cannot_be_read_is_told_and_passed_over(robot, tmp_path):
+    path = tmp_path / "growing.csv"
+    file = GrowingFile(str(path), robot)
+    good, word = LINES[HEADER : HEADER + 5], LINES[HEADER + 5].replace(",", ",x", 1)
+    path.write_text("".join([*LINES[:HEADER], *good[:3], "what\n", good[3]]))
+    assert file.changed().names == tuple(line.split(",")[0] for line in good[:4])
+    (said,) = file.remarks()
+    assert said.startswith(f"{path}, line {HEADER + 4}: 1 cells for")
+    assert said.endswith("; this line is passed over until it is corrected")
+    with path.open("a") as stream:
+        stream.write(word + good[4])
+    assert len(file.changed()) == 5
+    (said,) = file.remarks()  # the first one is not told again
+    assert said.startswith(f"{path}, line {HEADER + 6}, column 'joint_1': 'x")
+    path.write_text(path.read_text().replace(word, word.replace(",x", ",", 1)))
+    assert len(file.changed()) == 6
+    assert not file.remarks()
+
+
+def test_a_pose_that_cannot_be_assembled_is_passed_over(tmp_path):
+    five_bar = calib.load(EXAMPLES / "five_bar.yaml")
+    lines = (EXAMPLES / "five_bar_simulated.csv").read_text().splitlines(keepends=True)
+    head = next(k for k, line in enumerate(lines) if not line.startswith("#")) + 1
+    cells, columns = lines[head + 2].split(","), lines[head - 1].split(",")
+    turned = np.radians(np.stack(np.meshgrid(*2 * [np.arange(0, 360, 15.0)]), axis=-1).reshape(-1, 2))
+    never = np.degrees(turned[~five_bar.close(turned).ok][0])
+    for name, angle in zip(five_bar.joint_names, never, strict=True):
+        cells[columns.index(f"{name} [deg]")] = repr(float(angle))
+    path = tmp_path / "growing.csv"
+    path.write_text("".join([*lines[: head + 2], ",".join(cells), *lines[head + 3 : head + 6]]))
+    file = GrowingFile(str(path), five_bar)
+    assert len(file.changed()) == 5
+    assert f"line {head + 3}" in file.remarks()[0]
+
+
+def test_a_file_of_which_no_line_can_be_read_is_an_error(run_calib, tmp_path):
+    path = tmp_path / "other.csv"
+    path.write_text("a,b\n1,2\n3,4\n")
+    run = run_calib("watch", EXAMPLES / "arm.yaml", path, "--goal", "0.1mm")
+    assert run.code == 2
+    assert "no column 'joint_1'" in run.err
+    path.write_text("".join(LINES[:HEADER]) + 120 * "what\n" + "".join(LINES[HEADER : HEADER + 5]))
     run = run_calib("watch", EXAMPLES / "arm.yaml", path, "--goal", "0.1mm")
     assert run.code == 2
     assert "1 cells" in run.err
@@ -304,10 +348,14 @@ def test_ctrl_c_ends_it_in_order(tmp_path):
     path = tmp_path / "few.csv"
     path.write_text("".join(LINES[: HEADER + 4]))
     command = [sys.executable, "-m", "calib", "watch", str(EXAMPLES / "arm.yaml"), str(path), "--goal", "0.1mm"]
-    started = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    while "joint_1" not in started.stdout.readline():  # it has told about the file
-        pass
-    time.sleep(0.2)
-    started.send_signal(signal.SIGINT)
-    _, err = started.communicate(timeout=30)
+    started = start(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        while "joint_1" not in started.stdout.readline():  # it has told about the file
+            pass
+        time.sleep(0.2)
+        started.send_signal(signal.SIGINT)
+        _, err = started.communicate(timeout=30)
+    finally:
+        started.kill()
+        started.communicate()
     assert (started.returncode, err) == (0, "ended\n")

@@ -65,6 +65,21 @@ def test_the_packages_and_the_robot_are_found_when_installed_elsewhere(installed
     assert lines[5] == "True 36"
 
 
+def test_type_checkers_read_the_types_of_an_installed_package(installed, tmp_path):
+    """Of a package in site-packages they do so only where it holds the marker `py.typed`."""
+    pytest.importorskip("mypy", reason="mypy (dev extra) reads the types")
+    run("-m", "venv", "--without-pip", "env", cwd=tmp_path)
+    (site,) = (tmp_path / "env").glob("lib/python*/site-packages")
+    for package in PACKAGES:
+        (site / package).symlink_to(installed / package)
+    (tmp_path / "use.py").write_text("import calib, medrue, viz\n\nwrong: int = medrue.robot_file()\n")
+    (tmp_path / "mypy.ini").write_text("[mypy]\nstrict = True\n[mypy-calib.*,viz.*]\nfollow_imports = skip\n")
+    command = [sys.executable, "-m", "mypy", "--python-executable", tmp_path / "env" / "bin" / "python", "use.py"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=120)
+    (said,) = [line for line in done.stdout.splitlines() if line.startswith("use.py")]
+    assert 'has type "Path", variable has type "int"' in said
+
+
 def test_the_command_works_when_installed_elsewhere(installed, tmp_path):
     robot = installed / "medrue" / "urdf" / "medrue.yaml"
     (tmp_path / "q.csv").write_text("q1 [mm],q2,q3,q4,q5,q6\n343,0.59,2.478,0.59,2.478,-0.573\n")

@@ -17,6 +17,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 import pytest
+from child_programs import start
 from killed_workers import outcome
 
 from calib.errors import ComputationError
@@ -44,7 +45,7 @@ def started(folder: Path, *arguments: str) -> Iterator[tuple[subprocess.Popen[by
     script = folder / "program.py"
     script.write_text(PROGRAM)
     reading, writing = os.pipe()
-    program = subprocess.Popen([sys.executable, str(script), *arguments], stdout=writing, stderr=subprocess.DEVNULL)
+    program = start([sys.executable, script, *arguments], stdout=writing, stderr=subprocess.DEVNULL)
     os.close(writing)
     try:
         said, byte = b"", b" "
@@ -217,7 +218,7 @@ def test_ctrl_c_ends_program_and_processes_at_any_moment(tmp_path: Path) -> None
     script.write_text(ALWAYS_SENDING)
     for _ in range(12):
         reading, writing = os.pipe()
-        program = subprocess.Popen([sys.executable, str(script)], stdout=writing, start_new_session=True)
+        program = start([sys.executable, script], stdout=writing, start_new_session=True)
         os.close(writing)
         try:
             assert select.select([reading], [], [], BUSY)[0]

@@ -52,25 +52,23 @@ def view(
 ) -> None:
     """Show ROBOT (YAML description, URDF or result folder) in a browser on this computer, until Ctrl-C."""
     from calib.data.measurement_files import read_measurements
-    from calib.files import check_file
     from viz.inputs import gather
     from viz.live import LiveViewer
     from viz.viewer_page import scene_page
 
-    if html is not None:
-        if port or no_browser:
-            raise InputError("--html writes a file and starts no server: leave out --port and --no-browser")
-        check_file(html)
+    if html is not None and (port or no_browser):
+        raise InputError("--html writes a file and starts no server: leave out --port and --no-browser")
     model = loaded(robot, output)
     if result is None and (result := folder_of_values(robot, None, None)) is not None:
-        model = model.with_parameters([parameter.nominal for parameter in model.parameters])  # the robot before
+        model = model.with_parameters([parameter.nominal_si for parameter in model.parameters])  # the robot before
     measurements = None if data is None else read_measurements(data, model)
+    output.check(html)
     with output.working("preparing the scene"):
         shown = gather(model, result, measurements, mapped)
     for note in shown.scene.notes:
         output.note(f"Note: {note}")
     if html is not None:
-        scene_page(shown.scene).save(html)
+        scene_page(shown.scene).save(html, force=output.force)
         output.say(f"Written to {html}")
         return
     with LiveViewer(shown, port) as viewer:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 from calib import Fit, Measurements, Robot
 from calib.errors import InputError
 from calib.linearisation.registration import register
+from calib.linearisation.told_positions import ToldPositions
 from calib.linearisation.whitening import Whitening
-from calib.reporting.result_reading import load_calibrated, load_uncertainty, read_result
+from calib.reporting.result_reading import joints_used, load_calibrated, load_uncertainty, read_result
 from calib.words import counted
 from viz.judgement import of_result, of_verdict
 from viz.pose_sources import Sigmas, from_measurements, from_saved, noise
@@ -68,11 +68,14 @@ def gather(robot: Robot, result: Result | None = None, data: Measurements | None
 def _from_fit(robot: Robot, fit: Fit, data: Measurements | None, mapped: int) -> Shown:
     if fit.nominal.urdf.source != robot.urdf.source:
         raise InputError(f"the result is of another robot than {robot.path}; give the robot that was fitted")
-    calibrated = Calibrated(fit.robot, fit.predict)
+    calibrated = Calibrated(fit.robot, fit.told_positions.at)
     if data is None:
         return Shown(_mapped(scene_of_fit(fit), calibrated, fit.placed, mapped), fit.robot, fit.placed)
     table = from_measurements(data, fit.placed, calibrated, noise(fit))
-    scene = build_scene(fit.placed, fit.robot, table, verdict=of_verdict(fit.verdict), comments=remarks(data.comments))
+    notes = fit.told_positions.notes
+    scene = build_scene(
+        fit.placed, fit.robot, table, verdict=of_verdict(fit.verdict), notes=notes, comments=remarks(data.comments)
+    )
     return Shown(_mapped(scene, calibrated, fit.placed, mapped), fit.robot, fit.placed)
 
 
@@ -83,8 +86,8 @@ def _mapped(scene: Scene, calibrated: Calibrated, nominal: Robot, count: int) ->
 def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None, mapped: int) -> Shown:
     """A failed result is shown, too: to look at it is how one finds out why; its verdict is shown with it."""
     model = load_calibrated(folder, robot, failed_too=True)
-    uncertainty = load_uncertainty(folder, model)
-    calibrated = Calibrated(model, partial(uncertainty.at, model))
+    told = ToldPositions.of(model, load_uncertainty(folder, model), joints_used(folder, robot))
+    calibrated = Calibrated(model, told.at)
     content, saved = read_result(folder), read_saved(folder, robot)
     if data is None:
         placed = _placed(robot, saved.sets[IDENTIFICATION].data)
@@ -93,7 +96,9 @@ def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None, ma
         placed = _placed(robot, data)
         table = from_measurements(data, placed, calibrated, saved.sigmas)
     left_out = content["excluded"] if data is None else []
-    notes = (f"not shown: left out of the fit, {counted(len(left_out), 'outlier')}",) if left_out else ()
+    notes = told.notes
+    if left_out:
+        notes = (f"not shown: left out of the fit, {counted(len(left_out), 'outlier')}", *notes)
     said = remarks(content.get("comments", ()) if data is None else data.comments)
     scene = build_scene(placed, model, table, verdict=of_result(content["verdict"]), notes=notes, comments=said)
     return Shown(_mapped(scene, calibrated, placed, mapped), model, placed)

@@ -7,6 +7,8 @@ from typing import Any
 
 from calib.identification.reasons import Verdict
 
+_NOTHING = "nothing_to_correct"
+
 
 @dataclass(frozen=True)
 class Judgement:
@@ -15,10 +17,12 @@ class Judgement:
     Attributes:
         grade: PASS, CHECK or FAIL.
         reasons: Grade and text of each reason; an empty grade where it is not known.
+        no_correction: Whether the measurements show nothing to correct.
     """
 
     grade: str
     reasons: tuple[tuple[str, str], ...]
+    no_correction: bool = False
 
     def to_dict(self) -> dict[str, object]:
         """Return the verdict as the viewer's page reads it."""
@@ -27,7 +31,8 @@ class Judgement:
 
 def of_verdict(verdict: Verdict) -> Judgement:
     """Return the verdict of a fit."""
-    return Judgement(verdict.grade, tuple((reason.grade, reason.text) for reason in verdict.reasons))
+    reasons = tuple((reason.grade, reason.text) for reason in verdict.reasons)
+    return Judgement(verdict.grade, reasons, any(reason.code == _NOTHING for reason in verdict.reasons))
 
 
 def of_result(entry: dict[str, Any]) -> Judgement:
@@ -38,4 +43,5 @@ def of_result(entry: dict[str, Any]) -> Judgement:
     """
     texts = entry["reasons"]
     certain = [entry["grade"] if entry["grade"] == "CHECK" or k == 0 else "" for k in range(len(texts))]
-    return Judgement(entry["grade"], tuple(zip(entry.get("grades", certain), texts, strict=True)))
+    reasons = tuple(zip(entry.get("grades", certain), texts, strict=True))
+    return Judgement(entry["grade"], reasons, _NOTHING in entry.get("codes", ()))

@@ -58,7 +58,7 @@ def from_fit(fit: Fit) -> PoseTable:
     if fit.with_all is not None and fit.excluded:
         visits = np.array(sorted({outlier.pose for outlier in fit.excluded}), dtype=np.intp)
         data = fit.with_all.identification.data.subset(visits)
-        left_out = _judged(EXCLUDED, data, fit.placed, Calibrated(fit.robot, fit.predict), noise(fit))
+        left_out = _judged(EXCLUDED, data, fit.placed, Calibrated(fit.robot, fit.told_positions.at), noise(fit))
         sets.append(replace(left_out, outlier=np.ones(len(left_out), dtype=bool)))
     if fit.validation is not None and not _measured_together(fit.identification.data, fit.validation.data):
         names = (IDENTIFICATION, VALIDATION, IDENTIFICATION)  # left out: of those to identify with

@@ -22,6 +22,7 @@ from calib.identification.errors_found import STATES, ErrorSet
 from calib.observation.kind import Instrument, Readings
 from calib.reporting.result_reading import read_result
 from calib.units import error_scale
+from viz.poses import IDENTIFICATION
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +60,8 @@ def read_saved(folder: Path | str, robot: Robot) -> Saved:
     if stranger is not None:
         raise DataError(f"{path}: no instrument of {robot.path} is called '{stranger}'; run the fit again")
     groups = np.array(table.text("set"))
+    if IDENTIFICATION not in groups:
+        raise DataError(f"{path}: has no rows of the set '{IDENTIFICATION}'; run the fit again")
     sets = {str(group): _error_set(robot, table, np.flatnonzero(groups == group)) for group in dict.fromkeys(groups)}
     marked: dict[tuple[str, str], list[str]] = {}
     for row in content["outliers"]:
@@ -124,7 +127,11 @@ def _readings(robot: Robot, one: Instrument, table: Table, rows: IntArray, visit
     setups = list(robot.description.setups)
     pairs = np.zeros(len(rows), dtype=np.intp)
     if setups and "setup" in table.names:
-        pairs = np.array([setups.index(table.text("setup")[row]) for row in rows], dtype=np.intp)
+        named = table.text("setup")
+        stranger = next((named[row] for row in rows if named[row] not in setups), None)
+        if stranger is not None:
+            raise DataError(f"{table.path}: no setup of {robot.path} is called '{stranger}'; run the fit again")
+        pairs = np.array([setups.index(named[row]) for row in rows], dtype=np.intp)
     return Readings(visits, pairs, values, None, np.zeros((len(rows), 0)))
 
 

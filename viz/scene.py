@@ -71,7 +71,7 @@ class Scene:
         poses: The points.
         shown: Rows of these that a page holds, (n_shown,): the robots are posed in them; at home where there are none.
         vector_factors: Exaggeration of the errors of each state to start with.
-        ghost_factor: Exaggeration of the ghost to start with.
+        ghost_factor: Exaggeration of the ghost to start with; 1 where there is nothing to correct.
         view: First camera.
         drive: How the robot is moved by hand.
         notes: What the user should know about the picture.
@@ -106,7 +106,8 @@ class Scene:
 
 def scene_of_fit(fit: Fit) -> Scene:
     """Return the scene of a fit."""
-    return build_scene(fit.placed, fit.robot, from_fit(fit), verdict=of_verdict(fit.verdict), comments=fit_remarks(fit))
+    verdict, notes = of_verdict(fit.verdict), fit.told_positions.notes
+    return build_scene(fit.placed, fit.robot, from_fit(fit), verdict=verdict, notes=notes, comments=fit_remarks(fit))
 
 
 def build_scene(
@@ -159,7 +160,7 @@ def build_scene(
         table,
         rows,
         factors,
-        nice_factor(moved, _GHOST_SIZE * size),
+        1.0 if verdict is not None and verdict.no_correction else nice_factor(moved, _GHOST_SIZE * size),
         replace(view, outline=_outline(around, *_box(around))),
         drive_of(solid_robot, bodies, shown),
         (*notes, *shape_notes),

@@ -14,6 +14,7 @@ import click
 
 from calib.commands.common import Output, shared_options
 from calib.errors import InputError
+from calib.files import write_folder
 
 DESKTOP = {"width": 1400, "height": 900}
 PHONE = {"width": 390, "height": 844}
@@ -46,12 +47,11 @@ def chromium() -> str:
     raise InputError("no Chromium on this computer; install the package 'chromium'")
 
 
-def take(folder: Path, out: Path) -> list[Path]:
-    """Take all pictures.
+def take(folder: Path) -> dict[str, bytes]:
+    """Take all pictures, and return PNG files by name.
 
     Args:
         folder: Result folder with viewer.html and report.html; and map.html, if that picture is to be taken.
-        out: Folder to write PNG files to.
 
     Raises:
         InputError: A page, Chromium or playwright is missing.
@@ -64,19 +64,18 @@ def take(folder: Path, out: Path) -> list[Path]:
     for _, page, _, _ in pictures:
         if not (folder / page).is_file():
             raise InputError(f"{folder}: has no {page}; give the folder that `calib fit --out` wrote")
-    out.mkdir(parents=True, exist_ok=True)
-    written = []
+    taken = {}
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium())
         try:
             for name, page, size, action in pictures:
-                written.append(_take_one(browser, (folder / page).resolve(), size, action, out / f"{name}.png"))
+                taken[f"{name}.png"] = _take_one(browser, (folder / page).resolve(), size, action)
         finally:
             browser.close()
-    return written
+    return taken
 
 
-def _take_one(browser: Any, page: Path, size: dict[str, int], action: str, target: Path) -> Path:
+def _take_one(browser: Any, page: Path, size: dict[str, int], action: str) -> bytes:
     tab = browser.new_page(viewport=size, reduced_motion="reduce")
     tab.goto(page.as_uri())
     if page.name == "viewer.html":
@@ -84,9 +83,9 @@ def _take_one(browser: Any, page: Path, size: dict[str, int], action: str, targe
     if action:
         tab.evaluate(action)
     tab.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
-    tab.screenshot(path=str(target))
+    picture: bytes = tab.screenshot()
     tab.close()
-    return target
+    return picture
 
 
 @click.command("screenshots")
@@ -95,9 +94,11 @@ def _take_one(browser: Any, page: Path, size: dict[str, int], action: str, targe
 @shared_options()
 def command(folder: Path, out: Path, output: Output) -> None:
     """Take pictures of the pages in the result FOLDER."""
+    output.check(folders=(str(out),), names=[f"{name}.png" for name, *_ in PICTURES])
     with output.working("taking pictures"):
-        written = take(folder, out)
-    output.say("\n".join(str(path) for path in written))
+        taken = take(folder)
+    write_folder(out, taken, force=output.force)
+    output.say("\n".join(str(out / name) for name in taken))
 
 
 if __name__ == "__main__":

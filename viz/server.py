@@ -5,7 +5,8 @@ calls wait for ever when it is gone. Here the server is a thread: whatever ends 
 the server and frees its port. It listens on 127.0.0.1, under an address that cannot be guessed, and answers only
 requests that name this address as their host, so that no web page elsewhere can read it, also not by a name that it
 lets point here; nor one that says it comes from another page. Nothing is ever read from a browser but the head of a
-GET, which has an end, and only so many are served at once.
+GET, which has an end, and only so many are served at once: where more come, who was there first and has still not said
+what it wants makes room, so that connections that say nothing keep nobody out.
 
 Messages go to browsers as server-sent events. Each browser has a queue of its own: sending never waits, and a browser
 that is closed or does not read is dropped. So that its queue shows whether it reads, the system may keep little for it:
@@ -186,22 +187,42 @@ class _Server(ThreadingHTTPServer):
     owner: PageServer
 
     def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
-        self._places = threading.BoundedSemaphore(_CLIENTS)
+        self._silent: dict[socket.socket, None] = {}  # connections that have said nothing yet, the oldest first
+        self._known: set[socket.socket] = set()  # those that have
+        self._places = threading.Lock()
         super().__init__(address, handler)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread of its own, or hang up if too many are connected."""
-        if self._places.acquire(blocking=False):
+        """Answer in a thread of its own, or hang up if too many are served."""
+        with self._places:
+            if len(self._silent) + len(self._known) >= _CLIENTS and self._silent:
+                oldest = next(iter(self._silent))
+                del self._silent[oldest]
+                with contextlib.suppress(OSError):  # its thread reads the end, and leaves
+                    oldest.shutdown(socket.SHUT_RDWR)
+            room = len(self._silent) + len(self._known) < _CLIENTS
+            if room:
+                self._silent[request] = None
+        if room:
             super().process_request(request, client_address)
         else:
             self.shutdown_request(request)
+
+    def has_spoken(self, request: socket.socket) -> None:
+        """Say that a connection has sent the head of its request."""
+        with self._places:
+            if request in self._silent:
+                del self._silent[request]
+                self._known.add(request)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """Answer, and make room for another one."""
         try:
             super().process_request_thread(request, client_address)
         finally:
-            self._places.release()
+            with self._places:
+                self._silent.pop(request, None)
+                self._known.discard(request)
 
     def handle_error(self, request: object, client_address: object) -> None:
         """A browser that went away is no error; nothing is printed."""
@@ -210,6 +231,12 @@ class _Server(ThreadingHTTPServer):
 class _Handler(BaseHTTPRequestHandler):
     timeout = _PATIENCE
     server: _Server
+
+    def parse_request(self) -> bool:
+        """Read the head of a request."""
+        understood = super().parse_request()
+        self.server.has_spoken(self.connection)
+        return understood
 
     def do_GET(self) -> None:
         """Answer a request for the page or its events."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import html
 import json
 from dataclasses import dataclass
@@ -43,13 +45,17 @@ class Page:
 
     html: str
 
-    def save(self, path: Path | str) -> Path:
+    def save(self, path: Path | str, *, force: bool = False) -> Path:
         """Write the page, or leave what was there untouched.
 
+        Args:
+            path: HTML file to write.
+            force: Whether to replace a file that this program did not write.
+
         Raises:
-            InputError: The file cannot be written.
+            InputError: The file cannot be written, or should not be replaced.
         """
-        write_file(path, self.html)
+        write_file(path, self.html, force=force)
         return Path(path)
 
     def _repr_html_(self) -> str:
@@ -72,6 +78,7 @@ def scene_page(scene: Scene, *, live: bool = False, report: str = "") -> Page:
         (templates / name).read_text(encoding="utf-8").replace('"use strict";\n', "") for name in _SCRIPTS
     )
     code, licences = meshcat_script()
+    meshcat, script = in_script(code), in_script('"use strict";\n' + scripts)
     environment = Environment(loader=PackageLoader("viz", "templates"), autoescape=True)
     text = environment.get_template("viewer.html").render(
         title=scene.title,
@@ -79,9 +86,10 @@ def scene_page(scene: Scene, *, live: bool = False, report: str = "") -> Page:
         live=live,
         report=report,
         licences=licences,
-        meshcat=in_script(code),
+        allowed=" ".join(f"'sha256-{digest_of_script(one)}'" for one in (meshcat, script)),
+        meshcat=meshcat,
         style=(templates / "viewer.css").read_text(encoding="utf-8"),
-        script=in_script('"use strict";\n' + scripts),
+        script=script,
         scene=json_in_script(scene_data(scene, live=live)),
     )
     return Page(text)
@@ -99,8 +107,13 @@ def meshcat_script() -> tuple[str, str]:
 
 
 def in_script(code: str) -> str:
-    """Return code that cannot end the script element that holds it."""
-    return code.replace("</script", "<\\/script").replace("<!--", "<\\!--")
+    """Return code that cannot end the script element that holds it, with line ends as browsers read them."""
+    return code.replace("\r\n", "\n").replace("\r", "\n").replace("</script", "<\\/script").replace("<!--", "<\\!--")
+
+
+def digest_of_script(code: str) -> str:
+    """Return by what a page's Content-Security-Policy knows a script: no other one runs."""
+    return base64.b64encode(hashlib.sha256(code.encode("utf-8")).digest()).decode("ascii")
 
 
 def json_in_script(data: object) -> str:

@@ -19,7 +19,7 @@ from calib.commands.next_steps import after_check
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Measurements
 from calib.errors import InputError
-from calib.files import check_folder, write_folder
+from calib.files import write_folder
 from calib.identification.blind_spots import unordered
 from calib.identification.joint_conventions import wrapped_terms
 from calib.linearisation.observed import unsaid_touches
@@ -61,8 +61,6 @@ def command(
     spread over the joint limits.
     """
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
-    if plots is not None:
-        check_folder(plots)
     model = with_values(loaded(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)
     if not data:
@@ -90,10 +88,11 @@ def command(
     output.remarks(wrapped_terms(model, pose_set.joints))
     if isinstance(pose_set, Measurements):
         output.remarks(unordered(pose_set))
+    output.check(folders=(plots,))
     with output.working(f"checking {len(pose_set)} poses"):
         assessment = check(model, pose_set, task=task_poses, sigma=sigma)
     if plots is not None:
-        write_folder(plots, figures(assessment))
+        write_folder(plots, figures(assessment), force=output.force)
     output.say(text_report(assessment, source))
     if plots is not None:
         output.say(f"Figures written to {plots}")

@@ -23,11 +23,12 @@ from calib.data.parameter_files import read_parameters
 from calib.data.plan_files import INSTRUMENT, plan_of_table
 from calib.data.tables import Table, read_table
 from calib.errors import CalibrationError, DataError, InputError
-from calib.files import check_file, write_file
+from calib.files import check_file, check_folder, write_file
 from calib.linearisation.registration import register
 from calib.model.arm_chain import arm_chain
 from calib.model.robot import Robot
 from calib.observation.kind import Readings
+from calib.own_files import inputs_noted
 from calib.reporting.result_reading import forced_lines, load, load_calibrated
 from calib.units import quantity
 from calib.words import as_data
@@ -38,20 +39,24 @@ SIGMA_HELP = (
     " instruments state theirs in the description"
 )
 """What --sigma-mm means, in every command that takes it."""
+FORCED = "Replace files that this program did not write, or that this command reads."
+"""What --force does, in every command."""
 _REMARKS = 5
 
 
 @dataclass(frozen=True)
 class Output:
-    """Where a command prints.
+    """Where a command prints, and what it may write.
 
     Attributes:
         quiet: Print nothing but errors.
         json_target: File for JSON, `-` for standard output (then nothing else goes there), or None.
+        force: Whether files may be replaced that this program did not write, or that the command reads.
     """
 
     quiet: bool
     json_target: str | None
+    force: bool
 
     def say(self, text: str) -> None:
         """Print text for people."""
@@ -84,7 +89,31 @@ class Output:
         if self.json_target == "-":
             click.echo(text, nl=False)
         else:
-            write_file(self.json_target, text)
+            self.write(self.json_target, text)
+
+    def write(self, path: str, content: bytes | str, comment: str = "") -> None:
+        """Write a file; see `calib.files.write_files`."""
+        write_file(path, content, comment=comment, force=self.force)
+
+    def check(self, *files: str | None, folders: Sequence[str | None] = (), names: Sequence[str] = ()) -> None:
+        """Raise `InputError` now if something could not be written later. All that is read has been read by then.
+
+        Args:
+            files: Files to write, beside that of --json.
+            folders: Folders to write.
+            names: What will be in them, as far as it is known.
+        """
+        targets = [file for file in (*files, self.json_target) if file not in (None, "-")]
+        for file in targets:
+            check_file(str(file), force=self.force)
+        given = [folder for folder in folders if folder is not None]
+        for folder in given:
+            check_folder(folder, names, force=self.force)
+        places = [Path(str(file)).resolve() for file in targets]
+        places += [Path(folder, name).resolve() for folder in given for name in names]
+        for place in places:
+            if places.count(place) > 1 and (place.is_file() or not place.exists()):
+                raise InputError(f"{place}: is to be written twice; give each output a place of its own")
 
     @contextmanager
     def working(self, what: str) -> Iterator[Progress]:
@@ -97,11 +126,14 @@ class Output:
             yield lambda done, total: status.update(f"{what}: {done} of {total}")
 
 
-def shared_options(*, json_output: bool = False) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command --quiet, --debug (and --json), pass it an `output: Output`, and turn errors into one line.
+def shared_options(
+    *, json_output: bool = False, forced: str = FORCED
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command --quiet, --debug, --force (and --json), pass it an `output: Output`, and errors a single line.
 
     Args:
         json_output: Whether the command prints a table, and so takes --json FILE.
+        forced: What --force does.
 
     Returns:
         A decorator. The command that it makes raises `OneLineError` for every error, but with --debug the error itself.
@@ -109,11 +141,14 @@ def shared_options(*, json_output: bool = False) -> Callable[[Callable[..., None
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         @functools.wraps(function)
-        def run(*args: Any, quiet: bool, debug: bool, json_target: str | None = None, **options: Any) -> None:
+        def run(
+            *args: Any, quiet: bool, debug: bool, force: bool, json_target: str | None = None, **options: Any
+        ) -> None:
+            output = Output(quiet, json_target, force)
             try:
-                if json_target not in (None, "-"):
-                    check_file(str(json_target))
-                function(*args, output=Output(quiet, json_target), **options)
+                with inputs_noted():
+                    output.check()
+                    function(*args, output=output, **options)
             except (click.ClickException, click.exceptions.Exit, click.Abort):
                 raise
             except BrokenPipeError:
@@ -135,6 +170,7 @@ def shared_options(*, json_output: bool = False) -> Callable[[Callable[..., None
                     1,
                 ) from None
 
+        run = click.option("--force", is_flag=True, help=forced)(run)
         run = click.option("--debug", is_flag=True, help="Show the traceback of an error.")(run)
         run = click.option("--quiet", is_flag=True, help="Print nothing but errors.")(run)
         if json_output:

@@ -6,7 +6,6 @@ import click
 
 from calib import pictures
 from calib.commands.common import Output, shared_options
-from calib.files import check_file, write_file
 from calib.reporting.result_differences import compare
 
 
@@ -19,12 +18,11 @@ def command(results: tuple[str, ...], html: str | None, output: Output) -> None:
 
     Each two are tested against each other. Fits that used the same readings are shown, not tested.
     """
-    if html is not None:
-        check_file(html)
+    output.check(html)
     with output.working(f"comparing {len(results)} results"):
         found = compare(*results)
     output.say(found.report().rstrip())
     output.json(found.to_dict())
     if html is not None:
-        write_file(html, pictures.comparison(found))
+        output.write(html, pictures.comparison(found))
         output.say(f"Written to {html}")

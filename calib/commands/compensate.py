@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 import click
@@ -19,12 +18,12 @@ from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
 from calib.data.tables import format_table, read_table
 from calib.errors import DataError, InputError, UnreachablePoseError
-from calib.files import check_file, write_file
 from calib.inverse_kinematics.asked import KEEP
 from calib.inverse_kinematics.compensation import Compensation, compensate
 from calib.inverse_kinematics.goals import Goals, read_goals
 from calib.model.robot import Robot
-from calib.reporting.result_reading import load_calibrated, load_uncertainty, read_result
+from calib.reporting.expected_text import COUNTED, before_and_now, expected_now, left_as_it_is, of_frame, summary
+from calib.reporting.result_reading import load_known, read_result
 from calib.units import ERROR_UNIT, PER_SI, error_scale, millimetres
 from calib.words import counted
 
@@ -85,54 +84,66 @@ def command(
     PROGRAM has a column for every joint; or positions, poses or positions with an axis of a target, as `calib solve`
     reads them, in the measurement frame of the description. What is written has the joint values to command, for
     poses also the poses to command where a controller with the nominal model turns them into joints itself, and of
-    every row how far the tool is off before and after. The base and targets that were unknown are where the
-    calibration found them.
+    every row how far the tool is off before and after. The tool is where the description has it. Where the base is
+    unknown, the program is meant in the robot's own base frame, which is laid where the nominal and the calibrated
+    robot agree best over the measured poses. Where the verdict of the calibration is that nothing is to be corrected,
+    the program stays as it is.
 
     G-code (.gcode, .nc, .ngc, .g) is for machines of three motors whose controller turns X, Y and Z into motors with
     the nominal model, Cartesian or delta. Straight moves get the points to tell it, in pieces so short that the tool
     stays within --tolerance-mm of the line; what else moves the machine is refused, all other lines stay.
     """
-    check_file(out)
     result = result_folder(robot, result)
     nominal = loaded(robot, output)
-    calibrated = load_calibrated(result, nominal)
-    predict = partial(load_uncertainty(result, nominal).at, calibrated)
+    known = load_known(result, nominal)
+    if not len(known.joints):
+        output.note(
+            f"note: {result}: has no residuals.csv, and so does not say at which poses it was measured; a frame that is"
+            " laid agrees around home instead; fit again"
+        )
     if Path(program).suffix.lower() in SUFFIXES:
         if keep is not None or grid is not None or skip_unreachable:
             raise InputError("--keep, --grid and --skip-unreachable are for programs in CSV; leave them out")
-        compensate_gcode(calibrated, predict, program, result, (zero, start), tolerance_mm, out, output)
+        compensate_gcode(known, program, result, (zero, start), tolerance_mm, out, output)
         return
     if any(option is not None for option in (zero, start, tolerance_mm)):
         raise InputError(f"--zero, --start and --tolerance-mm are for G-code ({', '.join(SUFFIXES)}); leave them out")
     rows = _read(program, nominal, output)
+    output.check(out)
     if grid is not None:
-        compensate_grid(calibrated, rows, grid, result, out, output)
+        compensate_grid(known, rows, grid, result, out, output)
         return
     with output.working(f"compensating {len(rows)} rows"):
-        compensation = compensate(calibrated, rows, keep=keep, predict=predict)
+        compensation = compensate(known, rows, keep=keep)
     if not skip_unreachable or not np.any(compensation.ok):
         _require_all(compensation)
     for miss in compensation.misses():
         output.note(f"{miss}; left empty")
     output.remarks(compensation.jumps())
+    done = (
+        f"left as it is: {left_as_it_is(result)}" if compensation.nothing_to_correct else f"compensated with {result}"
+    )
     comments = (
-        f"{program} for {nominal.name}, compensated with {result}; kept: {compensation.keep}",
+        f"{program} for {nominal.name}, {done}; kept: {compensation.keep}; errors are {compensation.frame}; {COUNTED}",
         *said_of_failure(output, result, out),
     )
-    write_file(out, format_table(_columns(nominal, rows, compensation), comments))
-    summary, held_out, n = _summary(compensation), _held_out(result), len(rows)
+    output.write(out, format_table(_columns(nominal, rows, compensation), comments))
+    figures, held_out, n = _summary(compensation), _held_out(result), len(rows)
     output.json(
         {
             "robot": nominal.path,
             "kept": compensation.keep,
+            "frame": compensation.frame,
+            "counted": COUNTED,
+            "nothing_to_correct": compensation.nothing_to_correct,
             "n_rows": n,
             "n_unreachable": n - int(np.sum(compensation.ok)),
-            **summary,
+            **figures,
             "held_out_rms_mm": held_out,
             "rows": _rows(nominal, compensation),
         }
     )
-    output.say(_said(compensation, summary, held_out, out))
+    output.say(_said(compensation, figures, held_out, result, out))
 
 
 def _read(path: str, robot: Robot, output: Output) -> Poses | Goals:
@@ -203,12 +214,11 @@ def _rpy(rotations: FloatArray) -> FloatArray:
 
 def _summary(compensation: Compensation) -> dict[str, dict[str, float]]:
     """Root mean square and largest error of all rows, before and after [mm], and of orientations [mrad]."""
-    summary = {}
-    for figure, unit, scale in _shown(compensation):
-        if figure.startswith(_FIGURES[:2]):
-            values = getattr(compensation, figure)[compensation.ok] * scale
-            summary[f"{figure}_{unit}"] = {"rms": float(np.sqrt(np.mean(values**2))), "max": float(np.max(values))}
-    return summary
+    return {
+        f"{figure}_{unit}": summary(scale * getattr(compensation, figure)[compensation.ok])
+        for figure, unit, scale in _shown(compensation)
+        if figure.startswith(_FIGURES[:2])
+    }
 
 
 def _rows(robot: Robot, compensation: Compensation) -> list[dict[str, object]]:
@@ -234,20 +244,21 @@ def _held_out(folder: str) -> float | None:
     return None if errors is None else errors["after"].get("rms")
 
 
-def _said(compensation: Compensation, summary: dict[str, dict[str, float]], held_out: float | None, out: str) -> str:
-    before, expected = summary["before_mm"], summary["expected_mm"]
-    text = (
-        f"{int(np.sum(compensation.ok))} of {counted(len(compensation.names), 'row')} compensated"
-        f" ({compensation.keep} kept), written to {out}\nThe tool was off by {before['rms']:.4f} mm (rms);"
-        f" expected now: {expected['rms']:.4f} mm, {expected['max']:.4f} mm at worst, from the noise of the"
-        " measurements alone"
-    )
-    if "expected_angle_mrad" in summary:
-        before, expected = summary["before_angle_mrad"], summary["expected_angle_mrad"]
-        text += (
-            f"\nIts {'orientation' if compensation.keep == 'pose' else 'axis'} was off by {before['rms']:.4f} mrad"
-            f" (rms); expected now: {expected['rms']:.4f} mrad, {expected['max']:.4f} mrad at worst"
+def _said(
+    compensation: Compensation, figures: dict[str, dict[str, float]], held_out: float | None, result: str, out: str
+) -> str:
+    kept = compensation.nothing_to_correct
+    count = f"{int(np.sum(compensation.ok))} of {counted(len(compensation.names), 'row')}"
+    done = f"left as they are: {left_as_it_is(result)};" if kept else f"compensated ({compensation.keep} kept),"
+    lines = [f"{count} {done} written to {out}"]
+    turned = f"Its {'orientation' if compensation.keep == 'pose' else 'axis'}"
+    for what, ending in (("The tool", "_mm"), (turned, "_angle_mrad")):
+        if f"expected{ending}" in figures:
+            before, expected, unit = figures[f"before{ending}"], figures[f"expected{ending}"], ending.rpartition("_")[2]
+            lines.append(expected_now(what, expected, unit) if kept else before_and_now(what, before, expected, unit))
+    lines.append(of_frame(compensation.frame))
+    if held_out is not None:
+        lines.append(
+            f"Measurements that the fit had not seen were off by {held_out:.4f} mm (rms), with their own noise"
         )
-    if held_out is None:
-        return text
-    return f"{text}\nMeasurements that the fit had not seen were off by {held_out:.4f} mm (rms), with their own noise"
+    return "\n".join(lines)

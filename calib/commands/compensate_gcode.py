@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from calib.arrays import FloatArray
 from calib.commands.common import Output, said_of_failure
 from calib.data.gcode import ROUNDING, GcodeProgram
 from calib.data.gcode_reader import read_gcode
 from calib.errors import DataError, InputError
-from calib.files import write_file
 from calib.inverse_kinematics.straight_moves import CompensatedMoves, StraightMoves, compensate_moves
-from calib.linearisation.prediction import PositionUncertainty
-from calib.model.robot import Robot
+from calib.linearisation.known_robot import KnownRobot
+from calib.own_files import GCODE_COMMENT
+from calib.reporting.expected_text import COUNTED, before_and_now, expected_now, left_as_it_is, of_frame, summary
 from calib.units import millimetres, quantity
 from calib.words import counted
 
@@ -22,8 +19,7 @@ _TOLERANCE_MM = 0.01
 
 
 def compensate_gcode(
-    calibrated: Robot,
-    predict: Callable[[FloatArray], PositionUncertainty],
+    known: KnownRobot,
     path: str,
     result: str,
     places: tuple[str | None, str | None],
@@ -34,8 +30,7 @@ def compensate_gcode(
     """Write a G-code program with which the calibrated robot goes where it says.
 
     Args:
-        calibrated: The robot.
-        predict: Predicts positions at joints (n, 3) [m or rad].
+        known: The calibrated robot.
         path: The program.
         result: Folder of the calibration, for messages.
         places: --zero and --start.
@@ -51,9 +46,10 @@ def compensate_gcode(
     tolerance_mm = _TOLERANCE_MM if tolerance_mm is None else tolerance_mm
     if not 1e-3 <= tolerance_mm <= 1e3:
         raise InputError(f"--tolerance-mm {tolerance_mm:g}: must lie between 0.001 and 1000")
-    if len(calibrated.target_names) > 1:
-        raise DataError(f"{calibrated.path}: has several targets; which of them X, Y and Z are of is not known")
+    if len(known.robot.target_names) > 1:
+        raise DataError(f"{known.robot.path}: has several targets; which of them X, Y and Z are of is not known")
     program = read_gcode(path, start)
+    output.check(out)
     tolerance = quantity(f"{tolerance_mm!r} mm", "length", "--tolerance-mm") - ROUNDING
     origin = np.zeros(3) if zero is None else np.array(zero)
     unknown = (np.nan, np.nan, np.nan)
@@ -63,19 +59,29 @@ def compensate_gcode(
         tuple(program.label(move) for move in program.moves),
     )
     with output.working(f"compensating {counted(len(program.moves), 'move')}"):
-        found = compensate_moves(calibrated, moves, tolerance)
-        expected = predict(found.q).distance[:, 0]
-    figures = _figures(found, expected)
-    comments = (
-        f"compensated for {calibrated.name} with {result}; between points at most"
-        f" {figures['between_mm']['max']:.4f} mm off",
-        *said_of_failure(output, result, out),
-    )
-    text = program.rewritten([way - origin for way in found.told], [" ".join(line.split()) for line in comments])
-    write_file(out, text)
+        found = compensate_moves(known, moves, tolerance)
+    figures = _figures(found)
+    between = f"between points at most {figures['between_mm']['max']:.4f} mm off"
+    done = f"compensated for {known.robot.name} with {result}; {between}"
+    if found.nothing_to_correct:
+        done = f"left as it is for {known.robot.name}: {left_as_it_is(result)}"
+    comments = (f"{done}; errors are {found.frame}", *said_of_failure(output, result, out))
+    comments = tuple(" ".join(line.split()) for line in comments)
+    ways = None if found.nothing_to_correct else [way - origin for way in found.told]
+    output.write(out, program.rewritten(ways, comments), GCODE_COMMENT)
     n_pieces = sum(len(way) for way in found.told)
-    output.json({"n_moves": len(program.moves), "n_pieces": n_pieces, "n_measured": found.n_measured, **figures})
-    output.say(_said(program, n_pieces, found.n_measured, figures, out))
+    output.json(
+        {
+            "n_moves": len(program.moves),
+            "n_pieces": n_pieces,
+            "n_measured": found.n_measured,
+            "frame": found.frame,
+            "counted": COUNTED,
+            "nothing_to_correct": found.nothing_to_correct,
+            **figures,
+        }
+    )
+    output.say(_said(program, found, figures, result, out))
 
 
 def _point(text: str | None, option: str) -> tuple[float, ...] | None:
@@ -88,23 +94,29 @@ def _point(text: str | None, option: str) -> tuple[float, ...] | None:
     return tuple(quantity(f"{part.strip()} mm", "length", option) for part in parts)
 
 
-def _figures(found: CompensatedMoves, expected: FloatArray) -> dict[str, dict[str, float]]:
+def _figures(found: CompensatedMoves) -> dict[str, dict[str, float]]:
     """Root mean square and largest error [mm]: without compensation, expected with it, and measured between points."""
     measured = found.deviations[np.isfinite(found.deviations)]
     between = measured + ROUNDING if len(measured) else np.zeros(1)
-    shown = {"before_mm": found.before, "expected_mm": expected, "between_mm": between}
-    return {
-        name: {"rms": millimetres(float(np.sqrt(np.mean(values**2)))), "max": millimetres(float(np.max(values)))}
-        for name, values in shown.items()
-    }
+    shown = {"before_mm": found.before, "expected_mm": found.expected, "between_mm": between}
+    return {name: summary(millimetres(values)) for name, values in shown.items()}
 
 
-def _said(program: GcodeProgram, n_pieces: int, n_measured: int, figures: dict[str, dict[str, float]], out: str) -> str:
+def _said(
+    program: GcodeProgram, found: CompensatedMoves, figures: dict[str, dict[str, float]], result: str, out: str
+) -> str:
+    moves, n_pieces = counted(len(program.moves), "straight move"), sum(len(way) for way in found.told)
     before, expected, between = figures["before_mm"], figures["expected_mm"], figures["between_mm"]
-    return (
-        f"{counted(len(program.moves), 'straight move')} compensated as {counted(n_pieces, 'line')}, written to {out}\n"
-        f"The tool was off by {before['rms']:.4f} mm (rms); expected now: {expected['rms']:.4f} mm,"
-        f" {expected['max']:.4f} mm at worst, from the noise of the measurements alone\n"
-        f"Between points it is off by another {between['max']:.4f} mm at worst, measured at"
-        f" {counted(n_measured, 'point')}"
-    )
+    if found.nothing_to_correct:
+        lines = [
+            f"{moves} left as they are: {left_as_it_is(result)}; written to {out}",
+            expected_now("The tool", expected, "mm"),
+        ]
+    else:
+        lines = [
+            f"{moves} compensated as {counted(n_pieces, 'line')}, written to {out}",
+            before_and_now("The tool", before, expected, "mm"),
+            f"Between points it is off by another {between['max']:.4f} mm at worst, measured at"
+            f" {counted(found.n_measured, 'point')}",
+        ]
+    return "\n".join([*lines, of_frame(found.frame)])

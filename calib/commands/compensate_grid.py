@@ -9,21 +9,21 @@ from calib.data.measurement_columns import cells_of
 from calib.data.measurements import Poses
 from calib.data.tables import format_table
 from calib.errors import InputError
-from calib.files import write_file
 from calib.inverse_kinematics.correction_grid import correction_grid
 from calib.inverse_kinematics.goals import Goals
-from calib.model.robot import Robot
+from calib.linearisation.known_robot import KnownRobot
+from calib.reporting.expected_text import COUNTED, before_and_now, expected_now, left_as_it_is, of_frame, summary
 from calib.units import PER_SI, millimetres
 from calib.words import counted
 
 
 def compensate_grid(
-    calibrated: Robot, program: Poses | Goals, grid: str, result: str, out: str, output: Output
+    known: KnownRobot, program: Poses | Goals, grid: str, result: str, out: str, output: Output
 ) -> None:
     """Write the table of corrections, and say how wrong interpolation in it is.
 
     Args:
-        calibrated: The robot.
+        known: The calibrated robot.
         program: Whose positions the table is for.
         grid: --grid.
         result: Folder of the calibration, for messages.
@@ -40,7 +40,7 @@ def compensate_grid(
     except ValueError:
         raise InputError(f"--grid '{grid}': write three numbers of nodes, such as 5,5,3") from None
     with output.working("compensating the grid"):
-        corrections = correction_grid(calibrated, program, (nx, ny, nz))
+        corrections = correction_grid(known, program, (nx, ny, nz))
     name, degrees = corrections.target, PER_SI["angle"]["deg"]
     columns: list[tuple[str, list[object]]] = []
     for k, axis in enumerate("xyz"):
@@ -54,15 +54,33 @@ def compensate_grid(
         f"linear interpolation is off by {np.sqrt(np.mean(off**2)):.4f} mm (rms), {np.max(off):.4f} mm and"
         f" {np.max(angle):.4f} deg at worst"
     )
-    comments = (f"corrections from {result}; {wrong}", *said_of_failure(output, result, out))
-    write_file(out, format_table(columns, comments))
+    kept, before = corrections.nothing_to_correct, summary(millimetres(corrections.before))
+    expected = summary(millimetres(corrections.expected))
+    done = f"all zero: {left_as_it_is(result)}" if kept else wrong
+    comments = (
+        f"corrections from {result}; {done}; errors are {corrections.frame}; {COUNTED}",
+        *said_of_failure(output, result, out),
+    )
+    output.write(out, format_table(columns, comments))
     output.json(
         {
             "n_nodes": len(corrections.nodes),
+            "frame": corrections.frame,
+            "counted": COUNTED,
+            "nothing_to_correct": kept,
+            "before_mm": before,
+            "expected_mm": expected,
             "interpolation_mm": {"rms": float(np.sqrt(np.mean(off**2))), "max": float(np.max(off))},
             "interpolation_deg": {"max": float(np.max(angle))},
         }
     )
-    output.say(
-        f"{counted(len(corrections.nodes), 'node')} written to {out}; {wrong}, at {len(off)} points between them"
-    )
+    nodes = f"{counted(len(corrections.nodes), 'node')} written to {out}"
+    what = "At the nodes the tool"
+    if kept:
+        lines = [f"{nodes}, all zero: {left_as_it_is(result)}", expected_now(what, expected, "mm")]
+    else:
+        lines = [
+            f"{nodes}; {wrong}, at {len(off)} points between them",
+            before_and_now(what, before, expected, "mm"),
+        ]
+    output.say("\n".join([*lines, of_frame(corrections.frame)]))

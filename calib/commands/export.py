@@ -8,7 +8,7 @@ from typing import cast
 import click
 
 from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
-from calib.exporting.formats import CONTROLLERS, export
+from calib.exporting.formats import CONTROLLERS, JOINT_TABLES, export
 from calib.exporting.held_formats import HELD
 from calib.exporting.links import read_links
 from calib.functions.functions import LANGUAGES
@@ -54,14 +54,12 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
     help="urdf, toolbox, joint-tables: say in a comment where the numbers come from; numpy, c, jax, torch and casadi"
     " always do.",
 )
-@click.option(
-    "--force",
-    is_flag=True,
-    help="Write the file even if its robot is worse than the nominal one, or lacks joint terms that its values belong"
-    " to; it says so inside.",
-)
 @click.option("--out", required=True, metavar="FILE", help="File to write; of joint-tables, the folder.")
-@shared_options(json_output=True)
+@shared_options(
+    json_output=True,
+    forced="Write the file even if its robot is worse than the nominal one, or lacks joint terms that its values belong"
+    " to (it says so inside), or if something would be replaced that this program did not write, or reads.",
+)
 def command(
     robot: str,
     parameters: str | None,
@@ -70,7 +68,6 @@ def command(
     free_slide: bool,
     meshes: str | None,
     provenance: bool,
-    force: bool,
     out: str,
     output: Output,
 ) -> None:
@@ -82,6 +79,7 @@ def command(
         lines = [*(lines or []), *failed]
     notes: list[str] = []
     relative = _relative_meshes(model.urdf)  # before anything is written: it may refuse a broken shape
+    output.check(*(() if file_format == JOINT_TABLES else (out,)))
     gaps = export(
         model,
         file_format,
@@ -90,7 +88,7 @@ def command(
         meshes=meshes,
         provenance=lines,
         note=notes.append,
-        force=force,
+        force=output.force,
     )
     output.say(f"{model.name}, {parameters or result or 'nominal values'}: written to {out}")
     for text in notes:

@@ -8,16 +8,24 @@ from typing import Literal
 import click
 
 from calib.calibration import fit
-from calib.commands.common import SIGMA_HELP, Output, jobs_option, loaded, shared_options, sigma_in_metres
+from calib.commands.common import (
+    SIGMA_HELP,
+    Output,
+    jobs_option,
+    loaded,
+    shared_options,
+    sigma_in_metres,
+)
 from calib.commands.next_steps import after_fit
 from calib.data.measurement_files import read_measurements
 from calib.data.measurements import Measurements
 from calib.errors import ComputationError, InputError
-from calib.files import check_folder, image_address
+from calib.files import image_address
 from calib.identification.rules_model import why_no_origins
 from calib.model.robot import Robot
 from calib.numerics.losses import LOSSES
 from calib.reporting.result_content import to_dict
+from calib.reporting.results import RESULT_FILES
 from calib.words import counted
 
 
@@ -64,15 +72,14 @@ from calib.words import counted
     help="Seed of the random choice of held-out poses, folds and starting points.",
 )
 @jobs_option("folds and starts")
-@click.option(
-    "--force",
-    is_flag=True,
-    help="Write calibrated.urdf even if the verdict is FAIL, or the file worse than the nominal robot; it says so.",
-)
 @click.option("--no-pages", is_flag=True, help="Write no report.html and no viewer.html, which take most of the time.")
 @click.option("--logo", metavar="FILE", help="PNG, JPEG or SVG image (up to 512 kB) to put into report.html.")
 @click.option("--out", required=True, metavar="DIR", help="Folder for the result.")
-@shared_options(json_output=True)
+@shared_options(
+    json_output=True,
+    forced="Write calibrated.urdf even if the verdict is FAIL, or the file worse than the nominal robot (it says so"
+    " inside), and replace files that this program did not write, or reads.",
+)
 def command(
     robot: str,
     data: tuple[str, ...],
@@ -85,7 +92,6 @@ def command(
     starts: int,
     seed: int,
     jobs: int,
-    force: bool,
     no_pages: bool,
     logo: str | None,
     out: str,
@@ -100,13 +106,13 @@ def command(
         if no_pages:
             raise InputError("--logo is for report.html: leave out --no-pages")
         image_address(logo)
-    check_folder(out)
     model = loaded(robot, output)
     identification = read_measurements(data, model)
     validation = None
     if validate is not None:
         identification, validation = _hold_out(model, identification, validate, seed)
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
+    output.check(folders=(out,), names=RESULT_FILES)
     with output.working(f"fitting {counted(len(identification), 'pose')}") as progress:
         result = fit(
             model,
@@ -123,15 +129,15 @@ def command(
             progress=progress,
         )
     failed = result.verdict.grade == "FAIL"
-    result.save(out, force=force, pages=not no_pages, logo=logo)
+    result.save(out, force=output.force, pages=not no_pages, logo=logo)
     output.say(result.report())
     output.say(f"Written to {Path(out)}")
-    withheld = "" if failed or force else why_no_origins(result)
+    withheld = "" if failed or output.force else why_no_origins(result)
     if withheld:
         output.note(f"note: calibrated.urdf was not written: {withheld} (--force writes it)")
     output.hint(after_fit(result, robot, data, out))
-    output.json(to_dict(result, forced=failed and force))
-    if failed and not force:
+    output.json(to_dict(result, forced=failed and output.force))
+    if failed and not output.force:
         raise ComputationError(
             f"verdict FAIL: {result.verdict.reasons[0].text}; calibrated.urdf was not written (--force writes it)"
         )

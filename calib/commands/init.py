@@ -12,7 +12,7 @@ import click
 from calib.commands.common import Output, shared_options
 from calib.data.dh_files import read_dh
 from calib.errors import DescriptionError, InputError
-from calib.files import check_file, write_files
+from calib.files import write_files
 from calib.model.arm_chain import arm_chain
 from calib.model.denavit_hartenberg import CONVENTIONS, LAST_LINK, urdf_text
 from calib.model.loading import describe, load
@@ -71,22 +71,21 @@ def command(
     if Path(out).suffix.lower() not in (".yaml", ".yml"):
         raise InputError(f"{out}: the name of a robot description ends in .yaml")
     beside = Path(out).with_suffix(".urdf") if dh or template else None
-    for file in (Path(out), *([beside] if beside else [])):
-        if file.exists():
-            raise InputError(f"{file}: exists already; choose another name, so that no edited description is lost")
-        check_file(file)
     if template and beside:
-        _write_template(template, lengths, beside, Path(out))
+        output.check(out, str(beside))
+        _write_template(template, lengths, beside, Path(out), output)
         output.say(f"{beside} and {out} written; they work as they are, and comments say what to change")
         return
     if dh and beside:
         text = parse_urdf(urdf_text(read_dh(dh, convention), Path(dh).stem).encode(), str(beside))
     else:
         text = read_urdf(str(urdf))
+    output.check(out, *([str(beside)] if beside else []))
     relative = os.path.relpath(Path(text.path).resolve(), Path(out).resolve().parent)
     chain = arm_chain(text, target or (LAST_LINK if dh else None))
     description = description_text(text, describe(chain, relative), chain.remark).encode()
-    write_files({beside: text.source, Path(out): description} if beside else {Path(out): description})
+    files = {beside: text.source, Path(out): description} if beside else {Path(out): description}
+    write_files(files, force=output.force)
     if beside:
         output.say(f"{beside} written, from the table")
     output.say(f"{out} written; it works as it is, and its comments say what to change")
@@ -94,7 +93,7 @@ def command(
         output.say(chain.remark)
 
 
-def _write_template(name: str, given: Sequence[str], urdf: Path, description: Path) -> None:
+def _write_template(name: str, given: Sequence[str], urdf: Path, description: Path, output: Output) -> None:
     """Write the two files of a template, if the robot that they describe can be used."""
     texts = dict(zip((urdf, description), loop_files(name, read_lengths(name, given), urdf.name), strict=True))
     with TemporaryDirectory() as folder:
@@ -105,4 +104,4 @@ def _write_template(name: str, given: Sequence[str], urdf: Path, description: Pa
         except DescriptionError as error:
             what = str(error).replace(f"{Path(folder) / description.name}: ", "")
             raise InputError(f"template {name}: with these lengths, {what}") from None
-    write_files({file: text.encode() for file, text in texts.items()})
+    write_files({file: text.encode() for file, text in texts.items()}, force=output.force)

@@ -7,9 +7,9 @@ import click
 from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
 from calib.data.measurement_files import format_positions, read_poses
 from calib.data.measurements import Poses
-from calib.files import check_file, write_file
+from calib.linearisation.told_positions import ToldPositions
 from calib.model.robot import Robot
-from calib.reporting.result_reading import load_uncertainty, poses_beyond_curves
+from calib.reporting.result_reading import joints_used, load_uncertainty, poses_beyond_curves
 from calib.words import counted
 
 
@@ -25,10 +25,10 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
 
     With --result, also how well they are known: the standard deviation of each coordinate, from the measurement noise.
     """
-    check_file(out)
     model = with_values(loaded(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)
     poses = read_poses(joints, model)
+    output.check(out)
     configurations = model.assemble(poses.joints, labels=poses.labels, context=poses.conditions)
     remarks = model.near_singularities(configurations, poses.labels)
     source = parameters or result or "nominal values"
@@ -42,7 +42,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
         remarks = remarks + beyond
     else:
         text = format_positions(model, poses, model.positions(poses.joints, poses.conditions), comment)
-    write_file(out, text)
+    output.write(out, text)
     output.remarks(remarks)
     output.say(f"{counted(len(poses), 'pose')} written to {out}")
     if result:
@@ -57,7 +57,8 @@ def _with_uncertainty(
     model: Robot, poses: Poses, result: str, comment: tuple[str, ...]
 ) -> tuple[str, dict[str, object], str]:
     """Return the CSV text with standard deviations, their summary [mm], and what to add to it."""
-    uncertainty = load_uncertainty(result, model).at(model, poses.joints, poses.conditions)
-    text = format_positions(model, poses, uncertainty.positions, comment, uncertainty.std)
-    summary = {**uncertainty.summary(), "worst_pose": poses.names[uncertainty.worst]}
-    return text, summary | {"left_out": list(uncertainty.left_out)}, uncertainty.remark()
+    known = ToldPositions.of(model, load_uncertainty(result, model), joints_used(result, model))
+    told = known.at(poses.joints, poses.conditions)
+    measured = told.measured or told  # what is written is where the instruments see it
+    text = format_positions(model, poses, measured.positions, comment, measured.std)
+    return text, told.table() | {"worst_pose": poses.names[told.worst]}, told.remark()

@@ -12,7 +12,6 @@ from calib.commands.common import Output, loaded, shared_options, with_values
 from calib.data.in_memory import measurements
 from calib.data.measurement_files import format_measurements, read_poses
 from calib.errors import InputError, nearest
-from calib.files import check_file, write_file
 from calib.model.robot import Robot
 from calib.pose_choice.pose_sampling import sample
 from calib.units import Dimension, quantity
@@ -24,7 +23,7 @@ _RANGE = re.compile(r"^(?P<name>[^=]+)=(?P<low>[^=]*?)\.\.(?P<high>[^=]*?)(?P<un
 @click.command("sample")
 @click.argument("robot")
 @click.option("--count", type=int, required=True, help="How many poses.")
-@click.option("--seed", type=click.IntRange(min=0), required=True, help="Seed of the joint values.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the joint values.")
 @click.option(
     "--within",
     metavar="FILE|RANGE",
@@ -51,18 +50,18 @@ def command(
     What it touches, it touches there. Whether cables, walls or the robot itself are in the way, it does not know: look
     at the poses before sending them (calib view ROBOT --data FILE).
     """
-    check_file(out)
     model = with_values(loaded(robot, output), parameters, result)
     ranges: dict[str, tuple[float, float]] = {}
     for text in within:
         for name, (low, high) in _ranges(text, model).items():
             before = ranges.get(name, (-np.inf, np.inf))
             ranges[name] = max(low, before[0]), min(high, before[1])
+    output.check(out)
     with output.working(f"looking for {count} poses"):
         found = sample(model, count, seed, within=ranges)
     comments = (f"poses of {model.name}, sampled with seed {seed}", *(f"within {text}" for text in within))
-    write_file(out, format_measurements(model, measurements(found, found.wanted), comments))
-    output.say(f"{counted(len(found), 'pose')} written to {out}")
+    output.write(out, format_measurements(model, measurements(found, found.wanted), comments))
+    output.say(f"{counted(len(found), 'pose')} written to {out}, seed {seed}")
 
 
 def _ranges(text: str, robot: Robot) -> dict[str, tuple[float, float]]:

@@ -23,7 +23,7 @@ from calib.data.measurements import Measurements, Poses
 from calib.data.plan_files import plan_of_table
 from calib.data.tables import read_table
 from calib.errors import InputError, nearest
-from calib.files import check_file, check_folder, write_file, write_folder
+from calib.files import write_folder
 from calib.pictures import figures
 from calib.pose_choice.instrument_choice import ALL, EACH
 from calib.pose_choice.selection import select
@@ -119,10 +119,7 @@ def command(
     With several instruments, also which of them reads at which pose: the file that is written says so in a column
     `instrument`. Something can be touched only at candidates whose column of that instrument says what.
     """
-    check_file(out)
     wanted = _counts(count)
-    if plots is not None:
-        check_folder(plots)
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
     model = with_values(loaded(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)
@@ -132,6 +129,7 @@ def command(
     if parameters is None and result is None:
         model = placed(model, done, poses)
     poses = different_poses(plan_of_table(table, model) if isinstance(poses, Measurements) else poses)
+    output.check(out, folders=(plots,))
     with output.working(f"choosing from {len(poses)} poses") as progress:
         selection = select(
             model,
@@ -152,9 +150,9 @@ def command(
             executor=jobs,
             progress=progress,
         )
-    write_file(out, format_poses(model, selection, poses, table))
+    output.write(out, format_poses(model, selection, poses, table))
     if plots is not None:
-        write_folder(plots, figures(selection))
+        write_folder(plots, figures(selection), force=output.force)
     output.say(text_report(selection, poses))
     output.say(f"Written to {out}" + (f", figure to {plots}" if plots is not None else ""))
     output.hint(after_select(robot, out))

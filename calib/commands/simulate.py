@@ -17,7 +17,6 @@ from calib.commands.common import (
 from calib.data.measurement_files import format_measurements
 from calib.data.plan_files import read_plan
 from calib.errors import InputError
-from calib.files import check_file, write_file
 from calib.linearisation.simulate import simulate, unstated_noise
 from calib.model.robot import Robot
 from calib.words import counted
@@ -30,7 +29,7 @@ from calib.words import counted
     "--parameters", metavar="FILE", help="True parameter values (CSV parameter,value,unit); nominal if not given."
 )
 @click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}; 0: no noise of anything.")
-@click.option("--seed", type=click.IntRange(min=0), required=True, help="Seed of the noise.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the noise.")
 @click.option("--out", required=True, metavar="FILE", help="CSV file to write.")
 @shared_options()
 def command(
@@ -41,11 +40,11 @@ def command(
     Every instrument reads at every pose, or those that a column `instrument` names. Where something is touched, which a
     column with the name of the instrument says, the joint values are changed so that the robot touches it.
     """
-    check_file(out)
     model = with_values(loaded(robot, output), parameters, None)
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm, zero=True)
     _require_noise(model, sigma)
     poses = read_plan(joints, model)
+    output.check(out)
     remarks = model.near_singularities(model.assemble(poses.joints, labels=poses.labels), poses.labels)
     measured = simulate(model, poses, sigma, np.random.default_rng(seed))
     truth = parameters or folder_of_values(robot, None, None) or "nominal parameters"
@@ -56,9 +55,9 @@ def command(
     moved = np.flatnonzero(np.any(measured.joints != poses.joints, axis=1))
     if len(moved):
         comments += (f"joint values of {counted(len(moved), 'visit')} are changed so that the robot touches",)
-    write_file(out, format_measurements(model, measured, comments))
+    output.write(out, format_measurements(model, measured, comments))
     output.remarks(remarks)
-    output.say(f"{counted(len(poses), 'simulated pose')} written to {out}")
+    output.say(f"{counted(len(poses), 'simulated pose')} written to {out}, seed {seed}")
     if len(moved):
         output.say(f"Joint values of {counted(len(moved), 'visit')} were changed so that the robot touches")
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import click
 import numpy as np
 
+from calib.arrays import IntArray
 from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
 from calib.data.measurement_columns import approach_columns, condition_columns, joint_columns
 from calib.data.tables import format_table
-from calib.files import check_file, write_file
 from calib.inverse_kinematics.goals import Goals, read_goals
 from calib.inverse_kinematics.inverse import Solution, solve
 from calib.model.robot import Robot
+from calib.reporting.expected_text import COUNTED, expected_now, figures, left_as_it_is, of_frame, summary
+from calib.reporting.result_reading import load_known
 from calib.units import micrometres, millimetres
 
 
@@ -42,23 +44,31 @@ def command(
     A column 'pose' names the rows; 'load', 'temperature', 'time' and 'approach_JOINT' say under which conditions the
     robot will be there, which joint terms may depend on. Joint limits and the home's assembly mode are kept; what a
     target leaves open stays near home.
+
+    With a result, what is written says how far the real robot is expected to be off at each target, in the measurement
+    frame. Where the verdict of the calibration is that nothing is to be corrected, the nominal robot counts, with base
+    and targets where it agrees best with the calibrated one.
     """
-    check_file(out)
-    model = with_values(loaded(robot, output), parameters, result)
-    result = folder_of_values(robot, parameters, result)
+    nominal, folder = loaded(robot, output), folder_of_values(robot, parameters, result)
+    model = with_values(nominal, parameters, result)
     goals = read_goals(targets, model)
+    output.check(out)
     with output.working(f"solving {len(goals)} targets"):
-        solution = solve(model, goals)
+        solution = solve(load_known(folder, nominal) if folder else model, goals)
     misses = solution.misses()
     reached = np.flatnonzero(solution.ok)
     if not skip_unreachable or not np.any(solution.ok):
         solution.require_all()
     for miss in misses:
         output.note(f"{miss}; skipped")
-    source = parameters or result or "nominal values"
+    source = parameters or folder or "nominal values"
     said = f"joint values of {model.name} that reach {targets} ({goals.asks_for}), {source}"
-    comments = (said, *said_of_failure(output, result, out))
-    write_file(out, _table(model, goals, solution, comments))
+    if solution.expected.nothing_to_correct:
+        said += f"; those of the nominal robot: {left_as_it_is(source)}"
+    if folder:
+        said += f"; errors are {solution.expected.frame}; {COUNTED}"
+    comments = (said, *said_of_failure(output, folder, out))
+    output.write(out, _table(model, goals, solution, comments))
     labels = [solution.labels[k] for k in reached]
     remarks = model.near_singularities(model.assemble(solution.q[reached], labels=labels), labels)
     output.remarks(remarks)
@@ -66,14 +76,34 @@ def command(
         {
             "robot": model.path,
             "asked_for": goals.asks_for,
+            **({"frame": solution.expected.frame, "counted": COUNTED} if folder else {}),
+            "nothing_to_correct": solution.expected.nothing_to_correct,
             "targets": _rows(model, goals, solution),
             "near_singular": remarks,
         }
     )
-    output.say(
+    lines = [
         f"{len(reached)} of {len(goals)} targets reached ({goals.asks_for}), largest miss"
         f" {micrometres(float(np.max(solution.miss_position[reached]))):.1e} um; written to {out}"
+    ]
+    if folder:
+        lines += _expected(solution, reached, source)
+    output.say("\n".join(lines))
+
+
+def _expected(solution: Solution, reached: IntArray, source: str) -> list[str]:
+    """Say how far the real robot is expected to be off where it is sent."""
+    expected, shown = solution.expected, figures(solution.expected)
+    lines = (
+        [f"The joint values are those of the nominal robot: {left_as_it_is(source)}"]
+        if expected.nothing_to_correct
+        else []
     )
+    for what, name in (("The real robot", "expected"), ("Its orientation", "expected_angle")):
+        lines += [
+            expected_now(what, summary(values[reached]), unit) for (key, unit), values in shown.items() if key == name
+        ]
+    return [*lines, of_frame(expected.frame)]
 
 
 def _table(robot: Robot, goals: Goals, solution: Solution, comments: tuple[str, ...]) -> str:
@@ -86,12 +116,14 @@ def _table(robot: Robot, goals: Goals, solution: Solution, comments: tuple[str, 
     for axis, values in zip("xyz", millimetres(solution.positions[reached].T), strict=True):
         columns[f"{goals.target}_{axis} [mm]"] = list(values)
     columns |= condition_columns(robot, len(told), None, told.context) | approach_columns(robot, told.approach)
+    for (name, unit), values in figures(solution.expected).items():
+        columns[f"{name} [{unit}]"] = list(values[reached])
     return format_table(list(columns.items()), comments)
 
 
 def _rows(robot: Robot, goals: Goals, solution: Solution) -> list[dict[str, object]]:
     """One entry for each target; joints are null where it is out of reach."""
-    joints = joint_columns(robot, solution.q)
+    joints, expected = joint_columns(robot, solution.q), figures(solution.expected)
     return [
         {
             "pose": name,
@@ -99,6 +131,7 @@ def _rows(robot: Robot, goals: Goals, solution: Solution) -> list[dict[str, obje
             "miss_mm": millimetres(float(solution.miss_position[k])),
             "miss_deg": float(np.degrees(solution.miss_angle[k])),
             "joints": {joint: float(values[k]) for joint, values in joints.items()} if solution.ok[k] else None,
+            **{f"{figure}_{unit}": float(values[k]) for (figure, unit), values in expected.items()},
         }
         for k, name in enumerate(goals.names)
     ]

@@ -9,9 +9,9 @@ import click
 
 from calib.commands.common import SIGMA_HELP, Output, different_poses, loaded, shared_options, sigma_in_metres
 from calib.data.measurement_files import read_measurements
+from calib.data.measurements import Measurements
 from calib.data.plan_files import read_plan
 from calib.errors import InputError
-from calib.files import write_file
 from calib.pictures import Live, live
 from calib.units import quantity
 from calib.watching.progress import Progress
@@ -64,7 +64,8 @@ def command(
 ) -> None:
     """Follow FILE (CSV) while ROBOT is measured: what is known, what to measure next, and when to stop.
 
-    Every line that is added is first predicted, then fitted. It ends when the goal holds with 95 %, or with Ctrl-C.
+    Every line that is added is first predicted, then fitted; one that cannot be read is told and passed over until it
+    is corrected. It ends when the goal holds with 95 %, or with Ctrl-C.
     With --json FILE that file always holds the present state; with --json -, every state is one line.
     """
     if once and view:
@@ -97,7 +98,7 @@ def _follow(watch: Watch, file: GrowingFile, every: float, viewer: Live | None, 
     """Tell about every change of the file until the goal holds; with a viewer, until Ctrl-C."""
     if viewer is not None:
         output.note(viewer.url)
-    data = file.changed()
+    data = _changed(file, output)
     while True:
         told = watch.update(data)
         _tell(told, output)
@@ -108,7 +109,14 @@ def _follow(watch: Watch, file: GrowingFile, every: float, viewer: Live | None, 
         data = None
         while data is None:
             time.sleep(every)
-            data = file.changed()
+            data = _changed(file, output)
+
+
+def _changed(file: GrowingFile, output: Output) -> Measurements | None:
+    """What the file holds, if it has changed; says which lines of it are passed over."""
+    data = file.changed()
+    output.remarks(file.remarks())
+    return data
 
 
 def _tell(told: Progress, output: Output) -> None:
@@ -116,4 +124,4 @@ def _tell(told: Progress, output: Output) -> None:
     if output.json_target == "-":
         click.echo(json.dumps(told.to_dict(), allow_nan=False, ensure_ascii=False))
     elif output.json_target is not None:
-        write_file(output.json_target, json.dumps(told.to_dict(), indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+        output.json(told.to_dict())

@@ -73,12 +73,12 @@ class GcodeProgram:
         """Return what to call a move in messages."""
         return f"{self.path}, line {move.line + 1}"
 
-    def rewritten(self, ways: Sequence[FloatArray], comments: Sequence[str] = ()) -> str:
+    def rewritten(self, ways: Sequence[FloatArray] | None, comments: Sequence[str] = ()) -> str:
         """Return the program with other points.
 
         Args:
             ways: Of each move the points that it shall go through in straight lines, the last of them its end,
-                (n_pieces, 3) [m].
+                (n_pieces, 3) [m]; None: all lines stay as they are.
             comments: Lines to put first, behind what starts a tape (`%`).
 
         Raises:
@@ -86,7 +86,7 @@ class GcodeProgram:
         """
         lines = [[line] for line in self.lines]
         stands: FloatArray = np.zeros(3)
-        for move, way in zip(self.moves, ways, strict=True):
+        for move, way in zip(self.moves, ways, strict=True) if ways is not None else ():
             if not move.known and move.start is not None:
                 stands = np.array(move.start, dtype=np.float64)
             lines[move.line], stands = self._pieces(move, way, stands)

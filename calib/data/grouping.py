@@ -7,7 +7,7 @@ import scipy
 
 from calib.arrays import FloatArray, IntArray
 
-_SAME_JOINTS = 1e-4  # joint values that agree to this are one pose, read back with an encoder's noise [m, rad]
+SAME_JOINTS = 1e-4  # joint values that agree to this are one pose, read back with an encoder's noise [m, rad]
 
 
 def pose_labels(joints: FloatArray) -> IntArray:
@@ -15,7 +15,7 @@ def pose_labels(joints: FloatArray) -> IntArray:
 
     Repeats agree to 0.1 mm and 0.1 mrad in every joint, or are linked by others that do.
     """
-    cells, cell = np.unique(np.round(joints / _SAME_JOINTS), axis=0, return_inverse=True)
+    cells, cell = np.unique(np.round(joints / SAME_JOINTS), axis=0, return_inverse=True)
     linked = scipy.spatial.cKDTree(cells).query_pairs(
         1.5, p=np.inf, output_type="ndarray"
     )  # the same cell or a neighbour

@@ -37,13 +37,15 @@ def read_poses(path: Path | str, robot: Robot) -> Poses:
     return poses_of_table(table, robot, used=set())
 
 
-def read_measurements(path: Path | str | Sequence[Path | str], robot: Robot, *, growing: bool = False) -> Measurements:
+def read_measurements(
+    path: Path | str | Sequence[Path | str], robot: Robot, *, growing: Sequence[str] | None = None
+) -> Measurements:
     """Read joint values and what the instruments read; rows with the same `pose` repeat one pose.
 
     Args:
         path: The file, or several that belong together; see the module docstring.
         robot: Whose joints and instruments they are.
-        growing: Whether somebody still writes: a last line without its end is left out, and nothing may be read yet.
+        growing: Of a single file that somebody still writes, its lines so far, in which nothing may be read yet.
 
     Raises:
         DataError: The message names file, line and column.
@@ -74,7 +76,7 @@ def read_measurements(path: Path | str | Sequence[Path | str], robot: Robot, *, 
     data = measurements(poses, {name: concatenated(readings) for name, readings in parts.items()})
     if data.n_readings == 0 and not parts:
         raise DataError(f"{paths[0]}: has no column of any instrument; expected: {_expected(robot)}")
-    if data.n_readings == 0 and not growing:
+    if data.n_readings == 0 and growing is None:
         where = f"{paths[0]}{f' and {len(paths) - 1} more' if len(paths) > 1 else ''}"
         raise DataError(f"{where}: all cells of the measured columns are empty; there is nothing to read")
     check_repeats(data, robot)

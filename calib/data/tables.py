@@ -26,6 +26,7 @@ from calib.data.on_demand import TextRows, cells_of, is_plain
 from calib.data.rosbag import is_bag, read_bag
 from calib.errors import DataError, InputError, nearest
 from calib.files import read_lines
+from calib.own_files import is_mark
 from calib.units import Dimension, per_si, split_column
 
 _LARGEST = 1e6  # [m or rad]
@@ -98,11 +99,13 @@ class Table:
         return values
 
     def text(self, name: str) -> list[str]:
-        """Return a column as text, without blanks around it."""
+        """Return a column as text, without blanks around it; one that is missing is a `DataError`."""
         return list(self.texts(name))
 
     def texts(self, name: str) -> Iterator[str]:
         """Yield what `text` returns, one after the other."""
+        if name not in self.names:
+            raise DataError(f"{self.path}: no column '{name}'{nearest(name, self.names)}")
         index = self.names.index(name)
         return (_read_text(row[index].strip()) for row in self.rows)
 
@@ -197,14 +200,18 @@ def check_plausible(value: float, dimension: Dimension, where: str, place: str) 
 
 
 def read_table(
-    path: Path | str, renamed: Mapping[str, str] | None = None, *, growing: bool = False, any_size: bool = False
+    path: Path | str,
+    renamed: Mapping[str, str] | None = None,
+    *,
+    growing: Sequence[str] | None = None,
+    any_size: bool = False,
 ) -> Table:
     """Read a CSV file, its columns separated by commas, semicolons or tabs; or a ROS bag (`calib.data.rosbag`).
 
     Args:
         path: The file, or the folder of a bag.
         renamed: Foreign column names and the `name` or `name [unit]` they stand for.
-        growing: Whether somebody still writes: a last line without its end is left out.
+        growing: Of a file that somebody still writes, its lines so far.
         any_size: Whether a file on a disk may be as large as it is, beyond what `calib.files.read_bytes` allows.
 
     Raises:
@@ -212,7 +219,7 @@ def read_table(
     """
     if is_bag(path):
         return _bag_table(path, renamed or {})
-    pieces = read_lines(path, "a CSV file", DataError, growing=growing, any_size=any_size)
+    pieces = [list(growing)] if growing is not None else read_lines(path, "a CSV file", DataError, any_size=any_size)
     comments, numbers = list[str](), array("q")
     lines = _without_comments(pieces, comments, numbers)
     header = next(lines, None)
@@ -232,7 +239,8 @@ def _without_comments(pieces: Iterable[list[str]], comments: list[str], numbers:
     """Header and rows among the lines of a file; their numbers, and what the comments say, go into the lists."""
     for number, line in enumerate((line for piece in pieces for line in piece), start=1):
         if line.lstrip().startswith("#"):
-            comments.append(line.lstrip()[1:].strip())
+            if not is_mark(line):
+                comments.append(line.lstrip()[1:].strip())
         elif line.strip().strip(_SEPARATORS):
             numbers.append(number)
             yield line

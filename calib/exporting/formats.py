@@ -69,14 +69,14 @@ def export(
         note: Called with each thing that the user should know, such as a mesh that had to be left out, or what a format
             for controllers holds and which error it leaves.
         force: Write the file even if its robot is worse than the nominal one, or belongs to terms of joint errors that
-            the format cannot hold.
+            the format cannot hold; and replace files that this program did not write, or that the robot comes from.
 
     Returns:
         What 3D constraints would have to absorb, for each direction that a closure leaves free.
 
     Raises:
-        InputError: Unknown format, an option that the format does not have, a place that cannot be written or is the
-            robot's own input, or loops that the format cannot express.
+        InputError: Unknown format, an option that the format does not have, a place that cannot be written, a file
+            there that should not be replaced, or loops that the format cannot express.
         ComputationError: The robot that the format holds is worse than the nominal one at poses that judge it, or
             nobody knows which is best without what it cannot hold; or no pose is known at which loops close.
     """
@@ -88,17 +88,16 @@ def export(
         raise InputError(f"format '{file_format}' has no variant with free slides; only mjcf and drake have")
     if meshes and file_format not in _WITH_URDF:
         raise InputError(f"format '{file_format}' has no mesh paths to change; only {', '.join(_WITH_URDF)} have")
+    sources = (robot.urdf.path, robot.path)
     if file_format == JOINT_TABLES:
-        _write_tables(robot, path, provenance or (), note, force)
+        _write_tables(robot, path, provenance or (), note, force=force)
         return ()
     with_urdf = file_format == "toolbox" and path.name
     urdf = path.with_suffix(".urdf") if with_urdf else path
     if with_urdf and path == urdf:
         raise InputError(f"{path}: format 'toolbox' writes a YAML file and the URDF beside it; name the YAML file")
     for file in {urdf, path}:
-        if file.resolve() in (Path(robot.urdf.path).resolve(), Path(robot.path).resolve()):
-            raise InputError(f"{file}: is the robot's own input; choose another file, so that nominal is not lost")
-        check_file(file)
+        check_file(file, inputs=sources, force=force)
     holds = held_of(robot, file_format)
     held, said = robot_for(robot, file_format, force=force), said_of(robot, holds)
     lines: list[str] | None = [*said, *(provenance or ())]
@@ -107,24 +106,24 @@ def export(
             note(line)
     elif provenance is None and file_format in _UNTOUCHED:
         lines = None
-    files = _contents(held, file_format, path, free_slide, lines, note)
+    files = _contents(held, file_format, path, free_slide, lines, note, force=force)
     if meshes:
         files[urdf] = with_mesh_prefix(files[urdf], meshes)
-    write_files(files)
+    write_files(files, inputs=sources, force=force)
     return () if free_slide or file_format in (*CONTROLLERS, *LANGUAGES) else loop_gaps(held)
 
 
 def _write_tables(
-    robot: Robot, path: Path, provenance: Sequence[str], note: Callable[[str], None], force: bool
+    robot: Robot, path: Path, provenance: Sequence[str], note: Callable[[str], None], *, force: bool
 ) -> None:
-    check_folder(path)
+    check_folder(path, force=force)
     require_own_terms(robot)
     held, said = robot_for(robot, JOINT_TABLES, force=force), said_of(robot, HELD[JOINT_TABLES])
     left = beside_tables(robot)
     files = joint_table_files(held, [*said, *left, *provenance])
     for line in [*(said if loses(robot, HELD[JOINT_TABLES]) else ()), *left]:
         note(line)
-    write_folder(path, files)
+    write_folder(path, files, inputs=(robot.urdf.path, robot.path), force=force)
 
 
 def _contents(
@@ -134,6 +133,8 @@ def _contents(
     free_slide: bool,
     provenance: Sequence[str] | None,
     note: Callable[[str], None],
+    *,
+    force: bool,
 ) -> dict[Path, bytes]:
     if file_format == "urdf":
         return {path: urdf_bytes(robot, provenance)}
@@ -149,7 +150,7 @@ def _contents(
             note(text)
         if written.meshes:
             folder = next(iter(written.meshes)).parent
-            write_folder(folder, {mesh.name: content for mesh, content in written.meshes.items()})
+            write_folder(folder, {mesh.name: content for mesh, content in written.meshes.items()}, force=force)
             note(f"meshes that MuJoCo cannot read were converted into {folder}; keep that folder beside {path.name}")
         return {path: written.content}
     if file_format == "drake":

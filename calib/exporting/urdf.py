@@ -53,11 +53,9 @@ def provenance_lines(robot: Robot) -> list[str]:
     """Return what a file was made from, and every value that was changed."""
     lines, changed = source_lines(robot), []
     for parameter, value in zip(robot.parameters, robot.values, strict=True):
-        if value != parameter.nominal:
-            scale = parameter.per_si
-            changed.append(
-                f"  {parameter.name}: {parameter.nominal * scale:.9g} -> {float(value) * scale:.9g} {parameter.unit}"
-            )
+        if value != parameter.nominal_si:
+            shown = float(value) * parameter.per_si
+            changed.append(f"  {parameter.name}: {parameter.nominal:.9g} -> {shown:.9g} {parameter.unit}")
     if not changed:
         return [*lines, "parameters: nominal"]
     return [*lines, f"parameters that differ from nominal ({len(changed)} of {len(robot.parameters)}):", *changed]

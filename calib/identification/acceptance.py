@@ -68,18 +68,20 @@ class Acceptance:
 
     Attributes:
         verdict: `agrees`, `drifted`, `noisier` or `calibrate again`.
-        ratio: Root mean square whitened residual, which is 1 as promised.
+        ratio: Root mean square whitened residual, which is 1 as promised; it decides. Each direction counts by how well
+            the calibration knows it.
         low95, high95: What it lies between in 95 of 100 cases if the robot is as promised.
         p_value: Chance of so large a ratio then.
         p_drift: Chance of so large a single change then.
         p_rest: Chance of the rest, once the largest change is taken out.
         freedom: m of the module docstring.
         placed: How many degrees of freedom placing base and targets took.
-        changes: Every candidate, the most significant first.
-        alike: Candidates that explain the readings as well as the first, itself included.
+        changes: Every candidate, the one with the largest z first.
+        alike: Significant ones that explain the readings as well as the first, itself included.
         outliers: Labels of readings that were left out.
         errors: Prediction minus read, after placing base and targets where they are unknown.
         promised: Root mean square distance of measured from predicted positions to be expected [m]; NaN without any.
+        left_open: What of that the calibration left open, and is no noise of the readings [m].
     """
 
     verdict: str
@@ -96,6 +98,7 @@ class Acceptance:
     outliers: tuple[str, ...]
     errors: ErrorSet
     promised: float
+    left_open: float
 
 
 def verify(promise: Promise | Fit, data: Measurements, *, same_setup: bool = False) -> Acceptance:
@@ -115,10 +118,10 @@ def verify(promise: Promise | Fit, data: Measurements, *, same_setup: bool = Fal
     system, left_out = without_outliers(system)
     independent = system.freedom / promise.shared**2
     p_value = float(scipy.special.fdtrc(independent, promise.freedom, system.square / system.freedom))
-    changes, distinct = system.changes()
+    changes = system.changes()
     p_drift = p_rest = 1.0
     if changes:
-        p_drift = min(1.0, distinct * 2.0 * float(scipy.special.stdtr(promise.freedom, -abs(changes[0].z))))
+        p_drift = changes[0].p_value
         rest = max(system.square - (promise.shared * changes[0].z) ** 2, 0.0) / max(system.freedom - 1, 1)
         p_rest = float(scipy.special.fdtrc(max(independent - 1, 1), promise.freedom, rest))
     level = FALSE_ALARM / 2
@@ -127,7 +130,7 @@ def verify(promise: Promise | Fit, data: Measurements, *, same_setup: bool = Fal
         explained = "drifted" if p_drift < level <= p_rest else "calibrate again"
         verdict = "noisier" if p_drift >= level and _is_noise(promise, system, level) else explained
     low, high = scipy.special.fdtri(independent, promise.freedom, [0.025, 0.975])
-    alike = tuple(c.name for c in changes if c.z**2 > changes[0].z ** 2 - _SUPPORT)
+    alike = tuple(c.name for c in changes if c.significant and c.z**2 > changes[0].z ** 2 - _SUPPORT)
     return Acceptance(
         verdict,
         float(np.sqrt(system.square / system.freedom)),
@@ -143,6 +146,7 @@ def verify(promise: Promise | Fit, data: Measurements, *, same_setup: bool = Fal
         tuple(data.labels[system.visit[k]] for k in left_out),
         system.errors,
         system.promised,
+        system.left_open,
     )
 
 
@@ -161,8 +165,8 @@ def visible_changes(
     promise = Promise.of(promise) if isinstance(promise, Fit) else promise
     data = simulate(promise.robot, poses, 0.0, np.random.default_rng(0))  # no noise is drawn
     scale = {c.name: c.scale for c in candidates(promise.robot)}
-    changes = System.of(promise, data, same_setup).changes()[0]
-    nothing = [replace(one, value=np.nan, z=np.nan) for one in changes]
+    changes = System.of(promise, data, same_setup).changes()
+    nothing = [replace(one, value=np.nan, z=np.nan, p_value=np.nan) for one in changes]
     return tuple(sorted(nothing, key=lambda one: six_digits(one.visible / scale[one.name])))
 
 

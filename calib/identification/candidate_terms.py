@@ -45,7 +45,7 @@ class Candidate:
 
     def resized(self, robot: Robot, factor: float) -> tuple[TermSection, ...]:
         """Return its entries, coefficients being expected to be this many times as large as is usual."""
-        sigma = {term.joint: float(factor * term.parameters[0].sigma) for term in self.of(robot)}
+        sigma = {term.joint: float(factor * term.parameters[0].sigma_si) for term in self.of(robot)}
         resized: list[TermSection] = []
         for section in self.sections:
             own = {joint: size for joint, size in sigma.items() if section.joint in ("all", joint)}

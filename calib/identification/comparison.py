@@ -18,7 +18,7 @@ part has the variance 4 times the sum over poses of e_b^T B_b C B_b^T e_b.
 This asks whether the uncertainty of the fit explains what happened. A fit that knows little of the poses that were not
 used explains much, and harms the robot all the same. So a calibration is `worse`, too, where these errors are more than
 `HARM` times as large as before, and the differences |a_k|^2 - |b_k|^2, summed pose by pose, have a mean above zero with
-a chance of 0.1 % by Student's t.
+a chance of 0.1 % by Student's t; and `better` where they are as much smaller.
 
 When it fails. What the model leaves out is no noise, and follows the poses: where the poses not used are few and alike,
 the chance is larger.
@@ -103,12 +103,12 @@ def _compare(fit: Fit, name: str, errors: ErrorSet, covariance: float) -> Compar
         errors.rms("before"),
         errors.rms("after"),
         errors.main_part.dimension,
-        better=change < min(0.0, expected - spread),
-        worse=change > expected + spread or _harmed(pose, before, rows.residuals),
+        better=change < min(0.0, expected - spread) or _grown(pose, rows.residuals, before),
+        worse=change > expected + spread or _grown(pose, before, rows.residuals),
     )
 
 
-def _harmed(pose: IntArray, before: FloatArray, after: FloatArray) -> bool:
+def _grown(pose: IntArray, before: FloatArray, after: FloatArray) -> bool:
     """Whether errors of rows (n_rows,), pose by pose, have grown by more than `HARM`, beyond chance."""
     squares = [np.bincount(pose, errors**2) for errors in (before, after)]
     n, change = len(squares[0]), squares[1] - squares[0]

@@ -45,6 +45,8 @@ FAMILIES: tuple[tuple[Kind, ...], ...] = (
     ("wave",),
 )
 """Kinds that share an equal part of the chance of a false finding: the many waves must not hide the others."""
+IN_COURSE: tuple[Kind, ...] = ("drift", "turning", "growth", "slip", "zero")
+"""Kinds that change in the course of the measurement, and go on changing after it."""
 ORDERS = range(1, 121)
 """Cycles of a wave in a turn of the joint, or over the range that a joint slides."""
 SLIPS = 15

@@ -15,18 +15,21 @@ from calib.numerics.statistics import Statistics, status
 from calib.parameter import Parameter
 from calib.words import data_frame, pandas, table_html
 
+NUMBERS = ("nominal", "value", "std", "low95", "high95")
+"""What tables tell of a parameter, in its unit."""
+
 
 @dataclass(frozen=True)
 class Estimate:
-    """One parameter.
+    """One parameter: numbers in `unit`, and in m or rad where their name ends in `_si`.
 
     Attributes:
         name: Its name.
-        unit: Unit of its number in tables; the numbers here are SI.
-        nominal: Value before [m or rad].
-        value: Value found.
-        std: Standard deviation; NaN where it was held.
-        low95, high95: 95 % interval; NaN likewise.
+        unit: Unit of tables.
+        nominal_si: Value before [m or rad].
+        value_si: Value found.
+        std_si: Standard deviation; NaN where it was held.
+        low95_si, high95_si: 95 % interval; NaN likewise.
         status: `identified`, `partly`, `prior`, `placed`, or `held`.
         family: Name of the coefficients that it belongs to, if their common size is found.
         per_si: How many of `unit` make one SI unit.
@@ -34,25 +37,52 @@ class Estimate:
 
     name: str
     unit: str
-    nominal: float
-    value: float
-    std: float
-    low95: float
-    high95: float
+    nominal_si: float
+    value_si: float
+    std_si: float
+    low95_si: float
+    high95_si: float
     status: str
     family: str
     per_si: float
 
     @property
+    def nominal(self) -> float:
+        """Value before, in `unit`."""
+        return self.nominal_si * self.per_si
+
+    @property
+    def value(self) -> float:
+        """Value found, in `unit`."""
+        return self.value_si * self.per_si
+
+    @property
+    def std(self) -> float:
+        """Standard deviation, in `unit`; NaN where it was held."""
+        return self.std_si * self.per_si
+
+    @property
+    def low95(self) -> float:
+        """Lower end of the 95 % interval, in `unit`; NaN where it was held."""
+        return self.low95_si * self.per_si
+
+    @property
+    def high95(self) -> float:
+        """Upper end of the 95 % interval, in `unit`; NaN where it was held."""
+        return self.high95_si * self.per_si
+
+    @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval."""
+        """95 % interval, in `unit`."""
         return self.low95, self.high95
+
+    def __str__(self) -> str:
+        return f"{self.name} = {self.value:.6g} {self.unit} (std {self.std:.3g} {self.unit}), {self.status}"
 
     def row(self) -> dict[str, object]:
         """Return the row of a table, in `unit`."""
-        numbers = ("nominal", "value", "std", "low95", "high95")
-        scaled: dict[str, object] = {key: float(getattr(self, key)) * self.per_si for key in numbers}
-        return {"name": self.name, "unit": self.unit, **scaled, "status": self.status}
+        numbers: dict[str, object] = {key: getattr(self, key) for key in NUMBERS}
+        return {"name": self.name, "unit": self.unit, **numbers, "status": self.status}
 
 
 class Estimates(Mapping[str, Estimate]):
@@ -132,11 +162,11 @@ def estimates(parameters: tuple[Parameter, ...], values: FloatArray, free: BoolA
     result = {}
     for one, value, use in zip(parameters, values, free, strict=True):
         std, half, share = next(uncertainty) if use else (np.nan, np.nan, np.nan)
-        kind = status(share, std / one.sigma, prior=one.prior, placement=one.placement) if use else "held"
+        kind = status(share, std / one.sigma_si, prior=one.prior, placement=one.placement) if use else "held"
         result[one.name] = Estimate(
             one.name,
             one.unit,
-            one.nominal,
+            one.nominal_si,
             float(value),
             float(std),
             float(value - half),

@@ -50,10 +50,11 @@ from calib.linearisation.observed import observe
 from calib.model.robot import Configurations, Robot
 from calib.numerics.observability import observability
 from calib.threads import one_blas_thread
-from calib.workers import Progress, Workers
+from calib.workers import Progress, Steps, Workers
 
 PROVING = 5
 """Folds where nobody asked for any, and only poses left out can prove the result."""
+_OF_ONE_FIT = 3  # steps that are told: base and targets placed, the minimum found, the result judged
 
 
 @one_blas_thread
@@ -74,7 +75,9 @@ def identify(
         settings: How.
         executor: Who does the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
             processes on this machine; this process if not given.
-        progress: Told how many other starts are done, of how many; then how many folds.
+        progress: Told after each step how many are done, and of how many that are known by then. Steps are: base and
+            targets placed, the minimum found, its uncertainty and errors known; the choice of terms, with a fit of its
+            own; each further start; each fold; each fit without outliers.
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
@@ -86,7 +89,7 @@ def identify(
     started = time.perf_counter()
     _require_measurements(data, validation)
     with Workers(executor, max(settings.starts - 1, n_folds(data, settings.folds))) as workers:
-        fit = _identified(robot, data, validation, settings, workers, progress)
+        fit = _identified(robot, data, validation, settings, workers, Steps(progress))
     return replace(fit, seconds=time.perf_counter() - started)
 
 
@@ -96,33 +99,41 @@ def _identified(
     validation: Measurements | None,
     settings: Settings,
     workers: Executor | None,
-    progress: Progress | None,
+    steps: Steps,
 ) -> Fit:
     """Do all steps of the module docstring."""
+    of_each = _OF_ONE_FIT + settings.starts - 1
+    steps.expect(of_each + n_folds(data, settings.folds) + (_OF_ONE_FIT + 1) * (settings.terms == "auto"))
     try:
-        robot, choice = _with_terms(robot, data, settings)
-        fit = fit_data(robot, settings, data, validation, workers, progress)
+        robot, choice = _with_terms(robot, data, settings, steps)
+        fit = fit_data(robot, settings, data, validation, workers, steps)
     except (UnreachablePoseError, ComputationError) as error:
         mistake = likely_mistake(robot, data)
         raise type(error)(f"{error}{'; ' if mistake else ''}{mistake}") from None
     plain = replace(settings, starts=1)
     if settings.exclude_outliers:
+
+        def fit_again(kept: Measurements, how: Settings) -> Fit:
+            steps.expect(_OF_ONE_FIT + how.starts - 1)
+            return fit_data(robot, how, kept, validation, workers, steps)
+
         fit = without_outliers(
             fit,
-            robust=lambda: fit_data(robot, replace(plain, loss="tukey"), data),
-            again=lambda kept: fit_data(robot, settings, kept, validation, workers, progress),
+            robust=lambda: fit_again(data, replace(plain, loss="tukey")),
+            again=lambda kept: fit_again(kept, settings),
         )
     fold = partial(fit_data, robot, plain)
     leave_out = partial(cross_validate, fit.identification.data, seed=settings.seed, fit=fold, executor=workers)
     if settings.folds:
-        fit = replace(fit, folds=leave_out(settings.folds, progress=progress))
+        fit = replace(fit, folds=leave_out(settings.folds, progress=steps.done))
     elif unproven(fit):
+        steps.expect(PROVING)
         with suppress(CalibrationError):  # too few poses to leave some out: then nothing is proven
-            fit = replace(fit, folds=leave_out(PROVING))
+            fit = replace(fit, folds=leave_out(PROVING, progress=steps.done))
     return replace(fit, terms=choice)
 
 
-def _with_terms(robot: Robot, data: Measurements, settings: Settings) -> tuple[Robot, TermChoice | None]:
+def _with_terms(robot: Robot, data: Measurements, settings: Settings, steps: Steps) -> tuple[Robot, TermChoice | None]:
     """The robot with the joint terms that were asked for."""
     own, terms = robot.description.terms, settings.terms
     if terms is None:
@@ -130,7 +141,8 @@ def _with_terms(robot: Robot, data: Measurements, settings: Settings) -> tuple[R
     if terms == "none":
         choice = TermChoice(terms, ())
     elif terms == "auto":
-        choice = choose_terms(fit_data(robot, replace(settings, starts=1), data))
+        choice = choose_terms(fit_data(robot, replace(settings, starts=1), data, steps=steps))
+        steps.done()
     else:
         choice = TermChoice(terms, (*own, *missing_terms(robot, listed_terms(terms))))
     return robot.with_terms(choice.sections), choice
@@ -152,7 +164,7 @@ def fit_data(
     data: Measurements,
     validation: Measurements | None = None,
     workers: Executor | None = None,
-    progress: Progress | None = None,
+    steps: Steps | None = None,
 ) -> Fit:
     """Do steps 1 to 5 of the module docstring.
 
@@ -162,27 +174,30 @@ def fit_data(
         data: Measurements to identify with.
         validation: Measurements to judge the result with, or None.
         workers: Who does the fits of other starts; this process if not given.
-        progress: Told how many other starts are done, of how many.
+        steps: Told of each step that is done; of nobody if not given.
 
     Raises:
         UnreachablePoseError, DataError, NotIdentifiableError, NotConvergedError: See `identify`.
     """
+    steps = steps or Steps()
     later = () if validation is None else unseen(robot, data, validation)
     seen = robot.hold(*later) if later else robot
     check_measurements(seen, data)
     problem = Problem(seen, data, settings.sigma)
     placed = place(problem)
     start = problem.evaluate(placed)
+    steps.done()
     begin = seen_from(problem, placed)
     determined = require_identifiable(problem, problem.evaluate(begin))  # before the solver, as `calib check` does
-    solved = solve_from(problem, begin, settings, workers, progress)
+    solved = solve_from(problem, begin, settings, workers, steps.done)
+    steps.done()
     final = problem.evaluate(solved.robot)
     require_identifiable(problem, final)
     rows, scales, uncertainty = uncertainty_at(problem, final, solved, settings)
     calibrated = solved.robot
     if validation is not None and later:
         placed, calibrated = (placed_by(validation, one.free(*later), later) for one in (placed, calibrated))
-    return Fit(
+    fit = Fit(
         nominal=robot,
         placed=placed,
         robot=calibrated,
@@ -214,6 +229,8 @@ def fit_data(
         seed=settings.seed,
         placed_later=later,
     )
+    steps.done()
+    return fit
 
 
 def _observability(problem: Problem, final: Evaluation, rank: int) -> dict[str, float]:

@@ -140,7 +140,7 @@ class FitFiles(Mapping[Holds, FileRobot]):
         start = start_of(self._fit, Holds.ORIGINS)
         behind = behind_last_axis(start)
         there = {
-            p.name: p.nominal
+            p.name: p.nominal_si
             for p in start.parameters
             if p.name.rpartition(".")[0] in behind and not p.placement and p.name not in start.description.held
         }
@@ -166,7 +166,7 @@ def with_zeros(nominal: Robot) -> Robot:
     terms = []
     for name in nominal.joint_names:
         dimension = nominal.mechanism.dimensions[name]
-        expected = max((p.sigma for p in origins if p.dimension == dimension and not p.placement), default=None)
+        expected = max((p.sigma_si for p in origins if p.dimension == dimension and not p.placement), default=None)
         section = TermSection(joint=name, term=Zero.word)
         terms.append(Zero.of(Joint(name, dimension, nominal.joint_names), section, expected))
     robot = replace(nominal, terms=tuple(terms), values=np.append(nominal.values, np.zeros(len(terms))))

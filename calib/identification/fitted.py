@@ -19,14 +19,16 @@ from calib.identification.error_budget import ErrorBudget, error_budget
 from calib.identification.errors_found import ErrorSet, Folds
 from calib.identification.estimates import Covariance, Estimates, estimates
 from calib.identification.judged import Outlier, blocks, outliers_of
-from calib.identification.reasons import Verdict
+from calib.identification.reasons import NOTHING_TO_CORRECT, Verdict
 from calib.identification.starts import Starts
 from calib.identification.systematic import Pattern, Residuals, patterns
 from calib.joint_terms.term import Context
 from calib.linearisation.determination import Determination
+from calib.linearisation.known_robot import KnownRobot
 from calib.linearisation.observed import observe
-from calib.linearisation.prediction import PositionUncertainty, position_uncertainty
+from calib.linearisation.prediction import ParameterUncertainty, PositionUncertainty
 from calib.linearisation.rows import Group, Rows, Scales
+from calib.linearisation.told_positions import ToldPositions
 from calib.linearisation.unknowns import Unknowns
 from calib.linearisation.whitening import Whitening
 from calib.model.held import Holds
@@ -171,7 +173,7 @@ class Fit(ReadOnlyArrays):
 
     @cached_property
     def parameters(self) -> Estimates:
-        """What was found of each parameter, by name [m or rad]."""
+        """What was found of each parameter, by name: in the unit of each, and in m or rad as `..._si`."""
         found = estimates(self.nominal.parameters, self.robot.values, self.free, self.statistics)
         later = {name: replace(found[name], status="placed") for name in self.placed_later}
         return Estimates({**found, **later}) if later else found
@@ -266,28 +268,37 @@ class Fit(ReadOnlyArrays):
             UnreachablePoseError: A loop stays open.
         """
         told = as_poses(self.robot, poses)
-        return self._predicted(told.joints, told.conditions if context is None else context)
+        return self.uncertainty.at(self.robot, told.joints, told.conditions if context is None else context)
 
-    def _predicted(self, q: FloatArray, context: Context, near: FloatArray | None = None) -> PositionUncertainty:
-        """`predict`, with passive joints to start from, (n, n_passive) [m or rad]."""
-        found = self.statistics
-        return position_uncertainty(
-            self.robot, self.unknowns.index, found.covariance, found.coverage_factor, q, context, near
-        )
+    @cached_property
+    def told_positions(self) -> ToldPositions:
+        """How well positions are known, in the frame that means something."""
+        return ToldPositions.of(self.robot, self.uncertainty, self.identification.data.joints)
+
+    @property
+    def uncertainty(self) -> ParameterUncertainty:
+        """How sure the free parameters are."""
+        return ParameterUncertainty(self.free, self.statistics.covariance, self.statistics.coverage_factor)
+
+    @property
+    def known(self) -> KnownRobot:
+        """The calibrated robot, with how well it is known and where it was measured."""
+        nothing_to_correct = any(reason.code == NOTHING_TO_CORRECT for reason in self.verdict.reasons)
+        return KnownRobot(self.robot, self.uncertainty, self.identification.data.joints, nothing_to_correct)
 
     @cached_property
     def identification_uncertainty(self) -> PositionUncertainty:
-        """Predicted positions of the visits that were used, with their covariance."""
+        """Predicted positions of the visits that were used, with their covariance as it is told."""
         data = self.identification.data
-        return self._predicted(data.joints, data.conditions, self.identification.passive)
+        return self.told_positions.at(data.joints, data.conditions, self.identification.passive)
 
     @cached_property
     def validation_uncertainty(self) -> PositionUncertainty | None:
-        """Predicted positions of the visits that were not used, with their covariance."""
+        """Predicted positions of the visits that were not used, with their covariance as it is told."""
         if self.validation is None:
             return None
         data = self.validation.data
-        return self._predicted(data.joints, data.conditions, self.validation.passive)
+        return self.told_positions.at(data.joints, data.conditions, self.validation.passive)
 
     @cached_property
     def studentised(self) -> Studentised:

@@ -154,15 +154,20 @@ def require_identifiable(problem: Problem, evaluation: Evaluation) -> Determinat
     own = [k for k, p in enumerate(robot.parameters) if not p.family]  # families have priors
     parameters, free = [robot.parameters[k] for k in own], robot.is_free[own]
     determined = determination(columns if len(own) == columns.shape[1] else columns[:, own], parameters, free)
+    if determined.free.rank == 0:
+        raise NotIdentifiableError(
+            f"{problem.data.path}: no reading depends on any free parameter; measure something that moves with them"
+        )
     if determined.missing == 0:
         return determined
     names = [p.name for p, use in zip(parameters, free, strict=True) if use]
     null = np.linalg.svd(determined.open_columns)[2][determined.together.rank :]
     involved = [name for name, size in zip(names, np.max(np.abs(null), axis=0), strict=True) if size > 1e-3]
+    doubt = f"; {determined.together.doubt}" if determined.together.unclear else ""
     raise NotIdentifiableError(
         f"{problem.data.path}: {determined.words()}; not separable:"
         f" {', '.join(involved[:12])}{', ...' if len(involved) > 12 else ''}{_why(problem)};"
-        f" hold {determined.missing} of them (`held`; `calib check` tells which), or measure other poses"
+        f" hold {determined.missing} of them (`held`; `calib check` tells which), or measure other poses{doubt}"
     )
 
 

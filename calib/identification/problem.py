@@ -143,13 +143,13 @@ class Problem:
         Raises:
             ComputationError: A loop opens.
         """
-        evaluation = self._evaluate(robot)
+        evaluation = self.evaluate_if_closed(robot)
         if evaluation is None:
             closed = robot.close(self.data.joints, columns=self._columns)
             raise ComputationError(describe_open(robot, self.data.joints, closed, self.data.labels))
         return evaluation
 
-    def _evaluate(self, robot: Robot) -> Evaluation | None:
+    def evaluate_if_closed(self, robot: Robot) -> Evaluation | None:
         """Evaluate a robot on the data; None where a loop opens. The last few answers are remembered."""
         key = robot.values.tobytes()
         if key not in self._recent:
@@ -287,7 +287,7 @@ class Problem:
             if key not in last:
                 values = _values(start, chosen, u)
                 remembered = self._recent.get(values.tobytes())
-                evaluation = remembered or self._evaluate(start.with_parameters(values))
+                evaluation = remembered or self.evaluate_if_closed(start.with_parameters(values))
                 if evaluation is None:
                     return None
                 made = self.rows(evaluation, groups, chosen)

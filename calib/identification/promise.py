@@ -74,6 +74,7 @@ class Change:
         std: Standard deviation of that [m or rad].
         z: Their ratio.
         visible: Smallest change that is seen with the chance `POWER` [m or rad].
+        p_value: Chance of one so large among all that were looked for if nothing changed; NaN where nothing was read.
     """
 
     name: str
@@ -82,6 +83,12 @@ class Change:
     std: float
     z: float
     visible: float
+    p_value: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether it is more than chance among all that were looked for."""
+        return self.p_value < FALSE_ALARM / 2
 
 
 @dataclass(frozen=True)
@@ -107,7 +114,7 @@ def candidates(robot: Robot) -> list[Candidate]:
     """Return what can change: parameters of the robot's origins, and zeros of its joints."""
     free = np.flatnonzero(robot.is_free)
     parameters = [
-        Candidate(p.name, p.dimension, k, False, p.sigma)
+        Candidate(p.name, p.dimension, k, False, p.sigma_si)
         for k, p in enumerate(robot.parameters[i] for i in free)
         if not p.placement and not p.family and free[k] < robot.n_origin_parameters
     ]
@@ -131,7 +138,7 @@ class System:
         visit: Visit of each reading, (n_readings,).
         counts: Which rows were read, (n_rows,).
         errors: As of `Acceptance`.
-        promised: As of `Acceptance`.
+        promised, left_open: As of `Acceptance`.
     """
 
     promise: Promise
@@ -143,6 +150,7 @@ class System:
     counts: BoolArray
     errors: ErrorSet = field(repr=False)
     promised: float
+    left_open: float
 
     @staticmethod
     def of(promise: Promise, data: Measurements, same_setup: bool) -> System:
@@ -178,7 +186,7 @@ class System:
             layout.visit,
             layout.group >= 0,
             ErrorSet(data, robot.instruments, errors, errors, robot.singular_values(configurations)),
-            _promised(promise, robot, observed, own, root * unknowns.scales[own, None]),
+            *_promised(promise, robot, observed, own, root * unknowns.scales[own, None]),
         ).checked(data)
 
     def checked(self, data: Measurements) -> System:
@@ -208,6 +216,7 @@ class System:
             self.counts & kept,
             self.errors,
             self.promised,
+            self.left_open,
         )
 
     @cached_property
@@ -261,13 +270,13 @@ class System:
                 best, smallest = int(reading), chance
         return best, min(1.0, smallest * len(np.unique(self.reading[order])))
 
-    def changes(self) -> tuple[tuple[Change, ...], int]:
-        """Return candidates that the readings see, the most significant (or visible) first, and how many differ."""
+    def changes(self) -> tuple[Change, ...]:
+        """Return candidates that the readings see, those with the largest z first."""
         left, every = self._left(self.candidate_columns), candidates(self.promise.robot)
         size, whole = np.linalg.norm(left, axis=0), np.linalg.norm(self.candidate_columns, axis=0)
         visible = np.flatnonzero(size > 1e-6 * np.maximum(whole, 1e-300))
         if len(visible) == 0:
-            return (), 0
+            return ()
         unit = left[:, visible] / size[visible]
         distinct: list[int] = []
         for j in range(len(visible)):
@@ -283,11 +292,12 @@ class System:
                 float(spread * every[k].scale / size[k]),
                 float(-z[j] / spread),
                 float(spread * needed * every[k].scale / size[k]),
+                min(1.0, len(distinct) * 2.0 * float(scipy.special.stdtr(self.promise.freedom, -abs(z[j] / spread)))),
             )
             for j, k in enumerate(visible)
         ]
         changes.sort(key=lambda change: -six_digits(abs(change.z)))  # parallel columns stay in their order
-        return tuple(changes), len(distinct)
+        return tuple(changes)
 
 
 def _candidate_columns(robot: Robot, every: FloatArray, n_free: int) -> FloatArray:
@@ -331,8 +341,8 @@ def _noncentrality(level: float, freedom: float) -> float:
 
 def _promised(
     promise: Promise, robot: Robot, observed: Mapping[str, Observed], own: BoolArray, root: FloatArray
-) -> float:
-    """Root mean square distance of measured from predicted positions as promised [m].
+) -> tuple[float, float]:
+    """Root mean square distance of measured from predicted positions as promised, and what is no noise of it [m].
 
     Args:
         promise: Says noise and shared errors.
@@ -350,11 +360,12 @@ def _promised(
             slopes.append(derivatives.jacobian[:, rows][:, :, free].reshape(-1, len(free)))
             square += len(rows) * len(derivatives.jacobian) * promise.sigma.get((one.group, "position"), np.nan) ** 2
     if not n:
-        return float("nan")
+        return float("nan"), float("nan")
     slope = np.concatenate(slopes)
     placed = np.linalg.svd(unit_columns(slope[:, ~own])[0], full_matrices=False)
     basis = placed[0][:, placed[1] > RANK_TOLERANCE]
     spread = slope[:, own] @ root
     spread -= basis @ (basis.T @ spread)
     square *= 1.0 - basis.shape[1] / len(slope)  # what placing them takes up
-    return float(np.sqrt((square + np.sum(spread**2)) / n))
+    left_open = float(np.sum(spread**2))
+    return float(np.sqrt((square + left_open) / n)), float(np.sqrt(left_open / n))

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
 
-from calib.arrays import IntArray
-from calib.data.grouping import pose_labels
+from calib.arrays import FloatArray, IntArray
+from calib.data.grouping import SAME_JOINTS, pose_labels
 from calib.data.measurements import Measurements
 from calib.identification.fitted import Fit
-from calib.identification.judged import blocks
+from calib.identification.judged import Outlier, blocks
 from calib.identification.pose_checks import directions_moved, equal_columns, unmoved_joints, zero_visits
 from calib.identification.reasons import Reason
 from calib.identification.repeats import beyond_repeatability
 from calib.identification.rounding import rounding
+from calib.linearisation.rows import Rows
 from calib.numerics.losses import FALSE_ALARM, HIGH_LEVERAGE, studentised
 from calib.units import ERROR_UNIT, error_scale, millimetres
 from calib.words import counted, listed
@@ -26,6 +27,8 @@ FEW_SHARED = 5
 """The same of poses whose readings share errors; poses from which distances of targets say something."""
 RIGID = 1e-6
 """Scatter of the distance of two targets below which no instrument read both [m]."""
+COSTLY = 0.36
+"""Part of the squared residuals that outliers make, from which errors are a fifth smaller without them."""
 EXCLUDED = 0.1
 """Part of the poses that may be outliers."""
 BEYOND_REPEATS = 1.5
@@ -44,6 +47,8 @@ FAR = 3.0
 """Residual over the median residual from which a reading of 0, 0, 0 is not the origin of the measurement frame."""
 USED_FOR_BOTH = 0.1
 """Part of the validation poses that may be poses of the fit, measured again."""
+ANOTHER = {"load": 0.05, "temperature": 2.0}
+"""Differences in stated conditions [kg, K] that make a measurement at the same joint values another one."""
 
 
 def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
@@ -61,6 +66,7 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
             f"{'joint' if len(still) == 1 else 'joints'} {', '.join(still)} never moved: what depends on"
             f" {'it' if len(still) == 1 else 'them'} rests on priors, and poses that move"
             f" {'it' if len(still) == 1 else 'them'} are not calibrated",
+            counted=True,
         )
     n_moved = len(fit.nominal.joint_names) - len(still)
     directions = directions_moved(data.joints)
@@ -70,6 +76,7 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
             "joints_move_together",
             f"{n_moved} joints moved, but only together: the poses lie along {counted(directions, 'direction')} of"
             " joint space, and what depends on the joints one by one rests on priors; move each joint by itself",
+            counted=True,
         )
     limit = fit.nominal.description.singularity_limit
     near = [data.labels[k] for k in np.flatnonzero(fit.identification.singular_value < limit)]
@@ -79,6 +86,7 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
             "near_singular",
             f"{counted(len(near), 'pose is', 'poses are')} near a singularity of the loops (smallest singular value"
             f" below {limit:g}): {listed(near)}; leave {'it' if len(near) == 1 else 'them'} out",
+            counted=True,
         )
 
 
@@ -91,6 +99,7 @@ def too_few_poses(fit: Fit) -> Iterator[Reason]:
             "too_few_poses",
             f"too few poses: {rows} measured coordinates decide {used:.1f} parameters and leave"
             f" {fit.statistics.freedom:.1f} degrees of freedom; measure several times as many",
+            counted=fit.statistics.freedom >= FEW,
         )
 
 
@@ -140,6 +149,7 @@ def outliers(fit: Fit) -> Iterator[Reason]:
                 f"{counted(len(outlying), 'outlier')}{where} (chance below {100 * FALSE_ALARM:g} %): {words};"
                 f" look at {'this measurement' if len(outlying) == 1 else 'these measurements'}"
                 + ("" if where else f"; --exclude-outliers fits without {'it' if len(outlying) == 1 else 'them'}"),
+                counted=_share(outlying, fit.validation_rows if where else fit.rows) < COSTLY,
             )
     if fit.with_all is not None:
         total = len(fit.with_all.identification.data)
@@ -158,7 +168,7 @@ def used_for_both(fit: Fit) -> Iterator[Reason]:
     if fit.validation is None:
         return
     used, other = fit.identification.data, fit.validation.data
-    label = pose_labels(np.vstack([used.joints, other.joints]))
+    label = pose_labels(np.hstack([np.vstack([used.joints, other.joints]), _conditions(used, other)]))
     same_pose = np.isin(label[len(used) :], label[: len(used)])
     known = {key for keys in _reading_keys(used) for key in keys}
     same_reading = [bool(keys & known) for keys, same in zip(_reading_keys(other), same_pose, strict=True) if same]
@@ -179,6 +189,14 @@ def doubtful_readings(fit: Fit) -> Iterator[Reason]:
             yield Reason("CHECK", "doubtful_readings", text)
 
 
+def _share(outlying: Sequence[Outlier], rows: Rows | None) -> float:
+    """Part of the squared residuals that outliers make."""
+    if rows is None:
+        return 1.0
+    squares = np.bincount(rows.layout.reading, rows.residuals**2, rows.layout.n_readings)
+    return float(np.sum(squares[[one.reading for one in outlying]]) / max(float(np.sum(squares)), 1e-300))
+
+
 def copied(fit: Fit) -> Iterator[Reason]:
     """Look for readings that are in the data more than once, to the last digit."""
     data = fit.identification.data
@@ -193,6 +211,16 @@ def copied(fit: Fit) -> Iterator[Reason]:
             f"{copies} of {counted(len(rows), 'reading')} are copies of others to the last digit: nothing new, so that"
             " intervals are too narrow; leave the copies out",
         )
+
+
+def _conditions(used: Measurements, other: Measurements) -> FloatArray:
+    """Setups and stated conditions of the visits of both, (n, ...), in units of what makes it another measurement."""
+    both = (used, other)
+    columns = [np.concatenate([np.zeros(len(one)) if one.setups is None else one.setups for one in both])]
+    for name, size in ANOTHER.items():
+        values = [np.nan_to_num(one.context.get(name, np.zeros(len(one)))) for one in both]
+        columns.append(SAME_JOINTS / size * np.concatenate(values))
+    return np.column_stack(columns)
 
 
 def _reading_keys(data: Measurements) -> list[set[bytes]]:
@@ -235,6 +263,7 @@ def repeats(fit: Fit) -> Iterator[Reason]:
             "repeatability",
             f"residuals are {ratio:.1f} times what repeats of a pose scatter: the model leaves something out, or the"
             " repeats were read without moving the robot",
+            counted=True,
         )
 
 
@@ -250,6 +279,7 @@ def rounded(fit: Fit) -> Iterator[Reason]:
             f"joint values stand in steps of {found.steps}, and residuals scatter as if they were rounded to these:"
             f" that alone makes about {size:.2g} {ERROR_UNIT[one.group.dimension]} of noise; export all digits that"
             " the controller has",
+            counted=True,
         )
 
 
@@ -273,6 +303,7 @@ def leverage(fit: Fit) -> Iterator[Reason]:
             "leverage",
             f"{counted(len(high), 'pose decides its', 'poses decide their')} own prediction, so that an error there"
             f" would not show: {listed(high)}; measure more poses near {'it' if len(high) == 1 else 'them'}",
+            counted=True,
         )
 
 

@@ -132,11 +132,16 @@ def _against_statement(fit: Fit, one: FoundNoise) -> Iterator[Reason]:
         yield _beyond(fit, one, f"noise found{of} is {ratio:.1f} times what was stated ({numbers})")
     elif chi.p_larger < UNLIKELY:
         text = f"noise found{of} is {ratio:.2f} times what was stated ({numbers}), more than chance explains"
-        yield Reason("CHECK", "noise", f"{text}: state what robot and sensor do together, or look for what is missing")
+        yield Reason(
+            "CHECK",
+            "noise",
+            f"{text}: state what robot and sensor do together, or look for what is missing",
+            counted=True,
+        )
     elif chi.p_smaller < UNLIKELY:
         text = f"noise found{of} is only {ratio:.2g} times what was stated ({numbers}), less than chance explains"
         advice = "state it anew; the same reading may have been used more than once"
-        yield Reason("CHECK", "noise", f"{text}: {advice}")
+        yield Reason("CHECK", "noise", f"{text}: {advice}", counted=True)
 
 
 def _beyond(fit: Fit, one: FoundNoise, text: str) -> Reason:
@@ -159,7 +164,7 @@ def _beyond(fit: Fit, one: FoundNoise, text: str) -> Reason:
             f" poses that were not used {told}, so what is left is what the model leaves out, or outliers, and"
             " intervals do not count it: state the noise of robot and sensor together (--sigma-mm)"
         )
-        return Reason("CHECK", "noise", text)
+        return Reason("CHECK", "noise", text, counted=True)
     text += (
         " look at outliers and units, state the noise of robot and sensor together (--sigma-mm), or prove the result on"
         " other poses (--validate, --folds)"

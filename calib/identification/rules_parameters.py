@@ -66,6 +66,7 @@ def far_from_nominal(fit: Fit) -> Iterator[Reason]:
             "at_bounds",
             f"parameters further from nominal than {PLAUSIBLE:g} times what their stated sigma allows: {words};"
             " check zero positions and units, or, if that is possible, state a larger sigma in the description",
+            counted=True,
         )
 
 
@@ -110,6 +111,7 @@ def large_terms(fit: Fit) -> Iterator[Reason]:
             "large_terms",
             f"joint terms that were added are more than {UNUSUAL:g} times as large as is usual: {words}; look for a"
             " ratio, unit, mass or load that is wrong in the description or the data",
+            counted=True,
         )
 
 
@@ -122,11 +124,23 @@ def _deviations(fit: Fit) -> Iterator[tuple[Parameter, float]]:
         std, share = next(known)
         if (parameter.placement and not parameter.prior) or parameter.family:  # a family's size is found
             continue
-        away = abs(float(value) - parameter.nominal) / parameter.sigma
+        away = abs(float(value) - parameter.nominal_si) / parameter.sigma_si
         if parameter.prior:
             yield parameter, away / float(np.sqrt(max(share, SMALLEST_SHARE)))
         else:
-            yield parameter, away - 2.0 * float(std) / parameter.sigma
+            yield parameter, away - 2.0 * float(std) / parameter.sigma_si
+
+
+def unclear_rank(fit: Fit) -> Iterator[Reason]:
+    """See whether all that is free counts as determined only because of where the threshold lies."""
+    rank = fit.determination.together
+    if rank.unclear:
+        yield Reason(
+            "CHECK",
+            "rank_unclear",
+            f"{rank.doubt}: a combination of parameters is as good as not determined; hold one more (`calib check`"
+            " tells which), or measure other poses",
+        )
 
 
 def loose(fit: Fit) -> Iterator[Reason]:

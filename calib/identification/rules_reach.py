@@ -49,6 +49,7 @@ def one_corner(fit: Fit) -> Iterator[Reason]:
             "one_corner",
             f"all poses lie in one corner: no joint moved through more than {100 * part:.2g} % of its limits, and"
             " elsewhere the robot is not calibrated: measure poses all over the space where it will work",
+            counted=True,
         )
 
 
@@ -74,6 +75,7 @@ def moved_little(fit: Fit) -> Iterator[Reason]:
                 f"joint {name} moved through {reach:.2g} {unit} only: where it moves further, positions are known to"
                 f" {millimetres(there):.2g} mm RMS, and to {millimetres(here):.2g} mm at the poses used, base and tool"
                 " placed anew; measure poses that move it through its range",
+                counted=True,
             )
 
 
@@ -90,6 +92,7 @@ def far_validation(fit: Fit) -> Iterator[Reason]:
             f"poses that were not used lie where the calibration hardly reaches: positions are predicted to"
             f" {millimetres(there):.2g} mm there, and to {millimetres(here):.2g} mm RMS at the poses used; measure"
             " there too, and validate among the poses used",
+            counted=True,
         )
 
 
@@ -136,6 +139,7 @@ def beyond_joint_limits(fit: Fit) -> Iterator[Reason]:
             f" {'joint' if len(joints) == 1 else 'joints'} {listed(joints)}:"
             f" {listed([data.labels[k] for k in beyond])}; check the joint's sign, zero, unit and column, or the"
             " limits",
+            counted=True,
         )
 
 
@@ -170,6 +174,7 @@ def beyond_curves(fit: Fit) -> Iterator[Reason]:
             f" {'joint' if len(joints) == 1 else 'joints'} {listed(joints)} was learned:"
             f" {listed([fit.validation.data.labels[k] for k in poses])}; there a curve says nothing, and its band is as"
             " wide as before: measure there, too, before you rely on it",
+            counted=True,
         )
 
 
@@ -194,6 +199,7 @@ def blocks_disagree(fit: Fit) -> Iterator[Reason]:
             f"with {name} left out in turn, parameters move {ratio:.2g} times as much as noise explains: the model"
             " leaves something out that is not the same everywhere; take intervals, and what positions are known to,"
             f" for at least {ratio:.2g} times as wide, and for wider still in places unlike those measured",
+            counted=True,
         )
 
 
@@ -222,6 +228,7 @@ def terms_untested(fit: Fit) -> Iterator[Reason]:
             f"at other combinations of the joint values measured, positions are known to {found}: the poses used hardly"
             " decide the joint terms there; measure poses that combine joint values in other ways, or see on such poses"
             " whether the terms help (--validate)",
+            counted=True,
         )
 
 

@@ -29,6 +29,7 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.errors import NotConvergedError
+from calib.identification.curvature import mean_square_beyond_linear
 from calib.identification.fitted import Convergence
 from calib.identification.problem import Evaluation, Problem
 from calib.identification.robust import solve_robust
@@ -266,7 +267,7 @@ def _contradicted(problem: Problem, evaluation: Evaluation, groups: FloatArray) 
 
 
 def uncertainty_at(
-    problem: Problem, final: Evaluation, solved: Solved, settings: Settings
+    problem: Problem, final: Evaluation, solved: Solved, settings: Settings, beyond_linear: FloatArray | None = None
 ) -> tuple[Rows, Scales, Statistics]:
     """Return the rows at a minimum, what is assumed of their noise, and the uncertainty of the parameters.
 
@@ -275,6 +276,7 @@ def uncertainty_at(
         final: The evaluation at the minimum.
         solved: The minimum.
         settings: How it was found.
+        beyond_linear: `Statistics.beyond_linear` of a minimum nearby, if it is known.
 
     Raises:
         NotIdentifiableError: No degrees of freedom are left.
@@ -285,6 +287,11 @@ def uncertainty_at(
         rows.residuals, rows.jacobian, layout.group, len(layout.groups), rows.known
     )
     slowed = rows if factors.slope == 1.0 else rows.weighted(np.full(layout.n_readings, factors.slope))
+    bent = (
+        mean_square_beyond_linear(problem, solved.robot, rows, solved.groups)
+        if beyond_linear is None
+        else beyond_linear / unknowns.scales**2
+    )
     uncertainty = statistics(
         rows.jacobian,
         layout.group,
@@ -294,6 +301,7 @@ def uncertainty_at(
         unknowns.has_prior,
         scatter_of_poses(rows, slowed.known, factors, solved.weights),
         variance_by_sizes(slowed.known.root @ slowed.known.root.T, unknowns.family, rows.deviations),
+        bent,
     )
     return rows, scales, uncertainty
 
@@ -314,7 +322,9 @@ def scatter_of_poses(rows: Rows, known: Information, factors: Factors, weights: 
 
 
 def convergence_at(problem: Problem, solved: Solved, rows: Rows, std: FloatArray) -> Convergence:
-    """Judge the end of the iteration by its stopping rule and by the Gauss-Newton step that is left.
+    """Judge the end of the iteration by the Gauss-Newton step that is left, in standard deviations.
+
+    That is what counts, whether a stopping rule ended the iteration or its limit of evaluations.
 
     Args:
         problem: The problem.
@@ -327,7 +337,7 @@ def convergence_at(problem: Problem, solved: Solved, rows: Rows, std: FloatArray
     root = weighted.known.root
     left = np.abs(problem.unknowns.scales * (root @ (root.T @ pull))) / (std + _ROUNDING)
     largest = int(np.argmax(left))
-    converged = solved.solution.converged and solved.settled and bool(left[largest] < _STEP_LEFT)
+    converged = solved.settled and bool(left[largest] < _STEP_LEFT)
     return Convergence(
         converged, solved.solution.message, float(left[largest]), problem.unknowns.names[largest], solved.settled
     )

@@ -149,7 +149,7 @@ def simulated(
         )
     drawn = np.zeros(len(true.parameters))
     if truth == "priors":
-        drawn = np.array([p.sigma * p.prior for p in robot.parameters]) * robot.is_free
+        drawn = np.array([p.sigma_si * p.prior for p in robot.parameters]) * robot.is_free
         if not np.any(drawn):
             raise InputError(f"{robot.path}: has no priors to draw the truth from; give a robot as the truth")
     exact = simulate(true, as_poses(robot, poses), 0.0)

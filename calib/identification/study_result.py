@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 
 import numpy as np
 import scipy
@@ -63,12 +63,11 @@ class Draws(ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class ParameterStudy:
-    """One free parameter over all draws [m or rad].
+    """One free parameter over all draws.
 
     Attributes:
         name: Its name.
-        unit: Its unit in tables.
-        per_si: How many of that make one SI unit.
+        unit: Unit of its numbers.
         bias: Mean of value minus truth.
         bias_std: Standard deviation of that mean.
         spread: Standard deviation of value minus truth.
@@ -78,7 +77,6 @@ class ParameterStudy:
 
     name: str
     unit: str
-    per_si: float
     bias: float
     bias_std: float
     spread: float
@@ -86,9 +84,8 @@ class ParameterStudy:
     coverage: float
 
     def row(self) -> dict[str, object]:
-        """Return the row of a table, in `unit`."""
-        lengths = {key: getattr(self, key) * self.per_si for key in ("bias", "bias_std", "spread", "claimed")}
-        return {"name": self.name, "unit": self.unit, **lengths, "coverage": self.coverage}
+        """Return the row of a table."""
+        return asdict(self)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -135,9 +132,10 @@ class Study(ReadOnlyArrays):
         held = np.where(np.isnan(error), np.nan, np.abs(error) <= half_width)
         claimed = np.sqrt(np.mean(draws.std[kept] ** 2, axis=0))
         columns = (np.mean(error, axis=0), spread / np.sqrt(len(error)), spread, claimed, np.mean(held, axis=0))
+        scale = np.array([[one.per_si] * 4 + [1.0] for one in self.free])  # a coverage has no unit
         return tuple(
-            ParameterStudy(one.name, one.unit, one.per_si, *map(float, numbers))
-            for one, numbers in zip(self.free, np.stack(columns, axis=1), strict=True)
+            ParameterStudy(one.name, one.unit, *map(float, numbers))
+            for one, numbers in zip(self.free, scale * np.stack(columns, axis=1), strict=True)
         )
 
     @property

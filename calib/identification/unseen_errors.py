@@ -41,12 +41,14 @@ from calib.identification.fitted import Fit
 from calib.identification.validation import readings_at
 from calib.linearisation.observed import observe
 from calib.model.held import Accuracy, SeenAt
+from calib.numerics.clusters import pulls_without
 from calib.threads import one_blas_thread
 
 COVERED = 0.95
 """Chance of `Accuracy.limit95`."""
 _DECIDES = 1.0 - 1e-6
 """Part of a direction that one pose decides, from which the others cannot foretell it."""
+_READINGS_AT_ONCE = 4096
 
 
 def accuracy(fit: Fit) -> Accuracy:
@@ -79,23 +81,22 @@ def limit95(lengths: FloatArray) -> float:
 @one_blas_thread
 def left_out_one_by_one(fit: Fit) -> ErrorSet | None:
     """Return errors of poses that were used, each predicted by the fit of all others; None if that tells of none."""
-    data, rows, root = fit.identification.data, fit.rows.weighted(fit.weights), fit.root
+    data, rows = fit.identification.data, fit.rows.weighted(fit.weights)
     observed = observe(fit.robot, fit.configurations, data.readings)
-    pulled, pose_of_row = rows.jacobian @ root, rows.layout.pose[rows.layout.reading]
+    _, pose_of_visit = np.unique(data.pose_numbers, return_inverse=True)
+    pose_of_row = pose_of_visit[rows.layout.visit[rows.layout.reading]]
+    n_poses = int(pose_of_visit.max()) + 1
+    pulls, decided = pulls_without(rows.jacobian, fit.root, rows.residuals, pose_of_row, n_poses)
+    steps = (fit.unknowns.scales[:, None] * (fit.root @ pulls.T)).T
     after = {name: errors.copy() for name, errors in fit.identification.after.items()}
-    foretold = np.ones(len(data), dtype=bool)
-    order = np.argsort(pose_of_row, kind="stable")
-    for part in np.split(order, np.flatnonzero(np.diff(pose_of_row[order])) + 1):
-        visits = np.flatnonzero(data.pose_numbers == pose_of_row[part[0]])
-        values, vectors = np.linalg.eigh(pulled[part] @ pulled[part].T)
-        if values[-1] > _DECIDES:
-            foretold[visits] = False
-            continue
-        alone = vectors @ ((vectors.T @ rows.residuals[part]) / (1.0 - values))
-        step = fit.unknowns.scales * (root @ (pulled[part].T @ alone))
-        for name, one in observed.items():
-            read = np.isin(data.readings[name].visits, visits)
-            after[name][read] += one.jacobian[read][:, :, fit.unknowns.index] @ step
+    for name, one in observed.items():
+        poses = pose_of_visit[data.readings[name].visits]
+        for start in range(0, len(poses), _READINGS_AT_ONCE):
+            some = slice(start, start + _READINGS_AT_ONCE)
+            after[name][some] += np.einsum(
+                "nrk,nk->nr", one.jacobian[some][:, :, fit.unknowns.index], steps[poses[some]]
+            )
+    foretold = (decided <= _DECIDES)[pose_of_visit]
     whole = replace(fit.identification, after=after)
     return _at(whole, np.flatnonzero(foretold)) if np.any(foretold) else None
 

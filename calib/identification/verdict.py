@@ -12,12 +12,15 @@ one fit of thirty (measured: docs/verdict.md).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 from calib.identification import rules_data, rules_model, rules_noise, rules_parameters, rules_reach
 from calib.identification.blind_spots import not_covered
+from calib.identification.claim import Gain
+from calib.identification.claim_of_fit import claim_of
 from calib.identification.fitted import Fit
 from calib.identification.pose_checks import likely_mistake
-from calib.identification.reasons import Reason, Verdict
+from calib.identification.reasons import NOTHING_TO_CORRECT, Reason, Verdict
 
 _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_model.worse_on_validation,
@@ -42,10 +45,10 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_data.too_few_poses,
     rules_data.few_shared,
     rules_data.moves_as_one,
+    rules_parameters.unclear_rank,
     rules_parameters.loose,
     rules_model.nothing_to_correct,
     rules_model.files_hold_less,
-    rules_model.unused_fits_worse,
     rules_model.systematic,
     rules_reach.blocks_disagree,
     rules_reach.beyond_curves,
@@ -67,6 +70,10 @@ _MOVED = ("at_bounds",)  # what a base that stands a little elsewhere does
 def judge(fit: Fit) -> Verdict:
     """Return the verdict on a fit: the worst of the reasons found, FAIL before CHECK."""
     reasons = [reason for rule in _RULES for reason in rule(fit)]
+    made = claim_of(fit)
+    if made is not None and not any(reason.code == "worse_on_validation" for reason in reasons):
+        needless = NOTHING_TO_CORRECT in {reason.code for reason in reasons}
+        reasons = [*rules_model.claim_broken(made, needless=needless), *reasons]
     codes = {reason.code for reason in reasons}
     elsewhere = rules_model.base_elsewhere(fit) if codes & {*_NOTHING_FITS, *_MOVED} else ""
     if elsewhere:
@@ -77,8 +84,10 @@ def judge(fit: Fit) -> Verdict:
             text = f"{mistake}; correct the data, or the description where that is wrong"
             reasons = [reason for reason in reasons if reason.code not in _IN_MISTAKE]
             reasons.insert(0, Reason("FAIL", "likely_mistake", text))
+    if made is not None and made.holds and (made.gain is Gain.BETTER or NOTHING_TO_CORRECT in codes):
+        reasons = [replace(reason, grade="PASS") if reason.counted else reason for reason in reasons]
     reasons.sort(key=lambda reason: _ORDER.index(reason.grade))
     grade = reasons[0].grade if reasons else "PASS"
     if grade == "FAIL":  # what was found on the side says nothing about numbers that must not be used
         return Verdict(grade, tuple(reason for reason in reasons if reason.grade != "PASS"))
-    return Verdict(grade, tuple(reasons), not_covered(fit))
+    return Verdict(grade, tuple(reasons), not_covered(fit), made)

@@ -5,8 +5,7 @@ Whose frames, how much is kept and on which branch: see `calib.inverse_kinematic
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,8 +13,9 @@ from calib.arrays import BoolArray, FloatArray
 from calib.data.measurements import Poses
 from calib.errors import DataError, InputError
 from calib.inverse_kinematics.goals import Goals
-from calib.inverse_kinematics.inverse import TOLERANCE, problem, solve
+from calib.inverse_kinematics.inverse import problem, solve
 from calib.inverse_kinematics.reaching import Configured, Reach, actuated_jacobian, descend
+from calib.inverse_kinematics.search import TOLERANCE
 from calib.model.robot import Robot
 
 KEEP = ("pose", "axis", "position")
@@ -31,52 +31,66 @@ class Asked:
     """What a program asks of the calibrated robot.
 
     Attributes:
-        goals: Where its target is to be.
+        goals: Where its target is to be, and under which conditions.
         joints: Joints with which the nominal robot is there, (n, n_actuated) [m or rad].
         reasons: Why there are none; empty where there are.
         keep: Of `KEEP`.
         nearly: What to be near, where less than the pose is kept.
-        conditions: What is known of each row's load, temperature and time, (n,) [SI, degC].
-        approach: From which side joints come, (n, n_actuated), where the program states it; else None.
     """
 
     goals: Goals
     joints: FloatArray
     reasons: tuple[str, ...]
     keep: str
-    nearly: Goals | None = None
-    conditions: Mapping[str, FloatArray] = field(default_factory=dict)
-    approach: FloatArray | None = None
-
-
-def as_meant(robot: Robot) -> Robot:
-    """Return the robot that programs were written for: nominal, but its unknown base and targets where they are."""
-    bare = robot.with_terms(())
-    return bare.with_parameters({p.name: p.nominal for p in bare.parameters if not p.placement})
+    nearly: Goals | None
 
 
 def asked_by_joints(meant: Robot, program: Poses, keep: str | None) -> Asked:
-    """Return what joints of the nominal robot, as programs take it (`as_meant`), ask for.
+    """Return what joints of the nominal robot ask for.
+
+    Args:
+        meant: The nominal robot, in the frame in which the program is meant.
+        program: The joints.
+        keep: What of them is kept; if None, the pose where the joints can reach any.
 
     Raises:
         InputError: Motors move no target.
     """
     if not meant.mechanism.moved_targets:
         raise InputError(f"{meant.path}: its motors move none of its targets; add the tool to `targets`")
-    joints = meant.joint_vector(program.joints)
-    closed = meant.close(joints)
-    mechanism, target, n = meant.mechanism, meant.mechanism.moved_targets[0], len(joints)
-    positions, rotations = np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1))
-    pose_and_jacobian = actuated_jacobian(mechanism, target, joints[closed.ok], closed.passive[closed.ok])
-    positions[closed.ok], rotations[closed.ok], jacobian = pose_and_jacobian
+    joints, mechanism = meant.joint_vector(program.joints), meant.mechanism
+    pose = Goals(
+        np.zeros((len(joints), 3)),
+        names=tuple(program.names),
+        labels=tuple(program.labels),
+        target=mechanism.moved_targets[0].name,
+        context=program.context,
+        approach=program.approach,
+    )
+    pose, jacobian, closed = _reached_by(meant, joints, pose)
     if keep is None:
         keep = "pose" if _moves_freely(jacobian * mechanism.joint_scale, mechanism.length) else "position"
-    pose = Goals(positions, rotations, names=tuple(program.names), labels=tuple(program.labels), target=target.name)
+    reasons = tuple("" if good else "cannot be assembled by the nominal robot" for good in closed)
+    return _asked(pose, joints, reasons, keep)
+
+
+def _reached_by(robot: Robot, joints: FloatArray, goals: Goals) -> tuple[Goals, FloatArray, BoolArray]:
+    """Goals where a robot brings their target, and its Jacobian (n_closed, 6, n_actuated); which joints close, (n,)."""
+    closed = robot.close(joints)
+    target = robot.mechanism.targets[robot.target_names.index(goals.target or robot.target_names[0])]
+    positions, rotations = np.zeros((len(joints), 3)), np.tile(np.eye(3), (len(joints), 1, 1))
+    pose_and_jacobian = actuated_jacobian(robot.mechanism, target, joints[closed.ok], closed.passive[closed.ok])
+    positions[closed.ok], rotations[closed.ok], jacobian = pose_and_jacobian
+    return replace(goals, positions=positions, rotations=rotations, directions=None), jacobian, closed.ok
+
+
+def _asked(pose: Goals, joints: FloatArray, reasons: tuple[str, ...], keep: str) -> Asked:
+    """What of full poses is asked for."""
     goals = pose if keep == "pose" else replace(pose, rotations=None)
     if keep == "axis":
-        goals = replace(goals, directions=rotations[:, :, 2])
-    reasons = tuple("" if good else "cannot be assembled by the nominal robot" for good in closed.ok)
-    return Asked(goals, joints, reasons, keep, None if keep == "pose" else pose, program.context, program.approach)
+        assert pose.rotations is not None
+        goals = replace(goals, directions=pose.rotations[:, :, 2])
+    return Asked(goals, joints, reasons, keep, None if keep == "pose" else pose)
 
 
 def _moves_freely(jacobian: FloatArray, length: float) -> bool:
@@ -87,8 +101,13 @@ def _moves_freely(jacobian: FloatArray, length: float) -> bool:
     return bool(np.any(values[:, 5] > _SINGULAR * values[:, 0]))
 
 
-def asked_by_goals(meant: Robot, program: Goals) -> Asked:
-    """Return what goals ask for, and the joints with which the nominal robot reaches them.
+def asked_by_goals(nominal: Robot, meant: Robot, program: Goals) -> Asked:
+    """Return what goals ask for: where the nominal robot brings the tool that is told to go there.
+
+    Args:
+        nominal: The robot as its description has it, which is what a controller knows.
+        meant: The nominal robot, in the frame in which the program is meant.
+        program: The goals, as the description sees them.
 
     Raises:
         DataError: A coordinate is not asked for.
@@ -96,21 +115,10 @@ def asked_by_goals(meant: Robot, program: Goals) -> Asked:
     whole = np.isfinite(program.positions).all(axis=1)
     if not np.all(whole):
         raise DataError(f"{program.labels[int(np.argmin(whole))]}: a coordinate is empty; a program needs all three")
-    base = meant.mechanism.origin_names[meant.mechanism.targets[0].a - 1]
-    # from the measurement frame as the description has it to where the calibration found it
-    moved = meant.mechanism.placement(base).inverse() * meant.nominal.placement(base)
-    goals = replace(
-        program,
-        positions=program.positions @ moved.rotation.T + moved.translation,
-        rotations=None if program.rotations is None else moved.rotation @ program.rotations,
-        directions=None if program.directions is None else program.directions @ moved.rotation.T,
-    )
-    solution = solve(meant, goals)
+    solution = solve(nominal, program)
     reasons = tuple("" if good else f"by the nominal robot {solution.miss(k)}" for k, good in enumerate(solution.ok))
-    joints = _on_one_branch(meant, problem(meant, goals), solution.q, solution.ok)
-    return Asked(
-        goals, joints, reasons, _STATED[program.asks_for], conditions=program.context, approach=program.approach
-    )
+    joints = _on_one_branch(nominal, problem(nominal, program), solution.q, solution.ok)
+    return _asked(_reached_by(meant, joints, program)[0], joints, reasons, _STATED[program.asks_for])
 
 
 def _on_one_branch(robot: Robot, reach: Reach, q: FloatArray, ok: BoolArray) -> FloatArray:

@@ -1,15 +1,18 @@
 """Programs that were written for the nominal robot, changed so that the calibrated one does what was meant.
 
-What is meant. Told q, the nominal robot would bring the target to T(q) of its base. The compensated command q' is where
-the calibrated robot stands there:
+What is meant. Told q, the nominal robot would bring its tool to T(q). The compensated command q' is where the
+calibrated robot stands there:
 
     T_calibrated(q') = T_nominal(q),      q' near q
 
-Whose frames. Where the base or a target is called unknown, its place belongs to the set-up, not to the robot: both
-sides of the equation have it where the calibration found it, so that a tracker that stands elsewhere, or a reflector
-that sits elsewhere, moves no command. What only trades against such a place stays nominal
-(`calib.linearisation.gauge`). A base or tool that is called known, and whose origins are parameters, is part of the
-robot: it is corrected.
+In which frame. Both sides are seen from the frame of the program (`calib.linearisation.frames`): a measured one, or the
+robot's own base frame, laid where both agree best, and so is a tool whose place on its link is unknown. So a tracker
+that stands elsewhere, or a reflector that sits elsewhere, moves no command; a base or tool that is called known, and
+whose origins are parameters, belongs to the robot and is corrected. What is promised is the uncertainty of just this
+difference. Goals are those of the description's tool: a controller knows no other.
+
+What is not corrected. Where the verdict of the calibration is that nothing is to be corrected, q' = q, and what the
+calibrated robot would be off by is counted into what is promised.
 
 How much is kept. The full pose, where the joints can reach it; of a robot with less freedom the position, and the
 orientation as near as the joints then allow. Where joints have freedom to spare, they stay near the program's.
@@ -25,7 +28,6 @@ When it fails. Next to a singular pose of the robot a small correction of the to
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,15 +37,17 @@ from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.data.in_memory import as_poses
 from calib.data.measurements import Poses, directions_of_motion
 from calib.errors import InputError, nearest
-from calib.inverse_kinematics.asked import KEEP, Asked, as_meant, asked_by_goals, asked_by_joints, reached_goals
+from calib.inverse_kinematics.asked import KEEP, Asked, asked_by_goals, asked_by_joints, reached_goals
+from calib.inverse_kinematics.expected import ExpectedError
 from calib.inverse_kinematics.goals import Goals
-from calib.inverse_kinematics.inverse import TOLERANCE, problem, settled
+from calib.inverse_kinematics.inverse import problem, settled
 from calib.inverse_kinematics.reaching import Configured, Reach, actuated_jacobian, descend
 from calib.inverse_kinematics.redundancy import nearer
+from calib.inverse_kinematics.search import TOLERANCE
 from calib.joint_terms.term import Context
-from calib.linearisation.gauge import nearest_to_nominal
-from calib.linearisation.prediction import PositionUncertainty, length95, rms_length
-from calib.model.robot import Robot, require_robot
+from calib.linearisation.frames import Frame, as_described, program_frame
+from calib.linearisation.known_robot import Calibrated, KnownRobot, known_robot
+from calib.model.robot import Robot
 from calib.units import DISPLAY_UNIT, display_scale, millimetres
 
 _JUMP = 0.1  # more than the program itself goes between two rows [rad, or characteristic lengths]
@@ -65,11 +69,14 @@ class Compensation(ReadOnlyArrays):
         meant: Where the target is meant to be in the measurement frame, (n, 3) [m]; NaN where that is not known.
         before: How far the calibrated robot is off there without compensation, (n,) [m]; NaN where not known.
         expected: Root mean square distance that is left, from the uncertainty of the parameters, (n,) [m]; NaN where
-            there is no command, or no uncertainty was given.
+            there is no command, or nobody says how well the robot is known.
         low95, high95: The distance lies between them in 95 of 100 cases, (n,) [m].
         before_angle, expected_angle, low95_angle, high95_angle: The same of the orientation where the pose is kept, and
             of the z axis where that is, (n,) [rad]; NaN where only the position is.
         scale: What one radian of each joint is compared with, (n_actuated,).
+        frame: In which frame all this is meant, in words.
+        nothing_to_correct: Whether the program was left as it is, because the verdict is that nothing is to be
+            corrected; `expected` then counts what the calibrated robot would be off by.
     """
 
     names: tuple[str, ...]
@@ -89,6 +96,8 @@ class Compensation(ReadOnlyArrays):
     low95_angle: FloatArray
     high95_angle: FloatArray
     scale: FloatArray
+    frame: str
+    nothing_to_correct: bool
 
     @property
     def ok(self) -> BoolArray:
@@ -109,8 +118,7 @@ class Compensation(ReadOnlyArrays):
             Positions (n, 3) [m] in the measurement frame of the description and rotations (n, 3, 3); NaN where there is
             no command.
         """
-        bare = robot.with_terms(())
-        nominal = bare.with_parameters([parameter.nominal for parameter in bare.parameters])
+        nominal = as_described(robot)
         positions, rotations = np.full((len(self.q), 3), np.nan), np.full((len(self.q), 3, 3), np.nan)
         rows = np.flatnonzero(self.ok)
         closed = nominal.close(self.q[rows])
@@ -132,68 +140,70 @@ class Compensation(ReadOnlyArrays):
 
 
 def compensate(
-    robot: Robot,
-    program: Poses | Goals | ArrayLike,
-    *,
-    keep: str | None = None,
-    predict: Callable[[FloatArray, Context], PositionUncertainty] | None = None,
+    calibrated: Robot | Calibrated | KnownRobot, program: Poses | Goals | ArrayLike, *, keep: str | None = None
 ) -> Compensation:
     """Change a program for the nominal robot into one with which the calibrated robot does what was meant.
 
     Args:
-        robot: The calibrated robot.
+        calibrated: A fit or a loaded result; or a robot alone, of which nobody says how well it is known, and where it
+            was measured: its frame is laid over poses around home.
         program: Joints of the nominal robot, as `Poses` or (n, n_actuated) [m or rad]; or where it was told to bring a
             target, in the measurement frame as the nominal description has it.
         keep: What of a program of joints is kept, of `KEEP`; if not given, the pose where the joints can reach any.
-        predict: Predicts positions at given joints under given conditions, such as `Fit.predict`.
 
     Raises:
         InputError: `keep` is none of `KEEP`, or is given for goals, which say themselves what they ask for.
         DataError: Goals of an unknown target, or joint values of the wrong shape.
     """
-    require_robot(robot)
+    known = known_robot(calibrated)
     if keep is not None and keep not in KEEP:
         raise InputError(f"keep '{keep}'{nearest(keep, KEEP)}")
     if keep is not None and isinstance(program, Goals):
         raise InputError("keep: a program of poses or positions says itself what it asks for; leave it out")
-    robot = nearest_to_nominal(robot)
-    meant = as_meant(robot)
+    if not isinstance(program, Goals):
+        program = as_poses(known.robot, program)
+    return compensated_in(program_frame(known), program, keep)
+
+
+def compensated_in(frame: Frame, program: Poses | Goals, keep: str | None = None) -> Compensation:
+    """Compensate a program in a frame; see `compensate`.
+
+    Args:
+        frame: In which it is meant.
+        program: Joints of the nominal robot, or goals.
+        keep: What of a program of joints is kept.
+    """
     if isinstance(program, Goals):
-        return _compensated(robot, asked_by_goals(meant, program), predict)
-    return _compensated(robot, asked_by_joints(meant, as_poses(robot, program), keep), predict)
+        return _compensated(frame, asked_by_goals(frame.nominal, frame.meant, program))
+    return _compensated(frame, asked_by_joints(frame.meant, program, keep))
 
 
-def _compensated(
-    robot: Robot, asked: Asked, predict: Callable[[FloatArray, Context], PositionUncertainty] | None
-) -> Compensation:
+def _compensated(frame: Frame, asked: Asked) -> Compensation:
     """Solve all rows that can be."""
-    reach, n = problem(robot, asked.goals), len(asked.goals)
+    robot, n = frame.robot, len(asked.goals)
+    reach = problem(robot, asked.goals)
     meant = np.where(np.array(asked.reasons)[:, None] == "", asked.goals.positions, np.nan)
     program = np.where(np.isfinite(meant[:, :1]), asked.joints, np.nan)
-    approach = directions_of_motion(asked.joints) if asked.approach is None else asked.approach
-    context = Context.of(approach, asked.conditions)
+    approach = asked.goals.approach
+    context = Context.of(directions_of_motion(asked.joints) if approach is None else approach, asked.goals.context)
     columns = robot.term_columns(asked.joints, context)
     closed = robot.close(asked.joints, columns=columns)
     reasons = np.array(asked.reasons, dtype=object)
     reasons[(reasons == "") & ~closed.ok] = "cannot be assembled by the calibrated robot at the program's own joints"
     rows = np.flatnonzero(reasons == "")
     start = Configured(robot.actual(asked.joints, columns), closed.passive, np.full(n, np.inf)).subset(rows)
-    q, before, expected = np.full(asked.joints.shape, np.nan), np.full((2, n), np.nan), np.full((6, n), np.nan)
+    q, before = np.full(asked.joints.shape, np.nan), np.full((2, n), np.nan)
     before[:, rows] = replace(reach, goals=asked.goals.subset(rows)).misses(start.actuated, start.passive)[1:]
-    near = start if asked.nearly is None else descend(problem(robot, asked.nearly), rows, start)
-    solutions = _past_limits(reach, rows, start, nearer(reach, rows, descend(reach, rows, near), near.actuated))
-    solutions = settled(robot, reach, rows, solutions, context.at(rows))
-    commands = robot.commands(solutions.actuated, context.at(rows))
-    reasons[rows] = _reasons(robot, replace(reach, goals=asked.goals.subset(rows)), solutions, commands, program[rows])
-    good = np.flatnonzero(reasons[rows] == "")
-    q[rows[good]] = commands[good]
-    if predict is not None and len(good):
-        t = robot.target_names.index(reach.target.name)
-        expected[:, rows[good]] = _expected(
-            predict(commands[good], context.at(rows[good])), t, asked.goals.subset(rows[good])
-        )
     if asked.goals.asks_for == "position":
         before[1] = np.nan
+    if frame.nothing_to_correct:
+        commands = asked.joints[rows]
+        reasons[rows] = [_beyond(reach, command, "in the program") for command in commands]
+    else:
+        commands, reasons[rows] = _solved(robot, reach, asked, rows, start, context.at(rows))
+    good = np.flatnonzero(reasons[rows] == "")
+    q[rows[good]] = commands[good]
+    errors = ExpectedError.of(frame, asked.goals, commands[good], rows[good], context.at(rows[good]))
     return Compensation(
         names=asked.goals.names,
         labels=asked.goals.labels,
@@ -204,30 +214,29 @@ def _compensated(
         reasons=tuple(reasons),
         meant=meant,
         before=before[0],
-        expected=expected[0],
-        low95=expected[1],
-        high95=expected[2],
+        expected=errors.distance,
+        low95=errors.distance95[0],
+        high95=errors.distance95[1],
         before_angle=before[1],
-        expected_angle=expected[3],
-        low95_angle=expected[4],
-        high95_angle=expected[5],
+        expected_angle=errors.angle,
+        low95_angle=errors.angle95[0],
+        high95_angle=errors.angle95[1],
         scale=robot.mechanism.joint_scale,
+        frame=frame.words,
+        nothing_to_correct=frame.nothing_to_correct,
     )
 
 
-def _expected(uncertainty: PositionUncertainty, t: int, goals: Goals) -> FloatArray:
-    """Root mean square, low and high error of target t, of its position [m] and of what is kept of its orientation."""
-    errors = np.full((6, len(goals)), np.nan)
-    errors[:3] = uncertainty.distance[:, t], *uncertainty.distance95[:, :, t]
-    turn = uncertainty.turn_covariance
-    if turn is None or goals.asks_for == "position":
-        return errors
-    turn = turn[:, t]
-    if goals.directions is not None:  # turns about the axis itself do not count
-        across = np.eye(3) - goals.directions[:, :, None] * goals.directions[:, None, :]
-        turn = across @ turn @ across
-    errors[3:] = rms_length(turn), *length95(turn, uncertainty.coverage_factor)
-    return errors
+def _solved(
+    robot: Robot, reach: Reach, asked: Asked, rows: IntArray, start: Configured, context: Context
+) -> tuple[FloatArray, list[str]]:
+    """Commands for some rows, (n_rows, n_actuated) [m or rad], and why a row has none."""
+    near = start if asked.nearly is None else descend(problem(robot, asked.nearly), rows, start)
+    solutions = _past_limits(reach, rows, start, nearer(reach, rows, descend(reach, rows, near), near.actuated))
+    solutions = settled(robot, reach, rows, solutions, context)
+    commands = robot.commands(solutions.actuated, context)
+    here = replace(reach, goals=asked.goals.subset(rows))
+    return commands, _reasons(robot, here, solutions, commands, asked.joints[rows])
 
 
 def _past_limits(reach: Reach, rows: IntArray, start: Configured, solutions: Configured) -> Configured:

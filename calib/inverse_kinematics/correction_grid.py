@@ -16,8 +16,9 @@ import scipy
 
 from calib.arrays import FloatArray, ReadOnlyArrays
 from calib.errors import DataError, InputError, UnreachablePoseError
-from calib.inverse_kinematics.compensation import compensate
+from calib.inverse_kinematics.compensation import Compensation, compensate
 from calib.inverse_kinematics.goals import Goals
+from calib.linearisation.known_robot import Calibrated, KnownRobot, known_robot
 from calib.model.robot import Robot
 from calib.words import counted, listed
 
@@ -37,6 +38,11 @@ class CorrectionGrid(ReadOnlyArrays):
             has no orientations.
         position_errors: How far linear interpolation is off where it was tried, (n_tried,) [m].
         angle_errors: The same of the turn, (n_tried,) [rad].
+        before: How far the calibrated robot is off at the nodes without corrections, (n,) [m].
+        expected: Root mean square distance that is left at the nodes, from the uncertainty of the parameters, (n,) [m];
+            NaN where nobody says how well the robot is known.
+        frame: In which frame the positions are, in words.
+        nothing_to_correct: Whether all corrections are zero, because the verdict is that nothing is to be corrected.
     """
 
     target: str
@@ -45,13 +51,19 @@ class CorrectionGrid(ReadOnlyArrays):
     turn: FloatArray
     position_errors: FloatArray
     angle_errors: FloatArray
+    before: FloatArray
+    expected: FloatArray
+    frame: str
+    nothing_to_correct: bool
 
 
-def correction_grid(robot: Robot, program: Goals, counts: tuple[int, int, int]) -> CorrectionGrid:
+def correction_grid(
+    calibrated: Robot | Calibrated | KnownRobot, program: Goals, counts: tuple[int, int, int]
+) -> CorrectionGrid:
     """Return the corrections over the box that holds a program.
 
     Args:
-        robot: The calibrated robot.
+        calibrated: The robot, as of `calib.inverse_kinematics.compensation.compensate`.
         program: Positions, all with one orientation; without orientations for a robot of three joints.
         counts: Nodes along x, y and z; 1 where the program does not extend.
 
@@ -60,12 +72,13 @@ def correction_grid(robot: Robot, program: Goals, counts: tuple[int, int, int]) 
         DataError: Several orientations, or none where the correction depends on it.
         UnreachablePoseError: A node, a middle of a cell or a row is out of reach.
     """
-    orientation = _one_orientation(robot, program)
+    known = known_robot(calibrated)
+    orientation = _one_orientation(known.robot, program)
     axes = _axes(program.positions, counts)
     nodes = _mesh(axes)
     middles = _mesh([0.5 * (axis[1:] + axis[:-1]) if len(axis) > 1 else axis for axis in axes])
     tried = np.concatenate([middles, program.positions])
-    corrections = _corrections(robot, program.target, np.concatenate([nodes, tried]), orientation)
+    corrections, compensation = _corrections(known, program.target, np.concatenate([nodes, tried]), orientation)
     at_nodes, exact = corrections[: len(nodes)], corrections[len(nodes) :]
     # an axis of one node does not interpolate
     long = [k for k, axis in enumerate(axes) if len(axis) > 1]
@@ -79,6 +92,10 @@ def correction_grid(robot: Robot, program: Goals, counts: tuple[int, int, int]) 
         at_nodes[:, 3:],
         np.linalg.norm(off[:, :3], axis=1),
         np.linalg.norm(off[:, 3:], axis=1),
+        compensation.before[: len(nodes)],
+        compensation.expected[: len(nodes)],
+        compensation.frame,
+        compensation.nothing_to_correct,
     )
 
 
@@ -116,20 +133,24 @@ def _mesh(axes: list[FloatArray]) -> FloatArray:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def _corrections(robot: Robot, target: str, positions: FloatArray, rotation: FloatArray | None) -> FloatArray:
-    """Shift [m] and turn [rad] at positions (n, 3), (n, 6)."""
+def _corrections(
+    known: KnownRobot, target: str, positions: FloatArray, rotation: FloatArray | None
+) -> tuple[FloatArray, Compensation]:
+    """Shift [m] and turn [rad] at positions (n, 3), (n, 6), and the compensation that says so."""
     labels = tuple("grid at x {:.4f}, y {:.4f}, z {:.4f} m".format(*position) for position in positions)
     goals = Goals(positions, labels=labels, target=target)
     if rotation is not None:
         goals = replace(goals, rotations=np.tile(rotation, (len(positions), 1, 1)))
-    compensation = compensate(robot, goals)
+    compensation = compensate(known, goals)
     misses = compensation.misses()
     if misses:
         raise UnreachablePoseError(
             f"{counted(len(misses), 'point')} of the grid cannot be reached: {listed(misses, '; ', 3)}; make it smaller"
         )
-    told, turned = compensation.told(robot)
+    if compensation.nothing_to_correct:
+        return np.zeros((len(positions), 6)), compensation
+    told, turned = compensation.told(known.robot)
     turns = np.zeros((len(positions), 3))
     if rotation is not None:
         turns = np.array([pin.log3(one @ rotation.T) for one in turned])
-    return np.hstack([told - positions, turns])
+    return np.hstack([told - positions, turns]), compensation

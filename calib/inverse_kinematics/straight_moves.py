@@ -13,27 +13,30 @@ is evaluated and compared with where the tool is meant to be at that moment. The
 no error that repeats along the way (a screw, a belt) hides between them. A move that is off by more than the tolerance
 is cut into more pieces, and all of them are measured again.
 
-Whose frames. The tool is the target at the place on its link that the description states, seen from the base as it is
-described: that is the controller's tool. Where a calibration found its reflector and its tracker moves no point
-(`calib.linearisation.gauge`). Backlash counts as the mean of both directions, since a path may turn anywhere.
+In which frame. That of the program (`calib.linearisation.frames`), with the tool where the description has it: that is
+the controller's. Where a calibration found its reflector and its tracker moves no point. Both sides are compared where
+the reflector is, on the real and on the nominal robot's link. Backlash counts as the mean
+of both directions, since a path may turn anywhere. Where nothing is to be corrected, all moves stay as they are.
 
 When it fails. Near a singular pose g bends so much that no pieces are short enough: an error that names the move.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.errors import ComputationError, DataError, InputError, UnreachablePoseError
-from calib.inverse_kinematics.compensation import compensate
+from calib.inverse_kinematics.compensation import compensated_in
 from calib.inverse_kinematics.goals import Goals
-from calib.inverse_kinematics.inverse import TOLERANCE, problem
+from calib.inverse_kinematics.inverse import problem
 from calib.inverse_kinematics.reaching import Configured, descend
+from calib.inverse_kinematics.search import TOLERANCE
 from calib.joint_terms.one_coefficient import Backlash
-from calib.linearisation.gauge import nearest_to_nominal
+from calib.linearisation.frames import Frame, program_frame
+from calib.linearisation.known_robot import Calibrated, KnownRobot, known_robot
 from calib.model.robot import Robot
 from calib.units import millimetres
 from calib.words import counted, listed
@@ -51,7 +54,8 @@ class StraightMoves(ReadOnlyArrays):
     """What a program asks for.
 
     Attributes:
-        starts: Where moves begin, in the measurement frame of the description, (n, 3) [m]; NaN where that is not known.
+        starts: Where moves begin, seen from the description's measurement frame, (n, 3) [m]; NaN where that is not
+            known.
         ends: Where they end, (n, 3) [m].
         labels: What to call each in messages.
         target: The tool; the robot's first target if empty.
@@ -71,32 +75,43 @@ class CompensatedMoves:
         told: Of each move the points to go through in straight lines, the last its end, (n_pieces, 3) [m].
         q: Joints at the ends of the moves, (n, 3) [m or rad].
         before: How far the tool is off there without compensation, (n,) [m].
+        expected: Root mean square distance that is left there, from the uncertainty of the parameters, (n,) [m]; NaN
+            where nobody says how well the robot is known.
         deviations: How far it is off between points at most, where that was measured, as if the machine had been led to
             the beginning of the move; (n,) [m], NaN where a move has no length or no known beginning.
         n_measured: At how many points it was measured.
+        frame: In which frame all this is meant, in words.
+        nothing_to_correct: Whether the moves were left as they are, because the verdict is that nothing is to be
+            corrected.
     """
 
     told: tuple[FloatArray, ...]
     q: FloatArray
     before: FloatArray
+    expected: FloatArray
     deviations: FloatArray
     n_measured: int
+    frame: str
+    nothing_to_correct: bool
 
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """A move in pieces: told points and joints from its beginning on, (n_pieces + 1, 3), and its last `before`."""
+    """A move in pieces: told points and joints from its beginning on, (n_pieces + 1, 3), and what its end is off by."""
 
     told: FloatArray
     q: FloatArray
     before: float
+    expected: float
 
 
-def compensate_moves(robot: Robot, moves: StraightMoves, tolerance: float) -> CompensatedMoves:
+def compensate_moves(
+    calibrated: Robot | Calibrated | KnownRobot, moves: StraightMoves, tolerance: float
+) -> CompensatedMoves:
     """Change straight moves so that the calibrated robot goes straight where the nominal one would.
 
     Args:
-        robot: The calibrated robot, of three motors.
+        calibrated: A robot of three motors, as of `calib.inverse_kinematics.compensation.compensate`.
         moves: What is asked for.
         tolerance: How far the tool may be off between points [m].
 
@@ -106,6 +121,8 @@ def compensate_moves(robot: Robot, moves: StraightMoves, tolerance: float) -> Co
         UnreachablePoseError: Points out of reach.
         ComputationError: No pieces are short enough for the tolerance.
     """
+    known = known_robot(calibrated)
+    robot = known.robot
     if len(robot.joint_names) != 3:
         raise DataError(
             f"{robot.name}: has {counted(len(robot.joint_names), 'motor')}; a program of X, Y and Z is for a machine of"
@@ -113,17 +130,18 @@ def compensate_moves(robot: Robot, moves: StraightMoves, tolerance: float) -> Co
         )
     if not tolerance > 0:
         raise InputError("the tolerance between points must be positive")
-    robot = _as_described(robot)
-    nominal = robot.with_parameters([parameter.nominal for parameter in robot.parameters])
+    frame = program_frame(replace(known, robot=_without_backlash(robot)))
     lengths = np.linalg.norm(moves.ends - moves.starts, axis=1)
     pieces = np.ones(len(lengths), dtype=np.intp)
     ways: dict[int, _Way] = {}
     deviations, n_measured = np.full(len(lengths), np.nan), 0
     active = np.arange(len(lengths))
+    if frame.nothing_to_correct:
+        ways, active = _ways(frame, moves, active, pieces), active[:0]
     while len(active):
-        ways |= _ways(robot, nominal, moves, active, pieces[active])
+        ways |= _ways(frame, moves, active, pieces[active])
         active = active[lengths[active] > 0]  # not so where the beginning is not known either
-        off, n = _deviations(robot, nominal, moves, {k: ways[k] for k in map(int, active)})
+        off, n = _deviations(frame, moves, {k: ways[k] for k in map(int, active)})
         deviations[active], n_measured = off, n_measured + n
         active, off = active[off > tolerance], off[off > tolerance]
         wanted = np.ceil(_RESERVE * pieces[active] * np.sqrt(off / tolerance)).astype(np.intp)
@@ -133,20 +151,22 @@ def compensate_moves(robot: Robot, moves: StraightMoves, tolerance: float) -> Co
         tuple(ways[k].told[1:] for k in range(len(lengths))),
         np.array([ways[k].q[-1] for k in range(len(lengths))]),
         np.array([ways[k].before for k in range(len(lengths))]),
+        np.array([ways[k].expected for k in range(len(lengths))]),
         deviations,
         n_measured,
+        frame.words,
+        frame.nothing_to_correct,
     )
 
 
-def _as_described(robot: Robot) -> Robot:
-    """The calibrated robot with base and targets where the description has them, and without backlash."""
-    robot = nearest_to_nominal(robot)
-    placed = {one.name: one.nominal for one in robot.parameters if one.placement}
-    backlash = {one.name: 0.0 for term in robot.terms if isinstance(term, Backlash) for one in term.parameters}
-    return robot.with_parameters(placed | backlash)
+def _without_backlash(robot: Robot) -> Robot:
+    """The calibrated robot without backlash."""
+    return robot.with_parameters(
+        {one.name: 0.0 for term in robot.terms if isinstance(term, Backlash) for one in term.parameters}
+    )
 
 
-def _ways(robot: Robot, nominal: Robot, moves: StraightMoves, active: IntArray, pieces: IntArray) -> dict[int, _Way]:
+def _ways(frame: Frame, moves: StraightMoves, active: IntArray, pieces: IntArray) -> dict[int, _Way]:
     """The active moves in pieces, by the number of the move."""
     points = []
     for k, n in zip(active, pieces, strict=True):
@@ -156,18 +176,20 @@ def _ways(robot: Robot, nominal: Robot, moves: StraightMoves, active: IntArray, 
     wanted = np.concatenate(points)
     fresh = np.append(True, np.any(np.diff(wanted, axis=0) != 0, axis=1))  # a move begins where another ended
     labels = tuple(moves.labels[k] for k in np.repeat(active, pieces + 1)[fresh])
-    found = compensate(robot, Goals(wanted[fresh], labels=labels, target=moves.target))
+    found = compensated_in(frame, Goals(wanted[fresh], labels=labels, target=moves.target))
     misses = list(dict.fromkeys(found.misses()))
     if misses:
         raise UnreachablePoseError(
             f"{counted(len(misses), 'point')} cannot be compensated: {listed(misses, '; ')}; change the program there"
         )
     at, cuts = np.cumsum(fresh) - 1, np.cumsum(pieces + 1)[:-1]
-    told, q, before = (np.split(part[at], cuts) for part in (found.told(nominal)[0], found.q, found.before))
-    return {int(k): _Way(told[i], q[i], float(before[i][-1])) for i, k in enumerate(active)}
+    points_told = wanted[fresh] if frame.nothing_to_correct else found.told(frame.nominal)[0]
+    parts = (points_told, found.q, found.before, found.expected)
+    told, q, before, expected = (np.split(part[at], cuts) for part in parts)
+    return {int(k): _Way(told[i], q[i], float(before[i][-1]), float(expected[i][-1])) for i, k in enumerate(active)}
 
 
-def _deviations(robot: Robot, nominal: Robot, moves: StraightMoves, ways: dict[int, _Way]) -> tuple[FloatArray, int]:
+def _deviations(frame: Frame, moves: StraightMoves, ways: dict[int, _Way]) -> tuple[FloatArray, int]:
     """The largest measured deviation of each move, (n_ways,) [m], and at how many points it was measured."""
     told, near, meant, owner = [], [], [], []
     for row, (k, way) in enumerate(ways.items()):
@@ -184,21 +206,24 @@ def _deviations(robot: Robot, nominal: Robot, moves: StraightMoves, ways: dict[i
     if not told:
         return largest, 0
     places, rows, numbers = np.concatenate(told), np.concatenate(owner), list(ways)
-    at, wanted = np.concatenate(near), np.concatenate(meant)
     labels = tuple(moves.labels[numbers[row]] for row in rows)
-    goals = Goals(places, labels=labels, target=moves.target)
+    goals, straight = (Goals(points, labels=labels, target=moves.target) for points in (places, np.concatenate(meant)))
+    at = np.concatenate(near)
     for first in range(0, len(places), _CHUNK):
         chunk = np.arange(first, min(first + _CHUNK, len(places)))
-        real = _driven(robot, nominal, goals.subset(chunk), at[chunk])
-        np.maximum.at(largest, rows[chunk], np.linalg.norm(real - wanted[chunk], axis=1))
+        real = _driven(frame.robot, frame.nominal, goals.subset(chunk), at[chunk])
+        there = straight.positions[chunk]
+        if frame.meant is not frame.nominal:
+            there = _driven(frame.meant, frame.nominal, straight.subset(chunk), at[chunk])
+        np.maximum.at(largest, rows[chunk], np.linalg.norm(real - there, axis=1))
     return largest, len(places)
 
 
 def _driven(robot: Robot, nominal: Robot, told: Goals, near: FloatArray) -> FloatArray:
-    """Where the calibrated robot goes when a nominal controller is told positions: g, (n, 3) [m].
+    """Where a robot goes when a nominal controller is told positions: g, (n, 3) [m], if it is the calibrated one.
 
     Args:
-        robot: The calibrated robot.
+        robot: The robot.
         nominal: What the controller knows.
         told: The positions.
         near: Joints from which the controller comes, (n, 3) [m or rad].
@@ -209,7 +234,7 @@ def _driven(robot: Robot, nominal: Robot, told: Goals, near: FloatArray) -> Floa
     reached = descend(reach, np.arange(len(near)), Configured(start.actuated, start.passive, nothing))
     if np.any(reached.distance > TOLERANCE):
         label = told.labels[int(np.argmax(reached.distance))]
-        raise UnreachablePoseError(f"{label}: the controller cannot follow the compensated line; keep away from there")
+        raise UnreachablePoseError(f"{label}: the controller cannot follow the line; keep away from there")
     return robot.positions(nominal.commands(reached.actuated))[:, robot.target_names.index(reach.target.name)]
 
 

@@ -68,7 +68,7 @@ class Waves:
         """Return phi, (n, 2 n_orders)."""
         q = known[Source.COMMAND][:, self.place]
         phase = np.outer(q, self.orders) * self.base
-        return np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(q), -1)
+        return np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(q), 2 * phase.shape[1])
 
 
 Formula = Proportional | Waves

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Union
 
 from pydantic import Discriminator, Tag, TypeAdapter, ValidationError
@@ -35,6 +36,21 @@ else:
     _tagged = tuple(Annotated[kind.section, Tag(name)] for name, kind in TERMS.items())
     AnyTerm = Annotated[Union[_tagged], Discriminator(_term_of)]  # noqa: UP007  # a tuple, known only when it runs
     """The entry of a joint term in a robot description."""
+
+
+def terms_text(terms: str | Sequence[str]) -> str:
+    """Return a choice of terms as text: a list of names or of `JOINT=TERM` with commas between, text as it is.
+
+    Raises:
+        InputError: It is neither, or an empty list.
+    """
+    if isinstance(terms, str):
+        return terms
+    if not isinstance(terms, Sequence) or not all(isinstance(item, str) for item in terms):
+        raise InputError(f"terms {terms!r:.60}: must be text, or a list of texts such as 'elbow=backlash'")
+    if not terms:
+        raise InputError("terms: the list is empty; leave it out for the description's terms, or give 'none' for none")
+    return ",".join(terms)
 
 
 def listed_terms(text: str) -> tuple[TermSection, ...]:

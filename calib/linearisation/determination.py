@@ -15,6 +15,7 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.numerics.identifiability import Rank, numerical_rank, reduced, unit_columns
 from calib.parameter import Parameter
+from calib.words import sentence
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,11 +39,13 @@ class Determination(ReadOnlyArrays):
     open_columns: FloatArray
 
     def lines(self) -> list[str]:
-        """Return both ranks of the poses alone with their gaps, and what follows for the free parameters."""
-        return [
+        """Return both ranks of the poses alone with their gaps, and where they are unclear."""
+        lines = [
             f"All {self.everything.n_columns} parameters, poses alone: {self.everything}",
             f"The {self.free.n_columns} free ones, poses alone: {self.free}",
         ]
+        doubts = dict.fromkeys(rank.doubt for rank in (self.everything, self.free) if rank.unclear)
+        return lines + [sentence(doubt) for doubt in doubts]
 
     @property
     def missing(self) -> int:

@@ -26,13 +26,15 @@ from calib.linearisation.observed import Observed, observe, predicted_readings
 from calib.model.robot import Robot
 from calib.numerics.halton import halton
 from calib.numerics.identifiability import RANK_TOLERANCE, reduced
+from calib.threads import one_blas_thread
 
 _POSES = 256
 _ROUNDS = 10
-_STANDS = 1e-9  # change of a scaled parameter
+_STANDS = 1e-6  # change of a scaled parameter; what is left of it shrinks by its square
 _AROUND_HOME = 0.5  # what no pose here sees, no pose sees: motion is analytic [rad, or characteristic lengths]
 
 
+@one_blas_thread
 def nearest_to_nominal(robot: Robot) -> Robot:
     """Return a robot that reads the same, whose own parameters are as near to nominal as the readings allow.
 
@@ -44,9 +46,9 @@ def nearest_to_nominal(robot: Robot) -> Robot:
     own = np.array([not parameters[k].placement for k in free], dtype=bool)
     if np.all(own):
         return robot
-    sigma = np.array([parameters[k].sigma for k in free])
-    nominal = np.array([parameters[k].nominal for k in free])
-    q = _around_home(robot)
+    sigma = np.array([parameters[k].sigma_si for k in free])
+    nominal = np.array([parameters[k].nominal_si for k in free])
+    q = around_home(robot)
     readings = predicted_readings(robot, robot.assemble(q))
     for _ in range(_ROUNDS):
         changed, jacobian = _stacked(observe(robot, robot.assemble(q), readings))
@@ -69,8 +71,8 @@ def _split(scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
     return right[:rank].T, right[rank:].T
 
 
-def _around_home(robot: Robot) -> FloatArray:
-    """Joints of poses that the robot can take, (n, n_actuated) [m or rad]."""
+def around_home(robot: Robot) -> FloatArray:
+    """Return joints of poses that the robot can take, (n, n_actuated) [m or rad]."""
     lower, upper = robot.urdf.limits(robot.joint_names)
     spread = halton(_POSES, len(robot.home)) - 0.5
     q = np.clip(robot.home + 2 * _AROUND_HOME * robot.mechanism.joint_scale * spread, lower, upper)

@@ -19,14 +19,17 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy
 
-from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.joint_terms.term import Context
 from calib.linearisation.jacobian import Linearisation, linearise
 from calib.model.robot import Robot
 from calib.units import millimetres
 from calib.words import listed
 
-_CHUNK = 4096
+CHUNK = 4096
+"""Poses at once."""
+_DIFFERS = 1.5  # uncertainty in the measurement frame over that told, above which both are said
+_CERTAIN = 1e-12  # of the square of a length, its variance that does not show
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +42,8 @@ class PositionUncertainty(ReadOnlyArrays):
         coverage_factor: How many standard deviations make half a 95 % interval of one coordinate.
         turn_covariance: Of small turns of the targets, (n_poses, n_targets, 3, 3) [rad^2]; None where not computed.
         left_out: Targets that summaries leave out (`Robot.left_out`), and their places among the targets.
+        frame: In which frame the covariances are, in words; empty for the measurement frame.
+        measured: The same positions with their covariance in the measurement frame, where that is another one.
     """
 
     positions: FloatArray
@@ -46,6 +51,8 @@ class PositionUncertainty(ReadOnlyArrays):
     coverage_factor: float
     turn_covariance: FloatArray | None = None
     left_out: Mapping[str, int] = field(default_factory=dict)
+    frame: str = ""
+    measured: PositionUncertainty | None = None
 
     @property
     def std(self) -> FloatArray:
@@ -73,10 +80,19 @@ class PositionUncertainty(ReadOnlyArrays):
         return int(np.argmax(np.max(self.located, axis=1)))
 
     def remark(self) -> str:
-        """Return what to add to a summary, of targets that it leaves out; empty if none."""
+        """Return what to add to a summary, of its frame and of targets that it leaves out; empty if nothing."""
+        frame = f"; {self.frame}" if self.frame else ""
+        if self.measured is not None and self.measured.summary()["mean"] > _DIFFERS * self.summary()["mean"]:
+            frame += f" (in the measurement frame to {self.measured.summary()['mean']:.2g} mm on average)"
         mean = np.mean(millimetres(self.distance), axis=0)
         said = [f"{name} (known to {mean[k]:.2g} mm)" for name, k in self.left_out.items()]
-        return f"; not counted: {listed(said)}, read from unknown places only" if said else ""
+        return frame + (f"; not counted: {listed(said)}, read from unknown places only" if said else "")
+
+    def table(self) -> dict[str, object]:
+        """Return `summary` as data, with its frame, and the same in the measurement frame where that is another one."""
+        other = {} if self.measured is None else {"measurement_frame": self.measured.summary()}
+        frame = "measurement" if self.measured is None else "robot base"
+        return {**self.summary(), "frame": frame, **other, "left_out": list(self.left_out)}
 
     def summary(self) -> dict[str, float]:
         """Return mean, root mean square and largest `located` over the poses [mm]."""
@@ -152,32 +168,38 @@ def beside_common_motion(linear: Linearisation, targets: list[int]) -> FloatArra
     return np.asarray(flat - basis @ (basis.T @ flat))
 
 
-def rms_length(covariance: FloatArray) -> FloatArray:
-    """Return the root mean square length of vectors with these covariances (..., 3, 3), (...)."""
-    return np.sqrt(np.maximum(np.trace(covariance, axis1=-2, axis2=-1), 0.0))
+def rms_length(covariance: FloatArray, mean: FloatArray | float = 0.0) -> FloatArray:
+    """Return the root mean square length of vectors with these covariances (..., 3, 3) and means (..., 3), (...)."""
+    return np.sqrt(np.maximum(np.trace(covariance, axis1=-2, axis2=-1), 0.0) + np.sum(np.square(mean), axis=-1))
 
 
-def length95(covariance: FloatArray, coverage_factor: float) -> FloatArray:
-    """Return low and high 95 % limits of the length of vectors with these covariances (..., 3, 3), (2, ...).
+def length95(covariance: FloatArray, coverage_factor: float, mean: FloatArray | None = None) -> FloatArray:
+    """Return low and high 95 % limits of the length of vectors with these covariances and means, (2, ...).
 
-    The square of the length is a sum of squares of normal numbers with the eigenvalues of the covariance C as weights:
-    nearly g chi^2_h with the same mean and variance, g = tr(C^2) / tr(C), h = tr(C)^2 / tr(C^2); where one direction
+    The square of the length is a sum of squares of normal numbers with mean tr(C) + |m|^2 and variance 2 tr(C^2) + 4
+    m^T C m: nearly g chi^2_h with the same two, g = (tr(C^2) + 2 m^T C m) / (tr(C) + |m|^2); where one direction
     outweighs the others, 97 of 100 lie between them.
 
     Args:
-        covariance: C.
+        covariance: C, (..., 3, 3).
         coverage_factor: How many standard deviations make half a 95 % interval of one coordinate.
+        mean: m, (..., 3); zero if not given.
     """
-    return _root95(np.trace(covariance, axis1=-2, axis2=-1), np.sum(covariance**2, axis=(-2, -1)), coverage_factor)
+    trace, squares = np.trace(covariance, axis1=-2, axis2=-1), np.sum(covariance**2, axis=(-2, -1))
+    if mean is not None:
+        trace = trace + np.sum(mean**2, axis=-1)
+        squares = squares + 2.0 * np.einsum("...i,...ij,...j->...", mean, covariance, mean)
+    return _root95(trace, squares, coverage_factor)
 
 
 def _root95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> FloatArray:
     """95 % limits of the root of a sum of squares of normal numbers, from the sums of its weights and their squares."""
-    trace = np.maximum(trace, 1e-300)
-    squares = np.maximum(squares, 1e-300 * trace)
-    limits = [scipy.special.chdtri(trace**2 / squares, tail) * squares / trace for tail in (0.975, 0.025)]
-    low, high = np.sqrt(limits)
-    return np.stack([low, high * coverage_factor / scipy.special.ndtri(0.975)])
+    certain = squares <= _CERTAIN * trace**2  # of zero size too
+    share = np.where(certain, 1.0, squares) / np.where(certain, 1.0, trace)
+    freedom = np.where(certain, 1.0, trace) / share
+    low, high = (np.sqrt(scipy.special.chdtri(freedom, tail) * share) for tail in (0.975, 0.025))
+    high = high * coverage_factor / scipy.special.ndtri(0.975)
+    return np.where(certain, np.sqrt(np.maximum(trace, 0.0)), np.stack([low, high]))
 
 
 def carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -185,39 +207,43 @@ def carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
     return (jacobian @ covariance) @ jacobian.swapaxes(2, 3)
 
 
-def position_uncertainty(
-    robot: Robot,
-    free: IntArray,
-    covariance: FloatArray,
-    coverage_factor: float,
-    q: FloatArray,
-    context: Context | None = None,
-    near: FloatArray | None = None,
-) -> PositionUncertainty:
-    """Predict positions of all targets, loops closed, with their covariance and that of the orientations.
+@dataclass(frozen=True, eq=False)
+class ParameterUncertainty(ReadOnlyArrays):
+    """How well the parameters of a calibrated robot are known.
 
-    Args:
-        robot: The calibrated robot.
-        free: Places of the parameters that the covariance is of, (n_free,).
-        covariance: (n_free, n_free) [m, rad].
-        coverage_factor: Of the fit's 95 % intervals.
-        q: Actuated joints, (n_poses, n_actuated) [m or rad].
-        context: Under which conditions they are commanded; joint terms may depend on it.
-        near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
-
-    Raises:
-        UnreachablePoseError: A loop stays open.
+    Attributes:
+        free: Which of them were found, (n_parameters,); the others are taken as they are.
+        covariance: Of these, (n_free, n_free) [m, rad].
+        coverage_factor: How many standard deviations make half a 95 % interval.
     """
-    context = Context.neutral(*q.shape) if context is None else context
-    positions, spread, turned = [], [], []
-    for start in range(0, len(q), _CHUNK):
-        some = slice(start, start + _CHUNK)
-        seed = None if near is None else near[some]
-        linear = linearise(robot, robot.assemble(q[some], seed, context=context.at(some)), turns=True)
-        positions.append(linear.positions)
-        jacobian = linear.jacobian[..., free]
-        spread.append(carried(jacobian[:, :, :3], covariance))
-        turned.append(carried(jacobian[:, :, 3:], covariance))
-    return PositionUncertainty(
-        np.concatenate(positions), np.concatenate(spread), coverage_factor, np.concatenate(turned), robot.left_out
-    )
+
+    free: BoolArray
+    covariance: FloatArray
+    coverage_factor: float
+
+    def at(
+        self, robot: Robot, q: FloatArray, context: Context | None = None, near: FloatArray | None = None
+    ) -> PositionUncertainty:
+        """Predict positions of all targets, loops closed, with their covariance and that of the orientations.
+
+        Args:
+            robot: The calibrated robot.
+            q: Commands, (n_poses, n_actuated) [m or rad].
+            context: Under which conditions they are given; joint terms may depend on it.
+            near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
+
+        Raises:
+            UnreachablePoseError: A loop stays open.
+        """
+        context = Context.neutral(*q.shape) if context is None else context
+        positions, spread, turned = [], [], []
+        for start in range(0, len(q), CHUNK):
+            some = slice(start, start + CHUNK)
+            seed = None if near is None else near[some]
+            linear = linearise(robot, robot.assemble(q[some], seed, context=context.at(some)), turns=True)
+            positions.append(linear.positions)
+            jacobian = linear.jacobian[..., self.free]
+            spread.append(carried(jacobian[:, :, :3], self.covariance))
+            turned.append(carried(jacobian[:, :, 3:], self.covariance))
+        points, covariance, turn_covariance = (np.concatenate(part) for part in (positions, spread, turned))
+        return PositionUncertainty(points, covariance, self.coverage_factor, turn_covariance, robot.left_out)

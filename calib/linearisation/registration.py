@@ -241,8 +241,8 @@ def _expected(robot: Robot, target: str, origin: str) -> tuple[FloatArray, Float
     for k, axis in enumerate("xyz"):
         parameter = robot.parameters[f"{origin}.{axis}"]
         if parameter.name not in robot.description.held:
-            sigma[k] = parameter.sigma if parameter.prior else np.inf
-            point[k] = parameter.nominal if parameter.prior else point[k]
+            sigma[k] = parameter.sigma_si if parameter.prior else np.inf
+            point[k] = parameter.nominal_si if parameter.prior else point[k]
     return point, sigma
 
 

@@ -46,8 +46,8 @@ class Unknowns(ReadOnlyArrays):
         return Unknowns(
             tuple(p.name for p in kept),
             chosen,
-            np.array([p.sigma for p in kept]),
-            np.array([p.nominal for p in kept]),
+            np.array([p.sigma_si for p in kept]),
+            np.array([p.nominal_si for p in kept]),
             np.array([p.prior for p in kept], dtype=bool),
             np.array([p.placement for p in kept], dtype=bool),
             np.array([families.index(p.family) if p.family else -1 for p in kept], dtype=np.intp),

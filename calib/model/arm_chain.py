@@ -19,7 +19,7 @@ import re
 from dataclasses import dataclass, replace
 
 from calib.errors import DescriptionError, nearest
-from calib.model.urdf_text import HELD_TYPES, UrdfJoint, UrdfText
+from calib.model.urdf_text import HELD_TYPES, UrdfJoint, UrdfText, require_supported
 from calib.words import listed
 
 _SHORT = 1 / 3  # reach of fingers over the way from the arm's first joint to them
@@ -73,7 +73,7 @@ def arm_chain(urdf: UrdfText, target: str | None = None) -> ArmChain:
         target: Link that carries the measured point.
 
     Raises:
-        DescriptionError: There is no such link, or no joint moves it.
+        DescriptionError: There is no such link, or no joint moves it, or one of a type that is not supported.
     """
     tree = _Tree(urdf)
     if target is not None:
@@ -118,10 +118,12 @@ class _Tree:
 
     def chain(self, target: str) -> ArmChain:
         """The chain to a link."""
-        names = _motors(self.way[target])
+        way = self.way[target]
+        names, moving = _motors(way), _moving(way)
+        require_supported(way[way.index(moving[0]) :] if moving else way, self.urdf.path)
         if not names:
             raise DescriptionError(f"{self.urdf.path}: no joint moves link '{target}'; there is nothing to calibrate")
-        return ArmChain(target, _moving(self.way[target])[0].parent, names)
+        return ArmChain(target, moving[0].parent, names)
 
     def arm(self) -> ArmChain:
         """The chain to the end of the arm, and what it leaves out."""

@@ -23,6 +23,7 @@ TRIES = 4
 _DRAWN_IN = 2.0 / 3.0
 _SMALLEST_BOX = 0.01  # of the joint limits
 _ROUNDS = 50  # of tries where targets must stay in a range
+_AT_ONCE = 2**13  # values tried at once
 
 
 def checked_ranges(within: Ranges, known: Sequence[str]) -> Ranges:
@@ -99,11 +100,15 @@ def spread(
     """
     lower, upper = box
     middle = np.clip(home, lower, upper)
-    found = np.zeros((0, len(home)))
+    found: list[FloatArray] = []
+    missing = count
     size, rounds = 1.0, 0
-    while len(found) < count and size > _SMALLEST_BOX and rounds < _ROUNDS:
+    while missing > 0 and size > _SMALLEST_BOX and rounds < _ROUNDS:
         low, high = middle + size * (lower - middle), middle + size * (upper - middle)
-        q = rng.uniform(low, high, (TRIES * count, len(low)))
-        found = np.vstack([found, q[taken(q)]])[:count]
+        left = TRIES * count
+        while missing > 0 and left > 0:  # a part at a time: the same numbers, and no more memory than the result needs
+            q = rng.uniform(low, high, (min(left, _AT_ONCE), len(low)))
+            found.append(q[taken(q)][:missing])
+            left, missing = left - len(q), missing - len(found[-1])
         size, rounds = (_DRAWN_IN * size, rounds) if draw_in else (size, rounds + 1)
-    return found
+    return np.vstack([np.zeros((0, len(home))), *found])

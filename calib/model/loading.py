@@ -119,7 +119,7 @@ def _built(description: Description, urdf: UrdfText, where: str) -> Robot:
         index_of(robot.parameters, held, f"{where}: held")
     for name in description.elimination_order:
         index_of(robot.parameters, name, f"{where}: elimination_order")
-    return replace(robot, values=np.array([parameter.nominal for parameter in robot.parameters]))
+    return replace(robot, values=np.array([parameter.nominal_si for parameter in robot.parameters]))
 
 
 def _check_columns(

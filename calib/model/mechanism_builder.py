@@ -16,7 +16,7 @@ from calib.joint_terms.terms import TERMS
 from calib.model.description import Description
 from calib.model.instruments import MEASUREMENT_FRAME, pair_names, places_of
 from calib.model.mechanism import Mechanism, RelativeFrame, rigid, view
-from calib.model.urdf_text import HELD_TYPES, UrdfJoint, UrdfText
+from calib.model.urdf_text import HELD_TYPES, UNSUPPORTED_TYPES, UrdfJoint, UrdfText, require_supported
 from calib.observation.kind import Instrument, Place
 from calib.sections import ANGLE_COMPONENTS, COMPONENTS
 from calib.units import Dimension, quantity
@@ -40,7 +40,8 @@ def build_mechanism(
         where: File of the description, for messages.
 
     Raises:
-        DescriptionError: A name that the URDF does not have, or loops that do not determine the passive joints.
+        DescriptionError: A name that the URDF does not have, a joint of a type that is not supported on the way to what
+            is measured, or loops that do not determine the passive joints.
         UrdfError: A joint mimics itself.
     """
     model, frames, tilts = _tree(urdf, tilted_joints(description))
@@ -59,8 +60,12 @@ def build_mechanism(
     base = indices[MEASUREMENT_FRAME]
     targets = [RelativeFrame(name, base, indices[name], False, (0, 1, 2)) for name in description.targets]
     views = dict.fromkeys(pair for one in instruments for pair in pair_names(description, one))
+    seen = tuple(view(indices, a, b) for a, b in views)
     support = _support(model)
     loops = tuple(_loop(description, frames, index, where) for index in range(len(description.closed_loop)))
+    between = np.array([support[one.b] != support[one.a] for one in (*targets, *seen, *loops)])
+    names = {name for name, moves in zip(origin_names, between.T, strict=True) if np.any(moves)}
+    require_supported([joint for joint in urdf.joints if joint.name in names], where)
     groups = _joint_groups(urdf, description, origin_names, _in_loops(support, loops), where)
     _check_count(groups.passive, loops, where)
     return Mechanism(
@@ -76,7 +81,7 @@ def build_mechanism(
         loops=loops,
         targets=tuple(targets),
         places=indices,
-        views=tuple(view(indices, a, b) for a, b in views),
+        views=seen,
         support=support,
         axes=_axes(model),
         length=_length(model, support, targets, loops),
@@ -236,6 +241,8 @@ def _joint_groups(
     for name in actuated:
         if name not in types:
             raise DescriptionError(f"{where}: name_mot: no joint '{name}'{nearest(name, moving)}")
+        if types[name] in UNSUPPORTED_TYPES:
+            require_supported([joint for joint in urdf.joints if joint.name == name], f"{where}: name_mot")
         if name not in moving:
             raise DescriptionError(f"{where}: name_mot: joint '{name}' is {types[name]}, it does not move")
     followers = {

@@ -126,7 +126,7 @@ class OriginComponents:
     def _deviations(self, values: FloatArray) -> dict[str, FloatArray]:
         moved: dict[str, FloatArray] = {name: np.zeros(6) for name in self.nominal}
         for parameter, (name, component), value in zip(self.parameters, self.places, values, strict=True):
-            moved[name][component] = value - parameter.nominal
+            moved[name][component] = value - parameter.nominal_si
         return moved
 
 

@@ -163,7 +163,7 @@ def _from_plugin(name: str, origins: Mapping[str, Origin], mechanism: Mechanism,
             f"{where}: parametrisation '{name}' ({plugins[name].value}) cannot be loaded: {error}; install it again"
         ) from None
     parametrisation = factory(origins)
-    nominal = np.array([parameter.nominal for parameter in parametrisation.parameters])
+    nominal = np.array([parameter.nominal_si for parameter in parametrisation.parameters])
     twists = parametrisation.twists(nominal)
     edited = parametrisation.placements(nominal)
     for origin in (*edited, *twists):

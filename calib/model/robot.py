@@ -27,6 +27,7 @@ from calib.errors import (
 from calib.files import write_file
 from calib.joint_terms.term import Context, JointTerm, TermSection
 from calib.joint_terms.terms import TERMS
+from calib.memory import require_memory
 from calib.model import kinematics, loops
 from calib.model.closure import AssemblyMode, singular_values
 from calib.model.description import Description, description_yaml
@@ -246,13 +247,22 @@ class Robot(ReadOnlyArrays):
         """Which parameters a fit may change: all but the held ones, (n_parameters,)."""
         return np.array([parameter.name not in self.description.held for parameter in self.parameters])
 
-    def hold(self, *names: str) -> Robot:
-        """Return a robot of which a fit leaves these parameters, too, as they are; an unknown name is an error."""
-        return self._held((*self.description.held, *names), names)
+    def hold(self, *names: str | Sequence[str]) -> Robot:
+        """Return a robot of which a fit leaves these parameters, too, as they are.
 
-    def free(self, *names: str) -> Robot:
-        """Return a robot of which a fit may change these parameters; an unknown name is a `ParameterError`."""
-        return self._held(tuple(name for name in self.description.held if name not in names), names)
+        Args:
+            names: One after the other, or as a list.
+
+        Raises:
+            ParameterError: An unknown name.
+        """
+        named = _flat(names)
+        return self._held((*self.description.held, *named), named)
+
+    def free(self, *names: str | Sequence[str]) -> Robot:
+        """Return a robot of which a fit may change these parameters; see `hold`."""
+        named = _flat(names)
+        return self._held(tuple(name for name in self.description.held if name not in named), named)
 
     def _held(self, held: tuple[str, ...], named: tuple[str, ...]) -> Robot:
         for name in named:
@@ -292,23 +302,22 @@ class Robot(ReadOnlyArrays):
         known = dict(zip((parameter.name for parameter in self.parameters), self.values, strict=True))
         return replace(self, description=description, parametrisation=parametrisation).with_parameters(known)
 
-    def save(self, path: Path | str, *, overwrite: bool = False) -> None:
+    def save(self, path: Path | str, *, force: bool = False) -> None:
         """Write the robot description; `calib.load` gives the same robot from it.
 
         Args:
             path: YAML file to write. It names the URDF, which stays where it is.
-            overwrite: Whether a file that is there already may be replaced, comments in it and all.
+            force: Whether to replace a file that this program did not write, that was edited, or that the robot comes
+                from; comments in it and all.
 
         Raises:
-            InputError: The file exists, or cannot be written; or parameters are not nominal, which a description
-                cannot say.
+            InputError: The file cannot be written, or should not be replaced; or parameters are not nominal, which a
+                description cannot say.
         """
         path = Path(path)
         if path.suffix.lower() not in (".yaml", ".yml"):
             raise InputError(f"{path}: the name of a robot description ends in .yaml")
-        if path.exists() and not overwrite:
-            raise InputError(f"{path}: exists already; choose another name, or say overwrite=True")
-        nominal = np.array([parameter.nominal for parameter in self.parameters])
+        nominal = np.array([parameter.nominal_si for parameter in self.parameters])
         if not np.array_equal(self.values, nominal):
             name = self.parameters[int(np.argmax(self.values != nominal))].name
             raise InputError(
@@ -316,7 +325,8 @@ class Robot(ReadOnlyArrays):
                 " loads as a robot, or export a URDF"
             )
         relative = os.path.relpath(Path(self.urdf.path).resolve(), path.resolve().parent)
-        write_file(path, description_yaml(self.description.model_copy(update={"urdf": relative})))
+        text = description_yaml(self.description.model_copy(update={"urdf": relative}))
+        write_file(path, text, inputs=(self.path, self.urdf.path), force=force)
 
     def with_parameters(self, values: Mapping[str, float] | ArrayLike) -> Robot:
         """Return a robot with other parameter values.
@@ -359,11 +369,11 @@ class Robot(ReadOnlyArrays):
             changed = replace(changed, nominal=nominal, mechanism=mechanism, mode=mode)
         changed.check_names()
         value_of = dict(zip((parameter.name for parameter in self.parameters), self.values, strict=True))
-        return replace(changed, values=np.array([value_of.get(p.name, p.nominal) for p in changed.parameters]))
+        return replace(changed, values=np.array([value_of.get(p.name, p.nominal_si) for p in changed.parameters]))
 
     def at_nominal(self) -> Robot:
         """Return a robot with nominal parameter values."""
-        return self.with_parameters([parameter.nominal for parameter in self.parameters])
+        return self.with_parameters([parameter.nominal_si for parameter in self.parameters])
 
     def lost_by(self, holds: Holds) -> tuple[str, ...]:
         """Return the joints of whose errors a file that holds so much loses terms, as far as these are not zero."""
@@ -564,11 +574,12 @@ class Robot(ReadOnlyArrays):
             (count, n_actuated) [m or rad].
 
         Raises:
-            InputError: The count or the seed is negative, or a range is not one.
+            InputError: The count or the seed is negative, or a range is not one; or more than fits into memory.
             DataError: Not enough were found, even near home; or a sliding joint has no limits.
         """
         if count < 1:
             raise InputError(f"count {count}: at least one pose is needed")
+        require_memory(2 * count * len(self.joint_names), f"sampling {count} poses", "sample fewer")
         if within is not None and not isinstance(within, Mapping):
             joints = self.joint_vector(within)
             spans = zip(joints.min(axis=0).tolist(), joints.max(axis=0).tolist(), strict=True)
@@ -618,6 +629,11 @@ class Robot(ReadOnlyArrays):
                 rpy = _edited(joint.rpy, pin.rpy.matrixToRpy(after.rotation))
             edits[joint.name] = (xyz, rpy)
         return self.urdf.with_origins(edits)
+
+
+def _flat(names: Sequence[str | Sequence[str]]) -> tuple[str, ...]:
+    """Names that were given one after the other, or as a list."""
+    return tuple(name for one in names for name in ((one,) if isinstance(one, str) else one))
 
 
 def _edited(text: Triple, numbers: FloatArray) -> Triple:

@@ -21,7 +21,8 @@ from calib.errors import UrdfError, nearest
 Triple = tuple[float, float, float]
 Span = tuple[int, int]
 MOVING_TYPES = ("revolute", "continuous", "prismatic")
-HELD_TYPES = ("fixed", "floating", "planar")
+UNSUPPORTED_TYPES = ("floating", "planar")
+HELD_TYPES = ("fixed", *UNSUPPORTED_TYPES)
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _TAG = re.compile(rb"""<[^\s/>"']+(?:[^"'>]|"[^"]*"|'[^']*')*>""")
 MOST_LINKS = 300

@@ -14,20 +14,30 @@ from __future__ import annotations
 import html
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.errors import UrdfError, nearest
+from calib.errors import DescriptionError, UrdfError, nearest
 from calib.files import read_bytes
-from calib.model.urdf_reader import HELD_TYPES, MOVING_TYPES, NUMBER, Span, Triple, UrdfJoint, UrdfReader
+from calib.model.urdf_reader import (
+    HELD_TYPES,
+    MOVING_TYPES,
+    NUMBER,
+    UNSUPPORTED_TYPES,
+    Span,
+    Triple,
+    UrdfJoint,
+    UrdfReader,
+)
 
 __all__ = [
     "HELD_TYPES",
     "MOVING_TYPES",
+    "UNSUPPORTED_TYPES",
     "Triple",
     "UrdfJoint",
     "UrdfText",
@@ -147,6 +157,21 @@ def read_urdf(path: Path | str) -> UrdfText:
     """
     source = read_bytes(path, "the path of a URDF", UrdfError)
     return parse_urdf(_expanded(path) if Path(path).suffix == ".xacro" else source, str(path))
+
+
+def require_supported(joints: Iterable[UrdfJoint], where: str) -> None:
+    """Raise `DescriptionError` for a floating or planar joint: it moves, and no joint value says where it is.
+
+    Args:
+        joints: Those that lie between what is measured and where it is measured from.
+        where: For the message.
+    """
+    for joint in joints:
+        if joint.type in UNSUPPORTED_TYPES:
+            raise DescriptionError(
+                f"{where}: joint '{joint.name}' is {joint.type}; planar and floating joints are not supported: make it"
+                " of prismatic and revolute joints, or fixed if it stands still while the robot is measured"
+            )
 
 
 def _expanded(path: Path | str) -> bytes:

@@ -147,6 +147,31 @@ def _directions(span: FloatArray, residuals: FloatArray) -> tuple[FloatArray, Fl
     return own, errors, size[:, :, None] * turned
 
 
+def pulls_without(
+    jacobian: FloatArray, root: FloatArray, residuals: FloatArray, block: IntArray, n_blocks: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return c_b = U_b^T (1 - H_b)^-1 r_b of each block, (n_blocks, k), and the largest w of it, (n_blocks,).
+
+    Without block b, the solution in the coordinates of T is c_b further on. Where w is nearly 1, a direction rests on
+    that block alone, and c_b is no number to rely on.
+
+    Args:
+        jacobian: J, whitened, (n_rows, n_free).
+        root: T, (n_free, k).
+        residuals: r, whitened, (n_rows,).
+        block: Block of each row, from 0 on, (n_rows,); -1 for rows that belong to none.
+        n_blocks: Number of blocks, some of which may have no rows.
+    """
+    pulls, largest = np.zeros((n_blocks, root.shape[1])), np.zeros(n_blocks)
+    for rows in _of_equal_length(block):
+        own, errors, directions = _directions(jacobian[rows] @ root, residuals[rows])
+        numbers = block[rows[:, 0]]
+        largest[numbers] = np.max(own, axis=1, initial=0.0)
+        left = np.maximum(1.0 - own, _NONE)
+        pulls[numbers] = np.einsum("nd,ndk->nk", errors / left, directions)
+    return pulls, largest
+
+
 def foretold(jacobian: FloatArray, root: FloatArray, residuals: FloatArray, block: IntArray) -> FloatArray:
     """Return the residuals of each block by the fit of all others, (1 - H_b)^-1 r_b, (n_rows,).
 

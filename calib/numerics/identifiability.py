@@ -33,6 +33,8 @@ from calib.arrays import FloatArray, ReadOnlyArrays
 _AT_ONCE = 1 << 14  # rows of one factorisation
 RANK_TOLERANCE = 1e-9
 """Singular values of the scaled Jacobian below this part of the largest count as zero."""
+CLEAR_GAP = 30.0
+"""Factor between the singular values around the threshold below which the rank is a matter of where that lies."""
 NO_EFFECT = 1e-7
 """Length of a column over that of the longest, in metres and radians, below which it is rounding."""
 TIE = 2.0
@@ -59,6 +61,25 @@ class Rank(ReadOnlyArrays):
     threshold: float
     smallest_kept: float
     largest_dropped: float
+
+    @property
+    def unclear(self) -> bool:
+        """Whether no clear gap lies at the threshold, so that the rank may as well be another one."""
+        below = self.largest_dropped if self.rank < self.n_columns else self.threshold
+        return self.rank > 0 and self.smallest_kept < CLEAR_GAP * below
+
+    @property
+    def doubt(self) -> str:
+        """Say that the rank is unclear, and why; empty where it is clear."""
+        if not self.unclear:
+            return ""
+        above = f"singular value {self.rank} ({self.smallest_kept:.2e})"
+        if self.rank == self.n_columns:
+            return f"no clear gap: {above} is hardly above the threshold ({self.threshold:.1e}), and may count as zero"
+        return (
+            f"no clear gap: {above} and the next ({self.largest_dropped:.2e}) lie within a factor {CLEAR_GAP:g} about"
+            f" the threshold ({self.threshold:.1e}), so that more or fewer combinations may be determined"
+        )
 
     def __str__(self) -> str:
         text = f"rank {self.rank} of {self.n_columns}"

@@ -32,6 +32,12 @@ Steps are taken in full as long as the cost falls. One that does not lower it is
 minimum of the model within a ball |D d| <= radius, which follows how well the last model predicted the cost. A trial
 point without residuals (a loop that cannot close answers NaN) does not lower it.
 
+Where priors are wide, the minimum lies at the end of a long valley, which bends: what the rows hardly see moves far,
+and the square of that move is much for what they see well. Straight steps are then short, and there are hundreds. A
+trial point tells the bend, b = r(x + d) - r - J d. Where the cost fell by less than three quarters of what was
+promised, the step is tried once more with what takes the bend away, the minimum of |b + J c| with c at most half as
+long as d; the lower of the two points counts.
+
 D is one of
 
     `unit`       1: the unknowns are already scaled, so that a change of one is a reasonable change of each
@@ -58,7 +64,7 @@ directions that the residuals hardly see, convergence is judged by the cost: the
 Tested against the certified answers of NIST's reference problems (tests/test_nist.py); evaluations from loose to tight
 noise: docs/theory/priors.md.
 Reference: dennis1981 (curvature from differences of Jacobians); walker2011 (Anderson's acceleration); more1983 (the
-step within a ball); nist_strd.
+step within a ball); transtrum2012 (steps that follow a valley's bend); nist_strd.
 """
 
 from __future__ import annotations
@@ -87,6 +93,7 @@ _SINGULAR = 1e-14  # the same for directions that the rows do not see
 _SHORTER = 0.25  # how much of the radius is left after a step that failed
 _GOOD, _POOR = 0.75, 0.25  # part of the promised decrease that came, beyond which the radius changes
 _ON_RADIUS = 0.1  # relative length within which a step counts as being on the ball
+_BEND = 0.5  # length of what takes a bend away, over that of the step, at most
 _ABSURD = 3.5  # root mean square of a first step in units of the unknowns
 _REACH = 0.5  # how far the steps may then go at first, in the same units
 _LIMIT, _COST_STANDS, _STEP_VANISHES = (
@@ -148,11 +155,23 @@ def minimise(
     evaluations, message = 1, path.ended()
     while not message and evaluations < max_evaluations:
         x = path.trial()
-        path.go_on(x, residuals(x), jacobian)
+        values = residuals(x)
         evaluations += 1
+        bent = path.bent(values)
+        if bent is not None and evaluations < max_evaluations:
+            others = residuals(bent)
+            evaluations += 1
+            if _cost(others) < _cost(values):
+                x, values = bent, others
+        path.go_on(x, values, jacobian)
         message = path.ended()
     best = path.here
     return Solution(best.x, best.residuals, best.jacobian, best.cost, bool(message), evaluations, message or _LIMIT)
+
+
+def _cost(values: FloatArray) -> float:
+    """|r|^2, infinite where r has no value."""
+    return float(values @ values) if np.all(np.isfinite(values)) else np.inf
 
 
 class _Point:
@@ -222,13 +241,30 @@ class _Point:
                 step = np.full(len(step), np.inf)
                 limit = min(limit, float(_BOLD * np.linalg.norm(scale * self.newton)))
         if not np.linalg.norm(scale * step) <= limit:
-            step = self._within(hessian, limit, scale)
+            step = self._within(hessian, self.projected, limit, scale)
         image = self.triangle @ step
         return step, self.unseen + float(np.sum((self.projected + image) ** 2) + image @ (hessian @ image - image))
 
-    def _within(self, hessian: FloatArray, limit: float, scale: FloatArray) -> FloatArray:
-        """Return the minimum of the model in the ball, (n,), as -(H + l D^2)^-1 g, with l >= 0 found by bisection."""
-        scaled, right = self.triangle / scale, self.projected
+    def straightened(self, bend: FloatArray, limit: float, scale: FloatArray) -> FloatArray | None:
+        """Return the step c that takes a bend of the residuals (m,) away, |D c| <= limit, (n,); None if unknown."""
+        if not self.sees_all:
+            return None
+        right = scipy.linalg.solve_triangular(self.triangle, self.jacobian.T @ bend, trans=1)
+        step = -scipy.linalg.solve_triangular(self.triangle, right)
+        if np.linalg.norm(scale * step) <= limit:
+            return np.asarray(step)
+        return self._within(np.eye(len(step)), right, limit, scale)
+
+    def _within(self, hessian: FloatArray, right: FloatArray, limit: float, scale: FloatArray) -> FloatArray:
+        """Return the minimum of a model in the ball, (n,), as -(H + l D^2)^-1 g, with l >= 0 found by bisection.
+
+        Args:
+            hessian: 1 + K of the model, (n, n).
+            right: R^-T g of its gradient g, (n,).
+            limit: Radius of the ball.
+            scale: D, (n,).
+        """
+        scaled = self.triangle / scale
         if np.array_equal(hessian, np.eye(len(hessian))):  # singular values are exact where their squares are not
             left, singular, rows = np.linalg.svd(scaled, full_matrices=False)
             values, vectors, pull = singular**2, rows.T, singular * (left.T @ right)
@@ -300,9 +336,18 @@ class _Path:
         self._step, self._promised = here.step(curvature, self._radius, self._scale)
         return np.asarray(here.x + self._step)
 
+    def bent(self, values: FloatArray) -> FloatArray | None:
+        """Return where to look as well, (n,), after a trial point with these residuals (m,); None for nowhere."""
+        reached, promised = _cost(values), self.here.cost - self._promised
+        if not np.isfinite(reached) or promised <= 0 or self.here.cost - reached >= _GOOD * promised:
+            return None
+        bend = values - self.here.residuals - self.here.jacobian @ self._step
+        back = self.here.straightened(bend, _BEND * self._length(self._step), self._scale)
+        return None if back is None else np.asarray(self.here.x + self._step + back)
+
     def go_on(self, x: FloatArray, values: FloatArray, jacobian: Callable[[FloatArray], FloatArray]) -> None:
         """Take the step to x (n,) with these residuals (m,), or stay with a smaller radius."""
-        reached = float(values @ values) if np.all(np.isfinite(values)) else np.inf
+        reached = _cost(values)
         self._undone = not reached < self.here.cost
         if self._undone:
             self._radius = _SHORTER * min(self._length(self._step), self._radius)

@@ -103,7 +103,7 @@ def describe_group(group: Group, parameters: Sequence[Parameter]) -> str:
 def natural_coefficients(group: Group, parameters: Sequence[Parameter]) -> list[tuple[str, float, str]]:
     """Return (name, movement, unit) of each member when the first moves by one of its own unit (mm or deg)."""
     members = [parameters[k] for k in group.members]
-    sizes = [c * p.sigma * p.per_si for c, p in zip(group.coefficients, members, strict=True)]
+    sizes = [c * p.sigma for c, p in zip(group.coefficients, members, strict=True)]
     return [(p.name, float(size / sizes[0]), p.unit) for p, size in zip(members, sizes, strict=True)]
 
 

@@ -99,7 +99,7 @@ def observability_of(
         lengths: Whether the rows are lengths; else they are over their noise, and so are the indices.
     """
     width = rows.shape[-1]
-    scales = np.array([parameter.sigma for parameter in parameters])
+    scales = np.array([parameter.sigma_si for parameter in parameters])
     scaled = numerical_rank(rows.reshape(-1, width))
     raw = numerical_rank(raw_columns(rows / scales, parameters, lengths=lengths).reshape(-1, width))
     kept = slice(max(scaled.rank, 1))

@@ -24,10 +24,13 @@ Where the size of some priors was found from the same data, `calib.numerics.prio
 
 A robust loss changes what a residual tells: see `calib.identification.robust`, which gives f and its counterpart in C.
 
-Intervals are value +- t std with Student's t at 97.5 % and the degrees of freedom above, because the noise is found
-from the same residuals; with those of the scatter of poses, where that counts and they are fewer. The part of a
-parameter that the data decide is 1 - C_kk (prior variance 1): near 1 the measurements know the value, near 0 the prior
-holds it.
+What readings see of a direction that only a prior holds bends with it: `calib.identification.curvature` says what that
+adds to the variance in intervals. It is no part of C, nor of std.
+
+Intervals are value +- t std, widened as said, with Student's t at 97.5 % and the degrees of freedom above, because the
+noise is found from the same residuals; with those of the scatter of poses, where that counts and they are fewer. The
+part of a parameter that the data decide is 1 - C_kk (prior variance 1): near 1 the measurements know the value, near 0
+the prior holds it.
 
 When it fails. All of it is linear in the parameters at the solution, and counts noise that is independent from visit to
 pose. Errors that the model leaves out are not noise: `calib.identification.systematic` tests for them.
@@ -37,7 +40,7 @@ Reference: jcgm100 (GUM), sections 4.2 and G.3; tarantola2005, section 3.2, for 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -93,6 +96,8 @@ class Statistics(ReadOnlyArrays):
         effective_parameters: How many parameters the data decide, n_eff of the module docstring.
         root: T of the module docstring, (n_free, n_free).
         poses: How the readings of each pose scatter together; None: independently.
+        beyond_linear: Mean square of what they are off beyond the linear model, part of `half_width` alone,
+            (n_free,) [m^2, rad^2].
     """
 
     factors: Factors
@@ -104,6 +109,7 @@ class Statistics(ReadOnlyArrays):
     effective_parameters: float
     root: FloatArray
     poses: Scatter | None = None
+    beyond_linear: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def shared(self) -> Scatter | None:
@@ -231,6 +237,7 @@ def statistics(
     has_prior: BoolArray,
     poses: Scatter | None = None,
     by_sizes: FloatArray | None = None,
+    beyond_linear: FloatArray | None = None,
 ) -> Statistics:
     """Return the statistics at the solution.
 
@@ -243,6 +250,7 @@ def statistics(
         has_prior: Which parameters have a prior, (n_free,).
         poses: How the readings of each pose scatter together; None: independently.
         by_sizes: What is added to the covariance of u where sizes of priors were found, (n_free, n_free).
+        beyond_linear: Mean square of what u is off beyond the linear model, (n_free,); none if not given.
     """
     root = known.root
     share = prior_shares(known, has_prior)
@@ -257,8 +265,9 @@ def statistics(
     if by_sizes is not None:
         scaled_covariance = scaled_covariance + by_sizes
     covariance = scales[:, None] * scaled_covariance * scales
+    beyond = np.zeros(len(scales)) if beyond_linear is None else scales**2 * beyond_linear
     std: FloatArray = np.sqrt(np.diag(covariance))
     decided = np.where(has_prior, np.clip(1.0 - np.diag(scaled_covariance), 0.0, 1.0), 1.0)
     n_effective = float(len(share) - np.trace(share))
-    found = Statistics(factors, factors.total_freedom, covariance, std, std, decided, n_effective, root, poses)
-    return replace(found, half_width=found.coverage_factor * std)
+    found = Statistics(factors, factors.total_freedom, covariance, std, std, decided, n_effective, root, poses, beyond)
+    return replace(found, half_width=found.coverage_factor * np.sqrt(std**2 + beyond))

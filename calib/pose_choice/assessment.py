@@ -31,7 +31,7 @@ from calib.numerics.observability import Information, TaskIndex, information, ob
 from calib.parameter import Parameter, index_of
 from calib.pose_choice.pose_count import CountRow, accuracy_by_count
 from calib.threads import one_blas_thread
-from calib.units import PER_SI, millimetres
+from calib.units import millimetres
 from calib.words import data_frame, titled_html
 
 CORRELATION_LIMIT = 0.95
@@ -97,10 +97,8 @@ class Assessment(ReadOnlyArrays):
     def rows(self) -> list[dict[str, object]]:
         """Return one row for each free parameter with its predicted standard deviation, in the units of tables."""
         kept = zip(self.free_parameters, self.std, strict=True)
-        per_si = {one.name: PER_SI[one.dimension][one.unit] for one in self.free_parameters}
         return [
-            {"name": one.name, "unit": one.unit}
-            | {key: float(number) * per_si[one.name] for key, number in (("sigma", one.sigma), ("std", std))}
+            {"name": one.name, "unit": one.unit, "sigma": one.sigma, "std": float(std) * one.per_si}
             for one, std in kept
         ]
 
@@ -135,7 +133,7 @@ class Assessment(ReadOnlyArrays):
 
     def hardly_known(self, part: float = HARDLY) -> list[tuple[str, float]]:
         """Return free parameters with more than `part` of their sigma left, and std / sigma, largest first."""
-        ratios = self.std / np.array([parameter.sigma for parameter in self.free_parameters])
+        ratios = self.std / np.array([parameter.sigma_si for parameter in self.free_parameters])
         named_ratios = [(p.name, float(r)) for p, r in zip(self.free_parameters, ratios, strict=True) if r > part]
         return sorted(named_ratios, key=lambda item: -item[1])
 

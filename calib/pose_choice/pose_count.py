@@ -58,6 +58,8 @@ def accuracy_by_count(
     n = len(rows)
     candidates = uniform_start(np.arange(n), min(n, _MOST_CANDIDATES))
     problem = build_problem(rows[candidates], None, priors, 0, task_rows)
+    if problem.known.rank.rank == 0:  # no number of poses determines anything
+        return ()
     rank_left = problem.known.rank.rank - int(np.linalg.matrix_rank(problem.before, hermitian=True))
     least = max(1, -(-rank_left // _directions_of_a_pose(rows[candidates])))
     if counts is None:

@@ -15,9 +15,13 @@ from numpy.typing import ArrayLike
 from calib.arrays import FloatArray
 from calib.data.measurements import Poses, of_visits
 from calib.linearisation.simulate import MET, at_contact
+from calib.memory import require_memory
 from calib.model.joint_sampling import TRIES, Ranges
 from calib.model.robot import Robot, require_robot
 from calib.observation.kind import Readings
+from calib.words import counted
+
+_NUMBERS_OF_EACH = 120  # of 8 bytes, for joint values, names and the text of a file: 700 to 850 bytes were measured
 
 
 def sample(
@@ -36,13 +40,15 @@ def sample(
             them, (n, n_actuated) [m or rad].
 
     Raises:
-        InputError: The count or the seed is negative, or a range is not one.
+        InputError: The count or the seed is negative, or a range is not one; or more than fits into memory.
         DataError: Not enough were found, even near home; or a sliding joint has no limits.
     """
     require_robot(robot)
     touches = [one for one in robot.instruments if not one.columns()]
     spanned = within.joints if isinstance(within, Poses) else within
-    tried = _poses(robot.sample(TRIES * count if touches and count > 0 else count, seed, within=spanned))
+    total = TRIES * count if touches and count > 0 else count
+    require_memory(_NUMBERS_OF_EACH * max(total, 0), f"sampling {counted(count, 'pose')}", "sample fewer")
+    tried = _poses(robot.sample(total, seed, within=spanned))
     if not touches:
         return tried
     looks = [(one, pair, detail) for one in touches for pair, detail in zip(*one.looks(), strict=True)]

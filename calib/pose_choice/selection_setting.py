@@ -156,7 +156,11 @@ def prepare(
     candidate_rows = assembled.found
     pairs = pairs_of(wanted.groups, candidate_rows)
     if wanted.index not in CERTIFIED or wanted.minimum_distance > 0:
-        require_memory(2 * pairs.rows.size, "an index without a bound, or a least distance, looks at all at once; it")
+        require_memory(
+            2 * pairs.rows.size,
+            "an index without a bound, or a least distance, looks at all at once; it",
+            "choose from each part of the candidates, and then from what was chosen",
+        )
     done_rows, n_before, points, again = None, 0, points_of(candidate_rows.positions[:0]), 0
     usable = pairs.possible & (assembled.usable & ~_excluded(exclude, len(poses)))[pairs.pose]
     keeps_distance = wanted.minimum_distance > 0 or wanted.off_grid  # nobody else asks where poses are

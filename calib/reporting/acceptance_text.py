@@ -35,7 +35,7 @@ def text_report(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: S
     parts: list[str | Table] = [_SAID[acceptance.verdict], *_errors(acceptance), *_drift(acceptance)]
     if acceptance.outliers:
         parts.append(f"Left out, further off than noise explains: {listed(acceptance.outliers, '; ')}")
-    parts += ["", "Changes looked for, the most significant first", _changes(acceptance.changes)]
+    parts += ["", _heading(acceptance.changes), _changes(acceptance.changes)]
     if figures:
         parts += [
             "",
@@ -72,6 +72,7 @@ def to_dict(acceptance: Acceptance, figures: Sequence[IsoFigure], missing: Seque
             "p_drift": acceptance.p_drift,
             "p_rest": acceptance.p_rest,
             "promised_rms_mm": millimetres(acceptance.promised),
+            "promised_left_open_mm": millimetres(acceptance.left_open),
             "errors": error_table(
                 acceptance.errors.errors("after", acceptance.errors.main_part.name), acceptance.errors.main_part
             ),
@@ -103,6 +104,8 @@ def changes_as_data(changes: Sequence[Change]) -> list[dict[str, object]]:
             "value": one.value * _unit(one)[1],
             "std": one.std * _unit(one)[1],
             "z": one.z,
+            "p_value": one.p_value,
+            "significant": one.significant,
             "visible": one.visible * _unit(one)[1],
         }
         for one in changes
@@ -110,19 +113,31 @@ def changes_as_data(changes: Sequence[Change]) -> list[dict[str, object]]:
 
 
 def _errors(acceptance: Acceptance) -> list[str]:
-    """What was measured beside what was promised."""
+    """What was measured beside what was promised: the ratio that decides, and the same in millimetres."""
     lines = [
-        f"Residuals are {acceptance.ratio:.3f} times as large as promised; {acceptance.low95:.3f} to"
-        f" {acceptance.high95:.3f} in 95 of 100 cases ({acceptance.freedom} degrees of freedom,"
-        f" p = {acceptance.p_value:.3g})"
+        f"Residuals are {acceptance.ratio:.3f} times as large as promised, each direction by how well it is known;"
+        f" {acceptance.low95:.3f} to {acceptance.high95:.3f} in 95 of 100 cases ({acceptance.freedom} degrees of"
+        f" freedom, p = {acceptance.p_value:.3g})"
     ]
     data = acceptance.errors.data
     if np.isfinite(acceptance.promised):
         table = error_table(acceptance.errors.errors("after", single=True))
+        rms = table["rms"]
+        assert isinstance(rms, float)
+        promised, left_open = millimetres(acceptance.promised), millimetres(acceptance.left_open)
+        noise = float(np.sqrt(max(promised**2 - left_open**2, 0.0)))
         lines.append(
-            f"Position errors over {counted(data.n_poses, 'pose')}: {table['rms']:.4f} mm rms (promised:"
-            f" {millimetres(acceptance.promised):.4f} mm), {table['mean']:.4f} mm mean, {table['max']:.4f} mm at worst"
+            f"Position errors over {counted(data.n_poses, 'pose')}: {rms:.4f} mm rms, {table['mean']:.4f} mm"
+            f" mean, {table['max']:.4f} mm at worst; promised: {promised:.4f} mm rms, of noise {noise:.4f} mm and what"
+            f" the calibration leaves open {left_open:.4f} mm"
         )
+        if (acceptance.ratio > 1.0) != (rms > promised) and acceptance.verdict != "agrees":
+            lines.append(
+                "The ratio decides: millimetres are ruled by the few directions that the calibration leaves open, and"
+                " hide what the readings are off in all others"
+                if acceptance.ratio > 1.0
+                else "The ratio decides: millimetres are ruled by the readings that are furthest off"
+            )
     return lines
 
 
@@ -149,6 +164,12 @@ def _said_of_placing(acceptance: Acceptance) -> str:
         f"base and targets were placed by these readings, which takes {acceptance.placed} degrees of freedom out of AP;"
         " --same-setup leaves them in"
     )
+
+
+def _heading(changes: Sequence[Change]) -> str:
+    n = sum(one.significant for one in changes)
+    which = f"{counted(n, 'is', 'are')} significant" if n else "none is significant"
+    return f"Changes looked for, the largest beside its standard deviation first; {which}"
 
 
 def _changes(changes: Sequence[Change]) -> Table:

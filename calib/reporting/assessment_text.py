@@ -188,6 +188,7 @@ def _rank(a: Assessment, *, everything: bool) -> dict[str, object]:
         "threshold": rank.threshold,
         "smallest_kept": rank.smallest_kept,
         "largest_dropped": rank.largest_dropped,
+        "unclear": rank.unclear,
     }
 
 
@@ -204,10 +205,10 @@ def _parameter_rows(a: Assessment) -> list[dict[str, Any]]:
         {
             "name": one.name,
             "unit": one.unit,
-            "sigma": one.sigma * one.per_si,
+            "sigma": one.sigma,
             "prior": one.prior,
             "std": float(std) * one.per_si,
-            "part": float(std) / one.sigma,
+            "part": float(std) / one.sigma_si,
         }
         for one, std in zip(a.free_parameters, a.std, strict=True)
     ]

@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arrays import ReadOnlyArrays
+from calib.arrays import FloatArray, ReadOnlyArrays
 from calib.data.in_memory import as_poses
 from calib.data.measurements import Poses
-from calib.identification.estimates import Covariance, Estimate, Estimates
+from calib.identification.estimates import NUMBERS, Covariance, Estimate, Estimates
 from calib.identification.fitted import Fit
+from calib.identification.reasons import NOTHING_TO_CORRECT
 from calib.joint_terms.term import Context
-from calib.linearisation.prediction import PositionUncertainty
+from calib.linearisation.known_robot import KnownRobot
+from calib.linearisation.prediction import ParameterUncertainty, PositionUncertainty
 from calib.model.held import Holds
 from calib.model.robot import Robot
-from calib.reporting.result_reading import LoadedUncertainty, load, load_uncertainty, read_result
+from calib.reporting.result_reading import joints_used, load, load_uncertainty, read_result
 from calib.words import titled_html
-
-_NUMBERS = ("nominal", "value", "std", "low95", "high95")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -31,16 +31,18 @@ class LoadedResult(ReadOnlyArrays):
     Attributes:
         path: Its folder.
         robot: The calibrated robot.
-        parameters: What was found of each parameter, by name [m or rad].
+        parameters: What was found of each parameter, by name.
         content: What `result.json` says, in mm and degrees.
         uncertainty: How sure the free parameters are.
+        joints: Of the visits that they were found from, (n, n_actuated) [m or rad].
     """
 
     path: str
     robot: Robot
     parameters: Estimates
     content: dict[str, Any]
-    uncertainty: LoadedUncertainty
+    uncertainty: ParameterUncertainty
+    joints: FloatArray
 
     def __repr__(self) -> str:
         return f"<result of '{self.robot.name}' in {self.path}: {self.grade}, {self.content['n_poses']} poses>"
@@ -54,6 +56,12 @@ class LoadedResult(ReadOnlyArrays):
         return str(self.content["verdict"]["grade"])
 
     @property
+    def known(self) -> KnownRobot:
+        """The robot, with how well it is known."""
+        codes = self.content.get("verdict", {}).get("codes", ())
+        return KnownRobot(self.robot, self.uncertainty, self.joints, NOTHING_TO_CORRECT in codes)
+
+    @property
     def free_names(self) -> tuple[str, ...]:
         """Names of the free parameters."""
         return tuple(p.name for p, free in zip(self.robot.parameters, self.uncertainty.free, strict=True) if free)
@@ -63,7 +71,7 @@ class LoadedResult(ReadOnlyArrays):
         """Covariance of the free parameters, by name."""
         return Covariance(self.free_names, self.uncertainty.covariance)
 
-    def held_by(self, holds: Holds) -> tuple[Robot, LoadedUncertainty]:
+    def held_by(self, holds: Holds) -> tuple[Robot, ParameterUncertainty]:
         """Return the robot that files get which hold so much (`calib.model.held`), and how sure its parameters are.
 
         Raises:
@@ -94,12 +102,13 @@ def load_result(folder: Path | str) -> LoadedResult:
     found = {}
     for row, one, value in rows:
         per_si = one.per_si
-        numbers = {key: np.nan if row[key] is None else float(row[key]) / per_si for key in _NUMBERS}
-        numbers |= {"nominal": one.nominal, "value": float(value)}  # these to the last digit
+        numbers = {f"{key}_si": np.nan if row[key] is None else float(row[key]) / per_si for key in NUMBERS}
+        numbers |= {"nominal_si": one.nominal_si, "value_si": float(value)}  # these to the last digit
         found[one.name] = Estimate(
             one.name, one.unit, **numbers, status=row["status"], family=one.family, per_si=per_si
         )
-    return LoadedResult(str(folder), robot, Estimates(found), content, load_uncertainty(folder, robot))
+    known, joints = load_uncertainty(folder, robot), joints_used(folder, robot)
+    return LoadedResult(str(folder), robot, Estimates(found), content, known, joints)
 
 
 def predict(calibrated: Robot | Fit | LoadedResult, poses: Poses | ArrayLike) -> PositionUncertainty:

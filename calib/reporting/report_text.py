@@ -19,12 +19,14 @@ from calib.reporting.result_content import budget_table, correlated, error_sets,
 from calib.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale, millimetres
 from calib.words import counted, listed, plain_text, sentence, text_table
 
+_MOST_REASONS = 3
+
 
 def text_report(fit: Fit, width: int = 120) -> str:
     """Return verdict, accuracy before and after, parameters with their 95 % intervals, and what to know about them."""
     parts: list[str | Table] = [
         f"Calibration of {fit.nominal.name} ({fit.nominal.path})",
-        *verdict_lines(fit.verdict),
+        *verdict_lines(fit.verdict, _MOST_REASONS),
         *_accuracy(fit),
         *_files(fit),
         *_budget(fit),
@@ -34,10 +36,21 @@ def text_report(fit: Fit, width: int = 120) -> str:
     return plain_text(parts, width, wrap=True)
 
 
-def verdict_lines(verdict: Verdict) -> list[str]:
-    """Return the verdict, its reasons, and what it does not cover, one line each."""
-    reasons = [f"  {reason.grade}: {reason.text}" for reason in verdict.reasons]
-    return [f"Verdict: {verdict.grade}", *reasons, *(f"  not covered: {text}" for text in verdict.not_covered)]
+def verdict_lines(verdict: Verdict, most: int | None = None) -> list[str]:
+    """Return the verdict, what it claims, its reasons, and what it does not cover, one line each.
+
+    Args:
+        verdict: The verdict.
+        most: How many reasons at most; all if not given.
+    """
+    claimed = [] if verdict.claim is None else [f"  {verdict.claim.words}"]
+    names = {"PASS": "remark"}
+    reasons = [f"  {names.get(reason.grade, reason.grade)}: {reason.text}" for reason in verdict.reasons]
+    left = len(reasons) - len(reasons[:most])
+    if left:
+        reasons = [*reasons[:most], f"  {left} more in report.html and result.json"]
+    not_covered = [f"  not covered: {text}" for text in verdict.not_covered]
+    return [f"Verdict: {verdict.grade}", *claimed, *reasons, *not_covered]
 
 
 def notes(fit: Fit, *, brief: bool = False) -> list[str]:

@@ -60,6 +60,7 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "n_parameters_all": len(fit.free),
             "smallest_singular_value_kept": fit.rank_all.smallest_kept,
             "largest_singular_value_dropped": fit.rank_all.largest_dropped,
+            "rank_unclear": fit.rank.unclear or fit.rank_all.unclear,
             "redundant": list(fit.nominal.description.held),
             "sigma": fit.sigma,
             "sigma_stated": fit.sigma_stated,
@@ -171,7 +172,7 @@ def position_uncertainty_table(fit: Fit) -> dict[str, object]:
         ("validation", fit.validation, fit.validation_uncertainty),
     ]
     return {
-        name: found.summary() | {"worst_pose": errors.data.names[found.worst], "left_out": list(found.left_out)}
+        name: found.table() | {"worst_pose": errors.data.names[found.worst]}
         for name, errors, found in sets
         if found is not None and errors is not None
     }

@@ -173,13 +173,18 @@ def _readings(path: Path) -> dict[str, dict[tuple[str, ...], float]]:
     table = read_table(path)
     names = list(table.names)
     errors = [k for k, name in enumerate(names) if name.startswith("error_after_")]
+    if not errors:
+        raise DataError(f"{path}: has no columns error_after_...; run the fit again")
     errors = [k for k in errors if table.units[k] == table.units[errors[0]]]
     own = ("error_", "over_sigma", "studentised", "leverage", "weight", "loop_singular_value")
     said = [k for k, name in enumerate(names) if name not in ("set", "pose") and not name.startswith(own)]
     found: dict[str, dict[tuple[str, ...], float]] = {}
-    for row in table.rows:
-        square = sum(float(row[k]) ** 2 for k in errors if row[k]) if row[errors[0]] else np.nan
-        found.setdefault(row[names.index("set")], {})[tuple(row[k] for k in said)] = square
+    for row, used in zip(table.rows, table.texts("set"), strict=True):
+        try:
+            square = sum(float(row[k]) ** 2 for k in errors if row[k]) if row[errors[0]] else np.nan
+        except ValueError:
+            raise DataError(f"{path}: holds text where an error is expected; run the fit again") from None
+        found.setdefault(used, {})[tuple(row[k] for k in said)] = square
     return found
 
 
@@ -241,7 +246,7 @@ def _of_common(one: _Result, common: Sequence[str]) -> tuple[FloatArray, FloatAr
     """Values, covariance, and sigmas of priors that are known beforehand (NaN: none) of these free parameters [SI]."""
     place = [one.free.index(name) for name in common]
     values = one.robot.values[[index_of(one.robot.parameters, name) for name in common]]
-    sigma = np.array([p.sigma if p.prior and not p.family else np.nan for p in one.parameters(common)])
+    sigma = np.array([p.sigma_si if p.prior and not p.family else np.nan for p in one.parameters(common)])
     return values, one.covariance[np.ix_(place, place)], sigma
 
 
@@ -262,7 +267,9 @@ def _errors(
         return rms, unit, (f"the same {counted(len(same), 'reading')} not used",) * len(results), sizes
     found, where = [], []
     for one in results:
-        best = next(name for name in _ERRORS if name in one.content["errors"])
+        best = next((name for name in _ERRORS if name in one.content["errors"]), None)
+        if best is None:
+            raise DataError(f"{one.name}: its result.json tells no errors; run the fit again")
         value = one.content["errors"][best]["after"]["rms"]
         found.append(np.nan if value is None else float(value))
         where.append(_ERRORS[best])

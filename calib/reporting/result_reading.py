@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scipy
 
-from calib.arrays import BoolArray, FloatArray
+from calib.arrays import FloatArray
 from calib.data.measurements import Poses
 from calib.data.parameter_files import read_parameters
 from calib.data.tables import read_table
@@ -19,15 +19,17 @@ from calib.errors import ComputationError, DataError, DescriptionError
 from calib.files import read_text
 from calib.identification.joint_curves import beyond_learned
 from calib.identification.promise import Promise
-from calib.joint_terms.term import Context
+from calib.identification.reasons import NOTHING_TO_CORRECT
 from calib.joint_terms.terms import stored_terms
-from calib.linearisation.prediction import PositionUncertainty, position_uncertainty
+from calib.linearisation.known_robot import KnownRobot
+from calib.linearisation.prediction import ParameterUncertainty
 from calib.model import loading
 from calib.model.held import Holds
 from calib.model.robot import Robot
 from calib.reporting.files_held import file_entry, stored_files
 from calib.reporting.result_content import FORMAT_VERSION, NOMINAL_URDF, NOMINAL_YAML
-from calib.units import PER_SI, error_scale, per_si
+from calib.reporting.result_format import damage
+from calib.units import error_scale, per_si
 from calib.words import counted, listed
 
 _AGREE = 1e-9  # of the same value in two files [m or rad]
@@ -142,9 +144,12 @@ def poses_beyond_curves(folder: Path | str, robot: Robot, poses: Poses) -> list[
     learned = np.zeros((2, len(robot.joint_names)))
     curves = (read_result(folder).get("joint_terms") or {}).get("curves", [])
     for curve in curves:
-        joint = robot.joint_names.index(curve["joint"])
-        scale = PER_SI[robot.mechanism.dimensions[curve["joint"]]][curve["unit"]]
-        learned[:, joint] = curve["low"] / scale, curve["high"] / scale
+        name = curve["joint"]
+        if name not in robot.joint_names:
+            raise DataError(f"{folder}: has an error curve of joint '{name}', which the robot does not have; run the"
+                            " fit again")  # fmt: skip
+        scale = per_si(curve["unit"], robot.mechanism.dimensions[name], f"{folder}, curve of joint '{name}'")
+        learned[:, robot.joint_names.index(name)] = curve["low"] / scale, curve["high"] / scale
     outside = beyond_learned(robot, learned, poses.joints) if curves else np.zeros((0, 0), dtype=bool)
     found = np.flatnonzero(np.any(outside, axis=1))
     if not len(found):
@@ -156,33 +161,7 @@ def poses_beyond_curves(folder: Path | str, robot: Robot, poses: Poses) -> list[
     ]
 
 
-@dataclass(frozen=True, eq=False)
-class LoadedUncertainty:
-    """The uncertainty of a result folder.
-
-    Attributes:
-        free: Which parameters were free, (n_parameters,).
-        covariance: Of these, (n_free, n_free) [m, rad].
-        coverage_factor: How many standard deviations make half a 95 % interval.
-    """
-
-    free: BoolArray
-    covariance: FloatArray
-    coverage_factor: float
-
-    def at(self, robot: Robot, q: FloatArray, context: Context | None = None) -> PositionUncertainty:
-        """Predict positions of the calibrated robot at actuated joints q (n, n_actuated), with their covariance.
-
-        Args:
-            robot: The calibrated robot.
-            q: Commands, (n, n_actuated) [m or rad].
-            context: Under which conditions they are given.
-        """
-        free = np.flatnonzero(self.free)
-        return position_uncertainty(robot, free, self.covariance, self.coverage_factor, q, context)
-
-
-def load_uncertainty(folder: Path | str, robot: Robot, holds: Holds = Holds.EVERYTHING) -> LoadedUncertainty:
+def load_uncertainty(folder: Path | str, robot: Robot, holds: Holds = Holds.EVERYTHING) -> ParameterUncertainty:
     """Return the uncertainty of a result folder.
 
     Args:
@@ -213,7 +192,25 @@ def load_uncertainty(folder: Path | str, robot: Robot, holds: Holds = Holds.EVER
     if not np.all(np.isfinite(covariance)) or not isinstance(freedom, (int, float)) or not 0 < freedom < _MOST_FREEDOM:
         raise DataError(f"{folder}: its covariance or degrees of freedom are not numbers; run the fit again")
     free = np.array([p.name in names for p in robot.parameters])
-    return LoadedUncertainty(free, covariance, float(scipy.special.stdtrit(freedom, 0.975)))
+    return ParameterUncertainty(free, covariance, float(scipy.special.stdtrit(freedom, 0.975)))
+
+
+def load_known(folder: Path | str, robot: Robot) -> KnownRobot:
+    """Return the calibrated robot of a result folder, with how well it is known and where it was measured.
+
+    Args:
+        folder: Of `save`.
+        robot: The nominal robot.
+
+    Raises:
+        DataError: The folder holds no result, one of another robot, or a damaged one.
+        ComputationError: The result failed, and was not forced.
+    """
+    calibrated = load_calibrated(folder, robot)
+    codes = read_result(folder).get("verdict", {}).get("codes", ())
+    return KnownRobot(
+        calibrated, load_uncertainty(folder, calibrated), joints_used(folder, robot), NOTHING_TO_CORRECT in codes
+    )
 
 
 def load_promise(folder: Path | str, robot: Robot) -> Promise:
@@ -259,7 +256,6 @@ def read_result(folder: Path | str) -> dict[str, Any]:
         raise DataError(f"{path}: cannot be read ({error}); run the fit again") from None
     if not isinstance(content, dict) or content.get("version") != FORMAT_VERSION:
         raise DataError(f"{path}: is not a result of format version {FORMAT_VERSION}; run the fit again")
-    rows = content.get("parameters")
-    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows) or "robot" not in content:
-        raise DataError(f"{path}: is incomplete; run the fit again")
+    if problem := damage(content):
+        raise DataError(f"{path}: is damaged, {problem}; run the fit again")
     return content

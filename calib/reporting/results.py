@@ -44,6 +44,9 @@ _FILE = re.compile(rb"""\bfilename\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 _PAGES = ("report.html", "viewer.html")
 _NOT_ALWAYS = (_URDF, *_PAGES, *(f"{name}{end}.csv" for name in VALUES.values() for end in ("", "_covariance")))
 """Files that must not stay beside a new result that has none."""
+_ALWAYS = ("result.json", "parameters.csv", "covariance.csv", "residuals.csv", NOMINAL_YAML, NOMINAL_URDF)
+RESULT_FILES = (*_ALWAYS, *_NOT_ALWAYS)
+"""What a result folder may hold of a fit."""
 
 
 def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[str, bytes] | None = None) -> None:
@@ -55,11 +58,12 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
     Args:
         fit: The fit.
         folder: Where to; files of other names in it stay.
-        force: Export a failed fit all the same; its files say so.
+        force: Export a failed fit all the same; its files say so. Replace what this program did not write, too.
         pages: Further files for people, name -> content.
 
     Raises:
-        InputError: The folder cannot be written; what was there is untouched.
+        InputError: The folder cannot be written, or holds files of these names that this program did not write, or
+            that the fit was made from; what was there is untouched.
     """
     failed = fit.verdict.grade == "FAIL"
     nominal = {
@@ -80,7 +84,8 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
     if force or not (failed or why_no_origins(fit)):
         files[_URDF] = _calibrated_urdf(fit, _said_inside(fit.verdict, "exported by force") if failed else [])
     files |= pages or {}
-    write_folder(folder, files, obsolete=sorted(set(_NOT_ALWAYS) - set(files)))
+    sources = (fit.nominal.path, fit.nominal.urdf.path, fit.identification.data.path)
+    write_folder(folder, files, sorted(set(_NOT_ALWAYS) - set(files)), inputs=sources, force=force)
 
 
 def _calibrated_urdf(fit: Fit, remarks: list[str]) -> bytes:

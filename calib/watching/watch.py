@@ -13,6 +13,7 @@ a goal below that noise is never seen to hold.
 from __future__ import annotations
 
 import time
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +23,15 @@ from calib.arrays import FloatArray
 from calib.data.in_memory import as_poses
 from calib.data.measurement_files import read_measurements
 from calib.data.measurements import Measurements, Poses
-from calib.errors import CalibrationError, DataError, InputError, NotConvergedError, NotIdentifiableError
-from calib.files import read_text
+from calib.errors import (
+    CalibrationError,
+    DataError,
+    InputError,
+    NotConvergedError,
+    NotIdentifiableError,
+    UnreachablePoseError,
+)
+from calib.files import read_lines
 from calib.identification.fit import identify
 from calib.identification.fitted import Fit
 from calib.identification.settings import Settings
@@ -38,6 +46,7 @@ from calib.watching.progress import LAST, LEAST, MOST, UNKNOWN, Progress, square
 
 CANDIDATES = 300
 """Poses that are sampled where nobody gives any."""
+_MOST_BAD = 100  # lines that are passed over; the file is then another one than was meant
 
 
 class Watch:
@@ -176,6 +185,8 @@ def _continues(before: Measurements, data: Measurements) -> bool:
 class GrowingFile:
     """A CSV file to look at now and then; a last line without its end is left for the next time.
 
+    A line that cannot be read, or whose pose cannot be assembled, is passed over until it is corrected.
+
     Args:
         path: The file; it need not exist yet.
         robot: Whose joints and instruments it is about.
@@ -183,20 +194,59 @@ class GrowingFile:
 
     def __init__(self, path: str, robot: Robot) -> None:
         self._path, self._robot = path, robot
-        self._seen = ""
+        self._seen: list[str] = []
+        self._bad: dict[int, str] = {}  # lines that are passed over, by their place
+        self._told: list[str] = []
+
+    def remarks(self) -> list[str]:
+        """Return what is wrong with the lines that are passed over since the last call."""
+        told, self._told = self._told, []
+        return told
 
     def changed(self) -> Measurements | None:
         """Return what the whole lines hold; None where there is nothing, or nothing new since the last time.
 
         Raises:
-            DataError: A whole line is not valid.
+            DataError: The header is not valid, or no line can be read, or a hundred cannot.
         """
         if not Path(self._path).exists():
             return None
-        text = read_text(self._path, "a CSV file", DataError, growing=True)
-        rows = [line for line in text.split("\n") if line.strip() and not line.lstrip().startswith("#")]
-        if text == self._seen or len(rows) < 2:  # a header is no row
+        lines = list(chain.from_iterable(read_lines(self._path, "a CSV file", DataError, growing=True)))
+        places = [k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
+        if lines == self._seen or len(places) < 2:  # a header is no row
             return None
-        self._seen = text
-        data = read_measurements(self._path, self._robot, growing=True)
-        return data if len(data) else None
+        self._seen = lines
+        self._bad = {k: line for k, line in self._bad.items() if lines[k : k + 1] == [line]}
+        rows = [k for k in places[1:] if k not in self._bad]
+        first = None
+        while rows:
+            data, problem = self._read(rows[-1])
+            if problem is None:
+                return data
+            first = first or problem
+            bad, problem = self._first_bad(rows, problem)
+            rows.remove(bad)
+            if not rows or len(self._bad) >= _MOST_BAD:
+                raise first
+            self._bad[bad] = lines[bad]
+            self._told.append(f"{problem}; this line is passed over until it is corrected")
+        return None
+
+    def _first_bad(self, rows: list[int], problem: CalibrationError) -> tuple[int, CalibrationError]:
+        """The first row that cannot be read, by halving, and why; of all rows something cannot, as is known."""
+        low, high = 0, len(rows) - 1
+        while low < high:
+            middle = (low + high) // 2
+            _, other = self._read(rows[middle])
+            low, high, problem = (middle + 1, high, problem) if other is None else (low, middle, other)
+        return rows[low], problem
+
+    def _read(self, last: int) -> tuple[Measurements | None, CalibrationError | None]:
+        """What the lines up to one of them hold, without those that are passed over; or why they cannot be read."""
+        lines = ["" if k in self._bad else line for k, line in enumerate(self._seen[: last + 1])]
+        try:
+            data = read_measurements(self._path, self._robot, growing=lines)
+            self._robot.assemble(data.joints, labels=data.labels, context=data.conditions)
+        except (DataError, UnreachablePoseError) as error:
+            return None, error
+        return (data if len(data) else None), None

@@ -93,7 +93,7 @@ def from_template(name: str) -> dict[str, str]:
 def _drawn(robot: calib.Robot, rng: np.random.Generator) -> dict[str, float]:
     """True values: nominal plus half of what the description expects; placements stay nominal."""
     return {
-        parameter.name: parameter.nominal + (0.0 if parameter.placement else 0.5 * parameter.sigma * rng.normal())
+        parameter.name: parameter.nominal_si + (0.0 if parameter.placement else 0.5 * parameter.sigma_si * rng.normal())
         for parameter in robot.parameters
     }
 

@@ -55,7 +55,7 @@ def singular_values() -> Figure:
     robot = calib.load(ROOT / "urdf" / "medrue.yaml")
     poses = calib.read_poses(EXAMPLES / "medrue_simulated.csv", robot)
     jacobian = linearise(robot, robot.assemble(poses.joints)).jacobian
-    sigma = np.array([parameter.sigma for parameter in robot.parameters])
+    sigma = np.array([parameter.sigma_si for parameter in robot.parameters])
     rank = numerical_rank((jacobian * sigma).reshape(-1, len(sigma)))
     values = np.maximum(rank.singular_values, 1e-20)
     number = np.arange(1, len(values) + 1)

@@ -156,7 +156,7 @@ SPATIAL = ("arm", "MedRUE")
 """Robots whose mirror image is another robot: that of a planar one is the same robot, seen from behind."""
 FILES: dict[str, Scenario] = {
     "a joint counted the other way": Scenario("sick", joint_sign),
-    "a joint zero 90 degrees off": Scenario("sick", joint_zero),
+    "a joint zero 90 degrees off": Scenario("counted", joint_zero),
     "two joint columns swapped": Scenario("sick", swapped_columns),
     "a joint in gon instead of degrees": Scenario("sick", gon),
     "degrees without a unit": Scenario("sick", degrees),
@@ -171,11 +171,11 @@ FILES: dict[str, Scenario] = {
     "a third of the rows pasted twice": Scenario("sick", copied_rows, validate=0.0),
     "validated with rows that were used": Scenario("sick", used_twice),
     "readings of 0, 0, 0": Scenario("sick", zeros),
-    "joint values rounded to 0.1 deg": Scenario("sick", rounded_joints, stated=False),
-    "readings rounded to 0.2 mm": Scenario("sick", coarse_readings),
-    "joints logged before they stood still": Scenario("sick", lagging_joints, stated=False),
+    "joint values rounded to 0.1 deg": Scenario("counted", rounded_joints, stated=False),
+    "readings rounded to 0.2 mm": Scenario("counted", coarse_readings),
+    "joints logged before they stood still": Scenario("counted", lagging_joints, stated=False),
     "typing errors in four joint values": Scenario("sick", typing_errors, stated=False),
     "two targets swapped at a third of the poses": Scenario("sick", swapped_targets, robots=("3-RRR",)),
-    "a link 30 mm longer than in the URDF": Scenario("sick", another_robot),
+    "a link 30 mm longer than in the URDF": Scenario("counted", another_robot),
 }
 """Sick scenarios of files, by name."""

@@ -175,7 +175,7 @@ class Scenario:
         named: What a PASS must say that it does not cover, where that hides it; empty where it cannot know.
     """
 
-    kind: Literal["healthy", "sick", "hidden"]
+    kind: Literal["healthy", "counted", "sick", "hidden"]
     make: Callable[[Lab], Trial | Measurements]
     stated: bool = True
     validate: float = 0.25
@@ -198,7 +198,7 @@ def open_lab(robot: str, seed: int, measured: str = "positions") -> Lab:
     size = rng.uniform(0.5, 1.0)
     own = nominal.parameters[: nominal.n_origin_parameters]
     values = {
-        p.name: p.nominal + size * p.sigma * rng.normal()
+        p.name: p.nominal_si + size * p.sigma_si * rng.normal()
         for p, use in zip(own, nominal.is_free, strict=False)
         if use and not p.placement
     }

@@ -35,7 +35,12 @@ PAGE = EXAMPLES.parent / "verdict.md"
 EACH = 1
 HEALTHY_TIMES = 6
 OUTCOMES = ("PASS", "CHECK", "FAIL", "refused")
-KINDS = {"healthy": "healthy", "sick": "sick", "hidden": "sick, and no such data can show it"}
+KINDS = {
+    "healthy": "healthy",
+    "counted": "something is wrong, and the claim counts it at poses like those measured",
+    "sick": "sick",
+    "hidden": "sick, and no such data can show it",
+}
 """Kinds of scenarios, and what their tables are called."""
 _PLACE = re.compile(r"(<!-- begin verdict rates -->\n).*?(<!-- end -->)", re.DOTALL)
 
@@ -150,7 +155,8 @@ def rows(outcomes: Iterable[Outcome]) -> list[list[str]]:
 
 def _row(kind: str, name: str, found: list[Outcome]) -> list[str]:
     grades = Counter(outcome.grade for outcome in found)
-    codes = Counter(code for outcome in found if outcome.grade != "PASS" for code in dict.fromkeys(outcome.codes))
+    shown = (outcome for outcome in found if outcome.grade != "PASS" or kind == "counted")
+    codes = Counter(code for outcome in shown for code in dict.fromkeys(outcome.codes))
     said = ", ".join(f"{code} {count}" for code, count in codes.most_common(3))
     if name in SCENARIOS and SCENARIOS[name].named:
         said = f"a PASS names it as not covered: {sum(o.says_so for o in found if o.grade == 'PASS')}" + (
@@ -195,7 +201,7 @@ def main() -> None:
         write_file(options.out, csv_text(table))
     if options.page:
         text = PAGE.read_text(encoding="utf-8")
-        write_file(PAGE, _PLACE.sub(lambda place: f"{place[1]}{markdown(table)}{place[2]}", text))
+        PAGE.write_text(_PLACE.sub(lambda place: f"{place[1]}{markdown(table)}{place[2]}", text), encoding="utf-8")
     print(markdown(table))
 
 

@@ -183,10 +183,10 @@ def other_tool(lab: Lab) -> Measurements:
 READINGS: dict[str, Scenario] = {
     "5 % outliers": Scenario("sick", outliers),
     "six outliers in a row": Scenario("sick", run_of_outliers, stated=False),
-    "noise ten times what was stated": Scenario("sick", noisy),
-    "noise a third of what was stated": Scenario("sick", quiet),
+    "noise ten times what was stated": Scenario("counted", noisy),
+    "noise a third of what was stated": Scenario("counted", quiet),
     "two instruments, one ten times worse": Scenario("sick", two_instruments, stated=False),
-    "two instruments, frames 0.5 mm apart": Scenario("sick", two_frames),
+    "two instruments, frames 0.5 mm apart": Scenario("counted", two_frames),
     "the tracker drifts": Scenario("sick", drift),
     "the tracker is moved half-way": Scenario("sick", tracker_moved),
     "the tracker turns slowly, noise not stated": Scenario("sick", turning, stated=False),
@@ -194,7 +194,7 @@ READINGS: dict[str, Scenario] = {
     "the tracker turns, rows shuffled, with time": Scenario("sick", turning_with_time, stated=False),
     "warming up by 800 ppm, noise not stated": Scenario("sick", warming_up, stated=False),
     "a tracker's scale, known lengths measured": Scenario(
-        "sick", known_length, robots=("arm",), measured="positions and distances"
+        "counted", known_length, robots=("arm",), measured="positions and distances"
     ),
     "the reflector slips by 0.2 mm half-way": Scenario("sick", slipped_reflector, stated=False),
     "the reflector was taken off and put on": Scenario("sick", other_tool, stated=False),

@@ -134,7 +134,7 @@ def _twin(lab: Lab) -> calib.Robot:
     values = dict(zip((p.name for p in nominal.parameters), lab.truth.values, strict=True))
     for p, use in zip(nominal.parameters[: nominal.n_origin_parameters], nominal.is_free, strict=False):
         if use and not p.placement:
-            values[p.name] = p.nominal + p.sigma * lab.rng.normal()
+            values[p.name] = p.nominal_si + p.sigma_si * lab.rng.normal()
     return nominal.with_parameters(values)
 
 
@@ -149,32 +149,32 @@ def handful(lab: Lab) -> Measurements:
 
 
 ROBOT: dict[str, Scenario] = {
-    "backlash of one joint": Scenario("sick", backlash),
-    "a small backlash, noise not stated": Scenario("sick", small_backlash, stated=False),
-    "a joint that sags": Scenario("sick", sag, robots=("arm",)),
-    "an encoder off its centre": Scenario("sick", eccentric_encoder),
-    "two bad encoders, noise not stated": Scenario("sick", two_bad_encoders, stated=False),
-    "a fast gear error, noise not stated": Scenario("sick", fast_gear, stated=False),
+    "backlash of one joint": Scenario("counted", backlash),
+    "a small backlash, noise not stated": Scenario("counted", small_backlash, stated=False),
+    "a joint that sags": Scenario("counted", sag, robots=("arm",)),
+    "an encoder off its centre": Scenario("counted", eccentric_encoder),
+    "two bad encoders, noise not stated": Scenario("counted", two_bad_encoders, stated=False),
+    "a fast gear error, noise not stated": Scenario("counted", fast_gear, stated=False),
     "an encoder that slips": Scenario("sick", slipped_encoder),
     "a motor that warms up, noise not stated": Scenario("sick", warm_motor, stated=False),
     "a motor that loses steps for a while": Scenario("sick", lost_steps, stated=False),
-    "a loose joint": Scenario("sick", loose_joint),
-    "all poses in one corner": Scenario("sick", one_corner),
-    "a joint that never moved": Scenario("sick", still_joint),
-    "a joint that moved too little": Scenario("sick", little_moved),
+    "a loose joint": Scenario("counted", loose_joint),
+    "all poses in one corner": Scenario("counted", one_corner),
+    "a joint that never moved": Scenario("counted", still_joint),
+    "a joint that moved too little": Scenario("counted", little_moved),
     "a joint that moved too little, distances measured": Scenario(
-        "sick", little_moved_otherwise, robots=("arm",), measured="distances"
+        "counted", little_moved_otherwise, robots=("arm",), measured="distances"
     ),
     "a joint that moved too little, pixels measured": Scenario(
-        "sick", little_moved_otherwise, robots=("arm",), measured="pixels"
+        "counted", little_moved_otherwise, robots=("arm",), measured="pixels"
     ),
-    "joints that moved together": Scenario("sick", together),
+    "joints that moved together": Scenario("counted", together),
     "calibrated in a small region, validated far away": Scenario("sick", far_validation),
     "validated with another robot": Scenario("sick", another_on_validation),
     "a collision before validation": Scenario("sick", changed_between),
-    "too few poses": Scenario("sick", too_few, validate=0.0),
+    "too few poses": Scenario("counted", too_few, validate=0.0),
     "six poses": Scenario("sick", handful, validate=0.0),
-    "a joint that sags, over a short range": Scenario("hidden", sag, robots=("MedRUE", "3-RRR")),
+    "a joint that sags, over a short range": Scenario("counted", sag, robots=("MedRUE", "3-RRR")),
     "all joints a little loose, noise not stated": Scenario(
         "hidden", loose_joints, stated=False, named="nobody stated the noise"
     ),

@@ -68,7 +68,7 @@ def extended_medrue(off=0.3):
     """MedRUE with 130 parameters, each off by a random part of its prior sigma, and 84 simulated poses."""
     robot, q = calib.load(robot_file("medrue_extended")), np.array(target_workspace().q)[::5]
     rng = np.random.default_rng(1)
-    sigma = np.array([parameter.sigma for parameter in robot.parameters])
+    sigma = np.array([parameter.sigma_si for parameter in robot.parameters])
     truth = robot.with_parameters(robot.values + off * sigma * rng.standard_normal(len(sigma)))
     directions = from_direction(rng.choice([-1.0, 1.0], len(q)))
     positions = truth.positions(q, Context.of(directions, {}))[:, 0] + 4e-5 * rng.standard_normal((len(q), 3))

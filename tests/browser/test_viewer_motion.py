@@ -200,7 +200,7 @@ def with_terms(folder, name, terms, generator):
     (folder / "robot.yaml").write_text("\n".join([described, "joint_terms:", *(f"  - {{{term}}}" for term in terms)]))
     robot = calib.load(folder / "robot.yaml")
     values = robot.values.copy()
-    sigma = [one.sigma for one in robot.parameters[robot.coefficients]]
+    sigma = [one.sigma_si for one in robot.parameters[robot.coefficients]]
     values[robot.coefficients] = generator.normal(scale=sigma)
     return robot, robot.with_parameters(values)
 

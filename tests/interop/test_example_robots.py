@@ -100,7 +100,7 @@ def random_poses(robot: calib.Robot, count: int, generator: np.random.Generator,
 
 def moved(robot: calib.Robot, generator: np.random.Generator) -> calib.Robot:
     """Each free parameter off by half of its expected deviation, at random."""
-    sigma = np.array([parameter.sigma for parameter in robot.parameters]) * robot.is_free
+    sigma = np.array([parameter.sigma_si for parameter in robot.parameters]) * robot.is_free
     return robot.with_parameters(robot.values + 0.5 * sigma * generator.standard_normal(len(sigma)))
 
 

@@ -1,0 +1,116 @@
+"""What every reader of `result.json` may rely on: the shape of what is read back, checked in one place.
+
+Entries that nobody reads back are not looked at; null stands for a number that is not known.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+_Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+_Count = Annotated[int, Field(strict=True, ge=0)]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(strict=True)
+
+
+class _Parameter(_Part):
+    name: str
+    unit: str
+    nominal: _Number | None
+    value: _Number
+    std: _Number | None
+    low95: _Number | None
+    high95: _Number | None
+    status: str
+    family: str
+
+
+class _Verdict(_Part):
+    grade: Literal["PASS", "CHECK", "FAIL"]
+    reasons: list[str]
+    grades: list[str] = []
+    forced: bool = False
+
+    @model_validator(mode="after")
+    def _one_grade_for_each_reason(self) -> _Verdict:
+        if "grades" in self.model_fields_set and len(self.grades) != len(self.reasons):
+            raise ValueError("there are not as many grades as reasons")
+        if self.grade == "FAIL" and not self.reasons:
+            raise ValueError("it failed without a reason")
+        return self
+
+
+class _Sizes(_Part):
+    rms: _Number | None
+
+
+class _States(_Part):
+    after: _Sizes
+
+
+class _NoiseOfPart(_Part):
+    name: str
+    unit: str
+    sigma: _Number | None
+
+
+class _Instrument(_Part):
+    name: str
+    parts: Annotated[list[_NoiseOfPart], Field(min_length=1)]
+
+
+class _Outlier(_Part):
+    set: str
+    pose: str | None
+    target: str
+
+
+class _Curve(_Part):
+    joint: str
+    unit: str
+    low: _Number
+    high: _Number
+
+
+class _Terms(_Part):
+    asked: str | None
+    entries: list[dict[str, Any]]
+    curves: list[_Curve]
+
+
+class _Result(_Part):
+    robot: str
+    comments: list[str]
+    verdict: _Verdict
+    n_poses: _Count
+    n_rows: _Count
+    sigma: _Number | None
+    degrees_of_freedom: Annotated[_Number, Field(gt=0)]
+    interval_degrees_of_freedom: _Number | None
+    shared: Annotated[_Number, Field(gt=0)] | None
+    parameters: list[_Parameter]
+    errors: dict[str, _States]
+    instruments: Annotated[list[_Instrument], Field(min_length=1)]
+    outliers: list[_Outlier]
+    excluded: list[Any]
+    joint_terms: _Terms
+    sha256: dict[str, str]
+
+
+def damage(content: object) -> str:
+    """Return the first thing of a result's content that readers could not read, with its place; empty if there is none.
+
+    Args:
+        content: What `result.json` holds.
+    """
+    try:
+        _Result.model_validate(content)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in first["loc"]).lstrip(".")
+        return f"'{place}': {first['msg'][:1].lower()}{first['msg'][1:]}" if place else "it is no object"
+    return ""

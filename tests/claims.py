@@ -1,0 +1,191 @@
+"""What fits claim of real robots, and what poses show that they have not seen.
+
+    python tests/claims.py FOLDER [--terms auto] [--only WORDS] [--page]
+
+FOLDER holds measurements by others, as `tests/public_data.py` reads them. Each fit gets the first part of a split, and
+is judged with the second. --page writes the table into docs/verdict.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import textwrap
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import yaml
+from public_data import EXAMPLES, PLACES, described, mukca, ur10_tracker
+
+import calib
+from calib.data.measurements import Measurements
+from calib.errors import CalibrationError
+from calib.identification.claim_of_fit import claim_of
+from calib.words import counted
+
+PAGE = EXAMPLES.parent / "verdict.md"
+_PLACE = re.compile(r"(<!-- begin real robots -->\n).*?(<!-- end real robots -->)", re.DOTALL)
+POINTS = ("cam", "cx", "cy", "cz")
+
+
+@dataclass(frozen=True)
+class Split:
+    """Poses to fit, and poses to judge."""
+
+    robot: str
+    how: str
+    nominal: calib.Robot
+    used: Measurements
+    unused: Measurements
+
+
+def splits(folder: Path) -> Iterator[Split]:
+    """Yield every split."""
+    yield from _ur10(folder)
+    yield from _motoman(folder)
+    for points in (0, 1, 4):
+        robot, data = fr3(folder, points)
+        order = np.random.default_rng(points).permutation(len(data))
+        kind = "poses" if points == 0 else f"poses as {counted(points, 'point')}"
+        yield Split("FR3", f"{kind}, 60 at random", robot, *_parts(data, order[:60], order[60:]))
+    for arm, places in PLACES.items():
+        if (folder / "mukca").is_dir():
+            yield from _sockets(folder, arm, places)
+
+
+def _parts(data: Measurements, *rows: np.ndarray) -> Iterator[Measurements]:
+    return (data[np.sort(part)] for part in rows)
+
+
+def _ur10(folder: Path) -> Iterator[Split]:
+    rng = np.random.default_rng(7)
+    for full in (False, True):
+        robot, data, use = ur10_tracker(folder / "ur10_tracker", full)
+        test = np.sort(rng.permutation(np.flatnonzero(use == "test"))[:300])
+        pool, n, kind = np.flatnonzero(use != "test"), len(data), ", full poses" if full else ""
+        for count in (100, 300) if full else (50, 50, 100, 100, 200, 200, 300, 300):
+            drawn = rng.permutation(pool)[:count]
+            yield Split("UR10", f"{count} at random{kind}", robot, *_parts(data, drawn, test))
+        if full:
+            continue
+        quarters = np.array_split(np.arange(n), 4)
+        for a, b in ((0, 1), (1, 2), (2, 3), (3, 0)):
+            drawn = [rng.permutation(quarters[k])[:300] for k in (a, b)]
+            how = f"300 of quarter {a + 1} of the file, judged by quarter {b + 1}"
+            yield Split("UR10", how, robot, *_parts(data, *drawn))
+        for a in (3, 17, 30):
+            rows = [np.arange(k * n // 40, k * n // 40 + 300) for k in (a, a + 5)]
+            how = f"300 in a row, {a}/40 through the file, judged by 300 later ones"
+            yield Split("UR10", how, robot, *_parts(data, *rows))
+        yield from _halves("UR10", robot, data, 200, rng)
+
+
+def _halves(name: str, robot: calib.Robot, data: Measurements, most: int, rng: np.random.Generator) -> Iterator[Split]:
+    for j, joint in enumerate(robot.joint_names):
+        values = data.joints[:, j]
+        if np.ptp(values) > 1e-3:
+            low, high = (np.flatnonzero(side) for side in (values < np.median(values), values >= np.median(values)))
+            drawn = rng.permutation(low)[:most], rng.permutation(high)[:300]
+            yield Split(name, f"low half of {joint}, judged by the high half", robot, *_parts(data, *drawn))
+
+
+def _motoman(folder: Path) -> Iterator[Split]:
+    where = folder / "motoman_right"
+    robot = described(where / "robot.urdf", (EXAMPLES / "motoman_right.yaml").read_text())
+    train, test = (calib.read_measurements(where / f"{name}.csv", robot) for name in ("train", "test"))
+    rng = np.random.default_rng(7)
+    yield Split("Motoman", "training file, judged by the test file", robot, train, test)
+    for count in (50, 50, 80, 80, 120, 120):
+        order = rng.permutation(len(train))
+        yield Split("Motoman", f"{count} at random", robot, *_parts(train, order[:count], order[count:]))
+    yield from _halves("Motoman", robot, train, 200, rng)
+    half = len(train) // 2
+    rows = np.arange(half), np.arange(half, len(train))
+    yield Split("Motoman", "first half of the file, judged by the second", robot, *_parts(train, *rows))
+
+
+def _sockets(folder: Path, arm: str, places: object) -> Iterator[Split]:
+    robot, data = mukca(folder / "mukca", arm, places, None)
+    rng, setups = np.random.default_rng(7), cast(np.ndarray, data.setups)
+    order, count = rng.permutation(len(data)), 3 * len(data) // 4
+    yield Split(arm, "three quarters at random", robot, *_parts(data, order[:count], order[count:]))
+    for setup in np.unique(setups):
+        rows = np.flatnonzero(setups != setup), np.flatnonzero(setups == setup)
+        yield Split(arm, f"without place {setup + 1}, judged there", robot, *_parts(data, *rows))
+
+
+def fr3(folder: Path, points: int) -> tuple[calib.Robot, Measurements]:
+    """Return a Franka FR3 read by a camera: full poses, or so many points of each pose."""
+    where, link = folder / "fr3_camera_poses", "panda_link8"
+    known = {"frame": link, "position": "unknown"}
+    targets = {name: dict(known) for name in POINTS[: max(points, 1)]}
+    if points == 0:
+        targets["cam"]["orientation"] = "unknown"
+    text = yaml.safe_dump(
+        {
+            "urdf": "robot.urdf",
+            "name_mot": [f"panda_joint{k}" for k in range(1, 8)],
+            "base": {"frame": "panda_link0", "pose": "unknown"},
+            "targets": targets,
+            "parametrisation": [
+                {"origin": "all", "components": ["x", "y", "z"], "sigma": "2 mm"},
+                {"origin": "all", "components": ["rx", "ry", "rz"], "sigma": "5 mrad"},
+            ],
+        }
+        | ({"instruments": {"cam": {"kind": "pose", "rotation": "matrix"}}} if points == 0 else {})
+    )
+    robot = described(where / "robot.urdf", text)
+    return robot, calib.read_measurements(where / ("train.csv" if points == 0 else "four_points_train.csv"), robot)
+
+
+def main() -> None:
+    """Run the command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folder", metavar="FOLDER", type=Path)
+    parser.add_argument("--terms", default=None)
+    parser.add_argument("--only", default="", metavar="WORDS", help="splits whose names contain them")
+    parser.add_argument("--page", action="store_true", help="write the table into docs/verdict.md")
+    options = parser.parse_args()
+    lines = [
+        "| robot | poses used, and judging | before [mm] | unused [mm] | claimed [mm] | ratio | grade | first reason |",
+        "|---|---|---:|---:|---:|---:|---|---|",
+    ]
+    right, n_splits, ratios = [0, 0], [0, 0], []
+    for split in splits(options.folder):
+        if options.only not in f"{split.robot} {split.how}":
+            continue
+        try:
+            fit = calib.fit(split.nominal, split.used, validation=split.unused, terms=options.terms)
+        except CalibrationError as error:
+            lines.append(f"| {split.robot} | {split.how} | | | | | refused | {error} |")
+            continue
+        made = claim_of(fit)
+        before, after = (1e3 * fit.validation.rms(state) for state in ("before", "after"))
+        told = 1e3 * made.told.rms if made else float("nan")
+        good = after <= 1.25 * told and after < before
+        n_splits[good] += 1
+        right[good] += (fit.verdict.grade == "PASS") == good
+        ratios.append(after / told)
+        codes = [reason.code for reason in fit.verdict.reasons if reason.grade != "PASS"]
+        first = codes[0].replace("_", "\\_") if codes else ""
+        numbers = f"{before:.3f} | {after:.3f} | {told:.3f} | {after / told:.2f}"
+        lines.append(f"| {split.robot} | {split.how} | {numbers} | {fit.verdict.grade} | {first} |")
+        print(lines[-1], flush=True)
+    passed = np.array(ratios)
+    words = (
+        f"Of {n_splits[True]} fits that are as accurate as claimed (up to 1.25 times) and better than before,"
+        f" {right[True]} are PASS. Of the {n_splits[False]} others, {right[False]} are CHECK or FAIL. Errors of poses"
+        f" that were not used, over those claimed: median {np.median(passed):.2f}."
+    )
+    print(words)
+    if options.page:
+        text = "\n".join([*lines, "", *textwrap.wrap(words, 120)])
+        page = PAGE.read_text(encoding="utf-8")
+        PAGE.write_text(_PLACE.sub(lambda match: f"{match[1]}{text}\n{match[2]}", page), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,224 @@
+"""Write what commands answer to many questions, and compare two checkouts number by number.
+
+For changes that must not change results: run it before, run it after, compare.
+
+    python tests/frozen_results.py FOLDER                      writes the answers of this checkout
+    python tests/frozen_results.py FOLDER --against BEFORE     writes them, and compares with those in BEFORE
+
+Everything is simulated, with fixed seeds. Times, paths and versions do not count; numbers may differ by rounding.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from six_axis_arm import URDF
+from test_kind_pixel import INTRINSICS, POINTS
+
+import calib
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = ROOT / "docs" / "examples"
+SAME = 1e-6
+"""Relative difference of numbers that rounding makes."""
+NOTHING = 1e-9
+"""Numbers below are rounding."""
+PASSING = re.compile(r"seconds|version|written_by|path|urdf|file|robot$|folder|settings|evaluations|message")
+"""Keys of what may differ between two runs."""
+ARM = """\
+urdf: arm.urdf
+name_mot: [j1, j2, j3, j4, j5, j6]
+base: {frame: l0BASE}
+targets: {ball: {frame: l6, xyz: [50 mm, 20 mm, 100 mm], position: unknown, sigma: 5 mmTARGET}}
+instruments:
+  one: {INSTRUMENT}
+parametrisation:
+  - {origin: all, components: [x, y, z], sigma: 1 mm}
+  - {origin: all, components: [rx, ry, rz], sigma: 3 mrad}
+"""
+UNKNOWN = ", pose: unknown"
+TURNED = ", orientation: unknown, sigma_angle: 20 mrad"
+KINDS = {
+    "position": ("kind: position, target: ball, sigma: 0.03 mm", UNKNOWN, ""),
+    "pose": ("kind: pose, target: ball, sigma: 0.03 mm, sigma_angle: 0.1 mrad", UNKNOWN, TURNED),
+    "orientation": ("kind: orientation, target: ball, sigma: 0.1 mrad", UNKNOWN, TURNED),
+    "distance": (
+        "kind: distance, target: ball, end: {frame: l0, xyz: [1, 0, 0], position: unknown}, sigma: 0.02 mm",
+        "",
+        "",
+    ),
+    "pixel": (
+        f"kind: pixel, target: ball, camera: {{frame: l0}}, intrinsics: {INTRINSICS}, image: [2000, 1600],"
+        f" points: {POINTS}, sigma: 0.3",
+        "",
+        TURNED,
+    ),
+    "touch": (
+        "kind: touch, target: ball, sigma: 0.03 mm, places:"
+        " {left: {frame: l0, xyz: [0.7, 0.3, 0.4], position: unknown},"
+        " right: {frame: l0, xyz: [0.8, -0.2, 0.5], position: unknown}}",
+        "",
+        "",
+    ),
+}
+"""Instrument, and what is unknown of base and target, by kind of measurement."""
+
+
+class Answers:
+    """Runs commands in a folder, and keeps what they answer."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def run(self, *words: str) -> None:
+        """Run a command; exit codes 0 and 3 are answers."""
+        done = subprocess.run(
+            [sys.executable, "-m", "calib", *words, "--quiet"], cwd=self.folder, capture_output=True, text=True
+        )
+        if done.returncode not in (0, 3):
+            raise SystemExit(f"calib {' '.join(words)}: exit {done.returncode}\n{done.stdout}{done.stderr}")
+
+    def fit(self, robot: str, data: str, out: str, *words: str) -> None:
+        """Fit, without pages."""
+        self.run("fit", robot, data, "--out", out, "--no-pages", *words)
+
+
+def write_answers(folder: Path) -> None:
+    """Write all answers into a new folder."""
+    folder.mkdir(parents=True)
+    for path in [*EXAMPLES.iterdir(), *(ROOT / "urdf").glob("medrue*")]:
+        shutil.copy(path, folder)
+    (folder / "six").mkdir()
+    (folder / "six" / "arm.urdf").write_text(URDF)
+    ask = Answers(folder)
+    ask.fit("medrue.yaml", "medrue_simulated.csv", "medrue", "--validate", "0.8")
+    for name in ("arm", "five_bar", "stewart", "delta", "3rrr", "four_bar"):
+        ask.fit(f"{name}.yaml", f"{name}_simulated.csv", name, "--validate", "0.8")
+    ask.fit("arm.yaml", "arm_simulated.csv", "arm_auto", "--terms", "auto", "--validate", "0.8")
+    ask.fit("arm.yaml", "arm_simulated.csv", "arm_huber", "--loss", "huber", "--folds", "4")
+    for kind, (instrument, base, target) in KINDS.items():
+        text = ARM.replace("INSTRUMENT", instrument).replace("BASE", base).replace("TARGET", target)
+        robot, data = f"six/{kind}.yaml", f"six/{kind}.csv"
+        (folder / robot).write_text(text)
+        ask.run("sample", robot, "--count", "60", "--seed", "1", "--out", f"six/{kind}_poses.csv")
+        write_truth(folder / robot, folder / "six" / "truth.csv")
+        ask.run(
+            *("simulate", robot, f"six/{kind}_poses.csv", "--seed", "2", "--out", data),
+            *("--parameters", "six/truth.csv"),
+        )
+        ask.fit(robot, data, f"kind_{kind}")
+        ask.run("check", robot, data, "--json", f"kind_{kind}_check.json")
+    ask.run("check", "medrue.yaml", "medrue_simulated.csv", "--json", "medrue_check.json")
+    ask.run("sample", "arm.yaml", "--count", "200", "--seed", "3", "--out", "candidates.csv")
+    for index in ("o1", "task"):
+        ask.run(
+            "select", "arm.yaml", "candidates.csv", "--count", "15", "--index", index, "--out", f"select_{index}.csv"
+        )
+    ask.run(
+        "compensate",
+        "arm",
+        "candidates.csv",
+        "--out",
+        "compensated.csv",
+        "--json",
+        "compensated.json",
+        "--skip-unreachable",
+    )
+    ask.run("predict", "arm", "candidates.csv", "--out", "predicted.csv")
+    ask.run("verify", "arm", "arm_simulated.csv", "--json", "verified.json")
+
+
+def write_truth(robot: Path, path: Path) -> None:
+    """Write true values of a robot's parameters: half of what is expected away from nominal, at random."""
+    loaded, rng = calib.load(robot), np.random.default_rng(4)
+    units = {"length": "m", "angle": "rad"}
+    lines = ["parameter,value,unit"]
+    for parameter, free in zip(loaded.parameters, loaded.is_free, strict=True):
+        off = 0.5 * parameter.sigma_si * rng.standard_normal()
+        if free and parameter.dimension in units:
+            lines.append(f"{parameter.name},{parameter.nominal_si + off!r},{units[parameter.dimension]}")
+    path.write_text("\n".join(lines) + "\n")
+
+
+def differences(before: Path, after: Path) -> list[str]:
+    """Compare the answers in two folders."""
+    said = []
+    names = {path.relative_to(folder) for folder in (before, after) for path in folder.rglob("*") if path.is_file()}
+    for name in sorted(names):
+        if name.suffix not in (".json", ".csv") or name.name.startswith("."):
+            continue
+        if not ((before / name).exists() and (after / name).exists()):
+            said.append(f"{name}: only in one of both")
+            continue
+        said += [f"{name}: {line}" for line in _differ(_content(before / name), _content(after / name), "")]
+    return said
+
+
+def _content(path: Path) -> Any:
+    if path.suffix == ".json":
+        return json.loads(path.read_text())
+    return [line.split(",") for line in path.read_text().splitlines() if not line.startswith("#")]
+
+
+def _differ(before: Any, after: Any, where: str) -> list[str]:
+    if isinstance(before, dict) and isinstance(after, dict):
+        said = [
+            f"{where}.{key}: only in one of both" for key in before.keys() ^ after.keys() if not PASSING.search(key)
+        ]
+        return said + [
+            line
+            for key in before.keys() & after.keys()
+            if not PASSING.search(key)
+            for line in _differ(before[key], after[key], f"{where}.{key}")
+        ]
+    if isinstance(before, list) and isinstance(after, list):
+        if len(before) != len(after):
+            return [f"{where}: {len(before)} entries, now {len(after)}"]
+        return [
+            line for k, (a, b) in enumerate(zip(before, after, strict=True)) for line in _differ(a, b, f"{where}[{k}]")
+        ]
+    if before == after:
+        return []
+    a, b = _number(before), _number(after)
+    if a is None or b is None:
+        return [] if _same_sentence(before, after) else [f"{where}: {before!r}, now {after!r}"]
+    return [] if math.isclose(a, b, rel_tol=SAME, abs_tol=NOTHING) else [f"{where}: {before}, now {after}"]
+
+
+def _same_sentence(before: Any, after: Any) -> bool:
+    return isinstance(before, str) and isinstance(after, str) and ("/" in before and "/" in after)
+
+
+def _number(value: Any) -> float | None:
+    try:
+        return None if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError):
+        return None
+
+
+def main() -> None:
+    """Run the command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folder", metavar="FOLDER", type=Path, help="where to write; must not exist")
+    parser.add_argument("--against", metavar="BEFORE", type=Path, help="folder of an earlier run")
+    options = parser.parse_args()
+    if not options.folder.exists():
+        write_answers(options.folder)
+    if options.against:
+        said = differences(options.against, options.folder)
+        print(*said, sep="\n")
+        print(f"{len(said)} differences")
+        raise SystemExit(bool(said))
+
+
+if __name__ == "__main__":
+    main()

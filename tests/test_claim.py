@@ -1,0 +1,96 @@
+"""What a fit claims: errors of poses that it has not seen, held against others, and what the verdict makes of it."""
+
+import numpy as np
+import pytest
+from six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, noisy, six_axis_arm, write_six_axis
+
+import calib
+from calib.identification.claim import Gain
+
+SIGMA = 4e-5
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    return six_axis_arm(tmp_path_factory.mktemp("arm"))
+
+
+@pytest.fixture(scope="module")
+def truth(arm):
+    return arm.with_parameters({"j2.x": 0.0512, "j3.z": 0.5991, "j4.ry": 2e-3, "j5.z": 1e-3})
+
+
+def sagging(arm, truth, q, seed, *, by=1e-3):
+    """Read with joints that follow a wave, which the model leaves out."""
+    actual = q + by * np.sin(3 * q)
+    return measurements(arm, q, noisy(truth, actual, SIGMA, seed).points(arm))
+
+
+@pytest.mark.parametrize("by", [0.0, 1e-3])
+def test_95_of_100_new_poses_are_as_close_as_claimed(arm, truth, by):
+    """With the noise of readings alone, and with an error of the robot that no parameter describes."""
+    within, ratios = [], []
+    for seed in range(6):
+        fit = calib.fit(arm, sagging(arm, truth, joints(60, seed), seed, by=by))
+        new = joints(400, 100 + seed)
+        read = sagging(arm, truth, new, 200 + seed, by=by).points(arm)
+        off = np.linalg.norm(fit.robot.positions(new) - read, axis=2)[:, 0]
+        told = fit.verdict.claim.told
+        within.append(np.mean(off < told.limit95))
+        ratios.append(np.sqrt(np.mean(off**2)) / told.rms)
+    assert 0.92 < np.mean(within) <= 1.0
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.08)
+
+
+def test_what_the_model_leaves_out_is_no_doubt_where_the_claim_counts_it(arm, truth):
+    """A robot four times as good as before, whose rest is a pattern, is fit for use within what it claims."""
+    fit = calib.fit(arm, sagging(arm, truth, joints(80), 1), validation=sagging(arm, truth, joints(40, 5), 2))
+    entry = fit.verdict.to_dict()
+    assert fit.verdict.grade == "PASS"
+    assert "systematic" in entry["codes"]
+    assert (entry["claim"]["holds"], entry["claim"]["gain"], entry["claim"]["unit"]) == (True, "better", "mm")
+    told, seen = entry["claim"]["rms"], entry["claim"]["not_used"][0]
+    assert seen["rms"] == pytest.approx(1e3 * fit.validation.rms("after"))
+    assert 0.8 < seen["rms"] / told < 1.25
+    text = fit.report().replace("\n", " ")
+    assert f"The tool is within {entry['claim']['limit95']:.4f} mm of where the model says, 95 % of the time" in text
+
+
+def test_poses_where_the_robot_does_something_else_break_the_claim(arm, truth):
+    """Another payload, say: first the reason that is true, then the others."""
+    other = sagging(arm, truth, joints(40, 5), 2, by=4e-3)
+    fit = calib.fit(arm, sagging(arm, truth, joints(80), 1), validation=other)
+    assert fit.verdict.grade == "CHECK"
+    assert fit.verdict.reasons[0].code == "validation"
+    assert not fit.verdict.claim.holds
+    assert {reason.grade for reason in fit.verdict.reasons if reason.counted} == {"CHECK"}
+
+
+def test_a_calibration_that_does_harm_elsewhere_fails(tmp_path):
+    """Poses of one corner decide free lengths that noise and waves drag away; elsewhere the nominal robot is better."""
+    arm = calib.load(write_six_axis(tmp_path, NO_PRIORS + YAML + FREE))
+    near = 0.1 * joints(80)
+    fit = calib.fit(arm, sagging(arm, arm, near, 1), validation=sagging(arm, arm, joints(40, 5), 2))
+    assert fit.validation.rms("after") > fit.validation.rms("before")
+    assert fit.verdict.grade == "FAIL"
+    assert fit.verdict.reasons[0].code == "worse_on_validation"
+    assert fit.verdict.claim is None  # nothing is claimed of numbers that must not be used
+
+
+def test_a_robot_as_drawn_claims_no_gain(arm):
+    fit = calib.fit(arm, noisy(arm, joints(80), SIGMA, 1))
+    assert fit.verdict.claim.gain is not Gain.BETTER
+    assert fit.verdict.grade == "PASS"
+
+
+def test_computed_data_claim_nothing(arm, truth):
+    assert calib.fit(arm, noisy(truth, joints(40), 0.0, 1)).verdict.claim is None
+
+
+@pytest.mark.parametrize(("shift", "grade"), [(5e-5, "PASS"), (1e-3, "CHECK")])
+def test_what_goes_on_changing_is_a_doubt_where_it_is_large(arm, truth, shift, grade):
+    """A tracker that drifts through `shift` while 80 poses are read: later, the frame is elsewhere than on average."""
+    data = noisy(truth, joints(80), SIGMA, 1)
+    drift = np.linspace(-0.5, 0.5, 80)[:, None, None] * shift * np.array([1.0, 0.0, 0.0])
+    fit = calib.fit(arm, measurements(arm, joints(80), data.points(arm) + drift))
+    assert fit.verdict.grade == grade

@@ -16,7 +16,7 @@ from calib.exporting.mjcf import mjcf
 from calib.exporting.toolbox import toolbox_yaml
 from calib.exporting.urdf import urdf_bytes, with_mesh_prefix
 from calib.files import check_file, check_folder, write_files, write_folder
-from calib.functions.functions import LANGUAGES, function_file
+from calib.functions.functions import COMMENTS, LANGUAGES, function_file
 from calib.model.robot import Robot, require_robot
 
 CONTROLLERS: dict[str, Callable[[Robot, Sequence[str]], ControllerFile]] = {
@@ -109,7 +109,7 @@ def export(
     files = _contents(held, file_format, path, free_slide, lines, note, force=force)
     if meshes:
         files[urdf] = with_mesh_prefix(files[urdf], meshes)
-    write_files(files, inputs=sources, force=force)
+    write_files(files, comment=COMMENTS.get(file_format, ""), inputs=sources, force=force)
     return () if free_slide or file_format in (*CONTROLLERS, *LANGUAGES) else loop_gaps(held)
 
 

@@ -12,6 +12,8 @@ from calib.model.robot import Robot
 
 LANGUAGES = ("numpy", "c", "jax", "torch", "casadi")
 """C, and libraries of Python."""
+COMMENTS = {"c": "//"}
+"""How comments of a language begin, where that is not as in Python."""
 
 
 def function_file(robot: Robot, language: str, lines: Sequence[str]) -> bytes:

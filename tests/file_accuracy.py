@@ -104,7 +104,7 @@ def files_of(robot, train, test, folder):
     }
     alone = calib.fit(robot, train, validation=test, terms="none")
     errors |= {"fit of origins alone": alone.validation.rms("after"), "whole model": fit.validation.rms("after")}
-    for name in HELD:
+    for name in (name for name, holds in HELD.items() if holds is not Holds.EVERYTHING):
         path = folder / f"{name}{ENDINGS.get(name, '.csv')}"
         try:
             calib.export(loaded, name, path)

@@ -12,6 +12,8 @@ from calib.commands.common import Output, folder_of_values, loaded, said_of_fail
 from calib.exporting.formats import CONTROLLERS, JOINT_TABLES, export
 from calib.exporting.held_formats import HELD
 from calib.exporting.links import read_links
+from calib.functions.functions import LANGUAGES
+from calib.model.urdf_text import UrdfText
 from calib.reporting.result_reading import read_result
 from calib.robots.urdf.text import UrdfText
 
@@ -32,7 +34,8 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
     " Denavit-Hartenberg table, standard or modified. ur-kinematics: for Universal Robots' ROS description."
     " joint-offsets: sign and zero of each joint. xacro: joint origins as properties. These five say which error"
     " they leave. joint-tables: a folder with what each joint really is when it is told a value, as CSV, Python, C, and"
-    " the URDF that goes with it. Each gets the robot that is best among those that it can hold.",
+    " the URDF that goes with it. Each gets the robot that is best among those that it can hold. numpy, c, jax, torch,"
+    " casadi: the whole model as functions of the commands, in one file that needs nothing of this program.",
 )
 @click.option(
     "--free-slide",
@@ -47,7 +50,10 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
     " that the file may lie anywhere.",
 )
 @click.option(
-    "--provenance", is_flag=True, help="urdf, toolbox, joint-tables: say in a comment where the numbers come from."
+    "--provenance",
+    is_flag=True,
+    help="urdf, toolbox, joint-tables: say in a comment where the numbers come from; numpy, c, jax, torch and casadi"
+    " always do.",
 )
 @click.option("--out", required=True, metavar="FILE", help="File to write; of joint-tables, the folder.")
 @shared_options(
@@ -69,7 +75,7 @@ def command(
     """Write ROBOT (YAML description, URDF or result folder), nominal or calibrated, for other programs."""
     model = with_values(loaded(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)
-    lines = _origin_of_values(parameters, result) if provenance else None
+    lines = _origin_of_values(parameters, result) if provenance or file_format in LANGUAGES else None
     if failed := said_of_failure(output, result, out):
         lines = [*(lines or []), *failed]
     notes: list[str] = []

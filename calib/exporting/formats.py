@@ -16,7 +16,9 @@ from calib.exporting.joint_tables import beside_tables, joint_table_files, requi
 from calib.exporting.mjcf import mjcf
 from calib.exporting.toolbox import toolbox_yaml
 from calib.exporting.urdf import urdf_bytes, with_mesh_prefix
-from calib.robots.robot import Robot, require_robot
+from calib.files import check_file, check_folder, write_files, write_folder
+from calib.functions.functions import COMMENTS, LANGUAGES, function_file
+from calib.model.robot import Robot, require_robot
 
 CONTROLLERS: dict[str, Callable[[Robot, Sequence[str]], ControllerFile]] = {
     "dh": lambda robot, lines: dh_file(robot, "standard", lines),
@@ -57,7 +59,8 @@ def export(
             the URDF beside it under the same name. `dh`, `mdh`: Denavit-Hartenberg tables, standard and modified.
             `ur-kinematics`: for Universal Robots' ROS description. `joint-offsets`: a sign and a zero for each joint.
             `xacro`: joint origins as properties. `joint-tables`: a folder of tables of what joints really are when
-            told a value, with the code that applies them (see `calib.exporting.joint_tables`).
+            told a value, with the code that applies them (see `calib.exporting.joint_tables`). `numpy`, `c`, `jax`,
+            `torch`, `casadi`: the whole model as functions in that language (see `calib.functions`).
         path: File to write, or folder of `joint-tables`.
         free_slide: Formats `mjcf` and `drake`: a free joint for each direction that a closure leaves free.
         meshes: Formats that hold a URDF (`urdf`, `drake`, `toolbox`): what to put before relative mesh paths, such as
@@ -76,7 +79,7 @@ def export(
         InputError: Unknown format, an option that the format does not have, a place that cannot be written, a file
             there that should not be replaced, or loops that the format cannot express.
         ComputationError: The robot that the format holds is worse than the nominal one at poses that judge it, or
-            nobody knows which is best without what it cannot hold.
+            nobody knows which is best without what it cannot hold; or no pose is known at which loops close.
     """
     require_robot(robot)
     path = Path(path)
@@ -107,8 +110,8 @@ def export(
     files = _contents(held, file_format, path, free_slide, lines, note, force=force)
     if meshes:
         files[urdf] = with_mesh_prefix(files[urdf], meshes)
-    write_files(files, inputs=sources, force=force)
-    return () if free_slide or file_format in CONTROLLERS else loop_gaps(held)
+    write_files(files, comment=COMMENTS.get(file_format, ""), inputs=sources, force=force)
+    return () if free_slide or file_format in (*CONTROLLERS, *LANGUAGES) else loop_gaps(held)
 
 
 def _write_tables(
@@ -140,6 +143,8 @@ def _contents(
         made = CONTROLLERS[file_format](robot, provenance or ())
         note(made.statement)
         return {path: made.content}
+    if file_format in LANGUAGES:
+        return {path: function_file(robot, file_format, provenance or ())}
     if file_format == "mjcf":
         written = mjcf(closed_model(robot, free_slide=free_slide), path, provenance or ())
         for text in written.notes:

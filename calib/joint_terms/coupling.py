@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from calib.base.arrays import FloatArray
-from calib.base.errors import nearest
-from calib.base.parameter import Parameter
-from calib.base.units import Dimension
-from calib.joint_terms.term import Context, Joint, JointTerm, TermSection, coefficient
+from calib.errors import nearest
+from calib.joint_terms.formula import Formula, Proportional, Source
+from calib.joint_terms.term import Joint, JointTerm, TermSection, coefficient
+from calib.parameter import Parameter
+from calib.units import Dimension
 
 EXPECTED: dict[Dimension, float] = {"angle": 1e-3, "length": 1e-3}
 """Expected error per radian or metre of the other joint, where nothing is stated [rad, m]."""
@@ -63,6 +61,6 @@ class Coupling(JointTerm):
         """Return the joint that drives."""
         return actuated[self.other]
 
-    def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
-        """Return the other joint's command, (n, 1)."""
-        return np.asarray(q[:, self.other : self.other + 1])
+    def formula(self, j: int) -> Formula:
+        """Return the other joint's command."""
+        return Proportional(Source.COMMAND, self.other)

@@ -14,11 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
-from calib.base.arrays import FloatArray
-from calib.base.parameter import Parameter
-from calib.joint_terms.term import Context, Joint, JointTerm, TermSection, coefficient
+from calib.joint_terms.formula import Formula, Proportional, Source
+from calib.joint_terms.term import Joint, JointTerm, TermSection, coefficient
+from calib.parameter import Parameter
 
 _HOUR = 3600.0
 
@@ -54,9 +52,9 @@ class Zero(OneCoefficient):
     word = "zero"
     expected_angle, expected_length = 5e-3, 1e-3
 
-    def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
-        """Return ones, (n, 1)."""
-        return np.ones((len(q), 1))
+    def formula(self, j: int) -> Formula:
+        """Return ones."""
+        return Proportional(Source.ONE)
 
 
 class Gain(OneCoefficient):
@@ -66,9 +64,9 @@ class Gain(OneCoefficient):
     counts_turns = True
     expected_angle, expected_length = 1e-3, 1e-3  # a thousandth of the motion
 
-    def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
-        """Return q, (n, 1)."""
-        return np.asarray(q[:, j : j + 1])
+    def formula(self, j: int) -> Formula:
+        """Return q."""
+        return Proportional(Source.COMMAND, j)
 
 
 class Backlash(OneCoefficient):
@@ -79,9 +77,9 @@ class Backlash(OneCoefficient):
     depends_on = "the direction of approach"
     expected_angle, expected_length = 2e-4, 5e-5  # half of the play
 
-    def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
-        """Return the direction of approach, (n, 1)."""
-        return np.asarray(context.approach[:, j : j + 1])
+    def formula(self, j: int) -> Formula:
+        """Return the direction of approach."""
+        return Proportional(Source.APPROACH, j)
 
 
 class Drift(OneCoefficient):
@@ -92,9 +90,9 @@ class Drift(OneCoefficient):
     depends_on = "time"
     expected_angle, expected_length = 1e-4, 2e-5  # per hour
 
-    def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
-        """Return hours, (n, 1)."""
-        return np.asarray(context.time[:, None] / _HOUR)
+    def formula(self, j: int) -> Formula:
+        """Return hours."""
+        return Proportional(Source.TIME, factor=1.0 / _HOUR)
 
 
 class Temperature(OneCoefficient):
@@ -105,9 +103,9 @@ class Temperature(OneCoefficient):
     depends_on = "temperature"
     expected_angle, expected_length = 1e-4, 2e-5  # per kelvin
 
-    def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
-        """Return kelvins, (n, 1)."""
-        return np.asarray(context.temperature[:, None])
+    def formula(self, j: int) -> Formula:
+        """Return kelvins."""
+        return Proportional(Source.WARMTH)
 
 
 class Compliance(OneCoefficient):
@@ -119,10 +117,9 @@ class Compliance(OneCoefficient):
     expected_angle, expected_length = 2e-5, 1e-7  # [rad / (N m), m / N]
     needs_torque = True
 
-    def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
-        """Return the torque, (n, 1)."""
-        assert context.torque is not None
-        return np.asarray(context.torque[:, j : j + 1])
+    def formula(self, j: int) -> Formula:
+        """Return the torque."""
+        return Proportional(Source.TORQUE, j)
 
 
 class Bending(Compliance):

@@ -21,11 +21,12 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from calib.base.arrays import FloatArray
-from calib.base.parameter import Parameter
-from calib.base.sections import Length
-from calib.base.units import Dimension
-from calib.joint_terms.term import Context, Joint, JointTerm, TermSection, coefficient
+from calib.arrays import FloatArray
+from calib.joint_terms.formula import Formula, Waves
+from calib.joint_terms.term import Joint, JointTerm, TermSection, coefficient
+from calib.parameter import Parameter
+from calib.sections import Length
+from calib.units import Dimension
 
 TURN = 2.0 * np.pi
 AMPLITUDE: dict[Dimension, float] = {"angle": 3e-4, "length": 5e-5}
@@ -67,10 +68,9 @@ class _Periodic(JointTerm):
     orders: tuple[int, ...]
     period: float
 
-    def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
-        """Return sines and cosines, (n, 2 n_orders)."""
-        phase = np.outer(q[:, j], self.orders) * (TURN / self.period)
-        return np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(q), 2 * phase.shape[1])
+    def formula(self, j: int) -> Formula:
+        """Return sines and cosines of every order."""
+        return Waves(j, TURN / self.period, self.orders)
 
     def curvature(self, values: FloatArray) -> float:
         """Return sum of |a_k| (2 pi k / period)^2 [1/rad or 1/m], from the coefficients (2 n_orders,)."""

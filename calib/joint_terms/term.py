@@ -23,10 +23,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
-from calib.base.parameter import Parameter
-from calib.base.sections import Quantity, Section
-from calib.base.units import Dimension
+from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.joint_terms.formula import Formula, Source
+from calib.parameter import Parameter
+from calib.sections import Quantity, Section
+from calib.units import Dimension
 
 
 class TermSection(Section):
@@ -84,6 +85,17 @@ class Context(ReadOnlyArrays):
     temperature: FloatArray
     load: FloatArray
     torque: FloatArray | None = None
+
+    def known(self, q: FloatArray) -> dict[Source, FloatArray]:
+        """Return the numbers that terms may depend on, with those of the commands q (n, n_actuated)."""
+        numbers = {
+            Source.ONE: np.ones((len(q), 1)),
+            Source.COMMAND: q,
+            Source.APPROACH: self.approach,
+            Source.TIME: self.time[:, None],
+            Source.WARMTH: self.temperature[:, None],
+        }
+        return numbers if self.torque is None else numbers | {Source.TORQUE: self.torque}
 
     @staticmethod
     def neutral(n: int, n_actuated: int) -> Context:
@@ -155,15 +167,23 @@ class JointTerm(ABC):
         return self.joint
 
     @abstractmethod
+    def formula(self, j: int) -> Formula:
+        """Return phi of the coefficients.
+
+        Args:
+            j: Place of the term's joint among the actuated ones; of a term that tilts, of one of the rotations among
+                the driven joints.
+        """
+
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
         """Return phi of each coefficient, (n, n_coefficients).
 
         Args:
             q: Commanded actuated joints, (n, n_actuated) [m or rad].
-            j: Place of the term's joint among them; of a term that tilts, of one of the rotations among the driven
-                joints.
+            j: As in `formula`.
             context: Conditions of the commands, the torque among them if the term asks for it.
         """
+        return self.formula(j).columns(context.known(q))
 
     def curvature(self, values: FloatArray) -> float:
         """Return a bound of |d^2(dq)/dq^2| [1/rad or 1/m], from the coefficients (n_coefficients,); 0 if straight."""

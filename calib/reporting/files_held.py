@@ -81,7 +81,9 @@ def worth_of_files(fit: Fit) -> FileWorth | None:
         if holds in files:
             judged, formats = files[holds].accuracy, formats_that_hold(holds, fit.nominal)
             withheld = "withheld: " if formats and files[holds].withheld else ""
-            words = withheld + (", ".join(formats) or "predict, solve, compensate, view")
+            words = withheld + ", ".join(formats)
+            if holds is Holds.EVERYTHING:
+                words = "; ".join(part for part in ("predict, solve, compensate, view", words) if part)
             lines.append(FileLine(holds.value, scale * judged.rms, scale * judged.limit95, words))
     return FileWorth(whole.part, ERROR_UNIT[whole.dimension], whole.where, tuple(lines))
 

@@ -132,7 +132,7 @@ def gravity_torque(
     """
     joints = mechanism.all_joints(q, passive)
     gravity = np.zeros_like(joints)
-    masses = _with_masses(urdf, mechanism)
+    masses = with_masses(urdf, mechanism)
     if masses is not None:
         gravity += _gravity(masses, joints)
     elif payload is None:
@@ -166,8 +166,11 @@ def _closure_by_actuated(mechanism: Mechanism, joints: FloatArray) -> FloatArray
     return np.concatenate(parts, axis=1)
 
 
-def _with_masses(urdf: UrdfText, mechanism: Mechanism) -> pin.Model | None:
-    """The model with the masses of the URDF, if any; what hangs on fixed joints is part of the link before."""
+def with_masses(urdf: UrdfText, mechanism: Mechanism) -> pin.Model | None:
+    """Return the model with the masses of the URDF, if it has any.
+
+    What hangs on fixed joints is part of the link before.
+    """
     whole = pin.buildModelFromXML(urdf.source.decode())
     inertias = {name: inertia for name, inertia in zip(whole.names, whole.inertias, strict=True) if inertia.mass > 0}
     if not inertias.keys() & {*mechanism.origin_names}:
@@ -179,10 +182,14 @@ def _with_masses(urdf: UrdfText, mechanism: Mechanism) -> pin.Model | None:
     return model
 
 
+def payload_frame(mechanism: Mechanism, payload: str | None) -> int:
+    """Return the joint index of the frame that a payload hangs at; None: of the first target that motors move."""
+    tool = (*mechanism.moved_targets, mechanism.targets[0])[0]
+    return tool.b if payload is None else mechanism.joint(payload)
+
+
 def _with_one_kilogram(mechanism: Mechanism, payload: str | None) -> pin.Model:
     """The mechanism's model with one kilogram at a frame's origin and no other mass."""
     model = mechanism.model.copy()
-    tool = (*mechanism.moved_targets, mechanism.targets[0])[0]
-    frame = tool.b if payload is None else mechanism.joint(payload)
-    model.inertias[frame] = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
+    model.inertias[payload_frame(mechanism, payload)] = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
     return model

@@ -141,7 +141,8 @@ class _Session:
 
     def _python(self, text: str) -> str:
         printed = io.StringIO()
-        with contextlib.chdir(self._folder), contextlib.redirect_stdout(printed):
+        here = mock.patch.object(sys, "path", [str(self._folder), *sys.path])
+        with contextlib.chdir(self._folder), contextlib.redirect_stdout(printed), here:
             try:
                 exec(compile(text, "snippet", "exec", dont_inherit=True), self._names)
             except Exception:  # a snippet may fail in any way; the traceback goes into the error

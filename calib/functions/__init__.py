@@ -1,0 +1,1 @@
+"""The calibrated robot as source code of other languages, without this program."""

@@ -1,0 +1,74 @@
+"""Formulas of joint terms: phi as data, so that it can be computed here and written down in other languages.
+
+Every phi is one of two things: a number that is known of a command, times a constant; or sines and cosines of multiples
+of a joint's command.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from calib.arrays import FloatArray
+
+
+class Source(Enum):
+    """Numbers that are known of a command, which terms are proportional to."""
+
+    ONE = "one"
+    COMMAND = "the command of a joint"
+    APPROACH = "the direction of approach of a joint"
+    TIME = "time"
+    WARMTH = "kelvins above the reference"
+    TORQUE = "the torque of gravity that a driven joint holds"
+
+
+Known = Mapping[Source, FloatArray]
+"""The numbers of n commands, (n, n_joints) or (n, 1) each."""
+
+
+@dataclass(frozen=True)
+class Proportional:
+    """phi = factor x, one column.
+
+    Attributes:
+        source: What x is.
+        place: Of which joint, where there is one for each.
+        factor: Of x.
+    """
+
+    source: Source
+    place: int = 0
+    factor: float = 1.0
+
+    def columns(self, known: Known) -> FloatArray:
+        """Return phi, (n, 1)."""
+        values = known[self.source][:, self.place : self.place + 1]
+        return np.asarray(values if self.factor == 1.0 else self.factor * values)
+
+
+@dataclass(frozen=True)
+class Waves:
+    """phi = sin(k base q), cos(k base q) for every order k, two columns each.
+
+    Attributes:
+        place: Which actuated joint q is the command of.
+        base: Phase per unit of q [rad/rad or rad/m].
+        orders: Every k.
+    """
+
+    place: int
+    base: float
+    orders: tuple[int, ...]
+
+    def columns(self, known: Known) -> FloatArray:
+        """Return phi, (n, 2 n_orders)."""
+        q = known[Source.COMMAND][:, self.place]
+        phase = np.outer(q, self.orders) * self.base
+        return np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(q), 2 * phase.shape[1])
+
+
+Formula = Proportional | Waves

@@ -11,7 +11,6 @@ from function_robots import ROBOTS, by_name, exported, imported, near, poses_of_
 from small_robots import ARM_YAML, write_arm, write_parallelogram, write_pose_loop
 
 import calib
-from calib.files import write_file
 from calib.functions.c_text import c_name
 
 N = {"six-axis arm, every term": 10_000, "example arm": 10_000}
@@ -90,7 +89,7 @@ def distance(case):
     known = np.isfinite(at.slope).all(axis=(1, 2))
     found = np.zeros(len(known))
     if known.any():
-        found[known] = calib.model.closure.singular_values(case.robot.mechanism, at.slope[known])
+        found[known] = calib.robots.closure.singular_values(case.robot.mechanism, at.slope[known])
     return found
 
 
@@ -232,7 +231,7 @@ def test_names_that_are_odd_in_c_compile(tmp_path):
     path = write_arm(tmp_path)
     odd = '2nd \\"arm\\" */ @\u00e9'.replace('\\"', "")
     text = (tmp_path / "arm.urdf").read_text().replace("small arm", odd)
-    write_file(tmp_path / "arm.urdf", text)
+    (tmp_path / "arm.urdf").write_text(text, encoding="utf-8")
     robot = calib.load(path)
     made = exported(robot, "c", tmp_path)
     assert made.prefix == c_name(robot.name) == "robot_2nd_arm"
@@ -244,7 +243,7 @@ def test_a_limit_of_a_passive_joint_is_kept(tmp_path):
     path = write_parallelogram(tmp_path)
     text = (tmp_path / "parallelogram.urdf").read_text()
     limited = '<joint name="c" type="revolute"> <limit lower="1" upper="2.5" effort="1" velocity="1"/>'
-    write_file(tmp_path / "parallelogram.urdf", text.replace('<joint name="c" type="continuous">', limited))
+    (tmp_path / "parallelogram.urdf").write_text(text.replace('<joint name="c" type="continuous">', limited))
     robot = calib.load(path)
     q = np.linspace(0.33, 2.83, 26)[:, None]  # and c is at q
     poses = exported(robot, "numpy", tmp_path).forward(q)

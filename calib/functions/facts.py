@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from calib.arrays import FloatArray, ReadOnlyArrays
-from calib.errors import ComputationError, DataError
+from calib.base.arrays import FloatArray, ReadOnlyArrays
+from calib.base.errors import ComputationError, DataError
 from calib.functions.trees import Tree, tree_of
 from calib.joint_terms.formula import Proportional, Source
-from calib.model import loops
-from calib.model.joint_errors import driven_by, payload_frame, with_masses
-from calib.model.robot import Robot
+from calib.robots import loops
+from calib.robots.joint_errors import driven_by, payload_frame, with_masses
+from calib.robots.robot import Robot
 
 _STARTS = 64
 CONDITIONS = {

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from calib.errors import InputError
+from calib.base.errors import InputError
 from calib.functions.c_text import c_text
 from calib.functions.facts import facts_of
 from calib.functions.python_text import python_text
-from calib.model.robot import Robot
+from calib.robots.robot import Robot
 
 LANGUAGES = ("numpy", "c", "jax", "torch", "casadi")
 """C, and libraries of Python."""

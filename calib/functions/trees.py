@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
-from calib.model.closure import AssemblyMode
-from calib.model.continuation import closing_tolerance
-from calib.model.loops import LIMIT_MARGIN
-from calib.model.mechanism import Mechanism
+from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.robots.closure import AssemblyMode
+from calib.robots.continuation import closing_tolerance
+from calib.robots.loops import LIMIT_MARGIN
+from calib.robots.mechanism import Mechanism
 
 _LARGEST_TURN = 2 * np.pi
 

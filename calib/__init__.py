@@ -6,7 +6,7 @@ Names are imported when they are first used, so that a program that needs few of
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from calib.errors import (
+from calib.base.errors import (
     CalibrationError,
     ComputationError,
     DataError,
@@ -20,34 +20,34 @@ from calib.errors import (
 )
 
 if TYPE_CHECKING:
+    from calib.base.parameter import Parameter
     from calib.calibration import Calibration, fit
     from calib.data.in_memory import as_measurements, as_poses
     from calib.data.measurement_files import read_measurements, read_poses
     from calib.data.measurements import Measurements, Poses
     from calib.data.parameter_files import read_parameters
     from calib.exporting.formats import export
-    from calib.identification.acceptance import Acceptance, verify
-    from calib.identification.fitted import Fit
-    from calib.identification.study import study
-    from calib.identification.study_result import Study
-    from calib.inverse_kinematics.compensation import Compensation, compensate
-    from calib.inverse_kinematics.goals import Goals
-    from calib.inverse_kinematics.inverse import Solution, solve
-    from calib.linearisation.simulate import simulate
-    from calib.model.held import Holds
-    from calib.model.loading import robot
-    from calib.model.parameters import Origin, Parametrisation, twist_of_edit
-    from calib.model.robot import Robot
-    from calib.parameter import Parameter
-    from calib.pose_choice.assessment import Assessment, check
-    from calib.pose_choice.pose_sampling import sample
-    from calib.pose_choice.selection import Selection, select
+    from calib.fitting.fitted import Fit
+    from calib.judging.acceptance import Acceptance, verify
+    from calib.planning.assessment import Assessment, check
+    from calib.planning.pose_sampling import sample
+    from calib.planning.progress import Progress
+    from calib.planning.selection import Selection, select
+    from calib.planning.studies.study import study
+    from calib.planning.studies.study_result import Study
+    from calib.planning.watch import Watch
     from calib.reporting.loaded_result import LoadedResult, load_result, predict
     from calib.reporting.result_comparison import ResultComparison
     from calib.reporting.result_differences import compare
     from calib.reporting.result_reading import load
-    from calib.watching.progress import Progress
-    from calib.watching.watch import Watch
+    from calib.robots.held import Holds
+    from calib.robots.loading import robot
+    from calib.robots.parameters import Origin, Parametrisation, twist_of_edit
+    from calib.robots.robot import Robot
+    from calib.rows.simulate import simulate
+    from calib.using.compensation import Compensation, compensate
+    from calib.using.goals import Goals
+    from calib.using.inverse import Solution, solve
 
     __version__: str
 
@@ -58,28 +58,28 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "calib.data.measurements": ("Measurements", "Poses"),
     "calib.data.parameter_files": ("read_parameters",),
     "calib.exporting.formats": ("export",),
-    "calib.identification.acceptance": ("Acceptance", "verify"),
-    "calib.identification.fitted": ("Fit",),
-    "calib.identification.study": ("study",),
-    "calib.identification.study_result": ("Study",),
-    "calib.inverse_kinematics.compensation": ("Compensation", "compensate"),
-    "calib.inverse_kinematics.goals": ("Goals",),
-    "calib.inverse_kinematics.inverse": ("Solution", "solve"),
-    "calib.linearisation.simulate": ("simulate",),
-    "calib.model.held": ("Holds",),
-    "calib.model.loading": ("robot",),
-    "calib.model.parameters": ("Origin", "Parametrisation", "twist_of_edit"),
-    "calib.model.robot": ("Robot",),
-    "calib.parameter": ("Parameter",),
-    "calib.pose_choice.assessment": ("Assessment", "check"),
-    "calib.pose_choice.pose_sampling": ("sample",),
-    "calib.pose_choice.selection": ("Selection", "select"),
+    "calib.judging.acceptance": ("Acceptance", "verify"),
+    "calib.fitting.fitted": ("Fit",),
+    "calib.planning.studies.study": ("study",),
+    "calib.planning.studies.study_result": ("Study",),
+    "calib.using.compensation": ("Compensation", "compensate"),
+    "calib.using.goals": ("Goals",),
+    "calib.using.inverse": ("Solution", "solve"),
+    "calib.rows.simulate": ("simulate",),
+    "calib.robots.held": ("Holds",),
+    "calib.robots.loading": ("robot",),
+    "calib.robots.parameters": ("Origin", "Parametrisation", "twist_of_edit"),
+    "calib.robots.robot": ("Robot",),
+    "calib.base.parameter": ("Parameter",),
+    "calib.planning.assessment": ("Assessment", "check"),
+    "calib.planning.pose_sampling": ("sample",),
+    "calib.planning.selection": ("Selection", "select"),
     "calib.reporting.loaded_result": ("LoadedResult", "load_result", "predict"),
     "calib.reporting.result_comparison": ("ResultComparison",),
     "calib.reporting.result_differences": ("compare",),
     "calib.reporting.result_reading": ("load",),
-    "calib.watching.progress": ("Progress",),
-    "calib.watching.watch": ("Watch",),
+    "calib.planning.progress": ("Progress",),
+    "calib.planning.watch": ("Watch",),
 }
 """Names by the module that has them, as type checkers are told above."""
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
@@ -141,7 +141,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        return import_module("calib.version").VERSION
+        return import_module("calib.base.version").VERSION
     if name not in _HOMES:
         raise AttributeError(f"module 'calib' has no attribute '{name}'")
     found = globals()[name] = getattr(import_module(_HOMES[name]), name)

@@ -4,32 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from calib import pictures
+from calib.base.units import ERROR_UNIT
+from calib.base.words import titled_html
+from calib.base.workers import Progress
+from calib.calibrating.calibrate import calibrate
+from calib.calibrating.file_robots import with_files
 from calib.data.measurements import Measurements
-from calib.identification.errors_found import error_table
-from calib.identification.fit import identify
-from calib.identification.fit_files import with_files
-from calib.identification.fitted import Fit
-from calib.identification.settings import Settings
+from calib.fitting.error_sets import error_table
+from calib.fitting.settings import Settings
 from calib.joint_terms.terms import terms_text
-from calib.model.robot import Robot, require_robot
+from calib.judging.judged_fit import JudgedFit
 from calib.numerics.losses import checked_loss
 from calib.pictures import Plots
 from calib.reporting.report_text import text_report, verdict_lines
 from calib.reporting.result_content import error_sets
 from calib.reporting.results import save
-from calib.units import ERROR_UNIT
-from calib.words import titled_html
-from calib.workers import Progress
+from calib.robots.robot import Robot, require_robot
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Calibration(Fit):
-    """A finished fit for users: see `calib.identification.fitted.Fit` for what it holds."""
+class Calibration(JudgedFit):
+    """A finished fit for users: see `calib.fitting.fitted.Fit` for what it holds, `JudgedFit` for what it is worth."""
 
     def __str__(self) -> str:
         return self.report()
@@ -93,7 +93,7 @@ def fit(
     executor: Executor | int | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Calibrate a robot; see `calib.identification.fit` for the method and its errors.
+    """Calibrate a robot; see `calib.fitting.fit` for the method, `calib.calibrating.calibrate` for its errors.
 
     Args:
         robot: The nominal robot.
@@ -115,5 +115,5 @@ def fit(
     require_robot(robot)
     named = None if terms is None else terms_text(terms)
     settings = Settings(sigma, checked_loss(loss), exclude_outliers, starts, folds, seed, named)
-    found = with_files(identify(robot, data, validation, settings, executor, progress), settings, executor)
-    return Calibration(**{field.name: getattr(found, field.name) for field in fields(found)})
+    found = with_files(calibrate(robot, data, validation, settings, executor, progress), settings, executor)
+    return Calibration.of(found)

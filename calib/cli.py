@@ -7,8 +7,8 @@ from importlib import import_module
 import click
 
 from calib import pictures
+from calib.base.version import VERSION
 from calib.commands.program import run_program
-from calib.version import VERSION
 
 _MODULES = {
     "init": "calib.commands.init",

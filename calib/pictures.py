@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
-from calib.errors import InputError
-from calib.files import image_address
+from calib.base.errors import InputError
+from calib.base.files import image_address
 
 if TYPE_CHECKING:
-    from calib.arrays import FloatArray
-    from calib.identification.fitted import Fit
-    from calib.model.robot import Robot
+    from calib.base.arrays import FloatArray
+    from calib.fitting.fitted import Fit
     from calib.reporting.result_comparison import ResultComparison
+    from calib.robots.robot import Robot
 
 GROUP = "calib.pictures"
 

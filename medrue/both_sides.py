@@ -23,15 +23,15 @@ from typing import Literal
 import numpy as np
 
 from calib import fit
-from calib.arrays import FloatArray, IntArray
+from calib.base.arrays import FloatArray, IntArray
+from calib.base.errors import NotIdentifiableError
+from calib.base.threads import one_blas_thread
+from calib.base.workers import in_order
 from calib.data.in_memory import as_measurements
 from calib.data.measurements import Measurements
-from calib.errors import NotIdentifiableError
 from calib.joint_terms.term import Context
-from calib.model.robot import Robot
-from calib.pose_choice.selection import select
-from calib.threads import one_blas_thread
-from calib.workers import in_order
+from calib.planning.selection import select
+from calib.robots.robot import Robot
 from medrue.draws import PoseSet
 from medrue.imperfections import Imperfections, RailErrors, from_direction, imperfect_robot
 from medrue.paper_tables import table3

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
+from calib.base.files import write_folder
+from calib.base.units import metres, millimetres
+from calib.base.workers import Workers
 from calib.commands.common import Output, shared_options
 from calib.commands.program import run_program
 from calib.data.measurement_files import format_positions
-from calib.files import write_folder
-from calib.model.loading import load
-from calib.units import metres, millimetres
-from calib.workers import Workers
+from calib.robots.loading import load
 from medrue import robot_file
 from medrue.progress import Silent, TerminalBars
 

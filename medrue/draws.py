@@ -18,14 +18,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib import fit
-from calib.arrays import FloatArray, IntArray
+from calib.base.arrays import FloatArray, IntArray
+from calib.base.errors import NotConvergedError
+from calib.base.threads import one_blas_thread
+from calib.base.workers import in_order
 from calib.data.in_memory import as_measurements
 from calib.data.measurements import Measurements
-from calib.errors import NotConvergedError
-from calib.linearisation.jacobian import linearise
-from calib.model.robot import Configurations, Robot
-from calib.threads import one_blas_thread
-from calib.workers import in_order
+from calib.robots.robot import Configurations, Robot
+from calib.rows.jacobian import linearise
 
 CHUNK = 10
 """Draws that are done together."""

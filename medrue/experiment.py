@@ -19,10 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib import fit
-from calib.arrays import FloatArray
-from calib.model.robot import Robot
-from calib.threads import one_blas_thread
-from calib.workers import in_order
+from calib.base.arrays import FloatArray
+from calib.base.threads import one_blas_thread
+from calib.base.workers import in_order
+from calib.robots.robot import Robot
 from medrue.both_sides import COUNTS, BothSides, run_both_sides
 from medrue.draws import PoseSet, measurements
 from medrue.imperfections import Imperfections, approach_in_order, imperfect_robot

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calib.arrays import FloatArray
-from calib.pose_choice.selection import Selection
-from calib.units import millimetres
+from calib.base.arrays import FloatArray
+from calib.base.units import millimetres
+from calib.planning.selection import Selection
 from medrue.workspace import Workspace
 from viz.svg import styled, svg_file
 

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.errors import InputError
-from calib.files import write_file
-from calib.units import metres, millimetres
+from calib.base.errors import InputError
+from calib.base.files import write_file
+from calib.base.units import metres, millimetres
 from medrue.closed_form import ACTUATED_JOINTS, Array, forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace

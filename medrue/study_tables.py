@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import FloatArray
-from calib.units import micrometres, millimetres
-from calib.words import counted
+from calib.base.arrays import FloatArray
+from calib.base.units import micrometres, millimetres
+from calib.base.words import counted
 from medrue.paper_tables import error_table, table1
 from medrue.ranking import LEGEND, Ranking, agreement, rank, ranking_table, standard_error
 from medrue.result_tables import Column, ResultTable

@@ -28,13 +28,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib import fit
-from calib.arrays import FloatArray
-from calib.errors import NotIdentifiableError
-from calib.model.robot import Robot
-from calib.pose_choice.assessment import Assessment, check
-from calib.pose_choice.selection import Selection, select
-from calib.threads import one_blas_thread
-from calib.workers import in_order
+from calib.base.arrays import FloatArray
+from calib.base.errors import NotIdentifiableError
+from calib.base.threads import one_blas_thread
+from calib.base.workers import in_order
+from calib.planning.assessment import Assessment, check
+from calib.planning.selection import Selection, select
+from calib.robots.robot import Robot
 from medrue.error_before import base_placed
 from medrue.paper_tables import PARAMETERS, TOOL_POINT, table1
 from medrue.poses import target_poses

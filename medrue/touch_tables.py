@@ -8,10 +8,10 @@ from types import MappingProxyType
 import numpy as np
 from scipy.spatial.distance import pdist
 
-from calib.arrays import FloatArray
-from calib.pose_choice.assessment import Assessment
-from calib.units import micrometres, millimetres
-from calib.words import counted
+from calib.base.arrays import FloatArray
+from calib.base.units import micrometres, millimetres
+from calib.base.words import counted
+from calib.planning.assessment import Assessment
 from medrue.result_tables import Cell, Column, ResultTable
 from medrue.study import COUNT, SIGMA, STATISTICS, summary
 from medrue.touch import BEFORE, TOOL_KNOWN, WAYS, TouchStudy

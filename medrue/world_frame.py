@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.arrays import FloatArray
+from calib.base.arrays import FloatArray
 from calib.numerics.rigid import best_transform, cross_matrices
 
 OUTLIER_PROBABILITY = 0.01

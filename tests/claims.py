@@ -21,10 +21,10 @@ import yaml
 from public_data import EXAMPLES, PLACES, described, mukca, ur10_tracker
 
 import calib
+from calib.base.errors import CalibrationError
+from calib.base.words import counted
 from calib.data.measurements import Measurements
-from calib.errors import CalibrationError
-from calib.identification.claim_of_fit import claim_of
-from calib.words import counted
+from calib.judging.claim_of_fit import claim_of
 
 PAGE = EXAMPLES.parent / "verdict.md"
 _PLACE = re.compile(r"(<!-- begin real robots -->\n).*?(<!-- end real robots -->)", re.DOTALL)

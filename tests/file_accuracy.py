@@ -21,7 +21,7 @@ from test_denavit_hartenberg import flange_poses
 
 import calib
 from calib.exporting.held_formats import HELD
-from calib.model.held import Holds
+from calib.robots.held import Holds
 
 ENDINGS = {
     "urdf": ".urdf",

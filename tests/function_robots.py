@@ -24,8 +24,8 @@ from six_axis_arm import FREE, URDF, YAML
 import calib
 from calib.joint_terms.term import Context
 from calib.joint_terms.terms import listed_terms
-from calib.model import kinematics
-from calib.model.closure import residual
+from calib.robots import kinematics
+from calib.robots.closure import residual
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "docs" / "examples"
@@ -66,7 +66,7 @@ def with_masses(urdf):
 
 def shaken(robot, seed=1, part=0.3):
     """A robot whose parameters are off as they are expected to be, times a part."""
-    sigma = np.array([parameter.sigma for parameter in robot.parameters])
+    sigma = np.array([parameter.sigma_si for parameter in robot.parameters])
     return robot.with_parameters(robot.values + part * sigma * np.random.default_rng(seed).standard_normal(len(sigma)))
 
 

@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 
 import calib
 from calib.data.tables import read_table
-from calib.linearisation.registration import register
+from calib.rows.registration import register
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "docs" / "examples"
 ORIGINS = """\

@@ -3,8 +3,8 @@
 import pytest
 from urdf_trees import urdf_of
 
-from calib.model.arm_chain import arm_chain
-from calib.model.urdf_text import parse_urdf
+from calib.robots.urdf.arm_chain import arm_chain
+from calib.robots.urdf.text import parse_urdf
 
 ARM = (
     ("j1", "revolute", "base", "l1"),

@@ -9,14 +9,14 @@ from small_robots import small_arm, write_arm
 
 import calib
 from calib.data.in_memory import as_poses
-from calib.linearisation.jacobian import linearise
 from calib.numerics.null_space import describe_group
 from calib.numerics.observability import raw_columns
-from calib.pose_choice.assessment import check
-from calib.pose_choice.pose_count import accuracy_by_count
-from calib.pose_choice.pose_sampling import sample
+from calib.planning.assessment import check
+from calib.planning.pose_count import accuracy_by_count
+from calib.planning.pose_sampling import sample
 from calib.reporting.assessment_text import text_report
 from calib.reporting.selection_text import text_report as told
+from calib.rows.jacobian import linearise
 from medrue.workspace import target_workspace
 
 Q = target_workspace().q

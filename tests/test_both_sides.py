@@ -6,8 +6,8 @@ import pytest
 
 from calib import load
 from calib.joint_terms.term import Context
-from calib.linearisation.jacobian import linearise
-from calib.model.robot import Robot
+from calib.robots.robot import Robot
+from calib.rows.jacobian import linearise
 from medrue import robot_file
 from medrue.both_sides import EXTENDED, PAPER, WAYS, BothSides, run_both_sides
 from medrue.both_sides_tables import (

@@ -8,9 +8,9 @@ import click
 import pytest
 from signed_files import read_plain
 
+from calib.base.errors import ComputationError, InputError, NotConvergedError
 from calib.commands.common import shared_options, sigma_in_metres, with_values
 from calib.commands.program import run_program
-from calib.errors import ComputationError, InputError, NotConvergedError
 
 
 @pytest.fixture

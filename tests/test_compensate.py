@@ -14,13 +14,13 @@ from test_denavit_hartenberg import robot_of, write_table
 
 import calib
 from calib.commands.compensate import command
-from calib.inverse_kinematics.compensation import compensate
-from calib.inverse_kinematics.inverse import solve
-from calib.inverse_kinematics.reaching import actuated_jacobian
-from calib.linearisation.frames import program_frame
-from calib.linearisation.gauge import nearest_to_nominal
-from calib.linearisation.known_robot import known_robot
-from calib.linearisation.prediction import PositionUncertainty
+from calib.rows.frames import program_frame
+from calib.rows.gauge import nearest_to_nominal
+from calib.rows.known_robot import known_robot
+from calib.rows.prediction import PositionUncertainty
+from calib.using.compensation import compensate
+from calib.using.inverse import solve
+from calib.using.reaching import actuated_jacobian
 from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.paper_tables import table1

@@ -10,7 +10,7 @@ import pytest
 
 import calib
 from calib.joint_terms.term import Context
-from calib.linearisation.jacobian import linearise
+from calib.rows.jacobian import linearise
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 G = 9.81

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import calib
-from calib.inverse_kinematics.goals import Goals
-from calib.inverse_kinematics.inverse import solve
-from calib.model import continuation, kinematics
+from calib.robots import continuation, kinematics
+from calib.using.goals import Goals
+from calib.using.inverse import solve
 from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.paper_tables import table1

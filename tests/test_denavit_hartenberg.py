@@ -8,11 +8,11 @@ import pytest
 from click.testing import CliRunner
 
 import calib
+from calib.base.errors import InputError
 from calib.commands.export import command as export_command
 from calib.commands.init import command as init_command
 from calib.data.dh_files import read_dh
-from calib.errors import InputError
-from calib.model.denavit_hartenberg import DhRow, dh_table
+from calib.robots.urdf.denavit_hartenberg import DhRow, dh_table
 
 ROUNDING = 1e-12
 """A few dozen roundings of lengths of 1 m, through rpy angles and decimal degrees."""

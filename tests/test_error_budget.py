@@ -9,11 +9,11 @@ import pytest
 from small_robots import ARM_YAML, write_arm
 
 import calib
-from calib.identification.error_budget import GEOMETRY, NOISE, PLACES, REST, UNEXPLAINED, causes_of
-from calib.linearisation.observed import observe
+from calib.base.words import as_data
+from calib.judging.error_budget import GEOMETRY, NOISE, PLACES, REST, UNEXPLAINED, causes_of
 from calib.reporting.report_text import text_report
 from calib.reporting.result_content import budget_table, to_dict
-from calib.words import as_data
+from calib.rows.observed import observe
 
 SIGMA = 20e-6
 TERMS = """\

@@ -5,8 +5,8 @@ import pytest
 from small_robots import ARM_YAML, small_arm, write_arm
 
 import calib
-from calib.identification.errors_found import ErrorSet, error_table, format_error
-from calib.observation.kind import Part
+from calib.fitting.error_sets import ErrorSet, error_table, format_error
+from calib.instruments.kind import Part
 
 TWO = (
     ARM_YAML.replace("targets:\n", "targets:\n  elbow: {frame: slider}\n")

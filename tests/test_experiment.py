@@ -8,8 +8,8 @@ import pinocchio as pin
 import pytest
 
 from calib import load
-from calib.model.robot import Robot
-from calib.pose_choice.selection import select
+from calib.planning.selection import select
+from calib.robots.robot import Robot
 from medrue import robot_file
 from medrue.both_sides import run_both_sides
 from medrue.closed_form import forward

@@ -14,13 +14,13 @@ from click.testing import CliRunner, Result
 from signed_files import plain, read_plain
 
 import calib
+from calib.base.errors import InputError
 from calib.commands.export import command
-from calib.errors import InputError
 from calib.exporting.closed_model import closed_model, home_values, link_poses
 from calib.exporting.formats import FORMATS, export
 from calib.exporting.mjcf import mjcf
 from calib.exporting.urdf import urdf_bytes
-from calib.model.urdf_text import parse_urdf
+from calib.robots.urdf.text import parse_urdf
 from medrue.closed_form import ACTUATED_JOINTS, PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace

@@ -10,7 +10,7 @@ import pytest
 from six_axis_arm import FREE, YAML, joints, measurements, noisy, six_axis_arm, write_six_axis
 
 import calib
-from calib.identification.fitted import Convergence
+from calib.fitting.fitted import Convergence
 from calib.reporting.result_reading import load_calibrated, read_result
 from calib.reporting.results import save
 

@@ -11,9 +11,9 @@ from read_back import held_out, in_file, tip_of, urdf_links
 from six_axis_arm import FREE, YAML, joints, write_six_axis
 
 import calib
-from calib.identification.fit_files import why_withheld
-from calib.model.held import Accuracy, Holds, SeenAt
+from calib.calibrating.file_robots import why_withheld
 from calib.reporting.result_reading import read_result
+from calib.robots.held import Accuracy, Holds, SeenAt
 
 ROOT = Path(__file__).resolve().parents[1]
 SIGMA = 2e-5

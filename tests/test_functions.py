@@ -11,8 +11,9 @@ from function_robots import ROBOTS, by_name, exported, imported, near, poses_of_
 from small_robots import ARM_YAML, write_arm, write_parallelogram, write_pose_loop
 
 import calib
-from calib.files import write_file
-from calib.functions.c_text import c_name
+from calib.exporting.functions.c_text import c_name
+from calib.joint_terms.term import Context
+from calib.robots.closure import singular_values
 
 N = {"six-axis arm, every term": 10_000, "example arm": 10_000}
 """Poses of each robot; of those with loops, 150: `tests/function_robots.py` looks at 10 000 of these, too."""
@@ -90,7 +91,7 @@ def distance(case):
     known = np.isfinite(at.slope).all(axis=(1, 2))
     found = np.zeros(len(known))
     if known.any():
-        found[known] = calib.model.closure.singular_values(case.robot.mechanism, at.slope[known])
+        found[known] = singular_values(case.robot.mechanism, at.slope[known])
     return found
 
 
@@ -148,7 +149,7 @@ def test_only_what_is_asked_for_must_be_met(cases, language):
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_conditions_that_are_not_given_are_neutral(cases, language):
     case = cases("six-axis arm, every term")
-    neutral = calib.joint_terms.term.Context.neutral(5, 6)
+    neutral = Context.neutral(5, 6)
     truth = poses_of_engine(case.robot, case.q[:5], neutral)
     functions = case.of(language)
     poses = functions.module.forward(case.q[:5]) if language == "numpy" else functions.forward(case.q[:5], neutral)
@@ -232,7 +233,7 @@ def test_names_that_are_odd_in_c_compile(tmp_path):
     path = write_arm(tmp_path)
     odd = '2nd \\"arm\\" */ @\u00e9'.replace('\\"', "")
     text = (tmp_path / "arm.urdf").read_text().replace("small arm", odd)
-    write_file(tmp_path / "arm.urdf", text)
+    (tmp_path / "arm.urdf").write_text(text)
     robot = calib.load(path)
     made = exported(robot, "c", tmp_path)
     assert made.prefix == c_name(robot.name) == "robot_2nd_arm"
@@ -244,7 +245,8 @@ def test_a_limit_of_a_passive_joint_is_kept(tmp_path):
     path = write_parallelogram(tmp_path)
     text = (tmp_path / "parallelogram.urdf").read_text()
     limited = '<joint name="c" type="revolute"> <limit lower="1" upper="2.5" effort="1" velocity="1"/>'
-    write_file(tmp_path / "parallelogram.urdf", text.replace('<joint name="c" type="continuous">', limited))
+    text = text.replace('<joint name="c" type="continuous">', limited)
+    (tmp_path / "parallelogram.urdf").write_text(text)
     robot = calib.load(path)
     q = np.linspace(0.33, 2.83, 26)[:, None]  # and c is at q
     poses = exported(robot, "numpy", tmp_path).forward(q)

@@ -15,8 +15,8 @@ from test_correction_grid import GANTRY
 import calib
 from calib.commands.compensate import command
 from calib.commands.init import command as init
-from calib.data.gcode_reader import read_gcode
-from calib.inverse_kinematics.straight_moves import StraightMoves, compensate_moves
+from calib.using.programs.gcode_reader import read_gcode
+from calib.using.programs.straight_moves import StraightMoves, compensate_moves
 
 YAML = """urdf: gantry.urdf
 name_mot: [x, y, z]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.sparse import csgraph, csr_matrix
 
-from calib.model.closure import blocks
 from calib.numerics.graphs import connected_parts
+from calib.robots.closure import blocks
 
 
 def same_parts(ours, label):

@@ -8,12 +8,12 @@ from small_robots import small_arm
 
 import calib
 from calib import fit
-from calib.linearisation.candidates import assumed_sigma
-from calib.linearisation.determination import determination
-from calib.linearisation.jacobian import linearise
+from calib.base.parameter import Parameter
 from calib.numerics.identifiability import RANK_TOLERANCE, numerical_rank, reduced
 from calib.numerics.observability import information, prior_rows
-from calib.parameter import Parameter
+from calib.rows.candidates import assumed_sigma
+from calib.rows.determination import determination
+from calib.rows.jacobian import linearise
 from medrue.closed_form import forward
 from medrue.paper_tables import PARAMETERS, table1
 from medrue.workspace import target_workspace
@@ -218,7 +218,7 @@ def test_a_fit_on_an_unclear_rank_gets_a_check_and_says_so(tmp_path, monkeypatch
     assert "No clear gap" in doubtful.report()
     short = numerical_rank(np.diag([*np.ones(n - 2), 2e-9, 0.7e-9]))
     monkeypatch.setattr(
-        "calib.identification.pose_checks.determination",
+        "calib.fitting.pose_checks.determination",
         lambda *columns: replace(made.determination, together=short),
     )
     with pytest.raises(calib.NotIdentifiableError, match=r"1 is NOT determined.*no clear gap"):

@@ -10,7 +10,7 @@ from small_robots import ARM_URDF
 from urdf_trees import urdf_of
 
 import calib
-from calib.model.description import Description
+from calib.robots.description import Description
 
 ODD_NAMES = [
     "a, b",

@@ -12,7 +12,7 @@ from test_kind_pixel import FREE
 import calib
 from calib.data.plan_files import read_plan
 from calib.data.tables import read_table
-from calib.pose_choice.selection import select
+from calib.planning.selection import select
 
 YAML = f"""\
 urdf: arm.urdf

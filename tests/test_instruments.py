@@ -7,9 +7,9 @@ import pytest
 from small_robots import ARM_YAML, write_arm
 
 import calib
-from calib.linearisation.jacobian import linearise
-from calib.linearisation.observed import predicted_readings
-from calib.observation.kind import Readings
+from calib.instruments.kind import Readings
+from calib.rows.jacobian import linearise
+from calib.rows.observed import predicted_readings
 
 FREE = """\
 parametrisation:

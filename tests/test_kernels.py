@@ -12,10 +12,10 @@ from small_robots import small_arm, write_parallelogram, write_pose_loop
 from test_kind_joint_reading import five_bar as five_bar_with_encoder
 
 import calib
-from calib.linearisation.jacobian import linearise, origin_jacobian
-from calib.linearisation.observed import observe
-from calib.model.acceleration import compiled, kernels
-from calib.model.continuation import newton
+from calib.robots.acceleration import compiled, kernels
+from calib.robots.continuation import newton
+from calib.rows.jacobian import linearise, origin_jacobian
+from calib.rows.observed import observe
 from medrue import robot_file
 from medrue.workspace import target_workspace
 
@@ -110,7 +110,7 @@ def test_poses_that_cannot_close_are_refused_alike():
 
 
 def test_a_singular_system_is_told():
-    functions = __import__("calib.model.kernels", fromlist=["_solve"])
+    functions = __import__("calib.robots.kernels", fromlist=["_solve"])
     A, b = np.array([[1.0, 2.0], [2.0, 4.0]]), np.array([[1.0], [1.0]])
     assert not functions._solve(A, b)
     A, b = np.array([[0.0, 2.0], [3.0, 4.0]]), np.array([[2.0], [10.0]])

@@ -9,10 +9,10 @@ from six_axis_arm import joints, write_six_axis
 from small_robots import ARM_YAML, write_arm
 
 import calib
-from calib.linearisation.observed import predicted_readings
-from calib.linearisation.registration import register
+from calib.instruments.kind import Readings, View
 from calib.numerics.rigid import centre, centre_of_sphere, common_offset
-from calib.observation.kind import Readings, View
+from calib.rows.observed import predicted_readings
+from calib.rows.registration import register
 from medrue import robot_file
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
@@ -260,7 +260,7 @@ def test_a_target_at_the_fixed_point_is_an_error(arm):
     there = arm.with_parameters({f"beam_end.{axis}": ball[k] for k, axis in enumerate("xyz")})
     data = calib.as_measurements(there, q, read(arm, q))
     with pytest.raises(calib.CalibrationError, match="instrument 'beam': its target 'ball' is where its distance"):
-        calib.linearisation.observed.observe(there, there.assemble(q), data.readings)
+        calib.rows.observed.observe(there, there.assemble(q), data.readings)
 
 
 def test_a_ballbar_does_not_see_where_the_base_stands_and_check_says_so(tmp_path, run_calib):

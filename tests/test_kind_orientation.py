@@ -9,10 +9,10 @@ from six_axis_arm import joints, write_six_axis
 
 import calib
 from calib.data.measurement_files import format_measurements, read_measurements
-from calib.linearisation.observed import predicted_readings
-from calib.linearisation.registration import register
-from calib.observation.hand_eye import fixed_poses
-from calib.observation.kind import Readings, View
+from calib.instruments.hand_eye import fixed_poses
+from calib.instruments.kind import Readings, View
+from calib.rows.observed import predicted_readings
+from calib.rows.registration import register
 from medrue import robot_file
 from medrue.workspace import target_workspace
 

@@ -13,11 +13,11 @@ from six_axis_arm import joints, write_six_axis
 
 import calib
 from calib.data.measurement_files import read_measurements
-from calib.linearisation.candidates import rows_of_poses
-from calib.linearisation.observed import predicted_readings
-from calib.linearisation.registration import register
-from calib.observation.camera import in_front, project, rays
-from calib.observation.kind import Readings, View
+from calib.instruments.camera import in_front, project, rays
+from calib.instruments.kind import Readings, View
+from calib.rows.candidates import rows_of_poses
+from calib.rows.observed import predicted_readings
+from calib.rows.registration import register
 
 _GOLDEN = (1 + 5**0.5) / 2
 _THIRD = np.array([[0.0, s, t * _GOLDEN] for s in (1, -1) for t in (1, -1)])
@@ -236,7 +236,7 @@ def coverage(robot, n):
 
 def without_guesses(monkeypatch):
     """Start from what the robot has: half of a fit's time goes into guesses, which other tests look at."""
-    monkeypatch.setattr("calib.observation.pixel.guesses", lambda found, now, known: [now])
+    monkeypatch.setattr("calib.instruments.pixel.guesses", lambda found, now, known: [now])
 
 
 def test_95_percent_intervals_hold_the_truth(arm, monkeypatch):

@@ -11,11 +11,11 @@ from six_axis_arm import joints, write_six_axis
 
 import calib
 from calib.data.measurement_files import format_measurements, read_measurements
-from calib.linearisation.observed import predicted_readings
-from calib.linearisation.registration import register
-from calib.observation.kind import Readings, View
-from calib.observation.pose import Pose, PoseSection
-from calib.observation.rotations import inverse_left_jacobian
+from calib.instruments.kind import Readings, View
+from calib.instruments.pose import Pose, PoseSection
+from calib.instruments.rotations import inverse_left_jacobian
+from calib.rows.observed import predicted_readings
+from calib.rows.registration import register
 from medrue import robot_file
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"

@@ -13,10 +13,10 @@ from test_kind_distance import FREE
 
 import calib
 from calib.data.measurement_files import format_measurements
-from calib.linearisation.observed import predicted_readings
-from calib.linearisation.registration import register
-from calib.observation.kind import Readings, View
-from calib.pose_choice.pose_sampling import sample
+from calib.instruments.kind import Readings, View
+from calib.planning.pose_sampling import sample
+from calib.rows.observed import predicted_readings
+from calib.rows.registration import register
 from medrue import robot_file
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace

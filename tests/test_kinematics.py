@@ -6,9 +6,9 @@ import pytest
 from urdf_trees import described, random_tree
 
 import calib
-from calib.linearisation.jacobian import linearise
-from calib.model import kinematics
-from calib.model.mechanism import flat_poses
+from calib.robots import kinematics
+from calib.robots.mechanism import flat_poses
+from calib.rows.jacobian import linearise
 from medrue import robot_file
 from medrue.workspace import target_workspace
 

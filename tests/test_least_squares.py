@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from calib.errors import ComputationError
+from calib.base.errors import ComputationError
 from calib.numerics.least_squares import minimise
 
 

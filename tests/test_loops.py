@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.model.closure import residual
-from calib.model.loops import smallest_gap
+from calib.robots.closure import residual
+from calib.robots.loops import smallest_gap
 from medrue import robot_file
 from medrue.closed_form import PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1

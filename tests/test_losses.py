@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi
 
-from calib.errors import InputError, NotIdentifiableError
+from calib.base.errors import InputError, NotIdentifiableError
 from calib.numerics.losses import (
     LOSSES,
     checked_loss,

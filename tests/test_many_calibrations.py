@@ -13,10 +13,10 @@ import pytest
 from six_axis_arm import FREE, YAML, joints, six_axis_arm, write_six_axis
 
 import calib
-from calib.identification.repeated import Repeated
-from calib.identification.settings import Settings
-from calib.identification.study_data import Resampled
-from calib.workers import Workers
+from calib.base.workers import Workers
+from calib.fitting.settings import Settings
+from calib.planning.studies.many_calibrations import Repeated
+from calib.planning.studies.study_data import Resampled
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 SIGMA = 2e-5
@@ -108,8 +108,10 @@ def test_code_is_compiled_before_work_is_given_out(five_bar, monkeypatch):
     """So that processes find it, instead of compiling it each by itself."""
     pytest.importorskip("numba", reason="numba is not installed (extra 'fast')")
     used = []
-    monkeypatch.setattr("calib.identification.study._MANY", 1)
-    monkeypatch.setattr("calib.model.acceleration.import_module", lambda name: used.append(name) or import_module(name))
+    monkeypatch.setattr("calib.planning.studies.study._MANY", 1)
+    monkeypatch.setattr(
+        "calib.robots.acceleration.import_module", lambda name: used.append(name) or import_module(name)
+    )
 
     class Waiting(ThreadPoolExecutor):
         def submit(self, function, /, *arguments, **named):

@@ -5,7 +5,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from calib.pose_choice.measurement_order import shortest_order, travel
+from calib.planning.measurement_order import shortest_order, travel
 
 
 def test_travel_by_hand():

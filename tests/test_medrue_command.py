@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from calib import load, read_measurements
-from calib.own_files import MANIFEST
+from calib.base.own_files import MANIFEST
 from medrue import robot_file
 from medrue.cli import group
 from medrue.closed_form import forward

@@ -1,14 +1,13 @@
 """What a terminal says at the end: what the grade means, and a command that can be typed as it stands."""
 
 import shlex
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 import calib
 from calib.commands.next_steps import after_check, after_fit, after_select
-from calib.identification.reasons import Reason, Verdict
+from calib.judging.reasons import Reason, Verdict
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 
@@ -28,8 +27,15 @@ def fit(robot, data):
     return calib.fit(robot, data)
 
 
-def judged(fit, grade, *codes):
-    return replace(fit, judge=lambda _: Verdict(grade, tuple(Reason(grade, code, "") for code in codes)))
+@pytest.fixture
+def say(monkeypatch):
+    """Let the verdict on any fit be this grade, for these reasons."""
+
+    def verdict(grade, *codes):
+        reasons = tuple(Reason(grade, code, "") for code in codes)
+        monkeypatch.setattr("calib.commands.next_steps.judge", lambda fit: Verdict(grade, reasons))
+
+    return verdict
 
 
 @pytest.mark.parametrize(
@@ -44,8 +50,9 @@ def judged(fit, grade, *codes):
         ("FAIL", ("not_converged",), "calib fit a.yaml 'my data.csv' --starts 5 --out out-2"),
     ],
 )
-def test_the_first_reason_that_a_command_answers_says_which(fit, grade, codes, wanted):
-    meaning, following = after_fit(judged(fit, grade, *codes), "a.yaml", ("my data.csv",), "out")
+def test_the_first_reason_that_a_command_answers_says_which(fit, say, grade, codes, wanted):
+    say(grade, *codes)
+    meaning, following = after_fit(fit, "a.yaml", ("my data.csv",), "out")
     assert grade in meaning
     assert following.removeprefix("Next: ").startswith(wanted)
 
@@ -59,9 +66,10 @@ def test_one_reading_that_is_off_leads_to_leaving_it_out_and_not_to_joint_terms(
     assert "--exclude-outliers" in after_fit(fit, "a.yaml", ("d.csv",), "out")[1]
 
 
-def test_what_passed_on_other_poses_goes_on_to_be_used(robot, data):
+def test_what_passed_on_other_poses_goes_on_to_be_used(robot, data, say):
     used, held = data.split(0.25, seed=1)
-    validated = judged(calib.fit(robot, used, validation=held), "PASS")
+    validated = calib.fit(robot, used, validation=held)
+    say("PASS")
     assert after_fit(validated, "a.yaml", ("d.csv",), "out")[1].startswith("Next: calib export out ")
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from calib.base.parameter import Parameter
 from calib.numerics.observability import INDICES, observability, raw_columns, task_index
-from calib.parameter import Parameter
 
 
 def indices_of(matrix, n_poses):

@@ -8,9 +8,9 @@ import pytest
 from small_robots import ARM_YAML, write_arm, write_pose_loop
 
 import calib
-from calib.linearisation.jacobian import linearise
-from calib.linearisation.observed import observe, predicted_readings
-from calib.observation.kind import Readings
+from calib.instruments.kind import Readings
+from calib.rows.jacobian import linearise
+from calib.rows.observed import observe, predicted_readings
 from medrue.workspace import target_workspace
 
 STEP = 1e-6

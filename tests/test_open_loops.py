@@ -8,8 +8,8 @@ import pytest
 from small_robots import write_pose_loop
 
 import calib
-from calib.model.closure import gap_text, open_by
-from calib.model.loops import why_open
+from calib.robots.closure import gap_text, open_by
+from calib.robots.loops import why_open
 from medrue import robot_file
 from medrue.closed_form import PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1

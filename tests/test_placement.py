@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calib.errors import DataError
+from calib.base.errors import DataError
 from calib.numerics.placement import MovingPoint, place
 
 Array = NDArray[np.float64]

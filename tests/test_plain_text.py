@@ -1,6 +1,6 @@
 from rich.table import Table
 
-from calib.words import counted, listed, plain_text
+from calib.base.words import counted, listed, plain_text
 
 
 def test_brackets_and_colons_are_no_markup():

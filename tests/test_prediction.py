@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 from six_axis_arm import FREE, joints, noisy, six_axis_arm, write_six_axis
 
 import calib
-from calib.linearisation.candidates import rows_of_poses
-from calib.linearisation.prediction import PositionUncertainty, other_combinations
 from calib.reporting.result_reading import load_calibrated, load_uncertainty
+from calib.rows.candidates import rows_of_poses
+from calib.rows.prediction import PositionUncertainty, other_combinations
 
 SIGMA = 4e-5
 

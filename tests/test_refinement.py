@@ -9,11 +9,11 @@ from small_robots import small_arm
 
 import calib
 from calib.joint_terms.term import Context
-from calib.pose_choice.refinement import refine
-from calib.pose_choice.region import region_of
-from calib.pose_choice.selection import select
-from calib.pose_choice.selection_problem import TASK, build_problem
-from calib.pose_choice.selection_scores import values_of_rows
+from calib.planning.refinement import refine
+from calib.planning.region import region_of
+from calib.planning.selection import select
+from calib.planning.selection_problem import TASK, build_problem
+from calib.planning.selection_scores import values_of_rows
 from medrue.workspace import target_workspace
 
 Q = target_workspace().q
@@ -107,7 +107,7 @@ class Posting(Executor):
 
 
 def test_numbers_do_not_depend_on_who_works(tmp_path, monkeypatch):
-    monkeypatch.setattr("calib.pose_choice.refinement._CHUNK", 30)
+    monkeypatch.setattr("calib.planning.refinement._CHUNK", 30)
     arm, told = small_arm(tmp_path), []
     q = np.random.default_rng(0).uniform([-2, 0.1, -2], [2, 0.9, 2], (30, 3))
     given = {"count": 6, "off_grid": True, "starts": 3, "sigma": 1e-4}

@@ -11,12 +11,12 @@ from signed_files import read_plain
 from small_robots import ARM_YAML, PARALLELOGRAM_YAML, write_arm, write_parallelogram
 
 import calib
+from calib.base.errors import CalibrationError, ComputationError, DataError, InputError
+from calib.base.files import write_folder
 from calib.data.tables import read_table
-from calib.errors import CalibrationError, ComputationError, DataError, InputError
-from calib.files import write_folder
-from calib.model.description import description_yaml, read_description
 from calib.reporting.result_reading import load_calibrated, load_uncertainty, read_result
 from calib.reporting.results import save
+from calib.robots.description import description_yaml, read_description
 
 CONTRACT = ("version", "robot", "converged", "message", "seconds", "n_poses", "n_rows", "n_parameters", "rank",
             "redundant", "sigma", "observability", "parameters", "errors")  # fmt: skip

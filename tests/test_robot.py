@@ -8,7 +8,7 @@ import pytest
 from small_robots import ARM_URDF, ARM_YAML, small_arm, write_arm, write_parallelogram
 
 import calib
-from calib.errors import DataError, DescriptionError, UnreachablePoseError
+from calib.base.errors import DataError, DescriptionError, UnreachablePoseError
 
 
 def snapshot(robot):

@@ -8,15 +8,15 @@ import pytest
 from small_robots import small_arm, write_arm
 
 import calib
+from calib.base.errors import InputError
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
-from calib.errors import InputError
-from calib.linearisation.candidates import build_candidates
-from calib.linearisation.jacobian import linearise
 from calib.numerics.observability import observability, raw_columns
-from calib.pose_choice import screening
-from calib.pose_choice.instrument_choice import groups_of, pairs_of
-from calib.pose_choice.selection import select
+from calib.planning import screening
+from calib.planning.instrument_choice import groups_of, pairs_of
+from calib.planning.selection import select
+from calib.rows.candidates import build_candidates
+from calib.rows.jacobian import linearise
 from medrue.workspace import target_workspace
 
 Q = target_workspace().q
@@ -242,7 +242,7 @@ def test_poses_that_do_not_close_are_listed_and_skipped_only_on_request(medrue):
 
 def test_poses_next_to_a_singularity_are_named_too(medrue):
     strict = medrue.description.model_copy(update={"singularity_limit": 0.08})
-    careful = calib.model.robot.replace(medrue, description=strict)
+    careful = calib.robots.robot.replace(medrue, description=strict)
     smallest = int(np.argmin(medrue.singular_values(medrue.assemble(Q))))
     with pytest.raises(calib.UnreachablePoseError, match="from a singularity of the loops"):
         select(careful, Q, 84)
@@ -260,8 +260,8 @@ def test_minimal_count_still_determines_everything(medrue):
 @pytest.mark.parametrize("index", ["O1", "task"])
 def test_candidates_that_do_not_fit_into_memory_go_through_a_file(medrue, monkeypatch, index):
     inside = select(medrue, Q, 40, index)
-    monkeypatch.setattr("calib.memory.free_memory", lambda: 1e5)
-    monkeypatch.setattr("calib.pose_choice.selection_problem._PART", 50)
+    monkeypatch.setattr("calib.base.memory.free_memory", lambda: 1e5)
+    monkeypatch.setattr("calib.planning.selection_problem._PART", 50)
     rows = build_candidates(medrue, as_poses(Q)).found
     assert np.shares_memory(pairs_of(groups_of(medrue, "all", 40), rows).rows, rows.rows)  # no copy in memory either
     outside = select(medrue, Q, 40, index)
@@ -270,21 +270,21 @@ def test_candidates_that_do_not_fit_into_memory_go_through_a_file(medrue, monkey
 
 
 def test_what_has_no_room_says_where_it_would_have_been(medrue, monkeypatch):
-    monkeypatch.setattr("calib.memory.free_memory", lambda: 1e5)
+    monkeypatch.setattr("calib.base.memory.free_memory", lambda: 1e5)
     with pytest.raises(InputError, match=r"looks at all at once; it needs about .* GB of memory, and .* are free"):
         select(medrue, Q[:100], 20, "O3")
 
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("calib.memory.os.posix_fallocate", full)
+    monkeypatch.setattr("calib.base.memory.os.posix_fallocate", full)
     with pytest.raises(InputError, match=r"rows of 100 candidates need .* has only .* free; .* in TMPDIR"):
         select(medrue, Q[:100], 20, "O1")
 
 
 def test_rows_of_positions_in_parts_say_what_all_say(medrue, monkeypatch):
     whole = select(medrue, Q[::4], 30, "task")
-    monkeypatch.setattr("calib.linearisation.candidates._PART", 20)
+    monkeypatch.setattr("calib.rows.candidates._PART", 20)
     monkeypatch.setattr("calib.numerics.identifiability._AT_ONCE", 50)
     parts = select(medrue, Q[::4], 30, "task")
     assert parts.before == pytest.approx(whole.before, rel=1e-9)
@@ -293,17 +293,17 @@ def test_rows_of_positions_in_parts_say_what_all_say(medrue, monkeypatch):
 
 def test_a_candidate_of_a_file_takes_less_than_120_bytes_of_memory(tmp_path, monkeypatch):
     """Of three joints, where rows go to a file; 55 were measured, and 345 with names and labels as Python strings."""
-    monkeypatch.setattr("calib.memory.free_memory", lambda: 0.0)
+    monkeypatch.setattr("calib.base.memory.free_memory", lambda: 0.0)
     for part, few in {
-        "calib.files._PIECE": 1 << 14,
+        "calib.base.files._PIECE": 1 << 14,
         "calib.data.tables._PART": 250,
-        "calib.linearisation.candidates._PART": 250,
+        "calib.rows.candidates._PART": 250,
         "calib.numerics.identifiability._AT_ONCE": 500,
-        "calib.pose_choice.selection_problem._PART": 250,
-        "calib.pose_choice.selection_bound._AT_ONCE": 250,
-        "calib.pose_choice.selection_bound._UNCLEAR": 20,
-        "calib.pose_choice.screening.SCREENED": 500,
-        "calib.pose_choice.screening._SEARCHED": 200,
+        "calib.planning.selection_problem._PART": 250,
+        "calib.planning.selection_bound._AT_ONCE": 250,
+        "calib.planning.selection_bound._UNCLEAR": 20,
+        "calib.planning.screening.SCREENED": 500,
+        "calib.planning.screening._SEARCHED": 200,
     }.items():
         monkeypatch.setattr(part, few)
     robot = small_arm(tmp_path)

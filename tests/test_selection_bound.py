@@ -5,10 +5,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calib.pose_choice.exchange import Spacing, exchange, swap, uniform_start
-from calib.pose_choice.selection_bound import CERTIFIED, log_phi, relax
-from calib.pose_choice.selection_problem import TASK, build_problem
-from calib.pose_choice.selection_scores import index_values
+from calib.planning.exchange import Spacing, exchange, swap, uniform_start
+from calib.planning.selection_bound import CERTIFIED, log_phi, relax
+from calib.planning.selection_problem import TASK, build_problem
+from calib.planning.selection_scores import index_values
 
 N, COUNT, D = 11, 4, 5
 

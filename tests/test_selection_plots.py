@@ -6,8 +6,8 @@ import pytest
 import calib
 from calib.data.in_memory import as_poses
 from calib.pictures import figures
-from calib.pose_choice.assessment import check
-from calib.pose_choice.selection import select
+from calib.planning.assessment import check
+from calib.planning.selection import select
 from medrue.workspace import target_workspace
 from viz.selection_plots import accuracy, assessment_figures, index_history, selection_figures, singular_values
 

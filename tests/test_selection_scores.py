@@ -5,8 +5,8 @@ import pytest
 
 import calib
 from calib.numerics.observability import observability
-from calib.pose_choice.selection_problem import TASK, build_problem
-from calib.pose_choice.selection_scores import CHOICES, index_of_score, index_values, scores
+from calib.planning.selection_problem import TASK, build_problem
+from calib.planning.selection_scores import CHOICES, index_of_score, index_values, scores
 
 N, K, D = 14, 3, 6
 

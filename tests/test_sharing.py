@@ -16,9 +16,9 @@ import psutil
 import pytest
 
 import calib
-from calib.arrays import ReadOnlyArrays
-from calib.identification.fit import identify
-from calib.identification.settings import Settings
+from calib.base.arrays import ReadOnlyArrays
+from calib.calibrating.calibrate import calibrate
+from calib.fitting.settings import Settings
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 ROBOT, DATA = EXAMPLES / "five_bar.yaml", EXAMPLES / "five_bar_simulated.csv"
@@ -54,7 +54,7 @@ def public_objects(robot, data, fitted, tmp_path_factory):
         "Assessment": calib.check(robot, data),
         "Calibration": fitted,
         "Compensation": calib.compensate(fitted.robot, calib.Goals(robot.positions(poses.joints)[:, 0])),
-        "Fit": identify(robot, data, None, Settings()),
+        "Fit": calibrate(robot, data, None, Settings()),
         "Goals": calib.Goals(robot.positions(poses.joints)[:, 0]),
         "LoadedResult": calib.load_result(folder),
         "Measurements": data,

@@ -8,8 +8,8 @@ from small_robots import ARM_YAML, small_arm, write_arm
 from test_kind_pixel import FREE, INTRINSICS, POINTS
 
 import calib
+from calib.base.errors import DataError, UnreachablePoseError
 from calib.data.tables import read_table
-from calib.errors import DataError, UnreachablePoseError
 
 
 def some_poses(n):

@@ -8,10 +8,10 @@ import pytest
 from six_axis_arm import YAML, joints, noisy, six_axis_arm, write_six_axis
 
 import calib
-from calib.errors import ComputationError
-from calib.identification.starts import explore
-from calib.linearisation.rows import Group
+from calib.base.errors import ComputationError
+from calib.fitting.starts import explore
 from calib.numerics.least_squares import minimise
+from calib.rows.rows import Group
 
 SIGMA = 4e-5
 ZEROS = (("j2", "ry"), ("j3", "ry"), ("j4", "rx"), ("j5", "ry"))

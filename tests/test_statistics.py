@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.errors import NotIdentifiableError
+from calib.base.errors import NotIdentifiableError
 from calib.numerics.observability import information, prior_rows
 from calib.numerics.statistics import Factors, chi_square, effective_parameters, found_factors, statistics, status
 

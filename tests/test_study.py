@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import ttest_rel
 
 from calib import fit, load
-from calib.linearisation.jacobian import linearise
-from calib.model.robot import Robot
-from calib.pose_choice.selection import select
-from calib.workers import Workers
+from calib.base.workers import Workers
+from calib.planning.selection import select
+from calib.robots.robot import Robot
+from calib.rows.jacobian import linearise
 from medrue import robot_file
 from medrue.draws import Calibrator, Outcome, PoseSet, Task, measurements, run
 from medrue.paper_tables import PARAMETERS, error_table, table1

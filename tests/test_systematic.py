@@ -9,8 +9,8 @@ from six_axis_arm import FREE, YAML, joints, measurements, six_axis_arm, write_s
 
 import calib
 from calib.data.measurements import directions_of_motion
-from calib.identification.effects import FAMILIES, Kind
-from calib.identification.systematic import describe
+from calib.judging.effects import FAMILIES, Kind
+from calib.judging.systematic import describe
 
 SIGMA = 4e-5
 

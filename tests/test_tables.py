@@ -8,9 +8,9 @@ import math
 import numpy as np
 import pytest
 
+from calib.base.errors import DataError, InputError
 from calib.data.on_demand import cells_of
 from calib.data.tables import check_plausible, format_table, read_number, read_table
-from calib.errors import DataError, InputError
 
 
 @pytest.fixture
@@ -256,9 +256,9 @@ def test_files_are_read_alike_in_pieces_of_any_size_and_beyond_memory(tmp_path, 
     """Pieces end between the bytes of a letter and between those of a line's end; rows go to a file."""
     content = "\ufeff# größer\r\npose,q1 [mm]\r\n" + "".join(f"Ü{k},{k}.5\r\n" for k in range(600)) + "# Ende\r\nlast,7"
     (tmp_path / "table.csv").write_bytes(content.encode())
-    monkeypatch.setattr("calib.memory.free_memory", lambda: 0.0)
+    monkeypatch.setattr("calib.base.memory.free_memory", lambda: 0.0)
     for size in (1, 2, 3, 1 << 20):
-        monkeypatch.setattr("calib.files._PIECE", size)
+        monkeypatch.setattr("calib.base.files._PIECE", size)
         table = read_table(tmp_path / "table.csv")
         assert table.comments == ("größer", "Ende")
         assert table.text("pose") == [f"Ü{k}" for k in range(600)] + ["last"]
@@ -279,7 +279,7 @@ def test_rows_without_room_say_where_it_would_have_been(tmp_path, monkeypatch):
 
 
 def test_only_candidates_may_be_larger_than_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr("calib.files._LARGEST", 100)
+    monkeypatch.setattr("calib.base.files._LARGEST", 100)
     (tmp_path / "table.csv").write_text("q1\n" + "1\n" * 100)
     assert "is larger than" in complaint(read_table, tmp_path / "table.csv")
     assert len(read_table(tmp_path / "table.csv", any_size=True).rows) == 100

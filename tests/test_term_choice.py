@@ -15,14 +15,14 @@ import pytest
 from test_compliance import arm, torques, upright_five_bar
 
 import calib
-from calib.identification.candidate_terms import Candidate, candidates
-from calib.identification.joint_curves import beyond_learned
-from calib.identification.term_choice import _Search
-from calib.identification.term_trials import Trial, Trials
-from calib.identification.validation import boxes, stretches
+from calib.base.threads import one_blas_thread
+from calib.fitting.terms.candidate_terms import Candidate, candidates
+from calib.fitting.terms.joint_curves import beyond_learned
+from calib.fitting.terms.term_choice import _Search
+from calib.fitting.terms.term_trials import Trial, Trials
+from calib.fitting.validation import boxes, stretches
 from calib.joint_terms.coupling import CouplingSection
 from calib.joint_terms.terms import TERMS, listed_terms
-from calib.threads import one_blas_thread
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 NOISE = 2e-5
@@ -62,7 +62,7 @@ def _measured(robot, true, q, rng):
     data = calib.as_measurements(robot, q, np.zeros((len(q), 3)))
     context = {"time": 120.0 * np.arange(len(q)), "temperature": 20 + 3 * rng.random(len(q))}
     data = replace(data, context=context, approach=np.sign(rng.standard_normal(q.shape)))
-    seen = calib.linearisation.observed.predicted_readings(true, true.assemble(q, context=data.conditions))
+    seen = calib.rows.observed.predicted_readings(true, true.assemble(q, context=data.conditions))
     readings = {
         name: replace(found, values=found.values + NOISE * rng.standard_normal(found.values.shape))
         for name, found in seen.items()
@@ -310,7 +310,7 @@ def test_without_stated_directions_backlash_is_reported_and_not_added():
     data = calib.as_measurements(robot, q, np.zeros((60, 3)))
     playing = robot.with_terms(listed_terms("joint_2=backlash")).with_parameters({"joint_2.backlash": 4e-4})
     seen = playing.assemble(q, context=data.conditions)
-    points = calib.linearisation.observed.predicted_readings(playing, seen)["reflector"].values
+    points = calib.rows.observed.predicted_readings(playing, seen)["reflector"].values
     points = points + NOISE * np.random.default_rng(10).standard_normal(points.shape)
     fit = calib.fit(robot, calib.as_measurements(robot, q, points), terms="auto")
     told = next(one for one in fit.terms.tried if one.term == "backlash")

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from calib.errors import InputError
-from calib.units import per_si, quantity, split_column
+from calib.base.errors import InputError
+from calib.base.units import per_si, quantity, split_column
 
 
 @pytest.mark.parametrize(

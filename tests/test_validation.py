@@ -6,7 +6,7 @@ import calib
 from calib.data.grouping import pose_labels
 from calib.data.in_memory import measurements as from_readings
 from calib.data.in_memory import plain_readings
-from calib.identification.validation import deal
+from calib.fitting.validation import deal
 
 RNG = np.random.default_rng(0)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from calib.errors import NotIdentifiableError
+from calib.base.errors import NotIdentifiableError
 from calib.numerics.variance_components import (
     LinearModel,
     found_components,

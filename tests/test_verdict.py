@@ -10,13 +10,13 @@ from six_axis_arm import FREE, YAML, joints, measurements, noisy, six_axis_arm, 
 
 import calib
 from calib.data.measurements import with_points
-from calib.identification.blind_spots import unordered
-from calib.identification.effects import scale
-from calib.identification.fitted import Convergence
-from calib.identification.rounding import joint_steps, rounding
-from calib.identification.rules_reach import _given
-from calib.identification.starts import Minimum, Starts
-from calib.identification.systematic import visible
+from calib.fitting.fitted import Convergence
+from calib.fitting.starts import Minimum, Starts
+from calib.judging.blind_spots import unordered
+from calib.judging.effects import scale
+from calib.judging.rounded_joint_values import joint_steps, rounding
+from calib.judging.rules_reach import _given
+from calib.judging.systematic import visible
 
 SIGMA = 4e-5
 ALONE = "  - {origin: j6, components: [y, z], sigma: 2 mm}\n  - {origin: ball, components: [x, y, z], sigma: 2 mm}\n"

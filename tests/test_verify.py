@@ -16,9 +16,9 @@ from calib.commands.verify import command
 from calib.data.measurement_files import format_measurements
 from calib.data.measurements import Measurements, Poses
 from calib.data.tables import format_table
-from calib.identification.acceptance import poses_needed, verify, visible_changes
-from calib.identification.promise import Promise
-from calib.identification.repeats import CONDITIONS, conditions, iso_figures
+from calib.judging.acceptance import poses_needed, verify, visible_changes
+from calib.judging.promise import Promise
+from calib.judging.repeatability import CONDITIONS, conditions, iso_figures
 from calib.reporting.acceptance_text import text_report
 from calib.reporting.result_reading import load_promise
 

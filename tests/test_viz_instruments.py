@@ -10,8 +10,8 @@ from six_axis_arm import FREE, joints, write_six_axis
 
 import calib
 from calib.data.in_memory import as_poses, measurements
-from calib.linearisation.observed import predicted_readings
-from calib.observation.kind import Readings
+from calib.instruments.kind import Readings
+from calib.rows.observed import predicted_readings
 from viz.inputs import gather
 from viz.part_plots import part_plots
 from viz.plots import all_plots

@@ -11,7 +11,7 @@ import umsgpack
 from viz_examples import measurements, medrue_fit, medrue_robot
 
 import viz
-from calib.errors import DataError, UnreachablePoseError
+from calib.base.errors import DataError, UnreachablePoseError
 from viz.drawing import load_meshcat
 
 

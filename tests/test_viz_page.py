@@ -12,7 +12,7 @@ import umsgpack
 import calib
 import medrue
 import viz
-from calib.errors import InputError
+from calib.base.errors import InputError
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
 from viz import poses

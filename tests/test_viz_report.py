@@ -13,7 +13,7 @@ from viz_examples import measurements, medrue_fit, medrue_robot, spoiled
 
 import calib
 import viz
-from calib.files import image_address
+from calib.base.files import image_address
 from viz.pose_sources import from_fit
 from viz.report_page import command_line, decimals_of, millimetres, number, report_page, significant
 

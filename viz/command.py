@@ -10,8 +10,8 @@ from types import FrameType
 
 import click
 
+from calib.base.errors import InputError
 from calib.commands.common import Output, folder_of_values, loaded, shared_options
-from calib.errors import InputError
 
 MAP_POSES = 1000
 """Poses of a map, where nobody says how many."""

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from calib.base.version import PROGRAM
 from calib.reporting.result_comparison import Difference, ResultComparison, p_text
-from calib.version import PROGRAM
 from viz.report_page import page_environment
 from viz.svg import AXES, GREY, ORANGE, Plot, finished, new_figure, plain_ticks, shortened, styled
 from viz.viewer_page import Page

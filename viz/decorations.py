@@ -11,7 +11,7 @@ from importlib.metadata import entry_points
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.base.arrays import FloatArray
 from viz.shapes import Colour, Shape, mesh
 
 ENTRY_POINTS = "viz.decorations"

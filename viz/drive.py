@@ -1,7 +1,7 @@
 """What a page needs to move a robot by hand: which values its motors give, and what closes its loops.
 
 The page follows the loops itself, from a pose in which they are closed, in small steps of the motors with Newton's
-method at each (`templates/drive.js`, the same equations as `calib.model.loops`). It stops where a loop does not close,
+method at each (`templates/drive.js`, the same equations as `calib.robots.loops`). It stops where a loop does not close,
 a passive joint meets its limit, or the next step would pass a singularity, behind which another assembly mode begins.
 
 What joints of the calibrated robot do beside what they are told is a sum of functions of one motor each, but for what
@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from calib import Robot
-from calib.arrays import FloatArray
+from calib.base.arrays import FloatArray
 from calib.joint_terms.term import Context
-from calib.model.joint_errors import term_columns
-from calib.model.mechanism import RelativeFrame
+from calib.robots.joint_errors import term_columns
+from calib.robots.mechanism import RelativeFrame
 from viz.bodies import Bodies
 
 _TABLE_STEP = 5e-3  # of a motor [rad, or characteristic lengths]: 60 waves a turn of 1 mrad are met to 2e-7 rad

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from calib import Fit
-from calib.errors import InputError, nearest
+from calib.base.errors import InputError, nearest
 from viz.part_plots import draw_residuals, of_positions
 from viz.plots import draw_course, draw_histogram, draw_normal
 from viz.pose_sources import from_fit

@@ -11,8 +11,8 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from calib import Robot
-from calib.arrays import FloatArray
-from calib.errors import UrdfError
+from calib.base.arrays import FloatArray
+from calib.base.errors import UrdfError
 from calib.exporting.links import Link, find_mesh, read_links
 from calib.exporting.links import Shape as Visual
 from viz.shapes import GREY, Colour, Shape, mesh, primitive, stand_ins, thinned

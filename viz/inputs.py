@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calib import Fit, Measurements, Robot
-from calib.errors import InputError
-from calib.linearisation.registration import register
-from calib.linearisation.told_positions import ToldPositions
-from calib.linearisation.whitening import Whitening
+from calib.base.errors import InputError
+from calib.base.words import counted
+from calib.judging.verdict import judge
 from calib.reporting.result_reading import joints_used, load_calibrated, load_uncertainty, read_result
-from calib.words import counted
+from calib.rows.registration import register
+from calib.rows.told_positions import ToldPositions
+from calib.rows.whitening import Whitening
 from viz.judgement import of_result, of_verdict
 from viz.pose_sources import Sigmas, from_measurements, from_saved, noise
 from viz.poses import IDENTIFICATION, Calibrated
@@ -74,7 +75,7 @@ def _from_fit(robot: Robot, fit: Fit, data: Measurements | None, mapped: int) ->
     table = from_measurements(data, fit.placed, calibrated, noise(fit))
     notes = fit.told_positions.notes
     scene = build_scene(
-        fit.placed, fit.robot, table, verdict=of_verdict(fit.verdict), notes=notes, comments=remarks(data.comments)
+        fit.placed, fit.robot, table, verdict=of_verdict(judge(fit)), notes=notes, comments=remarks(data.comments)
     )
     return Shown(_mapped(scene, calibrated, fit.placed, mapped), fit.robot, fit.placed)
 

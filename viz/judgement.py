@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from calib.identification.reasons import Verdict
+from calib.judging.reasons import Verdict
 
 _NOTHING = "nothing_to_correct"
 

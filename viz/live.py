@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calib import Fit
-from calib.arrays import FloatArray
-from calib.errors import DataError
+from calib.base.arrays import FloatArray
+from calib.base.errors import DataError
 from viz.bodies import posed_robot
 from viz.drawing import load_meshcat, pack
 from viz.inputs import Shown, gather

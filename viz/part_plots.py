@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from calib import Fit
-from calib.arrays import FloatArray, ReadOnlyArrays
-from calib.identification.errors_found import ErrorSet
-from calib.observation.kind import Part
-from calib.observation.position import POSITION
-from calib.units import ERROR_UNIT, error_scale
+from calib.base.arrays import FloatArray, ReadOnlyArrays
+from calib.base.units import ERROR_UNIT, error_scale
+from calib.fitting.error_sets import ErrorSet
+from calib.instruments.kind import Part
+from calib.instruments.position import POSITION
 from viz.poses import PoseTable
 from viz.scene import Joint
 from viz.svg import AXES, STATES, Plot, finished, in_lines, new_figure, styled, thinned

@@ -22,7 +22,7 @@ def pages(fit: Fit, logo: str = "") -> dict[str, bytes]:
 
     Args:
         fit: The fit.
-        logo: Image for the report, as `calib.files.image_address` gives it.
+        logo: Image for the report, as `calib.base.files.image_address` gives it.
     """
     from viz.report_page import command_line, report_page
     from viz.scene import scene_of_fit
@@ -50,8 +50,8 @@ def figures(subject: object) -> dict[str, bytes]:
     Raises:
         TypeError: It is neither.
     """
-    from calib.pose_choice.assessment import Assessment
-    from calib.pose_choice.selection_result import Selection
+    from calib.planning.assessment import Assessment
+    from calib.planning.selection_result import Selection
     from viz.selection_plots import assessment_figures, selection_figures
 
     if isinstance(subject, Assessment):

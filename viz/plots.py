@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import scipy
 
-from calib.arrays import BoolArray, FloatArray
-from calib.units import PER_SI
+from calib.base.arrays import BoolArray, FloatArray
+from calib.base.units import PER_SI
 from viz.part_plots import error_by_axis, of_positions, residual_by_joint
 from viz.poses import IDENTIFICATION, VALIDATION, PoseTable
 from viz.scene import Joint

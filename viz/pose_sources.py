@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from calib import Fit, Measurements, Robot
-from calib.arrays import FloatArray, IntArray
-from calib.identification.errors_found import ErrorSet
-from calib.identification.judged import Outlier
-from calib.linearisation.observed import predicted_readings
-from calib.linearisation.prediction import PositionUncertainty
-from calib.observation.kind import Instrument
+from calib.base.arrays import FloatArray, IntArray
+from calib.fitting.error_sets import ErrorSet
+from calib.fitting.outliers import Outlier
+from calib.instruments.kind import Instrument
+from calib.judging import findings
+from calib.rows.observed import predicted_readings
+from calib.rows.prediction import PositionUncertainty
 from viz.poses import EXCLUDED, IDENTIFICATION, MEASURED, VALIDATION, Calibrated, PoseTable, averaged, concatenate
 from viz.saved_readings import Saved
 
@@ -52,9 +53,11 @@ class _Set:
 
 def from_fit(fit: Fit) -> PoseTable:
     """Return the poses of a fit, identification first, outliers that were left out last."""
-    sets = [of_errors(fit, IDENTIFICATION, fit.identification, fit.identification_uncertainty, fit.outliers)]
+    sets = [of_errors(fit, IDENTIFICATION, fit.identification, fit.identification_uncertainty, findings.outliers(fit))]
     if fit.validation is not None:
-        sets.append(of_errors(fit, VALIDATION, fit.validation, fit.validation_uncertainty, fit.validation_outliers))
+        sets.append(
+            of_errors(fit, VALIDATION, fit.validation, fit.validation_uncertainty, findings.validation_outliers(fit))
+        )
     if fit.with_all is not None and fit.excluded:
         visits = np.array(sorted({outlier.pose for outlier in fit.excluded}), dtype=np.intp)
         data = fit.with_all.identification.data.subset(visits)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from calib import Robot
-from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.errors import DataError
-from calib.linearisation.prediction import PositionUncertainty
+from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.base.errors import DataError
+from calib.rows.prediction import PositionUncertainty
 
 IDENTIFICATION, VALIDATION, MEASURED, EXCLUDED = "identification", "validation", "measured", "left out"
 GROUPS = (IDENTIFICATION, VALIDATION, MEASURED, EXCLUDED)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib import Fit, Measurements
-from calib.identification.repeats import CONDITIONS, conditions
+from calib.judging.repeatability import CONDITIONS, conditions
 
 _SIGNATURES, _TEMPERATURE = "signatures", "temperature"
 _RECORD = ("serial number", "instrument", "certificate", "operator", "temperature", "load", "speed", "warm-up")

@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib import Fit, Robot
+from calib.base.version import PROGRAM
+from calib.base.words import sentence
+from calib.judging.verdict import judge
 from calib.reporting.files_held import worth_of_files
 from calib.reporting.report_text import notes
 from calib.reporting.result_content import budget_table, outlier_rows, parameter_rows, position_uncertainty_table
-from calib.version import PROGRAM
-from calib.words import sentence
 from viz.part_plots import part_plots
 from viz.plots import all_plots, budget_bars
 from viz.pose_sources import from_fit
@@ -60,7 +61,7 @@ def report_page(
         command: Command line that made it.
         created: Time to print; now if not given.
         viewer: File beside the page with the viewer, to link to; none if not given.
-        logo: Image to put beside the title, as `calib.files.image_address` gives it; none if not given.
+        logo: Image to put beside the title, as `calib.base.files.image_address` gives it; none if not given.
         scene: The fit's scene, where it has been made before.
     """
     shown = scene_of_fit(fit) if scene is None and fit.assembles else scene
@@ -72,7 +73,7 @@ def report_page(
         .render(
             fit=fit,
             robot=fit.nominal,
-            verdict=fit.verdict,
+            verdict=judge(fit),
             headline=headline(tables, judged_by(fit).main_part),
             accuracy=tables,
             noise=noise_lines(fit),

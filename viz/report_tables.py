@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from calib import Fit
-from calib.arrays import FloatArray
-from calib.identification.errors_found import STATES, ErrorSet, error_table
-from calib.identification.judged import Outlier
-from calib.observation.kind import Part
+from calib.base.arrays import FloatArray
+from calib.base.units import ERROR_UNIT, error_scale
+from calib.fitting.error_sets import STATES, ErrorSet, error_table
+from calib.fitting.outliers import Outlier
+from calib.instruments.kind import Part
 from calib.reporting.result_content import error_sets, parameter_rows
-from calib.units import ERROR_UNIT, error_scale
 from viz.pose_sources import of_errors
 from viz.poses import IDENTIFICATION, VALIDATION, PoseTable, averaged
 
@@ -23,7 +23,7 @@ _JUDGED_BY = ("validation", "left out in turns", "identification")
 
 @dataclass(frozen=True)
 class Accuracy:
-    """One line of an accuracy table; numbers as `calib.identification.errors_found.error_table` gives them."""
+    """One line of an accuracy table; numbers as `calib.fitting.error_sets.error_table` gives them."""
 
     group: str
     state: str

@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 
 from calib import Robot
-from calib.arrays import FloatArray, IntArray
+from calib.base.arrays import FloatArray, IntArray
+from calib.base.errors import DataError
+from calib.base.units import error_scale
 from calib.data.in_memory import measurements
 from calib.data.measurements import Poses
 from calib.data.tables import Table, read_table
-from calib.errors import DataError
-from calib.identification.errors_found import STATES, ErrorSet
-from calib.observation.kind import Instrument, Readings
+from calib.fitting.error_sets import STATES, ErrorSet
+from calib.instruments.kind import Instrument, Readings
 from calib.reporting.result_reading import read_result
-from calib.units import error_scale
 from viz.poses import IDENTIFICATION
 
 

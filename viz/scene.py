@@ -8,8 +8,9 @@ import numpy as np
 import scipy
 
 from calib import Fit, Robot
-from calib.arrays import FloatArray, IntArray
-from calib.units import DISPLAY_UNIT, PER_SI
+from calib.base.arrays import FloatArray, IntArray
+from calib.base.units import DISPLAY_UNIT, PER_SI
+from calib.judging.verdict import judge
 from viz.bodies import Bodies, PosedRobot, bodies_of, posed_robot
 from viz.decorations import decorations_of
 from viz.drive import Drive, drive_of
@@ -106,7 +107,7 @@ class Scene:
 
 def scene_of_fit(fit: Fit) -> Scene:
     """Return the scene of a fit."""
-    verdict, notes = of_verdict(fit.verdict), fit.told_positions.notes
+    verdict, notes = of_verdict(judge(fit)), fit.told_positions.notes
     return build_scene(fit.placed, fit.robot, from_fit(fit), verdict=verdict, notes=notes, comments=fit_remarks(fit))
 
 

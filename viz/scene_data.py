@@ -9,8 +9,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from calib.arrays import FloatArray, IntArray
-from calib.units import PER_SI
+from calib.base.arrays import FloatArray, IntArray
+from calib.base.units import PER_SI
 from viz.bodies import Bodies, PosedRobot
 from viz.drawing import body_path, draw
 from viz.poses import EXCLUDED, GROUPS, IDENTIFICATION, MEASURED, VALIDATION, WORST

@@ -12,9 +12,9 @@ from typing import Any
 
 import click
 
+from calib.base.errors import InputError
+from calib.base.files import write_folder
 from calib.commands.common import Output, shared_options
-from calib.errors import InputError
-from calib.files import write_folder
 
 DESKTOP = {"width": 1400, "height": 900}
 PHONE = {"width": 390, "height": 844}

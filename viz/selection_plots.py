@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib.pose_choice.assessment import Assessment
-from calib.pose_choice.selection import Selection
-from calib.pose_choice.selection_problem import TASK
-from calib.units import PER_SI
+from calib.base.units import PER_SI
+from calib.planning.assessment import Assessment
+from calib.planning.selection import Selection
+from calib.planning.selection_problem import TASK
 from viz.svg import BLUE, GREY, ORANGE, new_figure, plain_ticks, styled, svg_file
 
 if TYPE_CHECKING:

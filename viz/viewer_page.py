@@ -11,8 +11,8 @@ from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 
-from calib.files import write_file
-from calib.version import VERSION
+from calib.base.files import write_file
+from calib.base.version import VERSION
 from viz.scene import Scene
 from viz.scene_data import scene_data
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import click
 
+from calib.base.errors import InputError
+from calib.base.files import write_folder
 from calib.commands.common import (
     SIGMA_HELP,
     Output,
@@ -18,15 +20,13 @@ from calib.commands.common import (
 from calib.commands.next_steps import after_check
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Measurements
-from calib.errors import InputError
-from calib.files import write_folder
-from calib.identification.blind_spots import unordered
-from calib.identification.joint_conventions import wrapped_terms
-from calib.linearisation.observed import unsaid_touches
+from calib.fitting.joint_conventions import wrapped_terms
+from calib.judging.blind_spots import unordered
 from calib.pictures import figures
-from calib.pose_choice.assessment import check
-from calib.pose_choice.pose_sampling import sample
+from calib.planning.assessment import check
+from calib.planning.pose_sampling import sample
 from calib.reporting.assessment_text import text_report, to_dict
+from calib.rows.observed import unsaid_touches
 
 
 @click.command("check")

@@ -15,24 +15,24 @@ import click
 import numpy as np
 from rich.console import Console
 
-from calib.arrays import BoolArray, IntArray
+from calib.base.arrays import BoolArray, IntArray
+from calib.base.errors import CalibrationError, DataError, InputError
+from calib.base.files import check_file, check_folder, write_file
+from calib.base.own_files import inputs_noted
+from calib.base.units import quantity
+from calib.base.words import as_data
+from calib.base.workers import Progress
 from calib.commands.program import OneLineError
 from calib.data.measurement_files import read_measurements
 from calib.data.measurements import Measurements, Poses, check_repeats
 from calib.data.parameter_files import read_parameters
 from calib.data.plan_files import INSTRUMENT, plan_of_table
 from calib.data.tables import Table, read_table
-from calib.errors import CalibrationError, DataError, InputError
-from calib.files import check_file, check_folder, write_file
-from calib.linearisation.registration import register
-from calib.model.arm_chain import arm_chain
-from calib.model.robot import Robot
-from calib.observation.kind import Readings
-from calib.own_files import inputs_noted
+from calib.instruments.kind import Readings
 from calib.reporting.result_reading import forced_lines, load, load_calibrated
-from calib.units import quantity
-from calib.words import as_data
-from calib.workers import Progress
+from calib.robots.robot import Robot
+from calib.robots.urdf.arm_chain import arm_chain
+from calib.rows.registration import register
 
 SIGMA_HELP = (
     "Standard deviation of one position reading per axis [mm]; the description's if not given. Of positions only: other"
@@ -92,7 +92,7 @@ class Output:
             self.write(self.json_target, text)
 
     def write(self, path: str, content: bytes | str, comment: str = "") -> None:
-        """Write a file; see `calib.files.write_files`."""
+        """Write a file; see `calib.base.files.write_files`."""
         write_file(path, content, comment=comment, force=self.force)
 
     def check(self, *files: str | None, folders: Sequence[str | None] = (), names: Sequence[str] = ()) -> None:

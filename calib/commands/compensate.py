@@ -8,24 +8,24 @@ import click
 import numpy as np
 import pinocchio as pin
 
-from calib.arrays import FloatArray
+from calib.base.arrays import FloatArray
+from calib.base.errors import DataError, InputError, UnreachablePoseError
+from calib.base.units import ERROR_UNIT, PER_SI, error_scale, millimetres
+from calib.base.words import counted
 from calib.commands.common import Output, loaded, result_folder, said_of_failure, shared_options
 from calib.commands.compensate_gcode import compensate_gcode
 from calib.commands.compensate_grid import compensate_grid
-from calib.data.gcode import SUFFIXES
 from calib.data.measurement_columns import approach_columns, cells_of, condition_columns, joint_columns, pose_columns
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
 from calib.data.tables import format_table, read_table
-from calib.errors import DataError, InputError, UnreachablePoseError
-from calib.inverse_kinematics.asked import KEEP
-from calib.inverse_kinematics.compensation import Compensation, compensate
-from calib.inverse_kinematics.goals import Goals, read_goals
-from calib.model.robot import Robot
 from calib.reporting.expected_text import COUNTED, before_and_now, expected_now, left_as_it_is, of_frame, summary
 from calib.reporting.result_reading import load_known, read_result
-from calib.units import ERROR_UNIT, PER_SI, error_scale, millimetres
-from calib.words import counted
+from calib.robots.robot import Robot
+from calib.using.compensation import Compensation, compensate
+from calib.using.goals import Goals, read_goals
+from calib.using.program_goals import KEEP
+from calib.using.programs.gcode import SUFFIXES
 
 _FIGURES = ("before", "expected", "low95", "high95")
 _OF_POSITIONS: tuple[tuple[str, str, float], ...] = tuple(

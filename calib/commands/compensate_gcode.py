@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.base.errors import DataError, InputError
+from calib.base.own_files import GCODE_COMMENT
+from calib.base.units import millimetres, quantity
+from calib.base.words import counted
 from calib.commands.common import Output, said_of_failure
-from calib.data.gcode import ROUNDING, GcodeProgram
-from calib.data.gcode_reader import read_gcode
-from calib.errors import DataError, InputError
-from calib.inverse_kinematics.straight_moves import CompensatedMoves, StraightMoves, compensate_moves
-from calib.linearisation.known_robot import KnownRobot
-from calib.own_files import GCODE_COMMENT
 from calib.reporting.expected_text import COUNTED, before_and_now, expected_now, left_as_it_is, of_frame, summary
-from calib.units import millimetres, quantity
-from calib.words import counted
+from calib.rows.known_robot import KnownRobot
+from calib.using.programs.gcode import ROUNDING, GcodeProgram
+from calib.using.programs.gcode_reader import read_gcode
+from calib.using.programs.straight_moves import CompensatedMoves, StraightMoves, compensate_moves
 
 _TOLERANCE_MM = 0.01
 

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.base.errors import InputError
+from calib.base.units import PER_SI, millimetres
+from calib.base.words import counted
 from calib.commands.common import Output, said_of_failure
 from calib.data.measurement_columns import cells_of
 from calib.data.measurements import Poses
 from calib.data.tables import format_table
-from calib.errors import InputError
-from calib.inverse_kinematics.correction_grid import correction_grid
-from calib.inverse_kinematics.goals import Goals
-from calib.linearisation.known_robot import KnownRobot
 from calib.reporting.expected_text import COUNTED, before_and_now, expected_now, left_as_it_is, of_frame, summary
-from calib.units import PER_SI, millimetres
-from calib.words import counted
+from calib.rows.known_robot import KnownRobot
+from calib.using.goals import Goals
+from calib.using.programs.correction_grid import correction_grid
 
 
 def compensate_grid(

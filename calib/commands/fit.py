@@ -7,6 +7,9 @@ from typing import Literal
 
 import click
 
+from calib.base.errors import ComputationError, InputError
+from calib.base.files import image_address
+from calib.base.words import counted
 from calib.calibration import fit
 from calib.commands.common import (
     SIGMA_HELP,
@@ -19,14 +22,11 @@ from calib.commands.common import (
 from calib.commands.next_steps import after_fit
 from calib.data.measurement_files import read_measurements
 from calib.data.measurements import Measurements
-from calib.errors import ComputationError, InputError
-from calib.files import image_address
-from calib.identification.rules_model import why_no_origins
-from calib.model.robot import Robot
+from calib.judging.rules_model import why_no_origins
 from calib.numerics.losses import LOSSES
 from calib.reporting.result_content import to_dict
 from calib.reporting.results import RESULT_FILES
-from calib.words import counted
+from calib.robots.robot import Robot
 
 
 @click.command("fit")

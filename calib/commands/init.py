@@ -9,16 +9,16 @@ from tempfile import TemporaryDirectory
 
 import click
 
+from calib.base.errors import DescriptionError, InputError
+from calib.base.files import write_files
+from calib.base.units import millimetres
 from calib.commands.common import Output, shared_options
 from calib.data.dh_files import read_dh
-from calib.errors import DescriptionError, InputError
-from calib.files import write_files
-from calib.model.arm_chain import arm_chain
-from calib.model.denavit_hartenberg import CONVENTIONS, LAST_LINK, urdf_text
-from calib.model.loading import describe, load
-from calib.model.templates import TEMPLATES, description_text, loop_files, read_lengths
-from calib.model.urdf_text import parse_urdf, read_urdf
-from calib.units import millimetres
+from calib.robots.loading import describe, load
+from calib.robots.templates import TEMPLATES, description_text, loop_files, read_lengths
+from calib.robots.urdf.arm_chain import arm_chain
+from calib.robots.urdf.denavit_hartenberg import CONVENTIONS, LAST_LINK, urdf_text
+from calib.robots.urdf.text import parse_urdf, read_urdf
 
 _LENGTHS = "; ".join(
     f"{name}: " + ", ".join(f"{key} {millimetres(value):g} mm" for key, value in template.lengths.items())

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 import click
 
 from calib.data.measurements import Measurements
-from calib.identification.fitted import Fit
-from calib.identification.rules_model import why_no_origins
+from calib.fitting.fitted import Fit
+from calib.judging.rules_model import why_no_origins
+from calib.judging.verdict import judge
 
 if TYPE_CHECKING:
-    from calib.pose_choice.assessment import Assessment
+    from calib.planning.assessment import Assessment
 
 _MEANINGS = {
     "PASS": ("green", "nothing was found against this fit"),
@@ -49,11 +50,12 @@ def after_fit(fit: Fit, robot: str, data: Sequence[str], out: str) -> list[str]:
         data: DATA, likewise.
         out: Where the result is.
     """
-    grade = fit.verdict.grade
+    verdict = judge(fit)
+    grade = verdict.grade
     colour, meaning = _MEANINGS[grade]
     lines = [f"{click.style(grade, fg=colour, bold=True)}: {meaning}"]
     again = typed("calib", "fit", robot, *data)
-    codes = [reason.code for reason in fit.verdict.reasons if reason.grade != "PASS"]
+    codes = [reason.code for reason in verdict.reasons if reason.grade != "PASS"]
     answers = [option for option, answered in _ANSWERS if set(codes) & set(answered)]
     if answers[:1] == ["--exclude-outliers"] or (answers and codes[0] not in _POSES):
         return [*lines, f"Next: {again} {answers[0]} --out {shlex.quote(f'{out}-2')}"]

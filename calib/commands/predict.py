@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import click
 
+from calib.base.words import counted
 from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
 from calib.data.measurement_files import format_positions, read_poses
 from calib.data.measurements import Poses
-from calib.linearisation.told_positions import ToldPositions
-from calib.model.robot import Robot
 from calib.reporting.result_reading import joints_used, load_uncertainty, poses_beyond_curves
-from calib.words import counted
+from calib.robots.robot import Robot
+from calib.rows.told_positions import ToldPositions
 
 
 @click.command("predict")

@@ -8,7 +8,7 @@ import traceback
 
 import click
 
-from calib.errors import CalibrationError
+from calib.base.errors import CalibrationError
 
 _COLLECTED_AFTER = 50_000  # new objects; Python's 700 make a command look through all that it imported dozens of times
 

@@ -8,14 +8,14 @@ from pathlib import Path
 import click
 import numpy as np
 
+from calib.base.errors import InputError, nearest
+from calib.base.units import Dimension, quantity
+from calib.base.words import counted
 from calib.commands.common import Output, loaded, shared_options, with_values
 from calib.data.in_memory import measurements
 from calib.data.measurement_files import format_measurements, read_poses
-from calib.errors import InputError, nearest
-from calib.model.robot import Robot
-from calib.pose_choice.pose_sampling import sample
-from calib.units import Dimension, quantity
-from calib.words import counted
+from calib.planning.pose_sampling import sample
+from calib.robots.robot import Robot
 
 _RANGE = re.compile(r"^(?P<name>[^=]+)=(?P<low>[^=]*?)\.\.(?P<high>[^=]*?)(?P<unit>[A-Za-z]*)$")
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import click
 
+from calib.base.errors import InputError, nearest
+from calib.base.files import write_folder
+from calib.base.units import metres
 from calib.commands.common import (
     SIGMA_HELP,
     Output,
@@ -22,14 +25,11 @@ from calib.data.measurement_files import read_poses
 from calib.data.measurements import Measurements, Poses
 from calib.data.plan_files import plan_of_table
 from calib.data.tables import read_table
-from calib.errors import InputError, nearest
-from calib.files import write_folder
 from calib.pictures import figures
-from calib.pose_choice.instrument_choice import ALL, EACH
-from calib.pose_choice.selection import select
-from calib.pose_choice.selection_scores import CHOICES
+from calib.planning.instrument_choice import ALL, EACH
+from calib.planning.selection import select
+from calib.planning.selection_scores import CHOICES
 from calib.reporting.selection_text import format_poses, text_report, to_dict
-from calib.units import metres
 
 
 @click.command("select")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import click
 import numpy as np
 
+from calib.base.errors import InputError
+from calib.base.words import counted
 from calib.commands.common import (
     SIGMA_HELP,
     Output,
@@ -16,10 +18,8 @@ from calib.commands.common import (
 )
 from calib.data.measurement_files import format_measurements
 from calib.data.plan_files import read_plan
-from calib.errors import InputError
-from calib.linearisation.simulate import simulate, unstated_noise
-from calib.model.robot import Robot
-from calib.words import counted
+from calib.robots.robot import Robot
+from calib.rows.simulate import simulate, unstated_noise
 
 
 @click.command("simulate")

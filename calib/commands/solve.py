@@ -5,16 +5,16 @@ from __future__ import annotations
 import click
 import numpy as np
 
-from calib.arrays import IntArray
+from calib.base.arrays import IntArray
+from calib.base.units import micrometres, millimetres
 from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
 from calib.data.measurement_columns import approach_columns, condition_columns, joint_columns
 from calib.data.tables import format_table
-from calib.inverse_kinematics.goals import Goals, read_goals
-from calib.inverse_kinematics.inverse import Solution, solve
-from calib.model.robot import Robot
 from calib.reporting.expected_text import COUNTED, expected_now, figures, left_as_it_is, of_frame, summary
 from calib.reporting.result_reading import load_known
-from calib.units import micrometres, millimetres
+from calib.robots.robot import Robot
+from calib.using.goals import Goals, read_goals
+from calib.using.inverse import Solution, solve
 
 
 @click.command("solve")

@@ -18,10 +18,10 @@ from calib.commands.common import (
 )
 from calib.data.measurement_files import read_measurements, read_poses
 from calib.data.parameter_files import read_parameters
-from calib.identification.study import study
-from calib.model.robot import Robot
 from calib.numerics.losses import LOSSES
+from calib.planning.studies.study import study
 from calib.reporting.result_reading import load
+from calib.robots.robot import Robot
 
 
 @click.command("study")

@@ -5,17 +5,17 @@ from __future__ import annotations
 import click
 import numpy as np
 
+from calib.base.errors import DataError, InputError, nearest
+from calib.base.units import quantity
+from calib.base.words import counted
 from calib.commands.common import Output, loaded, result_folder, shared_options
 from calib.data.measurement_files import read_measurements, read_poses
-from calib.errors import DataError, InputError, nearest
-from calib.identification.acceptance import poses_needed, verify, visible_changes
-from calib.identification.promise import POWER, Promise, candidates
-from calib.identification.repeats import iso_figures
-from calib.model.robot import Robot
+from calib.judging.acceptance import poses_needed, verify, visible_changes
+from calib.judging.promise import POWER, Promise, candidates
+from calib.judging.repeatability import iso_figures
 from calib.reporting.acceptance_text import changes_as_data, plan_report, text_report, to_dict
 from calib.reporting.result_reading import joints_used, load_promise
-from calib.units import quantity
-from calib.words import counted
+from calib.robots.robot import Robot
 
 _NOT_AS_PROMISED = 3
 _DIGITS = 8  # of joint values that are the same in two files [m or rad]

@@ -7,15 +7,15 @@ import time
 
 import click
 
+from calib.base.errors import InputError
+from calib.base.units import quantity
 from calib.commands.common import SIGMA_HELP, Output, different_poses, loaded, shared_options, sigma_in_metres
 from calib.data.measurement_files import read_measurements
 from calib.data.measurements import Measurements
 from calib.data.plan_files import read_plan
-from calib.errors import InputError
 from calib.pictures import Live, live
-from calib.units import quantity
-from calib.watching.progress import Progress
-from calib.watching.watch import CANDIDATES, GrowingFile, Watch
+from calib.planning.progress import Progress
+from calib.planning.watch import CANDIDATES, GrowingFile, Watch
 
 
 @click.command("watch")

@@ -1,1 +1,1 @@
-"""Files of poses, measurements and parameters, repeats, and simulated measurements."""
+"""Files of poses, measurements and parameters, and what they hold."""

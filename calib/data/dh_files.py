@@ -13,10 +13,10 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from calib.base.errors import DataError, InputError, nearest
+from calib.base.units import DISPLAY_UNIT, PER_SI, Dimension, per_si, quantity
 from calib.data.tables import Table, check_plausible, format_table, read_number, read_table
-from calib.errors import DataError, InputError, nearest
-from calib.model.denavit_hartenberg import CONVENTIONS, KINDS, Convention, DhRow, DhTable, Kind
-from calib.units import DISPLAY_UNIT, PER_SI, Dimension, per_si, quantity
+from calib.robots.urdf.denavit_hartenberg import CONVENTIONS, KINDS, Convention, DhRow, DhTable, Kind
 
 _NUMBERS: dict[str, Dimension] = {"theta": "angle", "d": "length", "a": "length", "alpha": "angle", "beta": "angle"}
 _NEEDED = ("theta", "d", "a", "alpha")

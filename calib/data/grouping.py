@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from calib.arrays import FloatArray, IntArray
+from calib.base.arrays import FloatArray, IntArray
 
 SAME_JOINTS = 1e-4  # joint values that agree to this are one pose, read back with an encoder's noise [m, rad]
 

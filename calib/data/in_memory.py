@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arrays import FloatArray
+from calib.base.arrays import FloatArray
+from calib.base.errors import DataError, nearest
 from calib.data.measurements import Measurements, Poses, check_repeats
 from calib.data.on_demand import Numbered
-from calib.errors import DataError, nearest
-from calib.model.robot import Robot
-from calib.observation.kind import Instrument, Readings
-from calib.observation.position import Position
+from calib.instruments.kind import Instrument, Readings
+from calib.instruments.position import Position
+from calib.robots.robot import Robot
 
 _SOURCE = "arrays"
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.base.arrays import BoolArray, FloatArray, IntArray
+from calib.base.errors import DataError, nearest
+from calib.base.units import Dimension
 from calib.data.measurements import in_setups
 from calib.data.tables import Table
-from calib.errors import DataError, nearest
-from calib.model.robot import Robot
-from calib.observation.kind import Instrument, Readings
-from calib.units import Dimension
+from calib.instruments.kind import Instrument, Readings
+from calib.robots.robot import Robot
 
 
 def named_columns(one: Instrument) -> list[str]:

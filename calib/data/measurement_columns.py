@@ -10,11 +10,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calib.arrays import FloatArray, IntArray
-from calib.errors import DataError
-from calib.model.robot import Robot
-from calib.observation.kind import Readings
-from calib.units import DISPLAY_UNIT, Dimension, display_scale
+from calib.base.arrays import FloatArray, IntArray
+from calib.base.errors import DataError
+from calib.base.units import DISPLAY_UNIT, Dimension, display_scale
+from calib.instruments.kind import Readings
+from calib.robots.robot import Robot
 
 CONTEXT: dict[str, Dimension] = {"time": "time", "temperature": "temperature", "load": "mass"}
 """Columns that say under which conditions a visit was made, and what they measure."""

@@ -15,16 +15,16 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.arrays import FloatArray, IntArray
+from calib.base.arrays import FloatArray, IntArray
+from calib.base.errors import DataError, nearest
 from calib.data.in_memory import measurements
 from calib.data.instrument_cells import columns_in, concatenated, named_columns, readings_in, setups_of
 from calib.data.measurement_columns import APPROACH, CONTEXT, header, shown
 from calib.data.measurements import Measurements, Poses, check_repeats
 from calib.data.on_demand import Numbered, Packed
 from calib.data.tables import Table, format_table, read_table
-from calib.errors import DataError, nearest
-from calib.model.robot import Robot
-from calib.observation.kind import Instrument, Readings
+from calib.instruments.kind import Instrument, Readings
+from calib.robots.robot import Robot
 
 
 def read_poses(path: Path | str, robot: Robot) -> Poses:

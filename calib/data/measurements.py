@@ -13,16 +13,16 @@ from typing import Any, NoReturn, Self
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.base.errors import DataError, InputError
+from calib.base.units import DISPLAY_UNIT, Dimension, display_scale
+from calib.base.words import pandas, titled_html
 from calib.data.grouping import shuffled_poses
 from calib.data.measurement_columns import approach_columns, condition_columns, pose_columns, reading_columns
 from calib.data.on_demand import Texts
-from calib.errors import DataError, InputError
+from calib.instruments.kind import Instrument, Readings
 from calib.joint_terms.term import Context
-from calib.model.robot import Robot
-from calib.observation.kind import Instrument, Readings
-from calib.units import DISPLAY_UNIT, Dimension, display_scale
-from calib.words import pandas, titled_html
+from calib.robots.robot import Robot
 
 _JOINTS_AGREE: dict[Dimension, float] = {"length": 1e-3, "angle": 2e-3}
 """Largest spread of a joint among repeats of one pose [m, rad]; more means that they are different poses."""

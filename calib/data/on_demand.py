@@ -17,9 +17,9 @@ from typing import SupportsIndex, TypeVar, overload
 
 import numpy as np
 
-from calib.arrays import IntArray
-from calib.errors import InputError
-from calib.memory import scratch
+from calib.base.arrays import IntArray
+from calib.base.errors import InputError
+from calib.base.memory import scratch
 
 Item = TypeVar("Item")
 _PART = 256  # rows that are kept together
@@ -97,7 +97,7 @@ def _length_after(kept: bytearray, text: str) -> int:
 
 
 class TextRows(OnDemand[tuple[str, ...]]):
-    """Cells of rows, kept as text (`calib.memory.scratch`).
+    """Cells of rows, kept as text (`calib.base.memory.scratch`).
 
     Args:
         lines: A row each.

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from calib.base.errors import DataError, InputError, ParameterError, nearest
+from calib.base.parameter import index_of
+from calib.base.units import per_si
 from calib.data.tables import check_plausible, format_table, read_number, read_table
-from calib.errors import DataError, InputError, ParameterError, nearest
-from calib.model.robot import Robot
-from calib.parameter import index_of
-from calib.units import per_si
+from calib.robots.robot import Robot
 
 COLUMNS = ("parameter", "value", "unit")
 _LARGEST = 1e9  # [SI]: squares and products of such numbers stay finite

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.arrays import BoolArray, IntArray
+from calib.base.arrays import BoolArray, IntArray
+from calib.base.errors import DataError, nearest
 from calib.data.instrument_cells import columns_in
 from calib.data.measurement_files import poses_of_table
 from calib.data.measurements import Poses, in_setups
 from calib.data.tables import Table, read_table
-from calib.errors import DataError, nearest
-from calib.model.robot import Robot
-from calib.observation.kind import Instrument, Readings
+from calib.instruments.kind import Instrument, Readings
+from calib.robots.robot import Robot
 
 INSTRUMENT = "instrument"
 """Column that says which instruments are to read."""

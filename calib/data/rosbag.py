@@ -23,9 +23,9 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import FloatArray, IntArray
-from calib.errors import DataError
-from calib.words import counted
+from calib.base.arrays import FloatArray, IntArray
+from calib.base.errors import DataError
+from calib.base.words import counted
 
 _SUFFIXES = (".mcap", ".db3")
 _WINDOW = 0.25  # before and after a measurement [s]

@@ -21,13 +21,13 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.base.arrays import FloatArray
+from calib.base.errors import DataError, InputError, nearest
+from calib.base.files import read_lines
+from calib.base.own_files import is_mark
+from calib.base.units import Dimension, per_si, split_column
 from calib.data.on_demand import TextRows, cells_of, is_plain
 from calib.data.rosbag import is_bag, read_bag
-from calib.errors import DataError, InputError, nearest
-from calib.files import read_lines
-from calib.own_files import is_mark
-from calib.units import Dimension, per_si, split_column
 
 _LARGEST = 1e6  # [m or rad]
 _SEPARATORS = ",;\t"
@@ -212,7 +212,7 @@ def read_table(
         path: The file, or the folder of a bag.
         renamed: Foreign column names and the `name` or `name [unit]` they stand for.
         growing: Of a file that somebody still writes, its lines so far.
-        any_size: Whether a file on a disk may be as large as it is, beyond what `calib.files.read_bytes` allows.
+        any_size: Whether a file on a disk may be as large as it is, beyond what `calib.base.files.read_bytes` allows.
 
     Raises:
         DataError: Missing or unreadable file, no header or rows, duplicate columns, rows of the wrong length.

@@ -22,14 +22,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arrays import FloatArray
-from calib.errors import InputError
-from calib.model import kinematics
-from calib.model.mechanism import RelativeFrame
-from calib.model.robot import Robot
+from calib.base.arrays import FloatArray
+from calib.base.errors import InputError
+from calib.base.sections import ANGLE_COMPONENTS, COMPONENTS, Component
+from calib.base.units import ERROR_UNIT, Dimension, error_scale
 from calib.numerics.halton import halton
-from calib.sections import ANGLE_COMPONENTS, COMPONENTS, Component
-from calib.units import ERROR_UNIT, Dimension, error_scale
+from calib.robots import kinematics
+from calib.robots.mechanism import RelativeFrame
+from calib.robots.robot import Robot
 
 LARGEST_CHANGE = 0.01
 """Largest change of a gap that a constraint may be left to absorb [characteristic lengths of the robot, or rad]."""

@@ -1,15 +1,15 @@
 """What each export format holds of a calibrated robot, the robot that it gets for that, and what its file says of it.
 
-The one place that knows what formats hold; `calib.model.held` says what that means.
+The one place that knows what formats hold; `calib.robots.held` says what that means.
 """
 
 from __future__ import annotations
 
-from calib.errors import ComputationError
-from calib.functions.functions import LANGUAGES
-from calib.model.held import Holds
-from calib.model.robot import Robot
-from calib.words import listed
+from calib.base.errors import ComputationError
+from calib.base.words import listed
+from calib.exporting.functions.functions import LANGUAGES
+from calib.robots.held import Holds
+from calib.robots.robot import Robot
 
 HELD: dict[str, Holds] = {
     "urdf": Holds.ORIGINS,

@@ -8,7 +8,7 @@ is NaN.
 
 Only errors that depend on the joint's own command fit into a table. What else the model has (backlash, compliance,
 bending, drift) is left out, and said with its size. The tables, and the joint origins that go with them, are then those
-that a fit found to be best without it (`calib.model.held`); the URDF with these origins lies beside the tables. Tables
+that a fit found to be best without it (`calib.robots.held`); the URDF with these origins lies beside the tables. Tables
 and the origins of another file do not go together.
 """
 
@@ -20,15 +20,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import FloatArray, ReadOnlyArrays
+from calib.base.arrays import FloatArray, ReadOnlyArrays
+from calib.base.errors import InputError
+from calib.base.units import ERROR_UNIT, Dimension, error_scale
 from calib.data.tables import format_table
-from calib.errors import InputError
 from calib.exporting.urdf import urdf_bytes
 from calib.joint_terms.term import Context
-from calib.model.held import Holds
-from calib.model.joint_errors import term_columns
-from calib.model.robot import Robot
-from calib.units import ERROR_UNIT, Dimension, error_scale
+from calib.robots.held import Holds
+from calib.robots.joint_errors import term_columns
+from calib.robots.robot import Robot
 
 TOLERANCE = 4e-7
 """What interpolation may be off [rad or m]."""

@@ -18,9 +18,9 @@ import numpy as np
 import pinocchio as pin
 import scipy
 
-from calib.arrays import FloatArray
-from calib.model import kinematics
-from calib.model.robot import Robot
+from calib.base.arrays import FloatArray
+from calib.robots import kinematics
+from calib.robots.robot import Robot
 
 _STEP = 1e-5  # of joints, for differences [rad or m]
 _SMALL = 1e-3  # a change of offsets after which their derivatives still hold [m or rad]

@@ -15,9 +15,9 @@ from xml.etree.ElementTree import Element, TreeBuilder
 import numpy as np
 import pinocchio as pin
 
-from calib.arrays import FloatArray
-from calib.errors import UrdfError
-from calib.model.urdf_text import UrdfText
+from calib.base.arrays import FloatArray
+from calib.base.errors import UrdfError
+from calib.robots.urdf.text import UrdfText
 
 _KINDS = ("box", "cylinder", "sphere", "mesh")
 

@@ -15,7 +15,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 import pinocchio as pin
 
-from calib.arrays import FloatArray
+from calib.base.arrays import FloatArray
 from calib.exporting.links import Link, Shape, find_mesh
 from calib.exporting.urdf import numbers
 

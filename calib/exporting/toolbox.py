@@ -19,8 +19,8 @@ import yaml
 from calib.exporting.closed_model import home_values
 from calib.exporting.gap import loop_gaps
 from calib.exporting.urdf import provenance_lines
-from calib.model.description import Description
-from calib.model.robot import Robot
+from calib.robots.description import Description
+from calib.robots.robot import Robot
 
 
 def calibrated_description(robot: Robot, urdf_name: str) -> Description:

@@ -10,9 +10,9 @@ import hashlib
 import re
 from collections.abc import Iterable, Sequence
 
-from calib.model.robot import Robot
-from calib.model.urdf_text import UrdfText, apply_edits, parse_urdf, quoted
-from calib.version import PROGRAM
+from calib.base.version import PROGRAM
+from calib.robots.robot import Robot
+from calib.robots.urdf.text import UrdfText, apply_edits, parse_urdf, quoted
 
 _MARK = "calib: calibrated origins"
 _MESH = re.compile(rb"""<mesh\b[^>]*?\sfilename\s*=\s*["'](?=[^"'])(?!/|[^"']*://)""")

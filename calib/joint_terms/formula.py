@@ -12,7 +12,7 @@ from enum import Enum
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.base.arrays import FloatArray
 
 
 class Source(Enum):

@@ -23,11 +23,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.base.parameter import Parameter
+from calib.base.sections import Quantity, Section
+from calib.base.units import Dimension
 from calib.joint_terms.formula import Formula, Source
-from calib.parameter import Parameter
-from calib.sections import Quantity, Section
-from calib.units import Dimension
 
 
 class TermSection(Section):
@@ -76,7 +76,7 @@ class Context(ReadOnlyArrays):
         time: As the file counts it, (n,) [s]; 0 where not known.
         temperature: Above 20 degC, the reference of ISO 1, (n,) [K]; 0 where not known.
         load: Mass at the tool, (n,) [kg]; 0 where not known.
-        torque: Torque or force of gravity that each driven joint holds (`calib.model.mechanism`), (n, n_driven)
+        torque: Torque or force of gravity that each driven joint holds (`calib.robots.mechanism`), (n, n_driven)
             [N m or N]; None where it is not known: what depends on it counts as nothing.
     """
 

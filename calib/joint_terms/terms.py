@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Union
 
 from pydantic import Discriminator, Tag, TypeAdapter, ValidationError
 
-from calib.errors import InputError, nearest
+from calib.base.errors import InputError, nearest
 from calib.joint_terms.coupling import Coupling
 from calib.joint_terms.one_coefficient import Backlash, Bending, Compliance, Drift, Gain, Temperature
 from calib.joint_terms.periodic import Curve, Harmonics

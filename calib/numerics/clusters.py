@@ -37,7 +37,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 
 _OWN = 0.99  # part of a direction that a block decides, from which the other blocks cannot foretell it
 _ROWS_AT_ONCE = 30_000

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import BoolArray, IntArray
+from calib.base.arrays import BoolArray, IntArray
 
 
 def connected_parts(links: BoolArray) -> tuple[IntArray, ...]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.base.arrays import FloatArray
 
 
 def halton(count: int, dimensions: int) -> FloatArray:

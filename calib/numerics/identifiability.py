@@ -28,7 +28,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import FloatArray, ReadOnlyArrays
+from calib.base.arrays import FloatArray, ReadOnlyArrays
 
 _AT_ONCE = 1 << 14  # rows of one factorisation
 RANK_TOLERANCE = 1e-9

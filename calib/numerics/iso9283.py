@@ -38,7 +38,7 @@ from itertools import combinations
 import numpy as np
 import scipy
 
-from calib.arrays import FloatArray
+from calib.base.arrays import FloatArray
 
 CYCLES = 30
 """Cycles of each pose that the standard asks for."""

@@ -58,7 +58,7 @@ at most N tolerance. Where a step that promised less than ten times as much did 
 about it, and it ends too; or where the step is below 1e-12 of the unknowns; and as not converged after
 `max_evaluations` trial points.
 
-When it fails. It finds the minimum in whose valley it starts; `calib.identification.starts` looks for others. Along
+When it fails. It finds the minimum in whose valley it starts; `calib.fitting.starts` looks for others. Along
 directions that the residuals hardly see, convergence is judged by the cost: the caller must check what step is left.
 
 Tested against the certified answers of NIST's reference problems (tests/test_nist.py); evaluations from loose to tight
@@ -77,8 +77,8 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from calib.arrays import FloatArray
-from calib.errors import ComputationError
+from calib.base.arrays import FloatArray
+from calib.base.errors import ComputationError
 from calib.numerics.identifiability import reduced
 
 MAX_EVALUATIONS = 200

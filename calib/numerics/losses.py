@@ -61,8 +61,8 @@ from typing import Literal, get_args
 import numpy as np
 import scipy
 
-from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
-from calib.errors import InputError, nearest
+from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.base.errors import InputError, nearest
 from calib.numerics.statistics import Factors
 from calib.numerics.variance_components import require_freedom
 

@@ -34,10 +34,10 @@ from math import comb
 import numpy as np
 import scipy
 
-from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.base.parameter import Parameter
 from calib.numerics.graphs import connected_parts
 from calib.numerics.identifiability import numerical_rank, reduced
-from calib.parameter import Parameter
 
 _SPEAKS = 0.1  # least part of the largest movement, in sigmas, of the parameter by which a group is told
 ZERO = 1e-6

@@ -38,10 +38,10 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.base.parameter import Parameter
+from calib.base.units import PER_SI
 from calib.numerics.identifiability import Rank, numerical_rank, reduced
-from calib.parameter import Parameter
-from calib.units import PER_SI
 
 INDICES = ("O1", "O2", "O3", "O4", "O5")
 OUTSIDE = 1e-6

@@ -30,8 +30,8 @@ import pinocchio as pin
 import scipy
 from numpy.typing import ArrayLike
 
-from calib.arrays import BoolArray, FloatArray
-from calib.errors import DataError
+from calib.base.arrays import BoolArray, FloatArray
+from calib.base.errors import DataError
 from calib.numerics.identifiability import reduced
 from calib.numerics.rigid import cross_matrices
 

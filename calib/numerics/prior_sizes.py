@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import FloatArray, IntArray
+from calib.base.arrays import FloatArray, IntArray
 
 
 def variance_by_sizes(covariance: FloatArray, family: IntArray, deviations: FloatArray) -> FloatArray:

@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.base.arrays import FloatArray
 
 _TOLD = 1e-3  # singular values below this part of the largest tell nothing
 _SMALLEST = 1e-9  # length below which there is none [m]

@@ -22,9 +22,9 @@ between T and its transpose is replaced by how the poses themselves scatter (`ca
 
 Where the size of some priors was found from the same data, `calib.numerics.prior_sizes` says what that adds to C.
 
-A robust loss changes what a residual tells: see `calib.identification.robust`, which gives f and its counterpart in C.
+A robust loss changes what a residual tells: see `calib.fitting.robust`, which gives f and its counterpart in C.
 
-What readings see of a direction that only a prior holds bends with it: `calib.identification.curvature` says what that
+What readings see of a direction that only a prior holds bends with it: `calib.fitting.curvature` says what that
 adds to the variance in intervals. It is no part of C, nor of std.
 
 Intervals are value +- t std, widened as said, with Student's t at 97.5 % and the degrees of freedom above, because the
@@ -33,7 +33,7 @@ part of a parameter that the data decide is 1 - C_kk (prior variance 1): near 1 
 the prior holds it.
 
 When it fails. All of it is linear in the parameters at the solution, and counts noise that is independent from visit to
-pose. Errors that the model leaves out are not noise: `calib.identification.systematic` tests for them.
+pose. Errors that the model leaves out are not noise: `calib.judging.systematic` tests for them.
 
 Reference: jcgm100 (GUM), sections 4.2 and G.3; tarantola2005, section 3.2, for the resolution.
 """
@@ -46,7 +46,7 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from calib.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.numerics.clusters import Scatter
 from calib.numerics.observability import Information
 from calib.numerics.variance_components import CHANCE, require_freedom

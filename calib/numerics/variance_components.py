@@ -4,7 +4,7 @@ Model. Rows y (whitened by what is stated) of a linear problem with priors, and
 
     covariance      V = S (I + sum of tau_j^2 h_j h_j^T) S        S = diag(s_g), h_j in units of the scaled rows
 
-with one h_j for each component of the offsets that instruments have at a pose (`calib.linearisation.rows`). s_g is 1
+with one h_j for each component of the offsets that instruments have at a pose (`calib.rows.rows`). s_g is 1
 for groups whose noise is stated; the other s_g and the tau_j are found by restricted maximum likelihood: with
 A = J^T V^-1 J + P and Q = V^-1 - V^-1 J A^-1 J^T V^-1, its stationary point has for every component V_i of V
 
@@ -31,8 +31,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from calib.arrays import BoolArray, FloatArray, IntArray
-from calib.errors import NotIdentifiableError
+from calib.base.arrays import BoolArray, FloatArray, IntArray
+from calib.base.errors import NotIdentifiableError
 from calib.numerics.identifiability import reduced
 from calib.numerics.observability import Information, information, prior_rows
 

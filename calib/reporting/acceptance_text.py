@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from rich.table import Table
 
-from calib.identification.acceptance import Acceptance
-from calib.identification.errors_found import error_table
-from calib.identification.promise import FALSE_ALARM, POWER, Change
-from calib.identification.repeats import CONDITIONS, IsoFigure, conditions
-from calib.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale, millimetres
-from calib.words import as_data, counted, listed, plain_text, text_table
+from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale, millimetres
+from calib.base.words import as_data, counted, listed, plain_text, text_table
+from calib.fitting.error_sets import error_table
+from calib.judging.acceptance import Acceptance
+from calib.judging.promise import FALSE_ALARM, POWER, Change
+from calib.judging.repeatability import CONDITIONS, IsoFigure, conditions
 
 _SHOWN, _WIDTH = 8, 110  # changes; characters of a table
 _SAID = {

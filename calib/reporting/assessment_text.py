@@ -7,12 +7,12 @@ from typing import Any
 
 from rich.table import Table
 
-from calib.linearisation.candidates import WHITENED
+from calib.base.units import millimetres
+from calib.base.words import as_data, counted, listed, plain_text, sentence, text_table
 from calib.numerics.null_space import describe_group, natural_coefficients
 from calib.numerics.observability import INDICES, TaskIndex
-from calib.pose_choice.assessment import CORRELATION_LIMIT, HARDLY, Assessment
-from calib.units import millimetres
-from calib.words import as_data, counted, listed, plain_text, sentence, text_table
+from calib.planning.assessment import CORRELATION_LIMIT, HARDLY, Assessment
+from calib.rows.candidates import WHITENED
 
 _SHOWN = 12
 _SINGLE = 5  # parameters without effect that get a line of their own

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import FloatArray
-from calib.inverse_kinematics.expected import ExpectedError
-from calib.units import ERROR_UNIT, Dimension, error_scale
+from calib.base.arrays import FloatArray
+from calib.base.units import ERROR_UNIT, Dimension, error_scale
+from calib.using.expected_errors import ExpectedError
 
 COUNTED = (
     "counted are the noise of the measurements and what they leave to the errors that the description expects, not what"

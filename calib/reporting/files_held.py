@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
+from calib.base.errors import DataError
+from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale
 from calib.data.parameter_files import read_parameters
-from calib.errors import DataError
 from calib.exporting.controllers import has_ur_kinematics
 from calib.exporting.held_formats import formats_that_hold
-from calib.identification.fitted import Fit
-from calib.identification.rules_model import why_no_origins
-from calib.model.held import Accuracy, FileRobot, Holds, SeenAt
-from calib.model.robot import Robot
-from calib.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale
+from calib.fitting.fitted import Fit
+from calib.judging.rules_model import why_no_origins
+from calib.robots.held import Accuracy, FileRobot, Holds, SeenAt
+from calib.robots.robot import Robot
 
 VALUES = {Holds.ORIGINS: "without_terms", Holds.TABLES: "with_tables", Holds.TO_LAST_AXIS: "to_last_axis"}
 """Names of files with values of their own, without their ending; a covariance has `_covariance` behind it."""
@@ -41,7 +41,7 @@ class FileLine:
 
     Attributes:
         holds: What it holds, in words.
-        rms, limit95: As of `calib.model.held.Accuracy`, in the unit of errors; NaN where not known.
+        rms, limit95: As of `calib.robots.held.Accuracy`, in the unit of errors; NaN where not known.
         formats: Who is such a file, and whether it is withheld, in words.
     """
 

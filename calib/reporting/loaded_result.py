@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arrays import FloatArray, ReadOnlyArrays
+from calib.base.arrays import FloatArray, ReadOnlyArrays
+from calib.base.words import titled_html
 from calib.data.in_memory import as_poses
 from calib.data.measurements import Poses
-from calib.identification.estimates import NUMBERS, Covariance, Estimate, Estimates
-from calib.identification.fitted import Fit
-from calib.identification.reasons import NOTHING_TO_CORRECT
+from calib.fitting.estimates import NUMBERS, Covariance, Estimate, Estimates
+from calib.fitting.fitted import Fit
 from calib.joint_terms.term import Context
-from calib.linearisation.known_robot import KnownRobot
-from calib.linearisation.prediction import ParameterUncertainty, PositionUncertainty
-from calib.model.held import Holds
-from calib.model.robot import Robot
+from calib.judging.reasons import NOTHING_TO_CORRECT
 from calib.reporting.result_reading import joints_used, load, load_uncertainty, read_result
-from calib.words import titled_html
+from calib.robots.held import Holds
+from calib.robots.robot import Robot
+from calib.rows.known_robot import KnownRobot
+from calib.rows.prediction import ParameterUncertainty, PositionUncertainty
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,7 +72,7 @@ class LoadedResult(ReadOnlyArrays):
         return Covariance(self.free_names, self.uncertainty.covariance)
 
     def held_by(self, holds: Holds) -> tuple[Robot, ParameterUncertainty]:
-        """Return the robot that files get which hold so much (`calib.model.held`), and how sure its parameters are.
+        """Return the robot that files get which hold so much (`calib.robots.held`), and how sure its parameters are.
 
         Raises:
             ComputationError: An earlier version wrote the result, and files lose joint terms that it has.
@@ -82,7 +82,7 @@ class LoadedResult(ReadOnlyArrays):
         return robot, load_uncertainty(self.path, robot, holds)
 
     def predict(self, poses: Poses | ArrayLike, context: Context | None = None) -> PositionUncertainty:
-        """Predict positions with their covariance; see `calib.identification.fitted.Fit.predict`."""
+        """Predict positions with their covariance; see `calib.fitting.fitted.Fit.predict`."""
         told = as_poses(self.robot, poses)
         return self.uncertainty.at(self.robot, told.joints, told.conditions if context is None else context)
 

@@ -7,17 +7,19 @@ from typing import Any, cast
 import numpy as np
 from rich.table import Table
 
-from calib.identification.errors_found import STATES, ErrorSet, error_table, format_error
-from calib.identification.fitted import Fit
-from calib.identification.joint_curves import joint_curves
-from calib.identification.reasons import Verdict
-from calib.identification.repeats import repeatability, repeats
-from calib.identification.term_choice import TELLS
-from calib.observation.kind import Part
+from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale, millimetres
+from calib.base.words import counted, listed, plain_text, sentence, text_table
+from calib.fitting.error_sets import STATES, ErrorSet, error_table, format_error
+from calib.fitting.fitted import Fit
+from calib.fitting.terms.joint_curves import joint_curves
+from calib.fitting.terms.term_choice import TELLS
+from calib.instruments.kind import Part
+from calib.judging import findings
+from calib.judging.reasons import Verdict
+from calib.judging.repeatability import repeatability, repeats
+from calib.judging.verdict import judge
 from calib.reporting.files_held import worth_of_files
 from calib.reporting.result_content import budget_table, correlated, error_sets, parameter_rows
-from calib.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale, millimetres
-from calib.words import counted, listed, plain_text, sentence, text_table
 
 _MOST_REASONS = 3
 
@@ -26,7 +28,7 @@ def text_report(fit: Fit, width: int = 120) -> str:
     """Return verdict, accuracy before and after, parameters with their 95 % intervals, and what to know about them."""
     parts: list[str | Table] = [
         f"Calibration of {fit.nominal.name} ({fit.nominal.path})",
-        *verdict_lines(fit.verdict, _MOST_REASONS),
+        *verdict_lines(judge(fit), _MOST_REASONS),
         *_accuracy(fit),
         *_files(fit),
         *_budget(fit),
@@ -153,7 +155,8 @@ def _terms(fit: Fit) -> list[str]:
 
 
 def _left(fit: Fit) -> list[str]:
-    return [] if fit.budget is None else [f"What is left: {fit.budget.advice}"]
+    budget = findings.budget(fit)
+    return [] if budget is None else [f"What is left: {budget.advice}"]
 
 
 def _curves(fit: Fit) -> list[str]:

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import FloatArray
-from calib.words import as_data, counted, listed, plain_text, text_table
+from calib.base.arrays import FloatArray
+from calib.base.words import as_data, counted, listed, plain_text, text_table
 
 CHANCE = 0.05
 """Chance that anything is called real that is not."""

@@ -8,20 +8,22 @@ from dataclasses import asdict
 
 import numpy as np
 
-from calib.arrays import IntArray
+from calib.base.arrays import IntArray
+from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale
+from calib.base.version import PROGRAM
+from calib.base.words import as_data
 from calib.data.measurement_columns import header, joint_columns, shown
 from calib.data.tables import format_table
-from calib.identification.errors_found import STATES, ErrorSet
-from calib.identification.fitted import Fit
-from calib.identification.joint_curves import joint_curves
-from calib.identification.judged import Outlier
-from calib.identification.repeats import repeatability, repeats
-from calib.linearisation.prediction import PositionUncertainty
-from calib.linearisation.rows import Rows
+from calib.fitting.error_sets import STATES, ErrorSet
+from calib.fitting.fitted import Fit
+from calib.fitting.outliers import Outlier
+from calib.fitting.terms.joint_curves import joint_curves
+from calib.judging import findings
+from calib.judging.repeatability import repeatability, repeats
+from calib.judging.verdict import judge
 from calib.reporting.files_held import file_entries
-from calib.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale
-from calib.version import PROGRAM
-from calib.words import as_data
+from calib.rows.prediction import PositionUncertainty
+from calib.rows.rows import Rows
 
 FORMAT_VERSION = 1
 NOMINAL_YAML, NOMINAL_URDF = "nominal.yaml", "nominal.urdf"
@@ -46,7 +48,7 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "robot": fit.nominal.path,
             "data": data.path,
             "comments": comments(fit),
-            "verdict": fit.verdict.to_dict(forced=forced),
+            "verdict": judge(fit).to_dict(forced=forced),
             "converged": fit.converged,
             "message": fit.message,
             "seconds": fit.seconds,
@@ -83,7 +85,7 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "outliers": outlier_rows(fit),
             "excluded": [_outlier(fit.with_all, "identification", found) for found in fit.excluded],
             "with_excluded": _with_excluded(fit),
-            "patterns": [asdict(pattern) for pattern in fit.patterns],
+            "patterns": [asdict(pattern) for pattern in findings.patterns(fit)],
             "starts": _starts(fit),
             "cross_validation": _folds(fit),
             "joint_terms": _terms(fit),
@@ -131,11 +133,11 @@ def repeat_table(errors: ErrorSet) -> dict[str, object] | None:
 
 
 def budget_table(fit: Fit) -> dict[str, object] | None:
-    """Return the error budget in the unit of errors and its square; see `calib.identification.error_budget`.
+    """Return the error budget in the unit of errors and its square; see `calib.judging.error_budget`.
 
     A cause whose mean square is negative has no root mean square and no share, but a remark.
     """
-    found = fit.budget
+    found = findings.budget(fit)
     if found is None:
         return None
     scale = error_scale(found.part.dimension)
@@ -180,8 +182,8 @@ def position_uncertainty_table(fit: Fit) -> dict[str, object]:
 
 def outlier_rows(fit: Fit) -> list[dict[str, object]]:
     """Return the outliers of both sets, worst first in each."""
-    rows = [_outlier(fit, "identification", outlier) for outlier in fit.outliers]
-    return rows + [_outlier(fit, "validation", outlier) for outlier in fit.validation_outliers]
+    rows = [_outlier(fit, "identification", outlier) for outlier in findings.outliers(fit)]
+    return rows + [_outlier(fit, "validation", outlier) for outlier in findings.validation_outliers(fit)]
 
 
 def _outlier(fit: Fit | None, label: str, outlier: Outlier) -> dict[str, object]:
@@ -205,7 +207,7 @@ def _with_excluded(fit: Fit) -> dict[str, object] | None:
         return None
     return {
         "n_poses": fit.with_all.identification.data.n_poses,
-        "verdict": fit.with_all.verdict.to_dict(),
+        "verdict": judge(fit.with_all).to_dict(),
         "sigma": fit.with_all.sigma,
         "parameters": parameter_rows(fit.with_all),
         "errors": {name: found.table() for name, found in error_sets(fit.with_all)},
@@ -333,7 +335,7 @@ def _cell(value: object) -> object:
 def _residual_columns(fit: Fit, label: str, found: ErrorSet, rows: Rows, name: str) -> dict[str, Sequence[object]]:
     """A column of cells for each header, for the readings of one instrument in a set."""
     used = label == "identification"
-    judged = fit.studentised if used else fit.validation_studentised
+    judged = findings.studentised(fit) if used else findings.validation_studentised(fit)
     assert judged is not None
     layout, factor = rows.layout, float(np.sqrt(np.mean(fit.statistics.factors.found**2))) if used else 1.0
     one, own, readings = fit.nominal.instrument(name), layout.readings_of(name), found.data.readings[name]

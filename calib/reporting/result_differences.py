@@ -35,17 +35,17 @@ from typing import Any
 import numpy as np
 import scipy
 
-from calib.arrays import FloatArray
+from calib.base.arrays import FloatArray
+from calib.base.errors import DataError, InputError
+from calib.base.parameter import Parameter, index_of
+from calib.base.words import counted
 from calib.data.tables import read_table
-from calib.errors import DataError, InputError
-from calib.identification.fitted import Fit
-from calib.model import loading
-from calib.model.robot import Robot
-from calib.parameter import Parameter, index_of
+from calib.fitting.fitted import Fit
 from calib.reporting.result_comparison import CHANCE, Difference, Pair, ResultComparison
 from calib.reporting.result_reading import load_calibrated, load_uncertainty, read_result
 from calib.reporting.results import save
-from calib.words import counted
+from calib.robots import loading
+from calib.robots.robot import Robot
 
 _OWN = 1e-3  # of the variance of both, from which on a difference is more than what the prior leaves of it
 _ERRORS = {

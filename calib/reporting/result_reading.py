@@ -11,26 +11,26 @@ from typing import Any
 import numpy as np
 import scipy
 
-from calib.arrays import FloatArray
+from calib.base.arrays import FloatArray
+from calib.base.errors import ComputationError, DataError, DescriptionError
+from calib.base.files import read_text
+from calib.base.units import error_scale, per_si
+from calib.base.words import counted, listed
 from calib.data.measurements import Poses
 from calib.data.parameter_files import read_parameters
 from calib.data.tables import read_table
-from calib.errors import ComputationError, DataError, DescriptionError
-from calib.files import read_text
-from calib.identification.joint_curves import beyond_learned
-from calib.identification.promise import Promise
-from calib.identification.reasons import NOTHING_TO_CORRECT
+from calib.fitting.terms.joint_curves import beyond_learned
 from calib.joint_terms.terms import stored_terms
-from calib.linearisation.known_robot import KnownRobot
-from calib.linearisation.prediction import ParameterUncertainty
-from calib.model import loading
-from calib.model.held import Holds
-from calib.model.robot import Robot
+from calib.judging.promise import Promise
+from calib.judging.reasons import NOTHING_TO_CORRECT
 from calib.reporting.files_held import file_entry, stored_files
 from calib.reporting.result_content import FORMAT_VERSION, NOMINAL_URDF, NOMINAL_YAML
 from calib.reporting.result_format import damage
-from calib.units import error_scale, per_si
-from calib.words import counted, listed
+from calib.robots import loading
+from calib.robots.held import Holds
+from calib.robots.robot import Robot
+from calib.rows.known_robot import KnownRobot
+from calib.rows.prediction import ParameterUncertainty
 
 _AGREE = 1e-9  # of the same value in two files [m or rad]
 _MOST_FREEDOM = 1e9  # degrees of freedom: more than any file has rows; tails of F and t are not found far beyond
@@ -45,7 +45,7 @@ def forced_lines(folder: Path | str) -> list[str]:
 
 
 def load(path: Path | str) -> Robot:
-    """Load a robot from a description (YAML), a plain URDF (`calib.model.loading.load`), or calibrated from a result.
+    """Load a robot from a description (YAML), a plain URDF (`calib.robots.loading.load`), or calibrated from a result.
 
     Args:
         path: Of the file, or of the folder of the result.

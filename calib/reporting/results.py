@@ -18,17 +18,15 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
+from calib.base.files import write_folder
 from calib.data.parameter_files import format_parameters
 from calib.exporting.held_formats import loses, robot_for, said_of
 from calib.exporting.links import find_mesh
 from calib.exporting.urdf import urdf_bytes
-from calib.files import write_folder
-from calib.identification.fitted import Fit
-from calib.identification.reasons import Verdict
-from calib.identification.rules_model import why_no_origins
-from calib.model.description import description_yaml
-from calib.model.held import Holds
-from calib.model.urdf_text import UrdfText, apply_edits
+from calib.fitting.fitted import Fit
+from calib.judging.reasons import Verdict
+from calib.judging.rules_model import why_no_origins
+from calib.judging.verdict import judge
 from calib.reporting.files_held import VALUES, files_of, name_of_values
 from calib.reporting.result_content import (
     NOMINAL_URDF,
@@ -38,6 +36,9 @@ from calib.reporting.result_content import (
     residual_table,
     to_dict,
 )
+from calib.robots.description import description_yaml
+from calib.robots.held import Holds
+from calib.robots.urdf.text import UrdfText, apply_edits
 
 _URDF = "calibrated.urdf"
 _FILE = re.compile(rb"""\bfilename\s*=\s*(?:"([^"]*)"|'([^']*)')""")
@@ -65,14 +66,15 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
         InputError: The folder cannot be written, or holds files of these names that this program did not write, or
             that the fit was made from; what was there is untouched.
     """
-    failed = fit.verdict.grade == "FAIL"
+    verdict = judge(fit)
+    failed = verdict.grade == "FAIL"
     nominal = {
         NOMINAL_YAML: description_yaml(fit.nominal.description.model_copy(update={"urdf": NOMINAL_URDF})).encode(),
         NOMINAL_URDF: _with_meshes(fit.nominal.urdf),
     }
     checksums = {name: hashlib.sha256(content).hexdigest() for name, content in nominal.items()}
     result = to_dict(fit, forced=failed and force) | {"sha256": checksums}
-    remark = _said_inside(fit.verdict, "not to be used") if failed else []
+    remark = _said_inside(verdict, "not to be used") if failed else []
     files = {
         "result.json": (json.dumps(result, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode(),
         "parameters.csv": parameter_table(fit, remark).encode(),
@@ -82,7 +84,7 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
     }
     files |= _values_of_files(fit, remark)
     if force or not (failed or why_no_origins(fit)):
-        files[_URDF] = _calibrated_urdf(fit, _said_inside(fit.verdict, "exported by force") if failed else [])
+        files[_URDF] = _calibrated_urdf(fit, _said_inside(verdict, "exported by force") if failed else [])
     files |= pages or {}
     sources = (fit.nominal.path, fit.nominal.urdf.path, fit.identification.data.path)
     write_folder(folder, files, sorted(set(_NOT_ALWAYS) - set(files)), inputs=sources, force=force)

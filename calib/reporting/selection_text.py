@@ -8,19 +8,19 @@ from dataclasses import replace
 
 from rich.table import Table as Printed
 
+from calib.base.units import millimetres
+from calib.base.words import as_data, counted, plain_text, text_table
 from calib.data.instrument_cells import columns_in
 from calib.data.measurement_files import format_positions
 from calib.data.measurements import Poses
 from calib.data.plan_files import INSTRUMENT, TOGETHER
 from calib.data.tables import Table, format_table
-from calib.linearisation.candidates import WHITENED
-from calib.model.robot import Robot
 from calib.numerics.observability import INDICES
-from calib.pose_choice.selection import Run, Selection
-from calib.pose_choice.selection_bound import CERTIFIED
-from calib.pose_choice.selection_problem import TASK
-from calib.units import millimetres
-from calib.words import as_data, counted, plain_text, text_table
+from calib.planning.selection import Run, Selection
+from calib.planning.selection_bound import CERTIFIED
+from calib.planning.selection_problem import TASK
+from calib.robots.robot import Robot
+from calib.rows.candidates import WHITENED
 
 
 def text_report(selection: Selection, poses: Poses, width: int = 110) -> str:

@@ -17,47 +17,56 @@ from matplotlib.patches import FancyBboxPatch
 
 ROOT = Path(__file__).resolve().parents[2]
 FRONT = ("calibration", "cli", "pictures")
-"""Files of `calib` itself that stand on the top floor: what users hold, who draws, and the program."""
+"""Files beside the rooms, on the top floor: what users hold, who draws, and the program."""
+
+_INCHES = 0.08
+"""Height of a unit of the picture, in which a line of text is 1.7 high [inch]."""
 
 
 @dataclass(frozen=True)
 class Room:
-    """One room: a folder of `calib`, or the files beside the folders.
+    """One room: folders of `calib`, with the folders in them that are no rooms of their own.
 
     Attributes:
         name: As CONTRIBUTING.md has it.
         floor: 0 is the lowest; rooms import from lower floors.
-        folder: Its folder; empty for the ground floor's files, which lie in `calib` itself.
+        folders: Its folders, dotted.
     """
 
     name: str
     floor: int
-    folder: str
+    folders: tuple[str, ...]
 
     @property
     def modules(self) -> tuple[str, ...]:
         """What is in it, by the names under which the picture shows them."""
-        folder = ROOT / "calib" / self.folder
-        names = (path.stem for path in sorted(folder.glob("*.py")) if not path.stem.startswith("__"))
-        return tuple(name for name in names if self.folder or name not in FRONT)
+        return tuple(
+            path.stem
+            for module, path in modules().items()
+            if path.stem != "__init__" and module not in FRONT and room_of(module) is self
+        )
 
 
 ROOMS = (
-    Room("Ground", 0, ""),
-    Room("Numerics", 1, "numerics"),
-    Room("Observation", 2, "observation"),
-    Room("Joint terms", 2, "joint_terms"),
-    Room("Model", 3, "model"),
-    Room("Data", 4, "data"),
-    Room("Linearisation", 5, "linearisation"),
-    Room("Functions", 5, "functions"),
-    Room("Pose choice", 6, "pose_choice"),
-    Room("Identification", 6, "identification"),
-    Room("Inverse kinematics", 6, "inverse_kinematics"),
-    Room("Exporting", 6, "exporting"),
-    Room("Reporting", 7, "reporting"),
-    Room("Watching", 7, "watching"),
-    Room("Commands", 8, "commands"),
+    Room("Base", 0, ("base",)),
+    Room("Numerics", 1, ("numerics",)),
+    Room("Joint terms", 1, ("joint_terms",)),
+    Room("URDF", 1, ("robots.urdf",)),
+    Room("Instruments", 2, ("instruments",)),
+    Room("Robots", 3, ("robots",)),
+    Room("Data", 4, ("data",)),
+    Room("Rows", 5, ("rows",)),
+    Room("Functions", 4, ("exporting.functions",)),
+    Room("Exporting", 5, ("exporting",)),
+    Room("Fitting", 6, ("fitting",)),
+    Room("Using", 6, ("using",)),
+    Room("Judging", 7, ("judging",)),
+    Room("Programs", 7, ("using.programs",)),
+    Room("Calibrating", 8, ("calibrating",)),
+    Room("Planning", 9, ("planning",)),
+    Room("Studies", 9, ("planning.studies",)),
+    Room("Reporting", 10, ("reporting",)),
+    Room("Commands", 11, ("commands",)),
 )
 
 
@@ -73,19 +82,16 @@ def modules() -> dict[str, Path]:
 
 
 def room_of(module: str) -> Room:
-    """Return the room of a module such as `model.loops` or `errors`.
+    """Return the room of a module such as `robots.loops`: that of the innermost folder around it that is one.
 
     Raises:
         KeyError: Its folder is not a room yet.
     """
-    folder, _, rest = module.partition(".")
-    if module in FRONT:
-        folder = "commands"
-    elif not rest and not (ROOT / "calib" / module).is_dir():
-        folder = ""
-    for room in ROOMS:
-        if room.folder == folder:
-            return room
+    parts = ["commands"] if module in FRONT else module.split(".")
+    for n in range(len(parts), 0, -1):
+        for room in ROOMS:
+            if ".".join(parts[:n]) in room.folders:
+                return room
     raise KeyError(f"calib.{module} has no room: name its folder in docs/site/architecture.py")
 
 
@@ -148,6 +154,7 @@ def picture() -> Figure:
     _box(axes, 50.0, y, 46.0, 5.5, "medrue", "this robot and the paper's studies", "#e3f1e5")
     top = y + 5.5
     axes.set(xlim=(0, 98), ylim=(0, top + 1.5))
+    figure.set_figheight(_INCHES * (top + 1.5))
     axes.annotate("", (1.6, 1.5), (1.6, top), arrowprops={"arrowstyle": "->", "color": "#767676"})
     axes.text(1.4, top / 2, "imports", rotation=90, ha="right", va="center", color="#767676", fontsize=8)
     return figure

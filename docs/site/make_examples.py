@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import calib
+from calib.base.files import write_file
+from calib.base.units import DISPLAY_UNIT, PER_SI
 from calib.data.measurements import Poses
 from calib.data.parameter_files import format_parameters
 from calib.data.tables import format_table
-from calib.files import write_file
-from calib.model.templates import loop_files, read_lengths
-from calib.units import DISPLAY_UNIT, PER_SI
+from calib.robots.templates import loop_files, read_lengths
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 Array = NDArray[np.float64]

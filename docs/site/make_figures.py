@@ -17,11 +17,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import calib
-from calib.arrays import FloatArray
-from calib.linearisation.jacobian import linearise
-from calib.model.kinematics import sweep
-from calib.model.mechanism import RelativeFrame
+from calib.base.arrays import FloatArray
 from calib.numerics.identifiability import numerical_rank
+from calib.robots.kinematics import sweep
+from calib.robots.mechanism import RelativeFrame
+from calib.rows.jacobian import linearise
 from viz.svg import BLUE, GREY, ORANGE, plain_ticks, styled, svg_file
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,7 +9,7 @@ from verdict_lab import Lab, Scenario, Trial, placed
 
 import calib
 from calib.data.measurements import Measurements
-from calib.observation.kind import Readings
+from calib.instruments.kind import Readings
 
 
 def as_drawn(lab: Lab) -> Measurements:

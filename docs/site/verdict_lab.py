@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import calib
 from calib.data.in_memory import as_measurements
 from calib.data.measurements import Measurements
-from calib.model.templates import TEMPLATES, loop_files
+from calib.robots.templates import TEMPLATES, loop_files
 from medrue import robot_file
 from medrue.workspace import target_workspace
 

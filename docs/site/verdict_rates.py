@@ -25,11 +25,11 @@ from make_examples import EXAMPLES
 from verdict_scenarios import SCENARIOS, Trial, open_lab
 
 import calib
+from calib.base.errors import CalibrationError
+from calib.base.files import write_file
+from calib.base.workers import Workers, in_order
 from calib.data.tables import format_table
-from calib.errors import CalibrationError
-from calib.files import write_file
-from calib.model.instruments import instruments_of
-from calib.workers import Workers, in_order
+from calib.robots.described_instruments import instruments_of
 
 PAGE = EXAMPLES.parent / "verdict.md"
 EACH = 1

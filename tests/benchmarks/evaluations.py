@@ -21,9 +21,9 @@ import numpy as np
 from motoman_choice import load as motoman
 
 import calib
-from calib.identification.problem import Problem
-from calib.identification.settings import Settings
-from calib.identification.solving import place, solve_from
+from calib.fitting.problem import Problem
+from calib.fitting.settings import Settings
+from calib.fitting.solving import place, solve_from
 from calib.joint_terms.term import Context
 from medrue import robot_file
 from medrue.imperfections import from_direction

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 
 import calib
-from calib.linearisation.candidates import rows_of_poses
-from calib.linearisation.unknowns import Unknowns
+from calib.base.threads import one_blas_thread
 from calib.numerics.observability import information, prior_rows
-from calib.pose_choice.selection import select
-from calib.threads import one_blas_thread
+from calib.planning.selection import select
+from calib.rows.candidates import rows_of_poses
+from calib.rows.unknowns import Unknowns
 
 COUNT = 53
 DESCRIPTION = Path(__file__).resolve().parents[2] / "docs" / "examples" / "motoman_right.yaml"

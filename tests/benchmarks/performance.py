@@ -20,9 +20,9 @@ import whole_commands
 from hand_written import Arm, fit
 
 import calib
-from calib.linearisation.jacobian import linearise
-from calib.model.acceleration import compiled
-from calib.threads import one_blas_thread
+from calib.base.threads import one_blas_thread
+from calib.robots.acceleration import compiled
+from calib.rows.jacobian import linearise
 from medrue import robot_file
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
@@ -170,8 +170,8 @@ others ([benchmarks](benchmarks.md)).
 
 MedRUE, 420 poses, after a small step of the parameters; and whole fits. The unit is Pinocchio's own loop: one
 `computeJointJacobians` of the same model for each pose, called from Python, nothing read out. With the extra `fast`,
-numba compiles the same formulas (`calib.model.kernels`, to 1e-12 the same numbers); studies of many calibrations and
-work on thousands of poses at once use that by themselves, `with calib.model.acceleration.compiled():` asks for it.
+numba compiles the same formulas (`calib.robots.kernels`, to 1e-12 the same numbers); studies of many calibrations and
+work on thousands of poses at once use that by themselves, `with calib.robots.acceleration.compiled():` asks for it.
 
 | work for each pose | over Pinocchio's loop | with `fast` |
 |---|---:|---:|"""

@@ -14,8 +14,8 @@ import pytest
 
 import calib
 from calib.data.in_memory import as_poses
-from calib.pose_choice.assessment import check
-from calib.pose_choice.selection import select
+from calib.planning.assessment import check
+from calib.planning.selection import select
 from medrue import robot_file
 from medrue.closed_form_inverse import inverse
 from medrue.paper_tables import table1
@@ -67,7 +67,7 @@ ONE_RUN = """
 import json, resource, sys
 import numpy as np
 import calib
-from calib.pose_choice.selection import select
+from calib.planning.selection import select
 from medrue import robot_file
 found = select(calib.load(robot_file()), np.load(sys.argv[1]), 84, "O1")
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1024 if sys.platform == "linux" else 1)

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 import calib
+from calib.base.units import PER_SI, millimetres
 from calib.data.tables import format_table
-from calib.units import PER_SI, millimetres
 from medrue import robot_file
 from medrue.workspace import target_workspace
 

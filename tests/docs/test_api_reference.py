@@ -42,8 +42,8 @@ def test_names_stand_in_the_order_of_use_each_once():
 def test_the_navigation_has_every_module_once_under_its_room():
     found = [path.removeprefix("reference/api/").removesuffix(".md") for path in _paths(navigation())]
     assert sorted(found) == sorted(["index", *MODULES])
-    assert "calib.model.loops" in rooms()["Model"]
-    assert "calib.errors" in rooms()["Ground"]
+    assert "calib.robots.loops" in rooms()["Robots"]
+    assert "calib.base.errors" in rooms()["Base"]
 
 
 def _paths(entry):

@@ -11,7 +11,7 @@ from matplotlib import image
 from snippets import DOCS, ROOT
 
 from calib import load
-from calib.pose_choice.selection import select
+from calib.planning.selection import select
 from medrue import robot_file
 from medrue.closed_form import forward
 from medrue.error_before import base_placed, differences, errors_of

@@ -17,8 +17,8 @@ import calib
 from calib.commands.init import command as init
 from calib.data.measurements import Poses
 from calib.exporting.formats import export
-from calib.model.arm_chain import arm_chain
-from calib.model.urdf_text import read_urdf
+from calib.robots.urdf.arm_chain import arm_chain
+from calib.robots.urdf.text import read_urdf
 
 SHARE = Path("share") / "example-robot-data" / "robots"
 ARMS = {  # file below robots/: link that carries the measured point

@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 
 import calib
-from calib.errors import InputError, UnreachablePoseError
+from calib.base.errors import InputError, UnreachablePoseError
 from calib.exporting.closed_model import closed_model
 from calib.exporting.formats import export
 from calib.exporting.gap import free_directions, free_joints, loop_gaps, poses_near_home

@@ -1,0 +1,1 @@
+"""What every room stands on: arrays, units, errors, words, files, workers."""

@@ -1,0 +1,78 @@
+"""Names of array types, frozen dataclasses whose arrays are frozen too, and random numbers from a seed."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.base.errors import InputError
+
+FloatArray = NDArray[np.floating[Any]]
+IntArray = NDArray[np.intp]
+BoolArray = NDArray[np.bool_]
+
+
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """Return the array itself if nobody can write to it, else a read-only copy."""
+    if not array.flags.writeable and array.base is None:
+        return array
+    copied = array.copy()
+    copied.flags.writeable = False
+    return copied
+
+
+def _held_fast(value: Any) -> Any:
+    """Return an array, or a tuple or dictionary of arrays, that nobody can write to; anything else as it is."""
+    if isinstance(value, np.ndarray):
+        return read_only(value)
+    if isinstance(value, tuple) and value and isinstance(value[0], np.ndarray):
+        return tuple(read_only(array) for array in value)
+    if isinstance(value, dict) and any(isinstance(array, np.ndarray) for array in value.values()):
+        return {key: _held_fast(array) for key, array in value.items()}
+    return value
+
+
+def _short(value: object) -> str:
+    """One value, or how many."""
+    if isinstance(value, np.ndarray):
+        return str(value.shape)
+    return f"of {len(value)}" if isinstance(value, (tuple, list, dict)) else repr(value)
+
+
+class ReadOnlyArrays:
+    """Base of frozen dataclasses: arrays, tuples and dictionaries of them become read-only copies.
+
+    They are so after unpickling, too. What is printed of them are the shapes of arrays, not their numbers.
+    """
+
+    def __init_subclass__(cls) -> None:
+        if cls.__repr__ is ReadOnlyArrays.__repr__:
+            cls.__repr__ = ReadOnlyArrays.__repr__  # type: ignore[method-assign]  # its own, so dataclass keeps it
+
+    def __repr__(self) -> str:
+        told = ((field.name, getattr(self, field.name)) for field in fields(self))  # type: ignore[arg-type]
+        shown = (
+            f"{name} {np.shape(value) if isinstance(value, np.ndarray) else _short(value)}" for name, value in told
+        )
+        return f"<{type(self).__name__}: {', '.join(shown)}>"
+
+    def __post_init__(self) -> None:
+        for field in fields(self):  # type: ignore[arg-type]  # only dataclasses derive from this
+            value = getattr(self, field.name)
+            held = _held_fast(value)
+            if held is not value:
+                object.__setattr__(self, field.name, held)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        ReadOnlyArrays.__post_init__(self)  # unpickled arrays can be written to
+
+
+def random_numbers(seed: int | np.random.Generator) -> np.random.Generator:
+    """Return where random numbers come from; a negative seed is an `InputError`."""
+    if isinstance(seed, int) and seed < 0:
+        raise InputError(f"seed {seed}: must be zero or positive")
+    return np.random.default_rng(seed)

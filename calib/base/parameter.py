@@ -1,0 +1,80 @@
+"""One number that may differ from its nominal value: what every floor means by a parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import SupportsIndex, overload
+
+from calib.base.errors import ParameterError, nearest
+from calib.base.units import PER_SI, Dimension
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number that may differ from its nominal value.
+
+    Attributes:
+        name: Unique name.
+        dimension: Length or angle.
+        nominal_si: Value in the description [m or rad].
+        sigma_si: Expected deviation from nominal, one standard deviation [m or rad]; scales its column, and is its
+            prior.
+        unit: Unit of tables, and of every number here whose name does not end in `_si`.
+        prior: Whether nominal +- sigma counts as information in a fit. False: the measurements alone decide.
+        placement: Whether it only says where the measurement frame or a target is, which is no error of the robot.
+        family: Parameters of one family share a factor on their sigmas that is found from the data; empty: none.
+    """
+
+    name: str
+    dimension: Dimension
+    nominal_si: float
+    sigma_si: float
+    unit: str
+    prior: bool = True
+    placement: bool = False
+    family: str = ""
+
+    @property
+    def per_si(self) -> float:
+        """How many of `unit` make one SI unit."""
+        return PER_SI[self.dimension][self.unit]
+
+    @property
+    def nominal(self) -> float:
+        """Value in the description, in `unit`."""
+        return self.nominal_si * self.per_si
+
+    @property
+    def sigma(self) -> float:
+        """Expected deviation from nominal, one standard deviation, in `unit`."""
+        return self.sigma_si * self.per_si
+
+    def row(self, value: float, free: bool) -> dict[str, object]:
+        """Return the row of a table, in `unit`.
+
+        Args:
+            value: Its present value [m or rad].
+            free: Whether it is not held.
+        """
+        shown = {"nominal": self.nominal, "value": float(value) * self.per_si, "sigma": self.sigma}
+        return {"name": self.name, "unit": self.unit, **shown, "free": "free" if free else "held"}
+
+
+class Parameters(tuple[Parameter, ...]):
+    """Parameters in their order, one of which is taken by its number or its name."""
+
+    @overload
+    def __getitem__(self, which: SupportsIndex | str) -> Parameter: ...
+    @overload
+    def __getitem__(self, which: slice) -> tuple[Parameter, ...]: ...
+    def __getitem__(self, which: SupportsIndex | str | slice) -> Parameter | tuple[Parameter, ...]:
+        return super().__getitem__(index_of(self, which) if isinstance(which, str) else which)
+
+
+def index_of(parameters: Sequence[Parameter], name: str, where: str = "parameters") -> int:
+    """Return the position of a parameter; an unknown name is a `ParameterError` that names the nearest one."""
+    for index, parameter in enumerate(parameters):
+        if parameter.name == name:
+            return index
+    raise ParameterError(f"{where}: no parameter '{name}'{nearest(name, [p.name for p in parameters])}")

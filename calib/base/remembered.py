@@ -1,0 +1,28 @@
+"""Functions of an object that are computed once for each: whoever asks again gets the answer of the first time.
+
+As `functools.cached_property`, for functions that stand outside the class, in rooms that the class must not know.
+Answers live in the object itself: they end with it, and go with it to other processes. `dataclasses.replace` makes a
+new object, which knows none. The object must not change. Of two threads that ask at once both may compute, and both get
+the same answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from typing import TypeVar
+
+Thing = TypeVar("Thing")
+Answer = TypeVar("Answer")
+
+
+def remembered(function: Callable[[Thing], Answer]) -> Callable[[Thing], Answer]:
+    """Make a function of one object remember its answer for each object."""
+    key = f"{function.__module__}.{function.__qualname__}"
+
+    @wraps(function)
+    def answer(thing: Thing) -> Answer:
+        known = vars(thing)
+        return known[key] if key in known else known.setdefault(key, function(thing))
+
+    return answer

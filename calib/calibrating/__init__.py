@@ -1,0 +1,1 @@
+"""Calibrating a robot: fit, judge, fit again; and the robots that files get."""

@@ -1,0 +1,170 @@
+"""Calibration: a fit, judged, and fitted again where the judgement asks for it.
+
+Order of work: (1) joint terms, if asked for: those that earn their place (`calib.fitting.terms.term_choice`); (2) the
+fit (`calib.fitting.fit`); (3) outliers left out and all done again, if asked for; (4) poses left out in turns for
+cross-validation, if asked for; also where noise is so far above its statement that nothing else can prove the result.
+
+Outliers that are to be left out are found with a robust loss, so that they cannot hide behind each other. A pose goes
+as a whole, even where only one of its targets is off. After each fit the rest is judged again, up to five times: what a
+gross error hid may show then. Both results stay: that of all poses, and that without outliers.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from calib.base.errors import CalibrationError, ComputationError, InputError, UnreachablePoseError
+from calib.base.threads import one_blas_thread
+from calib.base.workers import Progress, Steps, Workers
+from calib.data.measurements import Measurements
+from calib.fitting.fit import fit_data
+from calib.fitting.fitted import Fit
+from calib.fitting.outliers import Outlier
+from calib.fitting.pose_checks import likely_mistake
+from calib.fitting.settings import Settings
+from calib.fitting.terms.candidate_terms import TermChoice, missing_terms
+from calib.fitting.terms.term_choice import choose_terms
+from calib.fitting.validation import cross_validate, n_folds
+from calib.joint_terms.terms import listed_terms
+from calib.judging import findings
+from calib.judging.judged_fit import JudgedFit
+from calib.judging.rules_noise import unproven
+from calib.robots.robot import Robot
+
+PROVING = 5
+"""Folds where nobody asked for any, and only poses left out can prove the result."""
+_OF_ONE_FIT = 3  # steps that are told: base and targets placed, the minimum found, the result judged
+_EXCLUSION_ROUNDS = 5
+
+
+@one_blas_thread
+def calibrate(
+    robot: Robot,
+    data: Measurements,
+    validation: Measurements | None,
+    settings: Settings,
+    executor: Executor | int | None = None,
+    progress: Progress | None = None,
+) -> JudgedFit:
+    """Calibrate a robot.
+
+    Args:
+        robot: The nominal robot.
+        data: Measurements to identify with.
+        validation: Measurements to judge the result with, or None.
+        settings: How.
+        executor: Who does the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
+            processes on this machine; this process if not given.
+        progress: Told after each step how many are done, and of how many that are known by then. Steps are: base and
+            targets placed, the minimum found, its uncertainty and errors known; the choice of terms, with a fit of its
+            own; each further start; each fold; each fit without outliers.
+
+    Raises:
+        UnreachablePoseError: A pose cannot be assembled.
+        DataError: Too few measurements, or measurements that are not finite.
+        InputError: An unknown term, a number of folds that makes no sense, or data that are no measurements.
+        NotIdentifiableError: The poses do not determine the free parameters.
+        NotConvergedError: Base and targets cannot be placed, or the noise cannot be found.
+    """
+    started = time.perf_counter()
+    _require_measurements(data, validation)
+    with Workers(executor, max(settings.starts - 1, n_folds(data, settings.folds))) as workers:
+        fit = _calibrated(robot, data, validation, settings, workers, Steps(progress))
+    return JudgedFit.of(replace(fit, seconds=time.perf_counter() - started))
+
+
+def _calibrated(
+    robot: Robot,
+    data: Measurements,
+    validation: Measurements | None,
+    settings: Settings,
+    workers: Executor | None,
+    steps: Steps,
+) -> Fit:
+    """Do the steps of the module docstring."""
+    of_each = _OF_ONE_FIT + settings.starts - 1
+    steps.expect(of_each + n_folds(data, settings.folds) + (_OF_ONE_FIT + 1) * (settings.terms == "auto"))
+    try:
+        robot, choice = _with_terms(robot, data, settings, steps)
+        fit = fit_data(robot, settings, data, validation, workers, steps)
+    except (UnreachablePoseError, ComputationError) as error:
+        mistake = likely_mistake(robot, data)
+        raise type(error)(f"{error}{'; ' if mistake else ''}{mistake}") from None
+    plain = replace(settings, starts=1)
+    if settings.exclude_outliers:
+
+        def fit_again(kept: Measurements, how: Settings) -> Fit:
+            steps.expect(_OF_ONE_FIT + how.starts - 1)
+            return fit_data(robot, how, kept, validation, workers, steps)
+
+        fit = _without_outliers(
+            fit,
+            robust=lambda: fit_again(data, replace(plain, loss="tukey")),
+            again=lambda kept: fit_again(kept, settings),
+        )
+    fold = partial(fit_data, robot, plain)
+    leave_out = partial(cross_validate, fit.identification.data, seed=settings.seed, fit=fold, executor=workers)
+    if settings.folds:
+        fit = replace(fit, folds=leave_out(settings.folds, progress=steps.done))
+    elif unproven(fit):
+        steps.expect(PROVING)
+        with suppress(CalibrationError):  # too few poses to leave some out: then nothing is proven
+            fit = replace(fit, folds=leave_out(PROVING, progress=steps.done))
+    return replace(fit, terms=choice)
+
+
+def _with_terms(robot: Robot, data: Measurements, settings: Settings, steps: Steps) -> tuple[Robot, TermChoice | None]:
+    """The robot with the joint terms that were asked for."""
+    own, terms = robot.description.terms, settings.terms
+    if terms is None:
+        return robot, None
+    if terms == "none":
+        choice = TermChoice(terms, ())
+    elif terms == "auto":
+        choice = choose_terms(fit_data(robot, replace(settings, starts=1), data, steps=steps))
+        steps.done()
+    else:
+        choice = TermChoice(terms, (*own, *missing_terms(robot, listed_terms(terms))))
+    return robot.with_terms(choice.sections), choice
+
+
+def _require_measurements(data: object, validation: object) -> None:
+    """Say what was expected of a caller whose types nobody checked."""
+    for what, given in (("data", data), ("validation", validation)):
+        if not isinstance(given, Measurements) and not (given is None and what == "validation"):
+            raise InputError(
+                f"{what}: expected Measurements, not {type(given).__name__}; make them with calib.read_measurements"
+                " or calib.as_measurements"
+            )
+
+
+def _without_outliers(first: Fit, robust: Callable[[], Fit], again: Callable[[Measurements], Fit]) -> Fit:
+    """Return the fit without outliers; `first` itself if there are none.
+
+    Args:
+        first: The fit of all poses.
+        robust: Fits all poses with a robust loss.
+        again: Fits some of the poses as asked.
+    """
+    data = first.identification.data
+    kept = np.arange(len(data))
+    excluded: list[Outlier] = []
+    current = first
+    outliers = findings.outliers(first if first.loss == "tukey" else robust())
+    for _ in range(_EXCLUSION_ROUNDS):
+        if not outliers:
+            break
+        excluded += [replace(outlier, pose=int(kept[outlier.pose])) for outlier in outliers]
+        kept = np.delete(kept, sorted({outlier.pose for outlier in outliers}))
+        current = again(data.subset(kept))
+        outliers = findings.outliers(current)
+    if current is first:
+        return first
+    return replace(current, excluded=tuple(excluded), with_all=first)

@@ -1,0 +1,207 @@
+"""The robots that files of a fit get: for each kind of file the best that it can hold (`calib.robots.held`).
+
+A file that loses terms of joint errors gets the robot that the same measurements give without them: fitted again, from
+the nominal robot, to the same visits (without those that were left out as outliers), with the same noise, loss, starts
+and folds. So its origins carry what they can of what the terms explain, and its covariance counts the rest as noise.
+
+So do the others: the nominal robot with joint zeros alone, base and targets placed with them; and the robot with all
+that lies behind the last axis as it is nominally.
+
+Withheld is a robot whose fit did not converge, or one that is worse than the nominal robot, base and targets placed
+alone, at the poses that judge it (`calib.fitting.unseen_errors`). A larger root mean square error is enough,
+beyond chance or not: the nominal robot is there already and costs nothing, so that chance speaks against the new one.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Executor
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from calib.base.arrays import FloatArray
+from calib.base.errors import CalibrationError
+from calib.base.threads import one_blas_thread
+from calib.base.workers import Workers
+from calib.calibrating.calibrate import PROVING
+from calib.fitting.fit import fit_data
+from calib.fitting.fitted import COMPUTED, Fit
+from calib.fitting.settings import Settings
+from calib.fitting.unseen_errors import accuracy
+from calib.fitting.validation import cross_validate, n_folds
+from calib.joint_terms.one_coefficient import Zero
+from calib.joint_terms.term import Joint, TermSection
+from calib.judging.judged_fit import JudgedFit
+from calib.robots.held import Accuracy, FileRobot, Holds
+from calib.robots.robot import Robot
+
+_NOTHING = 1e-12  # of a joint zero, and of how far joints moved, squared [m or rad]
+_SAME = 1.0 + 1e-6  # times the error of the nominal robot, beside `COMPUTED`: where rounding would decide
+
+
+@one_blas_thread
+def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = None) -> JudgedFit:
+    """Return a fit that knows the robots which files of it get.
+
+    Fits without joint terms are done at once; what else a file may need is found when it is first asked for.
+
+    Args:
+        fit: The fit.
+        settings: How it was done.
+        executor: Who does the fits of other starts and of folds, as in `calib.calibrating.calibrate.calibrate`.
+    """
+    started, reduced = time.perf_counter(), dict[Holds, Fit]()
+    kinds = [holds for holds in (Holds.TABLES, Holds.ORIGINS) if fit.robot.lost_by(holds)]
+    n_tasks = max(settings.starts - 1, n_folds(fit.identification.data, settings.folds))
+    with Workers(executor if kinds else None, n_tasks) as workers:
+        for holds in kinds:
+            robot = start_of(fit, holds)
+            if robot.terms or holds is Holds.ORIGINS:
+                with suppress(CalibrationError):  # then there is no such file, and who asks for one is told
+                    reduced[holds] = _fitted_again(fit, robot, settings, workers)
+    fit = replace(fit, reduced=reduced, seconds=fit.seconds + time.perf_counter() - started)
+    return JudgedFit.of(replace(fit, robot=replace(fit.robot, files=FitFiles(fit, settings))))
+
+
+def start_of(fit: Fit, holds: Holds) -> Robot:
+    """Return the robot that a fit began with, without the terms of joint errors that files lose which hold so much.
+
+    The nominal one, where its values belong to these terms, as those of an earlier result.
+    """
+    robot = fit.nominal.without_terms(holds)
+    return robot.at_nominal() if fit.nominal.lost_by(holds) else robot
+
+
+def _fitted_again(
+    fit: Fit, robot: Robot, settings: Settings, workers: Executor | None = None, signs: FloatArray | None = None
+) -> Fit:
+    """Fit another robot to the measurements of a fit, in the same way; with joints that count as `signs` say."""
+    data, validation = fit.identification.data, None if fit.validation is None else fit.validation.data
+    if signs is not None and np.any(signs < 0):
+        data = replace(data, joints=signs * data.joints)
+        validation = None if validation is None else replace(validation, joints=signs * validation.joints)
+    again = fit_data(robot, settings, data, validation, workers)
+    if fit.folds is None:
+        return again
+    fold = partial(fit_data, robot, replace(settings, starts=1))
+    count = settings.folds or PROVING
+    return replace(again, folds=cross_validate(data, count, settings.seed, fold, workers))
+
+
+class FitFiles(Mapping[Holds, FileRobot]):
+    """The robots that files of a fit get, each found when it is first asked for; those that there are.
+
+    Args:
+        fit: The fit.
+        settings: How it was done.
+    """
+
+    def __init__(self, fit: Fit, settings: Settings) -> None:
+        self._fit, self._settings = fit, settings
+        self._known: dict[Holds, FileRobot | None] = {}
+
+    def __getitem__(self, holds: Holds) -> FileRobot:
+        if holds not in self._known:
+            self._known[holds] = None
+            with suppress(CalibrationError):
+                self._known[holds] = self._found(holds)
+        robot = self._known[holds]
+        if robot is None:
+            raise KeyError(holds)
+        return robot
+
+    def __iter__(self) -> Iterator[Holds]:
+        return (holds for holds in Holds if self.get(holds) is not None)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def __reduce__(self) -> tuple[type, tuple[dict[Holds, FileRobot]]]:
+        return dict, (dict(self),)  # a robot that goes to other processes takes no measurements along
+
+    @one_blas_thread
+    def _found(self, holds: Holds) -> FileRobot | None:
+        if holds is Holds.ZEROS:
+            return self._zeros()
+        if holds is Holds.TO_LAST_AXIS:
+            return self._to_last_axis()
+        if not self._fit.robot.lost_by(holds):
+            return replace(file_robot(self._fit), values=_values(self._fit.robot.without_terms(holds)))
+        fitted = (self._fit.reduced or {}).get(holds)
+        return None if fitted is None else file_robot(fitted)
+
+    def _again(self, robot: Robot, signs: FloatArray | None = None) -> Fit:
+        return _fitted_again(self._fit, robot, replace(self._settings, starts=1), signs=signs)
+
+    def _to_last_axis(self) -> FileRobot | None:
+        """The robot with what lies behind the last axis as it is nominally."""
+        start = start_of(self._fit, Holds.ORIGINS)
+        behind = behind_last_axis(start)
+        there = {
+            p.name: p.nominal_si
+            for p in start.parameters
+            if p.name.rpartition(".")[0] in behind and not p.placement and p.name not in start.description.held
+        }
+        return file_robot(self._again(start.with_parameters(there).hold(*there))) if there else self.get(Holds.ORIGINS)
+
+    def _zeros(self) -> FileRobot:
+        """The nominal robot with joint zeros."""
+        fit, nominal = self._fit, self._fit.nominal.without_terms(Holds.ZEROS).at_nominal()
+        told = fit.identification.data.joints
+        actual = fit.robot.actual(told, fit.configurations.term_columns)[:, : told.shape[1]]
+        moved, errors = told - told.mean(axis=0), actual - told
+        turned_round = np.sum(moved * errors, axis=0) < -np.sum(moved**2, axis=0) - _NOTHING
+        signs = np.where(turned_round, -1.0, 1.0)
+        found = self._again(with_zeros(nominal), signs)
+        offsets = found.robot.values[found.robot.coefficients]
+        offsets = np.where(np.abs(offsets) < _NOTHING, 0.0, offsets)  # what base and targets took up
+        return replace(file_robot(found), values={}, signs=signs, offsets=offsets)
+
+
+def with_zeros(nominal: Robot) -> Robot:
+    """Return a robot of which a fit may change the joints' zeros, base, targets and instruments, and nothing else."""
+    origins = nominal.parameters[: nominal.n_origin_parameters]
+    terms = []
+    for name in nominal.joint_names:
+        dimension = nominal.mechanism.dimensions[name]
+        expected = max((p.sigma_si for p in origins if p.dimension == dimension and not p.placement), default=None)
+        section = TermSection(joint=name, term=Zero.word)
+        terms.append(Zero.of(Joint(name, dimension, nominal.joint_names), section, expected))
+    robot = replace(nominal, terms=tuple(terms), values=np.append(nominal.values, np.zeros(len(terms))))
+    return robot.hold(*(p.name for p in origins if not p.placement))
+
+
+def file_robot(fit: Fit) -> FileRobot:
+    """Return the robot of a fit as files get it that hold all of that."""
+    judged = accuracy(fit)
+    why = why_withheld(judged) if fit.converged else f"its fit did not converge: {fit.message}"
+    return FileRobot(_values(fit.robot), judged, why)
+
+
+def why_withheld(judged: Accuracy) -> str:
+    """Return why a robot so accurate is not to be used in place of the nominal one; nothing if it may be."""
+    if judged.rms <= _SAME * judged.before + COMPUTED:
+        return ""
+    return (
+        f"it is worse than the nominal robot: {judged.shown(judged.rms)} RMS where that has"
+        f" {judged.shown(judged.before)} ({judged.where})"
+    )
+
+
+def behind_last_axis(robot: Robot) -> frozenset[str]:
+    """Return the names of the joint origins between the last joint with a motor and the first target that one moves."""
+    target = (*robot.mechanism.moved_targets, robot.mechanism.targets[0])[0]
+    parent = {joint.child: joint for joint in robot.urdf.joints}
+    link, names = robot.description.targets[target.name].frame, set[str]()
+    while link in parent and parent[link].name not in robot.joint_names:
+        names.add(parent[link].name)
+        link = parent[link].parent
+    return frozenset(names)
+
+
+def _values(robot: Robot) -> dict[str, float]:
+    return dict(zip((parameter.name for parameter in robot.parameters), map(float, robot.values), strict=True))

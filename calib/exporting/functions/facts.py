@@ -1,0 +1,222 @@
+"""A robot as the facts that a function needs which computes its tool poses: trees, terms of joint errors, gravity.
+
+Joint errors are sums of two kinds of terms (`calib.joint_terms.formula`), with their coefficients multiplied in; those
+that are zero are left out. The torque of gravity that some depend on is that of the nominal robot, whose tree is
+therefore a second one.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from calib.base.arrays import FloatArray, ReadOnlyArrays
+from calib.base.errors import ComputationError, DataError
+from calib.exporting.functions.trees import Tree, tree_of
+from calib.joint_terms.formula import Proportional, Source
+from calib.robots import loops
+from calib.robots.joint_errors import driven_by, payload_frame, with_masses
+from calib.robots.robot import Robot
+
+_STARTS = 64
+CONDITIONS = {
+    Source.APPROACH: "approach",
+    Source.TIME: "time",
+    Source.WARMTH: "temperature",
+    Source.TORQUE: "load",
+}
+"""The condition of a command that each source needs, by the name that functions give it."""
+
+
+@dataclass(frozen=True)
+class Share:
+    """A driven joint is off by `rate` times a number that is known of the command.
+
+    Attributes:
+        driven: Which driven joint.
+        source: Which number.
+        place: Of which joint, where there is one for each.
+        rate: The coefficient, with all constants.
+    """
+
+    driven: int
+    source: Source
+    place: int
+    rate: float
+
+
+@dataclass(frozen=True, eq=False)
+class Wave(ReadOnlyArrays):
+    """A driven joint is off by sum over k of sine_k sin(k base q) + cosine_k cos(k base q), k = 1, 2, ...
+
+    Attributes:
+        driven: Which driven joint.
+        place: Which actuated joint q is the command of.
+        base: Phase per unit of q [rad/rad or rad/m].
+        sine, cosine: The coefficients, (n_orders,) each [m or rad].
+    """
+
+    driven: int
+    place: int
+    base: float
+    sine: FloatArray
+    cosine: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Gravity(ReadOnlyArrays):
+    """What the torques of gravity need.
+
+    Attributes:
+        tree: The nominal robot's; its world is the root link.
+        masses: Of what each joint carries next, (n_joints,) [kg].
+        moments: Mass times centre in the frame behind the joint, (n_joints, 3) [kg m].
+        payload: Joint that carries the payload, from 1, and where it hangs behind it, (3,) [m].
+        acceleration: Of gravity, (3,) [m/s^2].
+    """
+
+    tree: Tree
+    masses: FloatArray
+    moments: FloatArray
+    payload: tuple[int, FloatArray]
+    acceleration: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class RobotFacts(ReadOnlyArrays):
+    """What a function needs of a robot.
+
+    Attributes:
+        name: The robot's name.
+        joints: Names of the actuated joints, in the order of commands.
+        units: Unit of each, `rad` or `m`.
+        tools: Names of the targets.
+        tree: The robot's; its first frame is the measurement frame, then one for each target.
+        shares, waves: Its joint errors.
+        gravity: For torques; None where nothing depends on them.
+        conditions: Names of the conditions that the joint errors depend on.
+        lower, upper: Limits of the actuated joints, (n_actuated,) [m or rad].
+        length: Characteristic length [m].
+        base: Pose of the measurement frame in the root link, (4, 4) [m]; None where joints move it.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    units: tuple[str, ...]
+    tools: tuple[str, ...]
+    tree: Tree
+    shares: tuple[Share, ...]
+    waves: tuple[Wave, ...]
+    gravity: Gravity | None
+    conditions: tuple[str, ...]
+    lower: FloatArray
+    upper: FloatArray
+    length: float
+    base: FloatArray | None
+
+
+def facts_of(robot: Robot) -> RobotFacts:
+    """Return the facts of a robot with its current values.
+
+    Raises:
+        ComputationError: No configuration is known at which the loops close.
+    """
+    mechanism = robot.mechanism
+    commands, configurations = _starts(robot)
+    frames = [mechanism.targets[0].a, *(target.b for target in mechanism.targets)]
+    shares, waves = _errors(robot)
+    needs_torque = any(share.source is Source.TORQUE for share in shares)
+    sources = {share.source for share in shares}
+    lower, upper = robot.urdf.limits(mechanism.actuated)
+    return RobotFacts(
+        name=robot.name,
+        joints=robot.joint_names,
+        units=tuple("m" if mechanism.dimensions[name] == "length" else "rad" for name in robot.joint_names),
+        tools=robot.target_names,
+        tree=tree_of(mechanism, robot.mode, frames, configurations),
+        shares=shares,
+        waves=waves,
+        gravity=_gravity(robot, commands) if needs_torque else None,
+        conditions=tuple(name for source, name in CONDITIONS.items() if source in sources),
+        lower=lower,
+        upper=upper,
+        length=mechanism.length,
+        base=_base(robot),
+    )
+
+
+def _starts(robot: Robot) -> tuple[FloatArray, FloatArray]:
+    """Commands (n, n_actuated) spread over the joint limits, home first, and x of the closed configurations there."""
+    commands = robot.home[None]
+    if robot.mechanism.loops:
+        with suppress(DataError):  # then too little is known of where it can go, and home is one place
+            commands = np.vstack([commands, robot.sample(_STARTS - 1)])
+    closed = robot.close(commands)
+    kept = np.flatnonzero(closed.ok)
+    if len(kept) == 0:
+        raise ComputationError(f"{robot.path}: no pose is known at which the loops close with these values")
+    found = robot.configurations(commands[kept], closed.at(kept))
+    return commands[kept], np.hstack([found.actuated, found.passive])
+
+
+def _errors(robot: Robot) -> tuple[tuple[Share, ...], tuple[Wave, ...]]:
+    """The joint errors, terms of one kind for one joint added up."""
+    rates: dict[tuple[int, Source, int], float] = {}
+    series: dict[tuple[int, int, float], dict[int, FloatArray]] = {}
+    start = robot.coefficients.start
+    for term in robot.terms:
+        values = robot.values[start : start + len(term.parameters)]
+        start += len(term.parameters)
+        for driven in driven_by(term, robot.mechanism):
+            formula = term.formula(driven)
+            if isinstance(formula, Proportional):
+                key = (driven, formula.source, formula.place)
+                rates[key] = rates.get(key, 0.0) + formula.factor * float(values[0])
+                continue
+            of_orders = series.setdefault((driven, formula.place, formula.base), {})
+            for order, pair in zip(formula.orders, values.reshape(-1, 2), strict=True):
+                of_orders[order] = of_orders.get(order, np.zeros(2)) + pair
+    shares = tuple(Share(*key, rate) for key, rate in rates.items() if rate)
+    waves = []
+    for (driven, place, base), of_orders in series.items():
+        used = [order for order, pair in of_orders.items() if np.any(pair)]
+        if used:
+            table = np.array([of_orders.get(order, np.zeros(2)) for order in range(1, max(used) + 1)])
+            waves.append(Wave(driven, place, base, table[:, 0], table[:, 1]))
+    return shares, tuple(waves)
+
+
+def _gravity(robot: Robot, commands: FloatArray) -> Gravity:
+    nominal = robot.nominal
+    driven = nominal.untilted(commands)
+    closed = loops.close(nominal, robot.mode, driven)
+    starts = np.hstack([driven, closed.passive])[closed.ok]
+    masses = with_masses(robot.urdf, nominal)
+    bodies = {} if masses is None else {k: body for k, body in enumerate(masses.inertias) if k and body.mass > 0}
+    payload = payload_frame(nominal, robot.description.payload)
+    tree = tree_of(nominal, robot.mode, [*bodies, payload], starts, from_root=True)
+    n_joints = len(tree.joints)
+    mass, moment = np.zeros(n_joints + 1), np.zeros((n_joints + 1, 3))
+    for frame, body in zip(tree.frames, bodies.values(), strict=False):
+        mass[frame.after] += body.mass
+        moment[frame.after] += body.mass * (frame.placement[:3, :3] @ body.lever + frame.placement[:3, 3])
+    hangs = tree.frames[len(bodies)]
+    return Gravity(
+        tree, mass[1:], moment[1:], (hangs.after, hangs.placement[:3, 3]), nominal.model.gravity.linear.copy()
+    )
+
+
+def _base(robot: Robot) -> FloatArray | None:
+    """The pose of the measurement frame in the root link, unless joints move it."""
+    mechanism, frame = robot.mechanism, robot.mechanism.targets[0].a
+    joints = np.flatnonzero(mechanism.support[frame])
+    if np.any(mechanism.select_moving[joints]):
+        return None
+    pose = pin.SE3.Identity()
+    for k in joints.tolist():
+        motion = pin.Motion(mechanism.axes[k] * mechanism.constant[k])
+        pose = pose * mechanism.model.jointPlacements[k + 1] * pin.exp6(motion)
+    return np.array(pose.homogeneous)

@@ -1,0 +1,39 @@
+"""Writing a robot as a function: one file that computes tool poses from commands, and needs nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from calib.base.errors import InputError
+from calib.exporting.functions.c_text import c_text
+from calib.exporting.functions.facts import facts_of
+from calib.exporting.functions.python_text import python_text
+from calib.robots.robot import Robot
+
+LANGUAGES = ("numpy", "c", "jax", "torch", "casadi")
+"""C, and libraries of Python."""
+COMMENTS = {"c": "//"}
+"""How comments of a language begin, where that is not as in Python."""
+
+
+def function_file(robot: Robot, language: str, lines: Sequence[str]) -> bytes:
+    """Return the file.
+
+    Args:
+        robot: The robot, with its current values.
+        language: One of `LANGUAGES`.
+        lines: What the file says of where the numbers come from.
+
+    Raises:
+        InputError: A loop constrains whole poses, or nothing moves the robot's target.
+        ComputationError: No configuration is known at which the loops close.
+    """
+    for loop in robot.mechanism.loops:
+        if loop.full_pose:
+            raise InputError(
+                f"format '{language}': loop {loop.name} is of type 6d, which functions cannot close; describe it with"
+                " closures of type 3d"
+            )
+    facts, said = facts_of(robot), [f"Made from {robot.path}.", *lines]
+    text = c_text(facts, said) if language == "c" else python_text(facts, language, said)
+    return text.encode()

@@ -1,0 +1,70 @@
+"""How far parameters are off because readings are no linear function of what only priors hold.
+
+Along a direction that readings do not see, an origin and the base turned against each other, say, the values that read
+the same lie on a curve. The linear model follows its tangent. Readings know a parameter to micrometres at one place of
+the curve; another place, a standard deviation of a prior away, has another value of it, off by the products of such
+errors: 3 mrad of 1 mm are 3 um.
+
+Let the error of the scaled parameters be d = sum of x_i t_i with x_i ~ N(0, 1) in the linear model, t_i the columns of
+T V (`calib.numerics.statistics`), V the eigenvectors of the share S of the priors. Whitened readings then change by
+J d + c, c = 1/2 sum of x_i x_j H t_i t_j with H their second derivative, and the parameters follow by a Gauss-Newton
+step back onto what was read:
+
+    e = -T T^T J^T c = 1/2 sum of x_i x_j b_ij,          E e^2 = 1/2 sum of b_ij^2 + 1/4 (sum of b_ii)^2
+
+for each parameter. H t_i is the difference of two Jacobians. Only pairs count of which priors hold at least one (a
+share above 0.1): what readings decide is known so well that its square is nothing.
+
+E e^2 widens the intervals of single parameters, on both sides. It is no part of the covariance: positions do not change
+along the curve, and their covariance is that of the linear model around the solution.
+
+When it fails. It is the second order. Where angles are open by a tenth of a radian the third counts, too; then the
+verdict says so. Along directions in which a loop opens nothing is known, and nothing is added.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.base.arrays import FloatArray
+from calib.fitting.problem import Problem
+from calib.numerics.statistics import prior_shares
+from calib.robots.robot import Robot
+from calib.rows.rows import Rows
+
+_HELD = 0.1  # share of the priors in a direction above which its square counts
+_STEP = 0.1  # of a difference of Jacobians, in standard deviations
+
+
+def mean_square_beyond_linear(problem: Problem, robot: Robot, rows: Rows, groups: FloatArray) -> FloatArray:
+    """Return E e^2 of the module docstring in the square of the parameters' scales, (n_free,).
+
+    Args:
+        problem: The problem; stays as it is.
+        robot: The robot at the minimum.
+        rows: Whitened rows there.
+        groups: Scale of the noise of each group, (n_groups,).
+    """
+    root, problem = rows.known.root, problem.apart()
+    shares, turned = np.linalg.eigh(prior_shares(rows.known, rows.has_prior))
+    directions, held = root @ turned, shares > _HELD
+    back = root @ (root.T @ rows.jacobian.T)
+    squares, mean = np.zeros(len(root)), np.zeros(len(root))
+    for i in np.flatnonzero(held):
+        changed = _turned_jacobian(problem, robot, rows, groups, directions[:, i])
+        bent = -back @ (changed @ directions)
+        squares += np.sum(bent**2 * np.where(held, 0.5, 1.0), axis=1)  # j, i is the same as i, j
+        mean += bent[:, i] / 2
+    return squares + mean**2
+
+
+def _turned_jacobian(
+    problem: Problem, robot: Robot, rows: Rows, groups: FloatArray, direction: FloatArray
+) -> FloatArray:
+    """H t, the derivative of the whitened Jacobian along a direction t (n_free,), (n_rows, n_free)."""
+    for step in (_STEP, -_STEP):
+        moved = problem.moved(robot, problem.unknowns, rows.deviations + step * direction)
+        evaluation = problem.evaluate_if_closed(moved)
+        if evaluation is not None:
+            return np.asarray((problem.rows(evaluation, groups).jacobian - rows.jacobian) / step)
+    return np.zeros_like(rows.jacobian)

@@ -1,0 +1,150 @@
+"""Identification: the parameter values that explain the measurements best.
+
+Minimise, over u = (p - p_nominal) / s,
+
+    sum over visits  r^T V^-1 r   +   sum over parameters with a prior  u^2
+
+with r the residuals of all readings of a visit and V the covariance of their noise (`calib.rows.rows`), by
+`calib.numerics.least_squares`.
+
+Order of work: (1) close every pose at nominal, or name those that cannot be; (2) where measurement frames or targets
+are not known, they are placed alone, near where they are expected if a sigma says so: this is the honest state
+`before`; (3) all free parameters together, with the noise that nobody states, from several starts if asked for
+(`calib.fitting.solving`); (4) with a robust loss, again with weights (`calib.fitting.robust`); (5) rank, statistics and
+error tables at the solution, places that only validation poses show placed by these. What is done around one fit
+(joint terms chosen, outliers left out, poses left out in turns) is said in `calib.calibrating.calibrate`.
+
+When it fails. Fewer coordinates than unknowns, or columns that the poses cannot tell apart and no prior holds, is a
+`NotIdentifiableError` that names the parameters. A fit that did not converge comes back, and says so.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+
+import numpy as np
+
+from calib.base.arrays import FloatArray
+from calib.base.errors import ComputationError, UnreachablePoseError
+from calib.base.workers import Steps
+from calib.data.measurements import Measurements
+from calib.fitting.error_sets import ErrorSet
+from calib.fitting.fitted import Fit
+from calib.fitting.pose_checks import check_measurements, require_identifiable
+from calib.fitting.problem import Evaluation, Problem
+from calib.fitting.settings import Settings
+from calib.fitting.solving import convergence_at, place, seen_from, solve_from, uncertainty_at
+from calib.fitting.unseen_places import placed_by, unseen
+from calib.numerics.observability import observability
+from calib.robots.robot import Configurations, Robot
+from calib.rows.observed import observe
+
+
+def fit_data(
+    robot: Robot,
+    settings: Settings,
+    data: Measurements,
+    validation: Measurements | None = None,
+    workers: Executor | None = None,
+    steps: Steps | None = None,
+) -> Fit:
+    """Fit a robot to measurements, once.
+
+    Args:
+        robot: The nominal robot, with the joint terms that it shall have.
+        settings: How; outliers, folds and the choice of terms are the caller's.
+        data: Measurements to identify with.
+        validation: Measurements to judge the result with, or None.
+        workers: Who does the fits of other starts; this process if not given.
+        steps: Told of each step that is done; of nobody if not given.
+
+    Raises:
+        UnreachablePoseError, DataError, NotIdentifiableError, NotConvergedError: See
+            `calib.calibrating.calibrate.calibrate`.
+    """
+    steps = steps or Steps()
+    later = () if validation is None else unseen(robot, data, validation)
+    seen = robot.hold(*later) if later else robot
+    check_measurements(seen, data)
+    problem = Problem(seen, data, settings.sigma)
+    placed = place(problem)
+    start = problem.evaluate(placed)
+    steps.done()
+    begin = seen_from(problem, placed)
+    determined = require_identifiable(problem, problem.evaluate(begin))  # before the solver, as `calib check` does
+    solved = solve_from(problem, begin, settings, workers, steps.done)
+    steps.done()
+    final = problem.evaluate(solved.robot)
+    require_identifiable(problem, final)
+    rows, scales, uncertainty = uncertainty_at(problem, final, solved, settings)
+    calibrated = solved.robot
+    if validation is not None and later:
+        placed, calibrated = (placed_by(validation, one.free(*later), later) for one in (placed, calibrated))
+    fit = Fit(
+        nominal=robot,
+        placed=placed,
+        robot=calibrated,
+        identification=ErrorSet(
+            data,
+            robot.instruments,
+            start.residuals,
+            final.residuals,
+            calibrated.singular_values(final.configurations),
+            final.configurations.passive,
+        ),
+        validation=None if validation is None else errors_on(placed, calibrated, validation),
+        configurations=final.configurations,
+        unknowns=problem.unknowns,
+        statistics=uncertainty,
+        determination=determined,
+        observability=_observability(problem, final, determined.free.rank),
+        rows=rows,
+        whitening=problem.whitening,
+        scales=scales,
+        message=solved.solution.message,
+        seconds=float("nan"),
+        convergence=convergence_at(problem, solved, rows, uncertainty.std),
+        loss=settings.loss,
+        weights=np.ones(rows.layout.n_readings) if solved.weights is None else solved.weights,
+        sigma_given=settings.sigma,
+        starts=solved.starts,
+        seed=settings.seed,
+        placed_later=later,
+    )
+    steps.done()
+    return fit
+
+
+def _observability(problem: Problem, final: Evaluation, rank: int) -> dict[str, float]:
+    """O1 to O5 of the scaled Jacobian of readings in SI units, as measured: of metres, where only positions are."""
+    units = 1.0 / np.array([group.typical if group.stated else 1.0 for group in problem.whitening.groups])
+    own = problem.unknowns.only(problem.unknowns.family < 0)  # of families, priors decide what counts
+    rows = problem.whitening.rows(final.observed, units, own, own.deviations(final.robot.values))
+    factor = rows.factor[:, :-1]
+    return observability(np.linalg.svd(factor, compute_uv=False)[:rank], len(problem.data))
+
+
+def errors_on(placed: Robot, calibrated: Robot, data: Measurements) -> ErrorSet:
+    """Return errors on visits that were not used.
+
+    Args:
+        placed: The robot before calibration.
+        calibrated: The robot after it.
+        data: The visits.
+
+    Raises:
+        UnreachablePoseError: The robot before cannot be assembled at a visit.
+        ComputationError: The robot after it cannot.
+    """
+    before, _ = _errors_of(placed, data)
+    try:
+        after, found = _errors_of(calibrated, data)
+    except UnreachablePoseError as error:
+        raise ComputationError(f"with the parameters found, the robot cannot be assembled: {error}") from None
+    return ErrorSet(data, placed.instruments, before, after, calibrated.singular_values(found), found.passive)
+
+
+def _errors_of(robot: Robot, data: Measurements) -> tuple[dict[str, FloatArray], Configurations]:
+    configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
+    observed = observe(robot, configurations, data.readings)
+    return {name: one.residuals for name, one in observed.items()}, configurations

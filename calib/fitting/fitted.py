@@ -1,0 +1,317 @@
+"""A finished fit: what was found, and what follows from that alone. What it is worth is for `calib.judging` to say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.data.in_memory import as_poses
+from calib.data.measurements import Poses
+from calib.fitting.error_sets import ErrorSet, Folds
+from calib.fitting.estimates import Covariance, Estimates, estimates
+from calib.fitting.outliers import Outlier
+from calib.fitting.starts import Starts
+from calib.fitting.terms.candidate_terms import TermChoice
+from calib.joint_terms.term import Context
+from calib.numerics.identifiability import Rank
+from calib.numerics.losses import Loss
+from calib.numerics.statistics import ChiSquare, Statistics, chi_square
+from calib.numerics.variance_components import EXACT
+from calib.robots.held import Holds
+from calib.robots.robot import Configurations, Robot
+from calib.rows.determination import Determination
+from calib.rows.observed import observe
+from calib.rows.prediction import ParameterUncertainty, PositionUncertainty
+from calib.rows.rows import Group, Rows, Scales
+from calib.rows.told_positions import ToldPositions
+from calib.rows.unknowns import Unknowns
+from calib.rows.whitening import Whitening
+
+COMPUTED = 1e-7
+"""Noise below this [SI], and below a hundredth of what was stated, is what priors leave of data without noise."""
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """How the iteration ended.
+
+    Attributes:
+        converged: Whether the solver met a stopping rule, robust weights stand, and no step is left.
+        message: What the solver said.
+        step_left: Largest Gauss-Newton step left, over the standard deviation of its parameter.
+        parameter: That parameter.
+        weights_stand: Whether the weights of a robust loss have settled; True without one.
+    """
+
+    converged: bool
+    message: str
+    step_left: float
+    parameter: str
+    weights_stand: bool
+
+
+@dataclass(frozen=True)
+class FoundNoise:
+    """Noise of one group of rows.
+
+    Attributes:
+        group: The group.
+        sigma: Typical standard deviation of one component, as found [SI].
+        stated: The same as stated [SI], or None.
+        freedom: Degrees of freedom that it was found with.
+    """
+
+    group: Group
+    sigma: float
+    stated: float | None
+    freedom: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit(ReadOnlyArrays):
+    """A finished identification.
+
+    Attributes:
+        nominal: The robot as described.
+        placed: The robot `before`: nominal, with base and targets placed where these are not known.
+        robot: The calibrated robot.
+        identification: Errors on the visits that were used.
+        validation: Errors on visits that were not used, if there were any.
+        configurations: The assembled visits of `identification`, at the solution.
+        unknowns: The free parameters.
+        statistics: Their uncertainty.
+        determination: What poses and priors determine, at `placed`: as `calib check` tells.
+        observability: O1 to O5 on scaled columns.
+        rows: Whitened residuals and Jacobian at the solution, without the weights of a robust loss.
+        whitening: What whitened them.
+        scales: What was assumed of the noise.
+        message: What the solver said.
+        seconds: Duration of the whole computation.
+        convergence: How the iteration ended.
+        loss: Robust loss.
+        weights: Weight of each reading, (n_readings,); 1 without a robust loss.
+        sigma_given: Noise of positions that replaced what the description states [m], or None.
+        starts: Ends of perturbed starts, if they were asked for.
+        folds: Cross-validation, if it was asked for.
+        excluded: Outliers that were left out, as they were in `with_all`.
+        with_all: The fit of all visits, where outliers were left out of this one.
+        terms: Which joint terms were asked for, if any were, and what choosing them found.
+        reduced: Fits of the same measurements without terms of joint errors that files lose, by how much these hold;
+            None where nobody asked for files.
+        seed: Seed of every random choice.
+        placed_later: Parameters of places that validation poses alone show, and that these placed.
+    """
+
+    nominal: Robot
+    placed: Robot
+    robot: Robot
+    identification: ErrorSet
+    validation: ErrorSet | None
+    configurations: Configurations
+    unknowns: Unknowns
+    statistics: Statistics
+    determination: Determination
+    observability: dict[str, float]
+    rows: Rows
+    whitening: Whitening
+    scales: Scales
+    message: str
+    seconds: float
+    convergence: Convergence
+    loss: Loss
+    weights: FloatArray
+    sigma_given: float | None
+    starts: Starts | None = None
+    folds: Folds | None = None
+    excluded: tuple[Outlier, ...] = ()
+    with_all: Fit | None = None
+    terms: TermChoice | None = None
+    reduced: Mapping[Holds, Fit] | None = None
+    seed: int = 0
+    placed_later: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return (
+            f"<{type(self).__name__} of '{self.nominal.name}': {self.identification.data.n_poses} poses,"
+            f" {len(self.unknowns)} free parameters>"
+        )
+
+    @property
+    def converged(self) -> bool:
+        """Whether the iteration reached a minimum."""
+        return self.convergence.converged
+
+    @property
+    def rank(self) -> Rank:
+        """Rank of the free parameters, from the poses alone."""
+        return self.determination.free
+
+    @property
+    def rank_all(self) -> Rank:
+        """Rank of all parameters, held ones included, from the poses alone."""
+        return self.determination.everything
+
+    @property
+    def free(self) -> BoolArray:
+        """Which parameters were free, (n_parameters,)."""
+        return np.isin(np.arange(len(self.nominal.parameters)), self.unknowns.index)
+
+    @cached_property
+    def parameters(self) -> Estimates:
+        """What was found of each parameter, by name: in the unit of each, and in m or rad as `..._si`."""
+        found = estimates(self.nominal.parameters, self.robot.values, self.free, self.statistics)
+        later = {name: replace(found[name], status="placed") for name in self.placed_later}
+        return Estimates({**found, **later}) if later else found
+
+    @property
+    def covariance(self) -> Covariance:
+        """Covariance of the free parameters, by name."""
+        return Covariance(self.free_names, self.statistics.covariance)
+
+    @property
+    def residuals(self) -> dict[str, FloatArray]:
+        """Predicted minus read after calibration, of each instrument, (n_readings, n_rows) [SI]."""
+        return dict(self.identification.after)
+
+    @property
+    def free_names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        return self.unknowns.names
+
+    @cached_property
+    def noise(self) -> tuple[FoundNoise, ...]:
+        """Noise of each group of rows, as found and as stated."""
+        factors, totals = self.statistics.factors, self.whitening.totals(self.scales)
+        return tuple(
+            FoundNoise(
+                group,
+                float(factors.found[g] * totals[g] * group.typical),
+                group.typical if group.stated else None,
+                float(factors.freedom[g]),
+            )
+            for g, group in enumerate(self.whitening.groups)
+        )
+
+    @property
+    def first_noise(self) -> FoundNoise:
+        """Noise of measured positions; of the first group of rows where none are."""
+        return next((one for one in self.noise if one.group.part == "position"), self.noise[0])
+
+    @property
+    def sigma(self) -> float:
+        """Noise of one measured position per axis, as found [m]; of the first kind of rows where none are [SI]."""
+        return self.first_noise.sigma
+
+    @property
+    def sigma_stated(self) -> float | None:
+        """The same as stated, or None."""
+        return self.first_noise.stated
+
+    @property
+    def offsets(self) -> dict[str, FloatArray]:
+        """Error in all readings of an instrument at a pose that they are weighed for, (n_rows,) [SI], by name."""
+        instruments = self.robot.instruments
+        sizes = self.scales.ratios * self.whitening.offset_scale(self.scales.groups)
+        ends = np.cumsum([one.n_rows for one in instruments])[:-1]
+        parts = zip(instruments, np.split(sizes, ends), strict=True)
+        return {one.name: part for one, part in parts if np.any(part > 0)}
+
+    @property
+    def chi_square(self) -> ChiSquare | None:
+        """The stated noise against the residuals; None where some of it was not stated."""
+        if not all(group.stated for group in self.whitening.groups):
+            return None
+        factors = self.statistics.factors
+        found = factors.found * self.whitening.totals(self.scales)
+        mean_square = float(np.sum(factors.freedom * found**2) / factors.total_freedom)
+        return chi_square(float(np.sqrt(mean_square)), factors.total_freedom)
+
+    @property
+    def computed(self) -> bool:
+        """Whether the data were computed, not measured: no noise, or none beside what was stated to weigh priors."""
+        return all(
+            one.sigma < EXACT or (one.sigma < COMPUTED and one.stated is not None and one.sigma < 0.01 * one.stated)
+            for one in self.noise
+        )
+
+    @cached_property
+    def assembles(self) -> bool:
+        """Whether the calibrated robot can be assembled at all its poses, starting from its home configuration."""
+        return bool(
+            np.all(self.robot.close(self.identification.data.joints, columns=self.configurations.term_columns).ok)
+        )
+
+    def predict(self, poses: Poses | ArrayLike, context: Context | None = None) -> PositionUncertainty:
+        """Predict positions with their covariance.
+
+        Args:
+            poses: Poses, whose conditions count; or actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
+            context: Other conditions under which they are commanded; joint terms may depend on it.
+
+        Raises:
+            DataError: Joint values of the wrong shape, or not finite.
+            UnreachablePoseError: A loop stays open.
+        """
+        told = as_poses(self.robot, poses)
+        return self.uncertainty.at(self.robot, told.joints, told.conditions if context is None else context)
+
+    @cached_property
+    def told_positions(self) -> ToldPositions:
+        """How well positions are known, in the frame that means something."""
+        return ToldPositions.of(self.robot, self.uncertainty, self.identification.data.joints)
+
+    @property
+    def uncertainty(self) -> ParameterUncertainty:
+        """How sure the free parameters are."""
+        return ParameterUncertainty(self.free, self.statistics.covariance, self.statistics.coverage_factor)
+
+    @cached_property
+    def identification_uncertainty(self) -> PositionUncertainty:
+        """Predicted positions of the visits that were used, with their covariance as it is told."""
+        data = self.identification.data
+        return self.told_positions.at(data.joints, data.conditions, self.identification.passive)
+
+    @cached_property
+    def validation_uncertainty(self) -> PositionUncertainty | None:
+        """Predicted positions of the visits that were not used, with their covariance as it is told."""
+        if self.validation is None:
+            return None
+        data = self.validation.data
+        return self.told_positions.at(data.joints, data.conditions, self.validation.passive)
+
+    def whitened(self, errors: ErrorSet) -> tuple[FloatArray, Rows]:
+        """Return whitened residuals before calibration (n_rows,), and the rows after it, by the noise as found.
+
+        Args:
+            errors: Of visits that were not used, or that were left out in turns.
+        """
+        data = errors.data
+        whitening = Whitening(self.robot, data, self.sigma_given)
+        configurations = self.robot.assemble(data.joints, errors.passive, data.labels, data.conditions)
+        observed = observe(self.robot, configurations, data.readings)
+        known = {(one.group.name, one.group.part, one.group.stated): one for one in self.noise}
+        factors = whitening.start(errors.after)  # of instruments that the fit has not seen
+        for g, group in enumerate(whitening.groups):
+            one = known.get((group.name, group.part, group.stated))
+            if one is not None:
+                factors[g] = max(one.sigma, 1e-30) / one.group.typical
+        divisor = whitening.row_scale(factors)
+        rows = whitening.rows(observed, factors, self.unknowns, self.unknowns.deviations(self.robot.values))
+        rows = replace(rows, residuals=whitening.flatten(errors.after) / divisor)
+        return whitening.flatten(errors.before) / divisor, rows
+
+    @cached_property
+    def validation_rows(self) -> Rows | None:
+        """Whitened rows of the visits that were not used; None without them."""
+        return None if self.validation is None else self.whitened(self.validation)[1]
+
+    @cached_property
+    def root(self) -> FloatArray:
+        """T of `calib.numerics.observability` at the solution, with the weights of a robust loss, (n_free, rank)."""
+        rows = self.rows if np.all(self.weights == 1.0) else self.rows.weighted(self.weights)
+        return rows.known.root

@@ -1,0 +1,198 @@
+"""Fitting with a robust loss: least squares again and again, with weights from the residuals before.
+
+Given weights, the problem is the one of `calib.fitting.problem`; given its solution, `calib.numerics.losses`
+gives new weights. The alternation runs on the linear model around the present parameters, where a round costs next to
+nothing, until the weights stand; then the parameters go where the linear model says, and so on until the weights stand
+there too. Last, the true problem is solved with these weights.
+
+Noise that nobody stated is that of the median reading: least squares finds the scales of the groups of rows, and each
+is brought to where the median length of its readings says. So is noise that is stated, where the median reading
+contradicts it (`calib.fitting.solving` says why); of a few gross errors the median knows nothing.
+
+Cauchy and Tukey have several minima. They start from Huber's solution, which on a linear model has one, and keep its
+scale (the MM principle), so that the alternation cannot run away with a shrinking scale.
+
+Reference: maronna2019, chapter 5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from calib.base.arrays import BoolArray, FloatArray
+from calib.base.errors import ComputationError, NotIdentifiableError
+from calib.fitting.problem import Evaluation, Problem
+from calib.numerics.least_squares import Solution
+from calib.numerics.losses import Loss, median_length, robust_factors, scale_of, weights_of
+from calib.numerics.observability import information, prior_rows
+from calib.numerics.statistics import Factors, effective_parameters
+from calib.numerics.variance_components import EXACT
+from calib.robots.robot import Robot
+from calib.rows.rows import Rows
+
+_ROUNDS = 20
+_LINEAR_ROUNDS = 200
+_WEIGHTS_STAND = 1e-4
+_MEDIAN = 0.37  # efficiency of the median of absolute values as a scale, for normal noise (maronna2019)
+_SMALLEST_SCALE = 1e-8  # below ten nanometres a residual is rounding [SI]
+_TOO_FEW_LEFT = (
+    "the poses that the robust loss still believes do not determine the parameters: too many measurements disagree with"
+    " each other; check them, or fit with --loss none"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class RobustFit:
+    """The end of the alternation.
+
+    Attributes:
+        robot: The solution.
+        solution: What the solver said last.
+        weights: Weight of each reading, (n_readings,).
+        factors: What the residuals say about the assumed noise.
+        groups: Scale of the noise of each group that was assumed, (n_groups,).
+        settled: Whether the weights stand.
+    """
+
+    robot: Robot
+    solution: Solution
+    weights: FloatArray
+    factors: Factors
+    groups: FloatArray
+    settled: bool
+
+
+def solve_robust(problem: Problem, start: Robot, loss: Loss, groups: FloatArray) -> RobustFit:
+    """Minimise with a robust loss.
+
+    Args:
+        problem: The problem; identifiable from its data and priors.
+        start: The least-squares solution.
+        loss: Not `none`.
+        groups: Scale of the noise of each group as least squares assumed it, (n_groups,).
+
+    Raises:
+        NotIdentifiableError: What the loss leaves of the data does not determine the parameters.
+    """
+    layout = problem.whitening.layout
+    groups = _believed(problem, problem.rows(problem.evaluate(start), groups), groups)
+    found_everywhere = bool(np.all(problem.found))
+    robot, scale = start, float("nan")
+    stages: tuple[Loss, ...] = ("huber",) if loss == "huber" else ("huber", loss)
+    for stage in stages:
+        fixed = scale if stage != "huber" else None
+        weights: FloatArray = np.ones(layout.n_readings)
+        settled = False
+        for _ in range(_ROUNDS):
+            rows = problem.rows(problem.evaluate(robot), groups)
+            if stage == "huber":
+                groups = _median_scales(rows, groups, problem.found)
+                rows = problem.rows(problem.evaluate(robot), groups)
+            now, scale, step = _linear_solution(rows, stage, fixed, found_everywhere)
+            settled = bool(np.max(np.abs(now - weights)) < _WEIGHTS_STAND)
+            weights = now
+            if settled:
+                break
+            robot = (
+                _stepped(problem, robot, rows, step, weights, groups)
+                or problem.solve(robot, groups, weights=weights)[0]
+            )
+    if found_everywhere:  # priors weigh against the noise of the median reading
+        groups, scale = groups * scale, 1.0
+    robot, solution = problem.solve(robot, groups, weights=weights)
+    final = problem.rows(problem.evaluate(robot), groups)
+    known = information(np.sqrt(np.mean(weights)) * final.factor[:, :-1], prior_rows(final.has_prior))
+    n_effective = effective_parameters(known, final.has_prior)
+    one = robust_factors(loss, final.distances(), layout.width, scale, n_effective)
+    n_rows = np.bincount(layout.group[layout.group >= 0], minlength=len(layout.groups))
+    every = np.ones(len(n_rows))
+    factors = Factors(one.found * every, one.freedom * n_rows / n_rows.sum(), one.effective * every, one.slope)
+    return RobustFit(robot, solution, weights, factors, groups, settled)
+
+
+def _believed(problem: Problem, rows: Rows, groups: FloatArray) -> FloatArray:
+    """Return scales (n_groups,): the stated ones 1, or as found where the median reading contradicts them."""
+    unstated = problem.found = problem.unstated
+    if not problem.noise_weighs or np.all(unstated):
+        return groups
+    step = _linear_solution(rows, "huber", None, True)[2]
+    found = groups * _levels(replace(rows, residuals=rows.residuals + rows.jacobian @ step))
+    problem.found = unstated | problem.contradicted(found, _MEDIAN)
+    return np.where(unstated, groups, np.where(problem.found, found, 1.0))
+
+
+def _levels(rows: Rows) -> FloatArray:
+    """Scale of each group, over what it is assumed to be, by the median length of its readings, (n_groups,)."""
+    layout = rows.layout
+    levels = np.ones(len(layout.groups))
+    for g in range(len(levels)):
+        mine = layout.group == g
+        width = np.bincount(layout.reading[mine], minlength=layout.n_readings)
+        length = np.sqrt(np.bincount(layout.reading[mine], rows.residuals[mine] ** 2, layout.n_readings))
+        has_rows = width > 0
+        if np.any(has_rows):
+            levels[g] = float(np.median(length[has_rows] / median_length(width[has_rows])))
+    return levels
+
+
+def _median_scales(rows: Rows, groups: FloatArray, found: BoolArray) -> FloatArray:
+    """Bring the scale of each group whose noise is found, beside the first, to where its median reading says."""
+    if len(groups) == 1 or not np.any(found):
+        return groups
+    return groups * np.where(found, np.maximum(_levels(rows), EXACT), 1.0)
+
+
+def _stepped(
+    problem: Problem, robot: Robot, rows: Rows, step: FloatArray, weights: FloatArray, groups: FloatArray
+) -> Robot | None:
+    """Return the robot one Gauss-Newton step on; None if that lowers nothing."""
+    further = problem.moved(robot, problem.unknowns, rows.deviations + step)
+    try:
+        reached: Evaluation = problem.evaluate(further)
+    except ComputationError:
+        return None
+    return further if problem.rows(reached, groups).weighted(weights).cost < rows.weighted(weights).cost else None
+
+
+def _linear_solution(
+    rows: Rows, loss: Loss, fixed_scale: float | None, found_everywhere: bool
+) -> tuple[FloatArray, float, FloatArray]:
+    """Alternate on the linear model; return weights (n_readings,), scale, and the step to its solution (n_free,)."""
+    layout = rows.layout
+    weights: FloatArray = np.ones(layout.n_readings)
+    step: FloatArray = np.zeros(rows.jacobian.shape[1])
+    scale, smallest = fixed_scale or 0.0, _SMALLEST_SCALE / max(group.typical for group in layout.groups)
+    priors = prior_rows(rows.has_prior)
+    for _ in range(_LINEAR_ROUNDS):
+        residuals = rows.residuals + rows.jacobian @ step
+        distances = np.sqrt(np.bincount(layout.reading, residuals**2, layout.n_readings))
+        if fixed_scale is None:
+            assumed = max(scale_of(distances, layout.width, 0.0), smallest) if found_everywhere else 1.0
+            known = information(rows.factor[:, :-1] / assumed, priors)
+            n_effective = effective_parameters(known, rows.has_prior)
+            scale = max(scale_of(distances, layout.width, n_effective), smallest)
+        now = weights_of(loss, distances / scale, layout.width)
+        settled = bool(np.max(np.abs(now - weights)) < _WEIGHTS_STAND / 10)
+        weights = now
+        step = _step(rows, weights, scale if found_everywhere else 1.0)
+        if settled:
+            break
+    return weights, scale, step
+
+
+def _step(rows: Rows, weights: FloatArray, sigma: float) -> FloatArray:
+    """Solve the weighted linear problem, priors weighed against this noise."""
+    root = np.sqrt(weights)[rows.layout.reading]
+    priors = prior_rows(rows.has_prior)
+    stacked = np.vstack([root[:, None] * rows.jacobian, sigma * priors])
+    right = np.concatenate([root * rows.residuals, sigma * (priors @ rows.deviations)])
+    if len(stacked) < stacked.shape[1]:
+        raise NotIdentifiableError(_TOO_FEW_LEFT)
+    q, triangle = np.linalg.qr(stacked)
+    diagonal = np.abs(np.diag(triangle))
+    if np.min(diagonal) <= 1e-12 * np.max(diagonal):
+        raise NotIdentifiableError(_TOO_FEW_LEFT)
+    return -scipy.linalg.solve_triangular(triangle, q.T @ right)

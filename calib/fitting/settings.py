@@ -1,0 +1,51 @@
+"""How to fit: what users choose, checked where it is chosen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from calib.base.errors import DataError, InputError
+from calib.numerics.losses import Loss, checked_loss
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to fit.
+
+    Attributes:
+        sigma: Standard deviation of measured positions per axis [m], in place of what the description states; where
+            neither does, it is found.
+        loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey` (see `calib.numerics.losses`).
+        exclude_outliers: Leave outliers out and fit again; the result holds both fits.
+        starts: Number of starting points, the nominal one and perturbed ones.
+        folds: Number of folds for cross-validation by pose, 0 for none; `setups`: every setup is one, placed anew.
+        seed: Seed of perturbed starts and folds.
+        terms: Joint terms: those of the description if not given; `none`; a list such as `curve,elbow=backlash`, in
+            addition to these; `auto`, in addition those that earn their place (`calib.fitting.terms.term_choice`).
+
+    Raises:
+        DataError: Sigma is not a positive number.
+        InputError: Unknown loss, or a number of starts or a seed that makes no sense.
+    """
+
+    sigma: float | None = None
+    loss: Loss = "none"
+    exclude_outliers: bool = False
+    starts: int = 1
+    folds: int | Literal["setups"] = 0
+    seed: int = 0
+    terms: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.sigma is not None and not (np.isfinite(self.sigma) and self.sigma > 0):
+            raise DataError(f"sigma {self.sigma:g} m: must be a positive number")
+        checked_loss(self.loss)
+        if isinstance(self.folds, str) and self.folds != "setups":
+            raise InputError(f"folds '{self.folds}': must be a number of folds, or 'setups'")
+        if self.starts < 1:
+            raise InputError(f"starts {self.starts}: must be 1 or more")
+        if self.seed < 0:
+            raise InputError(f"seed {self.seed}: must be zero or more")

@@ -1,0 +1,343 @@
+"""From placed base and targets to the minimum, with the noise that nobody states found on the way.
+
+Where nobody states the noise of an instrument, it is found from the residuals (`calib.numerics.variance_components`):
+the solve is repeated until noise changes by less than one percent.
+
+Where an instrument reads several times at a pose, an offset that these readings share is found as well, and the solve
+repeated with rows weighed for it, until offsets change by less than one in twenty. Such weights believe what differs
+within a pose more than what differs between poses. That is right for repeats and wrong where the model of what happens
+within a pose is itself off (the lens of a camera, the points of a board). So they are kept only where they predict
+poses that are left out in turn better: the sum over groups of n log(RMS weighed / RMS plain), n poses each, must be
+below -1. Judges are the readings of other instruments, which the weights are to protect, where there are any. With a
+robust loss no offsets are looked for: a gross error is one, too.
+
+Where priors are to be weighed against noise that is stated, what counts is all that the model leaves out: of a robot
+with gear errors, the noise of a good tracker is the least part. By a statement that residuals contradict, they would
+pull parameters hundreds of sigmas away from where they are expected, and slowly, along bent valleys. So the noise of
+such a group is found as well, where chance explains what is left in less than one case of a thousand. The linear model
+around the start tells; where what it leaves is its curvature, and the minimum contradicts nothing, the statement holds
+again. (The statement itself is judged by `calib.judging.rules_noise`.)
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from calib.base.arrays import FloatArray
+from calib.base.errors import NotConvergedError
+from calib.base.workers import Progress
+from calib.fitting.curvature import mean_square_beyond_linear
+from calib.fitting.fitted import Convergence
+from calib.fitting.problem import Evaluation, Problem
+from calib.fitting.robust import solve_robust
+from calib.fitting.settings import Settings
+from calib.fitting.starts import Starts, explore
+from calib.numerics.clusters import Scatter, scatter
+from calib.numerics.least_squares import TOLERANCE, Solution
+from calib.numerics.observability import Information
+from calib.numerics.prior_sizes import variance_by_sizes
+from calib.numerics.statistics import Factors, Statistics, found_factors, statistics
+from calib.numerics.variance_components import EXACT
+from calib.robots.robot import Robot
+from calib.rows.registration import register
+from calib.rows.rows import Rows, Scales
+from calib.rows.unknowns import Unknowns
+
+_LOOSE = 1e-3  # tolerance of the solver where another solve follows
+_PLACED = 1e-6  # the same for the state before: its errors then hold to a millionth
+_NOISE_ROUNDS = 20
+_NOISE_STANDS = 0.01  # relative change of scales below which they are found
+_FAMILIES_STAND = 5.0  # how much less exactly the sizes of families need to be found
+_RATIOS_STAND = 0.05  # the same of offsets over noise, from 1 on; they change weights and nothing else
+_GAINED = 1.0  # by how much weights must better the log error of poses left out, summed over the poses
+_NO_NOISE = (
+    "the noise of the measurements could not be found from the residuals; state it (`sigma` in the description, or"
+    " --sigma-mm)"
+)
+_STEP_LEFT = 0.05  # standard deviations that a converged fit may be away from its minimum
+_BLIND = 1e-6  # of the longest column, in units of what is expected: such a place is not seen
+_ROUNDING = 1e-8  # 10 nm and 10 nrad: below, rounding decides about a step
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A minimum, and what weighed its rows.
+
+    Attributes:
+        robot: The parameters there.
+        groups: Scale of the noise of each group, (n_groups,).
+        solution: What the solver said.
+        weights: Of each reading, (n_readings,); None without a robust loss.
+        factors: What the residuals say about the noise, with a robust loss.
+        settled: Whether the weights of a robust loss stand.
+        starts: Ends of perturbed starts, if they were asked for.
+    """
+
+    robot: Robot
+    groups: FloatArray
+    solution: Solution
+    weights: FloatArray | None = None
+    factors: Factors | None = None
+    settled: bool = True
+    starts: Starts | None = None
+
+
+def place(problem: Problem) -> Robot:
+    """Return the nominal robot with unknown frames and targets placed by registration alone.
+
+    A target that is expected somewhere stays near, as far as the noise of these residuals lets it: the nominal robot's
+    own errors are part of that noise, so that it is found, whatever is stated for the sensor.
+
+    Raises:
+        NotConvergedError: They cannot be placed.
+    """
+    robot = problem.robot
+    places = problem.unknowns.only(problem.unknowns.placement)
+    if not len(places):
+        return robot
+    registered = register(robot, problem.data)
+    if not np.any(places.has_prior) and _is_best_placed(problem, registered, places):
+        return registered
+    first = problem.evaluate(registered)
+    placed, solution = registered, None
+    groups = _as_found(problem, first, problem.whitening.start(first.residuals))
+    for _ in range(_NOISE_ROUNDS):
+        placed, solution = problem.solve(placed, groups, places, tolerance=_PLACED)
+        again = _as_found(problem, problem.evaluate(placed), groups)
+        if not np.any(places.has_prior) or np.all(np.abs(again / groups - 1.0) <= _NOISE_STANDS):
+            break
+        groups = again
+    if solution is None or not solution.converged:
+        raise NotConvergedError(
+            "placing the base and the targets did not converge; check units and axes of the measurements"
+        )
+    return placed
+
+
+def seen_from(problem: Problem, placed: Robot) -> Robot:
+    """Return a placed robot with what no reading sees from just there put back to where the description has it.
+
+    The nominal robot's own errors may place a point where its instrument is blind, such as the end of a draw wire in
+    the very plane in which a planar robot moves. A solver would not leave it, and its rank would not be that of the
+    solution.
+    """
+    unknowns, evaluation = problem.unknowns, problem.evaluate(placed)
+    columns = problem.rows(evaluation, problem.whitening.start(), unknowns).jacobian
+    lengths = np.linalg.norm(columns, axis=0)
+    blind = unknowns.placement & ~unknowns.has_prior & (lengths < _BLIND * np.max(lengths, initial=0.0))
+    if not np.any(blind):
+        return placed
+    values = placed.values.copy()
+    values[unknowns.index[blind]] = unknowns.nominal[blind]
+    return placed.with_parameters(values)
+
+
+def _as_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
+    """Scales of all groups, stated or not, as the residuals of placing are."""
+    flat, group = problem.whitening.flatten(evaluation.residuals), problem.whitening.layout.group
+    places = problem.unknowns.only(problem.unknowns.placement)
+    result = groups.copy()
+    for g in range(len(result)):
+        rows = group == g
+        left = max(int(np.sum(rows)) - len(places), 1)
+        result[g] = np.sqrt(float(flat[rows] @ flat[rows]) / left) + EXACT
+    return result
+
+
+def _is_best_placed(problem: Problem, robot: Robot, places: Unknowns) -> bool:
+    """Whether no other place of base and targets promises errors that are smaller by more than `_PLACED`."""
+    evaluation = problem.evaluate(robot)
+    rows = problem.rows(evaluation, problem.whitening.start(evaluation.residuals), places)
+    explained = np.linalg.qr(rows.jacobian)[0].T @ rows.residuals
+    return bool(explained @ explained <= _PLACED * (rows.residuals @ rows.residuals))
+
+
+def solve_from(
+    problem: Problem,
+    placed: Robot,
+    settings: Settings,
+    workers: Executor | None = None,
+    progress: Progress | None = None,
+) -> Solved:
+    """Solve with the stated noise or find it; from several starts and with a robust loss, if asked for.
+
+    Args:
+        problem: The problem.
+        placed: Where to begin.
+        settings: How.
+        workers: Who does the other starts; this process if not given.
+        progress: Told after each of them.
+
+    Raises:
+        NotConvergedError: The noise cannot be found.
+    """
+    to_go_on = partial(_solve_with_noise, exact=_LOOSE)  # from where a robust loss begins
+    solve = _solve_with_offsets if settings.loss == "none" else to_go_on
+    solved = solve(problem, placed)
+    if settings.starts > 1:
+        first = (solved.robot, solved.solution)
+        tried = explore(problem, placed, first, solved.groups, settings.starts, settings.seed, workers, progress)
+        best = tried.minima[0]
+        if best.solution is not solved.solution:  # the noise that was found belongs to the minimum left behind
+            solved = solve(problem, best.robot)
+        solved = replace(solved, starts=tried)
+    if settings.loss == "none":
+        return solved
+    end = solve_robust(problem, solved.robot, settings.loss, solved.groups)
+    return Solved(end.robot, end.groups, end.solution, end.weights, end.factors, end.settled, solved.starts)
+
+
+def _solve_with_offsets(problem: Problem, start: Robot) -> Solved:
+    """Solve; where readings of an instrument share offsets, find these, and weigh by them where that helps."""
+    plain = _solve_with_noise(problem, start, TOLERANCE)
+    if not np.any(problem.whitening.tells_offsets):
+        return plain
+    unweighed, errors = problem.ratios, problem.left_out(problem.evaluate(plain.robot), plain.groups)
+    weighed = _solve_weighed(problem, plain)
+    if weighed is not None:
+        gain = np.log(errors / problem.left_out(problem.evaluate(weighed.robot), weighed.groups))
+        judges = problem.whitening.without_offsets(problem.ratios)
+        if problem.whitening.layout.poses_of_groups[judges] @ gain[judges] > _GAINED:
+            return weighed
+    problem.weigh(unweighed)
+    return plain
+
+
+def _solve_weighed(problem: Problem, plain: Solved) -> Solved | None:
+    """Solve with rows weighed for the offsets that are found; None without any, or where they cannot be found."""
+    solved = plain
+    for _ in range(_NOISE_ROUNDS):
+        try:
+            ratios = problem.found_ratios(problem.evaluate(solved.robot), solved.groups)
+            stands = np.all(np.abs(ratios - problem.ratios) <= _RATIOS_STAND * (1.0 + problem.ratios))
+            problem.weigh(ratios)
+            if not np.any(ratios):
+                return None
+            solved = _solve_with_noise(problem, solved.robot, TOLERANCE if stands else _LOOSE)
+        except NotConvergedError:
+            return None
+        if stands:
+            return solved
+    return None
+
+
+def _solve_with_noise(problem: Problem, start: Robot, exact: float) -> Solved:
+    """Solve with the stated noise; find what is not stated of it, and what residuals contradict."""
+    evaluation = problem.evaluate(start)
+    groups = problem.whitening.start(evaluation.residuals)
+    unstated = problem.found = problem.unstated
+    if problem.noise_weighs and not np.all(unstated):
+        groups = _contradicted(problem, evaluation, groups)
+    robot, tolerance = start, _LOOSE
+    for _ in range(_NOISE_ROUNDS):
+        finds = (np.any(problem.found) and problem.noise_weighs) or problem.unknowns.families
+        robot, solution = problem.solve(robot, groups, tolerance=tolerance if finds else exact)
+        if not finds:
+            return Solved(robot, groups, solution)
+        scales, sizes = problem.found_scales(problem.evaluate(robot), groups)
+        stands = problem.found & ~unstated & ~problem.contradicted(scales)
+        if np.any(stands):
+            problem.found = problem.found & ~stands
+            groups = np.where(stands, 1.0, scales)
+            continue
+        counts = problem.found & (scales > EXACT)
+        change = float(np.max(np.abs(scales / groups - 1.0)[counts], initial=0.0))
+        change = max(change, float(np.max(np.abs(sizes - 1.0), initial=0.0)) / _FAMILIES_STAND)
+        if change <= _NOISE_STANDS and tolerance == exact:
+            return Solved(robot, groups, solution)
+        if change <= 10 * _NOISE_STANDS:
+            tolerance = exact
+        if change > _NOISE_STANDS:
+            groups = scales
+            problem.unknowns = problem.unknowns.rescaled(sizes)
+    raise NotConvergedError(_NO_NOISE)
+
+
+def _contradicted(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
+    """Have the noise found of groups whose statement the linear model contradicts; return scales to start from."""
+    unstated = problem.found
+    problem.found = np.ones(len(groups), dtype=bool)
+    scales, _ = problem.found_scales(evaluation, groups)
+    problem.found = unstated | problem.contradicted(scales)
+    return np.where(problem.found & ~unstated, scales, groups)
+
+
+def uncertainty_at(
+    problem: Problem, final: Evaluation, solved: Solved, settings: Settings, beyond_linear: FloatArray | None = None
+) -> tuple[Rows, Scales, Statistics]:
+    """Return the rows at a minimum, what is assumed of their noise, and the uncertainty of the parameters.
+
+    Args:
+        problem: The problem.
+        final: The evaluation at the minimum.
+        solved: The minimum.
+        settings: How it was found.
+        beyond_linear: `Statistics.beyond_linear` of a minimum nearby, if it is known.
+
+    Raises:
+        NotIdentifiableError: No degrees of freedom are left.
+    """
+    rows, scales = problem.rows(final, solved.groups), Scales(solved.groups, problem.ratios)
+    layout, unknowns = problem.whitening.layout, problem.unknowns
+    factors = solved.factors or found_factors(
+        rows.residuals, rows.jacobian, layout.group, len(layout.groups), rows.known
+    )
+    slowed = rows if factors.slope == 1.0 else rows.weighted(np.full(layout.n_readings, factors.slope))
+    bent = (
+        mean_square_beyond_linear(problem, solved.robot, rows, solved.groups)
+        if beyond_linear is None
+        else beyond_linear / unknowns.scales**2
+    )
+    uncertainty = statistics(
+        rows.jacobian,
+        layout.group,
+        slowed.known,
+        factors,
+        unknowns.scales,
+        unknowns.has_prior,
+        scatter_of_poses(rows, slowed.known, factors, solved.weights),
+        variance_by_sizes(slowed.known.root @ slowed.known.root.T, unknowns.family, rows.deviations),
+        bent,
+    )
+    return rows, scales, uncertainty
+
+
+def scatter_of_poses(rows: Rows, known: Information, factors: Factors, weights: FloatArray | None) -> Scatter:
+    """Return how the readings of each pose scatter together (`calib.numerics.clusters`).
+
+    Args:
+        rows: At the minimum, without the weights of a robust loss.
+        known: What they, with the slope of a robust loss, and the priors determine.
+        factors: What the residuals say about the noise.
+        weights: Of each reading, (n_readings,); None without a robust loss.
+    """
+    layout = rows.layout
+    noise = factors.slope * np.where(layout.group >= 0, factors.effective[layout.group], 1.0)
+    pulling = rows.residuals if weights is None else weights[layout.reading] * rows.residuals
+    return scatter(rows.jacobian, known.root, pulling, noise, layout.pose_of_row, factors.total_freedom)
+
+
+def convergence_at(problem: Problem, solved: Solved, rows: Rows, std: FloatArray) -> Convergence:
+    """Judge the end of the iteration by the Gauss-Newton step that is left, in standard deviations.
+
+    That is what counts, whether a stopping rule ended the iteration or its limit of evaluations.
+
+    Args:
+        problem: The problem.
+        solved: The minimum.
+        rows: The rows there.
+        std: Standard deviations of the free parameters, (n_free,) [m, rad].
+    """
+    weighted = rows if solved.weights is None else rows.weighted(solved.weights)
+    pull = weighted.jacobian.T @ weighted.residuals + np.where(rows.has_prior, rows.deviations, 0.0)
+    root = weighted.known.root
+    left = np.abs(problem.unknowns.scales * (root @ (root.T @ pull))) / (std + _ROUNDING)
+    largest = int(np.argmax(left))
+    converged = solved.settled and bool(left[largest] < _STEP_LEFT)
+    return Convergence(
+        converged, solved.solution.message, float(left[largest]), problem.unknowns.names[largest], solved.settled
+    )

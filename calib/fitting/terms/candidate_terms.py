@@ -1,0 +1,206 @@
+"""Which terms of the joints' errors measurements can be asked about."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calib.base.errors import DescriptionError
+from calib.data.measurements import Measurements
+from calib.fitting.joint_conventions import may_be_wrapped, uncounted_turns
+from calib.fitting.pose_checks import unmoved_joints, unstated
+from calib.joint_terms.coupling import CouplingSection, coupling_name
+from calib.joint_terms.term import JointTerm, TermSection
+from calib.joint_terms.terms import TERMS
+from calib.robots.robot import Robot
+
+_OF_ORDER = "the data do not state the direction of approach (columns approach_JOINT)"
+_SAME_TORQUE = 1e-6  # range of the torque of gravity below which a joint always holds the same [N m or N]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A kind of term, for every joint that can show it and does not have it.
+
+    Attributes:
+        term: Its name.
+        sections: Its entries; none where it cannot be tried.
+        refused: Why it cannot be tried; empty where it can.
+        doubt: Why it must not be added without being asked for, though it can be tried; empty where it may.
+    """
+
+    term: str
+    sections: tuple[TermSection, ...] = ()
+    refused: str = ""
+    doubt: str = ""
+
+    def of(self, robot: Robot) -> tuple[JointTerm, ...]:
+        """Return its terms in a robot that has them."""
+        joints = [section.joint for section in self.sections]
+        return tuple(
+            term for term in robot.terms if type(term) is TERMS[self.term] and {"all", term.joint} & set(joints)
+        )
+
+    def resized(self, robot: Robot, factor: float) -> tuple[TermSection, ...]:
+        """Return its entries, coefficients being expected to be this many times as large as is usual."""
+        sigma = {term.joint: float(factor * term.parameters[0].sigma_si) for term in self.of(robot)}
+        resized: list[TermSection] = []
+        for section in self.sections:
+            own = {joint: size for joint, size in sigma.items() if section.joint in ("all", joint)}
+            if section.joint == "all" and len(set(own.values())) == 1:
+                own = {"all": next(iter(own.values()))}
+            resized += [section.model_copy(update={"joint": joint, "sigma": size}) for joint, size in own.items()]
+        return tuple(resized)
+
+
+@dataclass(frozen=True)
+class TriedTerm:
+    """What was found about one kind of term.
+
+    Attributes:
+        term: Its name.
+        added: Whether it was added.
+        evidence: By how much the log marginal likelihood rose with it; NaN where it was not tried.
+        before, after: Root mean square of the main part of the readings without it and with it, each block of poses
+            left out in turn [SI]; NaN where it was not tried.
+        why: Why it was left out; empty where it was added.
+        size: How many times as large as is usual its coefficients are, the largest of a curve's joints; NaN where it
+            was not added.
+        together: Kinds that were added together with it, because the data cannot tell them from it; evidence and errors
+            are then those of all of them.
+        alike: Of one that was added, kinds of terms that may be there in its place, and by how much lower the log
+            marginal likelihood is with each of them alone.
+    """
+
+    term: str
+    added: bool = False
+    evidence: float = float("nan")
+    before: float = float("nan")
+    after: float = float("nan")
+    why: str = ""
+    size: float = float("nan")
+    together: tuple[str, ...] = ()
+    alike: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def proven(self) -> bool:
+        """Whether it was added, and the data say that it is of this kind and no other."""
+        return self.added and not self.alike
+
+
+@dataclass(frozen=True)
+class TermChoice:
+    """Which joint terms a fit was asked for.
+
+    Attributes:
+        asked: `auto`, `none`, or the list that was asked for.
+        sections: The entries that it has.
+        tried: Of `auto`, what was found about each kind of term, those that were added first.
+    """
+
+    asked: str
+    sections: tuple[TermSection, ...]
+    tried: tuple[TriedTerm, ...] = ()
+
+
+def candidates(robot: Robot, data: Measurements) -> tuple[Candidate, ...]:
+    """Return a candidate for each kind of term, in the order of the registry, then what some joints cannot be asked.
+
+    Args:
+        robot: The robot with the terms that it has anyway.
+        data: Its measurements.
+    """
+    found = [_candidate(name, robot, data) for name in TERMS]
+    uncounted = uncounted_turns(robot, data.joints)
+    if uncounted:
+        tried = [one.term for one in found if one.sections and TERMS[one.term].counts_turns]
+        found += [Candidate(name, refused=may_be_wrapped(uncounted, [f"a {name}"])) for name in tried]
+    return tuple(found)
+
+
+def missing_terms(robot: Robot, sections: tuple[TermSection, ...]) -> tuple[TermSection, ...]:
+    """Return entries without those that a robot has already, joint by joint where it has them for some joints."""
+    missing: list[TermSection] = []
+    for section in sections:
+        having = {term.joint for term in robot.terms if type(term) is TERMS[section.term]}
+        if not having & ({*robot.joint_names} if section.joint == "all" else {section.joint}):
+            missing.append(section)
+            continue
+        names = robot.joint_names if section.joint == "all" else ()
+        missing += [section.model_copy(update={"joint": name}) for name in names if name not in having]
+    return tuple(missing)
+
+
+def _candidate(name: str, robot: Robot, data: Measurements) -> Candidate:
+    context, kind = data.conditions, TERMS[name]
+    if name in ("drift", "temperature"):
+        column = "time" if name == "drift" else name
+        if np.ptp(context.time if name == "drift" else context.temperature) == 0:
+            return Candidate(name, refused=f"the data have no column '{column}' that changes")
+    if unstated(kind, data) is not None:
+        return Candidate(name, refused=f"some rows do not say {kind.depends_on}")
+    joints = [joint for joint in robot.joint_names if _shows(name, joint, robot, data)]
+    if not joints:
+        return Candidate(name, refused=_nothing_shows(name, robot, data))
+    if name == "coupling":
+        sections = _couplings(joints, robot)
+    else:
+        everywhere = len(joints) == len(robot.joint_names)
+        entries = tuple(kind.section(joint=joint, term=name) for joint in (["all"] if everywhere else joints))
+        sections = missing_terms(robot, entries)
+    if not sections:
+        only_one = name == "coupling" and len(robot.joint_names) == 1
+        why = "there is no other joint" if only_one else "the description has it already"
+        return Candidate(name, refused=why)
+    try:
+        with_it = robot.with_terms((*robot.description.terms, *sections))
+        columns = with_it.term_columns(data.joints, context)
+    except DescriptionError as error:  # no masses, a prismatic joint without limits
+        return Candidate(name, refused=str(error).removeprefix(f"{robot.path}: "))
+    if kind.needs_torque:
+        loaded = [
+            term.joint
+            for term, torque in zip(with_it.terms, columns, strict=True)
+            if type(term) is kind and np.ptp(torque, axis=0).max() > _SAME_TORQUE
+        ]
+        sections = missing_terms(robot, tuple(kind.section(joint=joint, term=name) for joint in loaded))
+        if not sections:
+            return Candidate(name, refused="gravity loads no joint differently from pose to pose")
+    return Candidate(name, sections, doubt=_OF_ORDER if name == "backlash" and not data.states_approach else "")
+
+
+def _shows(name: str, joint: str, robot: Robot, data: Measurements) -> bool:
+    """Whether a joint can show a kind of term in these measurements."""
+    if name in ("drift", "temperature"):
+        return True
+    if name == "harmonics" and robot.mechanism.dimensions[joint] == "length":
+        return False  # after which length a screw repeats, nobody said
+    if name == "backlash":
+        return bool(np.ptp(data.approach_directions[:, robot.joint_names.index(joint)]) > 0)
+    if TERMS[name].counts_turns and joint in uncounted_turns(robot, data.joints):
+        return False
+    return joint not in unmoved_joints(robot, data.joints)  # of a coupling: what drives moved
+
+
+def _couplings(moving: list[str], robot: Robot) -> tuple[TermSection, ...]:
+    """Entries for every joint driven by every other one that moved, where the robot has none: who drives, data say."""
+    names = {parameter.name for parameter in robot.parameters}
+    return tuple(
+        CouplingSection(joint=joint, term="coupling", driven_by=other)
+        for joint in robot.joint_names
+        for other in moving
+        if joint != other and coupling_name(joint, other) not in names
+    )
+
+
+def _nothing_shows(name: str, robot: Robot, data: Measurements) -> str:
+    uncounted = uncounted_turns(robot, data.joints)
+    if TERMS[name].counts_turns and uncounted:
+        return may_be_wrapped(uncounted, [f"a {name}"])
+    if name == "backlash":
+        return "no joint was approached from both sides"
+    if name == "harmonics" and all(robot.mechanism.dimensions[joint] == "length" for joint in robot.joint_names):
+        return "prismatic joints need a period, which only a description can state"
+    return "no joint moved that could show it"

@@ -1,0 +1,249 @@
+"""Trials: what the linear model around a fit says of some terms of the joints' errors.
+
+The columns of all candidates stand beside those that the fit has anyway; a trial uses those of some terms. How large
+their coefficients are is one number for each kind (one for each joint, for a curve), found together with the noise by
+marginal likelihood. Blocks of neighbouring poses are then left out in turns, with sizes and noise of all poses: a
+handful of numbers, and they stay the same in all blocks.
+
+When it fails. All of it is linear: joint errors of many milliradians look curved.
+
+Reference: mackay1992; roberts2017.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.fitting.fitted import Fit
+from calib.fitting.terms.candidate_terms import Candidate
+from calib.fitting.validation import boxes, stretches
+from calib.numerics.variance_components import LinearModel, found_with_families, log_evidence
+from calib.rows.jacobian import linearise
+from calib.rows.observed import observe
+from calib.rows.prediction import beside_common_motion, other_combinations
+from calib.rows.rows import Rows
+from calib.rows.unknowns import Unknowns
+
+BLOCKS = 8
+"""Number of blocks that are left out in turns."""
+_COMBINATIONS = 200
+_RIDGE = 1e-12  # of its diagonal, added to a matrix whose null space the blocks left may widen
+_NOTHING = 1e-6  # singular value over the largest, below which a principal component says nothing
+_LOST = 1e-9  # part of a place's information below which only the poses that are left out see it
+
+
+@dataclass(frozen=True, eq=False)
+class Trial(ReadOnlyArrays):
+    """The linear model with some terms.
+
+    Attributes:
+        terms: Their names.
+        evidence: Log marginal likelihood.
+        n_sizes: How many sizes were found.
+        sizes: Largest size found of each term, over what is expected.
+        squares: Of each partition, whitened squares of what each block is off when left out, (n_blocks,) each.
+        rms: Of each partition, root mean square of the main part, left out in turns [SI].
+        unsure: Variance of positions at other combinations of joint values, mean over these [m^2]; 0 where the main
+            part of the readings is no length, which nothing can be weighed against.
+    """
+
+    terms: tuple[str, ...]
+    evidence: float
+    n_sizes: int
+    sizes: dict[str, float]
+    squares: tuple[FloatArray, ...]
+    rms: tuple[float, ...]
+    unsure: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Design(ReadOnlyArrays):
+    """Columns of all candidates and of what the fit has anyway.
+
+    The many columns of a curve span little more than the poses do: those of one family are replaced by their principal
+    components, U S of U S V^T. A prior that is the same for all of them stays what it is, and nothing is lost.
+
+    Attributes:
+        rows: Whitened by what is stated, (n_rows, n_columns).
+        residuals: (n_rows,).
+        parameters: Scaled parameters of each column, (n_parameters, n_columns).
+        has_prior, deviations: As of `calib.rows.rows.Rows`, (n_columns,).
+        owner: The candidate of each column; empty for what the fit has anyway.
+        label: The size of each column's coefficients: its name; empty where it is not to be found.
+    """
+
+    rows: FloatArray
+    residuals: FloatArray
+    parameters: FloatArray
+    has_prior: BoolArray
+    deviations: FloatArray
+    owner: tuple[str, ...]
+    label: tuple[str, ...]
+
+
+def _design(rows: Rows, unknowns: Unknowns, owner: list[str]) -> _Design:
+    families = [unknowns.families[number] if number >= 0 else "" for number in unknowns.family]
+    labels = [family or own for family, own in zip(families, owner, strict=True)]
+    columns: list[FloatArray] = []
+    parts: list[IntArray] = []
+    for label in dict.fromkeys(labels):
+        members = np.array([k for k, other in enumerate(labels) if other == label])
+        maps = np.eye(len(labels))[:, members]
+        if label and owner[members[0]] and len(members) > 1:
+            _, values, directions = np.linalg.svd(rows.jacobian[:, members], full_matrices=False)
+            kept = max(int(np.sum(values > _NOTHING * values[0])), 1)
+            maps, members = maps @ directions[:kept].T, np.full(kept, members[0])
+        columns.append(maps)
+        parts.append(members)
+    maps, first = np.hstack(columns), np.concatenate(parts)
+    return _Design(
+        rows.jacobian @ maps,
+        rows.residuals,
+        maps,
+        rows.has_prior[first],
+        maps.T @ rows.deviations,
+        tuple(owner[k] for k in first),
+        tuple(labels[k] for k in first),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Normal(ReadOnlyArrays):
+    """Normal equations of a trial: matrix x step = -pull.
+
+    Attributes:
+        rows, right: Whitened, (n_rows, n_columns) and (n_rows,).
+        matrix: (n_columns, n_columns).
+        pull: (n_columns,).
+        factor: By which columns are larger than those of the design, (n_columns,).
+        has_prior: (n_columns,).
+    """
+
+    rows: FloatArray
+    right: FloatArray
+    matrix: FloatArray
+    pull: FloatArray
+    factor: FloatArray
+    has_prior: BoolArray
+
+    @staticmethod
+    def of(model: LinearModel, divisor: FloatArray, factor: FloatArray) -> _Normal:
+        """Set them up, rows divided by their noise (n_rows,)."""
+        rows, right = model.jacobian * factor / divisor[:, None], model.residuals / divisor
+        pull = rows.T @ right + np.where(model.has_prior, model.deviations / factor, 0.0)
+        return _Normal(rows, right, rows.T @ rows + np.diag(1.0 * model.has_prior), pull, factor, model.has_prior)
+
+
+class Trials:
+    """The linear model of a fit, which has the columns of all candidates.
+
+    Args:
+        fit: The fit without them.
+        tried: The candidates.
+    """
+
+    def __init__(self, fit: Fit, tried: tuple[Candidate, ...]) -> None:
+        data, layout = fit.identification.data, fit.whitening.layout
+        self.fit = fit
+        added = (section for one in tried for section in one.sections)
+        self.robot = fit.robot.with_terms((*fit.robot.description.terms, *added))
+        configurations = self.robot.assemble(data.joints, labels=data.labels, context=data.conditions)
+        observed = observe(self.robot, configurations, data.readings)
+        unknowns = Unknowns.of(self.robot)
+        owner = {p.name: one.term for one in tried for term in one.of(self.robot) for p in term.parameters}
+        rows = fit.whitening.rows(
+            observed, np.ones(len(layout.groups)), unknowns, unknowns.deviations(self.robot.values)
+        ).weighted(fit.weights)
+        rows = rows.whitened(fit.whitening.weighing(fit.scales.ratios))
+        self._design = _design(rows, unknowns, [owner.get(name, "") for name in unknowns.names])
+        change = unknowns.scales[:, None] * self._design.parameters
+        self._residuals = {name: one.residuals for name, one in observed.items()}
+        self._by_column = {name: one.jacobian[:, :, unknowns.index] @ change for name, one in observed.items()}
+        self._elsewhere = self._combined()[:, unknowns.index] @ change
+        self._partitions = [boxes(data, BLOCKS)]
+        if np.ptp(data.conditions.time) > 0:
+            self._partitions.append(stretches(data, BLOCKS))
+        if data.setups is not None and np.ptp(data.setups) > 0:
+            self._partitions.append([np.flatnonzero(data.setups == one) for one in np.unique(data.setups)])
+        self._known: dict[tuple[str, ...], Trial] = {}
+        self._divisor = fit.whitening.row_scale(fit.scales.groups * fit.statistics.factors.found)
+
+    def _combined(self) -> FloatArray:
+        """Derivatives of positions where joint values are combined in other ways, (n_coordinates, n_parameters)."""
+        data, robot = self.fit.identification.data, self.robot
+        q = other_combinations(data.joints, _COMBINATIONS)
+        closes = robot.close(q).ok
+        if self.fit.identification.main_part.dimension != "length" or not np.any(closes):
+            return np.zeros((0, len(robot.parameters)))
+        places = np.linspace(0, len(data) - 1, len(q)).astype(np.intp)
+        linear = linearise(robot, robot.assemble(q[closes], context=data.conditions.at(places[closes])))
+        return beside_common_motion(linear, robot.located)
+
+    def of(self, terms: tuple[str, ...]) -> Trial:
+        """Return the linear model with some terms; each is computed once."""
+        key = tuple(sorted(terms))
+        if key not in self._known:
+            self._known[key] = self._computed(key)
+        return replace(self._known[key], terms=terms)
+
+    def _computed(self, terms: tuple[str, ...]) -> Trial:
+        design, layout = self._design, self.fit.whitening.layout
+        use = np.array([k for k, own in enumerate(design.owner) if own == "" or own in terms])
+        names = list(dict.fromkeys(design.label[k] for k in use if design.label[k]))
+        family = np.array([names.index(design.label[k]) if design.label[k] else -1 for k in use], dtype=np.intp)
+        model = LinearModel(
+            design.residuals,
+            design.rows[:, use],
+            design.has_prior[use],
+            design.deviations[use],
+            layout.group,
+            np.ones(len(layout.groups), dtype=bool),  # stated noise knows nothing of what the robot itself does
+            family,
+            len(names),
+        )
+        scales, sizes = found_with_families(model, self.fit.scales.groups * self.fit.statistics.factors.found)
+        normal = _Normal.of(model, self.fit.whitening.row_scale(scales), np.append(sizes, 1.0)[family])
+        left_out = [self._left_out(normal, use, blocks) for blocks in self._partitions]
+        elsewhere = self._elsewhere[:, use] * normal.factor
+        variances = np.sum(elsewhere * np.linalg.solve(normal.matrix, elsewhere.T).T, axis=1)
+        of_term = {
+            term: max(float(sizes[number]) for k, number in zip(use, family, strict=True) if design.owner[k] == term)
+            for term in terms
+        }
+        return Trial(
+            terms,
+            log_evidence(model, scales, sizes),
+            len(names),
+            of_term,
+            tuple(squares for squares, _ in left_out),
+            tuple(rms for _, rms in left_out),
+            3.0 * float(np.mean(variances)) if len(variances) else 0.0,
+        )
+
+    def _left_out(self, normal: _Normal, use: IntArray, blocks: list[IntArray]) -> tuple[FloatArray, float]:
+        """Whitened squares of each block when it is left out, and the root mean square of the main part [SI]."""
+        layout, data = self.fit.whitening.layout, self.fit.identification.data
+        rows, right, matrix, factor = normal.rows, normal.right, normal.matrix, normal.factor
+        visit = layout.visit[layout.reading]
+        after = {name: residuals.copy() for name, residuals in self._residuals.items()}
+        for held in blocks:
+            own = np.isin(visit, held)
+            kept, known = matrix - rows[own].T @ rows[own], normal.pull - rows[own].T @ right[own]
+            lost = ~normal.has_prior & (np.diag(kept) <= _LOST * np.diag(matrix))
+            step = np.zeros(len(known))
+            ridge = np.diag(_RIDGE * np.diag(matrix)[~lost])
+            step[~lost] = -np.linalg.solve(kept[np.ix_(~lost, ~lost)] + ridge, known[~lost])
+            if np.any(lost):  # places that only this block sees are placed by it
+                step[lost] = -np.linalg.lstsq(rows[own][:, lost], right[own] + rows[own] @ step, rcond=None)[0]
+            for name, columns in self._by_column.items():
+                read = np.isin(data.readings[name].visits, held)
+                after[name][read] += columns[read][:, :, use] @ (factor * step)
+        flat = self.fit.whitening.flatten(after) / self._divisor
+        flat *= np.sqrt(self.fit.weights)[layout.reading]
+        squares = np.array([float(np.sum(flat[np.isin(visit, held)] ** 2)) for held in blocks])
+        errors = replace(self.fit.identification, after=after)
+        lengths = np.nansum(errors.errors("after", errors.main_part.name) ** 2, axis=1)
+        return squares, float(np.sqrt(np.mean(lengths)))

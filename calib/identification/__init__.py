@@ -1,1 +1,0 @@
-"""The fit, its validation, its tests for bad data, and the verdict."""

@@ -1,0 +1,208 @@
+"""Pixels: where a camera sees points of a body in its image.
+
+The camera (frame a: an own place, fixed to a link beside the robot or on it) looks at points X of the target frame (b):
+
+    p = R_ab X + p_ab          (u, v) = image of p (`calib.instruments.camera`)          dp = dp_ab - [R_ab X]x dw
+
+Points have names; which one a row of a file is about says its column `point`. Where several cameras share columns, the
+column `camera` says which one saw it. A point that the camera cannot see is NaN when predicted, and no reading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from calib.base.arrays import FloatArray, IntArray
+from calib.base.errors import DataError, nearest
+from calib.base.parameter import Parameter
+from calib.base.sections import COMPONENTS, Component, Section
+from calib.base.units import DISPLAY_UNIT, Dimension
+from calib.instruments.camera import NAMES, in_front, project, rays
+from calib.instruments.camera_places import Sightings, guesses, seen_points
+from calib.instruments.kind import Column, Comparison, Guess, Instrument, Part, Place, Readings, Scene, View
+from calib.instruments.noise import Noise, PartNoise
+from calib.instruments.pixel_section import PixelSection
+from calib.numerics.rigid import cross_matrices
+
+PIXEL = Part("pixel", ("u", "v"), "pixel", usual=2.0)
+_WIDER = 1.1  # how far beyond its edge an image may reach whose middle is only guessed, in half widths
+_FEW_AWAY = 0.02  # part of the readings that may lie outside: mistakes
+_MOSTLY = 0.5  # part of the sightings that must not lie behind the camera
+
+
+@dataclass(frozen=True, eq=False)
+class Pixel(Instrument):
+    """Pixels of named points of one target frame in one camera: two rows. The detail of a reading is its point."""
+
+    section: ClassVar[type[Section]] = PixelSection
+    parts: ClassVar[tuple[Part, ...]] = (PIXEL,)  # type: ignore[misc]
+    label_column: ClassVar[str | None] = "camera"
+    name: str
+    target: str
+    group: str
+    place: Place
+    intrinsics: tuple[float, ...]
+    points_of_body: Mapping[str, tuple[float, float, float]]
+    image: tuple[float, float] | None = None
+    prefix: str = ""
+    noise: Noise = field(default_factory=lambda: Noise((PartNoise(),)))
+    unknowns: tuple[Parameter, ...] = ()
+
+    @classmethod
+    def of(cls, name: str, section: PixelSection) -> Pixel:
+        """Return the instrument that an entry of a robot description means."""
+        camera, numbers = section.camera, section.intrinsics.model_dump()
+        unknown: tuple[Component, ...] = COMPONENTS if camera.pose == "unknown" else ()
+        place = Place(name, camera.frame, camera.xyz, camera.rpy, unknown, camera.sigma, camera.sigma_angle)
+        sigmas = {} if section.unknown_intrinsics is None else section.unknown_intrinsics.model_dump()
+        unknowns = tuple(
+            _parameter(name, key, numbers[key], sigmas[key]) for key in NAMES if sigmas.get(key) is not None
+        )
+        return cls(
+            name,
+            section.target,
+            name,
+            place,
+            tuple(numbers[key] for key in NAMES),
+            dict(section.points),
+            section.image,
+            section.columns or name,
+            Noise((PartNoise.of(section.sigma, 2),)),
+            unknowns,
+        )
+
+    def places(self) -> tuple[Place, ...]:
+        """Return the camera's place."""
+        return (self.place,)
+
+    def pairs(self, base: str) -> tuple[tuple[str, str], ...]:
+        """Return camera and target."""
+        return ((self.name, self.target),)
+
+    def columns(self) -> tuple[Column, ...]:
+        """Return `<columns>_u` and `_v`."""
+        return tuple(Column(f"{self.prefix}_{axis}", "pixel") for axis in PIXEL.axes)
+
+    def text_columns(self) -> tuple[str, ...]:
+        """Return `point`."""
+        return ("point",)
+
+    def looked_at(
+        self, texts: Mapping[str, Sequence[str]], where: Sequence[str]
+    ) -> tuple[Sequence[bool], IntArray, FloatArray]:
+        """Say which point each row is about: the detail is its number."""
+        names = list(self.points_of_body)
+        details = np.zeros((len(where), 1))
+        for k, text in enumerate(texts["point"]):
+            if text not in self.points_of_body:
+                raise DataError(
+                    f"{where[k]}, column 'point': '{self.name}' has no point '{text}'{nearest(text, names)}"
+                )
+            details[k] = names.index(text)
+        return [True] * len(where), np.zeros(len(where), dtype=np.intp), details
+
+    def texts(self, pairs: IntArray, details: FloatArray) -> dict[str, list[str]]:
+        """Return which point each reading is about."""
+        names = list(self.points_of_body)
+        return {"point": [names[int(number)] for number in details[:, 0]]}
+
+    def looks(self) -> tuple[IntArray, FloatArray]:
+        """Return every point."""
+        n = len(self.points_of_body)
+        return np.zeros(n, dtype=np.intp), np.arange(n, dtype=float)[:, None]
+
+    def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
+        """Return pixels, (n, 2); NaN for points that have no image."""
+        points = _in_camera(view, self._body(details))
+        pixels = project(points, self._numbers(unknowns))[0]
+        in_image = in_front(points)
+        if self.image is not None:
+            in_image &= np.all((pixels >= -0.5) & (pixels <= np.array(self.image) - 0.5), axis=1)
+        return np.where(in_image[:, None], pixels, np.nan)
+
+    def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
+        """Return errors in the image, and how the twist and unknown intrinsics move them."""
+        body = self._body(readings.details)
+        pixels, by_point, by_number = project(_in_camera(view, body), self._numbers(unknowns))
+        turned = np.einsum("kab,kb->ka", view.rotation, body)
+        by_twist = np.concatenate([by_point, -by_point @ cross_matrices(turned)], axis=2)
+        return Comparison(pixels - readings.values, by_twist, by_number[:, :, self._unknown_numbers])
+
+    def first_values(self, scene: Scene) -> tuple[Guess, ...]:
+        """Return guesses at the places of camera and target.
+
+        Raises:
+            DataError: Wherever they may be, points that were seen would lie behind the camera.
+        """
+        result: list[dict[str, FloatArray]] = []
+        for number in np.unique(scene.readings.pairs):
+            names = scene.pairs[number]
+            chosen = np.flatnonzero(scene.readings.pairs == number)
+            _, view = np.unique(scene.readings.visits[chosen], return_inverse=True)
+            sightings = Sightings(
+                scene.links[chosen],
+                self._body(scene.readings.details[chosen]),
+                rays(scene.readings.values[chosen], self._numbers(scene.unknowns)),
+                view.reshape(-1),
+            )
+            known = (not scene.unknown[names[0]], not scene.unknown[names[1]])
+            now = (scene.places[names[0]], scene.places[names[1]])
+            every = [now] if all(known) else guesses(sightings, now, known)
+            self._check(sightings, every)
+            some = [dict(zip(names, places, strict=True)) for places in every]
+            result = some if not result else [some[0] | result[0]]  # of several setups: as the first one says
+        return tuple(Guess(places) for places in result)
+
+    def doubts(self, readings: Readings) -> tuple[str, ...]:
+        """See whether pixels lie in an image whose middle is near the principal point, as in every camera."""
+        middle = np.array(self.intrinsics[2:4])
+        half = middle if self.image is None else np.array(self.image) / 2
+        low, high = half - _WIDER * half, half + _WIDER * half
+        away = np.any((readings.values < low) | (readings.values > high), axis=1)
+        if np.mean(away) <= _FEW_AWAY:
+            return ()
+        largest = np.max(np.abs(readings.values), axis=0)
+        size = f"{2 * half[0]:.0f} x {2 * half[1]:.0f} px"
+        source = "as `image` states" if self.image is not None else "as cx and cy suggest"
+        return (
+            f"camera '{self.name}': {int(np.sum(away))} of {len(readings)} readings lie outside an image of {size},"
+            f" {source} (they reach u = {largest[0]:.0f}, v = {largest[1]:.0f}): the image was turned by 90 degrees,"
+            " cut or scaled after the intrinsics were found, or u and v are exchanged; bring pixels and intrinsics"
+            " together",
+        )
+
+    def _check(self, sightings: Sightings, every: Sequence[tuple[FloatArray, FloatArray]]) -> None:
+        away = min(int(np.sum(~in_front(seen_points(sightings, places)))) for places in every)
+        if away > _MOSTLY * len(sightings.view):
+            raise DataError(
+                f"camera '{self.name}': {away} of the {len(sightings.view)} points that it saw lie behind it as it is"
+                f" placed; check where camera and target '{self.target}' are said to be, and that z of the camera's"
+                " frame is its viewing direction"
+            )
+
+    def _body(self, details: FloatArray) -> FloatArray:
+        """Where the points of readings are in the target frame, (n, 3) [m]."""
+        every = np.array(list(self.points_of_body.values()))
+        return every[details[:, 0].astype(np.intp)]
+
+    @property
+    def _unknown_numbers(self) -> list[int]:
+        return [NAMES.index(parameter.name.rpartition(".")[2]) for parameter in self.unknowns]
+
+    def _numbers(self, unknowns: FloatArray) -> FloatArray:
+        numbers = np.array(self.intrinsics)
+        numbers[self._unknown_numbers] = unknowns
+        return numbers
+
+
+def _in_camera(view: View, body: FloatArray) -> FloatArray:
+    return np.einsum("kab,kb->ka", view.rotation, body) + view.translation
+
+
+def _parameter(name: str, key: str, nominal: float, sigma: float) -> Parameter:
+    dimension: Dimension = "pixel" if key in NAMES[:4] else "number"
+    return Parameter(f"{name}.{key}", dimension, nominal, sigma, DISPLAY_UNIT[dimension], placement=True)

@@ -1,1 +1,0 @@
-"""Joint values that bring a target to a goal, through closed loops."""

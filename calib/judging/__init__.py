@@ -1,0 +1,1 @@
+"""What a fit is worth: what its residuals hide, the verdict, and new readings against what it promised."""

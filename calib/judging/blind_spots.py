@@ -1,0 +1,86 @@
+"""What could be wrong without any trace in the measurements, so that no verdict on them covers it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calib.base.units import millimetres
+from calib.data.measurements import Measurements, Poses
+from calib.fitting.fitted import Fit
+from calib.judging import findings
+from calib.judging.effect_setting import has_time
+from calib.judging.effects import scale
+from calib.judging.error_budget import ENOUGH_REPEATS
+from calib.judging.repeatability import repeatability
+from calib.judging.rules_reach import terms_beyond
+from calib.judging.systematic import PARTS_PER_MILLION, visible
+
+NO_MATTER = 0.25
+"""Errors that a scale makes where it begins to show, over the noise, up to which nobody needs to know."""
+LARGE_SCALE = 1e-3
+"""Error of the scale that would be noticed otherwise."""
+LIKE_SHUFFLED = 0.8
+"""Way from row to row, over that between rows far apart, from which rows may have been shuffled."""
+_FEW = 10  # rows from which their order can be told
+
+
+def not_covered(fit: Fit) -> tuple[str, ...]:
+    """Return what the measurements of a fit cannot show, a line each."""
+    if fit.computed:
+        return ()
+    return (*_scale(fit), *_whose_noise(fit), *unordered(fit.identification.data), *terms_beyond(fit))
+
+
+def _scale(fit: Fit) -> Iterator[str]:
+    """Whether all lengths could be too long: an instrument's scale, or heat."""
+    column = scale(findings.setting(fit))
+    if not np.any(column):
+        return
+    least = visible(findings.linear(fit), column)
+    made = least * float(np.linalg.norm(column)) / np.sqrt(fit.statistics.freedom)
+    if made > NO_MATTER * findings.linear(fit).factor:
+        below = "" if least > LARGE_SCALE else f" below {float(f'{PARTS_PER_MILLION * least:.2g}'):.0f} ppm"
+        yield (
+            f"nothing here would show a scale error{below}, of the instrument or of a robot that is warmer or colder:"
+            " no known length was measured"
+        )
+
+
+def _whose_noise(fit: Fit) -> Iterator[str]:
+    """What the robot may do beside the model where nobody states the instrument's noise, and no repeats measured it."""
+    one = fit.first_noise
+    measured = repeatability(fit.identification)[1] >= ENOUGH_REPEATS
+    if one.stated is None and not measured and one.group.part == "position":
+        predicted = float(np.mean(fit.identification_uncertainty.located**2))
+        single = millimetres(float(np.sqrt(predicted + 3.0 * one.sigma**2)))
+        yield (
+            "nobody stated the noise, so that play, changing loads and whatever else the robot does by chance count as"
+            f" the instrument's: as far as they are the robot's, predicted positions are known to {single:.2g} mm RMS"
+            " only; state the instrument's noise (--sigma-mm)"
+        )
+
+
+def unordered(poses: Poses) -> tuple[str, ...]:
+    """Say where rows without a time stand in no order that shows a drift.
+
+    Args:
+        poses: The rows, as they stand.
+    """
+    n = len(poses)
+    reach = np.ptp(poses.joints, axis=0)
+    if n < _FEW or has_time(poses) or not np.any(reach > 0):
+        return ()
+    q = poses.joints[:, reach > 0] / reach[reach > 0]
+    near = float(np.mean(np.linalg.norm(np.diff(q, axis=0), axis=1)))
+    apart = [float(np.mean(np.linalg.norm(q - np.roll(q, n // part, axis=0), axis=1))) for part in (2, 3, 4)]
+    if near < LIKE_SHUFFLED * float(np.mean(apart)):
+        return ()
+    assumed = isinstance(poses, Measurements) and poses.approach_assumed
+    told = poses.approach is not None and not assumed and np.all(np.any(poses.approach != 0, axis=0)[reach > 0])
+    what = "a drift or a slip" if told else "a drift, a slip or a backlash"
+    return (
+        f"the rows look shuffled and have no time: {what} shows only if they stand in the order of measurement; if they"
+        " do not, sort them, or add a column 'time'",
+    )

@@ -1,0 +1,243 @@
+"""What a model may leave out, as columns: what each effect would add to the whitened rows of a fit.
+
+All are displacements of the targets through the robot, d(position)/d(joint) with loops closed, or motions of the
+frames that positions are measured in:
+
+    axis, turn, scale      a constant shift, a constant turn of the measurement frame, lengths that are all too long
+    drift, turning, growth the same, changing smoothly in the course of the measurement: a tracker or a base that moved,
+                           a robot or an instrument that warms up
+    slip                   a target that sits elsewhere on its link from one visit on
+    joint                  each joint off by a smooth curve of its own value (Legendre polynomials of degree 1 to 3 over
+                           the range measured): gear error, lead error, gravity sag
+    wave                   each joint off by a sine of 1 to 120 cycles a turn: the teeth of a gear, an encoder's lines
+    coupling               each joint off in proportion to the value of a neighbour: gears or belts on one shaft
+    approach               each joint off by +-b, by the direction in which it moved last: backlash 2b
+    zero                   each joint off by an error that changes in the course of the measurement: an encoder or a
+                           belt that slipped, warming up
+
+Turns and scales are taken about the middle of the points, so that they are no shifts. The course of the measurement is
+the time, where the data have it, and else the order of the rows. A sudden change shows too: a polynomial of degree 3
+explains 86 % of a step. Nothing is put down to a joint that never moved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from calib.base.arrays import FloatArray, IntArray
+from calib.fitting.pose_checks import unmoved_joints
+from calib.instruments.kind import Instrument
+from calib.joint_terms.periodic import TURN
+from calib.judging.effect_setting import Setting
+from calib.robots import kinematics
+
+Kind = Literal[
+    "axis", "turn", "scale", "drift", "turning", "growth", "slip", "joint", "coupling", "wave", "approach", "zero"
+]
+FAMILIES: tuple[tuple[Kind, ...], ...] = (
+    ("axis", "drift", "joint", "coupling", "approach", "zero"),
+    ("turn", "scale", "turning", "growth", "slip"),
+    ("wave",),
+)
+"""Kinds that share an equal part of the chance of a false finding: the many waves must not hide the others."""
+IN_COURSE: tuple[Kind, ...] = ("drift", "turning", "growth", "slip", "zero")
+"""Kinds that change in the course of the measurement, and go on changing after it."""
+ORDERS = range(1, 121)
+"""Cycles of a wave in a turn of the joint, or over the range that a joint slides."""
+SLIPS = 15
+"""At how many places in the course of the measurement a target is supposed to have slipped."""
+_DEGREE = 3
+_SAME = 1e-6  # cycles that rounding may add
+
+
+@dataclass(frozen=True, eq=False)
+class Effect:
+    """One effect.
+
+    Attributes:
+        kind: Which one.
+        name: Its axis, joint, target or instrument; `xyz` for all axes.
+        columns: What it adds to the whitened rows, (n_rows, k).
+        detail: Cycles of a wave, the first visit of a slip, in words; the neighbour of a coupling.
+    """
+
+    kind: Kind
+    name: str
+    columns: FloatArray
+    detail: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Waves:
+    """The waves of one joint: sine and cosine of each of `ORDERS` times a phase, times one column.
+
+    Attributes:
+        name: The joint.
+        column: What an error of 1 of the joint adds to the whitened rows, (n_rows,).
+        visit: Visit of each row, (n_rows,).
+        phase: Phase of the first order at each visit, (n_visits,) [rad].
+        words: What follows the number of cycles.
+
+    Only orders of which the joint went through half a cycle count: the height of less is not known.
+    """
+
+    name: str
+    column: FloatArray
+    visit: IntArray
+    phase: FloatArray
+    words: str
+
+    @property
+    def orders(self) -> range:
+        """Orders that count."""
+        reach = float(np.ptp(self.phase))
+        return range(min(int(np.ceil(TURN / 2 / reach - _SAME)), ORDERS.stop), ORDERS.stop) if reach > 0 else range(0)
+
+    def effect(self, order: int) -> Effect:
+        """Return the wave of one order."""
+        angle = order * self.phase[self.visit]
+        columns = self.column[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return Effect("wave", self.name, columns, f"{order} {self.words}")
+
+
+def effects(setting: Setting) -> Iterator[Effect | Waves]:
+    """Yield every effect."""
+    yield from _of_frames(setting)
+    yield from _of_targets(setting)
+    yield from _of_joints(setting)
+
+
+def scale(setting: Setting) -> FloatArray:
+    """Return what the rows gain if every length is read too long, (n_rows, 1) for a part of 1."""
+    return setting.whitened({name: -lengths for name, lengths in _lengths(setting).items()})
+
+
+def _of_frames(setting: Setting) -> Iterator[Effect]:
+    shifts, turns = setting.whitened(_shifts(setting)), setting.whitened(_turns(setting))
+    lengths = scale(setting)
+    for axis, name in enumerate("xyz"):
+        yield Effect("axis", name, shifts[:, axis : axis + 1])
+    yield Effect("turn", "xyz", turns)
+    yield Effect("scale", "xyz", lengths)
+    in_course = setting.per_visit(_curves(setting.course))
+    kinds: tuple[tuple[Kind, FloatArray], ...] = (("drift", shifts), ("turning", turns), ("growth", lengths))
+    for kind, columns in kinds:
+        yield Effect(kind, "xyz", (columns[:, :, None] * in_course[:, None, :]).reshape(len(columns), -1))
+
+
+def _of_targets(setting: Setting) -> Iterator[Effect]:
+    """Targets that slip, at places that part the visits evenly."""
+    order = np.argsort(setting.course, kind="stable")
+    rank = np.empty(len(order), dtype=np.intp)
+    rank[order] = np.arange(len(order))
+    firsts = np.unique(np.linspace(0, len(order), SLIPS + 2)[1:-1].astype(np.intp))
+    for target, arrays in _moved_targets(setting).items():
+        moved = setting.whitened(arrays)
+        for first in firsts:
+            late = setting.per_visit((rank >= first).astype(float))[:, None]
+            yield Effect("slip", target, moved * late, f"from {setting.data.labels[order[first]]} on")
+
+
+def _of_joints(setting: Setting) -> Iterator[Effect | Waves]:
+    robot, data = setting.robot, setting.data
+    by_joint = setting.whitened({name: observed.by_joint for name, observed in setting.observed.items()})
+    in_course = setting.per_visit(_curves(setting.course))
+    still = unmoved_joints(robot, data.joints)
+    for j, name in enumerate(robot.joint_names):
+        column, q = by_joint[:, j : j + 1], data.joints[:, j]
+        if name in still:
+            continue
+        yield Effect("joint", name, column * setting.per_visit(_curves(q)))
+        yield Effect("approach", name, column * setting.per_visit(data.approach_directions[:, j])[:, None])
+        yield Effect("zero", name, column * in_course)
+        for neighbour in (j - 1, j + 1):
+            if 0 <= neighbour < len(robot.joint_names) and robot.joint_names[neighbour] not in still:
+                driving = setting.per_visit(np.mean(data.joints[:, neighbour]) - data.joints[:, neighbour])
+                yield Effect("coupling", name, column * driving[:, None], robot.joint_names[neighbour])
+        turns = robot.mechanism.dimensions[name] == "angle"
+        words = "cycles a turn" if turns else "cycles over the range measured"
+        yield Waves(name, column[:, 0], setting.visit, q if turns else q * (TURN / float(np.ptp(q))), words)
+
+
+def _position_rows(one: Instrument) -> list[int]:
+    """Rows of an instrument that are the position of its target; none for kinds that measure none."""
+    return [k for k, part in enumerate(one.part_of_row) if one.parts[part].name == "position"]
+
+
+def _shifts(setting: Setting) -> dict[str, FloatArray]:
+    """What shifts of the measurement frame along x, y and z do to readings, (n, n_rows, 3) each."""
+    result: dict[str, FloatArray] = {}
+    for name, readings in setting.data.readings.items():
+        one = setting.robot.instrument(name)
+        result[name] = np.zeros((len(readings), one.n_rows, 3))
+        rows = _position_rows(one)
+        if len(rows) == 3:
+            result[name][:, rows] = np.eye(3)
+    return result
+
+
+def _turns(setting: Setting) -> dict[str, FloatArray]:
+    """What turns of the measurement frame about x, y and z do to readings, (n, n_rows, 3) [m per rad] each."""
+    result, points = _shifts(setting), _points(setting)
+    for name, arms in points.items():
+        rows = _position_rows(setting.robot.instrument(name))
+        for axis, direction in enumerate(np.eye(3)):
+            result[name][:, rows, axis] = np.cross(arms, direction)
+    return result
+
+
+def _lengths(setting: Setting) -> dict[str, FloatArray]:
+    """The lengths that were read, (n, n_rows, 1) [m]: distances, and positions from the middle of the points."""
+    points = _points(setting)
+    result: dict[str, FloatArray] = {}
+    for name, readings in setting.data.readings.items():
+        one = setting.robot.instrument(name)
+        result[name] = np.zeros((len(readings), one.n_rows, 1))
+        if name in points:
+            result[name][:, _position_rows(one), 0] = points[name]
+        elif [part.name for part in one.parts] == ["distance"]:
+            result[name][:, 0, 0] = readings.values[:, 0]
+    return result
+
+
+def _points(setting: Setting) -> dict[str, FloatArray]:
+    """Points that were read, from the middle of all, (n, 3) [m] of each instrument that measures positions."""
+    result = {}
+    for name, readings in setting.data.readings.items():
+        points = setting.robot.instrument(name).points(readings.values)
+        if points is not None and len(points) and len(_position_rows(setting.robot.instrument(name))) == 3:
+            result[name] = points
+    if not result:
+        return {}
+    middle = np.nanmean(np.concatenate(list(result.values())), axis=0)
+    return {name: np.nan_to_num(points - middle) for name, points in result.items()}
+
+
+def _moved_targets(setting: Setting) -> dict[str, dict[str, FloatArray]]:
+    """What moving each target along the axes of its link does to all readings, (n, n_rows, 3) each."""
+    robot, readings = setting.robot, setting.data.readings
+    none = {name: np.zeros((len(own), robot.instrument(name).n_rows, 3)) for name, own in readings.items()}
+    result: dict[str, dict[str, FloatArray]] = {}
+    joints = robot.mechanism.all_joints(setting.configurations.actuated, setting.configurations.passive)
+    for name, own in readings.items():
+        one = robot.instrument(name)
+        rows = _position_rows(one)
+        if len(rows) != 3:
+            continue
+        pairs = robot.pairs(one)
+        swept = kinematics.sweep(robot.mechanism, joints, pairs)
+        poses = np.stack([kinematics.relative_pose(swept, pair) for pair in pairs])
+        moved = result.setdefault(one.target, {other: zeros.copy() for other, zeros in none.items()})
+        moved[name][:, rows] = -poses[own.pairs, own.visits, :3, :3]
+    return result
+
+
+def _curves(values: FloatArray) -> FloatArray:
+    """Legendre polynomials of degree 1 to 3 over the range of some values (n,), (n, 3)."""
+    reach = float(np.ptp(values)) or 1.0
+    return legendre.legvander(2 * (values - values.min()) / reach - 1, _DEGREE)[:, 1:]

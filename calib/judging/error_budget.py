@@ -1,0 +1,290 @@
+"""The error budget: of the error before calibration, how much each cause made, and what is left.
+
+Between the robot before (values p_0) and after (p_1), let e(t) be the errors of the readings at p_0 + t (p_1 - p_0),
+J(t) their derivative, and d_k the change of the parameters of cause k. By the chain rule
+
+    |e(0)|^2 - |e(1)|^2  =  sum over k of  s_k,        s_k = - integral over t of 2 e(t)^T J_k(t) d_k
+
+which adds up exactly and knows no order: s_k is the Aumann-Shapley value, and where e is linear in t, as it nearly is,
+the mean of what cause k brings over all orders in which the causes can be added (the Shapley value; adding them one
+after another gives other numbers for every order, because causes such as a gain and a length explain partly the same).
+Three Gauss points integrate it. A part is negative where a cause makes these readings worse.
+
+The robot before has its unknown base and targets placed as well as possible. So what these can take up of the change
+J_k d_k of another cause, its projection on the columns of the places, is counted with them: a base that stands lower
+and a first joint that is higher are the same robot, and the split must not depend on which of both was found. Their own
+part is then near zero, because what they could explain is not in the error before.
+
+On readings that were not used (validation), s_k is what the calibration really removes, and e(1) what it leaves. On the
+readings that were used, noise was fitted too: with m rows, leverage h_k of the parameters of cause k (the sum over the
+rows of J_k (K J^T)_k, K the scaled covariance) and s^2 = |e(1)|^2 / (m - sum of h), every s_k is s^2 h_k too large in
+the mean, and |e(1)|^2 as much too small; that is set right.
+
+What is left splits into noise and what nobody explains only if the noise is known from elsewhere: from repeats of poses
+(which hold the robot's repeatability too), or as stated. Noise that was found from the residuals is all that is left.
+
+Standard deviations are of the choice of poses (from the sums of each pose, which repeats share) and, for causes, of
+their parameters: s_k = (J_k d_k)^T J d has the gradient J_k^T J d (of its own parameters) + J^T J_k d_k; with places,
+J_k projected. The J that is transposed is that of the end: what the readings leave open moves no reading there, and
+must not count, however far it may be off.
+
+When it fails: with few poses the split of the rest is loose. Parameters of a named parametrisation all count as
+geometry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.base.arrays import BoolArray, FloatArray, IntArray
+from calib.fitting.error_sets import ErrorSet
+from calib.instruments.kind import Part
+from calib.judging.repeatability import repeatability
+from calib.robots.robot import Robot
+from calib.rows.observed import observe
+from calib.rows.rows import Layout, Rows
+from calib.rows.unknowns import Unknowns
+from calib.rows.whitening import Whitening
+
+PLACES, GEOMETRY = "base, targets and instruments", "geometry (joint origins)"
+NOISE, UNEXPLAINED = "noise", "not explained"
+REST = "noise or not explained: cannot be told apart"
+ENOUGH_REPEATS = 10.0
+"""Degrees of freedom that repeats need to count as known noise."""
+_OPEN = 1e-9  # singular value over the largest, from which on a direction counts
+_AS_LARGE = 1.1  # left over noise (RMS) up to which the rest is as large as the noise
+_SURE = 0.5  # mean square not explained over that of noise, below which two standard deviations must end
+
+
+@dataclass(frozen=True)
+class Share:
+    """One cause: its part of the mean square error before, and the standard deviation of that [SI, squared]."""
+
+    cause: str
+    mean_square: float
+    std: float
+
+
+@dataclass(frozen=True)
+class ErrorBudget:
+    """What made the error before.
+
+    Attributes:
+        used: Whether of the readings that were used, corrected for that; else of those that were not.
+        part: The part of the readings that it is about.
+        n_readings, n_poses: How many.
+        before, after: Mean square error of a reading before, and what is left of it [SI, squared].
+        shares: The causes, then the rest; they add up to `before`.
+        noise_from: `repeats` or `stated`; empty where the noise is not known.
+        advice: Whether more modelling may help, in one sentence.
+    """
+
+    used: bool
+    part: Part
+    n_readings: int
+    n_poses: int
+    before: float
+    after: float
+    shares: tuple[Share, ...]
+    noise_from: str
+    advice: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Path:
+    """Readings on the way: sums over the rows of each reading, and what the covariance needs.
+
+    Attributes:
+        before: |e(0)|^2 of each reading, (n_readings,).
+        removed: s_k of each reading and cause, (n_readings, n_causes).
+        gradient: Of the sum of s_k by the unknowns, (n_causes, n_free).
+        pose: Pose of each reading, (n_readings,).
+    """
+
+    before: FloatArray
+    removed: FloatArray
+    gradient: FloatArray
+    pose: IntArray
+
+
+def causes_of(robot: Robot) -> tuple[str, ...]:
+    """Return the cause that each parameter stands for, (n_parameters,)."""
+    places = {robot.mechanism.origin(name) for name in robot.mechanism.places}
+    own = robot.parametrisation.parameters
+    causes = [PLACES if p.placement or p.name.rpartition(".")[0] in places else GEOMETRY for p in own]
+    causes += [PLACES for one in robot.instruments for _ in one.unknowns]
+    return (*causes, *(term.cause for term in robot.terms for _ in term.parameters))
+
+
+def error_budget(
+    before: Robot,
+    after: Robot,
+    errors: ErrorSet,
+    unknowns: Unknowns,
+    covariance: FloatArray,
+    rows: Rows | None,
+    sigma: float | None,
+) -> ErrorBudget:
+    """Return the error budget of a set of readings.
+
+    Args:
+        before, after: The robot with its base and targets placed alone, and calibrated.
+        errors: The readings.
+        unknowns: The free parameters.
+        covariance: Of these, (n_free, n_free).
+        rows: Whitened rows at the solution, if these readings were used.
+        sigma: Noise of positions that replaces what is stated [m].
+    """
+    of_parameter = np.array(causes_of(after))[unknowns.index]
+    causes = list(dict.fromkeys(of_parameter.tolist()))
+    members = np.array([of_parameter == cause for cause in causes])
+    layout = Whitening(after, errors.data, sigma).layout
+    counted = np.array([group.part == errors.main_part.name for group in layout.groups] + [False])[layout.group]
+    path = _along(before, after, errors, unknowns, members, layout, counted)
+    n, width, removed = len(path.before), int(np.sum(counted)), path.removed
+    if rows is not None:
+        leverage = _leverage(rows, unknowns, members, counted)
+        left = float(np.sum(path.before) - np.sum(removed))
+        removed = removed - left / max(width - float(np.sum(leverage)), 1.0) * leverage / n
+    rest = path.before - np.sum(removed, axis=1)
+    spread = np.einsum("kf,fg,kg->k", path.gradient, covariance, path.gradient) / n**2
+    shares = [
+        Share(cause, float(np.mean(part)), float(np.hypot(_std(part, path.pose), np.sqrt(max(extra, 0.0)))))
+        for cause, part, extra in zip(causes, removed.T, spread, strict=True)
+    ]
+    typical = np.array([group.typical if group.stated else np.nan for group in layout.groups])
+    stated = float(np.sum(typical[layout.group[counted]] ** 2)) / n
+    noise, noise_std, source = _noise(errors, stated, width / n)
+    left, left_std = float(np.mean(rest)), _std(rest, path.pose)
+    if source:
+        beyond = Share(UNEXPLAINED, left - noise, float(np.hypot(left_std, noise_std)))
+        shares += [Share(NOISE, noise, noise_std), beyond]
+    else:
+        shares.append(Share(REST, left, left_std))
+    return ErrorBudget(
+        rows is not None,
+        errors.main_part,
+        n,
+        len(np.unique(path.pose)),
+        float(np.mean(path.before)),
+        left,
+        tuple(shares),
+        source,
+        _advice(left, noise, shares[-1], source),
+    )
+
+
+def _along(
+    before: Robot,
+    after: Robot,
+    errors: ErrorSet,
+    unknowns: Unknowns,
+    members: BoolArray,
+    layout: Layout,
+    counted: BoolArray,
+) -> _Path:
+    """Integrate over the way from before to after.
+
+    Args:
+        before, after, errors, unknowns: As in `error_budget`.
+        members: Which parameters belong to which cause, (n_causes, n_free).
+        layout: Which row is what.
+        counted: Which rows count, (n_rows,).
+    """
+    way = after.values - before.values
+    steps = (members * way[unknowns.index]).T
+    places = _cause_of_places(unknowns, members)
+    removed, gradient = np.zeros((int(np.sum(counted)), len(members))), np.zeros(members.shape)
+    end, _ = _seen(after, errors, unknowns, layout, counted)
+    for node, weight in zip(*np.polynomial.legendre.leggauss(3), strict=True):
+        robot = before.with_parameters(before.values + (node + 1.0) / 2.0 * way)
+        jacobian, residuals = _seen(robot, errors, unknowns, layout, counted)
+        placing, moved = _span(jacobian[:, unknowns.placement]), jacobian @ steps
+        total = np.sum(moved, axis=1)
+        taken = placing @ (placing.T @ total)
+        moved -= placing @ (placing.T @ moved)
+        moved[:, places] += taken
+        own = members * (end.T @ (total - taken))
+        own[places] += end.T @ taken
+        removed -= weight * residuals[:, None] * moved
+        gradient += weight / 2.0 * (own + (end.T @ moved).T)
+    of_reading = layout.reading[counted]
+    chosen, number = np.unique(of_reading, return_inverse=True)
+    squares, sums = np.zeros(len(chosen)), np.zeros((len(chosen), len(members)))
+    np.add.at(squares, number, _flat(errors.before, layout)[counted] ** 2)
+    np.add.at(sums, number, removed)
+    return _Path(squares, sums, gradient, layout.pose[chosen])
+
+
+def _seen(
+    robot: Robot, errors: ErrorSet, unknowns: Unknowns, layout: Layout, counted: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Derivative (n_counted, n_free) and residuals (n_counted,) of the rows that count, under a robot on the way."""
+    data = errors.data
+    configurations = robot.assemble(data.joints, errors.passive, data.labels, data.conditions)
+    observed = observe(robot, configurations, data.readings)
+    jacobian = _flat({name: one.jacobian[:, :, unknowns.index] for name, one in observed.items()}, layout)
+    return jacobian[counted], _flat({name: one.residuals for name, one in observed.items()}, layout)[counted]
+
+
+def _leverage(rows: Rows, unknowns: Unknowns, members: BoolArray, counted: BoolArray) -> FloatArray:
+    """Return h_k of the module docstring, (n_causes,)."""
+    jacobian = rows.jacobian[counted]
+    pulled = (jacobian @ rows.known.root) @ rows.known.root.T
+    placing = _span(jacobian[:, unknowns.placement])
+    taken = placing.T @ jacobian
+    leverage: FloatArray = members @ np.sum((jacobian - placing @ taken) * pulled, axis=0)
+    leverage[_cause_of_places(unknowns, members)] += float(np.sum(taken * (placing.T @ pulled)))
+    return leverage
+
+
+def _cause_of_places(unknowns: Unknowns, members: BoolArray) -> int:
+    """Number of the cause that unknown places belong to; without any, of any cause: nothing is added to it."""
+    return int(np.argmax(members[:, int(np.argmax(unknowns.placement))]))
+
+
+def _span(columns: FloatArray) -> FloatArray:
+    """Return orthonormal directions of what columns (n, k) span, (n, rank)."""
+    length = np.linalg.norm(columns, axis=0)
+    u, s, _ = np.linalg.svd(columns / np.where(length > 0, length, 1.0), full_matrices=False)
+    return u[:, s > _OPEN * np.max(s, initial=0.0)]
+
+
+def _flat(arrays: Mapping[str, FloatArray], layout: Layout) -> FloatArray:
+    """All rows of all instruments, (n_rows,) or (n_rows, k), from (n, n_rows) or (n, n_rows, k) of each."""
+    return np.concatenate([arrays[name].reshape(-1, *arrays[name].shape[2:]) for name in layout.instruments])
+
+
+def _std(parts: FloatArray, pose: IntArray) -> float:
+    """Standard deviation of the mean of parts (n_readings,), by the poses that they belong to; NaN for one pose."""
+    number = np.unique(pose, return_inverse=True)[1]
+    sums = np.bincount(number, parts - np.mean(parts))
+    if len(sums) < 2:
+        return float("nan")
+    return float(np.sqrt(len(sums) / (len(sums) - 1) * np.sum(sums**2)) / len(parts))
+
+
+def _noise(errors: ErrorSet, stated: float, width: float) -> tuple[float, float, str]:
+    """Mean square of the noise of a reading with so many components, its standard deviation, and where it is from."""
+    scatter, freedom = repeatability(errors)
+    if freedom >= ENOUGH_REPEATS and errors.main_part.name == "position":
+        return width * scatter**2, width * scatter**2 * float(np.sqrt(2.0 / freedom)), "repeats"
+    return (stated, 0.0, "stated") if np.isfinite(stated) else (float("nan"), float("nan"), "")
+
+
+def _advice(left: float, noise: float, beyond: Share, source: str) -> str:
+    """One sentence on whether to go on modelling."""
+    if not source:
+        return (
+            "Whether more modelling would help cannot be known: the noise is not stated, and too few poses were read"
+            " more than once to tell it from what the model leaves out"
+        )
+    known = "repeatability (the scatter of repeats)" if source == "repeats" else "the stated noise"
+    if left <= _AS_LARGE**2 * noise and beyond.mean_square + 2.0 * beyond.std <= _SURE * noise:
+        return f"The rest is as large as {known}; more modelling will not help"
+    if beyond.mean_square > 2.0 * beyond.std and left > _AS_LARGE**2 * noise:
+        return f"The rest is larger than {known}: more modelling may help, or the noise is larger than that"
+    return f"Too few poses to tell whether the rest is larger than {known}"

@@ -1,0 +1,117 @@
+"""What a fit shows beside its numbers: readings far off, patterns that noise does not make, what made the error.
+
+Each finding is a function of a fit, made when it is first asked for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.base.errors import UnreachablePoseError
+from calib.base.remembered import remembered
+from calib.base.threads import one_blas_thread
+from calib.fitting.fitted import Fit
+from calib.fitting.outliers import Outlier, blocks, outliers_of
+from calib.judging import systematic
+from calib.judging.effect_setting import Setting
+from calib.judging.error_budget import ErrorBudget, error_budget
+from calib.judging.systematic import Pattern, Residuals
+from calib.numerics import losses
+from calib.numerics.losses import Studentised
+from calib.rows.observed import observe
+
+_LEAST_FACTOR = 1e-3  # found over assumed noise of a group, over that of all, below which a group has none
+
+
+@remembered
+def studentised(fit: Fit) -> Studentised:
+    """Return how far off every reading is that was used; see `calib.numerics.losses`."""
+    factors, number = fit.statistics.factors.found, fit.rows.layout.group
+    # groups whose stated noise is off by different factors are judged by what each of them really has
+    relative = np.maximum(factors / _factor(fit), _LEAST_FACTOR)
+    divisor = np.where(number >= 0, relative[number], 1.0)
+    rows = replace(fit.rows, residuals=fit.rows.residuals / divisor)
+    return losses.studentised(blocks(rows, fit.weights), fit.root, fit.statistics.freedom)
+
+
+@remembered
+def validation_studentised(fit: Fit) -> Studentised | None:
+    """Return how far off every reading is that was not used; None without them."""
+    rows = fit.validation_rows
+    if rows is None:
+        return None
+    known = fit.statistics.covariance / np.outer(fit.unknowns.scales, fit.unknowns.scales)
+    values, vectors = np.linalg.eigh(known)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    scale = studentised(fit).scale / _factor(fit)
+    return losses.studentised(blocks(rows, np.zeros(rows.layout.n_readings)), root, fit.statistics.freedom, scale)
+
+
+def _factor(fit: Fit) -> float:
+    """Found over assumed noise, of all groups together."""
+    return max(float(np.sqrt(np.mean(fit.statistics.factors.found**2))), 1e-30)
+
+
+@remembered
+def outliers(fit: Fit) -> tuple[Outlier, ...]:
+    """Return readings that were used and lie further off than noise explains, worst first."""
+    return outliers_of(studentised(fit), fit.identification, fit.rows.layout)
+
+
+@remembered
+def validation_outliers(fit: Fit) -> tuple[Outlier, ...]:
+    """Return readings that were not used and lie further off than noise and uncertainty explain, worst first."""
+    rows, far_off = fit.validation_rows, validation_studentised(fit)
+    if fit.validation is None or rows is None or far_off is None:
+        return ()
+    return outliers_of(far_off, fit.validation, rows.layout)
+
+
+@remembered
+def setting(fit: Fit) -> Setting:
+    """Return what effects that the model may leave out are made of."""
+    data = fit.identification.data
+    observed = observe(fit.robot, fit.configurations, data.readings, joints=True)
+    return Setting(fit.robot, data, fit.configurations, observed, fit.whitening, fit.scales, fit.weights)
+
+
+@remembered
+def linear(fit: Fit) -> Residuals:
+    """Return the fit as a linear model, in which effects are looked for."""
+    factors = fit.statistics.factors
+    factor = float(np.sqrt(np.sum(factors.freedom * factors.found**2) / factors.total_freedom))
+    rows = fit.rows.weighted(fit.weights)
+    shared = fit.statistics.shared
+    pose_freedom = np.inf if shared is None else shared.freedom
+    return Residuals(rows, fit.root, fit.statistics.freedom, factor, pose_freedom)
+
+
+@remembered
+@one_blas_thread
+def patterns(fit: Fit) -> tuple[Pattern, ...]:
+    """Return systematic patterns that were looked for in the residuals, most significant first."""
+    return () if fit.computed else systematic.patterns(linear(fit), setting(fit))
+
+
+@remembered
+@one_blas_thread
+def budget(fit: Fit) -> ErrorBudget | None:
+    """Return what made the error before, and what is left: of the readings that were not used, or of all there are.
+
+    None where the robot cannot be assembled on the way from before to after.
+    """
+    used = fit.validation is None
+    try:
+        return error_budget(
+            fit.placed,
+            fit.robot,
+            fit.validation or fit.identification,
+            fit.unknowns,
+            fit.statistics.covariance,
+            fit.rows if used else None,
+            fit.sigma_given,
+        )
+    except UnreachablePoseError:
+        return None

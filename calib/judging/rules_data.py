@@ -1,0 +1,316 @@
+"""Rules of the verdict about the measurements: poses, outliers, repeats, digits. Each gives at most a few reasons."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+
+import numpy as np
+
+from calib.base.arrays import FloatArray, IntArray
+from calib.base.units import ERROR_UNIT, error_scale, millimetres
+from calib.base.words import counted, listed
+from calib.data.grouping import SAME_JOINTS, pose_labels
+from calib.data.measurements import Measurements
+from calib.fitting.fitted import Fit
+from calib.fitting.outliers import Outlier, blocks
+from calib.fitting.pose_checks import directions_moved, equal_columns, unmoved_joints, zero_visits
+from calib.judging import findings
+from calib.judging.reasons import Reason
+from calib.judging.repeatability import beyond_repeatability
+from calib.judging.rounded_joint_values import rounding
+from calib.numerics.losses import FALSE_ALARM, HIGH_LEVERAGE, studentised
+from calib.rows.rows import Rows
+
+FEW = 10.0 - 1e-6  # ten, also where rounding took a little
+"""Degrees of freedom below which intervals are very wide."""
+FEW_SHARED = 5
+"""The same of poses whose readings share errors; poses from which distances of targets say something."""
+RIGID = 1e-6
+"""Scatter of the distance of two targets below which no instrument read both [m]."""
+COSTLY = 0.36
+"""Part of the squared residuals that outliers make, from which errors are a fifth smaller without them."""
+EXCLUDED = 0.1
+"""Part of the poses that may be outliers."""
+BEYOND_REPEATS = 1.5
+"""Found noise over the scatter of repeats from which something systematic is left."""
+UNLIKELY = 1e-3
+"""Chance below which a test against noise counts."""
+ROUNDED = 0.2
+"""Part of the noise, squared, that steps of the joint values must be able to make to be named."""
+ALL_ROUNDED = 2.0
+"""The same, beyond which the joints really stood at these round values: rounding would have made more noise."""
+DIGITS = 0.01
+"""Chance below which residuals that scatter along the joints do so because these are rounded."""
+COPIED = 0.1
+"""Part of the readings that may equal another one; coarse readings may do so by chance."""
+FAR = 3.0
+"""Residual over the median residual from which a reading of 0, 0, 0 is not the origin of the measurement frame."""
+USED_FOR_BOTH = 0.1
+"""Part of the validation poses that may be poses of the fit, measured again."""
+ANOTHER = {"load": 0.05, "temperature": 2.0}
+"""Differences in stated conditions [kg, K] that make a measurement at the same joint values another one."""
+
+
+def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
+    """Look for joints that never moved, and poses near a singularity."""
+    data = fit.identification.data
+    still = unmoved_joints(fit.nominal, data.joints)
+    if len(still) == len(fit.nominal.joint_names):
+        yield Reason(
+            "FAIL", "poses_equal", "all poses are the same: the parameters rest on their priors; move the robot"
+        )
+    elif still:
+        yield Reason(
+            "CHECK",
+            "joint_never_moved",
+            f"{'joint' if len(still) == 1 else 'joints'} {', '.join(still)} never moved: what depends on"
+            f" {'it' if len(still) == 1 else 'them'} rests on priors, and poses that move"
+            f" {'it' if len(still) == 1 else 'them'} are not calibrated",
+            counted=True,
+        )
+    n_moved = len(fit.nominal.joint_names) - len(still)
+    directions = directions_moved(data.joints)
+    if directions < min(n_moved, len(data) - 1):
+        yield Reason(
+            "CHECK",
+            "joints_move_together",
+            f"{n_moved} joints moved, but only together: the poses lie along {counted(directions, 'direction')} of"
+            " joint space, and what depends on the joints one by one rests on priors; move each joint by itself",
+            counted=True,
+        )
+    limit = fit.nominal.description.singularity_limit
+    near = [data.labels[k] for k in np.flatnonzero(fit.identification.singular_value < limit)]
+    if near:
+        yield Reason(
+            "CHECK",
+            "near_singular",
+            f"{counted(len(near), 'pose is', 'poses are')} near a singularity of the loops (smallest singular value"
+            f" below {limit:g}): {listed(near)}; leave {'it' if len(near) == 1 else 'them'} out",
+            counted=True,
+        )
+
+
+def too_few_poses(fit: Fit) -> Iterator[Reason]:
+    """Count degrees of freedom."""
+    rows, used = fit.rows.layout.n_read, fit.statistics.effective_parameters
+    if fit.statistics.freedom < FEW or rows < 2 * used - 1e-6:
+        yield Reason(
+            "CHECK",
+            "too_few_poses",
+            f"too few poses: {rows} measured coordinates decide {used:.1f} parameters and leave"
+            f" {fit.statistics.freedom:.1f} degrees of freedom; measure several times as many",
+            counted=fit.statistics.freedom >= FEW,
+        )
+
+
+def few_shared(fit: Fit) -> Iterator[Reason]:
+    """Count poses whose readings share errors."""
+    found = fit.statistics
+    if found.shared is not None and found.interval_freedom < FEW_SHARED:
+        yield Reason(
+            "CHECK",
+            "too_few_poses",
+            f"too few poses: the readings of a pose share errors, so that intervals rest on"
+            f" {found.interval_freedom:.1f} independent errors only; measure several times as many poses, not more"
+            " readings of each",
+        )
+
+
+def moves_as_one(fit: Fit) -> Iterator[Reason]:
+    """Look for targets that keep their distances so exactly that they were computed from one pose."""
+    data, names = fit.identification.data, fit.nominal.target_names
+    if len(names) < 2 or fit.computed:
+        return
+    points = data.points(fit.nominal)
+    rigid = set()
+    for a, b in combinations(range(len(names)), 2):
+        distances = np.linalg.norm(points[:, a] - points[:, b], axis=1)
+        distances = distances[np.isfinite(distances)]
+        if len(distances) >= FEW_SHARED and np.std(distances) < RIGID < fit.sigma:
+            rigid |= {names[a], names[b]}
+    if rigid:
+        yield Reason(
+            "PASS",
+            "moves_as_one",
+            f"targets {listed([name for name in names if name in rigid])} keep their distances to {1e6 * RIGID:g} um,"
+            f" while readings are off by {millimetres(fit.sigma):.3g} mm per axis: they were computed from one pose."
+            " Intervals count each pose once; an instrument of kind pose reads it as what it is",
+        )
+
+
+def outliers(fit: Fit) -> Iterator[Reason]:
+    """List outliers, and count the excluded ones."""
+    for where, outlying in (
+        ("", findings.outliers(fit)),
+        (" among the poses that were not used", findings.validation_outliers(fit)),
+    ):
+        if outlying:
+            words = listed([str(outlier) for outlier in outlying], "; ")
+            yield Reason(
+                "CHECK",
+                "outliers",
+                f"{counted(len(outlying), 'outlier')}{where} (chance below {100 * FALSE_ALARM:g} %): {words};"
+                f" look at {'this measurement' if len(outlying) == 1 else 'these measurements'}"
+                + ("" if where else f"; --exclude-outliers fits without {'it' if len(outlying) == 1 else 'them'}"),
+                counted=_share(outlying, fit.validation_rows if where else fit.rows) < COSTLY,
+            )
+    if fit.with_all is not None:
+        total = len(fit.with_all.identification.data)
+        poses = total - len(fit.identification.data)
+        if poses > EXCLUDED * total:
+            yield Reason(
+                "CHECK",
+                "many_excluded",
+                f"{poses} of {total} poses were excluded: so many are no outliers; the model or the measurements are"
+                " wrong",
+            )
+
+
+def used_for_both(fit: Fit) -> Iterator[Reason]:
+    """Look for validation poses that the fit has used."""
+    if fit.validation is None:
+        return
+    used, other = fit.identification.data, fit.validation.data
+    label = pose_labels(np.hstack([np.vstack([used.joints, other.joints]), _conditions(used, other)]))
+    same_pose = np.isin(label[len(used) :], label[: len(used)])
+    known = {key for keys in _reading_keys(used) for key in keys}
+    same_reading = [bool(keys & known) for keys, same in zip(_reading_keys(other), same_pose, strict=True) if same]
+    if any(same_reading) or np.sum(same_pose) > USED_FOR_BOTH * len(other):
+        what = "are measurements that the fit has used" if any(same_reading) else "were measured at poses of the fit"
+        yield Reason(
+            "CHECK",
+            "used_for_both",
+            f"{sum(same_reading) or np.sum(same_pose)} of {counted(len(other), 'validation pose')} {what}: they prove"
+            " less than they seem to; validate with poses of their own",
+        )
+
+
+def doubtful_readings(fit: Fit) -> Iterator[Reason]:
+    """Ask the instruments what looks wrong about their readings."""
+    for name, readings in fit.identification.data.readings.items():
+        for text in fit.nominal.instrument(name).doubts(readings):
+            yield Reason("CHECK", "doubtful_readings", text)
+
+
+def _share(outlying: Sequence[Outlier], rows: Rows | None) -> float:
+    """Part of the squared residuals that outliers make."""
+    if rows is None:
+        return 1.0
+    squares = np.bincount(rows.layout.reading, rows.residuals**2, rows.layout.n_readings)
+    return float(np.sum(squares[[one.reading for one in outlying]]) / max(float(np.sum(squares)), 1e-300))
+
+
+def copied(fit: Fit) -> Iterator[Reason]:
+    """Look for readings that are in the data more than once, to the last digit."""
+    data = fit.identification.data
+    if fit.computed:
+        return
+    rows = [(joints.tobytes(), frozenset(keys)) for joints, keys in zip(data.joints, _reading_keys(data), strict=True)]
+    copies = len(rows) - len(set(rows))
+    if copies > COPIED * len(rows):
+        yield Reason(
+            "CHECK",
+            "copied",
+            f"{copies} of {counted(len(rows), 'reading')} are copies of others to the last digit: nothing new, so that"
+            " intervals are too narrow; leave the copies out",
+        )
+
+
+def _conditions(used: Measurements, other: Measurements) -> FloatArray:
+    """Setups and stated conditions of the visits of both, (n, ...), in units of what makes it another measurement."""
+    both = (used, other)
+    columns = [np.concatenate([np.zeros(len(one)) if one.setups is None else one.setups for one in both])]
+    for name, size in ANOTHER.items():
+        values = [np.nan_to_num(one.context.get(name, np.zeros(len(one)))) for one in both]
+        columns.append(SAME_JOINTS / size * np.concatenate(values))
+    return np.column_stack(columns)
+
+
+def _reading_keys(data: Measurements) -> list[set[bytes]]:
+    """What was read at each visit, to the last digit."""
+    keys: list[set[bytes]] = [set() for _ in range(len(data))]
+    for name, readings in data.readings.items():
+        for visit, values, details in zip(readings.visits, readings.values, readings.details, strict=True):
+            keys[visit].add(name.encode() + values.tobytes() + details.tobytes())
+    return keys
+
+
+def dead_readings(fit: Fit) -> Iterator[Reason]:
+    """Look for readings that no instrument took: exactly 0, 0, 0 and not fitting, and columns that are copies."""
+    data = fit.identification.data
+    zeros = zero_visits(data, fit.nominal)
+    left = np.zeros(len(data))
+    np.maximum.at(left, fit.rows.layout.visit, fit.rows.distances())
+    if len(zeros) > 1 or np.any(left[zeros] > FAR * np.median(left)):  # one may be the origin of the frame
+        yield Reason(
+            "FAIL",
+            "zero_readings",
+            f"{counted(len(zeros), 'pose was', 'poses were')} read at exactly 0, 0, 0, as some programs write where"
+            f" they saw nothing: {listed([data.labels[k] for k in zeros])};"
+            f" leave {'it' if len(zeros) == 1 else 'them'} out",
+        )
+    for first, second in equal_columns(data, fit.nominal):
+        yield Reason(
+            "FAIL",
+            "equal_columns",
+            f"columns {first} and {second} are equal in every row: one is a copy of the other; export the file again",
+        )
+
+
+def repeats(fit: Fit) -> Iterator[Reason]:
+    """Compare residuals with the scatter of repeats."""
+    ratio, p_value = beyond_repeatability(fit.identification, fit.statistics.effective_parameters)
+    if ratio > BEYOND_REPEATS and p_value < UNLIKELY:
+        yield Reason(
+            "CHECK",
+            "repeatability",
+            f"residuals are {ratio:.1f} times what repeats of a pose scatter: the model leaves something out, or the"
+            " repeats were read without moving the robot",
+            counted=True,
+        )
+
+
+def rounded(fit: Fit) -> Iterator[Reason]:
+    """See whether joint values were rounded to so few digits that this makes much of the noise."""
+    found = None if fit.computed else rounding(fit)
+    if found is not None and ROUNDED < found.part < ALL_ROUNDED and found.chance < DIGITS:
+        one = fit.first_noise
+        size = error_scale(one.group.dimension) * one.sigma * float(np.sqrt(min(found.part, 1.0)))
+        yield Reason(
+            "CHECK",
+            "rounded",
+            f"joint values stand in steps of {found.steps}, and residuals scatter as if they were rounded to these:"
+            f" that alone makes about {size:.2g} {ERROR_UNIT[one.group.dimension]} of noise; export all digits that"
+            " the controller has",
+            counted=True,
+        )
+
+
+def leverage(fit: Fit) -> Iterator[Reason]:
+    """List poses that decide their own prediction, curves aside.
+
+    A curve follows each pose a little; what an error at any of them spoils is as local as at the others.
+    """
+    deciding = findings.studentised(fit).largest_leverage > HIGH_LEVERAGE
+    lasting = fit.unknowns.family < 0
+    if np.any(deciding) and not np.all(lasting):
+        rows = fit.rows.only(lasting)
+        root = rows.weighted(fit.weights).known.root
+        deciding &= (
+            studentised(blocks(rows, fit.weights), root, fit.statistics.freedom).largest_leverage > HIGH_LEVERAGE
+        )
+    high = _visits(fit, np.flatnonzero(deciding))
+    if high and fit.statistics.freedom >= FEW:
+        yield Reason(
+            "CHECK",
+            "leverage",
+            f"{counted(len(high), 'pose decides its', 'poses decide their')} own prediction, so that an error there"
+            f" would not show: {listed(high)}; measure more poses near {'it' if len(high) == 1 else 'them'}",
+            counted=True,
+        )
+
+
+def _visits(fit: Fit, readings: IntArray) -> list[str]:
+    """Labels of the visits of some readings, each once."""
+    return [fit.identification.data.labels[k] for k in dict.fromkeys(fit.rows.layout.visit[readings].tolist())]

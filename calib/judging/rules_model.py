@@ -1,0 +1,323 @@
+"""Rules of the verdict about the fit: convergence, validation, what the model leaves out, other minima."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pinocchio as pin
+import scipy
+
+from calib.base.arrays import FloatArray
+from calib.base.errors import DataError
+from calib.base.units import ERROR_UNIT, PER_SI, error_scale, millimetres
+from calib.base.words import counted, listed
+from calib.fitting.error_sets import ErrorSet
+from calib.fitting.fitted import Fit
+from calib.judging import findings
+from calib.judging.better_or_worse import CHANCE, HARM, comparisons
+from calib.judging.claim import Claim, Gain
+from calib.judging.effects import IN_COURSE
+from calib.judging.reasons import Reason
+from calib.judging.rules_data import UNLIKELY
+from calib.judging.rules_noise import in_words
+from calib.judging.systematic import describe
+from calib.numerics.rigid import best_transform
+from calib.numerics.variance_components import EXACT
+from calib.robots.held import Holds
+from calib.rows.registration import registration
+
+ELSEWHERE = 0.2
+"""Errors of the nominal robot with its base placed by the data, over those where it is stated, if it is elsewhere."""
+BELIEVED = 0.5
+"""Weight of a robust loss from which a reading counts."""
+FEW_POSES = 6
+"""Validation poses from which a rigid motion explains errors only if there is one."""
+EXPLAINED = 0.3
+"""Errors on validation poses that a rigid motion of the frame leaves, over all of them, if it explains them."""
+LASTING = 0.55
+"""What changes in the course of the measurement, over all that is left, up to which a claim holds at its end: what
+grows evenly is sqrt(3) times as large there as on average, so that all is 1.25 times as large at sqrt(0.3) of all."""
+OTHER_MINIMUM = 10.0
+"""Difference of the cost within which another minimum explains the data as well."""
+
+
+def not_converged(fit: Fit) -> Iterator[Reason]:
+    """Judge how the iteration ended."""
+    end = fit.convergence
+    advice = "check units, joint order and signs, or try --starts"
+    if end.converged:
+        return
+    if not end.weights_stand:
+        text = (
+            f"not converged: the weights of the robust loss '{fit.loss}' do not settle; too many measurements disagree"
+        )
+    elif not end.step_left < np.inf or end.step_left > 1.0:
+        text = f"not converged: parameter {end.parameter} would still move by {end.step_left:.2g} standard deviations"
+    else:
+        text = f"not converged: {end.message}"
+    yield Reason("FAIL", "not_converged", f"{text}; {advice}")
+
+
+def not_assembled(fit: Fit) -> Iterator[Reason]:
+    """Assemble the calibrated robot afresh."""
+    if not fit.assembles:
+        yield Reason(
+            "FAIL",
+            "not_assembled",
+            "with the parameters found, the robot cannot be assembled from its home configuration: they are not those"
+            " of this robot; check units, joint order and signs",
+        )
+
+
+def worse_on_validation(fit: Fit) -> Iterator[Reason]:
+    """Compare errors on unused poses before and after."""
+    for comparison in comparisons(fit):
+        if comparison.worse:
+            yield Reason(
+                "FAIL",
+                "worse_on_validation",
+                f"the calibration makes the robot worse on {comparison.name}: {comparison.words} (chance below"
+                f" {100 * CHANCE:g} %). The fit follows its own measurements, not the robot: measure more poses, spread"
+                " over the space where the robot will work",
+            )
+
+
+def residuals_grew(fit: Fit) -> Iterator[Reason]:
+    """See whether readings that were used are explained worse than by the nominal robot, in sum or of one instrument.
+
+    Least squares make their sum smaller. Where it grew, weights or priors were believed more than the readings.
+    """
+    if fit.computed:
+        return
+    before, rows = fit.whitened(fit.identification)
+    layout, believed = rows.layout, fit.weights > BELIEVED
+    squares = [np.bincount(layout.reading, errors**2, layout.n_readings) for errors in (before, rows.residuals)]
+    sums = [float(np.sum(one[believed])) for one in squares]
+    if sums[1] > HARM**2 * sums[0]:
+        yield Reason(
+            "FAIL",
+            "residuals_grew",
+            f"the poses used are explained {np.sqrt(sums[1] / sums[0]):.2f} times as badly as by the nominal robot with"
+            " base and targets placed: the fit believes priors or weights more than the measurements; check the stated"
+            " noise and the sigmas of the description",
+        )
+        return
+    for one, part, of_part in fit.identification.parts():
+        kept = believed[layout.readings_of(one.name)]
+        if not np.any(kept):
+            continue
+        states = fit.identification.before, fit.identification.after
+        sizes = [float(np.nanmean(errors[one.name][kept][:, of_part] ** 2)) for errors in states]
+        if sizes[1] > HARM**2 * sizes[0]:
+            scale, unit = error_scale(part.dimension), ERROR_UNIT[part.dimension]
+            before_rms, after_rms = (scale * float(np.sqrt(size * len(part.axes))) for size in sizes)
+            yield Reason(
+                "CHECK",
+                "instruments_disagree",
+                f"readings of {one.name}, {part.name}, are explained worse than before ({after_rms:.4g} {unit} RMS,"
+                f" {before_rms:.4g} before), so that others are explained better: the instruments contradict each"
+                " other; check how each is described, and the noise that is stated",
+            )
+
+
+def claim_broken(made: Claim, *, needless: bool) -> Iterator[Reason]:
+    """Compare errors on poses that were not used with what is claimed.
+
+    Args:
+        made: The claim.
+        needless: Whether the robot needs no correction.
+    """
+    for one in made.broken:
+        times, told = one.rms / made.told.rms, made.told
+        if one.rms > one.before and made.gain is not Gain.BETTER and not needless:
+            yield Reason(
+                "FAIL",
+                "worse_on_validation",
+                f"the calibration makes the robot worse at {one.where}: {one.shown(one.rms)} RMS after,"
+                f" {one.shown(one.before)} before, and {times:.1f} times what it claims ({told.shown(told.rms)}). The"
+                " fit follows its own measurements, not the robot: measure more poses, spread over the space where the"
+                " robot will work",
+            )
+        else:
+            yield Reason(
+                "CHECK",
+                "validation",
+                f"{one.where} are {times:.1f} times as far off as claimed ({one.shown(one.rms)} RMS where poses like"
+                f" those used have {told.shown(told.rms)}): the robot does something there that the poses used do not"
+                " show; measure also there",
+            )
+
+
+def base_elsewhere(fit: Fit) -> str:
+    """Return what to do if the nominal robot fits with its base anywhere but where it is stated; else nothing."""
+    robot, data = fit.nominal, fit.identification.data
+    if robot.description.base.pose == "unknown":
+        return ""
+    try:
+        stated, placed = (registration(robot, data, frame_known=known) for known in (True, False))
+    except DataError:  # no points were measured
+        return ""
+    if placed.rms > ELSEWHERE * stated.rms:
+        return ""
+    pose = placed.T_base_measurement.inverse()
+    xyz = ", ".join(f"{millimetres(value):.2f} mm" for value in pose.translation)
+    rpy = ", ".join(f"{PER_SI['angle']['deg'] * value:.3f} deg" for value in pin.rpy.matrixToRpy(pose.rotation))
+    has_own_base = isinstance(robot.description.parametrisation, str)  # then it cannot be called unknown
+    unknown = "" if has_own_base else "set base: pose: unknown, or "
+    return (
+        f"base: pose: known does not fit these measurements (rms {millimetres(stated.rms):.4g} mm; placed by the data:"
+        f" {millimetres(placed.rms):.4g} mm): {unknown}correct it to about xyz: [{xyz}], rpy: [{rpy}]"
+    )
+
+
+def frame_moved(fit: Fit) -> Iterator[Reason]:
+    """See whether a rigid motion explains the errors on validation poses: whether they were measured from elsewhere."""
+    if fit.validation is None or len(fit.validation.data) < FEW_POSES or fit.computed or _from_one_file(fit):
+        return
+    measured, errors = _points(fit.validation)
+    if len(measured) < FEW_POSES:
+        return
+    predicted = measured + errors
+    rotation, translation = best_transform(measured, predicted)
+    left = _rms(predicted - measured @ rotation.T - translation)
+    if left < EXPLAINED * _rms(errors):
+        centre = measured.mean(axis=0)
+        shift = millimetres(float(np.linalg.norm(rotation @ centre + translation - centre)))
+        angle = float(np.degrees(np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0))))
+        yield Reason(
+            "CHECK",
+            "frame_moved",
+            f"the validation poses look as if the tracker, the base or its frame had moved between the two files, by"
+            f" {shift:.3g} mm and {angle:.2g} deg: that explains all but {millimetres(left):.3g} mm RMS; measure both"
+            " from one place, or hold out poses of one file (--validate 0.2)",
+        )
+
+
+def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
+    """See whether the calibration gains anything: on unused poses, else by an F test of all that was not placed."""
+    if fit.computed:
+        return
+    entries = list(comparisons(fit))
+    if np.all(fit.unknowns.placement) or any(entry.better or entry.worse for entry in entries):
+        return
+    chance = _chance_of_gain(fit)
+    said = "; ".join(f"on {entry.name} {entry.words}, no gain beyond the uncertainty" for entry in entries)
+    if chance > UNLIKELY:
+        said += f"{'; ' if said else ''}on the poses used, no more than chance gives (p = {chance:.2g})"
+        yield Reason(
+            "PASS",
+            "nothing_to_correct",
+            f"nothing to correct: {said}; the nominal values are as good as any, as far as measurements with"
+            f" {in_words(fit.first_noise, fit.sigma)} of noise can tell",
+        )
+    elif entries and all(entry.after >= entry.before for entry in entries):
+        yield Reason(
+            "CHECK",
+            "no_gain",
+            f"poses that were not used get no better: {said}. The poses used do, beyond chance: the fit follows what"
+            " is special to them; measure more poses, spread over the space where the robot will work",
+        )
+
+
+def _chance_of_gain(fit: Fit) -> float:
+    """Chance that the parameters explain as much of a robot at nominal, with base and targets placed alone."""
+    root = np.sqrt(fit.weights)[fit.rows.layout.reading]
+    whitened, rows = fit.whitened(fit.identification)
+    before, after = float(np.sum((root * whitened) ** 2)), float(np.sum((root * rows.residuals) ** 2))
+    k = fit.statistics.effective_parameters - int(np.sum(fit.unknowns.placement))
+    if k < 0.5 or after <= 0:
+        return 0.0
+    return float(scipy.special.fdtrc(k, fit.statistics.freedom, max((before - after) / k, 0.0)))
+
+
+def files_hold_less(fit: Fit) -> Iterator[Reason]:
+    """Say what `calibrated.urdf` is worth where it is not the whole model; and if it is not written, why."""
+    if fit.reduced is None:  # nobody asked for files
+        return
+    why = why_no_origins(fit)
+    if why:
+        others = "calib's own commands have the terms" if fit.robot.terms else "the nominal robot is as good as any"
+        yield Reason(
+            "PASS",
+            "file_withheld",
+            f"calibrated.urdf is not written, nor any other file of joint origins: {why}; {others}; --force writes it"
+            " anyway",
+        )
+    elif fit.robot.lost_by(Holds.ORIGINS):
+        judged, whole = (fit.robot.files[holds].accuracy for holds in (Holds.ORIGINS, Holds.EVERYTHING))
+        yield Reason(
+            "PASS",
+            "file_holds_less",
+            "calibrated.urdf, as every file of joint origins, holds no joint terms, and has the origins that are best"
+            f" without them: {judged.words}; nominal robot: {judged.shown(judged.before)}, whole model:"
+            f" {whole.shown(whole.rms)}",
+        )
+
+
+def why_no_origins(fit: Fit) -> str:
+    """Return why no file of joint origins is written of a fit that did not fail; empty if they are."""
+    known = fit.robot.files.get(Holds.ORIGINS)
+    if known is not None:
+        return known.withheld
+    return "no fit without its joint terms has succeeded" if fit.robot.lost_by(Holds.ORIGINS) else ""
+
+
+def systematic(fit: Fit) -> Iterator[Reason]:
+    """List patterns in the residuals: those that stay, and those that change in the course of the measurement."""
+    patterns = [pattern for pattern in findings.patterns(fit) if pattern.significant]
+    changing = [pattern for pattern in patterns if pattern.kind in IN_COURSE]
+    left = fit.identification.rms("after")
+    for kinds in (changing, [pattern for pattern in patterns if pattern not in changing]):
+        if kinds:
+            largest = max(pattern.size for pattern in kinds)
+            words = [describe(pattern, fit.nominal.mechanism.dimensions) for pattern in kinds]
+            yield Reason(
+                "CHECK",
+                "systematic",
+                f"residuals are not only noise: {listed(words, '; ')}; the model leaves this out, and intervals do not"
+                " count it",
+                counted=kinds is not changing or largest < LASTING * left,
+            )
+
+
+def other_minima(fit: Fit) -> Iterator[Reason]:
+    """Look at what perturbed starts found."""
+    if fit.starts is None:
+        return
+    best, *others = fit.starts.minima
+    # without a statement the starts were weighed by a noise that was not found yet
+    started = fit.starts.groups[0] * fit.whitening.groups[0].typical
+    unit = 1.0 if fit.noise[0].stated is not None else (max(fit.noise[0].sigma, EXACT) / started) ** 2
+    near = [other for other in others if other.cost - best.cost < OTHER_MINIMUM * unit]
+    if near:
+        yield Reason(
+            "CHECK",
+            "other_minimum",
+            f"{counted(len(near), 'other minimum explains', 'other minima explain')} the data as well (RMS"
+            f" {millimetres(near[0].rms):.4g} mm against {millimetres(best.rms):.4g} mm): the data do not say which is"
+            " the robot; measure more different poses",
+        )
+
+
+def _rms(errors: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+
+
+def _points(error_set: ErrorSet) -> tuple[FloatArray, FloatArray]:
+    """Measured points of all instruments, and their errors after calibration, (n, 3) each [m]."""
+    measured: list[FloatArray] = [np.zeros((0, 3))]
+    errors: list[FloatArray] = [np.zeros((0, 3))]
+    for one, part, rows in error_set.parts():
+        points = one.points(error_set.data.readings[one.name].values)
+        if points is not None and part.name == "position":
+            measured_rows = np.isfinite(points).all(axis=1)
+            measured.append(points[measured_rows])
+            errors.append(error_set.after[one.name][measured_rows][:, rows])
+    return np.concatenate(measured), np.concatenate(errors)
+
+
+def _from_one_file(fit: Fit) -> bool:
+    """Whether the validation poses were held out of the file that was fitted."""
+    used, unused = fit.identification.data, fit.validation.data if fit.validation is not None else None
+    return unused is not None and used.path == unused.path and used.order is not None and unused.order is not None

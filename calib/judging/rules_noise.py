@@ -1,0 +1,184 @@
+"""Rules of the verdict about noise: what was found against what was stated, and against what such instruments have."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calib.base.units import ERROR_UNIT, error_scale, millimetres
+from calib.fitting.fitted import Fit, FoundNoise
+from calib.judging.better_or_worse import comparisons
+from calib.judging.other_meanings import other_meaning
+from calib.judging.reasons import Reason
+from calib.judging.rules_data import UNLIKELY
+from calib.numerics.statistics import chi_square
+
+NOISE_RATIO = 3.0
+"""Found over stated noise from which the statement, or the model, is wrong."""
+GROSS = 2.0
+"""Noise of every instrument, over the largest that it has, from which the result rests on what the model leaves out."""
+LARGE_NOISE = 0.1
+"""Noise, over the spread of the measured positions, that means that nothing fits."""
+DOUBTFUL = 0.05
+"""Noise, over that which no such instrument has, from which other meanings of its numbers are tried."""
+LEFT_OUT = 0.01
+"""Noise, over the spread of the measured positions, that a model of a healthy robot may leave."""
+
+
+def noise(fit: Fit) -> Iterator[Reason]:
+    """Compare the noise found with the positions, with the stated noise, and with what such instruments have."""
+    sigma, spread = fit.sigma, _spread(fit)
+    if sigma > LARGE_NOISE * spread:
+        yield Reason(
+            "FAIL",
+            "noise_as_large_as_robot",
+            f"noise found: {millimetres(sigma):.4g} mm per axis, for positions that spread over"
+            f" {millimetres(spread):.4g} mm; nothing fits: check units, axes, joint order and signs, and that joints"
+            " and positions belong together",
+        )
+    elif fit.computed:
+        yield Reason(
+            "CHECK",
+            "no_noise",
+            f"noise found: {in_words(fit.first_noise, sigma, 1)}, less than any sensor has; these data were computed,"
+            " not measured, and the intervals say nothing about a real robot",
+        )
+    else:
+        for one in fit.noise:
+            if one.freedom > 0:
+                yield from _against_usual(fit, one) if one.stated is None else _against_statement(fit, one)
+
+
+def misread(fit: Fit) -> Iterator[Reason]:
+    """Look for noise that no such instrument has, whatever robot it reads, and for what the numbers mean then."""
+    for one in fit.noise:
+        if not one.sigma > DOUBTFUL * one.group.largest:
+            continue
+        data, beyond = fit.identification.data, ""
+        readers = [name for name in data.readings if fit.nominal.instrument(name).group == one.group.name]
+        meaning = next(filter(None, (other_meaning(fit.nominal, data, name) for name in readers)), "")
+        if one.sigma > one.group.largest:
+            beyond = f", more than any such instrument has ({in_words(one, one.group.largest)})"
+        if meaning or beyond:
+            yield Reason(
+                "FAIL",
+                "misread",
+                f"noise found of {one.group.name}, {one.group.part}, is {in_words(one, one.sigma)} per axis{beyond}:"
+                f" the numbers mean something else; {meaning or 'look at their order, form, unit and frame'}",
+            )
+
+
+def in_words(one: FoundNoise, size: float, digits: int = 3) -> str:
+    """A noise [SI] in the unit of its group."""
+    return f"{error_scale(one.group.dimension) * size:.{digits}g} {ERROR_UNIT[one.group.dimension]}"
+
+
+def _of(fit: Fit, one: FoundNoise) -> str:
+    return f" of {one.group.name}, {one.group.part}," if len(fit.noise) > 1 else ""
+
+
+def _against_usual(fit: Fit, one: FoundNoise) -> Iterator[Reason]:
+    usual = one.group.usual
+    if one.sigma > usual:
+        none_fits = all(other.stated is None and other.sigma > GROSS * other.group.usual for other in fit.noise)
+        yield Reason(
+            "FAIL" if none_fits and not _proven_by_another(fit) else "CHECK",
+            "noise",
+            f"noise found{_of(fit, one)} is {in_words(one, one.sigma)} per axis, more than such an instrument has"
+            f" ({in_words(one, usual)} at most): the model does not explain the measurements, and what is left may"
+            " have moved the parameters; look for what is missing or wrong in the description of the instrument, and"
+            " prove the result by another instrument",
+        )
+
+
+def _proven_by_another(fit: Fit) -> bool:
+    """Whether poses get better that an instrument judged with which nothing was fitted."""
+    used = fit.identification.data.readings.keys()
+    another = fit.validation is not None and bool(fit.validation.data.readings.keys() - used)
+    return another and any(comparison.better for comparison in comparisons(fit))
+
+
+def unproven(fit: Fit) -> bool:
+    """Whether noise is so far above its statement that only poses that were not used tell whether the fit can be used.
+
+    Args:
+        fit: A fit that was judged with no such poses, or with some that prove nothing.
+    """
+    beyond = [] if fit.computed else [one for one in fit.noise if _beyond_statement(one)]
+    provable = bool(beyond) and all(_may_be_left_out(fit, one) for one in beyond)
+    return provable and not any(comparison.better or comparison.worse for comparison in comparisons(fit))
+
+
+def _beyond_statement(one: FoundNoise) -> bool:
+    if one.stated is None or one.freedom <= 0:
+        return False
+    ratio = one.sigma / one.stated
+    return ratio > NOISE_RATIO and chi_square(ratio, one.freedom).p_larger < UNLIKELY
+
+
+def _may_be_left_out(fit: Fit, one: FoundNoise) -> bool:
+    """Whether a noise may be what the model leaves out of a healthy robot."""
+    return one.group.dimension != "length" or one.sigma < LEFT_OUT * _spread(fit)
+
+
+def _against_statement(fit: Fit, one: FoundNoise) -> Iterator[Reason]:
+    stated = one.stated or 1.0
+    ratio = one.sigma / stated
+    chi = chi_square(ratio, one.freedom)
+    numbers = f"{in_words(one, one.sigma)} per axis where {in_words(one, stated)} was stated"
+    of = _of(fit, one)
+    if _beyond_statement(one):
+        yield _beyond(fit, one, f"noise found{of} is {ratio:.1f} times what was stated ({numbers})")
+    elif chi.p_larger < UNLIKELY:
+        text = f"noise found{of} is {ratio:.2f} times what was stated ({numbers}), more than chance explains"
+        yield Reason(
+            "CHECK",
+            "noise",
+            f"{text}: state what robot and sensor do together, or look for what is missing",
+            counted=True,
+        )
+    elif chi.p_smaller < UNLIKELY:
+        text = f"noise found{of} is only {ratio:.2g} times what was stated ({numbers}), less than chance explains"
+        advice = "state it anew; the same reading may have been used more than once"
+        yield Reason("CHECK", "noise", f"{text}: {advice}", counted=True)
+
+
+def _beyond(fit: Fit, one: FoundNoise, text: str) -> Reason:
+    """Judge a noise that is far above its statement."""
+    text += ": the model does not explain the measurements;"
+    compared = list(comparisons(fit))
+    better = any(comparison.better for comparison in compared)
+    bounded = one.group.dimension == "length" and np.isfinite(_spread(fit))
+    no_worse = bounded and bool(compared) and not any(comparison.worse for comparison in compared)
+    if not _may_be_left_out(fit, one):
+        text += (
+            f" no healthy robot leaves more than {100 * LEFT_OUT:g} % of the space measured"
+            f" ({millimetres(_spread(fit)):.4g} mm): look at units, joint order and signs, and outliers; if it is all"
+            " noise, state that (--sigma-mm)"
+        )
+        return Reason("FAIL", "noise", text)
+    if better or no_worse:
+        told = "do get better beyond chance" if better else "get neither better nor worse"
+        text += (
+            f" poses that were not used {told}, so what is left is what the model leaves out, or outliers, and"
+            " intervals do not count it: state the noise of robot and sensor together (--sigma-mm)"
+        )
+        return Reason("CHECK", "noise", text, counted=True)
+    text += (
+        " look at outliers and units, state the noise of robot and sensor together (--sigma-mm), or prove the result on"
+        " other poses (--validate, --folds)"
+    )
+    return Reason("FAIL", "noise", text)
+
+
+def _spread(fit: Fit) -> float:
+    """Root mean square distance per axis of measured positions from their centre [m], of the widest; inf without."""
+    errors = fit.identification
+    spreads = [np.inf]
+    for one in errors.instruments:
+        readings = errors.data.readings.get(one.name)
+        points = None if readings is None else one.points(readings.values)
+        if points is not None and len(points):
+            spreads.append(float(np.sqrt(np.mean(np.nanvar(points, axis=0)))))
+    return max(spreads[1:], default=np.inf)

@@ -1,0 +1,161 @@
+"""Rules of the verdict about single parameters: how far from nominal they are, and how loosely they are known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calib.base.parameter import Parameter
+from calib.base.units import PER_SI
+from calib.base.words import listed
+from calib.fitting.fitted import Fit
+from calib.judging import findings
+from calib.judging.effects import scale
+from calib.judging.reasons import Reason
+from calib.numerics.identifiability import reduced
+
+PLAUSIBLE = 4.0
+"""Expected errors (sigmas) that a parameter may be away from nominal."""
+IMPOSSIBLE = 20.0
+"""Expected errors away from nominal that no error of the stated size explains: the edge of what is plausible, of a
+sigma that was guessed five times too small. Calibrated robots stay near 2; a joint counted the wrong way gives
+hundreds, and the prior, a thousand times its sigma away, then pulls all the others out of place."""
+SMALLEST_SHARE = 0.05
+"""Share of a parameter that the data must decide for its deviation to say anything."""
+SCALED = 2e-3
+"""Part by which no robot and no instrument is longer as a whole: heat makes a tenth of it."""
+SCALED_SIGMAS = 6.0
+"""Standard deviations of a scale, by the sigmas of the parameters, from which it is none of them."""
+MOST = 0.5
+"""Part of squared residuals and deviations that a scale must explain to be the cause: others look a bit like it."""
+UNUSUAL = 10.0
+"""Size of a joint term that was chosen, over what is usual, from which something else may be the cause."""
+LOOSE_ANGLE = 0.1
+"""Standard deviation of an angle beyond which its effect is not linear [rad]."""
+
+
+def far_from_nominal(fit: Fit) -> Iterator[Reason]:
+    """List parameters far from nominal.
+
+    Where priors share an error between parameters that the data cannot tell apart, each moves by less than the error: a
+    deviation u scatters by the root of the share that the data decide, so that is what it is compared with. Without a
+    prior, noise alone moves a parameter too: two standard deviations of that are allowed for. The place of a target is
+    never impossible: what the description says of it may be no more than a guess.
+    """
+    far, impossible = [], []
+    for parameter, away in _deviations(fit):
+        if away > IMPOSSIBLE and not parameter.placement:
+            impossible.append((away, parameter))
+        elif away > PLAUSIBLE:
+            far.append((away, parameter))
+    if impossible:
+        impossible.sort(key=lambda entry: -entry[0])
+        words = listed([f"{parameter.name} ({away:.0f} sigma)" for away, parameter in impossible])
+        yield Reason(
+            "FAIL",
+            "far_from_nominal",
+            f"parameters further from nominal than {IMPOSSIBLE:g} times what their stated sigma allows: {words};"
+            " no error of that size explains it: check signs, zeros and order of the joint columns, and units; if it is"
+            " possible, state a larger sigma in the description",
+        )
+    elif far:
+        far.sort(key=lambda entry: -entry[0])
+        words = listed([f"{parameter.name} ({away:.1f} sigma)" for away, parameter in far])
+        yield Reason(
+            "CHECK",
+            "at_bounds",
+            f"parameters further from nominal than {PLAUSIBLE:g} times what their stated sigma allows: {words};"
+            " check zero positions and units, or, if that is possible, state a larger sigma in the description",
+            counted=True,
+        )
+
+
+def lengths_scaled(fit: Fit) -> Iterator[Reason]:
+    """See whether one scale of all lengths explains why parameters are far from nominal: then the unit is off.
+
+    In the linear model around the solution, with deviations u over the sigmas of all that are no places, a scale s of
+    everything that was measured is tried beside the parameters: |r + J du + z s|^2 + |u + du|^2.
+    """
+    column = scale(findings.setting(fit))
+    if fit.computed or not np.any(column):
+        return
+    linear, inside = findings.linear(fit), ~fit.unknowns.placement
+    rows = np.hstack([column, linear.rows.jacobian, linear.rows.residuals[:, None]]) / linear.factor
+    priors = np.hstack([np.zeros((len(inside), 1)), np.eye(len(inside)), linear.rows.deviations[:, None]])[inside]
+    stacked = np.vstack([reduced(rows), priors])
+    costs, part = [], 0.0
+    for kept in (slice(1, None), slice(None)):
+        matrix, right = stacked[:, kept][:, :-1], -stacked[:, -1]
+        size = np.linalg.norm(matrix, axis=0)
+        solution = np.linalg.lstsq(matrix / np.where(size > 0, size, 1.0), right, rcond=None)[0]
+        costs.append(float(np.sum((matrix / np.where(size > 0, size, 1.0) @ solution - right) ** 2)))
+        part = float(solution[0] / size[0])
+    gain = costs[0] - costs[1]
+    if abs(part) > SCALED and gain > max(SCALED_SIGMAS**2, MOST * costs[0]):
+        yield Reason(
+            "FAIL",
+            "lengths_scaled",
+            f"all lengths are measured {100 * abs(part):.2g} % {'shorter' if part > 0 else 'longer'} than the robot is"
+            " by its description: no robot is built so. Look at the unit of the measurements, the scale of the"
+            " instrument and the size of the artefact",
+        )
+
+
+def large_terms(fit: Fit) -> Iterator[Reason]:
+    """List joint terms that were chosen, and are much larger than is usual: each was fitted with the sigma it needs."""
+    tried = () if fit.terms is None else fit.terms.tried
+    words = listed([f"{one.term} ({one.size:.0f} times)" for one in tried if one.added and one.size > UNUSUAL])
+    if words:
+        yield Reason(
+            "CHECK",
+            "large_terms",
+            f"joint terms that were added are more than {UNUSUAL:g} times as large as is usual: {words}; look for a"
+            " ratio, unit, mass or load that is wrong in the description or the data",
+            counted=True,
+        )
+
+
+def _deviations(fit: Fit) -> Iterator[tuple[Parameter, float]]:
+    """Yield each free parameter that has an expected error, and its deviation in units of what that allows."""
+    known = iter(zip(fit.statistics.std, fit.statistics.data_share, strict=True))
+    for parameter, value, free in zip(fit.nominal.parameters, fit.robot.values, fit.free, strict=True):
+        if not free:
+            continue
+        std, share = next(known)
+        if (parameter.placement and not parameter.prior) or parameter.family:  # a family's size is found
+            continue
+        away = abs(float(value) - parameter.nominal_si) / parameter.sigma_si
+        if parameter.prior:
+            yield parameter, away / float(np.sqrt(max(share, SMALLEST_SHARE)))
+        else:
+            yield parameter, away - 2.0 * float(std) / parameter.sigma_si
+
+
+def unclear_rank(fit: Fit) -> Iterator[Reason]:
+    """See whether all that is free counts as determined only because of where the threshold lies."""
+    rank = fit.determination.together
+    if rank.unclear:
+        yield Reason(
+            "CHECK",
+            "rank_unclear",
+            f"{rank.doubt}: a combination of parameters is as good as not determined; hold one more (`calib check`"
+            " tells which), or measure other poses",
+        )
+
+
+def loose(fit: Fit) -> Iterator[Reason]:
+    """List angles that are hardly determined."""
+    free = [p for p, use in zip(fit.nominal.parameters, fit.free, strict=True) if use]
+    loose = [
+        f"{p.name} (+-{PER_SI['angle']['deg'] * std:.1f} deg)"
+        for p, std in zip(free, fit.statistics.std, strict=True)
+        if p.dimension == "angle" and std > LOOSE_ANGLE
+    ]
+    if loose:
+        yield Reason(
+            "CHECK",
+            "not_linear",
+            f"hardly determined, so that intervals, which suppose a linear model, do not hold: {listed(loose)};"
+            " measure poses that differ more, or hold these parameters",
+        )

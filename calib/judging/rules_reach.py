@@ -1,0 +1,288 @@
+"""Rules of the verdict about where a calibration holds: how far joints moved, and where it was validated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calib.base.arrays import BoolArray, FloatArray, IntArray
+from calib.base.units import DISPLAY_UNIT, display_scale, millimetres
+from calib.base.words import counted, listed
+from calib.fitting.fitted import Fit
+from calib.fitting.joint_conventions import wrapped_terms
+from calib.fitting.pose_checks import unmoved_joints
+from calib.fitting.terms.joint_curves import beyond_learned
+from calib.fitting.validation import boxes
+from calib.judging import findings
+from calib.judging.reasons import Reason
+from calib.judging.rules_data import UNLIKELY
+from calib.numerics.clusters import scatter
+from calib.numerics.halton import halton
+from calib.robots.robot import Configurations, Robot
+from calib.rows.jacobian import linearise
+from calib.rows.prediction import beside_common_motion, other_combinations
+
+BEYOND_LIMIT = 0.01
+"""How far beyond a joint's limit a pose must be to be named [rad, or characteristic lengths]."""
+CORNER = 0.1
+"""Part of the range between its limits that at least one joint must move through."""
+LESS_KNOWN = 3.0
+"""Uncertainty of positions elsewhere, over that at the poses used, from which the calibration does not reach there."""
+WIDENED = np.sqrt(2.0)
+"""Uncertainty of positions with joint terms over that without them, from which most of it is theirs."""
+BLOCKS = 8
+"""Number of boxes of joint space that are left out in turn."""
+_TRIED = 50  # poses at which a joint is moved through its limits in thought
+_EXACT = 1e-9  # of a variance, nothing
+_SAMPLED = 200  # poses at which uncertainties are looked at
+
+
+def one_corner(fit: Fit) -> Iterator[Reason]:
+    """See how much of what its limits allow (or a turn, without limits) each joint has moved."""
+    robot, reach = fit.nominal, np.ptp(fit.identification.data.joints, axis=0)
+    allowed = _allowed(robot)
+    known = np.isfinite(allowed) & (allowed > 0)
+    part = np.max(reach[known] / allowed[known], initial=0.0)
+    if np.all(known) and 0 < part < CORNER:
+        yield Reason(
+            "CHECK",
+            "one_corner",
+            f"all poses lie in one corner: no joint moved through more than {100 * part:.2g} % of its limits, and"
+            " elsewhere the robot is not calibrated: measure poses all over the space where it will work",
+            counted=True,
+        )
+
+
+def moved_little(fit: Fit) -> Iterator[Reason]:
+    """Look for joints that moved so little that positions are unknown where they move further."""
+    data, robot = fit.identification.data, fit.nominal
+    allowed = _allowed(robot)
+    part = np.ptp(data.joints, axis=0) / allowed
+    still = np.isin(robot.joint_names, unmoved_joints(robot, data.joints))
+    if np.all(part[~still] < CORNER):  # that is one corner
+        return
+    for j in np.flatnonzero((part < CORNER) & ~still):
+        q = _elsewhere(fit, int(j), float(allowed[j]))
+        here = _relative(fit, _at_used(fit), fit.statistics.covariance)
+        there = _relative(fit, fit.robot.assemble(q), fit.statistics.covariance) if len(q) else 0.0
+        if there > _well_known(fit, here):
+            name = robot.joint_names[j]
+            dimension = robot.mechanism.dimensions[name]
+            unit, reach = DISPLAY_UNIT[dimension], np.ptp(data.joints[:, j]) * display_scale(dimension)
+            yield Reason(
+                "CHECK",
+                "joint_moved_little",
+                f"joint {name} moved through {reach:.2g} {unit} only: where it moves further, positions are known to"
+                f" {millimetres(there):.2g} mm RMS, and to {millimetres(here):.2g} mm at the poses used, base and tool"
+                " placed anew; measure poses that move it through its range",
+                counted=True,
+            )
+
+
+def far_validation(fit: Fit) -> Iterator[Reason]:
+    """See whether the poses that were not used lie where the poses used tell little."""
+    if fit.validation is None or fit.validation_uncertainty is None or fit.computed:
+        return
+    here = _rms(fit.identification_uncertainty.located)
+    there = float(np.median(fit.validation_uncertainty.located))
+    if there > _well_known(fit, here):
+        yield Reason(
+            "CHECK",
+            "validated_elsewhere",
+            f"poses that were not used lie where the calibration hardly reaches: positions are predicted to"
+            f" {millimetres(there):.2g} mm there, and to {millimetres(here):.2g} mm RMS at the poses used; measure"
+            " there too, and validate among the poses used",
+            counted=True,
+        )
+
+
+def _elsewhere(fit: Fit, j: int, allowed: float) -> FloatArray:
+    """Poses that were used with one joint spread over its limits, as far as they close, (n, n_actuated) [m or rad]."""
+    used = fit.identification.data.joints
+    q = used[np.unique(np.linspace(0, len(used) - 1, _TRIED).astype(np.intp))].copy()
+    middle = np.mean(q[:, j])
+    lower, upper = (limits[j] for limits in fit.nominal.urdf.limits(fit.nominal.joint_names))
+    q[:, j] = np.clip(middle + allowed * np.linspace(-0.5, 0.5, len(q)), lower, upper)
+    return np.asarray(q[fit.robot.close(q).ok])
+
+
+def _at_used(fit: Fit) -> Configurations:
+    """Poses that were used, as many of them as are looked at."""
+    data, passive = fit.identification.data, fit.identification.passive
+    used = np.unique(np.linspace(0, len(data) - 1, _SAMPLED).astype(np.intp))
+    near = None if passive is None else passive[used]
+    return fit.robot.assemble(data.joints[used], near, context=data.conditions.at(used))
+
+
+def _well_known(fit: Fit, here: float) -> float:
+    """Uncertainty of positions up to which they are known well enough [m], if it is `here` at the poses used."""
+    lengths = fit.first_noise.group.dimension == "length"
+    return max(LESS_KNOWN * here, np.sqrt(3.0) * fit.sigma if lengths else 0.0)
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def beyond_joint_limits(fit: Fit) -> Iterator[Reason]:
+    """Look for joint values that the robot's own limits exclude."""
+    data, robot = fit.identification.data, fit.nominal
+    lower, upper = robot.urdf.limits(robot.joint_names)
+    excess = np.maximum(lower - data.joints, data.joints - upper) / robot.mechanism.joint_scale
+    beyond = np.flatnonzero(np.max(excess, axis=1) > BEYOND_LIMIT)
+    if len(beyond):
+        joints = [robot.joint_names[j] for j in np.flatnonzero(np.max(excess, axis=0) > BEYOND_LIMIT)]
+        yield Reason(
+            "CHECK",
+            "beyond_joint_limits",
+            f"{counted(len(beyond), 'pose lies', 'poses lie')} beyond the URDF's limits of"
+            f" {'joint' if len(joints) == 1 else 'joints'} {listed(joints)}:"
+            f" {listed([data.labels[k] for k in beyond])}; check the joint's sign, zero, unit and column, or the"
+            " limits",
+            counted=True,
+        )
+
+
+def turns_not_counted(fit: Fit) -> Iterator[Reason]:
+    """Look for joint terms that count turns of a joint whose values may be wrapped."""
+    for words in wrapped_terms(fit.nominal, fit.identification.data.joints):
+        yield Reason("CHECK", "turns_not_counted", words)
+
+
+def _allowed(robot: Robot) -> FloatArray:
+    """Range of each actuated joint, a turn at most, (n_actuated,) [m or rad]; infinite where nothing says."""
+    lower, upper = robot.urdf.limits(robot.joint_names)
+    turns = np.array([robot.mechanism.dimensions[name] == "angle" for name in robot.joint_names])
+    return np.asarray(np.minimum(upper - lower, np.where(turns, 2 * np.pi, np.inf)))
+
+
+def beyond_curves(fit: Fit) -> Iterator[Reason]:
+    """Look for validation poses at joint values where no curve of a joint was learned, and where that matters."""
+    if fit.validation is None or fit.validation_uncertainty is None or fit.computed:
+        return
+    outside = beyond_learned(fit.robot, fit.identification.data.joints, fit.validation.data.joints)
+    here = _rms(fit.identification_uncertainty.located)
+    there = np.max(fit.validation_uncertainty.located, axis=1)
+    outside[there <= _well_known(fit, here)] = False
+    poses = np.flatnonzero(np.any(outside, axis=1))
+    if len(poses):
+        joints = [fit.robot.joint_names[j] for j in np.flatnonzero(np.any(outside, axis=0))]
+        yield Reason(
+            "CHECK",
+            "beyond_curves",
+            f"{counted(len(poses), 'validation pose lies', 'validation poses lie')} where no error curve of"
+            f" {'joint' if len(joints) == 1 else 'joints'} {listed(joints)} was learned:"
+            f" {listed([fit.validation.data.labels[k] for k in poses])}; there a curve says nothing, and its band is as"
+            " wide as before: measure there, too, before you rely on it",
+            counted=True,
+        )
+
+
+def blocks_disagree(fit: Fit) -> Iterator[Reason]:
+    """Leave out boxes of joint space, and whole setups, in turn, and see whether the parameters stand."""
+    data = fit.identification.data
+    if fit.computed:
+        return
+    block = np.zeros(len(data), dtype=np.intp)
+    for k, visits in enumerate(boxes(data, BLOCKS)):
+        block[visits] = k
+    cuts = {"boxes of joint space": block}
+    if data.setups is not None and np.ptp(data.setups) > 0:
+        cuts["whole setups"] = data.setups
+    found = {name: left_out(fit, blocks) for name, blocks in cuts.items()}
+    surely = {name: ratio for name, (ratio, chance) in found.items() if chance < UNLIKELY / len(found)}
+    if surely:
+        name, ratio = max(surely.items(), key=lambda entry: entry[1])
+        yield Reason(
+            "CHECK",
+            "blocks_disagree",
+            f"with {name} left out in turn, parameters move {ratio:.2g} times as much as noise explains: the model"
+            " leaves something out that is not the same everywhere; take intervals, and what positions are known to,"
+            f" for at least {ratio:.2g} times as wide, and for wider still in places unlike those measured",
+            counted=True,
+        )
+
+
+def left_out(fit: Fit, block: IntArray) -> tuple[float, float]:
+    """Return how many times as much as noise explains parameters move without blocks of visits, and the chance of that.
+
+    Args:
+        fit: The fit.
+        block: Block of each visit, (n_visits,).
+    """
+    linear, layout = findings.linear(fit), fit.rows.layout
+    noise = np.full(layout.n_rows, linear.factor)
+    of_row = block[layout.visit[layout.reading]]
+    found = scatter(linear.rows.jacobian, linear.root, linear.rows.residuals, noise, of_row, linear.freedom)
+    shared = fit.statistics.shared
+    return (found.ratio, found.chance) if shared is None else found.beyond(shared)
+
+
+def terms_untested(fit: Fit) -> Iterator[Reason]:
+    """Look for joint terms that leave positions uncertain where no joint leaves the values measured."""
+    found = _widened(fit, other_combinations(fit.identification.data.joints, _SAMPLED))
+    if found:
+        yield Reason(
+            "CHECK",
+            "terms_untested",
+            f"at other combinations of the joint values measured, positions are known to {found}: the poses used hardly"
+            " decide the joint terms there; measure poses that combine joint values in other ways, or see on such poses"
+            " whether the terms help (--validate)",
+            counted=True,
+        )
+
+
+def terms_beyond(fit: Fit) -> Iterator[str]:
+    """Say how sure positions are where joints go beyond the values from which terms were learned."""
+    q = fit.identification.data.joints
+    lower, upper = fit.nominal.urdf.limits(fit.nominal.joint_names)
+    half = _allowed(fit.nominal) / 2
+    low, high = np.maximum(lower, np.mean(q, axis=0) - half), np.minimum(upper, np.mean(q, axis=0) + half)
+    bounded = np.isfinite(half)
+    low, high = np.where(bounded, low, q.min(axis=0)), np.where(bounded, high, q.max(axis=0))
+    found = _widened(fit, low + (high - low) * halton(_SAMPLED, len(low)))
+    if found:
+        yield f"joint values beyond those measured: over what the joints' limits allow, positions are known to {found}"
+
+
+def _widened(fit: Fit, q: FloatArray) -> str:
+    """How sure positions at q (n, n_actuated) are beside those at the poses used, where joint terms widen them so much.
+
+    Base and tool placed anew: where they stand is no matter of the terms.
+    """
+    terms = np.isin(fit.unknowns.index, np.arange(len(fit.nominal.parameters))[fit.robot.coefficients])
+    q = q[fit.robot.close(q).ok] if np.any(terms) else q[:0]
+    if len(q) == 0 or fit.computed:
+        return ""
+    covariance = fit.statistics.covariance
+    here, there, alone = (
+        _relative(fit, configurations, known)
+        for configurations, known in (
+            (_at_used(fit), covariance),
+            (fit.robot.assemble(q), covariance),
+            (fit.robot.assemble(q), _given(covariance, terms)),
+        )
+    )
+    if there <= max(_well_known(fit, here), WIDENED * alone):
+        return ""
+    return f"{millimetres(there):.2g} mm RMS only, and to {millimetres(here):.2g} mm at the poses used"
+
+
+def _relative(fit: Fit, configurations: Configurations, covariance: FloatArray) -> float:
+    """Root mean square uncertainty of positions beside what moves all of them as one body [m]."""
+    linear = linearise(fit.robot, configurations)
+    flat = beside_common_motion(linear, fit.robot.located)[:, fit.unknowns.index]
+    return float(np.sqrt(3.0 * np.mean(np.sum((flat @ covariance) * flat, axis=1))))
+
+
+def _given(covariance: FloatArray, known: BoolArray) -> FloatArray:
+    """Covariance of all unknowns if some of them were known (n,): that of the others, and zeros."""
+    size = np.sqrt(np.diag(covariance))
+    size = np.where(size > 0, size, 1.0)
+    left, correlation = ~known, covariance / np.outer(size, size)
+    own = correlation[np.ix_(known, known)] + _EXACT * np.eye(int(np.sum(known)))  # some may not be determined
+    across = correlation[np.ix_(left, known)]
+    result = np.zeros_like(covariance)
+    result[np.ix_(left, left)] = correlation[np.ix_(left, left)] - across @ np.linalg.solve(own, across.T)
+    return np.asarray(result * np.outer(size, size))

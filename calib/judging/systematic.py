@@ -1,0 +1,332 @@
+"""Systematic residuals: patterns that noise does not make.
+
+Question. Would the model explain the data significantly better with one more effect? For an effect with columns Z (what
+it would add to the measured rows) the linear model r = J du + Z c is compared with the fit:
+
+    M = I - J A^-1 J^T,   A = J^T J + sigma^2 P        what of Z the fit has not absorbed already
+    gain = r^T Z (Z^T M Z)^-1 Z^T r                    by how much |r|^2 would fall
+    F = (gain / k) / ((|r|^2 - gain) / (nu - k))       against F(k, nu - k), k columns left after M
+
+The effects are those of `calib.judging.effects`. One that the fit absorbs (a constant shift, where the base is
+free) cannot be seen and is not tested: `visible` says how large it would have to be. Effects come in families of kinds,
+which share the chance of a false finding evenly; in a family, the chance of each finding is multiplied by the number of
+its tests. A finding needs a chance below 1 % over all families, and an effect of at least a tenth of the noise: enough
+data make any trifle significant. Where poses scatter by more than independent readings would
+(`calib.numerics.clusters`), F is divided by how much more the score of the effect scatters, summed pose by pose, and
+nu is that of this scatter. Of waves and of slips, which are tried by the dozen for each joint or target, the best
+is kept.
+
+The direction of approach and, without a time, the course of the measurement come from the order of the rows in the data
+file, which must be the order of measurement.
+
+Waves. A test needs Z^T Z, (J T)^T Z with the span J T of the fit, and Z^T r only. The waves of a joint have columns
+h_i sin(k q_i), h_i cos(k q_i) that differ by a factor of each visit, so the sums over the rows of a visit are made once
+and serve all orders; the powers exp(i k q) follow from one another. Time and memory grow with the rows, and no order
+has columns of its own.
+
+When it fails. Effects in other shapes stay in the noise; two effects that look alike at the poses measured are both
+named. F supposes normal noise.
+
+Reference: cook1982, chapter 2.4 (added variables).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy
+
+from calib.base.arrays import FloatArray
+from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale, millimetres
+from calib.judging.effect_setting import Setting
+from calib.judging.effects import FAMILIES, ORDERS, Effect, Kind, Waves, effects
+from calib.numerics.variance_components import EXACT
+from calib.rows.rows import Rows
+
+FALSE_ALARM = 0.01
+"""Chance that good residuals show a pattern."""
+SMALLEST_EFFECT = 0.1
+"""Least root mean square of an effect, over that of the noise, that is worth a finding."""
+PARTS_PER_MILLION = 1e6
+_ABSORBED = 1e-6  # part of an effect's square that must be left after the fit for it to be seen
+_BEST_ONLY = ("wave", "slip")
+_VISITS_AT_ONCE = 2048
+_SURELY = 5.0  # standard deviations of an effect from which it is found nine times of ten, among so many
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """One effect that was tested.
+
+    Attributes:
+        kind: Which effect.
+        name: The axis, joint or target; `xyz` for what all axes do.
+        p_value: Chance of such a pattern from noise, over all tests.
+        size: Root mean square of what it explains [m]; of readings in another unit where no positions are [SI].
+        amount: The shift or slip [m], half the backlash or the height of a wave [m or rad], the part by which lengths
+            are off, the error for a unit of the neighbour; NaN for a curve.
+        significant: Whether it counts as a finding.
+        dimension: What `size` measures.
+        detail: Cycles of a wave, the first visit of a slip, in words; the neighbour of a coupling.
+    """
+
+    kind: Kind
+    name: str
+    p_value: float
+    size: float
+    amount: float
+    significant: bool
+    dimension: Dimension = "length"
+    detail: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """A finished fit as a linear model.
+
+    Attributes:
+        rows: Its whitened rows, with the weights of a robust loss.
+        root: T of `calib.numerics.observability`, (n_free, rank).
+        freedom: Degrees of freedom.
+        factor: Found over assumed noise.
+        pose_freedom: Degrees of freedom of the scatter of poses, where they scatter by more than independent readings
+            would; infinite where they do not.
+    """
+
+    rows: Rows
+    root: FloatArray
+    freedom: float
+    factor: float
+    pose_freedom: float = np.inf
+
+    def after_fit(self, effect: FloatArray) -> FloatArray:
+        """Return M Z, what a fit leaves of effects Z (n_rows, n_effects) on the residuals, (n_rows, n_effects)."""
+        return effect - self.pulled @ (self.pulled.T @ effect)
+
+    @cached_property
+    def pulled(self) -> FloatArray:
+        """J T, whose span the fit has absorbed, (n_rows, rank)."""
+        return np.asarray(self.rows.jacobian @ self.root)
+
+    @cached_property
+    def square(self) -> float:
+        """Their sum of squares."""
+        return float(np.sum(self.rows.residuals**2))
+
+
+@dataclass(frozen=True, eq=False)
+class _Moments:
+    """What a test needs to know of an effect with columns Z: Z^T Z, (J T)^T Z and Z^T r."""
+
+    kind: Kind
+    name: str
+    detail: str
+    squares: FloatArray
+    absorbed: FloatArray
+    score: FloatArray
+
+
+@dataclass(frozen=True)
+class _Tested:
+    """What the test of one effect gave.
+
+    Attributes:
+        effect: The effect.
+        p_value: Chance of such a gain if readings are independent.
+        ratio: F of the module docstring.
+        freedom: k and nu - k.
+        gain: By how much |r|^2 would fall.
+        coefficients: c, (n_columns,).
+    """
+
+    effect: _Moments
+    p_value: float
+    ratio: float
+    freedom: tuple[int, float]
+    gain: float
+    coefficients: FloatArray
+
+
+def patterns(residuals: Residuals, setting: Setting) -> tuple[Pattern, ...]:
+    """Test all effects.
+
+    Args:
+        residuals: The fit.
+        setting: What effects are made of.
+    """
+    if residuals.factor * setting.metre < EXACT:
+        return ()
+    all_moments = (moments for effect in effects(setting) for moments in _moments(residuals, effect))
+    tested = [one for moments in all_moments if (one := _test(residuals, moments)) is not None]
+    kept: dict[tuple[str, str, str], tuple[_Tested, int]] = {}
+    for family in FAMILIES:
+        members = [one for one in tested if one.effect.kind in family]
+        times = len(FAMILIES) * len(members)
+        kept |= {(one.effect.kind, one.effect.name, one.effect.detail): (one, times) for one in _best(members)}
+    noise = setting.size(np.full(len(residuals.rows.residuals), residuals.factor))
+    result = []
+    for effect in _columns_of(setting, kept):
+        one, times = kept[effect.kind, effect.name, effect.detail]
+        columns = residuals.after_fit(effect.columns)
+        explained = columns @ one.coefficients
+        p = min(1.0, _chance(residuals, one, columns, explained) * times)
+        size = setting.size(explained)
+        significant = p < FALSE_ALARM and size > SMALLEST_EFFECT * noise
+        amount = float(np.linalg.norm(one.coefficients)) if effect.kind in _BEST_ONLY else _only(one.coefficients)
+        result.append(
+            Pattern(effect.kind, effect.name, p, size, amount, bool(significant), setting.dimension, effect.detail)
+        )
+    return tuple(sorted(result, key=lambda pattern: (pattern.p_value, -pattern.size)))
+
+
+def _columns_of(setting: Setting, kept: Container[tuple[str, str, str]]) -> Iterator[Effect]:
+    """Yield the effects with these kinds, names and details, with their columns."""
+    for effect in effects(setting):
+        every = [effect] if isinstance(effect, Effect) else map(effect.effect, effect.orders)
+        yield from (one for one in every if (one.kind, one.name, one.detail) in kept)
+
+
+def _best(tested: list[_Tested]) -> list[_Tested]:
+    """Of the kinds that are tried by the dozen, keep the most significant of each name; of the others, all."""
+    kept: dict[tuple[str, str, int], _Tested] = {}
+    for number, one in enumerate(tested):
+        key = (one.effect.kind, one.effect.name, 0 if one.effect.kind in _BEST_ONLY else number)
+        if key not in kept or (one.p_value, -one.gain) < (kept[key].p_value, -kept[key].gain):
+            kept[key] = one
+    return list(kept.values())
+
+
+def _only(coefficients: FloatArray) -> float:
+    return float(coefficients[0]) if len(coefficients) == 1 else float("nan")
+
+
+def visible(residuals: Residuals, column: FloatArray) -> float:
+    """Return how large an effect of one column (n_rows, 1) must be for the residuals to show it; inf if they never do.
+
+    Args:
+        residuals: The fit.
+        column: What an effect of 1 does to the whitened rows.
+    """
+    size = float(np.linalg.norm(column))
+    if size == 0.0:
+        return float("inf")
+    unit = column / size
+    left = float(np.sum(unit * residuals.after_fit(unit)))
+    return _SURELY * residuals.factor / (size * float(np.sqrt(left))) if left > _ABSORBED else float("inf")
+
+
+def _moments(residuals: Residuals, effect: Effect | Waves) -> Iterator[_Moments]:
+    """Yield the moments of an effect, or those of all waves of a joint."""
+    if isinstance(effect, Waves):
+        yield from _moments_of_waves(residuals, effect)
+    else:
+        z = effect.columns
+        score = z.T @ residuals.rows.residuals
+        yield _Moments(effect.kind, effect.name, effect.detail, z.T @ z, residuals.pulled.T @ z, score)
+
+
+def _moments_of_waves(residuals: Residuals, waves: Waves) -> Iterator[_Moments]:
+    """Yield the moments of all waves of a joint; see the module docstring."""
+    n_visits, n_orders, rank = len(waves.phase), len(ORDERS), residuals.pulled.shape[1]
+    if not waves.orders:
+        return
+
+    def by_visit(values: FloatArray) -> FloatArray:
+        return np.asarray(np.bincount(waves.visit, weights=values, minlength=n_visits), dtype=float)
+
+    weights = by_visit(waves.column**2)
+    others = [*residuals.pulled.T, residuals.rows.residuals]
+    sums = np.stack([by_visit(waves.column * other) for other in others])
+    squares, products = np.zeros((3, n_orders)), np.zeros((len(others), 2 * n_orders))
+    for first in range(0, n_visits, _VISITS_AT_ONCE):
+        block = slice(first, first + _VISITS_AT_ONCE)
+        turned = np.exp(1j * waves.phase[block, None])
+        powers = np.cumprod(np.broadcast_to(turned, (len(turned), n_orders)), axis=1)  # orders count from 1
+        cosine, sine = powers.real, powers.imag
+        squares += [weights[block] @ product for product in (cosine * cosine, cosine * sine, sine * sine)]
+        products += sums[:, block] @ powers.view(float)
+    for order in waves.orders:
+        k = order - ORDERS.start
+        one = squares[[[0, 1], [1, 2]], k]
+        own = products[:, 2 * k : 2 * k + 2]
+        yield _Moments("wave", waves.name, f"{order} {waves.words}", one, own[:rank], own[rank])
+
+
+def _test(residuals: Residuals, effect: _Moments) -> _Tested | None:
+    """Test one effect; None if it cannot be seen."""
+    size = np.sqrt(np.diag(effect.squares))
+    if not np.all(size > 0):
+        return None
+    absorbed = effect.absorbed / size
+    values, vectors = np.linalg.eigh(effect.squares / np.outer(size, size) - absorbed.T @ absorbed)
+    determined = values > _ABSORBED
+    k = int(np.sum(determined))
+    if k == 0 or residuals.freedom - k < 1:
+        return None
+    values, vectors = values[determined], vectors[:, determined]
+    score = vectors.T @ (effect.score / size)
+    gain = float(np.sum(score**2 / values))
+    rest = max(residuals.square - gain, 1e-12 * residuals.square) / (residuals.freedom - k)
+    freedom, ratio = (k, residuals.freedom - k), max(gain / k / rest, 0.0)
+    p_value = float(scipy.special.fdtrc(*freedom, ratio))
+    return _Tested(effect, p_value, ratio, freedom, gain, vectors @ (score / values) / size)
+
+
+def _chance(residuals: Residuals, tested: _Tested, columns: FloatArray, explained: FloatArray) -> float:
+    """Chance of a gain as large from noise; where poses scatter together, F is divided by how much more its score does.
+
+    Args:
+        residuals: The fit.
+        tested: The effect.
+        columns: M Z, (n_rows, k).
+        explained: M Z c, (n_rows,).
+    """
+    if not np.isfinite(residuals.pose_freedom):
+        return tested.p_value
+    basis = scipy.linalg.orth(columns, rcond=np.sqrt(_ABSORBED))
+    left = residuals.rows.residuals - explained
+    pose = np.unique(residuals.rows.layout.pose_of_row, return_inverse=True)[1]
+    scores = [np.bincount(pose, direction * left) for direction in basis.T]
+    inflation = float(np.sum(np.square(scores))) / (residuals.factor**2 * basis.shape[1])
+    k = tested.freedom[0]
+    left_over = max(residuals.pose_freedom - k, 1.0)
+    return float(scipy.special.fdtrc(k, left_over, tested.ratio / max(inflation, 1.0)))
+
+
+def describe(pattern: Pattern, dimensions: Mapping[str, Dimension]) -> str:
+    """Return a pattern in words.
+
+    Args:
+        pattern: The pattern.
+        dimensions: Whether each joint is a length or an angle.
+    """
+    size = f"{error_scale(pattern.dimension) * pattern.size:.3g} {ERROR_UNIT[pattern.dimension]} RMS"
+    if pattern.kind == "axis":
+        return f"a constant shift of {millimetres(pattern.amount):+.3g} mm along {pattern.name}"
+    if pattern.kind == "scale":
+        return f"lengths that are all read {PARTS_PER_MILLION * pattern.amount:+.0f} ppm too long ({size})"
+    if pattern.kind == "slip":
+        moved = f"{millimetres(pattern.amount):.3g} mm"
+        return f"target {pattern.name} sits {moved} elsewhere on its link {pattern.detail} ({size})"
+    said = {
+        "turn": "a turn of the measurement frame",
+        "drift": "a shift in the course of the measurement, as of a tracker or base that moved",
+        "turning": "a turn in the course of the measurement, as of a tracker or base that turned",
+        "growth": "lengths that change in the course of the measurement, as of a robot or instrument that warms up",
+        "joint": f"an error that follows joint {pattern.name}",
+        "zero": f"an error of joint {pattern.name} that changes in the course of the measurement",
+    }
+    if pattern.kind in said:
+        return f"{said[pattern.kind]} ({size})"
+    if pattern.kind == "coupling":
+        slope = f"{error_scale(dimensions[pattern.name]) * pattern.amount:+.2g} {ERROR_UNIT[dimensions[pattern.name]]}"
+        each = "rad" if dimensions[pattern.detail] == "angle" else "m"
+        return f"joint {pattern.name} is off by {slope} for each {each} of joint {pattern.detail} ({size})"
+    unit = DISPLAY_UNIT[dimensions[pattern.name]]
+    amount = abs(pattern.amount) * display_scale(dimensions[pattern.name])
+    if pattern.kind == "wave":
+        return f"an error of joint {pattern.name} that repeats {pattern.detail}, {amount:.2g} {unit} high ({size})"
+    return f"joint {pattern.name} differs by {2 * amount:.2g} {unit} with the direction of approach ({size})"

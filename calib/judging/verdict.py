@@ -1,0 +1,95 @@
+"""PASS, CHECK or FAIL: whether a fit can be trusted, with reasons in words that say what to do.
+
+FAIL: the numbers must not be used (the robot is not exported as calibrated unless forced).
+CHECK: they can be used by someone who has read the reasons.
+PASS: nothing was found; that is no proof that nothing is wrong.
+
+Each rule looks at one thing. Tests with a chance in them state it where they are made: chi-square, gain, comparisons,
+repeats and blocks left out 0.1 %, patterns and outliers 1 % each. Good data therefore get a CHECK by chance in about
+one fit of thirty (measured: docs/verdict.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+from calib.base.remembered import remembered
+from calib.fitting.fitted import Fit
+from calib.fitting.pose_checks import likely_mistake
+from calib.judging import rules_data, rules_model, rules_noise, rules_parameters, rules_reach
+from calib.judging.blind_spots import not_covered
+from calib.judging.claim import Gain
+from calib.judging.claim_of_fit import claim_of
+from calib.judging.reasons import NOTHING_TO_CORRECT, Reason, Verdict
+
+_RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
+    rules_model.worse_on_validation,
+    rules_data.dead_readings,
+    rules_model.residuals_grew,
+    rules_model.not_converged,
+    rules_model.not_assembled,
+    rules_noise.misread,
+    rules_noise.noise,
+    rules_data.doubtful_readings,
+    rules_model.frame_moved,
+    rules_parameters.lengths_scaled,
+    rules_parameters.far_from_nominal,
+    rules_data.poses_that_say_little,
+    rules_reach.one_corner,
+    rules_reach.moved_little,
+    rules_reach.far_validation,
+    rules_reach.beyond_joint_limits,
+    rules_reach.terms_untested,
+    rules_parameters.large_terms,
+    rules_reach.turns_not_counted,
+    rules_data.too_few_poses,
+    rules_data.few_shared,
+    rules_data.moves_as_one,
+    rules_parameters.unclear_rank,
+    rules_parameters.loose,
+    rules_model.nothing_to_correct,
+    rules_model.files_hold_less,
+    rules_model.systematic,
+    rules_reach.blocks_disagree,
+    rules_reach.beyond_curves,
+    rules_data.rounded,
+    rules_data.outliers,
+    rules_data.used_for_both,
+    rules_data.copied,
+    rules_data.repeats,
+    rules_model.other_minima,
+    rules_data.leverage,
+)
+_ORDER = ("FAIL", "CHECK", "PASS")
+_IN_MISTAKE = ("zero_readings", "equal_columns")
+"""Reasons that the likely mistake says already."""
+_NOTHING_FITS = ("not_converged", "not_assembled", "noise_as_large_as_robot", "far_from_nominal")
+_MOVED = ("at_bounds",)  # what a base that stands a little elsewhere does
+
+
+@remembered
+def judge(fit: Fit) -> Verdict:
+    """Return the verdict on a fit: the worst of the reasons found, FAIL before CHECK."""
+    reasons = [reason for rule in _RULES for reason in rule(fit)]
+    made = claim_of(fit)
+    if made is not None and not any(reason.code == "worse_on_validation" for reason in reasons):
+        needless = NOTHING_TO_CORRECT in {reason.code for reason in reasons}
+        reasons = [*rules_model.claim_broken(made, needless=needless), *reasons]
+    codes = {reason.code for reason in reasons}
+    elsewhere = rules_model.base_elsewhere(fit) if codes & {*_NOTHING_FITS, *_MOVED} else ""
+    if elsewhere:
+        reasons.insert(0, Reason("FAIL" if codes & set(_NOTHING_FITS) else "CHECK", "base_elsewhere", elsewhere))
+    elif codes & set(_NOTHING_FITS):
+        mistake = likely_mistake(fit.nominal, fit.identification.data)
+        if mistake:
+            text = f"{mistake}; correct the data, or the description where that is wrong"
+            reasons = [reason for reason in reasons if reason.code not in _IN_MISTAKE]
+            reasons.insert(0, Reason("FAIL", "likely_mistake", text))
+    if made is not None and made.holds and (made.gain is Gain.BETTER or NOTHING_TO_CORRECT in codes):
+        reasons = [replace(reason, grade="PASS") if reason.counted else reason for reason in reasons]
+    reasons.sort(key=lambda reason: _ORDER.index(reason.grade))
+    grade = reasons[0].grade if reasons else "PASS"
+    if grade == "FAIL":  # what was found on the side says nothing about numbers that must not be used
+        return Verdict(grade, tuple(reason for reason in reasons if reason.grade != "PASS"))
+    return Verdict(grade, tuple(reasons), not_covered(fit), made)

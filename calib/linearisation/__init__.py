@@ -1,1 +1,0 @@
-"""The identification Jacobian, and what follows from it without a fit: information, prediction, registration."""

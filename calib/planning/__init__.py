@@ -1,0 +1,1 @@
+"""What poses determine, which of them to measure, and what to measure next."""

@@ -1,0 +1,245 @@
+"""What a set of poses determines, and how well: everything that `calib check` tells.
+
+Families of joint terms (curves), whose priors are found from data, are left out of all of this. Matrices from the
+floors
+below are put together for one robot and one set of poses: rank and gap of all parameters and
+of the free ones, groups that move together unseen, which parameters to hold, observability, and, with priors and
+noise, the predicted standard deviation of every parameter, their correlations, and the predicted position error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.base.errors import DataError
+from calib.base.parameter import Parameter, index_of
+from calib.base.threads import one_blas_thread
+from calib.base.units import millimetres
+from calib.base.words import data_frame, titled_html
+from calib.data.in_memory import as_poses
+from calib.data.measurements import Measurements, Poses
+from calib.numerics.identifiability import Elimination, Rank, eliminate
+from calib.numerics.null_space import Group, null_groups
+from calib.numerics.observability import Information, TaskIndex, information, observability_of, prior_rows, task_index
+from calib.planning.pose_count import CountRow, accuracy_by_count
+from calib.robots.robot import Configurations, Robot, require_robot
+from calib.rows.candidates import WHITENED, assumed_sigma, require_free, rows_of_measured, rows_of_poses
+from calib.rows.determination import Determination, determination
+from calib.rows.observed import looks_at, observe
+from calib.rows.unknowns import Unknowns
+from calib.rows.whitening import Whitening
+
+CORRELATION_LIMIT = 0.95
+"""Correlations above this are reported: the two values trade against each other."""
+HARDLY = 0.5
+"""A parameter whose standard deviation stays above this part of its prior sigma is hardly better known than before."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Assessment(ReadOnlyArrays):
+    """What a set of poses determines.
+
+    Attributes:
+        parameters: All parameters.
+        free: Which are not held, (n_parameters,).
+        n_poses, n_rows: Poses, and measured coordinates.
+        sigma: Noise of one reading per axis that was used [m].
+        sigma_assumed: Whether nobody stated it.
+        determination: Ranks of all and of the free parameters, from the poses alone and with priors.
+        known: How well poses and priors determine the free ones; in units of `determination.lengths`.
+        groups: Parameters that move together unseen, of all parameters, from the poses alone.
+        open_groups: The same of the free ones, priors included: what stays undetermined.
+        elimination: Parameters to hold so that the poses determine the rest.
+        scaled, raw: O1 to O5 of the free parameters, on columns scaled by sigma [m], and in mm per unit of table; where
+            nothing measures lengths, in noise of a reading and in that per unit.
+        std: Predicted standard deviation of each free parameter, infinite where undetermined, (n_free,) [m, rad].
+        accuracy: Predicted position error at the task poses.
+        position_errors: The same at each of them, of targets that count (`Robot.located`), (n_task, n_located) [m].
+        by_count: Predicted accuracy against number of poses.
+        near_singular: Poses closer to a singularity of the loops than the description's limit.
+        left_out: Targets whose accuracy does not count (`Robot.left_out`).
+    """
+
+    parameters: tuple[Parameter, ...]
+    free: BoolArray
+    n_poses: int
+    n_rows: int
+    sigma: float
+    sigma_assumed: bool
+    determination: Determination
+    known: Information
+    groups: tuple[Group, ...]
+    open_groups: tuple[Group, ...]
+    elimination: Elimination
+    scaled: dict[str, float]
+    raw: dict[str, float]
+    std: FloatArray
+    accuracy: TaskIndex
+    position_errors: FloatArray
+    by_count: tuple[CountRow, ...]
+    near_singular: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return (
+            f"<Assessment of {self.n_poses} poses: {self.determination.free.rank} of {int(np.sum(self.free))} free"
+            f" parameters determined, predicted error {millimetres(self.accuracy.rms):.3g} mm RMS>"
+        )
+
+    def _repr_html_(self) -> str:
+        return titled_html("Assessment", (repr(self)[1:-1], *self.determination.lines()), self.rows())
+
+    def rows(self) -> list[dict[str, object]]:
+        """Return one row for each free parameter with its predicted standard deviation, in the units of tables."""
+        kept = zip(self.free_parameters, self.std, strict=True)
+        return [
+            {"name": one.name, "unit": one.unit, "sigma": one.sigma, "std": float(std) * one.per_si}
+            for one, std in kept
+        ]
+
+    def to_dataframe(self) -> Any:
+        """Return `rows` as a pandas table; pandas missing is an `InputError`."""
+        return data_frame(self.rows())
+
+    @property
+    def rank_all(self) -> Rank:
+        """Rank of all parameters, from the poses alone."""
+        return self.determination.everything
+
+    @property
+    def rank_free(self) -> Rank:
+        """Rank of the free parameters, from the poses alone."""
+        return self.determination.free
+
+    @property
+    def free_parameters(self) -> tuple[Parameter, ...]:
+        """The free parameters, in the order of `std`."""
+        return tuple(p for p, use in zip(self.parameters, self.free, strict=True) if use)
+
+    def correlated(self, limit: float = CORRELATION_LIMIT) -> list[tuple[str, str, float]]:
+        """Return pairs of free parameters whose correlation exceeds `limit` in size, largest first."""
+        matrix = self.known.correlations()
+        names = [parameter.name for parameter in self.free_parameters]
+        rows, columns = np.triu_indices(len(names), k=1)
+        with np.errstate(invalid="ignore"):
+            above = np.flatnonzero(np.abs(matrix[rows, columns]) > limit)
+        pairs = [(names[rows[k]], names[columns[k]], float(matrix[rows[k], columns[k]])) for k in above]
+        return sorted(pairs, key=lambda pair: -abs(pair[2]))
+
+    def hardly_known(self, part: float = HARDLY) -> list[tuple[str, float]]:
+        """Return free parameters with more than `part` of their sigma left, and std / sigma, largest first."""
+        ratios = self.std / np.array([parameter.sigma_si for parameter in self.free_parameters])
+        named_ratios = [(p.name, float(r)) for p, r in zip(self.free_parameters, ratios, strict=True) if r > part]
+        return sorted(named_ratios, key=lambda item: -item[1])
+
+
+@one_blas_thread
+def check(
+    robot: Robot, poses: Poses | ArrayLike, *, task: Poses | ArrayLike | None = None, sigma: float | None = None
+) -> Assessment:
+    """Say what poses determine, at the robot's present values.
+
+    Args:
+        robot: The robot.
+        poses: Poses that are or would be measured; of measurements, only joint values and number of readings are used.
+            Or joint values alone, (n, n_actuated) [m or rad].
+        task: Poses whose accuracy counts, likewise; the same if not given.
+        sigma: Noise of one reading per axis [m]; the description's if not given.
+
+    Raises:
+        InputError: The robot is none.
+        DataError: Fewer measured coordinates than free parameters that no prior holds.
+        UnreachablePoseError: A pose cannot be assembled.
+    """
+    require_robot(robot)
+    require_free(robot)
+    poses, task = as_poses(robot, poses), None if task is None else as_poses(robot, task)
+    own = np.array([not p.family for p in robot.parameters])
+    parameters, free = tuple(p for p in robot.parameters if not p.family), robot.is_free[own]
+    noise, assumed = assumed_sigma(robot, sigma)
+    configurations = robot.assemble(poses.joints, labels=poses.labels, context=poses.conditions)
+    everything = Unknowns.of(robot, own)
+    columns, rows, width = _columns(robot, poses, configurations, sigma, everything)
+    _require_rows(robot, poses, width)
+    determined = determination(columns / everything.scales, parameters, free)
+    unknowns = Unknowns.chosen_by_poses(robot)
+    lengths = determined.lengths * everything.scales  # of columns scaled by sigma: what rows and priors are divided by
+    priors = prior_rows(unknowns.has_prior) / lengths[free]
+    unit = columns[:, free] / lengths[free]
+    known = information(unit, priors)
+    order = [index_of(parameters, name) for name in robot.description.elimination_order]
+    elimination = eliminate(determined.columns, order)
+    measured = rows_of_measured(robot, Poses(poses.joints, poses.labels, poses.names, poses.path, ()), sigma)
+    task_rows = (measured[2] if task is None else rows_of_measured(robot, task, sigma)[2]) / lengths[free]
+    errors = known.position_errors(task_rows)
+    kept = [p for p, use in zip(parameters, free, strict=True) if use]
+    scaled, raw = observability_of(noise * columns[:, free], kept, poses.n_poses, lengths=noise != WHITENED)
+    near = np.flatnonzero(robot.singular_values(configurations) < robot.description.singularity_limit)
+    return Assessment(
+        parameters=parameters,
+        free=free,
+        n_poses=poses.n_poses,
+        n_rows=len(columns),
+        sigma=noise,
+        sigma_assumed=assumed,
+        determination=determined,
+        known=known,
+        groups=null_groups(determined.columns, _spoken_for(free, elimination), lengths),
+        open_groups=null_groups(determined.open_columns, lengths=lengths[free]),
+        elimination=elimination,
+        scaled=scaled,
+        raw=raw,
+        std=known.standard_deviations() / determined.lengths[free],
+        accuracy=task_index(errors),
+        position_errors=errors,
+        by_count=accuracy_by_count(rows[..., free] / lengths[free], priors, task_rows),
+        near_singular=tuple(poses.labels[k] for k in near),
+        left_out=tuple(robot.left_out),
+    )
+
+
+def _columns(
+    robot: Robot, poses: Poses, configurations: Configurations, sigma: float | None, everything: Unknowns
+) -> tuple[FloatArray, FloatArray, int]:
+    """Whitened rows of what is or could be read, those of each pose, and how many rows a visit gives."""
+    if not isinstance(poses, Measurements):
+        pose_rows = rows_of_poses(robot, configurations, sigma, everything, looks_at(robot, poses))
+        flat = pose_rows.rows[pose_rows.read]
+        return flat, pose_rows.rows, -(-len(flat) // len(poses))
+    whitening = Whitening(robot, poses, sigma)
+    observed = observe(robot, configurations, poses.readings)
+    whitened = whitening.rows(observed, whitening.start(), everything, everything.deviations(robot.values))
+    layout = whitening.layout
+    flat = whitened.jacobian[layout.group >= 0]
+    return flat, _by_pose(whitened.jacobian, layout.pose[layout.reading]), -(-len(flat) // len(poses))
+
+
+def _by_pose(rows: FloatArray, pose: IntArray) -> FloatArray:
+    """Rows pose by pose, filled up with zeros, (n_poses, most rows, n_parameters)."""
+    order = np.argsort(pose, kind="stable")
+    _, block, counts = np.unique(pose[order], return_inverse=True, return_counts=True)
+    place = np.arange(len(pose)) - np.repeat(np.cumsum(counts) - counts, counts)
+    packed = np.zeros((len(counts), int(counts.max()), rows.shape[1]))
+    packed[block, place] = rows[order]
+    return packed
+
+
+def _require_rows(robot: Robot, poses: Poses, per_pose: int) -> None:
+    """Raise where the poses cannot determine the free parameters, whatever they are."""
+    needed = sum(use and not p.prior for p, use in zip(robot.parameters, robot.is_free, strict=True))
+    if per_pose * len(poses) < needed:
+        raise DataError(
+            f"{poses.path}: {len(poses)} poses give {per_pose * len(poses)} coordinates for {needed} free parameters"
+            f" without a prior; give at least {-(-needed // per_pose)} poses (several times that for a useful result)"
+        )
+
+
+def _spoken_for(free: BoolArray, elimination: Elimination) -> tuple[int, ...]:
+    """Parameters to tell groups by: the held ones if there are any, else those that the elimination drops."""
+    held = tuple(int(k) for k in np.flatnonzero(~free))
+    return held or elimination.dropped

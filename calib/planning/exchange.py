@@ -1,0 +1,200 @@
+"""Exchange algorithms: choose poses by swapping one at a time, for any index.
+
+`exchange` is the paper's (after Mitchell's DETMAX with excursions of one): add the candidate that raises the index
+most, remove the pose whose removal costs least, until the one just added is the one removed. The index rises with
+every round, so it ends; where it ends depends on the start.
+
+`swap` goes on from there: for each chosen pose in turn, take it out and put the best candidate in its place, until no
+single swap raises the index.
+
+Poses that must keep a distance from each other are a set of candidates that is not allowed at the moment (`Spacing`).
+
+Reference: Mitchell 1974; Fedorov 1972; Joubair et al. 2015, section Observability and Figure 4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from calib.base.arrays import BoolArray, FloatArray, IntArray
+from calib.base.errors import NotIdentifiableError
+from calib.planning.selection_problem import TASK, Problem
+from calib.planning.selection_scores import Scores, scores
+
+_RISE = 1e-10
+"""Least relative rise of an index that counts; less is rounding."""
+_RIDGE = 1e-9  # of K, whose full value is 1
+_MAX_PASSES = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Spacing:
+    """Which candidates may be chosen next.
+
+    Attributes:
+        points: Where each candidate puts the targets, (n_candidates, n) [m].
+        distance: Least distance between chosen poses [m]; 0 for none.
+        usable: Candidates that may be chosen at all, (n_candidates,).
+        pose: Pose of each candidate; those of one pose need no distance, (n_candidates,). None: each has its own.
+        kind: Candidates are exchanged for those of their kind alone, (n_candidates,). None: for any.
+    """
+
+    points: FloatArray
+    distance: float
+    usable: BoolArray
+    pose: IntArray | None = None
+    kind: IntArray | None = None
+
+    def alike(self, candidate: int) -> BoolArray:
+        """Return which candidates are of the kind of one of them, (n_candidates,)."""
+        result: BoolArray = np.ones_like(self.usable) if self.kind is None else self.kind == self.kind[candidate]
+        return result
+
+    def allowed(self, chosen: BoolArray) -> BoolArray:
+        """Return which candidates may be added to a choice, (n_candidates,)."""
+        free = self.usable & ~chosen
+        if self.distance > 0 and np.any(chosen):
+            candidates = np.flatnonzero(free)
+            nearest, _ = scipy.spatial.cKDTree(self.points[chosen]).query(self.points[candidates])
+            near = nearest < self.distance
+            if self.pose is not None:
+                near &= ~np.isin(self.pose[candidates], self.pose[chosen])
+            free[candidates[near]] = False
+        return free
+
+    def spread(self, tried: IntArray, count: int) -> IntArray:
+        """Return candidates that keep the distance: those of `tried` that do, filled up in file order.
+
+        Args:
+            tried: Candidates in the order in which they are tried, (n,).
+            count: How many are needed.
+
+        Returns:
+            Indices of candidates, (count,), or fewer where no more were found; `tried` itself where no distance is
+            asked for.
+        """
+        if self.distance == 0:
+            return tried
+        rest = np.setdiff1d(np.flatnonzero(self.usable), tried)
+        pose, kind = (
+            np.arange(len(self.usable)) if self.pose is None else self.pose,
+            np.zeros(len(self.usable), dtype=np.intp) if self.kind is None else self.kind,
+        )
+        room = np.bincount(kind[tried], minlength=int(np.max(kind)) + 1)
+        kept: list[int] = []
+        for candidate in (*tried, *rest):
+            gaps = np.linalg.norm(self.points[kept] - self.points[candidate], axis=1)
+            if room[kind[candidate]] and np.all((gaps >= self.distance) | (pose[kept] == pose[candidate])):
+                kept.append(int(candidate))
+                room[kind[candidate]] -= 1
+            if len(kept) == count:
+                break
+        return np.array(kept, dtype=np.intp)
+
+
+@dataclass(frozen=True, eq=False)
+class Exchange:
+    """A choice and how it came about.
+
+    Attributes:
+        chosen: Which candidates are in it, (n_candidates,).
+        scores: Their scores.
+        history: Choices of the start and after each exchange, as (added, removed) pairs; the start is (-1, -1).
+        values: Score after each entry of `history`; NaN while a start that determined too little was being mended.
+    """
+
+    chosen: BoolArray
+    scores: Scores
+    history: tuple[tuple[int, int], ...]
+    values: tuple[float, ...]
+
+
+def uniform_start(usable: IntArray, count: int) -> IntArray:
+    """Return `count` of the usable candidates (n,), evenly spread over their order, (count,)."""
+    if count == 0:
+        return usable[:0]
+    result: IntArray = usable[(2 * np.arange(count) + 1) * len(usable) // (2 * count)]
+    return result
+
+
+def exchange(problem: Problem, index: str, start: IntArray, spacing: Spacing) -> Exchange:
+    """Run the paper's exchange from a start.
+
+    Args:
+        problem: The candidates.
+        index: Index to raise.
+        start: Candidates to start from, (count,).
+        spacing: Which candidates may be added.
+
+    Raises:
+        NotIdentifiableError: No choice was found that determines every direction.
+    """
+    chosen = np.zeros(len(problem), dtype=bool)
+    chosen[start] = True
+    if problem.determined_by(chosen):
+        return _climb(scores(problem, index, chosen), chosen, spacing)
+    # every index is zero here: climb with a tiny prior first
+    helped = _climb(scores(problem, "O1", chosen, _RIDGE), chosen, spacing)
+    if not problem.determined_by(helped.chosen):
+        raise NotIdentifiableError(
+            f"no {len(start)} poses were found that determine what all candidates together do ({problem.known.rank});"
+            " choose more poses, or hold parameters"
+        )
+    final = _climb(scores(problem, index, helped.chosen), helped.chosen, spacing)
+    nothing = -np.inf if index in ("O1", TASK) else 0.0
+    values = (nothing, *[np.nan] * (len(helped.values) - 2), *final.values) if len(helped.values) > 1 else final.values
+    return replace(final, history=helped.history + final.history[1:], values=values)
+
+
+def _climb(state: Scores, chosen: BoolArray, spacing: Spacing) -> Exchange:
+    chosen = chosen.copy()
+    history, values = [(-1, -1)], [state.value]
+    while True:
+        allowed = spacing.allowed(chosen)
+        if not np.any(allowed):
+            break
+        added = state.best(allowed, add=True)
+        larger = state.moved(added, add=True)
+        chosen[added] = True
+        removed = larger.best(chosen & spacing.alike(added), add=False)
+        chosen[removed] = False
+        after = larger.moved(removed, add=False) if removed != added else state
+        if after.value <= state.value + _RISE * abs(state.value):
+            chosen[removed], chosen[added] = True, False
+            break
+        state = after
+        history.append((added, removed))
+        values.append(state.value)
+    return Exchange(chosen, state, tuple(history), tuple(values))
+
+
+def swap(done: Exchange, spacing: Spacing) -> Exchange:
+    """Improve a choice until no single swap of a chosen pose for another candidate raises the index.
+
+    A pose without which a direction would be lost is left where it is.
+    """
+    chosen, state = done.chosen.copy(), done.scores
+    history, values = list(done.history), list(done.values)
+    for _ in range(_MAX_PASSES):
+        before = state.value
+        for removed in np.flatnonzero(chosen):
+            if not state.spares(int(removed)):
+                continue
+            chosen[removed] = False
+            smaller = state.moved(int(removed), add=False)
+            # the one just removed is allowed, so there is one
+            added = smaller.best(spacing.allowed(chosen) & spacing.alike(int(removed)), add=True)
+            after = smaller.moved(added, add=True) if added != removed else state
+            if after.value <= state.value + _RISE * abs(state.value):
+                chosen[removed] = True
+                continue
+            chosen[added] = True
+            state = after
+            history.append((added, int(removed)))
+            values.append(state.value)
+        if state.value <= before + _RISE * abs(before):
+            break
+    return Exchange(chosen, state, tuple(history), tuple(values))

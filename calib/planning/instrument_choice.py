@@ -1,0 +1,153 @@
+"""Choosing instruments too: a candidate is a pose together with a group of instruments that read there.
+
+Every group can be chosen at every pose where all of its instruments have something to read, each such pair once. So a
+choice may read one pose with two groups; what it then knows is the sum of what both know, as of any two candidates.
+Candidates are ordered group by group, poses as they stand in each: candidate k is pose k modulo the number of poses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.base.arrays import BoolArray, FloatArray, IntArray
+from calib.base.errors import InputError, nearest
+from calib.base.memory import zeros_with_room
+from calib.data.measurements import Measurements, Poses
+from calib.data.plan_files import TOGETHER
+from calib.robots.robot import Robot
+from calib.rows.candidates import PoseRows, near_measured
+from calib.rows.observed import unsaid_touches
+
+ALL, EACH = "all", "each"
+"""All instruments read at every chosen pose, which is the choice of poses alone; or each is chosen by itself."""
+
+
+@dataclass(frozen=True)
+class Groups:
+    """What is chosen among at a pose.
+
+    Attributes:
+        members: Instruments that read together, by name, for each group.
+        chosen: Whether the choice is among groups; False: of poses alone, which all instruments read.
+        counts: How many poses to choose for each group; None: as is best.
+    """
+
+    members: tuple[tuple[str, ...], ...]
+    chosen: bool
+    counts: tuple[int, ...] | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What to call each group."""
+        return tuple(TOGETHER.join(members) for members in self.members)
+
+
+def groups_of(robot: Robot, instruments: str | Sequence[str], count: int | Mapping[str, int]) -> Groups:
+    """Return what is chosen among.
+
+    Args:
+        robot: The robot.
+        instruments: `ALL`, `EACH`, or the groups: names of instruments, joined by `+` where they read together.
+        count: A number for each group says the groups as well.
+
+    Raises:
+        InputError: An unknown instrument, a group given twice, or groups said in two ways.
+    """
+    every = tuple(one.name for one in robot.instruments)
+    if isinstance(count, Mapping):
+        if instruments != ALL:
+            raise InputError("count gives a number for each instrument already; leave out which instruments to choose")
+        return Groups(_members(tuple(count), every), True, tuple(count.values()))
+    if instruments == ALL:
+        return Groups((every,), False)
+    if instruments == EACH:
+        return Groups(tuple((name,) for name in every), True)
+    named = [instruments] if isinstance(instruments, str) else list(instruments)
+    return Groups(_members(named, every), True)
+
+
+def _members(named: Sequence[str], every: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+    groups = tuple(tuple(name.strip() for name in group.split(TOGETHER)) for group in named)
+    for group in groups:
+        for name in group:
+            if name not in every:
+                raise InputError(f"instruments: no instrument '{name}'{nearest(name, (*every, ALL, EACH))}")
+        if len(set(group)) < len(group):
+            raise InputError(f"instruments: '{TOGETHER.join(group)}' names an instrument twice")
+    if not groups or len({frozenset(group) for group in groups}) < len(groups):
+        raise InputError("instruments: name each instrument, or each group of them, once")
+    return groups
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Candidates: pairs of a pose and a group of instruments; see the module docstring.
+
+    Attributes:
+        pose: Pose of each, (n_candidates,).
+        group: Group of each, (n_candidates,).
+        rows: Whitened rows, (n_candidates, n_rows, n_parameters); 0 where one reads less than another.
+        n_read: How many rows each has, (n_candidates,).
+        possible: Where all instruments of the group have something to read, (n_candidates,).
+    """
+
+    pose: IntArray
+    group: IntArray
+    rows: FloatArray
+    n_read: IntArray
+    possible: BoolArray
+
+
+def pairs_of(groups: Groups, poses: PoseRows) -> Pairs:
+    """Return the candidates that poses (n of them) make."""
+    n, n_groups = len(poses.rows), len(groups.members)
+    own = [np.concatenate([_range(poses.blocks[name]) for name in members]) for members in groups.members]
+    width = max(len(columns) for columns in own)
+    rows = poses.rows
+    if groups.chosen:
+        rows = zeros_with_room((n_groups * n, width, poses.rows.shape[2]), f"rows of {n_groups * n} candidates")
+        for g, columns in enumerate(own):
+            rows[g * n : (g + 1) * n, : len(columns)] = poses.rows[:, columns]
+    read = [[np.any(poses.read[:, poses.blocks[name]], axis=1) for name in members] for members in groups.members]
+    together = np.all if groups.chosen else np.any
+    return Pairs(
+        np.tile(np.arange(n), n_groups),
+        np.repeat(np.arange(n_groups), n) if n_groups > 1 else np.broadcast_to(np.intp(0), n),
+        rows,
+        np.concatenate([np.sum(poses.read[:, columns], axis=1) for columns in own]),
+        np.concatenate([together(parts, axis=0) for parts in read]),
+    )
+
+
+def already_read(groups: Groups, candidates: Poses, measured: Poses) -> BoolArray:
+    """Return which candidates are measured already: poses, by all instruments of their group, (n_candidates,).
+
+    Of measured poses without readings all instruments are taken to have read.
+    """
+    result = []
+    for members in groups.members:
+        read = np.ones(len(measured), dtype=bool)
+        if groups.chosen and isinstance(measured, Measurements):
+            for name in members:
+                readings = measured.readings.get(name)
+                read &= np.isin(np.arange(len(measured)), [] if readings is None else readings.visits)
+        none = np.zeros(len(candidates), dtype=bool)
+        result.append(near_measured(candidates.joints, measured.joints[read]) if np.any(read) else none)
+    return np.concatenate(result)
+
+
+def require_touches_said(robot: Robot, groups: Groups, poses: Poses) -> None:
+    """Raise `InputError` where an instrument touches, and the poses do not say what: nobody can tell from a pose."""
+    for one in unsaid_touches(robot, poses):
+        if any(one.name in members for members in groups.members):
+            raise InputError(
+                f"{poses.path}: instrument '{one.name}' reads no numbers, and nothing says which poses touch what; add"
+                f" a column '{one.text_columns()[0]}' that names it, empty where nothing is touched"
+            )
+
+
+def _range(block: slice) -> IntArray:
+    return np.arange(block.start, block.stop)

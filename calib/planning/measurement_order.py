@@ -1,0 +1,138 @@
+"""In which order to visit poses so that the robot travels little.
+
+The time between two poses is about that of the joint with the longest way to go, so the distance between them is
+
+    max over joints of |difference| / (range of that joint over all poses)
+
+The shortest open path from home through all poses is a travelling-salesman problem. A path that always goes to the
+nearest pose next is shortened by 2-opt (reverse a piece) and or-opt (move a piece of up to three poses elsewhere),
+until neither helps. That is usually within a few percent of the shortest, which is enough here: the path does not
+change what is measured.
+
+Reference: Croes 1958; Or 1976.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.base.arrays import FloatArray, IntArray
+
+_SHORTER = 1e-12
+_LONGEST_PIECE = 3
+_IMPROVED = 1000  # poses up to which a path is improved; beyond, the nearest next pose has to do
+
+
+def travel(joints: FloatArray, home: FloatArray, order: IntArray) -> float:
+    """Return the length of a path from home through the poses [joint ranges].
+
+    Args:
+        joints: Poses, (n, n_actuated) [m or rad].
+        home: Where the path starts, (n_actuated,) [m or rad].
+        order: Poses in the order of visiting, (n,).
+    """
+    points = _points(joints, home)
+    path = np.concatenate([[0], np.asarray(order, dtype=np.intp) + 1])
+    return float(np.sum(np.max(np.abs(np.diff(points[path], axis=0)), axis=1)))
+
+
+def ways(joints: FloatArray, start: FloatArray) -> FloatArray:
+    """Return how far each pose is from where the robot stands, (n,) [joint ranges].
+
+    Args:
+        joints: Poses, (n, n_actuated) [m or rad].
+        start: Where the robot stands, (n_actuated,) [m or rad].
+    """
+    points = _points(joints, start)
+    result: FloatArray = np.max(np.abs(points[1:] - points[0]), axis=1)
+    return result
+
+
+def order_in_blocks(joints: FloatArray, home: FloatArray, block: IntArray) -> IntArray:
+    """Return an order of visiting that is short and goes block by block, (n,).
+
+    A block is what is measured before something is changed by hand: an instrument, the place of one.
+
+    Args:
+        joints: Poses, (n, n_actuated) [m or rad].
+        home: Where the path starts, (n_actuated,) [m or rad].
+        block: Number of the block of each pose, (n,); the smallest comes first.
+    """
+    order, start = [], home
+    for number in np.unique(block):
+        own = np.flatnonzero(block == number)
+        order.append(own[shortest_order(joints[own], start)])
+        start = joints[order[-1][-1]]
+    return np.concatenate(order)
+
+
+def shortest_order(joints: FloatArray, home: FloatArray) -> IntArray:
+    """Return an order of visiting that is short, (n,).
+
+    Args:
+        joints: Poses, (n, n_actuated) [m or rad].
+        home: Where the path starts, (n_actuated,) [m or rad].
+    """
+    points = _points(joints, home)
+    gaps = np.max(np.abs(points[:, None] - points[None]), axis=2)
+    path = _nearest_first(gaps)
+    while len(joints) <= _IMPROVED:
+        shorter = _reverse_piece(path, gaps)
+        if shorter is None:
+            shorter = _move_piece(path, gaps)
+        if shorter is None:
+            break
+        path = shorter
+    return path[1:] - 1
+
+
+def _points(joints: FloatArray, home: FloatArray) -> FloatArray:
+    """Home and poses in joint ranges, (n + 1, n_actuated)."""
+    width = np.ptp(joints, axis=0)
+    return np.vstack([home, joints]) / np.where(width > 0, width, 1.0)
+
+
+def _nearest_first(gaps: FloatArray) -> IntArray:
+    n = len(gaps)
+    path, left = [0], np.ones(n, dtype=bool)
+    left[0] = False
+    while np.any(left):
+        rest = np.flatnonzero(left)
+        path.append(int(rest[np.argmin(gaps[path[-1], rest])]))
+        left[path[-1]] = False
+    return np.array(path, dtype=np.intp)
+
+
+def _reverse_piece(path: IntArray, gaps: FloatArray) -> IntArray | None:
+    """Reverse the piece that shortens the path most, or None; the end of the path is free."""
+    n = len(path)
+    step = gaps[path[:-1], path[1:]]
+    # piece i+1 .. j: edges (i, i+1) and (j, j+1) become (i, j) and (i+1, j+1); j = n-1 has no second edge
+    last = np.append(step, 0.0)
+    closing = np.zeros((n - 1, n))
+    closing[:, :-1] = gaps[np.ix_(path[1:], path[1:])]
+    change = gaps[np.ix_(path[:-1], path)] + closing - step[:, None] - last
+    change[np.tril_indices(n - 1, k=1, m=n)] = 0.0
+    i, j = np.unravel_index(np.argmin(change), change.shape)
+    if change[i, j] >= -_SHORTER:
+        return None
+    return np.concatenate([path[: i + 1], path[i + 1 : j + 1][::-1], path[j + 1 :]])
+
+
+def _move_piece(path: IntArray, gaps: FloatArray) -> IntArray | None:
+    """Move a piece of up to three poses elsewhere, either way round, if that shortens the path; else None."""
+    for length in range(1, _LONGEST_PIECE + 1):
+        for start in range(1, len(path) - length + 1):
+            piece = path[start : start + length]
+            rest = np.concatenate([path[:start], path[start + length :]])
+            taken = gaps[path[start - 1], piece[0]]
+            if start + length < len(path):
+                after = path[start + length]
+                taken += gaps[piece[-1], after] - gaps[path[start - 1], after]
+            for turned in (piece, piece[::-1]):
+                added = gaps[rest, turned[0]]
+                added[:-1] += gaps[turned[-1], rest[1:]] - gaps[rest[:-1], rest[1:]]
+                place = int(np.argmin(added))
+                if added[place] < taken - _SHORTER:
+                    return np.concatenate([rest[: place + 1], turned, rest[place + 1 :]])
+    return None

@@ -1,0 +1,175 @@
+"""Scores by changes of rank three: log det K for O1, and the task index.
+
+Adding pose j turns K into K + B_j^T B_j, removing it into K - B_j^T B_j. With three coordinates per pose that is a
+change of rank three, and the new value follows from small matrices of every candidate at once:
+
+    log det     log det(I +- G_j),  G_j = B_j K^-1 B_j^T;  after a move G_i -+ T_i T_i^T with
+                T_i = B_i K^-1 B_j^T chol(I +- G_j)^-T, one product of all rows with three columns
+    task        trace(W K^-1) -+ trace((I +- G_j)^-1 B_j K^-1 W K^-1 B_j^T)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from calib.base.arrays import BoolArray, FloatArray
+from calib.planning.selection_problem import Problem, Sparing
+
+_REFRESH = 32  # moves after which the determinant's small matrices are computed anew, against rounding
+_UPDATED = 1e-6  # least det(I - G) for an update; where a direction nearly goes it would lose its digits
+
+
+@dataclass(frozen=True, eq=False)
+class Determinant:
+    """log det K, by rank-three updates.
+
+    Attributes:
+        problem: The candidates.
+        gathered: K, (r, r).
+        inverse: K^-1, (r, r).
+        seen: G of every candidate, (k, k, n_candidates): the last, so that sums run through memory.
+        age: Moves since `seen` was computed anew.
+    """
+
+    problem: Problem
+    gathered: FloatArray
+    inverse: FloatArray
+    seen: FloatArray
+    age: int
+
+    @classmethod
+    def of(cls, problem: Problem, gathered: FloatArray) -> Determinant:
+        """Return the scores of a choice with this K, (r, r)."""
+        inverse = np.linalg.inv(gathered)
+        root = _products(problem.rows, _root(inverse))
+        return cls(problem, gathered, inverse, np.einsum("icn,kcn->ikn", root, root), 0)
+
+    @cached_property
+    def value(self) -> float:
+        """Log det K."""
+        return float(np.linalg.slogdet(self.gathered)[1])
+
+    def gains(self) -> FloatArray:
+        """Return by how much adding each candidate raises log det K, (n_candidates,)."""
+        result: FloatArray = np.log(_determinants(self.seen, 1.0))
+        return result
+
+    def best(self, allowed: BoolArray, *, add: bool) -> int:
+        """Return the best next move; see `calib.planning.selection_scores.Scores`."""
+        factors = _determinants(self.seen, 1.0 if add else -1.0)
+        return int(np.argmax(np.where(allowed, factors, -np.inf)))
+
+    def moved(self, candidate: int, *, add: bool) -> Determinant:
+        """Return the scores after a move; see `calib.planning.selection_scores.Scores`."""
+        sign = 1.0 if add else -1.0
+        rows = self.problem.rows[candidate]
+        gathered = self.gathered + sign * rows.T @ rows
+        left = _determinants(self.seen[:, :, candidate : candidate + 1], sign)[0]
+        small = np.eye(len(rows)) + sign * self.seen[:, :, candidate]
+        if self.age >= _REFRESH or left < _UPDATED or np.linalg.eigvalsh(small)[0] <= 0:  # two below 0: det above it
+            return Determinant.of(self.problem, gathered)
+        half = np.linalg.solve(np.linalg.cholesky(small), rows @ self.inverse).T
+        inverse = self.inverse - sign * half @ half.T
+        through = _products(self.problem.rows, half)
+        seen = self.seen - sign * np.einsum("icn,kcn->ikn", through, through)
+        return Determinant(self.problem, gathered, inverse, seen, self.age + 1)
+
+    def spares(self, candidate: int) -> bool:
+        """Return whether a chosen candidate can go; see `calib.planning.selection_scores.Scores`."""
+        return bool(self._sparing.spares(self.problem.rows[[candidate]])[0])
+
+    @cached_property
+    def _sparing(self) -> Sparing:
+        return Sparing.of(self.gathered)
+
+
+def _root(matrix: FloatArray) -> FloatArray:
+    """Return C with C C^T = matrix (r, r), which rounding may have made a little indefinite."""
+    try:
+        return np.asarray(np.linalg.cholesky(matrix))
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(matrix)
+        return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _products(rows: FloatArray, matrix: FloatArray) -> FloatArray:
+    """Return rows times matrix with the candidates last, (k, n_columns, n_candidates)."""
+    n, k, r = rows.shape
+    flat = (rows.reshape(n * k, r) @ matrix).reshape(n, k, -1)  # one product; numpy would do n small ones
+    return np.ascontiguousarray(flat.transpose(1, 2, 0))
+
+
+def _determinants(seen: FloatArray, sign: float) -> FloatArray:
+    """det(I +- G) of every candidate; written out for three rows, which is much faster than a factorisation each."""
+    if len(seen) != 3:
+        result: FloatArray = np.linalg.det(np.eye(len(seen)) + sign * seen.transpose(2, 0, 1))
+        return result
+    a, b, c = (1.0 + sign * seen[i, i] for i in range(3))
+    d, e, f = sign * seen[0, 1], sign * seen[0, 2], sign * seen[1, 2]
+    written: FloatArray = a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)
+    return written
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Minus trace(W K^-1), the square of the task index, by changes of rank three.
+
+    Attributes:
+        problem: The candidates.
+        gathered: K, (r, r).
+    """
+
+    problem: Problem
+    gathered: FloatArray
+
+    @cached_property
+    def value(self) -> float:
+        """Minus trace(W K^-1)."""
+        return -self.problem.task_trace(self.gathered)
+
+    @cached_property
+    def _through(self) -> tuple[FloatArray, FloatArray]:
+        """B K^-1 B^T and B K^-1 W K^-1 B^T of every candidate."""
+        rows = self.problem.rows
+        inverse = np.linalg.inv(self.gathered)
+        seen = np.matmul(rows @ inverse, rows.transpose(0, 2, 1))
+        felt = rows @ (inverse @ self.problem.task)
+        return seen, np.matmul(felt, felt.transpose(0, 2, 1))
+
+    def gains(self) -> FloatArray:
+        """Return by how much adding each candidate lowers trace(W K^-1), (n_candidates,)."""
+        seen, felt = self._through
+        result: FloatArray = np.trace(np.linalg.solve(np.eye(seen.shape[1]) + seen, felt), axis1=1, axis2=2)
+        return result
+
+    def best(self, allowed: BoolArray, *, add: bool) -> int:
+        """Return the best next move; see `calib.planning.selection_scores.Scores`."""
+        if add:
+            return int(np.argmax(np.where(allowed, self.gains(), -np.inf)))
+        seen, felt = self._through
+        candidates = np.flatnonzero(allowed)
+        small = np.eye(seen.shape[1]) - seen[candidates]
+        solvable = self._sparing.spares(self.problem.rows[candidates])
+        candidates, small = (
+            (candidates[solvable], small[solvable])
+            if np.any(solvable)
+            else (candidates[:1], np.eye(seen.shape[1])[None])
+        )
+        change = np.trace(np.linalg.solve(small, felt[candidates]), axis1=1, axis2=2)
+        return int(candidates[np.argmin(change)])
+
+    def moved(self, candidate: int, *, add: bool) -> Task:
+        """Return the scores after a move; see `calib.planning.selection_scores.Scores`."""
+        rows = self.problem.rows[candidate]
+        return Task(self.problem, self.gathered + (1.0 if add else -1.0) * rows.T @ rows)
+
+    def spares(self, candidate: int) -> bool:
+        """Return whether a chosen candidate can go; see `calib.planning.selection_scores.Scores`."""
+        return bool(self._sparing.spares(self.problem.rows[[candidate]])[0])
+
+    @cached_property
+    def _sparing(self) -> Sparing:
+        return Sparing.of(self.gathered)

@@ -1,0 +1,117 @@
+"""Choosing among very many candidates: exchanges look at the promising ones; a bound on all says what that can cost.
+
+Each move of an exchange updates the small matrices of every candidate, so its time grows with their number, while good
+choices use few of them. With g_k, the slope of the concave relaxation (`calib.planning.selection_bound`): a
+candidate whose g at the best weights lies below that of every weighted one is in no best weighted choice, and one far
+below hardly ever in a good choice. So:
+
+1. g where all candidates weigh alike ranks them. The best of each kind, and the starts, are searched.
+2. The relaxation over all candidates, from what was found, gives weights, a bound on every choice and a better g.
+3. The best by that g are searched again, from what was found and from the weights.
+
+The bound is of all candidates, so the efficiency says how much can be lost at most. Below `SCREENED` candidates
+nothing is left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.base.arrays import BoolArray, FloatArray, IntArray
+from calib.planning.exchange import Exchange
+from calib.planning.selection_bound import CERTIFIED, Relaxation, slopes
+from calib.planning.selection_setting import Setting
+
+SCREENED = 20_000
+"""More candidates than this are screened, where there is a bound and poses need no distance from each other."""
+_SEARCHED = 4096  # candidates that exchanges look at
+_FOR_EACH = 8  # times as many as are wanted, if that is more
+
+
+@dataclass(frozen=True, eq=False)
+class Searched:
+    """The candidates that exchanges look at.
+
+    Attributes:
+        whole: The setting with all of them.
+        index: Which exchanges look at, ascending, (n,).
+        setting: The same setting with these alone.
+    """
+
+    whole: Setting
+    index: IntArray
+    setting: Setting
+
+    @property
+    def is_part(self) -> bool:
+        """Whether some candidates are left out."""
+        return self.setting is not self.whole
+
+    def inside(self, candidates: IntArray) -> IntArray:
+        """Return the numbers in here of candidates of the whole, none of which is left out, (n,)."""
+        result: IntArray = np.searchsorted(self.index, candidates)
+        return result
+
+    def widened(self, result: Exchange) -> Exchange:
+        """Return what an exchange in here found, with the numbers of the whole."""
+        if not self.is_part:
+            return result
+        chosen = np.zeros(len(self.whole.problem), dtype=bool)
+        chosen[self.index[result.chosen]] = True
+        history = tuple((a, b) if a < 0 else (int(self.index[a]), int(self.index[b])) for a, b in result.history)
+        return replace(result, chosen=chosen, history=history)
+
+
+def before_any_choice(setting: Setting, starts: IntArray) -> Searched:
+    """Return what to look at when nothing is known: the best where all candidates weigh alike, and the starts (n,)."""
+    if not _is_screened(setting):
+        return Searched(setting, np.arange(len(setting.problem)), setting)
+    problem = setting.problem
+    # without priors, K of all candidates is the identity
+    alike = problem.before + setting.wanted.count / len(problem) * np.eye(len(problem.strengths))
+    return _narrowed(setting, slopes(problem, setting.wanted.index, alike), starts)
+
+
+def after_relaxation(setting: Setting, relaxation: Relaxation, chosen: BoolArray) -> Searched:
+    """Return what to look at when the weights of the relaxation are known, and a choice (n_candidates,)."""
+    if not _is_screened(setting):
+        return Searched(setting, np.arange(len(setting.problem)), setting)
+    problem = setting.problem
+    slope = slopes(problem, setting.wanted.index, problem.gathered(relaxation.weights))
+    return _narrowed(setting, slope, np.flatnonzero(chosen | (relaxation.weights > 0)))
+
+
+def _is_screened(setting: Setting) -> bool:
+    wanted = setting.wanted
+    return wanted.index in CERTIFIED and wanted.minimum_distance == 0 and len(setting.problem) > SCREENED
+
+
+def _narrowed(setting: Setting, slope: FloatArray, kept: IntArray) -> Searched:
+    """The candidates with the largest slope (n_candidates,), and those to keep in any case (n,)."""
+    counts = setting.counts
+    ranked = np.where(setting.space.usable, slope, -np.inf)
+    best = setting.largest(ranked, np.maximum(_SEARCHED // len(counts), _FOR_EACH * counts))
+    index = np.union1d(np.concatenate(best), kept).astype(np.intp)
+    problem, pairs, space = setting.problem, setting.pairs, setting.space
+    few = replace(
+        setting,
+        problem=replace(problem, rows=problem.rows[index]),
+        pairs=replace(
+            pairs,
+            pose=pairs.pose[index],
+            group=pairs.group[index],
+            rows=pairs.rows[index],
+            possible=pairs.possible[index],
+            n_read=pairs.n_read[index],
+        ),
+        space=replace(
+            space,
+            points=space.points[index],
+            usable=space.usable[index],
+            pose=None if space.pose is None else space.pose[index],
+            kind=None if space.kind is None else space.kind[index],
+        ),
+    )
+    return Searched(setting, index, few)

@@ -1,0 +1,294 @@
+"""Choosing the poses to measure: from candidates to an ordered list with its index, and how close to the best it is.
+
+Order of work. Candidates are assembled and linearised at the robot's present values. The paper's exchange runs from
+each start, then single swaps until none helps. For O1 and the task index the concave relaxation gives a bound on every
+possible choice, and its weights one more start. Then, if asked for, the poses move off the grid. Last, they are put in
+an order of short travel. Of very many candidates the exchanges look at the promising ones only
+(`calib.planning.screening`).
+
+Priors and poses already measured are information that is there before the first pose is chosen; the measurement noise
+is the weight between priors and poses. Every index, O1 included, is about the directions that all candidates and the
+measured poses together determine, with the others eliminated (`calib.planning.selection_problem`): directions that
+no pose can determine play no part, and one that a prior holds well enough attracts no poses. Without priors the noise
+plays no part and the indices are the published ones.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike
+
+from calib.base.arrays import FloatArray, IntArray, random_numbers
+from calib.base.errors import InputError
+from calib.base.threads import one_blas_thread
+from calib.base.units import millimetres
+from calib.base.workers import Progress, Workers, in_order
+from calib.data.measurements import Poses
+from calib.numerics.observability import observability_of
+from calib.planning.exchange import Exchange, Spacing, exchange, swap
+from calib.planning.instrument_choice import ALL, groups_of
+from calib.planning.measurement_order import order_in_blocks, travel
+from calib.planning.refinement import refine
+from calib.planning.region import region_of
+from calib.planning.screening import Searched, after_relaxation, before_any_choice
+from calib.planning.selection_bound import CERTIFIED, log_phi, relax
+from calib.planning.selection_problem import TASK, Problem
+from calib.planning.selection_result import Run, Selection
+from calib.planning.selection_scores import index_of_score, index_values, values_of_rows
+from calib.planning.selection_setting import Setting, Wanted, prepare, require_count
+from calib.robots.robot import Robot, require_robot
+from calib.rows.candidates import WHITENED
+
+__all__ = ["Run", "Selection", "select"]
+
+
+@one_blas_thread
+def select(
+    robot: Robot,
+    candidates: Poses | ArrayLike,
+    count: int | Mapping[str, int],
+    index: str = "O1",
+    *,
+    instruments: str | Sequence[str] = ALL,
+    measured: Poses | ArrayLike | None = None,
+    task: Poses | ArrayLike | None = None,
+    exclude: Sequence[int] = (),
+    minimum_distance: float = 0.0,
+    random_start: bool = False,
+    starts: int = 1,
+    seed: int = 0,
+    off_grid: bool = False,
+    skip_unreachable: bool = False,
+    sigma: float | None = None,
+    executor: Executor | int | None = None,
+    progress: Progress | None = None,
+) -> Selection:
+    """Choose the poses that determine the parameters best.
+
+    Args:
+        robot: The robot; its present values are where it is linearised.
+        candidates: Poses to choose from, (n, n_actuated) [m or rad], or from a file.
+        count: How many to choose; or how many with each instrument, by name (several joined by `+` read together).
+        index: What to make best: O1 to O5, or `task`, the predicted position error over the task poses.
+        instruments: `all` read at every chosen pose. `each`: for every chosen pose also one instrument. Or the ones to
+            choose among, several joined by `+` where they read together. A pose may be chosen with several.
+        measured: Poses that are measured already; the chosen ones are to complement them.
+        task: Poses whose accuracy counts, for the task index; the candidates if not given.
+        exclude: Candidates not to choose, by their number.
+        minimum_distance: Least distance between the targets of two poses (root mean square over targets) [m].
+        random_start: Start from a random choice instead of a uniform one.
+        starts: How many starts; all but the first are random.
+        seed: Seed of everything random.
+        off_grid: Move the chosen poses continuously afterwards; see `calib.planning.region` for where they may
+            go.
+        skip_unreachable: Leave out candidates that cannot be assembled, instead of an error.
+        sigma: Noise of one reading per axis [m]; the description's if not given.
+        executor: Who does the starts, and the moves off the grid: any `concurrent.futures` executor, or a number of
+            processes on this machine; this process if not given.
+        progress: Called with how many starts are done and of how many; then with how many poses have found their place
+            off the grid.
+
+    Raises:
+        InputError: An argument is wrong; count above the candidates, or too small for the parameters.
+        DataError: A candidate is given twice.
+        UnreachablePoseError: Candidates cannot be assembled.
+        NotIdentifiableError: No choice determines what the index is about.
+    """
+    require_robot(robot)
+    started = time.perf_counter()
+    rng = random_numbers(seed)
+    groups = groups_of(robot, instruments, count)
+    total = sum(count.values()) if isinstance(count, Mapping) else count
+    wanted = Wanted(index, total, minimum_distance, off_grid, groups)
+    kinds = _start_kinds(random_start, starts)
+    with Workers(executor, None if off_grid else starts) as workers:
+        setting = prepare(robot, candidates, wanted, measured, task, exclude, skip_unreachable, sigma)
+        require_count(setting)
+        prepared = time.perf_counter()
+        runs, best = _run_all(setting, kinds, rng, workers, progress)
+        efficiency, bound = None, None
+        if wanted.index in CERTIFIED:
+            runs, best, efficiency, bound = _certify(setting, runs, best)
+        on_grid = index_values(setting.problem, best.chosen, setting.sigma)
+        poses = _poses(setting, best, on_grid, rng, workers, progress)
+    order = order_in_blocks(poses.joints, robot.home, _blocks(setting, poses.chosen))
+    uniform = np.isin(np.arange(len(setting.problem)), setting.uniform())
+    return Selection(
+        index=wanted.index,
+        chosen=setting.pairs.pose[poses.chosen[order]],
+        instruments=tuple(groups.names[g] for g in setting.pairs.group[poses.chosen[order]] if groups.chosen),
+        groups=groups.names if groups.chosen else (),
+        joints=poses.joints[order],
+        positions=poses.positions[order],
+        before=index_values(setting.problem, uniform, setting.sigma),
+        after=poses.values,
+        on_grid=on_grid,
+        raw=_raw(setting, poses.rows),
+        measured_only=_measured_only(setting),
+        efficiency=efficiency,
+        bound=bound,
+        off_grid=off_grid,
+        distance=poses.distance,
+        runs=runs,
+        travel=(travel(poses.joints, robot.home, np.arange(total)), travel(poses.joints, robot.home, order)),
+        rank=setting.problem.rank,
+        rank_of_poses=setting.problem.known.rank,
+        sigma=setting.sigma,
+        sigma_assumed=setting.sigma_assumed,
+        skipped=setting.found.skipped,
+        already_measured=setting.already_measured,
+        seed=seed,
+        seconds=time.perf_counter() - started,
+        selecting_seconds=time.perf_counter() - prepared,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Poses:
+    """Chosen candidates before they are put in order."""
+
+    chosen: IntArray
+    joints: FloatArray
+    positions: FloatArray
+    rows: FloatArray
+    values: dict[str, float]
+    distance: float
+
+
+def _run_all(
+    setting: Setting,
+    kinds: Sequence[str],
+    rng: np.random.Generator,
+    workers: Executor | None,
+    progress: Progress | None,
+) -> tuple[tuple[Run, ...], Exchange]:
+    """Run the exchange from each start; return the runs and the best result."""
+    starts = [setting.uniform() if kind == "uniform" else setting.random(rng) for kind in kinds]
+    searched = before_any_choice(setting, np.concatenate(starts))
+    results, runs = zip(*_run(searched, kinds, starts, workers, progress), strict=True)
+    return runs, max(results, key=lambda one: one.scores.value)
+
+
+def _run(
+    searched: Searched,
+    kinds: Sequence[str],
+    starts: Sequence[IntArray],
+    workers: Executor | None = None,
+    progress: Progress | None = None,
+) -> list[tuple[Exchange, Run]]:
+    """Run the exchange from some starts, each of a kind."""
+    setting, wanted = searched.setting, searched.setting.wanted
+    spread = [setting.space.spread(searched.inside(start), wanted.count) for start in starts]
+    fewest = min(map(len, spread))
+    if fewest < wanted.count:
+        raise InputError(
+            f"only {fewest} candidates were found that keep {millimetres(wanted.minimum_distance):g} mm from each"
+            f" other, for {wanted.count} wanted; choose a smaller distance or count"
+        )
+    found = []
+    search = partial(_search, setting.problem, wanted.index, setting.space)
+    for kind, (inside, n_paper) in zip(kinds, in_order(search, spread, workers, progress), strict=True):
+        result = searched.widened(inside)
+        history = [index_of_score(setting.problem, wanted.index, v, wanted.count, setting.sigma) for v in result.values]
+        found.append((result, Run(kind, result.history[1:], tuple(history), n_paper)))
+    return found
+
+
+@one_blas_thread
+def _search(problem: Problem, index: str, space: Spacing, start: IntArray) -> tuple[Exchange, int]:
+    """The exchange and the swaps after it, from one start; how many exchanges there were before the swaps."""
+    paper = exchange(problem, index, start, space)
+    return swap(paper, space), len(paper.values) - 1
+
+
+def _certify(setting: Setting, runs: tuple[Run, ...], best: Exchange) -> tuple[tuple[Run, ...], Exchange, float, float]:
+    """Bound all choices, start once more from the relaxed weights, and compare the best choice with the bound."""
+    problem, index, usable = setting.problem, setting.wanted.index, setting.space.usable
+    relaxation = relax(problem, index, best.chosen, usable, setting.space.kind)
+    heaviest = np.concatenate(setting.largest(np.where(usable, relaxation.weights, -1.0), setting.counts))
+    searched = after_relaxation(setting, relaxation, best.chosen)
+    starts = {"relaxed": np.sort(heaviest)}
+    if searched.is_part:
+        starts["best"] = np.flatnonzero(best.chosen)
+    for more, run in _run(searched, tuple(starts), tuple(starts.values())):
+        best, runs = max(best, more, key=lambda one: one.scores.value), (*runs, run)
+    gathered = problem.gathered(best.chosen.astype(float))
+    if index == TASK:
+        least = float(np.exp(-relaxation.log_bound))
+        bound = index_of_score(problem, index, -least, setting.wanted.count, setting.sigma)
+        value = index_of_score(problem, index, -problem.task_trace(gathered), setting.wanted.count, setting.sigma)
+        return runs, best, min(1.0, bound / value), bound
+    efficiency = relaxation.efficiency(log_phi(problem, index, gathered))
+    return runs, best, efficiency, index_values(problem, best.chosen, setting.sigma)[index] / efficiency
+
+
+def _poses(
+    setting: Setting,
+    best: Exchange,
+    on_grid: dict[str, float],
+    rng: np.random.Generator,
+    workers: Executor | None,
+    progress: Progress | None,
+) -> _Poses:
+    """The chosen candidates, moved off the grid if that is wanted."""
+    chosen, candidates, usable = np.flatnonzero(best.chosen), setting.found, setting.space.usable
+    if not setting.wanted.off_grid:
+        pose, rows = setting.pairs.pose[chosen], setting.problem.rows[chosen]
+        joints, positions = candidates.joints[pose], candidates.found.positions[pose]
+        return _Poses(chosen, joints, positions, rows, on_grid, setting.wanted.minimum_distance)
+    distance = setting.wanted.minimum_distance or _smallest_gap(setting.space.points[usable])
+    region = region_of(
+        setting.robot, candidates.joints[usable], candidates.found.positions[usable], distance, setting.measured_points
+    )
+    moved = refine(
+        setting.robot,
+        setting.problem,
+        setting.wanted.index,
+        candidates.joints[chosen],
+        setting.poses.conditions.at(chosen),
+        region,
+        rng,
+        setting.sigma_given,
+        workers,
+        progress,
+    )
+    values = values_of_rows(setting.problem, moved.rows, setting.sigma)
+    return _Poses(chosen, moved.joints, moved.positions, moved.rows, values, distance)
+
+
+def _blocks(setting: Setting, chosen: IntArray) -> IntArray:
+    """What is measured in one go: candidates of one setup, and in it those of one group of instruments, (n,)."""
+    setups = setting.poses.setups
+    pose, group = setting.pairs.pose[chosen], setting.pairs.group[chosen]
+    return group if setups is None else setups[pose] * len(setting.wanted.groups.members) + group
+
+
+def _raw(setting: Setting, rows: FloatArray) -> dict[str, float]:
+    """O1 to O5 of whitened rows, (n_poses, 3 n_targets, r), on raw columns."""
+    known, robot = setting.problem.known, setting.robot
+    scaled = setting.sigma * (rows * known.strengths) @ known.directions.T
+    kept = [p for p, free in zip(robot.parameters, robot.is_free, strict=True) if free and not p.family]
+    return observability_of(scaled, kept, len(rows), lengths=setting.sigma != WHITENED)[1]
+
+
+def _measured_only(setting: Setting) -> dict[str, float] | None:
+    if setting.problem.n_before == 0:
+        return None
+    return index_values(setting.problem, np.zeros(len(setting.problem), dtype=bool), setting.sigma)
+
+
+def _smallest_gap(points: FloatArray) -> float:
+    return float(np.min(scipy.spatial.cKDTree(points).query(points, k=[2])[0])) if len(points) > 1 else 0.0
+
+
+def _start_kinds(random_start: bool, starts: int) -> list[str]:
+    if starts < 1:
+        raise InputError(f"{starts} starts: at least one is needed")
+    return ["random" if random_start else "uniform"] + ["random"] * (starts - 1)

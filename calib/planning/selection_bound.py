@@ -1,0 +1,265 @@
+"""How good a choice of poses can be at most: a proven bound from the concave relaxation, and weights that attain it.
+
+Problem. Choose m of n candidates, each at most once: K(w) = K_0 + sum w_k B_k^T B_k with w_k in {0, 1}, sum w = m. Let
+the weights be anything in [0, 1] with the same sum: that set contains every choice, so no choice is better than its
+best.
+
+Bound. With r rows of K, two functions are concave in K:
+
+    phi(K) = det(K)^(1/r)             (Minkowski)                 O1 is proportional to its square root
+    phi(K) = 1 / trace(W K^-1)        the least trace(Y^T K Y) with trace(Y^T L) = 1: a minimum of linear functions
+                                                                  the task index is proportional to phi^(-1/2)
+
+A concave function lies below its tangents. At any weights w, with g_k = d(log phi)/d(w_k), every w' has
+
+    phi(w') / phi(w)  <=  1 + sum_k g_k (w'_k - w_k)  <=  1 + (sum of the m largest g_k) - sum_k g_k w_k  =  1 + gap(w)
+
+So each w proves a bound, at the choice itself too; the least one found counts. Nothing has to converge for it to hold.
+(The squares of O3, the smallest eigenvalue, and of O5 are concave too; no bound is computed for them.)
+
+Kinds. Where m_g of each kind g of candidates are to be chosen, each kind has its own sum, and its own largest m_g.
+
+Weights. A primal-dual interior-point method on the weights that are not clear yet: fractional ones and those whose g
+is nearest to the m-th largest, while the others stay at 0 or 1; then g of all candidates decides again which are not
+clear. With the matrices G_kl = B_k K^-1 B_l^T the curvature of log det is -|G_kl|^2, so a step costs one product and
+one solve of the number of unclear candidates, however many candidates there are.
+
+Reference: Kiefer and Wolfowitz 1960; Boyd and Vandenberghe 2004, sections 3.1.5, 7.5 and 11.7; Pukelsheim 1993.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.planning.selection_problem import TASK, Problem
+
+CERTIFIED = ("O1", TASK)
+"""Indices for which a bound is computed."""
+_CLOSE_ENOUGH = 2e-5  # gap of the relaxation at which to stop: 0.001 % of the index
+_UNCLEAR = 110  # candidates that the interior-point method works on at once
+_ROUNDS = 12
+_AT_ONCE = 2048  # candidates
+_STEPS = 25
+_TO_BOUNDARY = 0.95
+_CENTRING = 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxation(ReadOnlyArrays):
+    """A bound on all choices of one size.
+
+    Attributes:
+        log_bound: No choice has log phi above this.
+        weights: The weights that were found, (n_candidates,); the largest of them make a good choice.
+    """
+
+    log_bound: float
+    weights: FloatArray
+
+    def efficiency(self, log_phi: float) -> float:
+        """Return the index of a choice over the bound on the index (of the task index: bound over index), at most 1."""
+        return float(min(1.0, np.exp(0.5 * (log_phi - self.log_bound))))
+
+
+def relax(
+    problem: Problem, index: str, chosen: BoolArray, usable: BoolArray, kind: IntArray | None = None
+) -> Relaxation:
+    """Bound what any choice of as many poses, and as many of each kind, can reach.
+
+    Args:
+        problem: The candidates.
+        index: `O1` or `task`.
+        chosen: A choice to start from, (n_candidates,).
+        usable: Candidates that may be chosen, (n_candidates,); all others keep weight 0.
+        kind: Kind of each candidate, (n_candidates,), of which each has its number; None: all are alike.
+    """
+    weights = chosen.astype(float)
+    kinds = kinds_of(kind, len(problem))
+    counts = np.bincount(kinds[chosen], minlength=int(np.max(kinds)) + 1)
+    lowest = np.inf
+    for _ in range(_ROUNDS):
+        gathered = problem.gathered(weights)
+        slope = np.where(usable, slopes(problem, index, gathered), -np.inf)
+        used = np.flatnonzero(weights)
+        gap = float(sum(np.sum(slope[best]) for best in largest(slope, kinds, counts)) - slope[used] @ weights[used])
+        lowest = min(lowest, log_phi(problem, index, gathered) + float(np.log1p(max(gap, 0.0))))
+        if gap < _CLOSE_ENOUGH or int(np.sum(usable)) == int(np.sum(counts)):
+            break
+        unclear = _unclear(slope, weights, kinds, counts)
+        fixed = weights.copy()
+        fixed[unclear] = 0.0
+        left = (counts - np.bincount(kinds, fixed, minlength=len(counts))).astype(float)
+        weights = fixed.copy()
+        weights[unclear] = _interior_point(problem, index, unclear, problem.gathered(fixed), kinds[unclear], left)
+    return Relaxation(lowest, weights)
+
+
+def largest(slope: FloatArray | IntArray, kinds: IntArray, counts: IntArray) -> list[IntArray]:
+    """Return the `counts` candidates of each kind whose slope (n_candidates,) is largest, a list by kind."""
+    result = []
+    for number, count in enumerate(counts):
+        own = np.flatnonzero(kinds == number)
+        if 0 < count < len(own):  # in order of slope: only those that can be among them
+            of_own = slope[own]
+            own = own[of_own >= np.partition(of_own, len(own) - count)[len(own) - count]]
+        result.append(own[np.argsort(-slope[own], kind="stable")[:count]])
+    return result
+
+
+def kinds_of(kind: IntArray | None, n: int) -> IntArray:
+    """Return the kind of each of n candidates, (n,); None: all are alike."""
+    return np.broadcast_to(np.intp(0), n) if kind is None else kind
+
+
+def log_phi(problem: Problem, index: str, gathered: FloatArray) -> float:
+    """Return log phi of the module docstring.
+
+    Args:
+        problem: The candidates.
+        index: `O1` or `task`.
+        gathered: K, (r, r).
+    """
+    if index == TASK:
+        return -float(np.log(problem.task_trace(gathered)))
+    return float(np.linalg.slogdet(gathered)[1]) / len(gathered)
+
+
+def slopes(problem: Problem, index: str, gathered: FloatArray) -> FloatArray:
+    """Return g_k of all candidates, (n_candidates,).
+
+    Args:
+        problem: The candidates.
+        index: `O1` or `task`.
+        gathered: K, (r, r).
+    """
+    if index == TASK:
+        half = np.linalg.solve(gathered, problem.task)
+        scale = float(np.sum(half * problem.task))
+    else:
+        half = np.linalg.inv(np.linalg.cholesky(gathered)).T
+        scale = float(len(gathered))
+    n, k, r = problem.rows.shape
+    result = np.empty(n)
+    for start in range(0, n, _AT_ONCE):  # few enough to stay in the processor's cache
+        part = problem.rows[start : start + _AT_ONCE]
+        seen = part.reshape(len(part) * k, r) @ half
+        result[start : start + _AT_ONCE] = np.einsum("ni,ni->n", seen, seen).reshape(len(part), k).sum(axis=1)
+    return result / scale
+
+
+def _unclear(slope: FloatArray, weights: FloatArray, kinds: IntArray, counts: IntArray) -> IntArray:
+    """Candidates whose weight the interior-point method shall find, ascending."""
+    level = np.array([np.min(slope[best], initial=np.inf) for best in largest(slope, kinds, counts)])
+    # how much a candidate's slope speaks for its weight; fractional ones are always in
+    speaks = level[kinds]
+    speaks -= slope
+    used = np.flatnonzero(weights)
+    speaks[used] = np.where(weights[used] == 1, -speaks[used], -np.inf)
+    size = min(_UNCLEAR + int(np.sum((weights > 0) & (weights < 1))), int(np.sum(slope > -np.inf)))
+    return np.sort(np.argpartition(speaks, size - 1)[:size])
+
+
+def _interior_point(
+    problem: Problem, index: str, unclear: IntArray, fixed: FloatArray, kinds: IntArray, totals: FloatArray
+) -> FloatArray:
+    """Maximise log phi over weights of the unclear candidates, as `_inner_weights`.
+
+    Kinds that are to have all or none of their candidates have no choice, and are settled before.
+    """
+    size = np.bincount(kinds, minlength=len(totals))
+    has_choice = (totals > 0.5) & (totals < size - 0.5)
+    result = (totals > 0.5)[kinds].astype(float)
+    inner = np.flatnonzero(has_choice[kinds])
+    if len(inner):
+        settled = problem.rows[unclear[result * ~has_choice[kinds] > 0]].reshape(-1, problem.rows.shape[2])
+        own = np.cumsum(has_choice)[kinds[inner]] - 1
+        rows = problem.rows[unclear[inner]]
+        result[inner] = _inner_weights(problem, index, rows, fixed + settled.T @ settled, own, totals[has_choice])
+    return result
+
+
+def _inner_weights(
+    problem: Problem, index: str, rows: FloatArray, fixed: FloatArray, own: IntArray, totals: FloatArray
+) -> FloatArray:
+    """Maximise log phi over weights in [0, 1] of candidates with these rows (n, k, r), with a given sum of each kind.
+
+    Primal-dual: slope - level of the kind + lower - upper = 0, w lower = (1 - w) upper = mu -> 0, sums w = totals.
+    """
+    member = (own[:, None] == np.arange(len(totals))).astype(float)  # (n, n_kinds)
+    n = len(rows)
+    w = (totals / np.sum(member, axis=0))[own]
+    slope, curvature = _derivatives(problem, index, rows, fixed, w)
+    best = largest(slope, own, np.maximum(np.round(totals).astype(np.intp), 1))
+    level = np.array([np.min(slope[one]) for one in best])
+    floor = 0.1 * float(np.mean(np.abs(slope)))
+    lower, upper = np.maximum(level[own] - slope, 0) + floor, np.maximum(slope - level[own], 0) + floor
+    for _ in range(_STEPS):
+        complementarity = float(w @ lower + (1 - w) @ upper)
+        if complementarity < _CLOSE_ENOUGH / 4:
+            break
+        mu = _CENTRING * complementarity / (2 * n)
+        matrix = curvature + np.diag(lower / w + upper / (1 - w))
+        right = slope - level[own] + mu / w - mu / (1 - w)
+        solved = np.linalg.solve(matrix, np.column_stack([right, member]))
+        level_step = np.linalg.solve(member.T @ solved[:, 1:], member.T @ (solved[:, 0] + w) - totals)
+        step = solved[:, 0] - solved[:, 1:] @ level_step
+        lower_step = mu / w - lower - lower / w * step
+        upper_step = mu / (1 - w) - upper + upper / (1 - w) * step
+        length = min(_reach(w, step), _reach(1 - w, -step))
+        dual = min(_reach(lower, lower_step), _reach(upper, upper_step))
+        w = w + length * step
+        lower, upper, level = lower + dual * lower_step, upper + dual * upper_step, level + dual * level_step
+        slope, curvature = _derivatives(problem, index, rows, fixed, w)
+    for number, total in enumerate(totals):
+        w[own == number] = _rounded(w[own == number], float(total))
+    return w
+
+
+def _derivatives(
+    problem: Problem, index: str, rows: FloatArray, fixed: FloatArray, w: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Slope of log phi by the weights, and minus its second derivative, (n,), (n, n)."""
+    n, k, r = rows.shape
+    flat = (rows * np.sqrt(w)[:, None, None]).reshape(-1, r)
+    gathered = fixed + flat.T @ flat
+    half = rows.reshape(-1, r) @ np.linalg.inv(np.linalg.cholesky(gathered)).T
+    between = half @ half.T
+    if index == TASK:
+        felt = rows.reshape(-1, r) @ np.linalg.solve(gathered, problem.task)
+        trace = problem.task_trace(gathered)
+        slope = np.sum(felt.reshape(n, -1) ** 2, axis=1) / trace
+        return slope, 2.0 * _blocks(between * (felt @ felt.T), k) / trace - np.outer(slope, slope)
+    slope = np.diag(between).reshape(n, k).sum(axis=1) / r
+    return slope, _blocks(between**2, k) / r
+
+
+def _blocks(matrix: FloatArray, k: int) -> FloatArray:
+    """Sums of the k x k blocks of a matrix, (k n, k n) -> (n, n)."""
+    rows = matrix[0::k].copy()
+    for i in range(1, k):  # slices, because numpy sums short axes slowly
+        rows += matrix[i::k]
+    result = rows[:, 0::k].copy()
+    for i in range(1, k):
+        result += rows[:, i::k]
+    return result
+
+
+def _reach(values: FloatArray, step: FloatArray) -> float:
+    """Longest part of a step, at most 1, that keeps positive values positive."""
+    falling = step < 0
+    return min(1.0, _TO_BOUNDARY * float(np.min(values[falling] / -step[falling]))) if np.any(falling) else 1.0
+
+
+def _rounded(w: FloatArray, total: float) -> FloatArray:
+    """Put weights that are nearly 0 or 1 there, and spread the difference so that the sum stays."""
+    result = np.where(w < 1e-4, 0.0, np.where(w > 1 - 1e-4, 1.0, w))
+    between = (result > 0) & (result < 1)
+    rest = total - float(np.sum(result))
+    if np.any(between):
+        room = np.where(between, 1.0 - result if rest > 0 else result, 0.0)
+        if float(np.sum(room)) > abs(rest):
+            return result + rest * room / np.sum(room)
+    return w

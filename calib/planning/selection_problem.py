@@ -1,0 +1,213 @@
+"""The problem of choosing poses, in coordinates in which it is well conditioned.
+
+Each candidate k adds A_k^T A_k to the information matrix of the scaled parameters, A_k its rows
+(`calib.numerics.observability`). Poses measured already add theirs, and priors add P. All poses together determine
+the directions V,
+
+    sum_k A_k^T A_k + measured = V S^2 V^T
+
+and say nothing about the rest, N. There, P holds what it holds, whatever is chosen. N is eliminated (Schur
+complement):
+
+    M = V^T (information of the choice + measured + P) V - P_VN P_NN^+ P_NV          P_VN = V^T P N, and so on
+
+is the information about V that a choice leaves with N unknown but held by its priors. Whitened, B_k = A_k V S^-1 and
+
+    K = S^-1 M S^-1 = K_before + sum_k B_k^T B_k
+
+so that K of all poses without priors is the identity, and K of a choice says which part of what could be known each
+direction keeps. All indices are functions of K:
+
+    log det of the information      log det K + constant
+    singular values of the rows     square roots of the eigenvalues of S K S
+    task index                      sqrt(trace(W K^-1) + c) [m],       W = mean over task poses of their B^T B
+
+with B = J (V - N P_NN^+ P_NV) S^-1 for a task pose with rows J, and c = mean of |J N P_NN^(+1/2)|^2, the part that
+only priors hold. Without priors the index values are the published ones. A choice may use each candidate once.
+
+Without a pose j of a choice, direction v keeps the part v^T (K - B_j^T B_j) v / v^T K v of its information. The least
+part that any direction keeps is the smallest eigenvalue of I - B_j K^-1 B_j^T (`Sparing`). The eigenvalues of
+K - B_j^T B_j do not tell: the difference of two rounded matrices is wrong by eps |K| in every direction, so a lost one
+shows as plus or minus that much, whichever way a processor sums.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.base.arrays import BoolArray, FloatArray
+from calib.base.memory import zeros_with_room
+from calib.numerics.identifiability import Rank, reduced
+from calib.numerics.observability import OUTSIDE, Information, information
+
+TASK = "task"
+"""Name of the task index where an index is chosen."""
+_PART = 8192  # candidates at once
+DETERMINED = 1e-10
+"""A direction of which a choice has less than this part of the information of all candidates is not determined."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Candidates in whitened coordinates; see the module docstring.
+
+    Attributes:
+        rows: B, (n_candidates, 3 n_targets, r).
+        before: K_before: measured poses and priors, (r, r).
+        strengths: S, (r,) [m].
+        task: Factor L with W = L L^T, (r, at most r); without columns where no task is given.
+        task_floor: c; infinite where the task needs what nothing determines.
+        n_before: Poses already measured.
+        known: V and S: what all poses determine.
+        rank: Rank of all poses and priors together.
+    """
+
+    rows: FloatArray
+    before: FloatArray
+    strengths: FloatArray
+    task: FloatArray
+    task_floor: float
+    n_before: int
+    known: Information
+    rank: Rank
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def gathered(self, weights: FloatArray) -> FloatArray:
+        """Return K of a weighted choice, (r, r).
+
+        Args:
+            weights: One for each candidate, (n_candidates,).
+        """
+        used, total = np.flatnonzero(weights), self.before
+        for start in range(0, len(used), _PART):
+            some = used[start : start + _PART]
+            flat = (self.rows[some] * np.sqrt(weights[some])[:, None, None]).reshape(-1, self.rows.shape[2])
+            total = total + flat.T @ flat
+        return total
+
+    def task_trace(self, gathered: FloatArray) -> float:
+        """Return trace(W K^-1) for K (r, r)."""
+        return float(np.sum(np.linalg.solve(gathered, self.task) * self.task))
+
+    def determined_by(self, chosen: BoolArray) -> bool:
+        """Return whether a choice (n_candidates,) determines every direction that all candidates together do."""
+        return bool(np.linalg.eigvalsh(self.gathered(chosen.astype(float)))[0] > DETERMINED)
+
+
+def build_problem(
+    rows: FloatArray,
+    measured: FloatArray | None = None,
+    priors: FloatArray | None = None,
+    n_before: int = 0,
+    task_rows: FloatArray | None = None,
+    n_task: int | None = None,
+) -> Problem:
+    """Whiten candidates.
+
+    Args:
+        rows: Scaled Jacobian of each candidate, (n_candidates, 3 n_targets, n_parameters) [m].
+        measured: Rows of the poses already measured, (n_rows, n_parameters) [m].
+        priors: Rows of the priors, (n_priors, n_parameters) [m].
+        n_before: Poses already measured.
+        task_rows: Scaled Jacobian at the positions whose accuracy counts, (..., n_parameters) [m], or its R.
+        n_task: How many positions these are; a third of the rows if not given.
+    """
+    width = rows.shape[2]
+    measured = np.zeros((0, width)) if measured is None else measured
+    priors = np.zeros((0, width)) if priors is None else priors
+    known = information(rows, measured)
+    directions, strengths = known.directions, known.strengths
+    others = np.linalg.svd(directions)[0][:, known.rank.rank :] if known.rank.rank else np.eye(width)
+    held = np.linalg.pinv(priors @ others, rcond=OUTSIDE)  # P_NN^+ = held held^T
+    clear = directions - others @ (held @ (priors @ directions))  # V - N P_NN^+ P_NV
+    whiten = directions / strengths
+    before = measured @ whiten
+    prior_part = priors @ clear / strengths
+    everything = information(np.vstack([reduced(rows.reshape(-1, width)), measured]), priors).rank
+    task, floor = _task(task_rows, n_task, clear / strengths, others, held)
+    return Problem(
+        rows=_whitened(rows, whiten),
+        before=before.T @ before + prior_part.T @ prior_part,
+        strengths=strengths,
+        task=task,
+        task_floor=floor,
+        n_before=n_before,
+        known=known,
+        rank=everything,
+    )
+
+
+def _whitened(rows: FloatArray, whiten: FloatArray) -> FloatArray:
+    """B of each candidate, (n_candidates, 3 n_targets, r), part by part: there may be more than memory holds."""
+    n, k, width = rows.shape
+    result = zeros_with_room((n, k, whiten.shape[1]), f"whitened rows of {n} candidates")
+    for start in range(0, n, _PART):
+        part = rows[start : start + _PART]
+        result[start : start + _PART] = (part.reshape(-1, width) @ whiten).reshape(len(part), k, -1)
+    return result
+
+
+def _task(
+    task_rows: FloatArray | None, n_task: int | None, clear: FloatArray, others: FloatArray, held: FloatArray
+) -> tuple[FloatArray, float]:
+    """L and c of the task."""
+    if task_rows is None:
+        return np.zeros((clear.shape[1], 0)), 0.0
+    flat = task_rows.reshape(-1, task_rows.shape[-1])
+    n_positions = len(flat) // 3 if n_task is None else n_task
+    factor = reduced(flat @ clear).T / np.sqrt(n_positions)
+    outside = flat @ others
+    held_part = outside @ held
+    unheld = outside - held_part @ np.linalg.pinv(held) if held.size else outside
+    if np.linalg.norm(unheld) > OUTSIDE * np.linalg.norm(flat):
+        return factor, float("inf")
+    return factor, float(np.sum(held_part**2)) / n_positions
+
+
+@dataclass(frozen=True, eq=False)
+class Sparing:
+    """Judges which poses a choice can do without; see the module docstring.
+
+    Attributes:
+        whiten: X with X^T K X = I, (r, r).
+        least: Part of its information that every direction must keep.
+    """
+
+    whiten: FloatArray
+    least: float
+
+    @classmethod
+    def of(cls, gathered: FloatArray) -> Sparing:
+        """Return the judge of a choice.
+
+        With the diagonal of K scaled to ones, B K^-1 B^T is exact to about r eps times its condition number; less than
+        that cannot be told from nothing. Where it is singular nothing can be told, and no pose is spared.
+
+        Args:
+            gathered: K of the choice, (r, r).
+        """
+        diagonal = np.diag(gathered)
+        scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, np.inf))
+        values, vectors = np.linalg.eigh(scale[:, None] * gathered * scale)
+        rounding = len(values) * float(np.finfo(float).eps) * float(values[-1])
+        if not values[0] > rounding:
+            return cls(np.zeros_like(gathered), 1.0)
+        return cls(scale[:, None] * vectors / np.sqrt(values), max(DETERMINED, rounding / float(values[0])))
+
+    def spares(self, rows: FloatArray) -> BoolArray:
+        """Return which poses of the choice can go.
+
+        Args:
+            rows: B of each, (n, 3 n_targets, r).
+
+        Returns:
+            (n,).
+        """
+        seen = rows @ self.whiten
+        left = np.eye(rows.shape[1]) - seen @ seen.transpose(0, 2, 1)
+        result: BoolArray = np.linalg.eigvalsh(left)[:, 0] > self.least
+        return result

@@ -1,0 +1,101 @@
+"""What a selection returns: the poses, their indices, how good they can be at most, and how they were found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.base.words import titled_html
+from calib.numerics.identifiability import Rank
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One run of the exchange.
+
+    Attributes:
+        start: `uniform`, `random`, `relaxed`, or `best`: what was found so far, among other candidates.
+        exchanges: (added, removed) candidate of each exchange.
+        history: Index at the start and after each exchange (Figure 4 of the paper).
+        n_paper: How many of the exchanges are the paper's; single swaps follow.
+    """
+
+    start: str
+    exchanges: tuple[tuple[int, int], ...]
+    history: tuple[float, ...]
+    n_paper: int
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Selection(ReadOnlyArrays):
+    """Chosen poses, in the order of measurement.
+
+    Attributes:
+        index: What was made best: O1 to O5 or `task`.
+        chosen: Which of the poses to choose from, (count,); where poses left the grid, the ones that they started from.
+        instruments: What reads at each, count of them, several joined by `+`; none where all instruments read at all.
+        groups: What was chosen among; none likewise. Exchanges count poses with the first of them, then with the next.
+        joints: Poses to measure, (count, n_actuated) [m or rad].
+        positions: Where they put the targets, (count, n_targets, 3) [m].
+        before: All indices of the uniform choice; the task index in m.
+        after: All indices of these poses.
+        on_grid: All indices of the best choice from the candidates; equal to `after` where poses stay on the grid.
+        raw: O1 to O5 of these poses alone, without priors, on raw columns: mm per unit of table, or
+            noise of a reading per unit where nothing measures lengths.
+        measured_only: All indices of the poses measured already, if there are any; 0 where they determine too little.
+        efficiency: Index of the best choice from the candidates over a proven bound for all such choices; None where
+            none is proven.
+        bound: That bound, as a value of the index; None likewise.
+        off_grid: Whether poses left the grid.
+        distance: Distance that the targets of any two poses keep [m]; 0 where none was asked for.
+        runs: The runs of the exchange.
+        travel: Length of the path in the candidates' order and in this one [joint ranges].
+        rank: What all candidates, measured poses and priors determine.
+        rank_of_poses: What all candidates and measured poses determine; the indices are about that.
+        sigma: Noise of one reading per axis that was used [m].
+        sigma_assumed: Whether nobody stated it.
+        skipped: Candidates that could not be used, and why.
+        already_measured: How many candidates were left out because they are measured.
+        seed: Seed of everything random.
+        seconds: Duration.
+        selecting_seconds: The part after assembly and Jacobians of the candidates.
+    """
+
+    index: str
+    chosen: IntArray
+    instruments: tuple[str, ...]
+    groups: tuple[str, ...]
+    joints: FloatArray
+    positions: FloatArray
+    before: dict[str, float]
+    after: dict[str, float]
+    on_grid: dict[str, float]
+    raw: dict[str, float]
+    measured_only: dict[str, float] | None
+    efficiency: float | None
+    bound: float | None
+    off_grid: bool
+    distance: float
+    runs: tuple[Run, ...]
+    travel: tuple[float, float]
+    rank: Rank
+    rank_of_poses: Rank
+    sigma: float
+    sigma_assumed: bool
+    skipped: tuple[str, ...]
+    already_measured: int
+    seed: int
+    seconds: float
+    selecting_seconds: float
+
+    def __len__(self) -> int:
+        return len(self.joints)
+
+    def __repr__(self) -> str:
+        before, after = self.before[self.index], self.after[self.index]
+        return f"<Selection of {len(self)} poses by {self.index}: {before:.4g} before, {after:.4g} after>"
+
+    def _repr_html_(self) -> str:
+        rows = ("uniform choice", self.before), ("these poses", self.after)
+        table: list[dict[str, object]] = [{"choice": name, **values} for name, values in rows]
+        return titled_html("Selection", (repr(self)[1:-1],), table)

@@ -1,0 +1,267 @@
+"""The setting of a selection: everything assembled, linearised and checked before the first pose is chosen.
+
+Priors and poses already measured are information that is there before: their rows stack with those of the poses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike
+
+from calib.base.arrays import BoolArray, FloatArray, IntArray
+from calib.base.errors import InputError, NotIdentifiableError, nearest
+from calib.base.memory import require_memory
+from calib.data.in_memory import as_poses
+from calib.data.measurements import Poses
+from calib.numerics.observability import prior_rows
+from calib.planning.exchange import Spacing, uniform_start
+from calib.planning.instrument_choice import Groups, Pairs, already_read, pairs_of, require_touches_said
+from calib.planning.selection_bound import CERTIFIED, kinds_of, largest
+from calib.planning.selection_problem import TASK, Problem, build_problem
+from calib.planning.selection_scores import CHOICES
+from calib.robots.robot import Robot
+from calib.rows.candidates import (
+    Candidates,
+    assumed_sigma,
+    build_candidates,
+    near_measured,
+    require_free,
+    rows_of_measured,
+)
+from calib.rows.observed import looks_at
+from calib.rows.unknowns import Unknowns
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What was asked for.
+
+    Attributes:
+        index: One of `CHOICES`.
+        count: Number of poses, with each group of instruments counted by itself.
+        minimum_distance: Least distance between the targets of two poses [m].
+        off_grid: Whether poses shall leave the grid.
+        groups: Which instruments are chosen among.
+    """
+
+    index: str
+    count: int
+    minimum_distance: float
+    off_grid: bool
+    groups: Groups
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """Everything that is known before the first choice.
+
+    Attributes:
+        robot: The robot.
+        wanted: What was asked for.
+        poses: The poses to choose from.
+        found: The same, assembled.
+        pairs: The candidates: these poses with groups of instruments.
+        problem: The candidates in whitened coordinates.
+        space: Which candidates may be chosen.
+        measured_points: Points of the poses already measured, (n, 3 n_targets) [m].
+        sigma: Noise of one measured position per axis, which is the unit of indices [m].
+        sigma_assumed: Whether some noise is only assumed.
+        already_measured: How many candidates are measured already.
+        sigma_given: Noise of positions that replaces what the description states [m], or None.
+    """
+
+    robot: Robot
+    wanted: Wanted
+    poses: Poses
+    found: Candidates
+    pairs: Pairs
+    problem: Problem
+    space: Spacing
+    measured_points: FloatArray
+    sigma: float
+    sigma_assumed: bool
+    already_measured: int
+    sigma_given: float | None
+
+    def uniform(self) -> IntArray:
+        """Return candidates evenly spread over their order, as many of each kind as are wanted, (count,)."""
+        usable = np.flatnonzero(self.space.usable)
+        return np.concatenate([uniform_start(own, count) for own, count in self.by_kind(usable)])
+
+    def random(self, rng: np.random.Generator) -> IntArray:
+        """Return candidates at random, as many of each kind as are wanted, ascending, (count,)."""
+        usable = np.flatnonzero(self.space.usable)
+        return np.sort(np.concatenate([rng.choice(own, n, replace=False) for own, n in self.by_kind(usable)]))
+
+    @property
+    def counts(self) -> IntArray:
+        """How many candidates of each kind are wanted, (n_kinds,)."""
+        return np.array(self.wanted.groups.counts or (self.wanted.count,))
+
+    def largest(self, values: FloatArray | IntArray, counts: IntArray) -> list[IntArray]:
+        """Return so many of each kind (n_kinds,), those whose values (n_candidates,) are largest, a list by kind."""
+        return largest(values, kinds_of(self.space.kind, len(self.problem)), counts)
+
+    def by_kind(self, candidates: IntArray) -> list[tuple[IntArray, int]]:
+        """Return those of the candidates (n,) that are of each kind, and how many are wanted of it."""
+        counts = self.wanted.groups.counts
+        if counts is None:
+            return [(candidates, self.wanted.count)]
+        return [(candidates[self.pairs.group[candidates] == g], count) for g, count in enumerate(counts)]
+
+
+def prepare(
+    robot: Robot,
+    candidates: Poses | ArrayLike,
+    wanted: Wanted,
+    measured: Poses | ArrayLike | None,
+    task: Poses | ArrayLike | None,
+    exclude: Sequence[int],
+    skip_unreachable: bool,
+    sigma: float | None,
+) -> Setting:
+    """Assemble and linearise everything, and check that the question has an answer.
+
+    Args:
+        robot: The robot; its present values are where it is linearised.
+        candidates: Poses to choose from, (n, n_actuated) [m or rad], or from a file.
+        wanted: What was asked for.
+        measured: Poses that are measured already, as `candidates`.
+        task: Poses whose accuracy counts, as `candidates`; the candidates themselves if None.
+        exclude: Candidates not to choose, by their number.
+        skip_unreachable: Leave out candidates that cannot be assembled, instead of an error.
+        sigma: Noise of one reading per axis [m]; the description's if None.
+
+    Raises:
+        InputError: An argument is wrong.
+        DataError: A candidate is given twice.
+        UnreachablePoseError: Candidates cannot be assembled.
+        NotIdentifiableError: No choice determines what the index is about.
+    """
+    if wanted.index not in CHOICES:
+        raise InputError(f"index '{wanted.index}'{nearest(wanted.index, CHOICES)}")
+    require_free(robot)
+    poses = as_poses(robot, candidates)
+    noise, assumed = assumed_sigma(robot, sigma)
+    if not (np.isfinite(wanted.minimum_distance) and wanted.minimum_distance >= 0):
+        raise InputError(f"minimum distance {wanted.minimum_distance:g} m: must be zero or positive")
+    _require_on_grid(robot, wanted, poses)
+    if wanted.groups.chosen:
+        require_touches_said(robot, wanted.groups, poses)
+    assembled = build_candidates(robot, poses, sigma, skip_unreachable=skip_unreachable)
+    candidate_rows = assembled.found
+    pairs = pairs_of(wanted.groups, candidate_rows)
+    if wanted.index not in CERTIFIED or wanted.minimum_distance > 0:
+        require_memory(
+            2 * pairs.rows.size,
+            "an index without a bound, or a least distance, looks at all at once; it",
+            "choose from each part of the candidates, and then from what was chosen",
+        )
+    done_rows, n_before, points, again = None, 0, points_of(candidate_rows.positions[:0]), 0
+    usable = pairs.possible & (assembled.usable & ~_excluded(exclude, len(poses)))[pairs.pose]
+    keeps_distance = wanted.minimum_distance > 0 or wanted.off_grid  # nobody else asks where poses are
+    pose_points = points_of(candidate_rows.positions) if keeps_distance else np.zeros((len(poses), 0))
+    if measured is not None:
+        done = as_poses(robot, measured)
+        done_rows, positions, _ = rows_of_measured(robot, done, sigma)
+        n_before, points = done.n_poses, points_of(positions)
+        same = already_read(wanted.groups, poses, done)
+        again = int(np.sum(same & pairs.possible))
+        usable &= ~same
+        if wanted.minimum_distance > 0:
+            allowed = near_measured(poses.joints, done.joints)
+            others = ~allowed & assembled.usable
+            distance, _ = scipy.spatial.cKDTree(points).query(pose_points[others])
+            allowed[others] = distance >= wanted.minimum_distance
+            usable &= allowed[pairs.pose]
+    task_rows = candidate_rows.position_rows
+    n_task = int(np.sum(assembled.usable)) * len(robot.located)
+    if task is not None:
+        task_rows = rows_of_measured(robot, as_poses(robot, task), sigma)[2]
+        n_task = task_rows.shape[0] * len(robot.located)
+    problem = build_problem(
+        pairs.rows, done_rows, prior_rows(Unknowns.chosen_by_poses(robot).has_prior), n_before, task_rows, n_task
+    )
+    _require_answer(problem, wanted)
+    kind = None if wanted.groups.counts is None else pairs.group
+    space = Spacing(pose_points[pairs.pose], wanted.minimum_distance, usable, pairs.pose, kind)
+    return Setting(robot, wanted, poses, assembled, pairs, problem, space, points, noise, assumed, again, sigma)
+
+
+def _require_on_grid(robot: Robot, wanted: Wanted, poses: Poses) -> None:
+    """Raise `InputError` where poses shall leave the grid, and it matters at which of its points they are."""
+    if not wanted.off_grid:
+        return
+    if wanted.groups.chosen:
+        raise InputError("off the grid all instruments read at every pose; choose among instruments on the grid")
+    every = looks_at(robot, Poses(poses.joints, poses.labels, poses.names, poses.path, ()))
+    for name, looks in looks_at(robot, poses).items():
+        if not np.array_equal(looks.visits, every[name].visits) or not np.array_equal(looks.pairs, every[name].pairs):
+            raise InputError(
+                f"{poses.path}: says at which poses '{name}' reads what, which poses off the grid cannot; choose on the"
+                " grid"
+            )
+
+
+def points_of(positions: FloatArray) -> FloatArray:
+    """Points whose distance is the root mean square over targets, (n, 3 n_targets) [m]."""
+    result: FloatArray = positions.reshape(len(positions), 3 * positions.shape[1]) / np.sqrt(positions.shape[1])
+    return result
+
+
+def _excluded(exclude: Sequence[int], n: int) -> BoolArray:
+    for number in exclude:
+        if not 0 <= number < n:
+            raise InputError(f"exclude: there is no candidate {number}; they are numbered 0 to {n - 1}")
+    result: BoolArray = np.isin(np.arange(n), np.asarray(exclude, dtype=np.intp))
+    return result
+
+
+def require_count(setting: Setting) -> None:
+    """Raise `InputError` where more is wanted than there are candidates, of each kind, or too little to answer."""
+    wanted, pairs, usable = setting.wanted, setting.pairs, setting.space.usable
+    _require_candidates(wanted, usable, pairs)
+    problem = setting.problem
+    missing = problem.known.rank.rank - int(np.linalg.matrix_rank(problem.before, hermitian=True))
+    n_read = np.where(usable, pairs.n_read, 0)
+    coordinates = int(sum(np.sum(n_read[best]) for best in setting.largest(n_read, setting.counts)))
+    if coordinates < missing:
+        raise InputError(
+            f"count {wanted.count}: {coordinates} coordinates cannot determine {missing} parameters;"
+            f" choose at least {-(-missing // int(np.max(n_read)))} poses (several times that for a useful result)"
+        )
+
+
+def _require_candidates(wanted: Wanted, usable: BoolArray, pairs: Pairs) -> None:
+    if wanted.count < 1:
+        raise InputError(f"count {wanted.count}: choose at least one pose")
+    counts = wanted.groups.counts
+    kinds = [("", wanted.count, np.ones(len(usable), dtype=bool))]
+    if counts is not None:
+        names = wanted.groups.names
+        kinds = [(f" of {name}", counts[g], pairs.group == g) for g, name in enumerate(names)]
+    for name, count, own in kinds:
+        if count < 0:
+            raise InputError(f"count {count}{name}: must be zero or more")
+        left, n = int(np.sum(usable & own)), int(np.sum(own))
+        if count > left:
+            of = "" if left == n else f" (of {n}; the others are excluded, measured already, or cannot be used)"
+            raise InputError(
+                f"count {count}{name} is above the {left} candidates that can be chosen{of}; give more candidates"
+            )
+
+
+def _require_answer(problem: Problem, wanted: Wanted) -> None:
+    if problem.known.rank.rank == 0:
+        raise NotIdentifiableError(
+            "the candidates determine no parameter at all; the targets do not depend on any free one"
+        )
+    if wanted.index == TASK and not np.isfinite(problem.task_floor):
+        raise NotIdentifiableError(
+            "the candidates do not determine the positions at the task poses, so their error has no bound;"
+            " add candidates like the task poses, or hold parameters (`calib check` says which)"
+        )

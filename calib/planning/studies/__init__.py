@@ -1,0 +1,1 @@
+"""Many calibrations of one robot: what to expect of the next one."""

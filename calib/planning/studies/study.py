@@ -1,0 +1,231 @@
+"""Monte Carlo: many calibrations of one robot on simulated measurements, and what they say about its statistics.
+
+In each draw a true robot is measured at the same poses with new noise, and the nominal robot calibrated from that. Over
+many draws the estimates scatter by what the fit claims (`std`), around the truth (no bias), 95 % intervals hold it in
+95 of 100 draws, and chi-square is what the stated noise says: as far as the problem is linear, the noise is what is
+assumed, and the model can be the truth. Where one of these fails is what a study finds out.
+
+Or nothing is simulated, and the poses of real measurements are drawn again (`calib.planning.studies.study_data`).
+
+Every draw has its own seed, spawned from the study's (`numpy.random.SeedSequence`), so that the numbers depend neither
+on how many workers share the draws nor on how they are dealt out. Draws are sent to the workers in chunks; what a chunk
+shares is computed once (`calib.planning.studies.many_calibrations`). A chunk whose worker is lost is sent again
+(`calib.base.workers`).
+
+When it fails. A draw that ends without an answer, or not converged, is counted and left out of every average. A study
+simulates what it is told: errors that nobody put into the truth or the noise are not in its figures.
+
+Reference: jcgm101.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from contextlib import nullcontext
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calib.base.arrays import FloatArray
+from calib.base.errors import CalibrationError, InputError, NotConvergedError
+from calib.base.threads import one_blas_thread
+from calib.base.workers import Progress, Workers, in_order
+from calib.calibrating.calibrate import calibrate
+from calib.data.measurements import Measurements, Poses
+from calib.fitting.fitted import Fit
+from calib.fitting.settings import Settings
+from calib.numerics.losses import checked_loss
+from calib.planning.studies.many_calibrations import Estimate, Repeated
+from calib.planning.studies.study_data import Noise, Resampled, Simulated, simulated
+from calib.planning.studies.study_result import Draws, Study
+from calib.robots.acceleration import asked, compiled
+from calib.robots.robot import Robot, require_robot
+from calib.rows.jacobian import linearise
+from calib.rows.prediction import carried
+
+_CHUNK = 50
+_MANY = 20_000  # poses of all draws for which each process may load compiled code
+
+
+@dataclass(frozen=True, eq=False)
+class _Setting:
+    """What all draws share.
+
+    Attributes:
+        source: Where the data of a draw come from.
+        settings: How to fit.
+        first: The fit that all others start from.
+        elsewhere: Joint values of poses to predict, (n, n_actuated) [m or rad].
+        near: Passive joints there, (n, n_passive) [m or rad].
+        compiled: Whether there is so much to do that loading compiled code is worth it.
+    """
+
+    source: Simulated | Resampled
+    settings: Settings
+    first: Fit
+    elsewhere: FloatArray
+    near: FloatArray
+    compiled: bool
+
+    @property
+    def states_noise(self) -> bool:
+        """Whether chi-square means something: what is drawn twice scatters less than noise does."""
+        return self.first.chi_square is not None and isinstance(self.source, Simulated)
+
+
+def study(
+    robot: Robot,
+    poses: Poses | ArrayLike,
+    *,
+    draws: int = 1000,
+    truth: Robot | Literal["priors"] | None = None,
+    resample: bool = False,
+    sigma: float | None = None,
+    noise: Noise | None = None,
+    loss: str = "none",
+    elsewhere: ArrayLike | None = None,
+    seed: int = 0,
+    executor: Executor | int | None = None,
+    progress: Progress | None = None,
+) -> Study:
+    """Calibrate a robot many times from simulated measurements, or from real ones drawn again.
+
+    Args:
+        robot: The nominal robot, as every fit starts from it.
+        poses: Where to measure: poses with names, or joint values alone, (n, n_actuated) [m or rad]; of measurements,
+            what was read at each.
+        draws: How many calibrations.
+        truth: The robot that is measured; `robot` itself if not given; `priors` for one whose parameters are drawn anew
+            from the priors each time.
+        resample: Simulate nothing: in each draw, as many poses of the measurements `poses` as there are, with
+            replacement (`calib.planning.studies.study_data` says what that tells). The truth is what all of them give.
+        sigma: Standard deviation of measured positions per axis [m], in place of what the description states.
+        noise: What makes the readings of a draw of exact ones and a generator, if it is not normal noise as stated; a
+            function of a module, so that other processes find it.
+        loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey`.
+        elsewhere: Joint values of poses to predict, (n, n_actuated) [m or rad]; none if not given.
+        seed: Seed of the whole study.
+        executor: Who does the draws: any `concurrent.futures` executor, or a number of processes on this machine; this
+            process if not given.
+        progress: Called with the number of draws done and of all draws, in the order of work.
+
+    Raises:
+        InputError: A number of draws or processes that makes no sense, noise that nobody states, nothing to resample.
+        NotConvergedError: The first draw did not converge, or none gave an answer.
+        CalibrationError: What `calib.fit` raises, of the first draw.
+    """
+    require_robot(robot)
+    started = time.perf_counter()
+    if draws < 2:
+        raise InputError(f"draws {draws}: must be 2 or more")
+    settings = Settings(sigma=sigma, loss=checked_loss(loss), seed=seed)
+    seeds = np.random.SeedSequence(seed).spawn(draws)
+    chunks = [tuple(seeds[start : start + _CHUNK]) for start in range(0, draws, _CHUNK)]
+    parts = list[tuple[Draws, tuple[str, ...]]]()
+    with Workers(executor, len(chunks)) as workers:
+        source = simulated(robot, poses, truth, sigma, noise) if not resample else _measured(poses, truth, noise)
+        setting = _prepared(robot, source, settings, elsewhere, seeds)
+        if setting.compiled and workers is not None:
+            _chunk(setting, seeds[:1])  # compiles what they then load, instead of each by itself
+        for part in in_order(partial(_chunk, setting), chunks, workers):
+            parts.append(part)
+            if progress is not None:
+                progress(sum(len(one) for one, _ in parts), draws)
+    return _joined(setting, parts, seed, time.perf_counter() - started)
+
+
+def _measured(poses: object, truth: object, noise: object) -> Measurements:
+    """The measurements to resample; `InputError` where that makes no sense."""
+    if truth is not None or noise is not None:
+        raise InputError("resample: simulates nothing, so that truth and noise say nothing; leave them out")
+    if not isinstance(poses, Measurements):
+        raise InputError("resample: needs measurements, as calib.read_measurements reads them; these are poses alone")
+    return poses
+
+
+def _prepared(
+    robot: Robot,
+    source: Simulated | Measurements,
+    settings: Settings,
+    elsewhere: ArrayLike | None,
+    seeds: Sequence[np.random.SeedSequence],
+) -> _Setting:
+    """Do the calibration that all others start from."""
+    there = np.zeros((0, len(robot.joint_names))) if elsewhere is None else robot.joint_vector(elsewhere)
+    near = robot.assemble(there).passive
+    data = source if isinstance(source, Measurements) else source.measured(seeds[0]).data
+    first = calibrate(robot, data, None, settings)
+    if not first.converged:
+        which = "calibration from all poses" if data is source else "first of the simulated calibrations"
+        raise NotConvergedError(f"the {which} did not converge: {first.message}")
+    known = source if isinstance(source, Simulated) else Resampled(first.robot, source, first.configurations.passive)
+    return _Setting(known, settings, first, there, near, len(seeds) * len(data) >= _MANY or asked())
+
+
+@one_blas_thread
+def _chunk(setting: _Setting, seeds: Sequence[np.random.SeedSequence]) -> tuple[Draws, tuple[str, ...]]:
+    """Do some draws; return what they gave, and why some gave no answer."""
+    repeated = Repeated(setting.first, setting.settings)
+    draws, failures = list[Draws](), list[str]()
+    with compiled() if setting.compiled else nullcontext():
+        for seed in seeds:
+            try:
+                drawn = setting.source.measured(seed)
+                estimate = repeated.estimate(drawn.data, drawn.passive)
+                if not estimate.convergence.converged:
+                    raise NotConvergedError(estimate.convergence.message)
+                draws.append(_draw(setting, drawn.truth, estimate))
+            except CalibrationError as error:
+                failures.append(str(error))
+                draws.append(_unanswered(setting))
+    return Draws.joined(draws), tuple(failures)
+
+
+def _draw(setting: _Setting, truth: Robot, estimate: Estimate) -> Draws:
+    """One draw that gave an answer."""
+    first = setting.first
+    true = dict(zip((one.name for one in truth.parameters), truth.values, strict=True))
+    statistics = estimate.statistics
+    errors = half_width = np.zeros((0, len(truth.target_names), 3))
+    if len(setting.elsewhere):
+        at = linearise(estimate.robot, estimate.robot.assemble(setting.elsewhere, setting.near))
+        spread = carried(at.jacobian[..., first.unknowns.index], statistics.covariance)
+        half_width = statistics.coverage_factor * np.sqrt(np.diagonal(spread, axis1=2, axis2=3))
+        errors = at.positions - truth.positions(setting.elsewhere, seed=setting.near)
+    rows = (
+        np.array([true.get(name, np.nan) for name in first.free_names]),
+        estimate.robot.values[first.unknowns.index],
+        statistics.std,
+        statistics.half_width,
+        estimate.sigma,
+        estimate.chi_square if setting.states_noise else np.nan,
+        statistics.freedom,
+        float(estimate.names_outliers),
+        errors,
+        half_width,
+    )
+    return Draws(*(np.asarray(row)[None] for row in rows))
+
+
+def _unanswered(setting: _Setting) -> Draws:
+    """One draw that gave no answer."""
+    first = setting.first
+    n_free, there = len(first.unknowns), (len(setting.elsewhere), len(first.nominal.target_names), 3)
+    shapes = ((n_free,),) * 4 + ((len(first.noise),),) + ((),) * 3 + (there,) * 2
+    return Draws(*(np.full((1, *shape), np.nan) for shape in shapes))
+
+
+def _joined(setting: _Setting, parts: Sequence[tuple[Draws, tuple[str, ...]]], seed: int, seconds: float) -> Study:
+    """Put the parts together."""
+    first = setting.first
+    draws = Draws.joined([part for part, _ in parts])
+    failures = tuple(text for _, texts in parts for text in texts)
+    free = tuple(first.nominal.parameters[k] for k in first.unknowns.index)
+    groups = tuple(f"{one.group.name}: {one.group.part}" for one in first.noise)
+    n_poses, resampled = setting.source.data.n_poses, isinstance(setting.source, Resampled)
+    return Study(first.nominal.name, free, groups, draws, failures, n_poses, seed, seconds, resampled)

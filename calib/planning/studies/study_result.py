@@ -1,0 +1,252 @@
+"""What many calibrations say about a fit's statistics: bias, scatter, coverage and chi-square."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+
+import numpy as np
+import scipy
+
+from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.base.parameter import Parameter
+from calib.base.units import millimetres
+from calib.base.words import as_data, counted, listed, plain_text, text_table
+
+_TAIL = 0.05  # of chi-square, on both sides together
+_SURE = 4.0  # standard deviations beyond which a difference is no chance
+
+
+@dataclass(frozen=True, eq=False)
+class Draws(ReadOnlyArrays):
+    """What each draw gave, a row for each; NaN throughout where it gave no answer.
+
+    Attributes:
+        truth: True values of the free parameters, NaN where the truth has no such parameter, (n, n_free) [m or rad].
+        values: Values found, (n, n_free).
+        std: Their standard deviations as claimed, (n, n_free).
+        half_width: Half the 95 % intervals as claimed, (n, n_free).
+        sigma: Noise found of each group of rows, (n, n_groups) [SI].
+        chi_square: Sum of squares of the residuals, in units of the stated noise, (n,).
+        freedom: Degrees of freedom, (n,).
+        names_outliers: 1 where the fit named an outlier, else 0, (n,).
+        errors: Predicted minus true positions at poses that were not measured, (n, n_poses, n_targets, 3) [m].
+        error_half_width: Half their 95 % intervals as claimed, (n, n_poses, n_targets, 3) [m].
+    """
+
+    truth: FloatArray
+    values: FloatArray
+    std: FloatArray
+    half_width: FloatArray
+    sigma: FloatArray
+    chi_square: FloatArray
+    freedom: FloatArray
+    names_outliers: FloatArray
+    errors: FloatArray
+    error_half_width: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    @staticmethod
+    def joined(parts: Sequence[Draws]) -> Draws:
+        """Put the draws of several parts one after another."""
+        return Draws(
+            **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Draws)}
+        )
+
+    @property
+    def answered(self) -> BoolArray:
+        """Which draws gave an answer, (n,)."""
+        return np.isfinite(self.values[:, 0])
+
+
+@dataclass(frozen=True)
+class ParameterStudy:
+    """One free parameter over all draws.
+
+    Attributes:
+        name: Its name.
+        unit: Unit of its numbers.
+        bias: Mean of value minus truth.
+        bias_std: Standard deviation of that mean.
+        spread: Standard deviation of value minus truth.
+        claimed: Root mean square of the standard deviations that the fits claimed.
+        coverage: Part of the draws whose 95 % interval holds the truth.
+    """
+
+    name: str
+    unit: str
+    bias: float
+    bias_std: float
+    spread: float
+    claimed: float
+    coverage: float
+
+    def row(self) -> dict[str, object]:
+        """Return the row of a table."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Study(ReadOnlyArrays):
+    """Many calibrations of one robot.
+
+    Attributes:
+        robot: Name of the robot.
+        free: The free parameters.
+        groups: Names of the groups of rows, in the order of `draws.sigma`.
+        draws: What each draw gave.
+        failures: Why draws gave no answer, as many as gave none.
+        n_poses: How many poses were measured.
+        seed: Seed of everything random.
+        seconds: Duration of the whole computation.
+        resampled: Whether poses of real measurements were drawn again; else everything is simulated.
+    """
+
+    robot: str
+    free: tuple[Parameter, ...]
+    groups: tuple[str, ...]
+    draws: Draws
+    failures: tuple[str, ...]
+    n_poses: int
+    seed: int
+    seconds: float
+    resampled: bool
+
+    def __repr__(self) -> str:
+        return f"<study of '{self.robot}': {len(self)} calibrations, {len(self.failures)} without an answer>"
+
+    def __str__(self) -> str:
+        return self.report()
+
+    def __len__(self) -> int:
+        return len(self.draws)
+
+    @property
+    def parameters(self) -> tuple[ParameterStudy, ...]:
+        """Every free parameter over all draws that gave an answer."""
+        kept, draws = self.draws.answered, self.draws
+        error, half_width = (draws.values - draws.truth)[kept], draws.half_width[kept]
+        spread = np.std(error, axis=0, ddof=1)
+        held = np.where(np.isnan(error), np.nan, np.abs(error) <= half_width)
+        claimed = np.sqrt(np.mean(draws.std[kept] ** 2, axis=0))
+        columns = (np.mean(error, axis=0), spread / np.sqrt(len(error)), spread, claimed, np.mean(held, axis=0))
+        scale = np.array([[one.per_si] * 4 + [1.0] for one in self.free])  # a coverage has no unit
+        return tuple(
+            ParameterStudy(one.name, one.unit, *map(float, numbers))
+            for one, numbers in zip(self.free, scale * np.stack(columns, axis=1), strict=True)
+        )
+
+    @property
+    def position_coverage(self) -> FloatArray:
+        """Part of the draws whose 95 % interval holds each true coordinate elsewhere, (n_poses, n_targets, 3)."""
+        kept = self.draws.answered
+        held = np.abs(self.draws.errors[kept]) <= self.draws.error_half_width[kept]
+        return np.mean(held, axis=0)
+
+    @property
+    def position_error(self) -> float:
+        """Root mean square distance of predicted from true positions elsewhere [m]; NaN where none are."""
+        errors = self.draws.errors[self.draws.answered]
+        return float(np.sqrt(np.mean(np.sum(errors**2, axis=-1)))) if errors.size else float("nan")
+
+    @property
+    def chi_square(self) -> float:
+        """Mean of chi-square over its degrees of freedom: 1 where the noise is as stated; NaN where none is stated."""
+        kept = self.draws.answered
+        return float(np.mean((self.draws.chi_square / self.draws.freedom)[kept]))
+
+    @property
+    def chi_square_refused(self) -> float:
+        """Part of the draws that a test of chi-square at 5 % refuses; NaN where no noise is stated."""
+        kept = self.draws.answered
+        value, freedom = self.draws.chi_square[kept], self.draws.freedom[kept]
+        if not np.all(np.isfinite(value)):
+            return float("nan")
+        tail = np.minimum(scipy.special.chdtr(freedom, value), scipy.special.chdtrc(freedom, value))
+        return float(np.mean(tail < _TAIL / 2))
+
+    @property
+    def outliers(self) -> float:
+        """Part of the draws that name an outlier."""
+        return float(np.mean(self.draws.names_outliers[self.draws.answered]))
+
+    def report(self, width: int = 110) -> str:
+        """Return the study as text.
+
+        Args:
+            width: Of the table, in characters.
+        """
+        headers = ("parameter", "unit", "bias", "+-", "spread", "claimed", "spread / claimed", "coverage [%]")
+        table = text_table(headers, headers[:2], plain=True)
+        for one in self.parameters:
+            row = one.row()
+            numbers = [f"{row[key]:.3g}" for key in ("bias", "bias_std", "spread", "claimed")]
+            ratio = one.spread / one.claimed if one.claimed > 0 else float("nan")
+            table.add_row(one.name, one.unit, *numbers, f"{ratio:.3f}", f"{100 * one.coverage:.1f}")
+        return plain_text([*self._summary(), "", table, "", *self._findings()], width).rstrip()
+
+    def _summary(self) -> list[str]:
+        n = int(np.sum(self.draws.answered))
+        done, poses = "simulated calibration", f"{counted(self.n_poses, 'pose')} each"
+        if self.resampled:
+            done, poses = "calibration", f"each from {self.n_poses} of its {self.n_poses} poses, with replacement"
+        lines = [f"{counted(len(self), done)} of {self.robot}, {poses}, seed {self.seed}"]
+        if self.failures:
+            lines.append(f"{counted(len(self) - n, 'draw')} gave no answer: {listed(self.failures, '; ', 2)}")
+        return lines
+
+    def _findings(self) -> list[str]:
+        n = int(np.sum(self.draws.answered))
+        chance = 100 * np.sqrt(0.95 * 0.05 / n)
+        coverage = 100 * np.array([one.coverage for one in self.parameters])
+        truth = "what all poses give" if self.resampled else "the truth"
+        lines = [
+            f"95 % intervals hold {truth} in {_range(coverage)} % of the draws; one standard deviation of a coverage"
+            f" is {chance:.1f} %"
+        ]
+        biased = [one.name for one in self.parameters if abs(one.bias) > _SURE * one.bias_std]
+        if biased:
+            lines.append(f"biased by more than chance ({_SURE:g} standard deviations): {listed(biased)}")
+        if self.draws.errors.size:
+            lines.append(
+                f"predicted positions elsewhere: rms error {millimetres(self.position_error):.4f} mm, intervals hold"
+                f" {truth} in {_range(100 * self.position_coverage)} %"
+            )
+        if np.isfinite(self.chi_square):
+            lines.append(
+                f"chi-square over its degrees of freedom: {self.chi_square:.3f} on average; a test at 5 % refuses"
+                f" {100 * self.chi_square_refused:.1f} % of the draws"
+            )
+        if not self.resampled:
+            lines.append(f"{100 * self.outliers:.1f} % of the draws name an outlier")
+        return lines
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the study as data for JSON; parameters in the units of tables, unknown numbers None."""
+        kept = self.draws.answered
+        sigma = np.mean(self.draws.sigma[kept], axis=0)
+        return as_data(
+            {
+                "robot": self.robot,
+                "draws": len(self),
+                "answered": int(np.sum(kept)),
+                "failures": list(self.failures),
+                "n_poses": self.n_poses,
+                "resampled": self.resampled,
+                "seed": self.seed,
+                "seconds": self.seconds,
+                "parameters": [one.row() for one in self.parameters],
+                "sigma": {name: float(value) for name, value in zip(self.groups, sigma, strict=True)},
+                "chi_square": self.chi_square,
+                "chi_square_refused": self.chi_square_refused,
+                "outliers": self.outliers,
+                "position_error_mm": millimetres(self.position_error),
+                "position_coverage": self.position_coverage.tolist(),
+            }
+        )
+
+
+def _range(percent: FloatArray) -> str:
+    return f"{np.min(percent):.1f} to {np.max(percent):.1f} (mean {np.mean(percent):.1f})"

@@ -1,0 +1,252 @@
+"""Watching a robot being measured: refit after every pose, say what is known, what to measure next, when to stop.
+
+    watch = calib.Watch(robot, "0.1 mm", candidates=candidates)
+    while not (told := watch.update(measured_so_far())).stop:
+        move_to(told.next_pose.joints)
+
+The goal is a root mean square position error over the candidates. It holds with 95 % where the upper end of two 95 %
+intervals lies below it: that of the error predicted from the covariance of the fit, and that of the errors at the last
+poses that were judged before they were fitted (`calib.planning.progress`). The second contains the noise of readings:
+a goal below that noise is never seen to hold.
+"""
+
+from __future__ import annotations
+
+import time
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calib.base.arrays import FloatArray
+from calib.base.errors import (
+    CalibrationError,
+    DataError,
+    InputError,
+    NotConvergedError,
+    NotIdentifiableError,
+    UnreachablePoseError,
+)
+from calib.base.files import read_lines
+from calib.base.units import quantity
+from calib.calibrating.calibrate import calibrate
+from calib.data.in_memory import as_poses
+from calib.data.measurement_files import read_measurements
+from calib.data.measurements import Measurements, Poses
+from calib.fitting.fitted import Fit
+from calib.fitting.settings import Settings
+from calib.planning.next_pose import NextPose, next_pose
+from calib.planning.pose_sampling import sample
+from calib.planning.progress import LAST, LEAST, MOST, UNKNOWN, Progress, squares_of, unseen_rms
+from calib.robots.robot import Robot
+from calib.rows.candidates import configurations_at, require_free
+from calib.rows.jacobian import linearise
+from calib.rows.prediction import RootMeanSquare, predicted_rms
+
+CANDIDATES = 300
+"""Poses that are sampled where nobody gives any."""
+_MOST_BAD = 100  # lines that are passed over; the file is then another one than was meant
+
+
+class Watch:
+    """A robot that is being measured; see the module docstring.
+
+    Args:
+        robot: The nominal robot.
+        goal: Root mean square position error to reach, such as `0.1 mm`, or a number [m].
+        candidates: Poses that the goal is about, and to choose the next one from; or joint values alone, (n,
+            n_actuated) [m or rad]. Sampled over the joint limits if not given.
+        sigma: Noise of one measured position per axis [m]; the description's if not given.
+        seed: Of sampled candidates, and of poses to check with.
+
+    Raises:
+        InputError: The goal is no positive length, or nothing measures positions.
+        DataError: No candidates can be sampled.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        goal: str | float,
+        *,
+        candidates: Poses | ArrayLike | None = None,
+        sigma: float | None = None,
+        seed: int = 0,
+    ) -> None:
+        require_free(robot)
+        if not any(part.name == "position" for one in robot.instruments for part in one.parts):
+            raise InputError(f"{robot.path}: no instrument measures positions, so nothing shows whether a goal is met")
+        self.robot, self.goal = robot, quantity(goal, "length", "goal")
+        if self.goal <= 0:
+            raise InputError(f"goal {goal}: must be a positive length, such as 0.1 mm")
+        self.candidates = sample(robot, CANDIDATES, seed) if candidates is None else as_poses(robot, candidates)
+        self._settings, self._seed = Settings(sigma), seed
+        self._data: Measurements | None = None
+        self._fit: Fit | None = None
+        self._passive: FloatArray | None = None  # of the candidates at the fit before: near those of the next
+        self._squares: list[float] = []
+        self._met = False  # whether the predicted error of the fit meets the goal
+        self._settled = 0  # how many of the last squares are by fits of which that is so
+
+    def update(self, data: Measurements | None = None) -> Progress:
+        """Judge the poses that are new, fit all of them, and say what is known.
+
+        Args:
+            data: All measurements so far; those of the last update come first, else all is judged anew. None: nothing
+                is measured yet.
+
+        Raises:
+            UnreachablePoseError: A measured pose cannot be assembled.
+            DataError: A candidate is given twice.
+            NotIdentifiableError: The candidates do not determine the positions at them.
+        """
+        started = time.perf_counter()
+        obstacle: CalibrationError | None = DataError("nothing is measured")
+        if data is not None and len(data):
+            self._judge(data)
+            self._fit, obstacle = self._fitted(data)
+            self._data = data
+        predicted = self._predicted(self._fit)
+        n_unseen = min(self._settled, MOST) if self._settled >= LEAST else min(len(self._squares), LAST)
+        self._met = predicted.high95 <= self.goal
+        return Progress(
+            robot=self.robot,
+            goal=self.goal,
+            n_poses=0 if data is None else data.n_poses,
+            n_candidates=len(self.candidates),
+            fit=self._fit,
+            obstacle=obstacle,
+            predicted=predicted,
+            unseen=unseen_rms(self._squares[-n_unseen:] if n_unseen else []),
+            n_unseen=n_unseen,
+            n_settled=min(self._settled, n_unseen),
+            next_pose=self._next(data),
+            seconds=time.perf_counter() - started,
+        )
+
+    def _judge(self, data: Measurements) -> None:
+        """Judge what is new; of many first poses, the last by a fit of the others."""
+        known = 0 if self._data is None else len(self._data)
+        if self._data is not None and not _continues(self._data, data):
+            self._fit, self._squares, known = None, [], 0
+        judge, met = self._fit, self._met
+        if judge is None:
+            known = int(np.sum(data.pose_numbers < data.n_poses - LAST))
+            judge = self._fitted(data[:known])[0] if known else None
+            met = self._predicted(judge).high95 <= self.goal
+        if judge is not None and known < len(data):
+            new = squares_of(judge, data[known:])
+            self._squares += new
+            self._settled = self._settled + len(new) if met else 0
+
+    def _fitted(self, data: Measurements) -> tuple[Fit | None, CalibrationError | None]:
+        """A fit of these, or why there is none yet."""
+        try:
+            return calibrate(self.robot, data, None, self._settings), None
+        except (DataError, NotIdentifiableError, NotConvergedError) as error:  # too few poses, all on one line
+            return None, error
+
+    def _predicted(self, fit: Fit | None) -> RootMeanSquare:
+        if fit is None:
+            return UNKNOWN
+        columns = fit.robot.term_columns(self.candidates.joints, self.candidates.conditions)
+        closed = fit.robot.close(self.candidates.joints, self._passive, columns)
+        self._passive = closed.passive
+        reached = np.flatnonzero(closed.ok)
+        if not len(reached):
+            return UNKNOWN
+        found = linearise(fit.robot, configurations_at(fit.robot, self.candidates.joints, closed, columns, reached))
+        uncertainty = fit.statistics
+        return predicted_rms(
+            found.jacobian[:, fit.robot.located][..., fit.unknowns.index],
+            uncertainty.covariance,
+            uncertainty.coverage_factor,
+        )
+
+    def _next(self, data: Measurements | None) -> NextPose | None:
+        """Where to measure next, by the present fit or by the nominal robot."""
+        fit, measured = self._fit, data if data is not None and len(data) else None
+        sigma = self._settings.sigma
+        if fit is not None and sigma is None and fit.sigma_stated is None and fit.first_noise.group.part == "position":
+            sigma = max(fit.sigma, 1e-9)  # what was found; data without noise leave none
+        robot = self.robot if fit is None else fit.robot
+        present = None if measured is None else measured.joints[-1]
+        drawn = np.random.default_rng([self._seed, measured.n_poses]) if self._met and measured is not None else None
+        return next_pose(robot, self.candidates, measured, present=present, sigma=sigma, drawn=drawn)
+
+
+def _continues(before: Measurements, data: Measurements) -> bool:
+    """Whether measurements start with those of before."""
+    n = len(before)
+    return len(data) >= n and data.names[:n] == before.names and np.array_equal(data.joints[:n], before.joints)
+
+
+class GrowingFile:
+    """A CSV file to look at now and then; a last line without its end is left for the next time.
+
+    A line that cannot be read, or whose pose cannot be assembled, is passed over until it is corrected.
+
+    Args:
+        path: The file; it need not exist yet.
+        robot: Whose joints and instruments it is about.
+    """
+
+    def __init__(self, path: str, robot: Robot) -> None:
+        self._path, self._robot = path, robot
+        self._seen: list[str] = []
+        self._bad: dict[int, str] = {}  # lines that are passed over, by their place
+        self._told: list[str] = []
+
+    def remarks(self) -> list[str]:
+        """Return what is wrong with the lines that are passed over since the last call."""
+        told, self._told = self._told, []
+        return told
+
+    def changed(self) -> Measurements | None:
+        """Return what the whole lines hold; None where there is nothing, or nothing new since the last time.
+
+        Raises:
+            DataError: The header is not valid, or no line can be read, or a hundred cannot.
+        """
+        if not Path(self._path).exists():
+            return None
+        lines = list(chain.from_iterable(read_lines(self._path, "a CSV file", DataError, growing=True)))
+        places = [k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
+        if lines == self._seen or len(places) < 2:  # a header is no row
+            return None
+        self._seen = lines
+        self._bad = {k: line for k, line in self._bad.items() if lines[k : k + 1] == [line]}
+        rows = [k for k in places[1:] if k not in self._bad]
+        first = None
+        while rows:
+            data, problem = self._read(rows[-1])
+            if problem is None:
+                return data
+            first = first or problem
+            bad, problem = self._first_bad(rows, problem)
+            rows.remove(bad)
+            if not rows or len(self._bad) >= _MOST_BAD:
+                raise first
+            self._bad[bad] = lines[bad]
+            self._told.append(f"{problem}; this line is passed over until it is corrected")
+        return None
+
+    def _first_bad(self, rows: list[int], problem: CalibrationError) -> tuple[int, CalibrationError]:
+        """The first row that cannot be read, by halving, and why; of all rows something cannot, as is known."""
+        low, high = 0, len(rows) - 1
+        while low < high:
+            middle = (low + high) // 2
+            _, other = self._read(rows[middle])
+            low, high, problem = (middle + 1, high, problem) if other is None else (low, middle, other)
+        return rows[low], problem
+
+    def _read(self, last: int) -> tuple[Measurements | None, CalibrationError | None]:
+        """What the lines up to one of them hold, without those that are passed over; or why they cannot be read."""
+        lines = ["" if k in self._bad else line for k, line in enumerate(self._seen[: last + 1])]
+        try:
+            data = read_measurements(self._path, self._robot, growing=lines)
+            self._robot.assemble(data.joints, labels=data.labels, context=data.conditions)
+        except (DataError, UnreachablePoseError) as error:
+            return None, error
+        return (data if len(data) else None), None

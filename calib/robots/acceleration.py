@@ -1,0 +1,54 @@
+"""When kinematics are computed by compiled code (`calib.robots.kernels`), and what it is given.
+
+That needs numba (the extra `fast`), which takes half a second to load, more than most fits take. So it is asked for:
+by `compiled()`, as studies of many calibrations do, or by the number of poses. Everything works without it, with the
+same numbers to 1e-12.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
+
+from calib.robots.mechanism import Mechanism
+
+_MANY = 5000  # poses at once, for which loading numba is worth it
+_AVAILABLE = find_spec("numba") is not None
+_wanted: ContextVar[bool | None] = ContextVar("compiled kinematics", default=None)
+
+
+@contextmanager
+def compiled(wanted: bool = True) -> Iterator[None]:
+    """Inside, compute kinematics by compiled code where numba is installed; or never.
+
+    Args:
+        wanted: Whether.
+    """
+    before = _wanted.set(wanted)
+    try:
+        yield
+    finally:
+        _wanted.reset(before)
+
+
+def asked() -> bool:
+    """Whether compiled code was asked for: what starts other processes tells them."""
+    return _wanted.get() is True
+
+
+def kernels(mechanism: Mechanism, n_poses: int) -> Any:
+    """Return the compiled functions if they are to be used, else None.
+
+    Args:
+        mechanism: The robot; loops that constrain directions are left to the reference.
+        n_poses: How many poses are computed at once.
+    """
+    wanted = _wanted.get()
+    use = n_poses >= _MANY if wanted is None else wanted
+    if not (use and _AVAILABLE) or any(loop.full_pose for loop in mechanism.loops):
+        return None
+    return import_module("calib.robots.kernels")

@@ -1,0 +1,134 @@
+"""The closure residual r(a, p) of every loop, its derivatives, and how far they are from singular.
+
+Assembly modes: which of several closed configurations a robot is in, told by the signs of determinants.
+
+Two solutions of the loops that are joined without passing a singularity have the same sign of det C_p, C_p = dr/dp. The
+sign is taken of each strongly connected part of C_p's pattern, one for each five-bar, so that two flips cannot cancel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.base.units import millimetres
+from calib.numerics.graphs import connected_parts
+from calib.robots import kinematics
+from calib.robots.mechanism import Mechanism
+
+
+def residual(
+    mechanism: Mechanism, actuated: FloatArray, passive: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return r (n, n_rows), C_p = dr/dp (n, n_rows, n_passive) and C_a = dr/da (n, n_rows, n_actuated)."""
+    joints, n_passive = mechanism.all_joints(actuated, passive), len(mechanism.passive)
+    select = mechanism.select_moving
+    values = np.empty((len(joints), len(mechanism.loop_signs)))
+    slope = np.empty((*values.shape, select.shape[1]))
+    for start in range(0, len(joints), kinematics.CHUNK):
+        part = slice(start, start + kinematics.CHUNK)
+        swept = kinematics.sweep(mechanism, joints[part], mechanism.loops)
+        values[part], maps = kinematics.gaps(swept, mechanism.loops)
+        left = swept.reduced.joints
+        np.matmul(np.matmul(maps, swept.jacobian) * mechanism.loop_signs[:, left], select[left], out=slope[part])
+    return values, slope[:, :, :n_passive], slope[:, :, n_passive:]
+
+
+def scaled(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:
+    """Return C_p with metres divided by the characteristic length, so that its entries are pure numbers.
+
+    Args:
+        mechanism: The robot.
+        slope_passive: C_p, (n, n_rows, n_passive) [m or rad per m or rad].
+    """
+    rows = np.where(mechanism.is_metre_row, 1 / mechanism.length, 1.0)
+    columns = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
+    return slope_passive * rows[:, None] * columns
+
+
+def singular_values(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:
+    """Return the smallest singular value of the scaled C_p, (n,): 0 at a singular pose, of order 1 far from one."""
+    if not mechanism.passive:
+        return np.full(len(slope_passive), np.inf)
+    values: FloatArray = np.linalg.svd(scaled(mechanism, slope_passive), compute_uv=False)
+    return values[:, -1]
+
+
+def open_by(mechanism: Mechanism, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how far each loop is open: lengths (n, n_loops) [m] and angles (n, n_loops) [rad].
+
+    Args:
+        values: r, (n, n_rows) [m, rad].
+    """
+    ends = np.cumsum([len(loop.rows) for loop in mechanism.loops])[:-1]
+    lengths = np.split(np.where(mechanism.is_metre_row, values, 0.0), ends, axis=1)
+    angles = np.split(np.where(mechanism.is_metre_row, 0.0, values), ends, axis=1)
+    norms = [np.stack([np.linalg.norm(part, axis=1) for part in parts], axis=1) for parts in (lengths, angles)]
+    return norms[0], norms[1]
+
+
+def gap_text(length: float, angle: float) -> str:
+    """Say a gap in mm, and in degrees where a loop's directions do not agree."""
+    turned = f" and {np.degrees(angle):.3g} deg" if angle > 0 else ""
+    return f"{millimetres(length):.3f} mm{turned}"
+
+
+@dataclass(frozen=True, eq=False)
+class AssemblyMode(ReadOnlyArrays):
+    """A closed configuration and the signs that tell its assembly mode.
+
+    Attributes:
+        mechanism: The mechanism that it is a configuration of: the nominal one.
+        actuated, passive: The configuration, (n_actuated,), (n_passive,) [m or rad].
+        block_rows, block_columns: Indices of each strongly connected block of C_p, n_blocks arrays each.
+        signs: Sign of each block's determinant, (n_blocks,).
+    """
+
+    mechanism: Mechanism
+    actuated: FloatArray
+    passive: FloatArray
+    block_rows: tuple[IntArray, ...]
+    block_columns: tuple[IntArray, ...]
+    signs: FloatArray
+
+    def holds(self, slope: FloatArray) -> BoolArray:
+        """Return which configurations are in this mode, from their C_p (n, n_passive, n_passive): (n,)."""
+        return (block_signs(slope, self.block_rows, self.block_columns) == self.signs).all(axis=1)
+
+
+def blocks(pattern: BoolArray) -> tuple[tuple[IntArray, ...], tuple[IntArray, ...]]:
+    """Split a square, structurally regular pattern (n, n) into its strongly connected diagonal blocks.
+
+    Returns:
+        Row indices and column indices of each block.
+    """
+    column_of_row = _matched(pattern)
+    rows = connected_parts(pattern[:, column_of_row])
+    return rows, tuple(np.sort(column_of_row[part]) for part in rows)
+
+
+def _matched(pattern: BoolArray) -> IntArray:
+    """Give every row a column of its own among its entries: rows without one make others change theirs. (n,)."""
+    row_of_column = np.full(len(pattern), -1)
+
+    def finds_place(row: int, asked: set[int]) -> bool:
+        for column in np.flatnonzero(pattern[row]).tolist():
+            if column in asked:
+                continue
+            asked.add(column)
+            if row_of_column[column] < 0 or finds_place(int(row_of_column[column]), asked):
+                row_of_column[column] = row
+                return True
+        return False
+
+    for row in range(len(pattern)):
+        finds_place(row, set())
+    return np.argsort(row_of_column)
+
+
+def block_signs(slope: FloatArray, rows: tuple[IntArray, ...], columns: tuple[IntArray, ...]) -> FloatArray:
+    """Return the sign of the determinant of each block of C_p (n, n_passive, n_passive): (n, n_blocks)."""
+    signs = [np.sign(np.linalg.det(slope[:, row[:, None], column])) for row, column in zip(rows, columns, strict=True)]
+    return np.stack(signs, axis=1)

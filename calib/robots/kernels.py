@@ -1,0 +1,371 @@
+"""Kinematics compiled with numba: closing loops, and derivatives through them, pose by pose without Python.
+
+The same formulas as in `calib.robots.continuation`, `calib.robots.kinematics` and `calib.rows.jacobian`, which
+stay the reference and work without numba; tests hold both together to 1e-12 on every robot. What is saved is what calls
+from Python cost: a closed pose of twenty joints takes a few microseconds. Loops whose directions are constrained
+(type 6d) are left to the reference.
+
+A frame i has the pose T_i in the world, twelve numbers: its rotation column by column, then its position
+(`calib.robots.mechanism.flat_poses`). Frame 0 is the world; joint i, behind an origin, moves frame i + 1; its axis is
+S_i = [v; w] in its own frame. World twists are [v; w] with v at the world's origin.
+
+Compiled code is kept beside this file, or where numba may write, so that only the first program ever waits for it. All
+of it is in this one file, because numba compiles again only where the file of a function has changed.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from calib.base.arrays import BoolArray, FloatArray, IntArray
+from calib.robots.mechanism import Mechanism, Reduced
+
+_compiled: Any = njit(cache=True, error_model="numpy", fastmath={"contract"})
+
+
+class Tree(NamedTuple):
+    """What counts of a model, as arrays.
+
+    Attributes:
+        parents: Frame before each origin, (n_joints,).
+        origins: Placement of each in that frame, (n_joints, 12).
+        axes: S of each joint, (n_joints, 6).
+    """
+
+    parents: IntArray
+    origins: FloatArray
+    axes: FloatArray
+
+
+class Loops(NamedTuple):
+    """Constrained rows of all loops, one after another.
+
+    Attributes:
+        a, b: Frames of the loop that each row belongs to, (n_rows,).
+        axis: Which coordinate, in the axes of a, (n_rows,).
+        signs: What each joint moves: +1 only b, -1 only a, else 0, (n_rows, n_joints).
+    """
+
+    a: IntArray
+    b: IntArray
+    axis: IntArray
+    signs: FloatArray
+
+
+def tree(mechanism: Mechanism, reduced: Reduced) -> Tree:
+    """Return what is left of a mechanism as arrays."""
+    return Tree(reduced.parents, mechanism.placements[reduced.joints], mechanism.axes[reduced.joints])
+
+
+def loops(mechanism: Mechanism, reduced: Reduced) -> Loops:
+    """Return the loops of a mechanism, none of which constrains directions, in what is left of it."""
+    ends = np.array([(loop.a, loop.b, row) for loop in mechanism.loops for row in loop.rows], dtype=np.intp).reshape(
+        -1, 3
+    )
+    a, b = reduced.places[ends[:, 0]], reduced.places[ends[:, 1]]
+    return Loops(a, b, ends[:, 2].copy(), mechanism.loop_signs[:, reduced.joints])
+
+
+@_compiled
+def _walk(tree: Tree, moved: BoolArray, q: FloatArray, T: FloatArray) -> None:
+    """Fill in the poses T (n_joints + 1, 12) of the frames that have moved, in one configuration q (n_joints,)."""
+    P, S = tree.origins, tree.axes
+    for i in range(len(q)):
+        if not moved[i]:
+            continue
+        m, f = tree.parents[i], i + 1
+        x, y, z = S[i, 3], S[i, 4], S[i, 5]
+        s, c = 0.0, 1.0
+        if q[i] != 0.0 and (x != 0.0 or y != 0.0 or z != 0.0):
+            s, c = np.sin(q[i]), np.cos(q[i])
+        v = 1.0 - c
+        for r in range(3):
+            j, k, l = T[m, r], T[m, 3 + r], T[m, 6 + r]  # noqa: E741
+            d = j * P[i, 0] + k * P[i, 1] + l * P[i, 2]
+            e = j * P[i, 3] + k * P[i, 4] + l * P[i, 5]
+            g = j * P[i, 6] + k * P[i, 7] + l * P[i, 8]
+            T[f, r] = d * (c + v * x * x) + e * (v * x * y + s * z) + g * (v * x * z - s * y)  # Rodrigues' formula
+            T[f, 3 + r] = d * (v * x * y - s * z) + e * (c + v * y * y) + g * (v * y * z + s * x)
+            T[f, 6 + r] = d * (v * x * z + s * y) + e * (v * y * z - s * x) + g * (c + v * z * z)
+            slid = q[i] * (d * S[i, 0] + e * S[i, 1] + g * S[i, 2])
+            T[f, 9 + r] = T[m, 9 + r] + j * P[i, 9] + k * P[i, 10] + l * P[i, 11] + slid
+
+
+@_compiled
+def _stand(T: FloatArray) -> None:
+    """Put the world's own pose into T[0]."""
+    for r in range(12):
+        T[0, r] = 1.0 if r in (0, 4, 8) else 0.0
+
+
+@_compiled
+def _twist(T: FloatArray, i: int, xi: FloatArray, e: int, out: FloatArray, j: int) -> None:
+    """Put the world twist of xi[e] in frame i, [R v + p x R w; R w], into out[j]."""
+    for r in range(3):
+        out[j, r] = T[i, r] * xi[e, 0] + T[i, 3 + r] * xi[e, 1] + T[i, 6 + r] * xi[e, 2]
+        out[j, 3 + r] = T[i, r] * xi[e, 3] + T[i, 3 + r] * xi[e, 4] + T[i, 6 + r] * xi[e, 5]
+    out[j, 0] += T[i, 10] * out[j, 5] - T[i, 11] * out[j, 4]
+    out[j, 1] += T[i, 11] * out[j, 3] - T[i, 9] * out[j, 5]
+    out[j, 2] += T[i, 9] * out[j, 4] - T[i, 10] * out[j, 3]
+
+
+@_compiled
+def _row(T: FloatArray, a: int, axis: int, b: int, out: FloatArray, r: int) -> None:
+    """Put what a world twist moves at p_b, along an axis x of frame a, into out[r]: [x, p x x]."""
+    x, y, z = T[a, 3 * axis], T[a, 3 * axis + 1], T[a, 3 * axis + 2]
+    out[r, 0], out[r, 1], out[r, 2] = x, y, z
+    out[r, 3] = T[b, 10] * z - T[b, 11] * y
+    out[r, 4] = T[b, 11] * x - T[b, 9] * z
+    out[r, 5] = T[b, 9] * y - T[b, 10] * x
+
+
+@_compiled
+def _dot(a: FloatArray, i: int, b: FloatArray, j: int) -> float:
+    return (
+        a[i, 0] * b[j, 0]
+        + a[i, 1] * b[j, 1]
+        + a[i, 2] * b[j, 2]
+        + a[i, 3] * b[j, 3]
+        + a[i, 4] * b[j, 4]
+        + a[i, 5] * b[j, 5]
+    )
+
+
+@_compiled
+def _solve(A: FloatArray, B: FloatArray) -> bool:
+    """Solve A X = B in place, A (n, n) and B (n, m), by elimination with pivots; False where A is singular."""
+    n, m = B.shape
+    for k in range(n):
+        pivot = k
+        for i in range(k + 1, n):
+            if abs(A[i, k]) > abs(A[pivot, k]):
+                pivot = i
+        if not abs(A[pivot, k]) > 0.0:
+            return False
+        if pivot != k:
+            for j in range(n):
+                A[k, j], A[pivot, j] = A[pivot, j], A[k, j]
+            for j in range(m):
+                B[k, j], B[pivot, j] = B[pivot, j], B[k, j]
+        for i in range(k + 1, n):
+            factor = A[i, k] / A[k, k]
+            if factor != 0.0:
+                for j in range(k + 1, n):
+                    A[i, j] -= factor * A[k, j]
+                for j in range(m):
+                    B[i, j] -= factor * B[k, j]
+    for j in range(m):
+        for i in range(n - 1, -1, -1):
+            for k in range(i + 1, n):
+                B[i, j] -= A[i, k] * B[k, j]
+            B[i, j] /= A[i, i]
+    return True
+
+
+@_compiled
+def _leads(select: FloatArray, signs: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return which coordinate each joint follows, or -1 where no loop feels it, and by what factor, (n_joints,)."""
+    leader, factor = np.full(len(select), -1), np.zeros(len(select))
+    for j in range(len(select)):
+        for c in range(select.shape[1]):
+            if select[j, c] != 0.0 and np.any(signs[:, j] != 0.0):
+                leader[j], factor[j] = c, select[j, c]  # one at most
+    return leader, factor
+
+
+@_compiled
+def close(
+    tree: Tree,
+    loops: Loops,
+    rest: FloatArray,
+    select: FloatArray,
+    motors: FloatArray,
+    passive: FloatArray,
+    scale: FloatArray,
+    enough: float,
+    largest: float,
+    rounds: int,
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Newton on the passive joints, in place, as `calib.robots.continuation.newton` says.
+
+    One function, because handing all these arrays to another one costs a quarter of the time.
+
+    Args:
+        tree: The model.
+        loops: What must be zero.
+        rest: Joint values without the passive ones, (n, n_joints).
+        select: Of the passive joints, (n_joints, n_passive).
+        motors: The same of the actuated joints, (n_joints, n_actuated).
+        passive: Where to start; where it ends, (n, n_passive).
+        scale: By what changes of passive joints are divided, (n_passive,).
+        enough: Largest residual of a closed pose.
+        largest: Correction up to which a start is near.
+        rounds: How many corrections.
+
+    Returns:
+        C_p (n, n_passive, n_passive) and C_a (n, n_passive, n_actuated), NaN where not closed, and which poses closed
+        (n,).
+    """
+    n, n_passive = passive.shape
+    n_joints, n_actuated = motors.shape
+    slope, by_motor = np.empty((n, n_passive, n_passive)), np.empty((n, n_passive, n_actuated))
+    closed, T = np.zeros(n, dtype=np.bool_), np.empty((n_joints + 1, 12))
+    twists, rows, q = np.empty((n_joints, 6)), np.empty((n_passive, 6)), np.empty(n_joints)
+    values, C = np.empty((n_passive, 1)), np.empty((n_passive, n_passive))
+    follows, factor = _leads(select, loops.signs)
+    driven, gear = _leads(motors, loops.signs)
+    every, moved = np.ones(n_joints, dtype=np.bool_), np.zeros(n_joints + 1, dtype=np.bool_)
+    for j in range(n_joints):
+        moved[j + 1] = follows[j] >= 0 or moved[tree.parents[j]]
+    _stand(T)
+    for k in range(n):
+        last = np.inf
+        for j in range(n_joints):
+            q[j] = rest[k, j]
+        for attempt in range(rounds):
+            for j in range(n_joints):
+                if follows[j] >= 0:
+                    q[j] = rest[k, j] + factor[j] * passive[k, follows[j]]
+            _walk(tree, moved[1:] if attempt else every, q, T)
+            for j in range(n_joints):
+                if follows[j] >= 0:
+                    _twist(T, j + 1, tree.axes, j, twists, j)
+            C[:] = 0.0
+            worst = 0.0
+            for r in range(n_passive):
+                a, b, axis = loops.a[r], loops.b[r], loops.axis[r]
+                values[r, 0] = 0.0
+                for i in range(3):
+                    values[r, 0] += T[a, 3 * axis + i] * (T[b, 9 + i] - T[a, 9 + i])
+                worst = max(worst, abs(values[r, 0]))
+                _row(T, a, axis, b, rows, r)
+                for j in range(n_joints):
+                    if follows[j] >= 0 and loops.signs[r, j] != 0.0:
+                        C[r, follows[j]] += loops.signs[r, j] * factor[j] * _dot(rows, r, twists, j)
+            if worst <= enough:
+                slope[k], by_motor[k], closed[k] = C, 0.0, True
+                for j in range(n_joints):
+                    if driven[j] >= 0:
+                        _twist(T, j + 1, tree.axes, j, twists, j)
+                        for r in range(n_passive):
+                            if loops.signs[r, j] != 0.0:
+                                by_motor[k, r, driven[j]] += loops.signs[r, j] * gear[j] * _dot(rows, r, twists, j)
+                break
+            if not _solve(C, values):
+                break
+            size, limit = 0.0, max(0.5 * min(last, 2 * largest), 1e-9)
+            for c in range(n_passive):
+                part = abs(values[c, 0] / scale[c])
+                size = max(size, part) if part <= limit else np.inf  # also where it is no number
+            if size > limit:
+                break
+            for c in range(n_passive):
+                passive[k, c] -= values[c, 0]
+            last = size
+        if not closed[k]:
+            slope[k], by_motor[k] = np.nan, np.nan
+    return slope, by_motor, closed
+
+
+@_compiled
+def poses(tree: Tree, q: FloatArray) -> FloatArray:
+    """Return the poses of all frames in configurations q (n, n_joints), (n, n_joints + 1, 12)."""
+    n, n_joints = q.shape
+    T, every = np.empty((n, n_joints + 1, 12)), np.ones(n_joints, dtype=np.bool_)
+    for k in range(n):
+        _stand(T[k])
+        _walk(tree, every, q[k], T[k])
+    return T
+
+
+@_compiled
+def motion(
+    tree: Tree,
+    loops: Loops,
+    found: FloatArray,
+    mapping: FloatArray,
+    signs: FloatArray,
+    direct: FloatArray,
+    select: FloatArray,
+    slope: FloatArray,
+    entries: tuple[IntArray, IntArray, FloatArray],
+    width: int,
+) -> FloatArray:
+    """Derivative through the loops, as `calib.rows.jacobian` says.
+
+    Args:
+        tree: The model.
+        loops: Its loops.
+        found: Of `poses`.
+        mapping: From V_b - V_a to what is differentiated, (n, n_rows, 6).
+        signs: What each joint moves: +1 only b, -1 only a, else 0, (n_joints,).
+        direct: Its derivative by the passive joints beside that, (n_rows, n_passive).
+        select: Of the passive joints, (n_joints, n_passive).
+        slope: C_p, (n, n_passive, n_passive).
+        entries: Twists of origins along which to differentiate: joint and column of each, (n_entries,), one joint's
+            behind each other, and twist in the frame before the origin, (n_entries, 6).
+        width: Number of columns.
+
+    Returns:
+        (n, n_rows, width).
+    """
+    n, n_rows = mapping.shape[:2]
+    n_joints, n_passive = select.shape
+    result = np.zeros((n, n_rows, width))
+    twist, X, transposed = np.empty((1, 6)), np.empty((n_passive, n_rows)), np.empty((n_passive, n_passive))
+    rows, total = np.empty((n_passive, 6)), np.empty((n_joints, n_rows, 6))
+    joints, columns, twists = entries
+    slides = np.array([np.all(twists[e, 3:] == 0.0) for e in range(len(joints))])
+    alike = np.arange(n_joints)  # the first joint that moves what this one moves
+    for j in range(n_joints):
+        for i in range(j - 1, -1, -1):
+            if signs[i] == signs[j] and np.all(loops.signs[:, i] == loops.signs[:, j]):
+                alike[j] = alike[i]
+                break
+    follows, factor = _leads(select, np.ones((1, n_joints)))
+    for k in range(n):
+        T, map_k = found[k], mapping[k]
+        for c in range(n_passive):
+            for r in range(n_rows):
+                X[c, r] = direct[r, c]
+            for r in range(n_passive):
+                transposed[c, r] = slope[k, r, c]
+        for j in range(n_joints):
+            if follows[j] >= 0 and signs[j] != 0.0:
+                _twist(T, j + 1, tree.axes, j, twist, 0)
+                for r in range(n_rows):
+                    X[follows[j], r] += signs[j] * factor[j] * _dot(map_k, r, twist, 0)
+        if n_passive and not _solve(transposed, X):
+            X[:] = np.nan
+        for i in range(n_passive):
+            _row(T, loops.a[i], loops.axis[i], loops.b[i], rows, i)
+        for j in range(n_joints):
+            if alike[j] != j:
+                continue
+            for r in range(n_rows):
+                for c in range(6):
+                    total[j, r, c] = signs[j] * map_k[r, c]
+            for i in range(n_passive):
+                if loops.signs[i, j] != 0.0:
+                    for r in range(n_rows):
+                        weight = loops.signs[i, j] * X[i, r]
+                        for c in range(6):
+                            total[j, r, c] -= weight * rows[i, c]
+        for e in range(len(joints)):
+            j, column = joints[e], columns[e]
+            m, a = tree.parents[j], alike[j]
+            if slides[e]:
+                x, y, z = twists[e, 0], twists[e, 1], twists[e, 2]
+                u = T[m, 0] * x + T[m, 3] * y + T[m, 6] * z
+                v = T[m, 1] * x + T[m, 4] * y + T[m, 7] * z
+                w = T[m, 2] * x + T[m, 5] * y + T[m, 8] * z
+                for r in range(n_rows):
+                    result[k, r, column] += total[a, r, 0] * u + total[a, r, 1] * v + total[a, r, 2] * w
+                continue
+            _twist(T, m, twists, e, twist, 0)
+            for r in range(n_rows):
+                result[k, r, column] += _dot(total[a], r, twist, 0)
+    return result

@@ -1,0 +1,280 @@
+"""Poses of frames seen from each other, and how joints and origins move them, for many configurations at once.
+
+Everything a calibration needs is one primitive: frame b seen from frame a (`RelativeFrame`). A loop closure demands
+that it is zero; a tracker measures it. With world twists V = [v; w] of the two frames (v at the world's origin), and
+T_b in a written as (R_ab, p_ab):
+
+    translation p_ab = R_a^T (p_b - p_a)      d p_ab = R_a^T [ I  -[p_b]x ] (V_b - V_a)
+    log6(T_ab)                                d log6 = Jlog6(T_ab) Ad(T_b)^-1 (V_b - V_a)
+
+Both are a (rows, 6) `map` of the twist difference, exact also where a loop is open. Joints that move both frames
+alike drop out of V_b - V_a.
+
+* A joint's column of Pinocchio's world Jacobian is its V per joint rate.
+* A twist xi of the frame before origin i, in its own axes, is V = Ad(T_before) xi in the world. So a **right**
+  perturbation `placement * exp6(xi)`, xi = [linear; angular] in the joint's own frame, is Ad(T_before placement) xi.
+
+Pinocchio has no batch interface, so the poses are looped over in Python, through views of its data that are fetched
+once; all further algebra runs on arrays of poses. Joints that do not matter have left the model (`Reduced`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from calib.base.arrays import FloatArray, IntArray
+from calib.robots.mechanism import Mechanism, Reduced, RelativeFrame, flat_poses
+
+CHUNK = 64
+"""Poses at once: all arrays of theirs stay in the processor's cache, and none needs new pages of memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """Kinematics of `n` configurations.
+
+    Attributes:
+        reduced: The joints that count.
+        rotation: World rotation of each of their frames, behind that of the world, (n, n_reduced + 1, 3, 3).
+        translation: World position of each of them [m], (n, n_reduced + 1, 3).
+        jacobian: World Jacobian, columns per joint that counts, (n, 6, n_reduced).
+        compiled: What takes the place of the Jacobian, if compiled code has computed the poses.
+    """
+
+    reduced: Reduced
+    rotation: FloatArray
+    translation: FloatArray
+    jacobian: FloatArray
+    compiled: CompiledPoses | None = None
+
+    @property
+    def index(self) -> IntArray:
+        """Position of a joint index in the second axis of `rotation` and `translation`, (n_joints + 1,)."""
+        return self.reduced.places
+
+    @cached_property
+    def regressor(self) -> FloatArray:
+        """Ad(T_before) of every origin that counts, side by side, (n, 6, 6 n_reduced): one for all frames."""
+        rotation, translation = (part[:, self.reduced.parents] for part in (self.rotation, self.translation))
+        n, count = rotation.shape[:2]
+        result = np.zeros((n, 6, count, 6))
+        axes = rotation.transpose(0, 2, 1, 3)  # (n, 3, n_reduced, 3)
+        x, y, z = (translation[:, :, k, None] for k in range(3))
+        result[:, :3, :, :3] = result[:, 3:, :, 3:] = axes
+        result[:, 0, :, 3:] = y * axes[:, 2] - z * axes[:, 1]
+        result[:, 1, :, 3:] = z * axes[:, 0] - x * axes[:, 2]
+        result[:, 2, :, 3:] = x * axes[:, 1] - y * axes[:, 0]
+        return result.reshape(n, 6, 6 * count)
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledPoses:
+    """Poses of every joint, as compiled code has computed them; see `calib.robots.kernels`.
+
+    Attributes:
+        functions: The compiled functions.
+        tree: What counts of the model, as arrays.
+        found: `flat_poses` of the world and all joints that count, (n, n_reduced + 1, 12).
+    """
+
+    functions: Any
+    tree: Any
+    found: FloatArray
+
+
+def compiled_sweep(functions: Any, mechanism: Mechanism, joints: FloatArray, pairs: tuple[RelativeFrame, ...]) -> Sweep:
+    """Return the sweep of `sweep` without the Jacobian, by compiled code.
+
+    Args:
+        functions: The compiled functions.
+        mechanism: The robot.
+        joints: Configurations, (n, n_joints) [m or rad].
+        pairs: Frames that are needed.
+    """
+    reduced, _ = mechanism.around(pairs)
+    tree = functions.tree(mechanism, reduced)
+    found = functions.poses(tree, joints[:, reduced.joints])
+    return Sweep(reduced, *_parts(found), np.empty(0), CompiledPoses(functions, tree, found))
+
+
+def sweep(mechanism: Mechanism, joints: FloatArray, pairs: tuple[RelativeFrame, ...]) -> Sweep:
+    """Run Pinocchio over the configurations `joints`, (n, n_joints) [m or rad].
+
+    "World" is where the robot stands after the joints that move all frames of `pairs` alike (`Mechanism.around`).
+    """
+    reduced, spare = mechanism.around(pairs)
+    try:
+        space = spare.pop()  # a list, so that two threads never get the same one
+    except IndexError:
+        space = _Workspace.of(mechanism, reduced)
+    model, data, poses, jacobian = space.model, space.data, space.poses, space.jacobian
+    space.origins[:] = mechanism.placements[reduced.joints]
+    n, count = len(joints), len(reduced.joints)
+    every_pose, every_jacobian = np.empty((n, count + 1, 12)), np.empty((n, count, 6))
+    compute = pin.computeJointJacobians
+    for q, to_poses, to_jacobian in zip(joints[:, reduced.joints], every_pose, every_jacobian, strict=True):
+        compute(model, data, q)
+        to_poses[:] = poses
+        to_jacobian[:] = jacobian
+    spare.append(space)
+    return Sweep(reduced, *_parts(every_pose), every_jacobian.transpose(0, 2, 1))
+
+
+def _parts(flat: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rotations and translations from `flat_poses`, (n, n_frames, 12)."""
+    n, count, _ = flat.shape
+    return flat[:, :, :9].reshape(n, count, 3, 3).transpose(0, 1, 3, 2), flat[:, :, 9:]
+
+
+@dataclass(frozen=True, eq=False)
+class _Workspace:
+    """A model, Pinocchio's data and views of both, which follow every change; dearer to make than one pose to compute.
+
+    Attributes:
+        model: Joints that count.
+        data: Of the model.
+        origins, poses: `flat_poses` of origins (n_reduced, 12), and of the world and all joints (n_reduced + 1, 12).
+        jacobian: World Jacobian, transposed, (n_reduced, 6).
+    """
+
+    model: pin.Model
+    data: pin.Data
+    origins: FloatArray
+    poses: FloatArray
+    jacobian: FloatArray
+
+    @classmethod
+    def of(cls, mechanism: Mechanism, reduced: Reduced) -> _Workspace:
+        model = pin.Model()
+        for joint, parent in zip(reduced.joints.tolist(), reduced.parents.tolist(), strict=True):
+            name = mechanism.origin_names[joint]
+            model.addJoint(parent, mechanism.model.joints[joint + 1], pin.SE3.Identity(), name)
+        data = model.createData()
+        pin.computeJointJacobians(model, data, pin.neutral(model))  # sizes the views
+        return cls(model, data, flat_poses(model.jointPlacements)[1:], flat_poses(data.oMi), data.J.T)
+
+
+def value(swept: Sweep, pair: RelativeFrame) -> FloatArray:
+    """Return the pair's constrained components, (n, n_rows) [m, rad]."""
+    if pair.full_pose:
+        logs = [pin.log6(pin.SE3(pose)).vector for pose in relative_pose(swept, pair)]
+        return np.array(logs).reshape(-1, 6)[:, pair.rows]
+    a, b = swept.index[pair.a], swept.index[pair.b]
+    offset = swept.translation[:, b] - swept.translation[:, a]
+    translation: FloatArray = np.matmul(offset[:, None, :], swept.rotation[:, a])[:, 0, :]
+    return translation[:, pair.rows]
+
+
+def gaps(swept: Sweep, pairs: tuple[RelativeFrame, ...]) -> tuple[FloatArray, FloatArray]:
+    """Return `value` and `twist_map` of several pairs, one pair's rows after the other's; faster than one by one.
+
+    Returns:
+        Constrained components (n, n_rows) [m, rad], and the map from each row's own V_b - V_a, (n, n_rows, 6).
+    """
+    if any(pair.full_pose for pair in pairs):
+        values, maps = zip(*((value(swept, pair), twist_map(swept, pair)) for pair in pairs), strict=True)
+        return np.concatenate(values, axis=1), np.concatenate(maps, axis=1)
+    rows = [(swept.index[pair.a], swept.index[pair.b], row) for pair in pairs for row in pair.rows]
+    a, b, axis = (list(part) for part in zip(*rows, strict=True))
+    axes, at = swept.rotation.transpose(0, 1, 3, 2)[:, a, axis], swept.translation[:, b]
+    components: FloatArray = np.sum(axes * (at - swept.translation[:, a]), axis=2)
+    return components, np.concatenate([axes, _moments(at, axes)], axis=2)
+
+
+def relative_pose(swept: Sweep, pair: RelativeFrame) -> FloatArray:
+    """Return the pose of frame b in frame a, (n, 4, 4) [m]."""
+    a, b = swept.index[pair.a], swept.index[pair.b]
+    inverse_a = swept.rotation[:, a].transpose(0, 2, 1)
+    poses = np.tile(np.eye(4), (len(inverse_a), 1, 1))
+    poses[:, :3, :3] = inverse_a @ swept.rotation[:, b]
+    poses[:, :3, 3] = np.einsum("nij,nj->ni", inverse_a, swept.translation[:, b] - swept.translation[:, a])
+    return poses
+
+
+def twist_map(swept: Sweep, pair: RelativeFrame) -> FloatArray:
+    """Return the (n, n_rows, 6) map from V_b - V_a (world twists) to the derivative of `value`."""
+    a, b = swept.index[pair.a], swept.index[pair.b]
+    if pair.full_pose:
+        return _pose_map(swept, a, b)[:, pair.rows]
+    rows = swept.rotation[:, a].transpose(0, 2, 1)[:, pair.rows]
+    # r^T (v + w x p) = r^T v + (p x r)^T w
+    return np.concatenate([rows, _moments(swept.translation[:, b, None], rows)], axis=2)
+
+
+def _moments(points: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return p x r for points p (n, 1 or k, 3) and rows r (n, k, 3); `np.cross` takes twice as long."""
+    x, y, z = points[:, :, 0], points[:, :, 1], points[:, :, 2]
+    u, v, w = rows[:, :, 0], rows[:, :, 1], rows[:, :, 2]
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=2)
+
+
+def _pose_map(swept: Sweep, a: int, b: int) -> FloatArray:
+    maps = np.empty((len(swept.rotation), 6, 6))
+    for k in range(len(maps)):
+        world_a = pin.SE3(swept.rotation[k, a], swept.translation[k, a])
+        world_b = pin.SE3(swept.rotation[k, b], swept.translation[k, b])
+        maps[k] = pin.Jlog6(world_a.actInv(world_b)) @ world_b.toActionMatrixInverse()
+    return maps
+
+
+def motion_map(swept: Sweep, pair: RelativeFrame, *, angular: bool) -> FloatArray:
+    """Return the (n, 3 or 6, 6) map from V_b - V_a (world twists) to [dp; dw], the motion of b in the axes of a.
+
+    dp = R_a^T [I  -[p_b]x] (V_b - V_a),    dw = R_a^T [0  I] (V_b - V_a)
+
+    Args:
+        swept: Of the poses.
+        pair: The frames.
+        angular: Whether dw is wanted too.
+    """
+    a, b = swept.index[pair.a], swept.index[pair.b]
+    axes = swept.rotation[:, a].transpose(0, 2, 1)
+    linear = np.concatenate([axes, _moments(swept.translation[:, b, None], axes)], axis=2)
+    if not angular:
+        return linear
+    turning = np.concatenate([np.zeros_like(axes), axes], axis=2)
+    return np.concatenate([linear, turning], axis=1)
+
+
+def joint_derivative(swept: Sweep, mapping: FloatArray, columns: FloatArray) -> FloatArray:
+    """Return d(value)/d(joint coordinates), (n, n_rows, n_columns).
+
+    Args:
+        swept: Of the poses.
+        mapping: From `twist_map`.
+        columns: `mechanism.between(pair)[:, None] * selection`, (n_joints, n_columns).
+    """
+    return np.matmul(np.matmul(mapping, swept.jacobian), columns[swept.reduced.joints])
+
+
+def origin_derivative(
+    mechanism: Mechanism, swept: Sweep, terms: list[tuple[FloatArray, FloatArray]], twists: FloatArray | None
+) -> FloatArray:
+    """Return sum over terms of map (V_b - V_a) along origin twists, (n, n_rows, k).
+
+    Args:
+        mechanism: The mechanism.
+        swept: Of the poses.
+        terms: (twist map (n, n_rows, 6), sign per joint from `Mechanism.between` (n_joints,)) of each pair.
+        twists: Combinations to take the derivative along, (6 n_joints, k); None: every origin twist.
+    """
+    joints = swept.reduced.joints
+    n, n_rows = terms[0][0].shape[:2]
+    by_origin = np.zeros((n, n_rows, len(joints), 6))
+    signs = np.array([sign[joints] for _, sign in terms])
+    groups: dict[tuple[float, ...], list[int]] = {}
+    for origin, pattern in enumerate(map(tuple, signs.T.tolist())):
+        groups.setdefault(pattern, []).append(origin)
+    for pattern, origins in groups.items():
+        if any(pattern):
+            combined = sum(sign * terms[t][0] for t, sign in enumerate(pattern) if sign)
+            columns = (6 * np.array(origins)[:, None] + np.arange(6)).ravel()
+            moved = np.matmul(combined, swept.regressor[:, :, columns])
+            by_origin[:, :, origins] = moved.reshape(n, n_rows, len(origins), 6)
+    along = mechanism.twists_before(twists)[joints].reshape(6 * len(joints), -1)
+    return (by_origin.reshape(n_rows * n, -1) @ along).reshape(n, n_rows, along.shape[1])

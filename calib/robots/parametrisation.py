@@ -1,0 +1,180 @@
+"""Which parameters a robot description means: the origin components that it lists, or a named plugin.
+
+Other packages add parametrisations of their own under the entry point group `calib.parametrisations`: a callable that
+takes the nominal origins by name and returns a `calib.robots.parameters.Parametrisation`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from importlib.metadata import entry_points
+
+import numpy as np
+
+from calib.base.errors import DescriptionError, InputError, nearest
+from calib.base.parameter import Parameter
+from calib.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component
+from calib.base.units import DISPLAY_UNIT, error_scale, millimetres, per_si, quantity
+from calib.instruments.kind import Place
+from calib.robots.description import Description, OriginSection
+from calib.robots.mechanism import Mechanism
+from calib.robots.parameters import Origin, OriginComponents, Parametrisation, Stacked
+from calib.robots.urdf.text import UrdfText
+
+ENTRY_POINTS = "calib.parametrisations"
+DEFAULT_LENGTH_SIGMA = 2e-3
+"""Expected error of an origin's coordinate where nothing is stated [m]."""
+DEFAULT_ANGLE_SIGMA = 5e-3
+"""Expected error of an origin's angle where nothing is stated [rad]."""
+
+
+def build_parametrisation(
+    description: Description, urdf: UrdfText, mechanism: Mechanism, places: tuple[Place, ...], where: str
+) -> Parametrisation:
+    """Build the parametrisation that a description names or lists, plus unknown places.
+
+    Args:
+        description: The robot description.
+        urdf: The URDF, whose numbers the nominal origins are.
+        mechanism: The nominal mechanism.
+        places: What instruments look from and at.
+        where: File of the description, for messages.
+
+    Raises:
+        DescriptionError: Unknown plugin, origin or unit, or a component listed twice.
+    """
+    origins = _nominal_origins(urdf, mechanism, places)
+    unknown = [entry for place in places for entry in _unknown_components(place, mechanism.origin(place.name))]
+    inverted = frozenset(mechanism.origin(place.name) for place in places if place.inverted)
+    if isinstance(description.parametrisation, str):
+        if description.base.pose == "unknown" or any(t.position == "unknown" for t in description.targets.values()):
+            raise DescriptionError(
+                f"{where}: a named parametrisation has its own base and target parameters;"
+                " set base.pose and targets.*.position to 'known'"
+            )
+        plugin = _from_plugin(description.parametrisation, origins, mechanism, where)
+        return Stacked((plugin, _components(unknown, origins, mechanism, inverted, where))) if unknown else plugin
+    listed = sorted(description.origins, key=lambda section: section.origin == "all")  # exact entries win
+    entries = [(section, description.priors, False) for section in listed]
+    return _components(entries + unknown, origins, mechanism, inverted, where)
+
+
+def _nominal_origins(urdf: UrdfText, mechanism: Mechanism, places: tuple[Place, ...]) -> dict[str, Origin]:
+    """Nominal origins by name: the numbers of the two files, not what is left of them after a computation."""
+    result = {joint.name: Origin(np.array(joint.xyz), np.array(joint.rpy)) for joint in urdf.joints}
+    for place in places:
+        result[mechanism.origin(place.name)] = Origin(np.array(place.xyz), np.array(place.rpy))
+    return result
+
+
+def _components(
+    entries: list[tuple[OriginSection, bool, bool]],
+    origins: Mapping[str, Origin],
+    mechanism: Mechanism,
+    inverted: frozenset[str],
+    where: str,
+) -> OriginComponents:
+    """Parameters of entries, each with whether it has a prior and whether it is a mere place."""
+    parameters: dict[str, Parameter] = {}
+    components: list[tuple[str, int]] = []
+    from_all: set[str] = set()
+    for section, prior, placement in entries:
+        for origin in _origins_of(section, mechanism, where):
+            for component in section.components:
+                parameter = _component_parameter(section, origin, component, origins, where)
+                parameter = replace(parameter, prior=prior, placement=placement)
+                if parameter.name in parameters:
+                    if section.origin == "all" and parameter.name not in from_all:
+                        continue
+                    why = "; an unknown pose of the base or place of a target is free already" if placement else ""
+                    raise DescriptionError(f"{where}: parametrisation: '{parameter.name}' is listed twice{why}")
+                parameters[parameter.name] = parameter
+                if section.origin == "all":
+                    from_all.add(parameter.name)
+                components.append((origin, COMPONENTS.index(component)))
+    nominal = {name: origins[name].placement for name in dict.fromkeys(origin for origin, _ in components)}
+    return OriginComponents(tuple(parameters.values()), tuple(components), nominal, inverted)
+
+
+def default_sections() -> tuple[OriginSection, ...]:
+    """Return the entries for a plain URDF: every component of every origin that moves a target, with default priors."""
+    return (
+        OriginSection(origin="all", components=LENGTH_COMPONENTS, sigma=f"{millimetres(DEFAULT_LENGTH_SIGMA):g} mm"),
+        OriginSection(
+            origin="all", components=ANGLE_COMPONENTS, sigma=f"{DEFAULT_ANGLE_SIGMA * error_scale('angle'):g} mrad"
+        ),
+    )
+
+
+def _unknown_components(place: Place, origin: str) -> list[tuple[OriginSection, bool, bool]]:
+    """Entries for the unknown components of a place; its sigmas are priors where they are stated."""
+    entries = []
+    for components, sigma, default in (
+        (LENGTH_COMPONENTS, place.sigma, "10 mm"),
+        (ANGLE_COMPONENTS, place.sigma_angle, "10 mrad"),
+    ):
+        unknown = tuple(component for component in components if component in place.unknown)
+        if unknown:
+            section = OriginSection(origin=origin, components=unknown, sigma=default if sigma is None else sigma)
+            entries.append((section, sigma is not None, True))
+    return entries
+
+
+def _origins_of(section: OriginSection, mechanism: Mechanism, where: str) -> list[str]:
+    known = {name: i + 1 for i, name in enumerate(mechanism.origin_names) if name not in mechanism.tilts}
+    if section.origin != "all":
+        if section.origin not in known:
+            raise DescriptionError(
+                f"{where}: parametrisation: no joint origin '{section.origin}'"
+                f"{nearest(section.origin, (*known, 'all'))}"
+            )
+        return [section.origin]
+    virtual = set(mechanism.places.values())
+    return [name for name, index in known.items() if index not in virtual and mechanism.is_seen[index - 1]]
+
+
+def _component_parameter(
+    section: OriginSection, origin: str, component: Component, origins: Mapping[str, Origin], where: str
+) -> Parameter:
+    dimension = section.dimension
+    name = f"{origin}.{component}"
+    place = f"{where}: parametrisation: {name}"
+    try:
+        sigma = quantity(section.sigma, dimension, f"{place}, sigma")
+        unit = section.unit or DISPLAY_UNIT[dimension]
+        per_si(unit, dimension, f"{place}, unit")
+    except InputError as error:
+        raise DescriptionError(str(error)) from None
+    if sigma <= 0:
+        raise DescriptionError(f"{place}: sigma must be positive; leave a component out to keep it at nominal")
+    nominal = float(origins[origin].xyz[COMPONENTS.index(component)]) if dimension == "length" else 0.0
+    return Parameter(name, dimension, nominal, sigma, unit)
+
+
+def _from_plugin(name: str, origins: Mapping[str, Origin], mechanism: Mechanism, where: str) -> Parametrisation:
+    plugins = {entry.name: entry for entry in entry_points(group=ENTRY_POINTS)}
+    if name not in plugins:
+        raise DescriptionError(f"{where}: no parametrisation '{name}' is installed{nearest(name, plugins)}")
+    try:
+        factory: Callable[[Mapping[str, Origin]], Parametrisation] = plugins[name].load()
+    except (ImportError, AttributeError) as error:
+        raise DescriptionError(
+            f"{where}: parametrisation '{name}' ({plugins[name].value}) cannot be loaded: {error}; install it again"
+        ) from None
+    parametrisation = factory(origins)
+    nominal = np.array([parameter.nominal_si for parameter in parametrisation.parameters])
+    twists = parametrisation.twists(nominal)
+    edited = parametrisation.placements(nominal)
+    for origin in (*edited, *twists):
+        if origin not in mechanism.origin_names:
+            raise DescriptionError(
+                f"{where}: parametrisation '{name}': edits an origin '{origin}' that the robot does not have"
+                f"{nearest(origin, mechanism.origin_names)}"
+            )
+    if set(edited) != set(twists) or any(twist.shape != (6, len(nominal)) for twist in twists.values()):
+        raise DescriptionError(
+            f"{where}: parametrisation '{name}': twists must give a (6, {len(nominal)}) array for each of the origins"
+            " that placements edits"
+        )
+    return parametrisation

@@ -1,0 +1,254 @@
+"""The identification Jacobian: how frames seen from each other move with parameters, through closed loops, exactly.
+
+With passive joints p decided by the closures r(xi, p) = 0, and x a frame b seen from a frame a:
+
+    dx/dxi = X_xi - W C_xi        W = X_p C_p^-1
+
+(implicit function theorem), where X and C are the derivatives of x and r by origin twists xi and passive joints. W is
+found first, so that one small solve per pose serves all origins; then both terms are one sum of twist maps times the
+kinematic regressor. Finally d(parameters) enters through the twists of the parametrisation. Moving an
+actuated joint by dq is the same as turning its origin by dq about the joint's own axis, so that derivatives by joints
+are columns of the same kind.
+
+x is the twist [dp; dw] of b seen from a, in the axes of a (`calib.instruments.kind`): what every kind of measurement is
+differentiated by. Poses are processed in chunks that stay in the processor's cache.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.base.arrays import FloatArray
+from calib.base.threads import one_blas_thread
+from calib.robots import kinematics
+from calib.robots.acceleration import kernels
+from calib.robots.joint_errors import driven_by
+from calib.robots.mechanism import Mechanism, RelativeFrame
+from calib.robots.robot import Configurations, Robot
+
+_CHUNK_COMPILED = 256  # compiled code needs no regressors, but its poses stay in the cache too
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """Positions of the targets and their derivatives.
+
+    Attributes:
+        positions: Targets in the measurement frame, (n, n_targets, 3) [m].
+        jacobian: d(positions)/d(parameters), (n, n_targets, 3, n_parameters) [m per m or rad]; where turns were asked
+            for, dw of the targets too, in the axes of the measurement frame, (n, n_targets, 6, n_parameters).
+    """
+
+    positions: FloatArray
+    jacobian: FloatArray
+
+
+def linearise(robot: Robot, configurations: Configurations, *, turns: bool = False) -> Linearisation:
+    """Positions of all targets and their derivative by every parameter, at the robot's current values.
+
+    Args:
+        robot: The robot.
+        configurations: Assembled poses, from `robot.assemble`.
+        turns: Whether the derivative of the targets' orientations is wanted too.
+    """
+    if not robot.terms:
+        twists = parameter_twists(robot)
+        return Linearisation(*origin_jacobian(robot.mechanism, configurations, twists, turns=turns))
+    twists = np.hstack([parameter_twists(robot), joint_twists(robot.mechanism)])
+    positions, both = origin_jacobian(robot.mechanism, configurations, twists, turns=turns)
+    jacobian, by_joint = both[..., : len(robot.parameters)], both[..., len(robot.parameters) :]
+    n = len(positions)
+    flat = by_joint.reshape(n, -1, by_joint.shape[-1])
+    jacobian[..., robot.coefficients] = by_coefficient(robot, flat, configurations.term_columns).reshape(
+        *jacobian.shape[:3], -1
+    )
+    return Linearisation(positions, jacobian)
+
+
+@one_blas_thread
+def origin_jacobian(
+    mechanism: Mechanism,
+    configurations: Configurations,
+    twists: FloatArray | None = None,
+    *,
+    turns: bool = False,
+) -> tuple[FloatArray, FloatArray]:
+    """Positions of all targets and their derivative by the right-perturbation twist of every origin.
+
+    Args:
+        mechanism: The mechanism.
+        configurations: Assembled poses.
+        twists: If given, (6 n_joints, k), the derivative is taken along these combinations instead.
+        turns: Whether dw is wanted behind dp.
+
+    Returns:
+        Positions (n, n_targets, 3) [m] and derivative (n, n_targets, 3 or 6, 6 n_joints or k), origins in the order of
+        `mechanism.origin_names`, six components [linear; angular] each, in the joint's own frame.
+    """
+    n, n_targets = len(configurations.actuated), len(mechanism.targets)
+    width = 6 * mechanism.n_joints if twists is None else twists.shape[1]
+    positions = np.empty((n, n_targets, 3))
+    derivative = np.empty((n, n_targets, 6 if turns else 3, width))
+    for part, swept in sweeps(mechanism, configurations, mechanism.targets):
+        for t, target in enumerate(mechanism.targets):
+            positions[part, t] = kinematics.value(swept, target)
+            derivative[part, t] = relative_motion(
+                mechanism, swept, target, configurations.slope[part], twists, angular=turns
+            )
+    return positions, derivative
+
+
+def sweeps(
+    mechanism: Mechanism, configurations: Configurations, pairs: tuple[RelativeFrame, ...]
+) -> Iterator[tuple[slice, kinematics.Sweep]]:
+    """Yield the kinematics of chunks of poses, for these pairs and the loops.
+
+    Args:
+        mechanism: The mechanism.
+        configurations: Assembled poses.
+        pairs: Frames that are needed.
+    """
+    joints = mechanism.all_joints(configurations.actuated, configurations.passive)
+    needed = pairs + mechanism.loops
+    functions = kernels(mechanism, len(joints))
+    size = kinematics.CHUNK if functions is None else _CHUNK_COMPILED
+    for start in range(0, len(joints), size):
+        part = slice(start, min(start + size, len(joints)))
+        if functions is None:
+            yield part, kinematics.sweep(mechanism, joints[part], needed)
+        else:
+            yield part, kinematics.compiled_sweep(functions, mechanism, joints[part], needed)
+
+
+def relative_motion(
+    mechanism: Mechanism,
+    swept: kinematics.Sweep,
+    pair: RelativeFrame,
+    slope: FloatArray,
+    twists: FloatArray | None,
+    *,
+    angular: bool,
+) -> FloatArray:
+    """Return d[dp; dw]/d(origin twists) of frame b seen from frame a, loops closed, (n, 3 or 6, 6 n_joints or k).
+
+    Args:
+        mechanism: The mechanism.
+        swept: Of the poses.
+        pair: The frames.
+        slope: C_p, (n, n_passive, n_passive).
+        twists: Combinations (6 n_joints, k) to take the derivative along; None: every origin twist.
+        angular: Whether dw is wanted too.
+    """
+    mapping = kinematics.motion_map(swept, pair, angular=angular)
+    if swept.compiled is not None:
+        direct = np.zeros((mapping.shape[1], len(mechanism.passive)))
+        return _compiled_motion(mechanism, swept, mapping, mechanism.between(pair), direct, slope, twists)
+    by_passive = kinematics.joint_derivative(
+        swept, mapping, mechanism.between(pair)[:, None] * mechanism.select_passive
+    )
+    terms = [(mapping, mechanism.between(pair)), *_through_loops(mechanism, swept, by_passive, slope)]
+    return kinematics.origin_derivative(mechanism, swept, terms, twists)
+
+
+def passive_motion(
+    mechanism: Mechanism, swept: kinematics.Sweep, coordinate: FloatArray, slope: FloatArray, twists: FloatArray
+) -> FloatArray:
+    """Return d(q_j)/d(origin twists) of one joint coordinate that the loops decide, (n, 1, k).
+
+    Args:
+        mechanism: The mechanism.
+        swept: Of the poses.
+        coordinate: d(q_j)/d(passive joints), (n_passive,); zero throughout for a joint that the user gives.
+        slope: C_p, (n, n_passive, n_passive).
+        twists: Combinations to take the derivative along, (6 n_joints, k).
+    """
+    n = len(swept.rotation)
+    if not np.any(coordinate):
+        return np.zeros((n, 1, twists.shape[1]))
+    if swept.compiled is not None:
+        nothing = np.zeros((n, 1, 6)), np.zeros(mechanism.n_joints)
+        return _compiled_motion(mechanism, swept, *nothing, coordinate[None], slope, twists)
+    by_passive = np.broadcast_to(coordinate, (n, 1, len(coordinate)))
+    terms = _through_loops(mechanism, swept, by_passive, slope)
+    return kinematics.origin_derivative(mechanism, swept, terms, twists)
+
+
+def _through_loops(
+    mechanism: Mechanism, swept: kinematics.Sweep, by_passive: FloatArray, slope: FloatArray
+) -> list[tuple[FloatArray, FloatArray]]:
+    """The terms -W C_xi, loop by loop, from X_p (n, n_rows, n_passive)."""
+    if not mechanism.loops:
+        return []
+    weights = np.linalg.solve(slope.transpose(0, 2, 1), by_passive.transpose(0, 2, 1)).transpose(0, 2, 1)
+    maps = kinematics.gaps(swept, mechanism.loops)[1]
+    terms, row = [], 0
+    for loop in mechanism.loops:
+        part = slice(row, row + len(loop.rows))
+        terms.append((-np.matmul(weights[:, :, part], maps[:, part]), mechanism.between(loop)))
+        row += len(loop.rows)
+    return terms
+
+
+def _compiled_motion(
+    mechanism: Mechanism,
+    swept: kinematics.Sweep,
+    mapping: FloatArray,
+    signs: FloatArray,
+    direct: FloatArray,
+    slope: FloatArray,
+    twists: FloatArray | None,
+) -> FloatArray:
+    """The same by compiled code; see `calib.robots.kernels.motion` for the arguments."""
+    reduced, by = swept.reduced, swept.compiled
+    assert by is not None
+    blocks = mechanism.twists_before(twists)[reduced.joints]
+    joints, columns = np.nonzero(np.any(blocks != 0.0, axis=1))
+    entries = joints, columns, np.ascontiguousarray(blocks[joints, :, columns])
+    rows, select = by.functions.loops(mechanism, reduced), mechanism.select_passive[reduced.joints]
+    return by.functions.motion(
+        by.tree,
+        rows,
+        by.found,
+        mapping,
+        signs[reduced.joints],
+        direct,
+        select,
+        np.ascontiguousarray(slope),
+        entries,
+        blocks.shape[2],
+    )
+
+
+def parameter_twists(robot: Robot) -> FloatArray:
+    """Return twists of all origins per parameter, (6 n_joints, n_parameters)."""
+    mechanism = robot.mechanism
+    matrix = np.zeros((6 * mechanism.n_joints, len(robot.parameters)))
+    values = robot.values[: robot.n_origin_parameters]
+    for name, twist in robot.parametrisation.twists(values).items():
+        row = 6 * mechanism.origin_names.index(name)
+        matrix[row : row + 6, : robot.n_origin_parameters] = twist
+    return matrix
+
+
+def by_coefficient(robot: Robot, by_joint: FloatArray, columns: tuple[FloatArray, ...]) -> FloatArray:
+    """Return the derivative by the coefficients of the joint terms, (n, n_rows, n_coefficients).
+
+    Args:
+        robot: Knows the joints of the terms.
+        by_joint: Derivative by the driven joints, (n, n_rows, n_driven).
+        columns: phi of each term, (n, n_moved, n_coefficients) each.
+    """
+    parts = [
+        np.matmul(by_joint[:, :, driven_by(term, robot.mechanism)], phi)
+        for term, phi in zip(robot.terms, columns, strict=True)
+    ]
+    return np.concatenate(parts, axis=2)
+
+
+def joint_twists(mechanism: Mechanism) -> FloatArray:
+    """Return twists of all origins per driven joint, (6 n_joints, n_driven): the joint's axis at its own origin."""
+    by_joint: FloatArray = mechanism.axes[:, :, None] * mechanism.select_actuated[:, None, :]
+    return by_joint.reshape(6 * mechanism.n_joints, -1)

@@ -1,0 +1,52 @@
+"""A calibrated robot with all that is known of it: what corrects a robot has to know how sure that is, and where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from calib.base.arrays import FloatArray, ReadOnlyArrays
+from calib.robots.robot import Robot, require_robot
+from calib.rows.prediction import ParameterUncertainty
+
+
+@dataclass(frozen=True, eq=False)
+class KnownRobot(ReadOnlyArrays):
+    """A calibrated robot.
+
+    Attributes:
+        robot: With the parameters that were found.
+        uncertainty: How well they are known; None where nobody says.
+        joints: Of the visits that they were found from, (n, n_actuated) [m or rad].
+        nothing_to_correct: Whether the verdict says that the nominal values are as good as any.
+    """
+
+    robot: Robot
+    uncertainty: ParameterUncertainty | None
+    joints: FloatArray
+    nothing_to_correct: bool
+
+
+@runtime_checkable
+class Calibrated(Protocol):
+    """What knows a calibrated robot: a fit, or a result that was loaded."""
+
+    @property
+    def known(self) -> KnownRobot:
+        """The robot, with how well it is known."""
+
+
+def known_robot(calibrated: Robot | Calibrated | KnownRobot) -> KnownRobot:
+    """Return what is known of a robot; of a robot alone no more than its values.
+
+    Raises:
+        InputError: It is none of them.
+    """
+    if isinstance(calibrated, KnownRobot):
+        return calibrated
+    if isinstance(calibrated, Calibrated):
+        return calibrated.known
+    require_robot(calibrated)
+    return KnownRobot(calibrated, None, np.zeros((0, len(calibrated.joint_names))), nothing_to_correct=False)

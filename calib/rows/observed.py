@@ -1,0 +1,265 @@
+"""What instruments would read of a robot, how that differs from what they read, and how it moves with parameters.
+
+For a reading of kind g at a visit, with x the motion [dp; dw] of the frame that it looks at, seen from the frame that
+it looks from (`calib.rows.jacobian`):
+
+    d(residual)/d(parameters) = d(residual)/dx  .  dx/d(parameters)
+
+The first factor is the kind's own; the second is the same for all kinds, loops included. Unknown numbers of the
+instrument, and joints that it reads, enter directly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.base.arrays import FloatArray, IntArray
+from calib.base.threads import one_blas_thread
+from calib.data.measurements import Measurements, Poses, in_setups, of_visits
+from calib.instruments.kind import Comparison, Instrument, Readings, View
+from calib.robots import kinematics
+from calib.robots.mechanism import RelativeFrame
+from calib.robots.robot import Configurations, Robot
+from calib.rows.jacobian import (
+    by_coefficient,
+    joint_twists,
+    parameter_twists,
+    passive_motion,
+    relative_motion,
+    sweeps,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """Readings of one instrument compared with what the robot predicts.
+
+    Attributes:
+        residuals: Predicted minus read, (n, n_rows) [SI]; NaN where a component was not read.
+        jacobian: Their derivative by all parameters, (n, n_rows, n_parameters).
+        by_joint: Their derivative by the actuated joints, (n, n_rows, n_actuated); empty where not wanted.
+    """
+
+    residuals: FloatArray
+    jacobian: FloatArray
+    by_joint: FloatArray
+
+
+@one_blas_thread
+def observe(
+    robot: Robot, configurations: Configurations, readings: Mapping[str, Readings], *, joints: bool = False
+) -> dict[str, Observed]:
+    """Compare readings with what the robot predicts, with derivatives.
+
+    Args:
+        robot: The robot, at its current values.
+        configurations: Its assembled visits.
+        readings: Of each instrument, by name; visits are indices into the configurations.
+        joints: Whether derivatives by the actuated joints are wanted too.
+    """
+    mechanism = robot.mechanism
+    n_driven = len(mechanism.driven) if joints or robot.terms else 0
+    twists = parameter_twists(robot)
+    if n_driven:
+        twists = np.hstack([twists, joint_twists(mechanism)])
+    work = [_Work(robot, robot.instrument(name), own, n_driven) for name, own in readings.items()]
+    pairs = tuple(dict.fromkeys(pair for one in work for pair in one.pairs))
+    for part, swept in sweeps(mechanism, configurations, pairs):
+        for one in work:
+            one.fill(part, swept, configurations, twists)
+    return {one.instrument.name: one.result(configurations) for one in work}
+
+
+class _Work:
+    """Fills the arrays of one instrument, chunk by chunk of visits."""
+
+    def __init__(self, robot: Robot, instrument: Instrument, readings: Readings, n_actuated: int) -> None:
+        self.robot, self.instrument, self.readings = robot, instrument, readings
+        self.all_pairs = robot.pairs(instrument)
+        self.pairs = tuple(self.all_pairs[k] for k in np.unique(readings.pairs)) if instrument.joint is None else ()
+        self._n_parameters, n = len(robot.parameters), len(readings)
+        self._residuals = np.empty((n, instrument.n_rows))
+        self._columns = np.zeros((n, instrument.n_rows, self._n_parameters + n_actuated))
+        self._order = np.argsort(readings.visits, kind="stable")
+        self._sorted = readings.visits[self._order]
+
+    def fill(self, part: slice, swept: kinematics.Sweep, configurations: Configurations, twists: FloatArray) -> None:
+        """Compare the readings of a chunk of visits."""
+        first, last = np.searchsorted(self._sorted, [part.start, part.stop])
+        here = self._order[first:last]
+        if len(here) == 0:
+            return
+        slope = configurations.slope[part]
+        if self.instrument.joint is not None:
+            self._fill_joint(here, part, swept, configurations, twists)
+            return
+        for number in np.unique(self.readings.pairs[here]):
+            chosen = here[self.readings.pairs[here] == number]
+            self._fill_pair(chosen, self.all_pairs[number], part, swept, slope, twists)
+
+    def _fill_pair(
+        self,
+        chosen: IntArray,
+        pair: RelativeFrame,
+        part: slice,
+        swept: kinematics.Sweep,
+        slope: FloatArray,
+        twists: FloatArray,
+    ) -> None:
+        at = self.readings.visits[chosen] - part.start
+        poses = kinematics.relative_pose(swept, pair)[at]
+        view = View(poses[:, :3, :3], poses[:, :3, 3], np.full(len(at), np.nan))
+        comparison = self._compare(chosen, view)
+        angular = bool(np.any(comparison.by_twist[:, :, 3:]))
+        motion = relative_motion(self.robot.mechanism, swept, pair, slope, twists, angular=angular)
+        by_twist = comparison.by_twist[:, :, : motion.shape[1]]
+        if len(at) != len(motion) or np.any(at != np.arange(len(at))):
+            motion = motion[at]
+        self._columns[_run(chosen)] += motion if _is_identity(by_twist) else np.matmul(by_twist, motion)
+
+    def _fill_joint(
+        self,
+        chosen: IntArray,
+        part: slice,
+        swept: kinematics.Sweep,
+        configurations: Configurations,
+        twists: FloatArray,
+    ) -> None:
+        mechanism = self.robot.mechanism
+        at = self.readings.visits[chosen] - part.start
+        index = mechanism.origin_names.index(str(self.instrument.joint))
+        joints = mechanism.all_joints(configurations.actuated[part], configurations.passive[part])
+        n = len(at)
+        view = View(np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)), joints[at, index])
+        comparison = self._compare(chosen, view)
+        if comparison.by_joint is None:
+            raise TypeError(f"{type(self.instrument).__name__} reads a joint, but gives no derivative by it")
+        motion = passive_motion(mechanism, swept, mechanism.select_passive[index], configurations.slope[part], twists)
+        self._columns[chosen] += comparison.by_joint[:, :, None] * motion[at]
+        if self._columns.shape[2] > self._n_parameters:
+            self._columns[chosen, :, self._n_parameters :] += (
+                comparison.by_joint[:, :, None] * mechanism.select_actuated[index]
+            )
+
+    def _compare(self, chosen: IntArray, view: View) -> Comparison:
+        """Ask the kind, and keep residuals and the columns of its own unknowns."""
+        own = self.robot.unknowns(self.instrument.name)
+        comparison = self.instrument.compare(view, self.robot.values[own], _some(self.readings, chosen))
+        self._residuals[chosen] = comparison.residuals
+        self._columns[chosen, :, own] += comparison.by_unknown
+        return comparison
+
+    def result(self, configurations: Configurations) -> Observed:
+        """Return what was filled in."""
+        k = self._n_parameters
+        jacobian, by_joint = self._columns[:, :, :k], self._columns[:, :, k:]
+        if self.robot.terms:
+            phi = tuple(columns[self.readings.visits] for columns in configurations.term_columns)
+            jacobian[:, :, self.robot.coefficients] = by_coefficient(self.robot, by_joint, phi)
+        return Observed(self._residuals, jacobian, by_joint[:, :, : len(self.robot.joint_names)])
+
+
+def _some(readings: Readings, chosen: IntArray) -> Readings:
+    if len(chosen) == len(readings) and np.array_equal(chosen, np.arange(len(chosen))):
+        return readings
+    return Readings(
+        readings.visits[chosen],
+        readings.pairs[chosen],
+        readings.values[chosen],
+        None if readings.covariance is None else readings.covariance[chosen],
+        readings.details[chosen],
+    )
+
+
+def _run(chosen: IntArray) -> IntArray | slice:
+    """Indices that follow each other as a slice: what it selects is changed in place, not copied there and back."""
+    whole = slice(int(chosen[0]), int(chosen[0]) + len(chosen))
+    return whole if np.array_equal(chosen, np.arange(whole.start, whole.stop)) else chosen
+
+
+def _is_identity(matrices: FloatArray) -> bool:
+    return matrices.shape[1] == matrices.shape[2] and bool(np.all(matrices == np.eye(matrices.shape[1])))
+
+
+def predicted_readings(
+    robot: Robot, configurations: Configurations, wanted: Mapping[str, Readings] | None = None
+) -> dict[str, Readings]:
+    """Return what instruments would read, without noise.
+
+    Args:
+        robot: The robot, at its current values.
+        configurations: Its assembled visits.
+        wanted: Visits, pairs and details of each instrument's readings; all that it can read at every visit, if not
+            given.
+    """
+    if wanted is None:
+        wanted = {one.name: _every_look(one, len(configurations.actuated)) for one in robot.instruments}
+    result = {}
+    for name, seen in views(robot, configurations, wanted).items():
+        looks = wanted[name]
+        values = robot.instrument(name).predict(seen, robot.values[robot.unknowns(name)], looks.details)
+        result[name] = Readings(looks.visits, looks.pairs, values, None, looks.details)
+    return result
+
+
+def views(robot: Robot, configurations: Configurations, looks: Mapping[str, Readings]) -> dict[str, View]:
+    """Return what each instrument has before it at each of its readings, by name.
+
+    Args:
+        robot: The robot, at its current values.
+        configurations: Its assembled visits.
+        looks: Visits and pairs of each instrument's readings.
+    """
+    mechanism = robot.mechanism
+    joints = mechanism.all_joints(configurations.actuated, configurations.passive)
+    pairs = tuple(pair for name in looks for pair in robot.pairs(robot.instrument(name)))
+    swept = kinematics.sweep(mechanism, joints, pairs)
+    result = {}
+    for name, readings in looks.items():
+        one = robot.instrument(name)
+        poses = np.tile(np.eye(4), (len(readings), 1, 1))
+        for number, pair in enumerate(robot.pairs(one)):
+            chosen = np.flatnonzero(readings.pairs == number)
+            poses[chosen] = kinematics.relative_pose(swept, pair)[readings.visits[chosen]]
+        value = np.full(len(readings), np.nan)
+        if one.joint is not None:
+            value = joints[readings.visits, mechanism.origin_names.index(one.joint)]
+        result[name] = View(poses[:, :3, :3], poses[:, :3, 3], value)
+    return result
+
+
+def looks_at(robot: Robot, poses: Poses) -> dict[str, Readings]:
+    """Return what each instrument is to read at poses, no values: what they say, else all that it can.
+
+    Of measurements: touches that were made. A touch is of the pose, and no pose tells by itself what it touches.
+    """
+    return {one.name: _looks_of(robot, one, poses) for one in robot.instruments}
+
+
+def unsaid_touches(robot: Robot, poses: Poses) -> list[Instrument]:
+    """Return the instruments that touch, and of which poses do not say what."""
+    said = poses.wanted.keys() | (poses.readings.keys() if isinstance(poses, Measurements) else set())
+    return [one for one in robot.instruments if not one.columns() and one.name not in said]
+
+
+def _looks_of(robot: Robot, one: Instrument, poses: Poses) -> Readings:
+    if one.name in poses.wanted:
+        return poses.wanted[one.name]
+    if isinstance(poses, Measurements) and not one.columns():
+        index = np.arange(len(poses))
+        made = of_visits(poses.readings[one.name], index) if one.name in poses.readings else _every_look(one, 0)
+        return Readings(made.visits, made.pairs, np.zeros((len(made), 0)), None, made.details)
+    every = _every_look(one, len(poses))
+    if poses.setups is None:
+        return every
+    return replace(every, pairs=every.pairs + in_setups(robot, one, poses.setups)[every.visits])
+
+
+def _every_look(one: Instrument, n: int) -> Readings:
+    """All that an instrument can read, at each of n visits; no values."""
+    pairs, details = one.looks()
+    visits = np.repeat(np.arange(n), len(pairs))
+    return Readings(visits, np.tile(pairs, n), np.zeros((len(visits), 0)), None, np.tile(details, (n, 1)))

@@ -1,0 +1,249 @@
+"""How well a calibrated robot knows where its targets are: the parameters' covariance, carried to poses.
+
+    covariance of x(q)  =  B C B^T,      B = d(position)/d(free parameters) at the pose
+
+and in the same way that of a target's orientation, as a small turn about the axes of the measurement frame.
+
+Directions of C that no measurement determined (redundant or prior-held parameters) drop out where B does not see them,
+so a position can be known to micrometres although no single parameter is. Only noise is counted: what the model leaves
+out, and what the robot does not repeat, come on top.
+
+Reference: jcgm100 (GUM), section 5.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy
+
+from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.base.units import millimetres
+from calib.base.words import listed
+from calib.joint_terms.term import Context
+from calib.robots.robot import Robot
+from calib.rows.jacobian import Linearisation, linearise
+
+CHUNK = 4096
+"""Poses at once."""
+_DIFFERS = 1.5  # uncertainty in the measurement frame over that told, above which both are said
+_CERTAIN = 1e-12  # of the square of a length, its variance that does not show
+
+
+@dataclass(frozen=True, eq=False)
+class PositionUncertainty(ReadOnlyArrays):
+    """Predicted positions and how sure they are.
+
+    Attributes:
+        positions: (n_poses, n_targets, 3) [m].
+        covariance: (n_poses, n_targets, 3, 3) [m^2].
+        coverage_factor: How many standard deviations make half a 95 % interval of one coordinate.
+        turn_covariance: Of small turns of the targets, (n_poses, n_targets, 3, 3) [rad^2]; None where not computed.
+        left_out: Targets that summaries leave out (`Robot.left_out`), and their places among the targets.
+        frame: In which frame the covariances are, in words; empty for the measurement frame.
+        measured: The same positions with their covariance in the measurement frame, where that is another one.
+    """
+
+    positions: FloatArray
+    covariance: FloatArray
+    coverage_factor: float
+    turn_covariance: FloatArray | None = None
+    left_out: Mapping[str, int] = field(default_factory=dict)
+    frame: str = ""
+    measured: PositionUncertainty | None = None
+
+    @property
+    def std(self) -> FloatArray:
+        """Standard deviation of each coordinate, (n_poses, n_targets, 3) [m]."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariance, axis1=2, axis2=3), 0.0))
+
+    @property
+    def distance(self) -> FloatArray:
+        """Root mean square distance between true and predicted position, (n_poses, n_targets) [m]."""
+        return rms_length(self.covariance)
+
+    @property
+    def distance95(self) -> FloatArray:
+        """Low and high 95 % limits of the distance between true and predicted position, (2, n_poses, n_targets) [m]."""
+        return length95(self.covariance, self.coverage_factor)
+
+    @property
+    def located(self) -> FloatArray:
+        """`distance` without targets that are left out, (n_poses, n) [m]."""
+        return np.delete(self.distance, list(self.left_out.values()), axis=1)
+
+    @property
+    def worst(self) -> int:
+        """The pose at which `located` is largest."""
+        return int(np.argmax(np.max(self.located, axis=1)))
+
+    def remark(self) -> str:
+        """Return what to add to a summary, of its frame and of targets that it leaves out; empty if nothing."""
+        frame = f"; {self.frame}" if self.frame else ""
+        if self.measured is not None and self.measured.summary()["mean"] > _DIFFERS * self.summary()["mean"]:
+            frame += f" (in the measurement frame to {self.measured.summary()['mean']:.2g} mm on average)"
+        mean = np.mean(millimetres(self.distance), axis=0)
+        said = [f"{name} (known to {mean[k]:.2g} mm)" for name, k in self.left_out.items()]
+        return frame + (f"; not counted: {listed(said)}, read from unknown places only" if said else "")
+
+    def table(self) -> dict[str, object]:
+        """Return `summary` as data, with its frame, and the same in the measurement frame where that is another one."""
+        other = {} if self.measured is None else {"measurement_frame": self.measured.summary()}
+        frame = "measurement" if self.measured is None else "robot base"
+        return {**self.summary(), "frame": frame, **other, "left_out": list(self.left_out)}
+
+    def summary(self) -> dict[str, float]:
+        """Return mean, root mean square and largest `located` over the poses [mm]."""
+        distance = millimetres(self.located)
+        return {
+            "mean": float(np.mean(distance)),
+            "rms": float(np.sqrt(np.mean(distance**2))),
+            "max": float(np.max(distance)),
+        }
+
+
+@dataclass(frozen=True)
+class RootMeanSquare:
+    """A root mean square distance over a set of poses.
+
+    Attributes:
+        value: The distance, infinite where not known [m].
+        low95, high95: Its 95 % interval [m].
+    """
+
+    value: float
+    low95: float
+    high95: float
+
+
+def predicted_rms(jacobian: FloatArray, covariance: FloatArray, coverage_factor: float) -> RootMeanSquare:
+    """Return the root mean square distance between true and predicted positions over poses.
+
+    The error d of the parameters makes the mean square d^T W d, W the mean of B^T B over positions: a sum of squares
+    whose weights are the eigenvalues of C W, as in `length95`.
+
+    Args:
+        jacobian: B of each position, (n_poses, n_targets, 3, n_free).
+        covariance: C, (n_free, n_free).
+        coverage_factor: Of the fit's 95 % intervals.
+    """
+    flat = jacobian.reshape(-1, jacobian.shape[-1])
+    product = covariance @ (flat.T @ flat) / (len(flat) / 3)
+    trace, squares = np.array(np.trace(product)), np.array(np.sum(product * product.T))
+    low, high = _root95(trace, squares, coverage_factor)
+    return RootMeanSquare(float(np.sqrt(np.maximum(trace, 0.0))), float(low), float(high))
+
+
+def other_combinations(q: FloatArray, most: int) -> FloatArray:
+    """Return the joint values of poses q (n, n_actuated) in combinations that need not be among them [m or rad].
+
+    The values of each joint are moved on by another number of poses. So every joint stays where it was measured, and
+    what the poses leave open because joints moved along with each other shows.
+
+    Args:
+        q: The poses.
+        most: Number of combinations at most.
+    """
+    n, n_joints = q.shape
+    mixed = np.stack([np.roll(q[:, j], j * n // n_joints) for j in range(n_joints)], axis=1)
+    return np.asarray(mixed[np.unique(np.linspace(0, n - 1, most).astype(np.intp))])
+
+
+def beside_common_motion(linear: Linearisation, targets: list[int]) -> FloatArray:
+    """Return derivatives of positions beside what moves all of them as one body, (n_coordinates, n_parameters).
+
+    Where base and tool are placed anew, nothing else is seen of an error of the parameters.
+
+    Args:
+        linear: At n poses.
+        targets: Places of those that count.
+    """
+    points = linear.positions[:, targets].reshape(-1, 3)
+    turns = np.cross(np.eye(3), (points - points.mean(axis=0))[:, None]).swapaxes(1, 2)
+    common = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2).reshape(-1, 6)
+    basis = scipy.linalg.orth(common)
+    flat = linear.jacobian[:, targets].reshape(len(common), -1)
+    return np.asarray(flat - basis @ (basis.T @ flat))
+
+
+def rms_length(covariance: FloatArray, mean: FloatArray | float = 0.0) -> FloatArray:
+    """Return the root mean square length of vectors with these covariances (..., 3, 3) and means (..., 3), (...)."""
+    return np.sqrt(np.maximum(np.trace(covariance, axis1=-2, axis2=-1), 0.0) + np.sum(np.square(mean), axis=-1))
+
+
+def length95(covariance: FloatArray, coverage_factor: float, mean: FloatArray | None = None) -> FloatArray:
+    """Return low and high 95 % limits of the length of vectors with these covariances and means, (2, ...).
+
+    The square of the length is a sum of squares of normal numbers with mean tr(C) + |m|^2 and variance 2 tr(C^2) + 4
+    m^T C m: nearly g chi^2_h with the same two, g = (tr(C^2) + 2 m^T C m) / (tr(C) + |m|^2); where one direction
+    outweighs the others, 97 of 100 lie between them.
+
+    Args:
+        covariance: C, (..., 3, 3).
+        coverage_factor: How many standard deviations make half a 95 % interval of one coordinate.
+        mean: m, (..., 3); zero if not given.
+    """
+    trace, squares = np.trace(covariance, axis1=-2, axis2=-1), np.sum(covariance**2, axis=(-2, -1))
+    if mean is not None:
+        trace = trace + np.sum(mean**2, axis=-1)
+        squares = squares + 2.0 * np.einsum("...i,...ij,...j->...", mean, covariance, mean)
+    return _root95(trace, squares, coverage_factor)
+
+
+def _root95(trace: FloatArray, squares: FloatArray, coverage_factor: float) -> FloatArray:
+    """95 % limits of the root of a sum of squares of normal numbers, from the sums of its weights and their squares."""
+    certain = squares <= _CERTAIN * trace**2  # of zero size too
+    share = np.where(certain, 1.0, squares) / np.where(certain, 1.0, trace)
+    freedom = np.where(certain, 1.0, trace) / share
+    low, high = (np.sqrt(scipy.special.chdtri(freedom, tail) * share) for tail in (0.975, 0.025))
+    high = high * coverage_factor / scipy.special.ndtri(0.975)
+    return np.where(certain, np.sqrt(np.maximum(trace, 0.0)), np.stack([low, high]))
+
+
+def carried(jacobian: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return B C B^T of each position or turn, (n_poses, n_targets, 3, 3), from B (n_poses, n_targets, 3, n_free)."""
+    return (jacobian @ covariance) @ jacobian.swapaxes(2, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterUncertainty(ReadOnlyArrays):
+    """How well the parameters of a calibrated robot are known.
+
+    Attributes:
+        free: Which of them were found, (n_parameters,); the others are taken as they are.
+        covariance: Of these, (n_free, n_free) [m, rad].
+        coverage_factor: How many standard deviations make half a 95 % interval.
+    """
+
+    free: BoolArray
+    covariance: FloatArray
+    coverage_factor: float
+
+    def at(
+        self, robot: Robot, q: FloatArray, context: Context | None = None, near: FloatArray | None = None
+    ) -> PositionUncertainty:
+        """Predict positions of all targets, loops closed, with their covariance and that of the orientations.
+
+        Args:
+            robot: The calibrated robot.
+            q: Commands, (n_poses, n_actuated) [m or rad].
+            context: Under which conditions they are given; joint terms may depend on it.
+            near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
+
+        Raises:
+            UnreachablePoseError: A loop stays open.
+        """
+        context = Context.neutral(*q.shape) if context is None else context
+        positions, spread, turned = [], [], []
+        for start in range(0, len(q), CHUNK):
+            some = slice(start, start + CHUNK)
+            seed = None if near is None else near[some]
+            linear = linearise(robot, robot.assemble(q[some], seed, context=context.at(some)), turns=True)
+            positions.append(linear.positions)
+            jacobian = linear.jacobian[..., self.free]
+            spread.append(carried(jacobian[:, :, :3], self.covariance))
+            turned.append(carried(jacobian[:, :, 3:], self.covariance))
+        points, covariance, turn_covariance = (np.concatenate(part) for part in (positions, spread, turned))
+        return PositionUncertainty(points, covariance, self.coverage_factor, turn_covariance, robot.left_out)

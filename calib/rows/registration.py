@@ -1,0 +1,263 @@
+"""Placing unknown measurement frames and unknown targets before anything else is fitted.
+
+Where the tracker stands and where the reflector sits on the flange are often not known beforehand. Both follow from the
+points that instruments measured and the robot as its other parameters have it, by one fit over all targets
+(`calib.numerics.placement`). The stated sigma of a target counts, with the noise of the residuals. What the
+measurements leave open stays where it is. Where orientations were measured too, the unknown orientation of a target is
+their mean. In later setups, a frame or target that was moved follows from the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pinocchio as pin
+import scipy
+
+from calib.base.arrays import BoolArray, FloatArray, IntArray
+from calib.base.errors import DataError
+from calib.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component
+from calib.data.measurements import Measurements
+from calib.instruments.kind import Guess, Instrument, Scene
+from calib.numerics.placement import MovingPoint, Placement, place
+from calib.robots import kinematics
+from calib.robots.described_instruments import MEASUREMENT_FRAME, pair_names
+from calib.robots.mechanism import RelativeFrame
+from calib.robots.robot import Robot
+from calib.rows.observed import observe
+
+_EXACT = 1e-30  # squares below are rounding
+
+
+def register(robot: Robot, data: Measurements) -> Robot:
+    """Return the robot with the unknown ones of base and targets placed where its measurements show them.
+
+    All its other parameters, and held ones of base and targets, keep their values. Without measured points, or where
+    these are too few, everything stays.
+
+    Raises:
+        UnreachablePoseError: A pose cannot be assembled.
+        DataError: Measurements that are not finite.
+    """
+    for setup in range(max(len(robot.description.setups), 1)):
+        for seen in _seen_together(robot, data, setup):
+            robot = _placed(robot, data, seen, setup)
+    placed: list[str] = []
+    for one in robot.instruments:
+        if len(data.readings.get(one.name, ())):
+            placed.append(one.name)
+            robot = _guessed(robot, data, one, placed)
+    return robot
+
+
+def registration(robot: Robot, data: Measurements, *, frame_known: bool) -> Placement:
+    """Return where the measurements show the measurement frame and the unknown targets, in the first setup.
+
+    Args:
+        robot: The robot; its current values are what an open place stays near.
+        data: Measurements.
+        frame_known: Whether the measurement frame is where the robot has it, whatever the description says.
+
+    Raises:
+        UnreachablePoseError: A pose cannot be assembled.
+        DataError: No points were measured, or measurements that are not finite.
+    """
+    groups = _seen_together(robot, data, 0)
+    if not groups:
+        raise DataError(f"{data.path}: no points were measured, so that they show no frame")
+    return _registration(robot, data, groups[0], _Frames(robot, 0), frame_known=frame_known)
+
+
+class _Frames:
+    """Places of one setup, and which of them are new in it."""
+
+    def __init__(self, robot: Robot, setup: int) -> None:
+        self.setup = setup
+        self.pairs: dict[str, RelativeFrame] = {}
+        for one in robot.instruments:
+            every = robot.pairs(one)
+            if every and every[0].a == robot.mechanism.targets[0].a:
+                later = every[setup * len(every) // max(len(robot.description.setups), 1)]
+                self.pairs.setdefault(one.target, later)
+
+    def base(self, robot: Robot) -> str:
+        """Return the origin of the measurement frame."""
+        return robot.mechanism.origin_names[next(iter(self.pairs.values())).a - 1]
+
+    def origin(self, robot: Robot, target: str) -> str:
+        """Return the origin of a target."""
+        return robot.mechanism.origin_names[self.pairs[target].b - 1]
+
+
+def _seen_together(robot: Robot, data: Measurements, setup: int) -> list[tuple[BoolArray, tuple[str, ...]]]:
+    """Visits of a setup at which points were seen, and which targets; most visits first."""
+    points = data.points(robot)
+    n_setups = max(len(robot.description.setups), 1)
+    in_setup = np.zeros(len(data), dtype=bool)
+    for name, readings in data.readings.items():
+        one = robot.instrument(name)
+        if one.points(readings.values[:1]) is not None:
+            in_setup[readings.visits[readings.pairs * n_setups // len(robot.pairs(one)) == setup]] = True
+    seen = np.isfinite(points).all(axis=2) & in_setup[:, None]
+    if not np.any(seen):
+        return []
+    targets = [t for t in range(seen.shape[1]) if np.any(seen[:, t])]
+    together = np.all(seen[:, targets], axis=1)
+    if np.sum(together) >= 3 or len(targets) == 1:
+        return [(together, tuple(robot.target_names[t] for t in targets))]
+    order = sorted(targets, key=lambda t: -int(np.sum(seen[:, t])))
+    return [(seen[:, t], (robot.target_names[t],)) for t in order]
+
+
+def _placed(robot: Robot, data: Measurements, seen: tuple[BoolArray, tuple[str, ...]], setup: int) -> Robot:
+    frames = _Frames(robot, setup)
+    frame_known = robot.description.base.pose == "known"
+    placement = _registration(robot, data, seen, frames, frame_known=frame_known)
+    values: dict[str, float] = {}
+    for target, point in zip(seen[1], placement.points, strict=True):
+        if robot.description.targets[target].position == "unknown":
+            values |= _named(frames.origin(robot, target), LENGTH_COMPONENTS, point)
+    if not frame_known:
+        base = frames.base(robot)
+        T_measurement_link = placement.T_base_measurement.inverse()
+        turned = pin.log3(robot.nominal.placement(base).rotation @ T_measurement_link.rotation)
+        values |= _named(base, LENGTH_COMPONENTS, T_measurement_link.translation)
+        values |= _named(base, ANGLE_COMPONENTS, turned)
+    robot = _with(robot, values)
+    return _with(robot, _orientations(robot, data, seen[0], frames))
+
+
+def _with(robot: Robot, values: dict[str, float]) -> Robot:
+    return robot.with_parameters({name: value for name, value in values.items() if name not in robot.description.held})
+
+
+def _registration(
+    robot: Robot,
+    data: Measurements,
+    seen: tuple[BoolArray, tuple[str, ...]],
+    frames: _Frames,
+    *,
+    frame_known: bool,
+) -> Placement:
+    chosen = np.flatnonzero(seen[0])
+    points = data.points(robot)[chosen]
+    carriers = _carriers(robot, data, chosen, [frames.pairs[target] for target in seen[1]])
+    moving = [
+        MovingPoint(
+            poses, points[:, robot.target_names.index(target)], *_expected(robot, target, frames.origin(robot, target))
+        )
+        for target, poses in zip(seen[1], carriers, strict=True)
+    ]
+    T_base_measurement = robot.mechanism.placement(frames.base(robot))
+    return place(moving, np.ones(len(chosen)), T_base_measurement, frame_known=frame_known)
+
+
+def _guessed(robot: Robot, data: Measurements, one: Instrument, placed: list[str]) -> Robot:
+    """Return the robot with what an instrument alone can guess.
+
+    Of its guesses, that counts which explains best what it and the instruments placed before have read: two cameras may
+    look at one body.
+    """
+    readings = data.readings[one.name]
+    names = pair_names(robot.description, one)
+    mechanism, pairs = robot.mechanism, robot.pairs(one)
+    places = {name: mechanism.placement(mechanism.origin(name)) for pair in names for name in pair}
+    known = {name: pose.homogeneous for name, pose in places.items()}
+    unknown = {name: _open_components(robot, name) for name in places}
+    links = np.tile(np.eye(4), (len(readings), 1, 1))
+    for number, pair in enumerate(pairs):
+        chosen = np.flatnonzero(readings.pairs == number)
+        if len(chosen):
+            links[chosen] = _carriers(robot, data, readings.visits[chosen], [pair])[0]
+    values = robot.values[robot.unknowns(one.name)]
+    configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
+    joint = np.full(len(readings), np.nan)
+    if one.joint is not None:
+        joints = mechanism.all_joints(configurations.actuated, configurations.passive)
+        joint = joints[readings.visits, mechanism.origin_names.index(one.joint)]
+    guesses = one.first_values(Scene(readings, links, names, known, unknown, values, joint))
+    tried = [_with_guess(robot, one, guess, unknown) for guess in guesses]
+
+    def miss(candidate: Robot) -> float:
+        observed = observe(candidate, configurations, {name: data.readings[name] for name in placed})
+        return sum(len(each.residuals) * np.log(np.nanmean(each.residuals**2) + _EXACT) for each in observed.values())
+
+    return robot if not tried else tried[0] if len(tried) == 1 else min(tried, key=miss)
+
+
+def _open_components(robot: Robot, place: str) -> tuple[Component, ...]:
+    """Components of a place that a fit may change."""
+    origin = robot.mechanism.origin(place)
+    free = {p.name for p, use in zip(robot.parameters, robot.is_free, strict=True) if use and p.placement}
+    return tuple(component for component in COMPONENTS if f"{origin}.{component}" in free)
+
+
+def _with_guess(robot: Robot, one: Instrument, guess: Guess, unknown: Mapping[str, tuple[Component, ...]]) -> Robot:
+    values: dict[str, float] = {}
+    for name, pose in guess.places.items():
+        origin = robot.mechanism.origin(name)
+        placed = pin.SE3(pose).inverse() if name.startswith(MEASUREMENT_FRAME) else pin.SE3(pose)
+        nominal = robot.nominal.placement(origin)
+        nominal = nominal.inverse() if name.startswith(MEASUREMENT_FRAME) else nominal
+        moved = np.concatenate([placed.translation, pin.log3(nominal.rotation.T @ placed.rotation)])
+        for component, number in zip(COMPONENTS, moved, strict=True):
+            if component in unknown.get(name, ()):
+                values[f"{origin}.{component}"] = float(number)
+    if guess.unknowns is not None:
+        for parameter, number in zip(one.unknowns, guess.unknowns, strict=True):
+            if parameter.name not in robot.description.held:
+                values[parameter.name] = float(number)
+    return robot.with_parameters(values)
+
+
+def _orientations(robot: Robot, data: Measurements, seen: BoolArray, frames: _Frames) -> dict[str, float]:
+    """Unknown orientations of targets, from where the measurement frame is now."""
+    values: dict[str, float] = {}
+    for name, readings in data.readings.items():
+        one = robot.instrument(name)
+        turned = one.orientations(readings.values)
+        if turned is None or robot.description.targets[one.target].orientation == "known":
+            continue
+        chosen = seen[readings.visits] & np.isfinite(turned).all(axis=(1, 2))
+        carriers = _carriers(robot, data, readings.visits[chosen], [frames.pairs[one.target]])[0][:, :3, :3]
+        base = robot.mechanism.placement(frames.base(robot)).rotation
+        mean = (
+            scipy.spatial.transform.Rotation.from_matrix(carriers.transpose(0, 2, 1) @ base @ turned[chosen])
+            .mean()
+            .as_matrix()
+        )
+        origin = frames.origin(robot, one.target)
+        nominal = robot.nominal.placement(origin).rotation
+        values |= _named(origin, ANGLE_COMPONENTS, pin.log3(nominal.T @ mean))
+    return values
+
+
+def _expected(robot: Robot, target: str, origin: str) -> tuple[FloatArray, FloatArray]:
+    """Where a target is expected in its link, and how sure that is, (3,) each [m]; see `MovingPoint`."""
+    point, sigma = robot.mechanism.placement(origin).translation.copy(), np.zeros(3)
+    if robot.description.targets[target].position == "known":
+        return point, sigma
+    for k, axis in enumerate("xyz"):
+        parameter = robot.parameters[f"{origin}.{axis}"]
+        if parameter.name not in robot.description.held:
+            sigma[k] = parameter.sigma_si if parameter.prior else np.inf
+            point[k] = parameter.nominal_si if parameter.prior else point[k]
+    return point, sigma
+
+
+def _carriers(robot: Robot, data: Measurements, chosen: IntArray, looked: list[RelativeFrame]) -> list[FloatArray]:
+    """Poses of the link that carries each target, in the link of the measurement frame, (n, 4, 4) [m] each."""
+    mechanism = robot.mechanism
+    parents = mechanism.model.parents
+    pairs = tuple(RelativeFrame(pair.name, parents[pair.a], parents[pair.b], True, ()) for pair in looked)
+    labels = [data.labels[int(k)] for k in chosen]
+    some = data.subset(np.asarray(chosen, dtype=np.intp))
+    configurations = robot.assemble(some.joints, labels=labels, context=some.conditions)
+    joints = mechanism.all_joints(configurations.actuated, configurations.passive)
+    swept = kinematics.sweep(mechanism, joints, pairs)
+    return [kinematics.relative_pose(swept, pair) for pair in pairs]
+
+
+def _named(origin: str, components: tuple[str, ...], numbers: FloatArray) -> dict[str, float]:
+    return {f"{origin}.{component}": float(number) for component, number in zip(components, numbers, strict=True)}

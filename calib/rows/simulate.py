@@ -1,0 +1,276 @@
+"""Simulated measurements: what the instruments of a robot with known parameters read, plus normal noise.
+
+A touch has no reading that noise could be added to: the robot itself stands where it touches, and what it misses by is
+in its joints. So the joint values of a pose at which something is touched are found: those near the given ones at which
+every gap is the miss that was drawn, by damped Gauss-Newton steps of the actuated joints through the loops,
+
+    minimise  |gap - miss + d(gap)/dq dq|^2 + damping |dq|^2
+
+with less damping after a step that came nearer, more after one that did not, and within the joint limits. Like all
+searches from one start it may end elsewhere than at contact; then the pose is named, and nothing is returned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calib.base.arrays import BoolArray, FloatArray, IntArray, random_numbers
+from calib.base.errors import DataError, UnreachablePoseError
+from calib.base.units import millimetres
+from calib.data.in_memory import as_poses, measurements
+from calib.data.measurements import Measurements, Poses, directions_of_motion, of_visits
+from calib.instruments.kind import Instrument, Readings
+from calib.joint_terms.term import Context
+from calib.robots.robot import Configurations, Robot, require_robot
+from calib.rows.observed import looks_at, observe, predicted_readings, unsaid_touches
+from calib.rows.whitening import stated_noise
+
+_LONGEST_STEP = 0.2  # of a joint at once [rad, or characteristic lengths]
+_ROUNDS, _STEPS = 3, 100
+_LEAST_GAIN, _NEARLY = 1e-3, 1e-6  # a step that gains less, further away [m], leads nowhere
+MET = 1e-10
+"""Miss that is none [m]."""
+_FIRST_DAMPING, _LARGEST_DAMPING, _SMALLEST_DAMPING = 1e-3, 1e12, 1e-15
+
+
+def simulate(
+    robot: Robot,
+    poses: Poses | ArrayLike,
+    sigma: float | None = None,
+    seed: int | np.random.Generator = 0,
+    *,
+    joint_sigma: float = 0.0,
+) -> Measurements:
+    """Return simulated measurements of a robot at its current parameter values.
+
+    Instruments read what the poses say (`calib.data.plan_files.read_plan`), or all that they can. Where something is
+    touched, the joint values are changed so that it is. Noise that nobody states is none.
+
+    Args:
+        robot: The robot that plays the truth.
+        poses: Where to measure: poses, or joint values alone, (n, n_actuated) [m or rad].
+        sigma: Standard deviation of the noise of positions per axis [m]; 0 for no noise of anything; None for what the
+            description states.
+        seed: Of the noise; or where its random numbers come from.
+        joint_sigma: Standard deviation of what the joints are off at each visit, in their commands unseen [rad, or
+            characteristic lengths].
+
+    Raises:
+        InputError: The robot is none.
+        DataError: Sigma is not a number >= 0, or nobody says what is touched at a pose.
+        UnreachablePoseError: A pose cannot be assembled, or no contact was found near it.
+    """
+    require_robot(robot)
+    if sigma is not None and not (np.isfinite(sigma) and sigma >= 0):
+        raise DataError(f"sigma {sigma:g} m: must be a number, zero or positive")
+    rng = random_numbers(seed)
+    poses = as_poses(robot, poses)
+    looks = looks_at(robot, poses)
+    off = np.zeros_like(poses.joints)
+    if joint_sigma:
+        off = joint_sigma * robot.mechanism.joint_scale * rng.standard_normal(poses.joints.shape)
+    touches = _touches(robot, poses, looks, sigma, rng)
+    commands = poses.joints
+    if touches:
+        _assembled(robot, poses, commands, off)
+        commands, misses = at_contact(robot, poses, touches, off)
+        _require_contact(poses, misses)
+    configurations = _assembled(robot, poses, commands, off)  # says which pose cannot be
+    readings = dict[str, Readings]()
+    for name, predicted in predicted_readings(robot, configurations, looks).items():
+        one = robot.instrument(name)
+        if name not in touches:
+            readings[name] = _noisy(one, predicted, sigma, rng)
+        elif len(predicted):
+            zeros = np.zeros((len(predicted), one.n_rows))
+            readings[name] = Readings(predicted.visits, predicted.pairs, zeros, None, predicted.details)
+    noise = "noise as the description states it" if sigma is None else _said(sigma)
+    said = (f"simulated measurements of {robot.name}", noise)
+    return replace(measurements(poses, readings), joints=commands, comments=said, wanted={})
+
+
+def noisy_readings(
+    robot: Robot, exact: Mapping[str, Readings], sigma: float | None, rng: np.random.Generator
+) -> dict[str, Readings]:
+    """Return readings with normal noise, without those of what cannot be seen.
+
+    Args:
+        robot: Knows the noise of its instruments.
+        exact: What they would read without noise; not of touches, whose noise is in the joints.
+        sigma: As in `simulate`.
+        rng: Where the noise comes from.
+    """
+    return {name: _noisy(robot.instrument(name), readings, sigma, rng) for name, readings in exact.items()}
+
+
+def unstated_noise(robot: Robot, sigma: float | None) -> list[str]:
+    """Return the instruments of whose noise neither the description nor `sigma` says anything."""
+    return [one.name for one in robot.instruments if not all(part.stated for part in stated_noise(one, sigma).parts)]
+
+
+def _said(sigma: float) -> str:
+    return f"normal noise, sigma {millimetres(sigma):g} mm per axis"
+
+
+def _touches(
+    robot: Robot, poses: Poses, looks: Mapping[str, Readings], sigma: float | None, rng: np.random.Generator
+) -> dict[str, Readings]:
+    """What is touched at which visit, and by how much each touch misses."""
+    unsaid = next(iter(unsaid_touches(robot, poses)), None)
+    if unsaid is not None:
+        raise DataError(
+            f"{poses.path}: nothing says what instrument '{unsaid.name}' touches at which pose; add a column"
+            f" '{unsaid.text_columns()[0]}' that names it, empty where nothing is touched"
+        )
+    result = {}
+    for one in (one for one in robot.instruments if not one.columns()):
+        look = looks[one.name]
+        exact = Readings(look.visits, look.pairs, np.zeros((len(look), one.n_rows)), None, look.details)
+        result[one.name] = _noisy(one, exact, sigma, rng)
+    return result
+
+
+def at_contact(
+    robot: Robot, poses: Poses, touches: Mapping[str, Readings], off: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Bring the robot to what it touches; see the module docstring.
+
+    Args:
+        robot: The robot.
+        poses: Poses to start from; those that touch nothing stay, or go with a touch that repeats the same pose.
+        touches: What each instrument that touches is to touch, and by how much it shall miss.
+        off: What the joints are off, in their commands unseen, (n, n_actuated) [m or rad]; nothing if not given.
+
+    Returns:
+        Commands, (n, n_actuated) [m or rad]; how far each is from contact, (n,) [m]: less than `MET` where it is there.
+    """
+    errors = np.zeros_like(poses.joints) if off is None else off
+    (lower, upper), follows = _limits(robot, poses), _follows(poses, touches)
+    scale, commands = robot.mechanism.joint_scale, poses.joints
+    everyone, given_up = np.arange(len(poses)), np.zeros(len(poses), dtype=bool)
+    for _ in range(_ROUNDS):  # again where a move turned the direction from which the next visit is approached
+        gaps, slopes = _gaps(robot, poses, commands, errors, touches, everyone)
+        miss, damping = np.linalg.norm(gaps, axis=1), np.full(len(poses), _FIRST_DAMPING)
+        active = np.flatnonzero((miss >= MET) & ~given_up)
+        if len(active) == 0:
+            break
+        for _ in range(_STEPS):
+            here = gaps[active], slopes[active] * scale, damping[active]
+            step = _damped_step(*here, np.zeros((len(active), len(scale)), dtype=bool))
+            at = commands[active]
+            held = ((at <= lower[active]) & (step < 0)) | ((at >= upper[active]) & (step > 0))
+            trial = commands.copy()
+            trial[active] = np.clip(at + _damped_step(*here, held) * scale, lower[active], upper[active])
+            there, slopes_there = _gaps(robot, poses, trial, errors, touches, active)
+            left = np.linalg.norm(there, axis=1)
+            better = left < miss[active]
+            gained = active[better]
+            stuck = better & (left > _NEARLY) & (left > (1 - _LEAST_GAIN) * miss[active])
+            commands = np.where(np.isin(everyone, gained)[:, None], trial, commands)
+            gaps[gained], slopes[gained], miss[gained] = there[better], slopes_there[better], left[better]
+            damping[active] = np.where(better, np.maximum(damping[active] / 10, _SMALLEST_DAMPING), damping[active] * 8)
+            active = active[~stuck & (miss[active] >= MET) & (damping[active] < _LARGEST_DAMPING)]
+            if len(active) == 0:
+                break
+        given_up |= miss >= MET
+        commands = commands[follows]
+    return commands, np.linalg.norm(_gaps(robot, poses, commands, errors, touches, everyone)[0], axis=1)
+
+
+def _require_contact(poses: Poses, misses: FloatArray) -> None:
+    """Raise `UnreachablePoseError` where some pose misses (n,) [m] what it should touch."""
+    worst, more = int(np.argmax(misses)), int(np.sum(misses >= MET)) - 1
+    if misses[worst] >= MET:
+        raise UnreachablePoseError(
+            f"{poses.labels[worst]}{f' and {more} more' if more else ''}: no joint values near these touch what they"
+            f" should; the best that were found miss by {millimetres(misses[worst]):.3g} mm; start nearer to contact"
+        )
+
+
+def _damped_step(gaps: FloatArray, slopes: FloatArray, damping: FloatArray, held: BoolArray) -> FloatArray:
+    """The step of the module docstring of joints that no limit holds, no longer than is allowed, (n, n_actuated)."""
+    free = np.where(held[:, None, :], 0.0, slopes)
+    n_joints = slopes.shape[2]
+    size = np.einsum("nij,nij->n", slopes, slopes) / n_joints + 1e-300
+    normal = free.transpose(0, 2, 1) @ free + (damping * size)[:, None, None] * np.eye(n_joints)
+    step: FloatArray = -np.linalg.solve(normal, free.transpose(0, 2, 1) @ gaps[:, :, None])[:, :, 0]
+    longest = np.max(np.abs(step), axis=1, keepdims=True)
+    return step * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-300))
+
+
+def _limits(robot: Robot, poses: Poses) -> tuple[FloatArray, FloatArray]:
+    """Where the joints may go, (n, n_actuated) each: within the URDF's limits, or where they stand already."""
+    lower, upper = robot.urdf.limits(robot.joint_names)
+    return np.minimum(lower, poses.joints), np.maximum(upper, poses.joints)
+
+
+def _follows(poses: Poses, touches: Mapping[str, Readings]) -> IntArray:
+    """Whose joint values each visit takes: its own; or, touching nothing, those of a touch that repeats its pose."""
+    touching = np.unique(np.concatenate([readings.visits for readings in touches.values()]))
+    numbers, result = poses.pose_numbers, np.arange(len(poses))
+    first = dict(zip(numbers[touching[::-1]].tolist(), touching[::-1].tolist(), strict=True))
+    for k in np.setdiff1d(result, touching):
+        result[k] = first.get(int(numbers[k]), k)
+    return result
+
+
+def _gaps(
+    robot: Robot,
+    poses: Poses,
+    commands: FloatArray,
+    off: FloatArray,
+    touches: Mapping[str, Readings],
+    index: IntArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Gaps of some visits beyond what is missed by, and their derivative by the actuated joints.
+
+    Returns:
+        (n, n_gaps) [m], 0 where fewer, infinite where the robot cannot be assembled; (n, n_gaps, n_actuated).
+    """
+    context = _context(poses, commands)
+    columns = tuple(part[index] for part in robot.term_columns(commands + off, context))
+    q = (commands + off)[index]
+    closed = robot.close(q, columns=columns)
+    ok = np.flatnonzero(closed.ok)
+    configurations = robot.configurations(q[ok], closed.at(ok), tuple(part[ok] for part in columns))
+    here = {name: of_visits(readings, index[ok]) for name, readings in touches.items()}
+    observed = observe(robot, configurations, here, joints=True)
+    width = sum(robot.instrument(name).n_rows for name in touches)
+    gaps, slopes, start = np.zeros((len(index), width)), np.zeros((len(index), width, q.shape[1])), 0
+    gaps[~closed.ok] = np.inf
+    for name, readings in here.items():
+        rows = slice(start, start + robot.instrument(name).n_rows)
+        gaps[ok[readings.visits], rows] = observed[name].residuals
+        slopes[ok[readings.visits], rows] = observed[name].by_joint
+        start = rows.stop
+    return gaps, slopes
+
+
+def _context(poses: Poses, commands: FloatArray) -> Context:
+    """Conditions of commands (n, n_actuated); from which side, in their order where the poses do not say."""
+    return Context.of(directions_of_motion(commands) if poses.approach is None else poses.approach, poses.context)
+
+
+def _assembled(robot: Robot, poses: Poses, commands: FloatArray, off: FloatArray) -> Configurations:
+    """The robot at commands (n, n_actuated) that it does not quite follow."""
+    context = _context(poses, commands)
+    return robot.assemble(commands + off, labels=poses.labels, context=context)
+
+
+def _noisy(one: Instrument, every: Readings, sigma: float | None, rng: np.random.Generator) -> Readings:
+    """Readings with noise, without those of what cannot be seen."""
+    seen = np.flatnonzero(~np.isnan(every.values).all(axis=1))
+    visible = Readings(every.visits[seen], every.pairs[seen], every.values[seen], None, every.details[seen])
+    change = np.zeros((len(visible), one.n_rows))
+    if sigma != 0:
+        noise = stated_noise(one, sigma)
+        widths = [len(part.axes) for part in one.parts]
+        covariance = noise.covariance(one.points(visible.values), len(visible), widths)
+        normal = rng.standard_normal(change.shape)
+        stated = np.array([float(noise.parts[k].stated) for k in one.part_of_row])
+        change = stated * np.matmul(np.linalg.cholesky(covariance), normal[:, :, None])[:, :, 0]
+    return Readings(visible.visits, visible.pairs, one.moved(visible.values, change), None, visible.details)

@@ -1,0 +1,104 @@
+"""How well positions are known in the frame that means something, for all that is told of it.
+
+Where some instrument looks from a known place, that is the measurement frame. Where none does, the base and all that
+measures stand anywhere, and readings may hardly tell where: distances from unknown points leave the base to its priors,
+millimetres of them, and nothing that the robot does is a millimetre off. Then positions are told in the robot's own
+base frame, laid where positions agree best over the poses measured.
+
+With J the derivative of positions by the free parameters and C their covariance, d the error of the parameters and z(d)
+the motion of all positions as one body that follows it best over those poses (`calib.rows.common_motion`), the
+covariance told is that of J d - A z(d). Where the measured point is on its link counts in either frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from calib.base.arrays import FloatArray, ReadOnlyArrays
+from calib.base.threads import one_blas_thread
+from calib.joint_terms.term import Context
+from calib.robots.robot import Robot
+from calib.rows.common_motion import CommonMotion, Loose, target_poses
+from calib.rows.frames import poses_of_agreement
+from calib.rows.jacobian import linearise
+from calib.rows.known_robot import KnownRobot
+from calib.rows.prediction import CHUNK, ParameterUncertainty, PositionUncertainty, carried
+
+OWN_FRAME = "in the robot's own base frame, because no instrument stands at a known place"
+"""Which frame it is where that is not the measurement frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class ToldPositions(ReadOnlyArrays):
+    """A calibrated robot, and how well its positions are known.
+
+    Attributes:
+        robot: The robot.
+        uncertainty: How well its parameters are known.
+        motion: Common motion that does not count; None in the measurement frame.
+    """
+
+    robot: Robot
+    uncertainty: ParameterUncertainty
+    motion: CommonMotion | None
+
+    @staticmethod
+    @one_blas_thread
+    def of(robot: Robot, uncertainty: ParameterUncertainty, joints: FloatArray) -> ToldPositions:
+        """Return what is told of a calibrated robot.
+
+        Args:
+            robot: The robot.
+            uncertainty: How well its parameters are known.
+            joints: Of the visits that it was calibrated from, (n, n_actuated) [m or rad].
+        """
+        loose = replace(Loose.of(robot), points=(), frames=())
+        if not loose.base:
+            return ToldPositions(robot, uncertainty, None)
+        known = KnownRobot(robot, uncertainty, joints, nothing_to_correct=False)
+        motion = CommonMotion.of(robot, robot, loose, poses_of_agreement(known, robot))
+        return ToldPositions(robot, uncertainty, motion if motion.basis.size else None)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Say in which frame it is told, where that is not the measurement frame."""
+        return () if self.motion is None else (f"how well predicted positions are known is told {OWN_FRAME}",)
+
+    def at(self, q: FloatArray, context: Context | None = None, near: FloatArray | None = None) -> PositionUncertainty:
+        """Predict positions in the measurement frame, with their covariance in the frame that is told.
+
+        Args:
+            q: Commands, (n_poses, n_actuated) [m or rad].
+            context: Under which conditions they are given; joint terms may depend on it.
+            near: Passive joints to start from, if they are known, (n_poses, n_passive) [m or rad].
+
+        Raises:
+            UnreachablePoseError: A loop stays open.
+        """
+        measured = self.uncertainty.at(self.robot, q, context, near)
+        if self.motion is None:
+            return measured
+        context = Context.neutral(*q.shape) if context is None else context
+        spread = []
+        for start in range(0, len(q), CHUNK):
+            some = slice(start, start + CHUNK)
+            seed = None if near is None else near[some]
+            configurations = self.robot.assemble(q[some], seed, context=context.at(some))
+            jacobian = linearise(self.robot, configurations, turns=True).jacobian[..., self.uncertainty.free]
+            jacobian = jacobian - self.motion.columns(*target_poses(self.robot, configurations)) @ self._following
+            spread.append([carried(jacobian[:, :, rows], self.uncertainty.covariance) for rows in _ROWS])
+        covariance, turned = (np.concatenate(part) for part in zip(*spread, strict=True))
+        return replace(measured, covariance=covariance, turn_covariance=turned, frame=OWN_FRAME, measured=measured)
+
+    @cached_property
+    def _following(self) -> FloatArray:
+        """How common motion follows the free parameters, (k, n_free)."""
+        assert self.motion is not None
+        linear = linearise(self.robot, self.robot.assemble(self.motion.joints), turns=True)
+        return self.motion.following(linear.jacobian[..., self.uncertainty.free])
+
+
+_ROWS = (slice(3), slice(3, 6))  # of positions and of turns

@@ -1,0 +1,83 @@
+"""Unknowns: the parameters that may change, their scales and their priors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.robots.robot import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns(ReadOnlyArrays):
+    """Parameters that may change, and their scales.
+
+    Attributes:
+        names: Their names.
+        index: Their places among all parameters, (n,).
+        scales: Their sigma, (n,) [SI].
+        nominal: Their nominal values, (n,) [SI].
+        has_prior: Which of them have a prior, (n,).
+        placement: Which only say where instruments and targets are, (n,).
+        family: Number of the family of each, -1 for none, (n,).
+        families: Their names.
+    """
+
+    names: tuple[str, ...]
+    index: IntArray
+    scales: FloatArray
+    nominal: FloatArray
+    has_prior: BoolArray
+    placement: BoolArray
+    family: IntArray
+    families: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @staticmethod
+    def of(robot: Robot, free: BoolArray | None = None) -> Unknowns:
+        """Return the parameters of a robot that are chosen, (n_parameters,): its free ones if not given."""
+        chosen = np.flatnonzero(robot.is_free if free is None else free)
+        kept = [robot.parameters[k] for k in chosen]
+        families = tuple(dict.fromkeys(p.family for p in kept if p.family))
+        return Unknowns(
+            tuple(p.name for p in kept),
+            chosen,
+            np.array([p.sigma_si for p in kept]),
+            np.array([p.nominal_si for p in kept]),
+            np.array([p.prior for p in kept], dtype=bool),
+            np.array([p.placement for p in kept], dtype=bool),
+            np.array([families.index(p.family) if p.family else -1 for p in kept], dtype=np.intp),
+            families,
+        )
+
+    def only(self, chosen: BoolArray) -> Unknowns:
+        """Return some of them, (n,)."""
+        return Unknowns(
+            tuple(name for name, use in zip(self.names, chosen, strict=True) if use),
+            self.index[chosen],
+            self.scales[chosen],
+            self.nominal[chosen],
+            self.has_prior[chosen],
+            self.placement[chosen],
+            self.family[chosen],
+            self.families,
+        )
+
+    def rescaled(self, factors: FloatArray) -> Unknowns:
+        """Return them with the sigma of each family multiplied by its factor, (n_families,)."""
+        factor = np.append(factors, 1.0)[self.family]  # the last for -1
+        return replace(self, scales=self.scales * factor)
+
+    @staticmethod
+    def chosen_by_poses(robot: Robot) -> Unknowns:
+        """Return the free parameters that a choice of poses is about: families, which priors shape, are left out."""
+        every = Unknowns.of(robot)
+        return every.only(every.family < 0)
+
+    def deviations(self, values: FloatArray) -> FloatArray:
+        """Return u = (p - p_nominal) / s from the values of all parameters, (n_parameters,)."""
+        return (values[self.index] - self.nominal) / self.scales

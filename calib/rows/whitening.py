@@ -1,0 +1,266 @@
+"""Whitening: from what instruments and model say to the rows of `calib.rows.rows`, by the stated noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+
+import numpy as np
+
+from calib.base.arrays import BoolArray, FloatArray, IntArray
+from calib.base.units import Dimension
+from calib.data.measurements import Measurements
+from calib.instruments.kind import Instrument, Part, Readings
+from calib.instruments.noise import Noise, PartNoise
+from calib.numerics.variance_components import SharedError
+from calib.robots.robot import Robot
+from calib.rows.observed import Observed
+from calib.rows.rows import Group, Layout, Rows, Scales
+from calib.rows.unknowns import Unknowns
+
+ASSUMED: dict[Dimension, float] = {"length": 1e-4, "angle": 1e-4, "pixel": 0.5}
+"""Noise of one component where nobody states it and no residuals tell [SI]; whoever uses it must say so."""
+
+
+_AGAIN = 10  # readings beyond the first of their pose from which an offset that they share is looked for
+
+
+class Whitening:
+    """Whitens what a robot and its readings give; knows the noise that is stated.
+
+    Args:
+        robot: Its instruments state their noise.
+        data: The readings.
+        sigma: Noise of positions per axis that replaces what is stated [m].
+    """
+
+    def __init__(self, robot: Robot, data: Measurements, sigma: float | None = None) -> None:
+        self._names = tuple(one.name for one in robot.instruments if len(data.readings.get(one.name, ())))
+        self._n_rows = {one.name: one.n_rows for one in robot.instruments}
+        self._inverse: dict[str, FloatArray] = {}
+        groups: dict[tuple[str, str, bool], Group] = {}
+        numbers: list[IntArray] = []
+        widths: list[IntArray] = []
+        for name in self._names:
+            one, readings = robot.instrument(name), data.readings[name]
+            noise = stated_noise(one, sigma)
+            covariance = _covariance(one, noise, readings)
+            absent = _absent(one, readings)
+            number = np.array([_group(groups, one, noise, readings, covariance, part) for part in one.parts])
+            numbers.append(np.where(absent, -1, number[list(one.part_of_row)]).ravel())
+            widths.append(np.sum(~absent, axis=1))
+            self._inverse[name] = _inverse_roots(covariance, absent)
+        self.layout = _layout(robot, data, self._names, numbers, widths, tuple(groups.values()))
+
+    @property
+    def groups(self) -> tuple[Group, ...]:
+        """Groups of rows whose noise has one scale."""
+        return self.layout.groups
+
+    def flatten(self, arrays: Mapping[str, FloatArray], columns: IntArray | None = None) -> FloatArray:
+        """Whiten what each instrument has, (n, n_rows) or (n, n_rows, k), by the stated covariance; NaN become 0.
+
+        Args:
+            arrays: By instrument.
+            columns: Which of the k count; all if not given.
+
+        Returns:
+            (n_all_rows,) or (n_all_rows, k).
+        """
+        parts = []
+        for name in self._names:
+            array = arrays[name] if columns is None else arrays[name][:, :, columns]
+            array = np.nan_to_num(array) if np.isnan(array).any() else array
+            inverse = self._inverse[name]
+            if inverse.ndim == 2:  # no correlations: divide
+                own = None if array is arrays[name] else array  # what is a copy already need not be copied again
+                scaled = np.multiply(array, inverse if array.ndim == 2 else inverse[:, :, None], out=own)
+            elif array.ndim == 2:
+                scaled = np.matmul(inverse, array[:, :, None])[:, :, 0]
+            else:
+                scaled = np.matmul(inverse, array)
+            parts.append(scaled.reshape(-1, *array.shape[2:]))
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def row_scale(self, groups: FloatArray) -> FloatArray:
+        """Return the scale of each row from those of the groups, 1 for rows that were not read, (n_rows,)."""
+        number = self.layout.group
+        return np.where(number >= 0, groups[number], 1.0)
+
+    def rows(
+        self,
+        observed: Mapping[str, Observed],
+        groups: FloatArray,
+        unknowns: Unknowns,
+        deviations: FloatArray,
+    ) -> Rows:
+        """Return the whitened rows.
+
+        Args:
+            observed: Of each instrument, by name.
+            groups: Scale of the noise of each group, (n_groups,).
+            unknowns: The parameters that count.
+            deviations: u of these, (n_free,).
+        """
+        divisor = self.row_scale(groups)
+        residuals = self.flatten({name: observed[name].residuals for name in self._names}) / divisor
+        columns = self.flatten({name: observed[name].jacobian for name in self._names}, unknowns.index)
+        columns *= unknowns.scales / divisor[:, None]
+        return Rows(residuals, columns, unknowns.has_prior, deviations, self.layout)
+
+    def weighing(self, ratios: FloatArray) -> SharedError | None:
+        """Return offsets as estimates are weighed for them, whatever the scales are; None without any.
+
+        Args:
+            ratios: Of the standard deviation of each offset to the scale of its group, (n_offsets,).
+        """
+        there = ratios > 0
+        if not np.any(there):
+            return None
+        return SharedError(self.offset_columns[:, there] * ratios[there], self.layout.pose_of_row)
+
+    def totals(self, scales: Scales) -> FloatArray:
+        """Return the scale of a reading of each group with the offsets that it is weighed for, (n_groups,)."""
+        weighing = self.weighing(scales.ratios)
+        if weighing is None:
+            return scales.groups
+        read = self.layout.group >= 0
+        number = self.layout.group[read]
+        squares = np.bincount(number, weighing.variances()[read]) / np.bincount(number)
+        return scales.groups * np.sqrt(squares)
+
+    @property
+    def n_offsets(self) -> int:
+        """Number of components that all instruments of the robot have."""
+        return sum(self._n_rows.values())
+
+    @cached_property
+    def offset_columns(self) -> FloatArray:
+        """What an offset of each component of each instrument of the robot does to the rows, (n_rows, n_offsets)."""
+        every = np.eye(self.n_offsets)
+        own = dict(zip(self._n_rows, np.split(every, np.cumsum(list(self._n_rows.values()))[:-1]), strict=True))
+        readings = {name: len(self.layout.pose[self.layout.readings_of(name)]) for name in self._names}
+        return self.flatten({name: np.tile(own[name], (n, 1, 1)) for name, n in readings.items()})
+
+    @cached_property
+    def tells_offsets(self) -> BoolArray:
+        """Of which offsets enough readings share a pose with another one for them to show, (n_offsets,)."""
+        enough: list[bool] = []
+        for name, n_rows in self._n_rows.items():
+            pose = self.layout.pose[self.layout.readings_of(name)] if name in self._names else np.zeros(0)
+            enough += [len(pose) - len(np.unique(pose)) >= _AGAIN] * n_rows
+        return np.array(enough) & (np.any(self.offset_columns != 0, axis=0) if any(enough) else False)
+
+    def offset_scale(self, groups: FloatArray) -> FloatArray:
+        """Return the scale of the group that each offset is in, (n_offsets,); 1 for what was not read."""
+        rows = self.offset_columns != 0
+        return np.where(rows.any(axis=0), self.row_scale(groups)[np.argmax(rows, axis=0)], 1.0)
+
+    def without_offsets(self, ratios: FloatArray) -> BoolArray:
+        """Return which groups are of instruments without offsets (n_offsets,), (n_groups,); all, if each has one."""
+        ends = np.cumsum(list(self._n_rows.values()))[:-1]
+        own = dict(zip(self._n_rows, (bool(np.any(part > 0)) for part in np.split(ratios, ends)), strict=True))
+        weighed = [self.layout.group[self.layout.rows_of(name)] for name in self._names if own[name]]
+        free = ~np.isin(np.arange(len(self.groups)), np.concatenate([np.zeros(0, dtype=np.intp), *weighed]))
+        return free if np.any(free) else ~free
+
+    def joint_columns(self, observed: Mapping[str, Observed]) -> FloatArray:
+        """Return the derivative of the rows by the joints, whitened by what is stated, (n_rows, n_actuated)."""
+        return self.flatten({name: observed[name].by_joint for name in self._names})
+
+    def start(self, residuals: Mapping[str, FloatArray] | None = None) -> FloatArray:
+        """Return scales to start from: 1 where noise is stated; else as the residuals (n, n_rows) are, or assumed."""
+        result = np.array([1.0 if group.stated else ASSUMED[group.dimension] for group in self.groups])
+        if residuals is not None:
+            flat, number = self.flatten(residuals), self.layout.group
+            for g, group in enumerate(self.groups):
+                if not group.stated:
+                    result[g] = np.sqrt(np.mean(flat[number == g] ** 2)) + 1e-9
+        return result
+
+
+def stated_noise(one: Instrument, sigma: float | None) -> Noise:
+    """Return the noise of an instrument, with another one for its positions if that is given [m]."""
+    if sigma is None:
+        return one.noise
+    parts = [
+        PartNoise.of(sigma, len(part.axes)) if part.name == "position" else noise
+        for part, noise in zip(one.parts, one.noise.parts, strict=True)
+    ]
+    return Noise(tuple(parts))
+
+
+def _covariance(one: Instrument, noise: Noise, readings: Readings) -> FloatArray:
+    if readings.covariance is not None:
+        return readings.covariance
+    widths = [len(part.axes) for part in one.parts]
+    return noise.covariance(one.points(readings.values), len(readings), widths)
+
+
+def _absent(one: Instrument, readings: Readings) -> BoolArray:
+    """Which components were not read, (n, n_rows)."""
+    nothing: BoolArray = np.isnan(readings.values)
+    if not nothing.any():
+        return np.zeros((len(readings), one.n_rows), dtype=bool)
+    if nothing.shape[1] == one.n_rows:
+        return nothing
+    whole: BoolArray = np.any(nothing, axis=1, keepdims=True)
+    return np.broadcast_to(whole, (len(readings), one.n_rows))
+
+
+def _group(
+    groups: dict[tuple[str, str, bool], Group],
+    one: Instrument,
+    noise: Noise,
+    readings: Readings,
+    covariance: FloatArray,
+    part: Part,
+) -> int:
+    """The number of the group of a part of an instrument's rows, a new one if need be."""
+    index = one.parts.index(part)
+    stated = readings.covariance is not None or noise.parts[index].stated
+    key = (one.group, part.name, stated)
+    if key not in groups:
+        rows = [k for k, number in enumerate(one.part_of_row) if number == index]
+        typical = float(np.sqrt(np.median(covariance[:, rows, rows]))) if len(covariance) else 1.0
+        groups[key] = Group(one.group, part.name, part.dimension, stated, typical, part.usual, part.largest)
+    return list(groups).index(key)
+
+
+def _inverse_roots(covariance: FloatArray, absent: BoolArray) -> FloatArray:
+    """L^-1 of C = L L^T, (n, m, m), or (n, m) where C is diagonal; 0 for rows that were not read."""
+    covariance = covariance.copy()
+    if absent.any():
+        covariance[absent[:, :, None] | absent[:, None, :]] = 0.0
+        k, row = np.nonzero(absent)
+        covariance[k, row, row] = 1.0
+    diagonal = np.diagonal(covariance, axis1=1, axis2=2)
+    width = covariance.shape[1]
+    if not np.any(covariance[:, ~np.eye(width, dtype=bool)]):
+        return np.where(absent, 0.0, 1.0 / np.sqrt(diagonal))
+    identity = np.broadcast_to(np.eye(width), covariance.shape)
+    return np.where(absent[:, :, None], 0.0, np.linalg.solve(np.linalg.cholesky(covariance), identity))
+
+
+def _layout(
+    robot: Robot,
+    data: Measurements,
+    names: tuple[str, ...],
+    numbers: list[IntArray],
+    widths: list[IntArray],
+    groups: tuple[Group, ...],
+) -> Layout:
+    counts = np.array([len(data.readings[name]) for name in names], dtype=np.intp)
+    per_reading = np.array([robot.instrument(name).n_rows for name in names], dtype=np.intp)
+    visit = np.concatenate([data.readings[name].visits for name in names])
+    return Layout(
+        names,
+        np.concatenate([[0], np.cumsum(counts)]),
+        np.concatenate([[0], np.cumsum(counts * per_reading)]),
+        np.repeat(np.arange(int(counts.sum())), np.repeat(per_reading, counts)),
+        visit,
+        data.pose_numbers[visit],
+        np.concatenate(widths),
+        np.concatenate(numbers),
+        groups,
+    )

@@ -1,0 +1,92 @@
+"""How far a target will be from its goals, at commands that were found for them: what is promised of a program.
+
+In the frame in which the goals are meant (`calib.rows.frames`). An error is normal, its covariance that of the
+predicted position; its mean is what the calibrated robot is off at the command, as far as that was not corrected.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.joint_terms.term import Context
+from calib.rows.common_motion import target_poses
+from calib.rows.frames import Frame
+from calib.rows.prediction import length95, rms_length
+from calib.using.goals import Goals
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExpectedError(ReadOnlyArrays):
+    """Expected errors of goals; NaN where there is no command, or nobody says how well the robot is known.
+
+    Attributes:
+        distance: Root mean square distance from the goal, along the coordinates that it asks for, (n,) [m].
+        distance95: The distance lies between them in 95 of 100 cases, (2, n) [m].
+        angle: Root mean square angle from the orientation or z axis that is asked for, (n,) [rad]; NaN where none is.
+        angle95: The same limits, (2, n) [rad].
+        frame: In which frame the goals are meant, in words.
+        nothing_to_correct: Whether commands are those of the nominal robot, because the verdict is that nothing is to
+            be corrected.
+    """
+
+    distance: FloatArray
+    distance95: FloatArray
+    angle: FloatArray
+    angle95: FloatArray
+    frame: str
+    nothing_to_correct: bool
+
+    def __repr__(self) -> str:
+        return f"<expected errors of {len(self.distance)} goals>"
+
+    @staticmethod
+    def of(frame: Frame, goals: Goals, commands: FloatArray, rows: IntArray, context: Context) -> ExpectedError:
+        """Return them.
+
+        Args:
+            frame: In which the goals are meant.
+            goals: The goals, n of them.
+            commands: Joints for some of them, (n_rows, n_actuated) [m or rad].
+            rows: Which ones, (n_rows,).
+            context: Under which conditions these are given.
+        """
+        errors = np.full((6, len(goals)), np.nan)
+        if frame.known.uncertainty is not None and len(rows):
+            errors[:, rows] = _errors(frame, goals.subset(rows), commands, context)
+        return ExpectedError(errors[0], errors[1:3], errors[3], errors[4:], frame.words, frame.nothing_to_correct)
+
+
+def _errors(frame: Frame, goals: Goals, commands: FloatArray, context: Context) -> FloatArray:
+    """Root mean square, low and high error of the position [m] and of what is asked of the orientation, (6, n)."""
+    predicted = frame.predict(commands, context)
+    t = frame.robot.target_names.index(goals.target or frame.robot.target_names[0])
+    errors = np.full((6, len(goals)), np.nan)
+    asked = ~np.isnan(goals.positions)
+    spread = predicted.covariance[:, t] * (asked[:, :, None] & asked[:, None, :])
+    left = frame.not_corrected(commands, context)[:, t]
+    off = goals.off(predicted.positions[:, t] + left[:, :3])
+    errors[:3] = rms_length(spread, off), *length95(spread, predicted.coverage_factor, off)
+    if predicted.turn_covariance is None or goals.asks_for == "position":
+        return errors
+    turned = _turned(frame, goals, t, commands, context) + left[:, 3:]
+    spread = predicted.turn_covariance[:, t]
+    if goals.directions is not None:  # turns about the axis itself do not count
+        across = np.eye(3) - goals.directions[:, :, None] * goals.directions[:, None, :]
+        spread, turned = across @ spread @ across, np.einsum("nij,nj->ni", across, turned)
+    errors[3:] = rms_length(spread, turned), *length95(spread, predicted.coverage_factor, turned)
+    return errors
+
+
+def _turned(frame: Frame, goals: Goals, t: int, commands: FloatArray, context: Context) -> FloatArray:
+    """Rotation vectors by which the calibrated robot is off at the commands, (n, 3) [rad]; none where it is driven."""
+    if not frame.nothing_to_correct:
+        return np.zeros((len(goals), 3))
+    rotations = target_poses(frame.robot, frame.robot.assemble(commands, context=context))[1][:, t]
+    if goals.rotations is not None:
+        return np.array([pin.log3(turn) for turn in rotations @ goals.rotations.swapaxes(1, 2)])
+    assert goals.directions is not None
+    return np.cross(goals.directions, rotations[:, :, 2])

@@ -1,0 +1,184 @@
+"""Joint values that reach goals, through closed loops, with the robot's current (calibrated) parameters.
+
+The iteration from one start is in `calib.using.reaching`, the choice of starts in
+`calib.using.search`. Assembly mode and joint limits are kept; where the goal leaves a choice, the solution
+stays near home, or near given joint values.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.base.errors import DataError, InputError, UnreachablePoseError, nearest
+from calib.base.units import millimetres
+from calib.data.measurements import Poses
+from calib.joint_terms.term import Context
+from calib.robots import loops
+from calib.robots.robot import Robot
+from calib.rows.frames import measurement_frame
+from calib.rows.known_robot import Calibrated, KnownRobot, known_robot
+from calib.using.expected_errors import ExpectedError
+from calib.using.goals import Goals
+from calib.using.reaching import Configured, Reach, descend
+from calib.using.redundancy import nearer, unwound
+from calib.using.search import TOLERANCE, Search, closed_start, inside
+
+_ROUNDS = 20
+_SETTLED = 1e-14  # change of a tilt [rad]
+
+
+@dataclass(frozen=True, eq=False)
+class Solution(ReadOnlyArrays):
+    """Joint values found, and how well they reach.
+
+    Attributes:
+        q: Actuated joints, (n, n_actuated) [m or rad]; where `ok` is False the nearest that was found.
+        ok: Which goals are reached to `TOLERANCE`, at joint values at which `Robot.assemble` finds the robot, (n,).
+        miss_position: Distance from the wanted position, (n,) [m].
+        miss_angle: Angle from the wanted orientation or direction, (n,) [rad]; 0 where none is asked for.
+        positions: Where the target is at `q`, (n, 3) [m].
+        labels: What to call each goal in messages.
+        expected: How far the real robot is expected to be off. Where the verdict is that nothing is to be corrected, it
+            is the nominal robot that reaches the goals, and this counts what the calibrated one would be off by.
+    """
+
+    q: FloatArray
+    ok: BoolArray
+    miss_position: FloatArray
+    miss_angle: FloatArray
+    positions: FloatArray
+    labels: tuple[str, ...]
+    expected: ExpectedError
+
+    def misses(self) -> list[str]:
+        """Return a phrase for every goal that is not reached."""
+        return [f"{self.labels[k]} {self.miss(k)}" for k in map(int, np.flatnonzero(~self.ok))]
+
+    def miss(self, k: int) -> str:
+        """Return by how much goal k is missed, in words."""
+        length, angle = float(self.miss_position[k]), float(self.miss_angle[k])
+        if length <= TOLERANCE and angle <= TOLERANCE:
+            return "can be reached, but no way there was found from home in its assembly mode"
+        return f"misses by {millimetres(length):.3f} mm" + (
+            f" and {np.degrees(angle):.3f} deg" if angle > TOLERANCE else ""
+        )
+
+    def require_all(self) -> None:
+        """Raise `UnreachablePoseError` that names the goals that are not reached."""
+        misses = self.misses()
+        if misses:
+            more = f" (and {len(misses) - 5} more)" if len(misses) > 5 else ""
+            raise UnreachablePoseError(
+                f"out of reach within the joint limits, in home's assembly mode:"
+                f" {'; '.join(misses[:5])}{more}; move these goals, leave them out, or leave"
+                " the cells of coordinates empty that need not be met"
+            )
+
+
+def solve(
+    calibrated: Robot | Calibrated | KnownRobot, goals: Goals | ArrayLike, *, near: ArrayLike | None = None
+) -> Solution:
+    """Find joint values that bring a target to its goals in the measurement frame.
+
+    Args:
+        calibrated: The robot, with nominal or calibrated parameters. A fit or a loaded result says how sure its robot
+            is, and where its verdict is that nothing is to be corrected, the nominal robot counts, with base and
+            targets where they agree best.
+        goals: Where the target is wanted; or positions of the first target alone, (n, 3) [m], with
+            NaN throughout for a coordinate that is not asked for. `Goals` may differ in that from row to row.
+        near: Joint values to stay near where a goal leaves a choice, (n_actuated,) or (n, n_actuated) [m or rad]; home
+            if not given.
+
+    Raises:
+        InputError: The robot is none, or the goals are joint values.
+        DataError: Unknown target, `near` of the wrong shape, or positions of which only some have a NaN.
+    """
+    frame = measurement_frame(known_robot(calibrated))
+    robot, goals = frame.meant if frame.nothing_to_correct else frame.robot, _goals(goals)
+    reach = problem(robot, goals)
+    conditions = goals.conditions(len(robot.home))
+    best = _searched(robot, reach, _near(robot, reach, near), conditions)
+    positions, miss, angle = reach.misses(best.actuated, best.passive)
+    ok = (miss <= TOLERANCE) & (angle <= TOLERANCE)
+    commands = robot.commands(best.actuated, conditions)
+    reached = np.flatnonzero(ok)
+    columns = robot.term_columns(commands[reached], conditions.at(reached))
+    ok[reached] = robot.close(commands[reached], columns=columns).ok  # the loops were followed from elsewhere
+    reached = np.flatnonzero(ok)
+    expected = ExpectedError.of(frame, goals, commands[reached], reached, conditions.at(reached))
+    return Solution(commands, ok, miss, angle, positions, goals.labels, expected)
+
+
+def _goals(goals: Goals | ArrayLike) -> Goals:
+    """Goals as such, of which positions alone all ask for the same coordinates."""
+    if isinstance(goals, Poses):
+        raise InputError("goals: are joint values; give positions (n, 3) [m], or calib.Goals")
+    if isinstance(goals, Goals):
+        return goals
+    goals = Goals(np.atleast_2d(np.asarray(goals, dtype=float)))
+    odd = np.any(np.isnan(goals.positions) != np.isnan(goals.positions[:1]), axis=1)
+    if np.any(odd):
+        raise DataError(
+            f"{goals.labels[int(np.argmax(odd))]}: not the same coordinates are NaN as in the first; one that is"
+            " not asked for is NaN in all, or else give calib.Goals"
+        )
+    return goals
+
+
+def _near(robot: Robot, reach: Reach, near: ArrayLike | None) -> FloatArray:
+    """Commands to stay near for each goal, inside the joint limits, (n, n_actuated) [m or rad]."""
+    n = len(reach.goals)
+    wanted = robot.home if near is None else robot.joint_vector(near)
+    if np.ndim(wanted) == 2 and len(wanted) not in (1, n):
+        raise DataError(f"near: {len(wanted)} rows for {n} goals; give one row, or one for each")
+    return inside(reach, np.broadcast_to(wanted, (n, len(robot.home))))
+
+
+def _searched(robot: Robot, reach: Reach, near: FloatArray, conditions: Context) -> Configured:
+    """The best configuration of each goal, as near to commands (n, n_actuated) as it leaves a choice."""
+    wanted = robot.actual(near, robot.term_columns(near, conditions))
+    search = Search(reach, closed_start(robot, reach))
+    search.run(robot)
+    solved = np.flatnonzero(search.solved)
+    turned = unwound(reach, search.best.subset(solved), wanted[solved])
+    search.keep(solved, nearer(reach, solved, turned, wanted[solved]))
+    return settled(robot, reach, np.arange(len(reach.goals)), search.best, conditions)
+
+
+def problem(robot: Robot, goals: Goals) -> Reach:
+    """Return goals of a robot with the limits of its joints; a target that it does not have is a `DataError`."""
+    target = robot.mechanism.targets[0]
+    if goals.target:
+        named = {pair.name: pair for pair in robot.mechanism.targets}
+        if goals.target not in named:
+            raise DataError(f"no target '{goals.target}'{nearest(goals.target, named)}")
+        target = named[goals.target]
+    return Reach(robot.mechanism, robot.mode, target, goals, *robot.urdf.limits(robot.mechanism.driven))
+
+
+def settled(robot: Robot, reach: Reach, index: IntArray, found: Configured, context: Context) -> Configured:
+    """Descend again until links are tilted as they are at the commands that are found.
+
+    They tilt so little, and so nearly alike at neighbouring joint values, that each round gains digits.
+
+    Args:
+        robot: The robot.
+        reach: The problem.
+        index: Which goals, (n,).
+        found: What was found for them.
+        context: The conditions of each.
+    """
+    tilts = reach.mechanism.is_tilt
+    for _ in range(_ROUNDS if np.any(tilts) else 0):
+        commands = robot.commands(found.actuated, context)
+        driven = robot.actual(commands, robot.term_columns(commands, context))
+        if np.max(np.abs(driven - found.actuated)[:, tilts], initial=0.0) < _SETTLED:
+            break
+        closed = loops.close(reach.mechanism, reach.mode, driven, found.passive)
+        passive = np.where(closed.ok[:, None], closed.passive, found.passive)
+        found = descend(reach, index, Configured(driven, passive, found.distance))
+    return found

@@ -1,0 +1,145 @@
+"""What a program asks of the calibrated robot: where its target is to be, and the nominal robot's joints there.
+
+Whose frames, how much is kept and on which branch: see `calib.using.compensation`, which answers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.base.arrays import BoolArray, FloatArray
+from calib.base.errors import DataError, InputError
+from calib.data.measurements import Poses
+from calib.robots.robot import Robot
+from calib.using.goals import Goals
+from calib.using.inverse import problem, solve
+from calib.using.reaching import Configured, Reach, actuated_jacobian, descend
+from calib.using.search import TOLERANCE
+
+KEEP = ("pose", "axis", "position")
+"""What of the program is kept: the full pose, position and z axis of the target, or its position."""
+_FURTHER = 0.5  # step between rows that may be a change of branch [rad, or characteristic lengths]
+_ROUNDS = 200
+_SINGULAR = 1e-6  # of the largest singular value
+_STATED = {"full pose": "pose", "position and axis": "axis", "position": "position"}
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """What a program asks of the calibrated robot.
+
+    Attributes:
+        goals: Where its target is to be, and under which conditions.
+        joints: Joints with which the nominal robot is there, (n, n_actuated) [m or rad].
+        reasons: Why there are none; empty where there are.
+        keep: Of `KEEP`.
+        nearly: What to be near, where less than the pose is kept.
+    """
+
+    goals: Goals
+    joints: FloatArray
+    reasons: tuple[str, ...]
+    keep: str
+    nearly: Goals | None
+
+
+def asked_by_joints(meant: Robot, program: Poses, keep: str | None) -> Asked:
+    """Return what joints of the nominal robot ask for.
+
+    Args:
+        meant: The nominal robot, in the frame in which the program is meant.
+        program: The joints.
+        keep: What of them is kept; if None, the pose where the joints can reach any.
+
+    Raises:
+        InputError: Motors move no target.
+    """
+    if not meant.mechanism.moved_targets:
+        raise InputError(f"{meant.path}: its motors move none of its targets; add the tool to `targets`")
+    joints, mechanism = meant.joint_vector(program.joints), meant.mechanism
+    pose = Goals(
+        np.zeros((len(joints), 3)),
+        names=tuple(program.names),
+        labels=tuple(program.labels),
+        target=mechanism.moved_targets[0].name,
+        context=program.context,
+        approach=program.approach,
+    )
+    pose, jacobian, closed = _reached_by(meant, joints, pose)
+    if keep is None:
+        keep = "pose" if _moves_freely(jacobian * mechanism.joint_scale, mechanism.length) else "position"
+    reasons = tuple("" if good else "cannot be assembled by the nominal robot" for good in closed)
+    return _asked(pose, joints, reasons, keep)
+
+
+def _reached_by(robot: Robot, joints: FloatArray, goals: Goals) -> tuple[Goals, FloatArray, BoolArray]:
+    """Goals where a robot brings their target, and its Jacobian (n_closed, 6, n_actuated); which joints close, (n,)."""
+    closed = robot.close(joints)
+    target = robot.mechanism.targets[robot.target_names.index(goals.target or robot.target_names[0])]
+    positions, rotations = np.zeros((len(joints), 3)), np.tile(np.eye(3), (len(joints), 1, 1))
+    pose_and_jacobian = actuated_jacobian(robot.mechanism, target, joints[closed.ok], closed.passive[closed.ok])
+    positions[closed.ok], rotations[closed.ok], jacobian = pose_and_jacobian
+    return replace(goals, positions=positions, rotations=rotations, directions=None), jacobian, closed.ok
+
+
+def _asked(pose: Goals, joints: FloatArray, reasons: tuple[str, ...], keep: str) -> Asked:
+    """What of full poses is asked for."""
+    goals = pose if keep == "pose" else replace(pose, rotations=None)
+    if keep == "axis":
+        assert pose.rotations is not None
+        goals = replace(goals, directions=pose.rotations[:, :, 2])
+    return Asked(goals, joints, reasons, keep, None if keep == "pose" else pose)
+
+
+def _moves_freely(jacobian: FloatArray, length: float) -> bool:
+    """Whether some pose lets the target move in all six directions, from (n, 6, n_actuated) of scaled joints."""
+    if len(jacobian) == 0 or jacobian.shape[2] < 6:
+        return False
+    values = np.linalg.svd(jacobian / np.repeat([length, 1.0], 3)[:, None], compute_uv=False)
+    return bool(np.any(values[:, 5] > _SINGULAR * values[:, 0]))
+
+
+def asked_by_goals(nominal: Robot, meant: Robot, program: Goals) -> Asked:
+    """Return what goals ask for: where the nominal robot brings the tool that is told to go there.
+
+    Args:
+        nominal: The robot as its description has it, which is what a controller knows.
+        meant: The nominal robot, in the frame in which the program is meant.
+        program: The goals, as the description sees them.
+
+    Raises:
+        DataError: A coordinate is not asked for.
+    """
+    whole = np.isfinite(program.positions).all(axis=1)
+    if not np.all(whole):
+        raise DataError(f"{program.labels[int(np.argmin(whole))]}: a coordinate is empty; a program needs all three")
+    solution = solve(nominal, program)
+    reasons = tuple("" if good else f"by the nominal robot {solution.miss(k)}" for k, good in enumerate(solution.ok))
+    joints = _on_one_branch(nominal, problem(nominal, program), solution.q, solution.ok)
+    return _asked(_reached_by(meant, joints, program)[0], joints, reasons, _STATED[program.asks_for])
+
+
+def _on_one_branch(robot: Robot, reach: Reach, q: FloatArray, ok: BoolArray) -> FloatArray:
+    """Solutions (n, n_actuated) without changes of branch between neighbouring rows, as far as that can be."""
+    q, tried = q.copy(), np.zeros(len(q), dtype=bool)
+    for _ in range(_ROUNDS):
+        step = np.max(np.abs(np.diff(q / reach.scale, axis=0)), axis=1, initial=0.0)
+        rows = np.flatnonzero((step > _FURTHER) & ok[1:] & ok[:-1] & ~tried[1:]) + 1
+        if len(rows) == 0:
+            break
+        rows = rows[np.diff(rows, prepend=-2) > 1]  # those that follow one of them come after it
+        tried[rows] = True
+        start = robot.assemble(q[rows - 1])
+        continued = descend(reach, rows, Configured(start.actuated, start.passive, np.full(len(rows), np.inf)))
+        shorter = np.max(np.abs(continued.actuated - q[rows - 1]) / reach.scale, axis=1) < step[rows - 1]
+        better = shorter & reached_goals(reach, continued)
+        q[rows[better]] = continued.actuated[better]
+        tried[np.minimum(rows[better] + 1, len(q) - 1)] = False
+    return q
+
+
+def reached_goals(reach: Reach, solutions: Configured) -> BoolArray:
+    """Return which goals are reached, (n,)."""
+    return solutions.distance <= TOLERANCE * min(1.0, reach.mechanism.length)

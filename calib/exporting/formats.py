@@ -17,7 +17,9 @@ from calib.exporting.joint_tables import beside_tables, joint_table_files, requi
 from calib.exporting.mjcf import mjcf
 from calib.exporting.toolbox import toolbox_yaml
 from calib.exporting.urdf import urdf_bytes, with_mesh_prefix
-from calib.robots.robot import Robot, require_robot
+from calib.files import check_file, check_folder, write_files, write_folder
+from calib.functions.functions import COMMENTS, LANGUAGES, function_file
+from calib.model.robot import Robot, require_robot
 
 CONTROLLERS: dict[str, Callable[[Robot, Sequence[str]], ControllerFile]] = {
     "dh": lambda robot, lines: dh_file(robot, "standard", lines),

@@ -55,6 +55,7 @@ ROOMS = (
     Room("Instruments", 2, ("instruments",)),
     Room("Robots", 3, ("robots",)),
     Room("Data", 4, ("data",)),
+    Room("Functions", 4, ("functions",)),
     Room("Rows", 5, ("rows",)),
     Room("Functions", 4, ("exporting.functions",)),
     Room("Exporting", 5, ("exporting",)),

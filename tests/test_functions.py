@@ -11,7 +11,7 @@ from function_robots import ROBOTS, by_name, exported, imported, near, poses_of_
 from small_robots import ARM_YAML, write_arm, write_parallelogram, write_pose_loop
 
 import calib
-from calib.exporting.functions.c_text import c_name
+from calib.functions.c_text import c_name
 from calib.joint_terms.term import Context
 from calib.robots.closure import singular_values
 

@@ -10,11 +10,9 @@ import click
 from calib.base.units import millimetres
 from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
 from calib.exporting.formats import CONTROLLERS, JOINT_TABLES, export
-from calib.exporting.functions.functions import LANGUAGES
 from calib.exporting.held_formats import HELD
 from calib.exporting.links import read_links
 from calib.functions.functions import LANGUAGES
-from calib.model.urdf_text import UrdfText
 from calib.reporting.result_reading import read_result
 from calib.robots.urdf.text import UrdfText
 

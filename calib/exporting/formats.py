@@ -10,16 +10,14 @@ from calib.base.files import check_file, check_folder, write_files, write_folder
 from calib.exporting.closed_model import closed_model
 from calib.exporting.controllers import ControllerFile, dh_file, joint_offsets, ur_kinematics, xacro_origins
 from calib.exporting.drake import drake_bytes
-from calib.exporting.functions.functions import COMMENTS, LANGUAGES, function_file
 from calib.exporting.gap import Gap, loop_gaps
 from calib.exporting.held_formats import HELD, held_of, loses, robot_for, said_of
 from calib.exporting.joint_tables import beside_tables, joint_table_files, require_own_terms
 from calib.exporting.mjcf import mjcf
 from calib.exporting.toolbox import toolbox_yaml
 from calib.exporting.urdf import urdf_bytes, with_mesh_prefix
-from calib.files import check_file, check_folder, write_files, write_folder
 from calib.functions.functions import COMMENTS, LANGUAGES, function_file
-from calib.model.robot import Robot, require_robot
+from calib.robots.robot import Robot, require_robot
 
 CONTROLLERS: dict[str, Callable[[Robot, Sequence[str]], ControllerFile]] = {
     "dh": lambda robot, lines: dh_file(robot, "standard", lines),
@@ -61,7 +59,7 @@ def export(
             `ur-kinematics`: for Universal Robots' ROS description. `joint-offsets`: a sign and a zero for each joint.
             `xacro`: joint origins as properties. `joint-tables`: a folder of tables of what joints really are when
             told a value, with the code that applies them (see `calib.exporting.joint_tables`). `numpy`, `c`, `jax`,
-            `torch`, `casadi`: the whole model as functions in that language (see `calib.exporting.functions`).
+            `torch`, `casadi`: the whole model as functions in that language (see `calib.functions`).
         path: File to write, or folder of `joint-tables`.
         free_slide: Formats `mjcf` and `drake`: a free joint for each direction that a closure leaves free.
         meshes: Formats that hold a URDF (`urdf`, `drake`, `toolbox`): what to put before relative mesh paths, such as

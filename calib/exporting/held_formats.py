@@ -5,11 +5,11 @@ The one place that knows what formats hold; `calib.robots.held` says what that m
 
 from __future__ import annotations
 
-from calib.errors import ComputationError
+from calib.base.errors import ComputationError
+from calib.base.words import listed
 from calib.functions.functions import LANGUAGES
-from calib.model.held import Holds
-from calib.model.robot import Robot
-from calib.words import listed
+from calib.robots.held import Holds
+from calib.robots.robot import Robot
 
 HELD: dict[str, Holds] = {
     "urdf": Holds.ORIGINS,

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from calib.errors import nearest
+from calib.base.errors import nearest
+from calib.base.parameter import Parameter
+from calib.base.units import Dimension
 from calib.joint_terms.formula import Formula, Proportional, Source
 from calib.joint_terms.term import Joint, JointTerm, TermSection, coefficient
-from calib.parameter import Parameter
-from calib.units import Dimension
 
 EXPECTED: dict[Dimension, float] = {"angle": 1e-3, "length": 1e-3}
 """Expected error per radian or metre of the other joint, where nothing is stated [rad, m]."""

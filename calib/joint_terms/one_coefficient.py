@@ -14,9 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from calib.base.parameter import Parameter
 from calib.joint_terms.formula import Formula, Proportional, Source
 from calib.joint_terms.term import Joint, JointTerm, TermSection, coefficient
-from calib.parameter import Parameter
 
 _HOUR = 3600.0
 

@@ -21,12 +21,12 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from calib.arrays import FloatArray
+from calib.base.arrays import FloatArray
+from calib.base.parameter import Parameter
+from calib.base.sections import Length
+from calib.base.units import Dimension
 from calib.joint_terms.formula import Formula, Waves
 from calib.joint_terms.term import Joint, JointTerm, TermSection, coefficient
-from calib.parameter import Parameter
-from calib.sections import Length
-from calib.units import Dimension
 
 TURN = 2.0 * np.pi
 AMPLITUDE: dict[Dimension, float] = {"angle": 3e-4, "length": 5e-5}

@@ -23,11 +23,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from calib.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.base.parameter import Parameter
+from calib.base.sections import Quantity, Section
+from calib.base.units import Dimension
 from calib.joint_terms.formula import Formula, Source
-from calib.parameter import Parameter
-from calib.sections import Quantity, Section
-from calib.units import Dimension
 
 
 class TermSection(Section):

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from calib.base.errors import InputError
-from calib.exporting.functions.c_text import c_text
-from calib.exporting.functions.facts import facts_of
-from calib.exporting.functions.python_text import python_text
+from calib.functions.c_text import c_text
+from calib.functions.facts import facts_of
+from calib.functions.python_text import python_text
 from calib.robots.robot import Robot
 
 LANGUAGES = ("numpy", "c", "jax", "torch", "casadi")

@@ -8,9 +8,9 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.exporting.functions.facts import RobotFacts
-from calib.exporting.functions.templates import MEANING, NEUTRAL, SOURCES, said, template
-from calib.exporting.functions.trees import Tree
+from calib.functions.facts import RobotFacts
+from calib.functions.templates import MEANING, NEUTRAL, SOURCES, said, template
+from calib.functions.trees import Tree
 from calib.joint_terms.term import REFERENCE_TEMPERATURE
 
 _FUNCTIONS = """\

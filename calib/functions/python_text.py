@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from calib.exporting.functions.facts import Gravity, RobotFacts
-from calib.exporting.functions.templates import MEANING, NEUTRAL, SOURCES, said, template
-from calib.exporting.functions.trees import Tree
+from calib.functions.facts import Gravity, RobotFacts
+from calib.functions.templates import MEANING, NEUTRAL, SOURCES, said, template
+from calib.functions.trees import Tree
 
 _OF_LIBRARY: dict[str, tuple[str, ...]] = {
     "numpy": (),

@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from calib.base.arrays import FloatArray, ReadOnlyArrays
 from calib.base.errors import ComputationError, DataError
-from calib.exporting.functions.trees import Tree, tree_of
+from calib.functions.trees import Tree, tree_of
 from calib.joint_terms.formula import Proportional, Source
 from calib.robots import loops
 from calib.robots.joint_errors import driven_by, payload_frame, with_masses

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from calib.exporting.functions.facts import RobotFacts
+from calib.functions.facts import RobotFacts
 from calib.joint_terms.formula import Source
 from calib.joint_terms.term import REFERENCE_TEMPERATURE
 

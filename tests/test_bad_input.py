@@ -13,9 +13,9 @@ ROWS = ["turn,slide [mm],wrist [deg],tip_x [mm],tip_y [mm],tip_z [mm]"] + [
     f"{0.1 * k},{10 * k},{-5 * k},{375 + k},{20 - k},{600 + 2 * k}" for k in range(8)
 ]
 DATA = "\n".join(ROWS) + "\n"
-FIT = "fit arm.yaml data.csv --out out"
-PREDICT = "predict arm.yaml data.csv --out old.csv"
-SIMULATE = "simulate arm.yaml data.csv --sigma-mm 0.1 --seed 1 --out old.csv"
+FIT = "fit arm.yaml data.csv --out new"
+PREDICT = "predict arm.yaml data.csv --out new.csv"
+SIMULATE = "simulate arm.yaml data.csv --sigma-mm 0.1 --seed 1 --out new.csv"
 
 
 def tree(folder):
@@ -233,7 +233,7 @@ def test_a_shape_that_says_nothing_is_refused_before_anything_is_written(folder,
 def test_a_home_that_does_not_close_is_refused(folder, refused):
     path = write_parallelogram(folder)
     path.write_text(path.read_text().replace("b: -90 deg", "b: -80 deg"))
-    line = refused("predict parallelogram.yaml data.csv --out old.csv")
+    line = refused("predict parallelogram.yaml data.csv --out new.csv")
     assert "parallelogram.yaml: home: loop rocker_end-coupler_end is open by 174.311 mm" in line
 
 
@@ -245,7 +245,7 @@ def test_a_pose_that_cannot_be_assembled_is_refused_with_pose_and_loop(folder, r
     (folder / "data.csv").write_text("\n".join([header, *rows, f"far,{bad}"]) + "\n")
     for command in ("fit", "predict", "simulate"):
         options = "--sigma-mm 0 --seed 1 " if command == "simulate" else ""
-        line = refused(f"{command} {medrue} data.csv {options}--out {'out' if command == 'fit' else 'old.csv'}")
+        line = refused(f"{command} {medrue} data.csv {options}--out {'new' if command == 'fit' else 'new.csv'}")
         assert "data.csv, line 22 (pose far): " in line
         assert "E1_B-E1_D" in line or "loop" in line
 
@@ -272,7 +272,7 @@ BAD_OPTIONS = {
     "parameters and result": (f"{PREDICT} --parameters p.csv --result out", "--parameters and --result exclude each"),
     "json place": (f"{FIT} --json no/where.json", "no/where.json: cannot be written (no such file or directory)"),
     "no result": (f"{PREDICT} --result elsewhere", "elsewhere: holds no result (no result.json)"),
-    "file without end": ("predict arm.yaml /dev/zero --out old.csv", "/dev/zero: is larger than 256 MB"),
+    "file without end": ("predict arm.yaml /dev/zero --out new.csv", "/dev/zero: is larger than 256 MB"),
     "broken result": (f"{PREDICT} --result out", "is not a result of format version"),
 }  # fmt: skip
 
@@ -388,7 +388,7 @@ FOUND_BY_MUTATION = {
     "nested parameters": ("out/parameters.csv", NESTED, f"{PREDICT} --parameters out/parameters.csv", "parameters.csv"),
     "blank cells": ("data.csv", ROWS[0] + "\n" + ",,,,,\n" * 8, f"{FIT} --validate 0.3", "data.csv"),
     "huge joint": ("data.csv", data(line3=ROWS[3].replace("20", "1e300", 1)), PREDICT, "data.csv, line 3"),
-    "huge target": ("t.csv", TARGETS.replace("375", "1e300"), "solve arm.yaml t.csv --out old.csv", "t.csv, line 2"),
+    "huge target": ("t.csv", TARGETS.replace("375", "1e300"), "solve arm.yaml t.csv --out new.csv", "t.csv, line 2"),
 }
 
 

@@ -159,8 +159,7 @@ def test_a_forced_export_says_so_inside(failed, tmp_path):
 
 
 def test_an_old_calibrated_robot_does_not_stay_beside_a_failed_result(good, failed, tmp_path):
-    save(good, tmp_path / "out")
-    (tmp_path / "out" / "report.html").write_text("of the old fit")
+    save(good, tmp_path / "out", pages={"report.html": b"of the old fit"})
     (tmp_path / "out" / "notes.txt").write_text("mine")
     save(failed, tmp_path / "out")
     left = {path.name for path in (tmp_path / "out").iterdir()}

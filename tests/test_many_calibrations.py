@@ -367,6 +367,7 @@ def test_the_command_prints_and_writes_what_python_gives(five_bar, run_calib, tm
     found = calib.study(robot, data, truth=true, **wanted)
     assert (done.code, done.out.rstrip(), done.err) == (0, str(found), "")
     written = json.loads(target.read_text())
+    assert written.pop("written_by").startswith("written by")
     assert written | {"seconds": 0} == json.loads(json.dumps(found.to_dict())) | {"seconds": 0}
     again = run_calib("study", *files, *options, "--resample")
     assert again.out.rstrip() == str(calib.study(robot, data, draws=4, seed=2, resample=True))

@@ -103,7 +103,11 @@ class Table:
         return list(self.texts(name))
 
     def texts(self, name: str) -> Iterator[str]:
-        """Yield what `text` returns, one after the other."""
+        """Yield what `text` returns, one after the other.
+
+        Raises:
+            DataError: The table has no such column.
+        """
         if name not in self.names:
             raise DataError(f"{self.path}: no column '{name}'{nearest(name, self.names)}")
         index = self.names.index(name)

@@ -276,7 +276,7 @@ def uncertainty_at(
         final: The evaluation at the minimum.
         solved: The minimum.
         settings: How it was found.
-        beyond_linear: `Statistics.beyond_linear` of a minimum nearby, if it is known.
+        beyond_linear: `Statistics.beyond_linear` of a minimum nearby, (n_free,), if it is known.
 
     Raises:
         NotIdentifiableError: No degrees of freedom are left.

@@ -88,7 +88,7 @@ def judge(fit: Fit) -> Verdict:
             reasons.insert(0, Reason("FAIL", "likely_mistake", text))
     if made is not None and made.holds and (made.gain is Gain.BETTER or NOTHING_TO_CORRECT in codes):
         reasons = [replace(reason, grade="PASS") if reason.counted else reason for reason in reasons]
-    reasons.sort(key=lambda reason: _ORDER.index(reason.grade))
+    reasons.sort(key=lambda reason: (_ORDER.index(reason.grade), reason.counted))
     grade = reasons[0].grade if reasons else "PASS"
     if grade == "FAIL":  # what was found on the side says nothing about numbers that must not be used
         return Verdict(grade, tuple(reason for reason in reasons if reason.grade != "PASS"))

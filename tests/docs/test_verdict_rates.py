@@ -42,9 +42,9 @@ def test_what_the_model_leaves_out_is_seen():
 
 
 @pytest.mark.parametrize("measured", ["distances", "pixels"])
-def test_a_joint_that_moved_too_little_is_seen_where_nobody_measures_positions(measured):
+def test_a_joint_that_moved_too_little_is_told_where_nobody_measures_positions(measured):
     outcome = calibrate(Run("arm", f"a joint that moved too little, {measured} measured", 0))
-    assert (outcome.grade, outcome.codes) == ("CHECK", ("joint_moved_little",))
+    assert (outcome.grade, outcome.codes) == ("PASS", ("joint_moved_little",))
 
 
 def test_there_are_sixty_scenarios_and_three_robots():
@@ -94,5 +94,7 @@ def test_the_page_has_every_scenario_and_keeps_its_promise():
     assert grades["FAIL"] == grades["refused"] == 0
     assert grades["CHECK"] <= 0.05 * runs
     runs, passed = (int(cell) for cell in found["all sick"][:2])
-    assert runs >= 150
+    assert runs >= 100
     assert passed <= 0.05 * runs
+    counted = [int(cell) for cell in found["all counted"][:5]]
+    assert counted[0] == sum(counted[1:]) >= 50

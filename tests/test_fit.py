@@ -164,6 +164,7 @@ def test_an_old_calibrated_robot_does_not_stay_beside_a_failed_result(good, fail
     save(failed, tmp_path / "out")
     left = {path.name for path in (tmp_path / "out").iterdir()}
     assert left == {
+        ".written-by-calib.json",
         "result.json",
         "parameters.csv",
         "covariance.csv",

@@ -269,7 +269,6 @@ def test_a_file_that_is_worse_than_the_nominal_robot_is_not_written(withheld, ru
     assert run.code == 0, run.err
     assert "calibrated.urdf was not written: it is worse than the nominal robot:" in run.err
     assert "(--force writes it)" in run.err
-    assert "not written, nor any other file of joint origins" in run.out.replace("\n", " ")
     assert "withheld: urdf" in run.out
     left = {path.name for path in (tmp_path / "out").iterdir()}
     assert "calibrated.urdf" not in left

@@ -163,18 +163,18 @@ class Compiled:
         (path.parent / "doors.c").write_text(_DOORS.replace("@", self.prefix))
         command = ["cc", *WARNINGS, "-O2", "-fPIC", "-shared", "doors.c", "-o", "doors.so", "-lm"]
         subprocess.run(command, cwd=path.parent, check=True)
-        self.library = ctypes.CDLL(str(path.parent / "doors.so"))
-        self.library.base_of.restype = ctypes.POINTER(ctypes.c_double)
+        self.compiled = ctypes.CDLL(str(path.parent / "doors.so"))
+        self.compiled.base_of.restype = ctypes.POINTER(ctypes.c_double)
 
     def forward(self, q, context, tool=0):
         given, poses = self._given(context), np.empty((len(q), 4, 4))
-        self.closed = self.library.poses_of(ctypes.c_size_t(len(q)), _at(q), _at(given), tool, _at(poses))
+        self.closed = self.compiled.poses_of(ctypes.c_size_t(len(q)), _at(q), _at(given), tool, _at(poses))
         return poses
 
     def jacobian(self, q, context):
         given, motions = self._given(context), np.empty((len(q), 6, self.n))
         for row, one, motion in zip(np.ascontiguousarray(q), given, motions, strict=True):
-            self.library.motion_of(_at(row), _at(one), 0, _at(motion))
+            self.compiled.motion_of(_at(row), _at(one), 0, _at(motion))
         return motions
 
     def inverse(self, poses, start, context, use=(1, 1, 1, 1, 1, 1)):
@@ -183,7 +183,7 @@ class Compiled:
         for pose, one, here, q in zip(
             np.ascontiguousarray(poses), given, np.ascontiguousarray(start), found, strict=True
         ):
-            self.library.commands_of(_at(pose), _at(here), _at(one), use, _at(q))
+            self.compiled.commands_of(_at(pose), _at(here), _at(one), use, _at(q))
         return found
 
     def _given(self, context):

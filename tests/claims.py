@@ -24,7 +24,7 @@ import calib
 from calib.base.errors import CalibrationError
 from calib.base.words import counted
 from calib.data.measurements import Measurements
-from calib.judging.claim_of_fit import claim_of
+from calib.judging.claim import claim_of
 
 PAGE = EXAMPLES.parent / "verdict.md"
 _PLACE = re.compile(r"(<!-- begin real robots -->\n).*?(<!-- end real robots -->)", re.DOTALL)

@@ -36,6 +36,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.base.arrays import FloatArray, IntArray
+from calib.base.remembered import remembered
 from calib.base.threads import one_blas_thread
 from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
@@ -78,6 +79,7 @@ def limit95(lengths: FloatArray) -> float:
     return float(np.sort(lengths)[k - 1]) if k <= len(lengths) else math.nan
 
 
+@remembered
 @one_blas_thread
 def left_out_one_by_one(fit: Fit) -> ErrorSet | None:
     """Return errors of poses that were used, each predicted by the fit of all others; None if that tells of none."""

@@ -19,8 +19,7 @@ from calib.fitting.fitted import Fit
 from calib.fitting.pose_checks import likely_mistake
 from calib.judging import rules_data, rules_model, rules_noise, rules_parameters, rules_reach
 from calib.judging.blind_spots import not_covered
-from calib.judging.claim import Gain
-from calib.judging.claim_of_fit import claim_of
+from calib.judging.claim import Gain, claim_of
 from calib.judging.reasons import NOTHING_TO_CORRECT, Reason, Verdict
 
 _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (

@@ -10,22 +10,23 @@ from calib import pictures
 from calib.base.version import VERSION
 from calib.commands.program import run_program
 
-_MODULES = {
-    "init": "calib.commands.init",
-    "check": "calib.commands.check",
-    "sample": "calib.commands.sample",
-    "compare": "calib.commands.compare",
-    "select": "calib.commands.select",
-    "simulate": "calib.commands.simulate",
-    "study": "calib.commands.study",
-    "fit": "calib.commands.fit",
-    "predict": "calib.commands.predict",
-    "solve": "calib.commands.solve",
-    "compensate": "calib.commands.compensate",
-    "verify": "calib.commands.verify",
-    "export": "calib.commands.export",
-    "watch": "calib.commands.watch",
+_COMMANDS = {
+    "init": ("calib.commands.init", "Write a robot description to start from."),
+    "check": ("calib.commands.check", "Say what poses determine, and what they cannot."),
+    "sample": ("calib.commands.sample", "Write poses that a robot can take."),
+    "compare": ("calib.commands.compare", "Show results side by side."),
+    "select": ("calib.commands.select", "Choose the poses to measure."),
+    "simulate": ("calib.commands.simulate", "Simulate measurements."),
+    "study": ("calib.commands.study", "Calibrate many times from simulated measurements."),
+    "fit": ("calib.commands.fit", "Calibrate a robot from measurements."),
+    "predict": ("calib.commands.predict", "Predict where the targets are."),
+    "solve": ("calib.commands.solve", "Find joint values that reach goals."),
+    "compensate": ("calib.commands.compensate", "Change a program so that the calibrated robot does what was meant."),
+    "verify": ("calib.commands.verify", "Judge a calibrated robot by new measurements."),
+    "export": ("calib.commands.export", "Write the robot in formats of other programs."),
+    "watch": ("calib.commands.watch", "Follow a file while a robot is measured."),
 }
+"""The module of each command, and what it does, for the list of commands, which imports none of them."""
 
 
 class Commands(click.Group):
@@ -33,20 +34,28 @@ class Commands(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return their names."""
-        return sorted({*_MODULES, *pictures.commands()})
+        return sorted({*_COMMANDS, *pictures.commands()})
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Return one of them; None if there is none of this name."""
-        if cmd_name in _MODULES:
-            found: click.Command = import_module(_MODULES[cmd_name]).command
-            return found
+        if cmd_name in _COMMANDS:
+            command: click.Command = import_module(_COMMANDS[cmd_name][0]).command
+            return command
         if cmd_name in pictures.commands():
             return pictures.command(cmd_name)
         for name in self.list_commands(ctx):  # click names the nearest of them
-            known = self.get_command(ctx, name)
-            if known is not None:
-                self.add_command(known, name)
+            self.add_command(click.Command(name))
         return None
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the list of commands."""
+        with formatter.section("Commands"):
+            formatter.write_dl(
+                [
+                    (name, _COMMANDS[name][1] if name in _COMMANDS else pictures.summary(name))
+                    for name in self.list_commands(ctx)
+                ]
+            )
 
 
 @click.group(name="calib", cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})

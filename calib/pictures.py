@@ -60,6 +60,8 @@ class Live(Protocol):
 class Pictures(Protocol):
     """What an entry of the group offers."""
 
+    summary: str
+    """What the command does, in the list of commands; asked for without the command."""
     command: click.Command
 
     def pages(self, fit: Fit, logo: str) -> dict[str, bytes]:
@@ -85,9 +87,12 @@ def commands() -> tuple[str, ...]:
 
 def command(name: str) -> click.Command:
     """Return an added command."""
-    (entry,) = entry_points(group=GROUP, name=name)
-    pictures: Pictures = entry.load()
-    return pictures.command
+    return _named(name).command
+
+
+def summary(name: str) -> str:
+    """Return what an added command does, for the list of commands."""
+    return _named(name).summary
 
 
 def pages(fit: Fit, logo: Path | str | None = None) -> dict[str, bytes]:
@@ -148,6 +153,12 @@ def live(robot: Robot) -> Live:
         InputError: Nothing that draws is installed.
     """
     return _installed("--view")[0].live(robot)
+
+
+def _named(name: str) -> Pictures:
+    (entry,) = entry_points(group=GROUP, name=name)
+    pictures: Pictures = entry.load()
+    return pictures
 
 
 def _installed(wanted: str) -> list[Pictures]:

@@ -5,16 +5,17 @@ Nothing is imported before it is asked for, so that `calib --help` stays quick.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from viz.command import view as command
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from calib import Fit, ResultComparison, Robot
+    from viz.command import view as command
     from viz.fit_plots import FitPlots
     from viz.live import LiveViewer
 
-__all__ = ["command", "comparison", "figures", "live", "pages", "plots"]
+__all__ = ["command", "comparison", "figures", "live", "pages", "plots", "summary"]
+
+summary = "Show a robot and its calibration in a browser."
 
 
 def pages(fit: Fit, logo: str = "") -> dict[str, bytes]:
@@ -74,3 +75,11 @@ def live(robot: Robot) -> LiveViewer:
     from viz.live import LiveViewer
 
     return LiveViewer(gather(robot))
+
+
+def __getattr__(name: str) -> Any:
+    if name != "command":
+        raise AttributeError(f"module 'viz.pictures' has no attribute '{name}'")
+    from viz.command import view
+
+    return view

@@ -50,10 +50,16 @@ def test_names_at_the_front_door_are_those_that_type_checkers_see():
                 assert getattr(importlib.import_module(str(node.module)), alias.name) is getattr(calib, alias.name)
 
 
-def test_starting_the_program_loads_no_science():
-    check = "import sys, calib.cli; print([m for m in ('numpy', 'scipy', 'pinocchio', 'pydantic') if m in sys.modules])"
+def test_the_list_of_commands_loads_no_science():
+    check = (
+        "import sys\nfrom calib.cli import group\n"
+        "group.main(['--help'], prog_name='calib', standalone_mode=False)\n"
+        "print([m for m in ('numpy', 'scipy', 'pinocchio', 'pydantic') if m in sys.modules])"
+    )
     done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, cwd=architecture.ROOT)
-    assert (done.stdout, done.stderr) == ("[]\n", "")
+    *page, loaded = done.stdout.splitlines()
+    assert (loaded, done.stderr) == ("[]", "")
+    assert {line.split()[0] for line in page if line.startswith("  ")} >= {"fit", "check", "view", "watch"}
 
 
 def test_no_modules_import_each_other_in_a_circle():

@@ -51,6 +51,7 @@ def splits(folder: Path) -> Iterator[Split]:
         order = np.random.default_rng(points).permutation(len(data))
         kind = "poses" if points == 0 else f"poses as {counted(points, 'point')}"
         yield Split("FR3", f"{kind}, 60 at random", robot, *_parts(data, order[:60], order[60:]))
+    yield from _positioner(folder)
     for arm, places in PLACES.items():
         if (folder / "mukca").is_dir():
             yield from _sockets(folder, arm, places)
@@ -113,8 +114,34 @@ def _sockets(folder: Path, arm: str, places: object) -> Iterator[Split]:
     order, count = rng.permutation(len(data)), 3 * len(data) // 4
     yield Split(arm, "three quarters at random", robot, *_parts(data, order[:count], order[count:]))
     for setup in np.unique(setups):
-        rows = np.flatnonzero(setups != setup), np.flatnonzero(setups == setup)
-        yield Split(arm, f"without place {setup + 1}, judged there", robot, *_parts(data, *rows))
+        there, others = np.flatnonzero(setups == setup), np.flatnonzero(setups != setup)
+        yield Split(arm, f"without place {setup + 1}, judged there", robot, *_parts(data, others, there))
+        yield Split(arm, f"place {setup + 1} alone, judged by the others", robot, *_parts(data, there, others))
+
+
+def _positioner(folder: Path) -> Iterator[Split]:
+    where = folder / "positioner"
+    text = yaml.safe_dump(
+        {
+            "urdf": "robot.urdf",
+            "name_mot": ["j1", "j2"],
+            "base": {"frame": "world", "pose": "unknown"},
+            "targets": {"target": {"frame": "table", "position": "unknown"}},
+            "parametrisation": [
+                {"origin": "all", "components": ["x", "y", "z"], "sigma": "2 mm"},
+                {"origin": "all", "components": ["rx", "ry", "rz"], "sigma": "5 mrad"},
+            ],
+        }
+    )
+    robot = described(where / "robot.urdf", text)
+    data = calib.read_measurements(where / "positions.csv", robot)
+    rng, half = np.random.default_rng(7), len(data) // 2
+    for count in (50, 50, 100, 100, 150):
+        order = rng.permutation(len(data))
+        yield Split("positioner", f"{count} at random", robot, *_parts(data, order[:count], order[count:]))
+    rows = np.arange(half), np.arange(half, len(data))
+    yield Split("positioner", "first half of the file, judged by the second", robot, *_parts(data, *rows))
+    yield Split("positioner", "second half of the file, judged by the first", robot, *_parts(data, *rows[::-1]))
 
 
 def fr3(folder: Path, points: int) -> tuple[calib.Robot, Measurements]:

@@ -262,7 +262,6 @@ BAD_OPTIONS = {
     "sigma too small": (f"{FIT} --sigma-mm 1e-300", "--sigma-mm: '1e-300 mm' is too small to mean anything"),
     "sigma of simulate": (SIMULATE.replace("0.1", "inf"), "--sigma-mm inf: must be a number"),
     "seed": (SIMULATE.replace("--seed 1", "--seed -1"), "'--seed': -1 is not in the range x>=0"),
-    "no seed": (SIMULATE.replace("--seed 1 ", ""), "Missing option '--seed'"),
     "no out": ("fit arm.yaml data.csv", "Missing option '--out'"),
     "no data": ("fit arm.yaml --out out", "Missing argument 'DATA...'"),
     "unknown command": ("fitt arm.yaml data.csv --out out", "No such command 'fitt'. Did you mean 'fit'?"),

@@ -40,7 +40,9 @@ def test_what_the_model_leaves_out_is_a_check_that_says_how_much_too_sure_the_fi
     told = float(re.search(r"parameters move ([\d.]+) times", found(fit).text)[1])
     assert found(fit).grade == "CHECK"
     assert 1.3 < told < too_sure(fit, other, bent(arm, other))
+    assert float(f"{fit.widened:.2g}") == told
     healthy = calib.fit(arm, measurements(arm, q, arm.positions(q) + noise))
+    assert healthy.widened == 1.0
     assert found(healthy) is None
     assert too_sure(healthy, other, arm.positions(other)) < 1.3
 
@@ -68,3 +70,25 @@ def test_setups_that_do_not_agree_are_said_to_be_setups(arm, tmp_path):
     text = found(calib.fit(moving, twisted)).text
     assert text.startswith("with whole setups left out in turn")
     assert found(calib.fit(moving, measured(arm.positions, "good.csv"))) is None
+
+
+def test_intervals_of_parameters_are_as_wide_as_regions_disagree(arm, tmp_path):
+    """What draws of the noise alone scatter by is less: the interval of a parameter holds what another region says."""
+    q = joints(120)
+    points = bent(arm, q)
+    draws = [
+        calib.fit(arm, measurements(arm, q, points + SIGMA * np.random.default_rng(k).standard_normal((120, 1, 3))))
+        for k in range(12)
+    ]
+    values = np.array([[one.value_si for one in fit.parameters.values() if one.std_si > 0] for fit in draws])
+    told = np.array([[one.std_si for one in fit.parameters.values() if one.std_si > 0] for fit in draws])
+    assert np.median(np.std(values, axis=0, ddof=1) / np.mean(told, axis=0)) < 0.8
+    fit = draws[0]
+    assert np.sqrt(np.diag(fit.covariance)) == pytest.approx(
+        [one.std_si for one in fit.parameters.values() if one.std_si > 0]
+    )
+    fit.save(tmp_path / "out")
+    saved = calib.load_result(tmp_path / "out")
+    assert saved.content["widened"] == pytest.approx(fit.widened)
+    assert saved.covariance.values == pytest.approx(fit.covariance.values, rel=1e-6)
+    assert saved.predict(q[:5]).std == pytest.approx(fit.predict(q[:5]).std, rel=1e-6)

@@ -191,7 +191,7 @@ def test_the_placement_of_the_base_is_stated(tmp_path, language):
     if language == "c" and shutil.which("cc") is None:
         pytest.skip("no C compiler")
     made, q = exported(robot, language, tmp_path), np.array([[0.3, 0.2, 0.0]])
-    base = np.array(made.BASE) if language == "numpy" else np.ctypeslib.as_array(made.library.base_of(), (16,))
+    base = np.array(made.BASE) if language == "numpy" else np.ctypeslib.as_array(made.compiled.base_of(), (16,))
     pose = made.forward(q) if language == "numpy" else made.forward(q, some_conditions(robot, 1))
     across = 0.02 * np.cos(0.75) + 0.01 * np.sin(0.75)
     along = 0.125 + 0.25 + 0.2 + 0.13

@@ -406,7 +406,7 @@ def test_poses_that_do_not_say_what_they_touch_tell_more_than_touches_can_and_ch
     run = run_calib("check", tmp_path / "arm.yaml", data)
     assert run.code == 0
     assert "give poses at contact, with a column 'probe'" in run.err
-    refused = run_calib("simulate", tmp_path / "arm.yaml", data, "--sigma-mm", "0", "--seed", "1", "--out", data)
+    refused = run_calib("simulate", tmp_path / "arm.yaml", data, "--sigma-mm", "0", "--out", tmp_path / "new.csv")
     assert refused.code == 2
     assert "nothing says what instrument 'probe' touches at which pose" in refused.err
 

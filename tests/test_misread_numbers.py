@@ -85,3 +85,34 @@ def test_lengths_of_another_unit_fail(tmp_path, scale, priors):
     found = re.match(r"all lengths are measured ([\d.]+) % (longer|shorter)", text)
     assert float(found[1]) == pytest.approx(1.6, abs=0.3)
     assert found[2] == ("longer" if scale > 1 else "shorter")
+
+
+def test_a_robot_whose_only_length_is_free_is_not_scaled(tmp_path):
+    """A positioner with two axes that meet: its table could shrink to a point, and explain everything."""
+    (tmp_path / "robot.urdf").write_text(
+        '<robot name="positioner"><link name="l0"/><link name="l1"/><link name="l2"/>'
+        '<joint name="j1" type="revolute"><parent link="l0"/><child link="l1"/><axis xyz="0 0 1"/>'
+        '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>'
+        '<joint name="j2" type="revolute"><parent link="l1"/><child link="l2"/><origin rpy="-1.5708 0 -1.5708"/>'
+        '<axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>'
+    )
+    (tmp_path / "robot.yaml").write_text(
+        "urdf: robot.urdf\nname_mot: [j1, j2]\nbase: {frame: l0, pose: unknown}\n"
+        "targets: {ball: {frame: l2, position: unknown}}\n"
+        "parametrisation:\n  - {origin: all, components: [x, y, z], sigma: 2 mm}\n"
+        "  - {origin: all, components: [rx, ry, rz], sigma: 5 mrad}\n"
+    )
+    robot = calib.load(tmp_path / "robot.yaml")
+    rng = np.random.default_rng(4)
+    q = rng.uniform(-2.5, 2.5, (80, 2))
+    free = robot.is_free & ~np.array([one.placement for one in robot.parameters])
+    sigma = np.array([one.sigma_si for one in robot.parameters])
+    true = robot.with_parameters(
+        np.where(free, robot.values + 0.5 * sigma * rng.standard_normal(len(sigma)), robot.values)
+    )
+    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    placed = true.with_parameters({"ball.x": 0.5, "ball.y": 0.2})
+    points = placed.positions(q) @ turned.T + [2.0, 0.5, 1.0] + 2e-4 * rng.standard_normal((80, 1, 3))
+    fit = calib.fit(robot, measurements(robot, q, points))
+    assert "lengths_scaled" not in [one.code for one in fit.verdict.reasons]
+    assert fit.verdict.grade == "PASS"

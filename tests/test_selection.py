@@ -293,7 +293,6 @@ def test_rows_of_positions_in_parts_say_what_all_say(medrue, monkeypatch):
 
 def test_a_candidate_of_a_file_takes_less_than_120_bytes_of_memory(tmp_path, monkeypatch):
     """Of three joints, where rows go to a file; 55 were measured, and 345 with names and labels as Python strings."""
-    monkeypatch.setattr("calib.base.memory.free_memory", lambda: 0.0)
     for part, few in {
         "calib.base.files._PIECE": 1 << 14,
         "calib.data.tables._PART": 250,
@@ -308,6 +307,7 @@ def test_a_candidate_of_a_file_takes_less_than_120_bytes_of_memory(tmp_path, mon
         monkeypatch.setattr(part, few)
     robot = small_arm(tmp_path)
     joints = robot.sample(4500, seed=1)
+    monkeypatch.setattr("calib.base.memory.free_memory", lambda: 0.0)
 
     def most(count):
         header = ",".join(("pose", *robot.joint_names))

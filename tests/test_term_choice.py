@@ -16,11 +16,12 @@ from test_compliance import arm, torques, upright_five_bar
 
 import calib
 from calib.base.threads import one_blas_thread
+from calib.data.grouping import boxes
 from calib.fitting.terms.candidate_terms import Candidate, candidates
 from calib.fitting.terms.joint_curves import beyond_learned
 from calib.fitting.terms.term_choice import _Search
 from calib.fitting.terms.term_trials import Trial, Trials
-from calib.fitting.validation import boxes, stretches
+from calib.fitting.validation import stretches
 from calib.joint_terms.coupling import CouplingSection
 from calib.joint_terms.terms import TERMS, listed_terms
 
@@ -352,7 +353,7 @@ def test_boxes_are_neighbours_and_keep_repeats_together():
         assert all({k % 64 for k in part} == {k % 64 for k in part if k < 64} for part in parts)
         assert [len(part) for part in parts] == [16] * 8
     alone = calib.as_measurements(robot, q, np.zeros((64, 3)))
-    widths = [np.ptp(q[part], axis=0) / np.ptp(q, axis=0) for part in boxes(alone, 8)]
+    widths = [np.ptp(q[part], axis=0) / np.ptp(q, axis=0) for part in boxes(alone.joints, alone.pose_numbers, 8)]
     assert np.mean(widths) < 0.8 * np.mean(
         [np.ptp(q[part], axis=0) / np.ptp(q, axis=0) for part in stretches(alone, 8)]
     )

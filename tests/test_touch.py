@@ -204,7 +204,7 @@ def test_the_command_writes_tables_a_figure_and_a_page(command: tuple[Path, Resu
     assert run.exit_code == 0, run.output
     tables = {"world", "shape", "methods", "artefacts"}
     expected = {f"{name}.{kind}" for name in tables for kind in ("csv", "json")}
-    assert {path.name for path in out.iterdir()} == expected | {"errors.png", "errors.svg", "index.html"}
+    assert {path.name for path in out.glob("[!.]*")} == expected | {"errors.png", "errors.svg", "index.html"}
     for name in tables:
         content = json.loads((out / f"{name}.json").read_text())
         assert content["simulated"] is True

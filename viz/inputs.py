@@ -73,10 +73,8 @@ def _from_fit(robot: Robot, fit: Fit, data: Measurements | None, mapped: int) ->
     if data is None:
         return Shown(_mapped(scene_of_fit(fit), calibrated, fit.placed, mapped), fit.robot, fit.placed)
     table = from_measurements(data, fit.placed, calibrated, noise(fit))
-    notes = fit.told_positions.notes
-    scene = build_scene(
-        fit.placed, fit.robot, table, verdict=of_verdict(judge(fit)), notes=notes, comments=remarks(data.comments)
-    )
+    said, told = remarks(data.comments), fit.told_positions.notes
+    scene = build_scene(fit.placed, fit.robot, table, verdict=of_verdict(judge(fit)), told=told, comments=said)
     return Shown(_mapped(scene, calibrated, fit.placed, mapped), fit.robot, fit.placed)
 
 
@@ -97,11 +95,10 @@ def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None, ma
         placed = _placed(robot, data)
         table = from_measurements(data, placed, calibrated, saved.sigmas)
     left_out = content["excluded"] if data is None else []
-    notes = told.notes
-    if left_out:
-        notes = (f"not shown: left out of the fit, {counted(len(left_out), 'outlier')}", *notes)
+    notes = (f"not shown: left out of the fit, {counted(len(left_out), 'outlier')}",) if left_out else ()
     said = remarks(content.get("comments", ()) if data is None else data.comments)
-    scene = build_scene(placed, model, table, verdict=of_result(content["verdict"]), notes=notes, comments=said)
+    judged = of_result(content["verdict"])
+    scene = build_scene(placed, model, table, verdict=judged, notes=notes, told=told.notes, comments=said)
     return Shown(_mapped(scene, calibrated, placed, mapped), model, placed)
 
 

@@ -75,7 +75,8 @@ class Scene:
         ghost_factor: Exaggeration of the ghost to start with; 1 where there is nothing to correct.
         view: First camera.
         drive: How the robot is moved by hand.
-        notes: What the user should know about the picture.
+        notes: What the user should know about the picture, and is warned of.
+        told: What its numbers are, where they could be mistaken for others.
         remarks: What the measurement files say about themselves.
         verdict: Verdict on the fit, if there is one.
         map: What is known over the workspace, if that was asked for.
@@ -95,6 +96,7 @@ class Scene:
     view: View
     drive: Drive
     notes: tuple[str, ...]
+    told: tuple[str, ...]
     remarks: Remarks
     verdict: Judgement | None = None
     map: WorkspaceMap | None = None
@@ -107,8 +109,8 @@ class Scene:
 
 def scene_of_fit(fit: Fit) -> Scene:
     """Return the scene of a fit."""
-    verdict, notes = of_verdict(judge(fit)), fit.told_positions.notes
-    return build_scene(fit.placed, fit.robot, from_fit(fit), verdict=verdict, notes=notes, comments=fit_remarks(fit))
+    verdict, told = of_verdict(judge(fit)), fit.told_positions.notes
+    return build_scene(fit.placed, fit.robot, from_fit(fit), verdict=verdict, told=told, comments=fit_remarks(fit))
 
 
 def build_scene(
@@ -118,6 +120,7 @@ def build_scene(
     *,
     verdict: Judgement | None = None,
     notes: tuple[str, ...] = (),
+    told: tuple[str, ...] = (),
     comments: Remarks = NO_REMARKS,
 ) -> Scene:
     """Return the scene of a robot and its poses.
@@ -127,7 +130,8 @@ def build_scene(
         calibrated: The robot after it; None if there is none.
         poses: Points to show; none: the robot at home.
         verdict: Verdict on the fit.
-        notes: What to tell beside what the URDF's shapes give reason to.
+        notes: What to warn of beside what the URDF's shapes give reason to.
+        told: What numbers are.
         comments: What the measurement files say about themselves.
 
     Raises:
@@ -165,6 +169,7 @@ def build_scene(
         replace(view, outline=_outline(around, *_box(around))),
         drive_of(solid_robot, bodies, shown),
         (*notes, *shape_notes),
+        told,
         comments,
         verdict,
     )

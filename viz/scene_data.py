@@ -35,7 +35,7 @@ def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
     return {
         "title": scene.title,
         "live": live,
-        "notes": [*scene.notes, *_of_left_out(len(shown), len(table))],
+        "notes": [*scene.told, *scene.notes, *_of_left_out(len(shown), len(table))],
         "remarks": scene.remarks.to_dict(),
         "verdict": None if scene.verdict is None else scene.verdict.to_dict(),
         "groups": [{"name": name, "short": _SHORT[name], "mark": _MARKS[name]} for name in GROUPS],

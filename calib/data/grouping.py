@@ -52,3 +52,32 @@ def shuffled_poses(joints: FloatArray, by_name: IntArray, seed: int) -> list[Int
     """
     groups = repeated_poses(joints, by_name)
     return [groups[k] for k in np.random.default_rng(seed).permutation(len(groups))]
+
+
+def boxes(joints: FloatArray, by_name: IntArray, count: int) -> list[IntArray]:
+    """Cut joint space into boxes of about equally many poses, always across the joint that spreads widest.
+
+    Args:
+        joints, by_name: As of `repeated_poses`.
+        count: Number of boxes; no more than there are different poses.
+
+    Returns:
+        Indices of each box, ascending, (n_in_box,) each; repeats of one pose stay together.
+    """
+    groups = repeated_poses(joints, by_name)
+    centres = np.array([joints[group].mean(axis=0) for group in groups])
+    spread = np.ptp(centres, axis=0)
+    centres = centres / np.where(spread > 0, spread, 1.0)
+
+    def cut(part: IntArray, into: int) -> list[IntArray]:
+        if into == 1:
+            return [part]
+        # rounded, so that of joints that spread alike the first is cut on every processor
+        joint = int(np.argmax(np.round(np.ptp(centres[part], axis=0), 6)))
+        order = part[np.argsort(np.round(centres[part, joint], 9), kind="stable")]
+        left = into // 2
+        middle = len(order) * left // into
+        return cut(order[:middle], left) + cut(order[middle:], into - left)
+
+    parts = cut(np.arange(len(groups)), min(count, len(groups)))
+    return [np.sort(np.concatenate([groups[k] for k in part])) for part in parts]

@@ -15,6 +15,7 @@ from calib.data.measurements import Poses
 from calib.fitting.error_sets import ErrorSet, Folds
 from calib.fitting.estimates import Covariance, Estimates, estimates
 from calib.fitting.outliers import Outlier
+from calib.fitting.regions import Regions, disagreeing
 from calib.fitting.starts import Starts
 from calib.fitting.terms.candidate_terms import TermChoice
 from calib.joint_terms.term import Context
@@ -164,14 +165,27 @@ class Fit(ReadOnlyArrays):
     @cached_property
     def parameters(self) -> Estimates:
         """What was found of each parameter, by name: in the unit of each, and in m or rad as `..._si`."""
-        found = estimates(self.nominal.parameters, self.robot.values, self.free, self.statistics)
+        known = self.statistics.widened(self.widened)
+        found = estimates(self.nominal.parameters, self.robot.values, self.free, known)
         later = {name: replace(found[name], status="placed") for name in self.placed_later}
         return Estimates({**found, **later}) if later else found
 
     @property
     def covariance(self) -> Covariance:
-        """Covariance of the free parameters, by name."""
-        return Covariance(self.free_names, self.statistics.covariance)
+        """Covariance of the free parameters, by name, as wide as their intervals."""
+        return Covariance(self.free_names, self.widened**2 * self.statistics.covariance)
+
+    @cached_property
+    def regions(self) -> Regions | None:
+        """Regions that do not agree on the parameters, if there are any."""
+        if self.computed:
+            return None
+        return disagreeing(self.identification.data, self.rows.weighted(self.weights), self.statistics)
+
+    @property
+    def widened(self) -> float:
+        """How many times as wide as noise alone makes them the intervals of parameters are."""
+        return 1.0 if self.regions is None else max(self.regions.ratio, 1.0)
 
     @property
     def residuals(self) -> dict[str, FloatArray]:

@@ -29,6 +29,7 @@ SCALED_SIGMAS = 6.0
 """Standard deviations of a scale, by the sigmas of the parameters, from which it is none of them."""
 MOST = 0.5
 """Part of squared residuals and deviations that a scale must explain to be the cause: others look a bit like it."""
+_NOTHING = 1e-6  # part of its length to which a robot has shrunk to a point
 UNUSUAL = 10.0
 """Size of a joint term that was chosen, over what is usual, from which something else may be the cause."""
 LOOSE_ANGLE = 0.1
@@ -75,7 +76,8 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     """See whether one scale of all lengths explains why parameters are far from nominal: then the unit is off.
 
     In the linear model around the solution, with deviations u over the sigmas of all that are no places, a scale s of
-    everything that was measured is tried beside the parameters: |r + J du + z s|^2 + |u + du|^2.
+    everything that was measured is tried beside the parameters: |r + J du + z s|^2 / (1 + s)^2 + |u + du|^2. Noise is
+    scaled as well: else a robot whose lengths are all free is explained best by lengths of nothing.
     """
     column = scale(findings.setting(fit))
     if fit.computed or not np.any(column):
@@ -83,14 +85,17 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     linear, inside = findings.linear(fit), ~fit.unknowns.placement
     rows = np.hstack([column, linear.rows.jacobian, linear.rows.residuals[:, None]]) / linear.factor
     priors = np.hstack([np.zeros((len(inside), 1)), np.eye(len(inside)), linear.rows.deviations[:, None]])[inside]
-    stacked = np.vstack([reduced(rows), priors])
-    costs, part = [], 0.0
+    measured = reduced(rows)
+    stacked = np.vstack([measured, priors])
+    costs, part = list[float](), 0.0
     for kept in (slice(1, None), slice(None)):
         matrix, right = stacked[:, kept][:, :-1], -stacked[:, -1]
         size = np.linalg.norm(matrix, axis=0)
         solution = np.linalg.lstsq(matrix / np.where(size > 0, size, 1.0), right, rcond=None)[0]
-        costs.append(float(np.sum((matrix / np.where(size > 0, size, 1.0) @ solution - right) ** 2)))
-        part = float(solution[0] / size[0])
+        squares = (matrix / np.where(size > 0, size, 1.0) @ solution - right) ** 2
+        part = float(solution[0] / size[0]) if len(costs) else 0.0
+        noise = max(abs(1.0 + part), _NOTHING) ** 2
+        costs.append(float(np.sum(squares[: len(measured)]) / noise + np.sum(squares[len(measured) :])))
     gain = costs[0] - costs[1]
     if abs(part) > SCALED and gain > max(SCALED_SIGMAS**2, MOST * costs[0]):
         yield Reason(

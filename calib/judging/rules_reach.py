@@ -6,18 +6,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib.base.arrays import BoolArray, FloatArray, IntArray
+from calib.base.arrays import BoolArray, FloatArray
 from calib.base.units import DISPLAY_UNIT, display_scale, millimetres
 from calib.base.words import counted, listed
 from calib.fitting.fitted import Fit
 from calib.fitting.joint_conventions import wrapped_terms
 from calib.fitting.pose_checks import unmoved_joints
 from calib.fitting.terms.joint_curves import beyond_learned
-from calib.fitting.validation import boxes
-from calib.judging import findings
 from calib.judging.reasons import Reason
-from calib.judging.rules_data import UNLIKELY
-from calib.numerics.clusters import scatter
 from calib.numerics.halton import halton
 from calib.robots.robot import Configurations, Robot
 from calib.rows.jacobian import linearise
@@ -31,8 +27,6 @@ LESS_KNOWN = 3.0
 """Uncertainty of positions elsewhere, over that at the poses used, from which the calibration does not reach there."""
 WIDENED = np.sqrt(2.0)
 """Uncertainty of positions with joint terms over that without them, from which most of it is theirs."""
-BLOCKS = 8
-"""Number of boxes of joint space that are left out in turn."""
 _TRIED = 50  # poses at which a joint is moved through its limits in thought
 _EXACT = 1e-9  # of a variance, nothing
 _SAMPLED = 200  # poses at which uncertainties are looked at
@@ -180,43 +174,17 @@ def beyond_curves(fit: Fit) -> Iterator[Reason]:
 
 
 def blocks_disagree(fit: Fit) -> Iterator[Reason]:
-    """Leave out boxes of joint space, and whole setups, in turn, and see whether the parameters stand."""
-    data = fit.identification.data
-    if fit.computed:
-        return
-    block = np.zeros(len(data), dtype=np.intp)
-    for k, visits in enumerate(boxes(data, BLOCKS)):
-        block[visits] = k
-    cuts = {"boxes of joint space": block}
-    if data.setups is not None and np.ptp(data.setups) > 0:
-        cuts["whole setups"] = data.setups
-    found = {name: left_out(fit, blocks) for name, blocks in cuts.items()}
-    surely = {name: ratio for name, (ratio, chance) in found.items() if chance < UNLIKELY / len(found)}
-    if surely:
-        name, ratio = max(surely.items(), key=lambda entry: entry[1])
+    """See whether the parameters stand where boxes of joint space, or whole setups, are left out in turn."""
+    apart = fit.regions
+    if apart is not None:
         yield Reason(
             "CHECK",
             "blocks_disagree",
-            f"with {name} left out in turn, parameters move {ratio:.2g} times as much as noise explains: the model"
-            " leaves something out that is not the same everywhere; take intervals, and what positions are known to,"
-            f" for at least {ratio:.2g} times as wide, and for wider still in places unlike those measured",
+            f"with {apart.cut} left out in turn, parameters move {apart.ratio:.2g} times as much as noise explains: the"
+            " model leaves something out that is not the same everywhere; the intervals of parameters count it, and"
+            " places unlike those measured may be further off",
             counted=True,
         )
-
-
-def left_out(fit: Fit, block: IntArray) -> tuple[float, float]:
-    """Return how many times as much as noise explains parameters move without blocks of visits, and the chance of that.
-
-    Args:
-        fit: The fit.
-        block: Block of each visit, (n_visits,).
-    """
-    linear, layout = findings.linear(fit), fit.rows.layout
-    noise = np.full(layout.n_rows, linear.factor)
-    of_row = block[layout.visit[layout.reading]]
-    found = scatter(linear.rows.jacobian, linear.root, linear.rows.residuals, noise, of_row, linear.freedom)
-    shared = fit.statistics.shared
-    return (found.ratio, found.chance) if shared is None else found.beyond(shared)
 
 
 def terms_untested(fit: Fit) -> Iterator[Reason]:

@@ -126,6 +126,10 @@ class Statistics(ReadOnlyArrays):
         """How many standard deviations make half a 95 % interval."""
         return float(scipy.special.stdtrit(self.interval_freedom, 0.975))
 
+    def widened(self, factor: float) -> Statistics:
+        """Return them with standard deviations and intervals so many times as wide; see `calib.fitting.regions`."""
+        return replace(self, std=factor * self.std, half_width=factor * self.half_width)
+
     def correlations(self) -> FloatArray:
         """Return the correlation coefficients of the free parameters, (n_free, n_free); NaN where nothing scatters."""
         with np.errstate(divide="ignore", invalid="ignore"):

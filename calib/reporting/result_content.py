@@ -70,6 +70,7 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "effective_parameters": fit.statistics.effective_parameters,
             "chi_square": None if fit.chi_square is None else asdict(fit.chi_square),
             "interval_degrees_of_freedom": fit.statistics.interval_freedom,
+            "widened": fit.widened,
             "shared": None if fit.statistics.shared is None else fit.statistics.shared.ratio,
             "repeatability": repeatability(fit.identification)[0],
             "repeats": repeat_table(fit.identification),
@@ -383,7 +384,7 @@ def covariance_table(fit: Fit) -> str:
     """Return CSV: the covariance of the free parameters in their display units, one row and one column for each."""
     free = [fit.parameters[name] for name in fit.free_names]
     scale = np.array([one.per_si for one in free])
-    shown = fit.statistics.covariance * scale[:, None] * scale
+    shown = np.asarray(fit.covariance) * scale[:, None] * scale
     columns: list[tuple[str, list[object]]] = [
         ("parameter", [one.name for one in free]),
         ("unit", [one.unit for one in free]),

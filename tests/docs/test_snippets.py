@@ -31,12 +31,12 @@ def test_pages_that_are_left_to_other_tests_are_named_there():
 
 
 def test_nothing_that_could_run_is_left_out_without_a_reason():
-    known = {"sh", "toml", "python", "yaml", "csv", "xml", "text", "json", "urdf", "gcode"}
+    known = {"sh", "toml", "python", "yaml", "csv", "xml", "text", "json", "urdf", "gcode", "c"}
     for page in PAGES:
         for block in blocks(page.read_text(encoding="utf-8")):
             where = f"{page.relative_to(ROOT)}, line {block.line}"
             assert block.language in known, f"{where}: fence of language {block.language!r}"
-            if block.language in ("yaml", "csv", "xml", "json", "urdf"):
+            if block.language in ("yaml", "csv", "xml", "json", "urdf", "c"):
                 assert block.title or block.comment, f"{where}: neither a file nor part of one"
 
 

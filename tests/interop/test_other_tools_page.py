@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from signed_files import read_plain
 
 import calib
 from calib.commands import export, fit
@@ -66,12 +67,12 @@ def test_the_page_has_a_snippet_for_each_tool() -> None:
 
 
 def test_calibrated_urdf_is_the_one_that_the_fit_wrote_plus_provenance(folder: Path) -> None:
-    told = (folder / "calibrated.urdf").read_bytes()
+    told = read_plain(folder / "calibrated.urdf")
     comment = re.search(rb"\n<!-- calib: calibrated origins.*?-->", told, re.DOTALL)
     assert comment is not None
     assert b"out/fit" in comment.group()
-    ours = (folder / "out" / "fit" / "calibrated.urdf").read_bytes()
-    for exported in (told.replace(comment.group(), b""), (folder / "robot.urdf").read_bytes()):
+    ours = read_plain(folder / "out" / "fit" / "calibrated.urdf")
+    for exported in (told.replace(comment.group(), b""), read_plain(folder / "robot.urdf")):
         texts, numbers = zip(parted(exported), parted(ours), strict=True)
         assert texts[0] == texts[1]
         # the values came from a table in mm: the way there and back may round

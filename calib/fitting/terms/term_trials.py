@@ -17,9 +17,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.data.grouping import boxes
 from calib.fitting.fitted import Fit
 from calib.fitting.terms.candidate_terms import Candidate
-from calib.fitting.validation import boxes, stretches
+from calib.fitting.validation import stretches
 from calib.numerics.variance_components import LinearModel, found_with_families, log_evidence
 from calib.rows.jacobian import linearise
 from calib.rows.observed import observe
@@ -163,7 +164,7 @@ class Trials:
         self._residuals = {name: one.residuals for name, one in observed.items()}
         self._by_column = {name: one.jacobian[:, :, unknowns.index] @ change for name, one in observed.items()}
         self._elsewhere = self._combined()[:, unknowns.index] @ change
-        self._partitions = [boxes(data, BLOCKS)]
+        self._partitions = [boxes(data.joints, data.pose_numbers, BLOCKS)]
         if np.ptp(data.conditions.time) > 0:
             self._partitions.append(stretches(data, BLOCKS))
         if data.setups is not None and np.ptp(data.setups) > 0:

@@ -1,0 +1,74 @@
+"""By how much parameters disagree from region to region: boxes of joint space, and setups, left out in turn.
+
+A model that leaves something out is pulled one way here and another way there. The fit of all poses then stands between
+them, and the scatter of single poses does not show it: `calib.numerics.clusters` compares what parameters move by with
+what noise explains. Where chance does not explain it, the intervals of parameters are as much wider.
+
+When it fails. What is off in the same way everywhere moves nothing. Predicted positions at poses like those measured
+stand for a mean over the same regions, and are not widened: what they leave out is in the errors of poses left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.base.arrays import IntArray
+from calib.data.grouping import boxes
+from calib.data.measurements import Measurements
+from calib.numerics.clusters import Scatter, scatter
+from calib.numerics.statistics import Statistics
+from calib.rows.rows import Rows
+
+BLOCKS = 8
+"""Number of boxes of joint space that are left out in turn."""
+_UNLIKELY = 1e-3  # chance, shared by all ways of cutting, above which noise may explain what parameters move by
+
+
+@dataclass(frozen=True)
+class Regions:
+    """How parameters move where regions are left out in turn.
+
+    Attributes:
+        cut: What was left out, in the plural.
+        ratio: How many times as much as noise explains they move.
+    """
+
+    cut: str
+    ratio: float
+
+
+def disagreeing(data: Measurements, rows: Rows, found: Statistics) -> Regions | None:
+    """Return the regions by which parameters disagree most, beyond chance; None where they agree.
+
+    Args:
+        data: The visits that were used.
+        rows: Whitened rows at the solution, with the weights of a robust loss.
+        found: What is known of the parameters.
+    """
+    block = np.zeros(len(data), dtype=np.intp)
+    for k, visits in enumerate(boxes(data.joints, data.pose_numbers, BLOCKS)):
+        block[visits] = k
+    cuts = {"boxes of joint space": block}
+    if data.setups is not None and np.ptp(data.setups) > 0:
+        cuts["whole setups"] = data.setups
+    ratios = {name: left_out(rows, found, blocks) for name, blocks in cuts.items()}
+    surely = [Regions(name, ratio) for name, (ratio, chance) in ratios.items() if chance < _UNLIKELY / len(cuts)]
+    return max(surely, key=lambda one: one.ratio, default=None)
+
+
+def left_out(rows: Rows, found: Statistics, block: IntArray) -> tuple[float, float]:
+    """Return how many times as much as noise explains parameters move without blocks of visits, and the chance of that.
+
+    Args:
+        rows: As of `disagreeing`.
+        found: As there.
+        block: Block of each visit, (n_visits,).
+    """
+    layout, factors = rows.layout, found.factors
+    factor = float(np.sqrt(np.sum(factors.freedom * factors.found**2) / factors.total_freedom))
+    of_row = block[layout.visit[layout.reading]]
+    noise = np.full(layout.n_rows, factor)
+    moved: Scatter = scatter(rows.jacobian, rows.known.root, rows.residuals, noise, of_row, found.freedom)
+    return (moved.ratio, moved.chance) if found.shared is None else moved.beyond(found.shared)

@@ -121,7 +121,7 @@ def write_file(
 
 
 def write_files(
-    files: Mapping[Path, bytes], *, comment: str = "", inputs: Iterable[Path | str] = (), force: bool = False
+    files: Mapping[Path, bytes], *, comment: str | None = "", inputs: Iterable[Path | str] = (), force: bool = False
 ) -> None:
     """Write files that belong together: each as a whole, and none takes its place before all are complete.
 
@@ -129,7 +129,8 @@ def write_files(
 
     Args:
         files: Content by path.
-        comment: How comments of these files begin, if not as in tables or XML; see `calib.base.own_files.signed`.
+        comment: How comments of these files begin, if not as in tables or XML; see `calib.base.own_files.signed`. None:
+            they get no line; a manifest in their folder says who wrote them.
         inputs: What they were made from.
         force: Replace what this program did not write, or has read, all the same.
 
@@ -137,6 +138,8 @@ def write_files(
         InputError: A folder does not exist or cannot be written to, or a file should not be replaced; nothing was
             written.
     """
+    if comment is None:
+        files = {**files, **_manifests(files)}
     with ExitStack() as stack:
         complete = []
         for path, plain in files.items():
@@ -147,7 +150,7 @@ def write_files(
                     with path.open("ab") as stream:  # appending: standard output may be a file that holds something
                         stream.write(plain)
                     continue
-                content = signed(plain, comment)
+                content = plain if comment is None else signed(plain, comment)
                 require_replaceable(path, content, inputs=inputs, force=force)
                 target = path.resolve()  # a symbolic link stays one
                 clear_leftovers(target.parent)
@@ -159,6 +162,15 @@ def write_files(
         for temporary, target in complete:
             with _explained(target):
                 temporary.replace(target)
+
+
+def _manifests(files: Mapping[Path, bytes]) -> dict[Path, bytes]:
+    """The manifests of the folders of files, pipes and devices not among them."""
+    named: dict[Path, dict[str, bytes]] = {}
+    for path, content in files.items():
+        if not _is_stream(path) and path.parent.is_dir():
+            named.setdefault(path.parent, {})[path.name] = content
+    return {folder / MANIFEST: manifest_of(folder, contents, ()) for folder, contents in named.items()}
 
 
 def check_folder(path: Path | str, names: Collection[str] = (), *, force: bool = False) -> None:

@@ -15,6 +15,7 @@ from calib.base.words import counted
 from calib.commands.common import Output, loaded, result_folder, said_of_failure, shared_options
 from calib.commands.compensate_gcode import compensate_gcode
 from calib.commands.compensate_grid import compensate_grid
+from calib.commands.compensate_program import compensate_controller
 from calib.data.measurement_columns import approach_columns, cells_of, condition_columns, joint_columns, pose_columns
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
@@ -25,6 +26,8 @@ from calib.robots.robot import Robot
 from calib.using.compensation import Compensation, compensate
 from calib.using.goals import Goals, read_goals
 from calib.using.program_goals import KEEP
+from calib.using.programs import languages
+from calib.using.programs.controller_program import COUPLED
 from calib.using.programs.gcode import SUFFIXES
 
 _FIGURES = ("before", "expected", "low95", "high95")
@@ -63,7 +66,22 @@ _OF_ANGLES = tuple((f"{one}_angle", ERROR_UNIT["angle"], error_scale("angle")) f
     metavar="X,Y,Z",
     help="G-code: where the machine stands at first and after homing, in the program's coordinates [mm].",
 )
-@click.option("--skip-unreachable", is_flag=True, help="Write rows that cannot be compensated too: empty, and marked.")
+@click.option(
+    "--frames",
+    metavar="FILE",
+    multiple=True,
+    help="Controllers' programs: tools and frames that it does not declare; a table, a RAPID module or $config.dat.",
+)
+@click.option("--base-link", metavar="LINK", help="Controllers' programs: the controller's base frame in the URDF.")
+@click.option("--flange-link", metavar="LINK", help="Controllers' programs: the controller's flange in the URDF.")
+@click.option(
+    "--third-joint", type=click.Choice(COUPLED), help="FANUC, joint values: what the third joint of the URDF is."
+)
+@click.option(
+    "--skip-unreachable",
+    is_flag=True,
+    help="Write what cannot be compensated too: rows empty, and marked; targets of a program as they are.",
+)
 @click.option("--out", required=True, metavar="FILE", help="File to write: the compensated program.")
 @shared_options(json_output=True)
 def command(
@@ -75,13 +93,19 @@ def command(
     tolerance_mm: float | None,
     zero: str | None,
     start: str | None,
+    frames: tuple[str, ...],
+    base_link: str | None,
+    flange_link: str | None,
+    third_joint: str | None,
     skip_unreachable: bool,
     out: str,
     output: Output,
 ) -> None:
-    """Change PROGRAM (CSV or G-code), written for the nominal ROBOT, so that the calibrated one does what was meant.
+    """Change PROGRAM, written for the nominal ROBOT, so that the calibrated one does what was meant.
 
-    PROGRAM has a column for every joint; or positions, poses or positions with an axis of a target, as `calib solve`
+    PROGRAM is a table (CSV), G-code, or a controller's: URScript (.script), RAPID (.mod), KRL (.src), FANUC (.ls).
+
+    A table has a column for every joint; or positions, poses or positions with an axis of a target, as `calib solve`
     reads them, in the measurement frame of the description. What is written has the joint values to command, for
     poses also the poses to command where a controller with the nominal model turns them into joints itself, and of
     every row how far the tool is off before and after. The tool is where the description has it. Where the base is
@@ -92,6 +116,10 @@ def command(
     G-code (.gcode, .nc, .ngc, .g) is for machines of three motors whose controller turns X, Y and Z into motors with
     the nominal model, Cartesian or delta. Straight moves get the points to tell it, in pieces so short that the tool
     stays within --tolerance-mm of the line; what else moves the machine is refused, all other lines stay.
+
+    Of a controller's program the numbers of the targets change and nothing else. What it works out at run time is
+    listed, with its lines. Its poses count from link `base` to link `tool0` where the URDF has them, else from the
+    description's base to the link of its target; --base-link and --flange-link say otherwise.
     """
     result = result_folder(robot, result)
     nominal = loaded(robot, output)
@@ -101,7 +129,19 @@ def command(
             f"note: {result}: has no residuals.csv, and so does not say at which poses it was measured; a frame that is"
             " laid agrees around home instead; fit again"
         )
-    if Path(program).suffix.lower() in SUFFIXES:
+    suffix = Path(program).suffix.lower()
+    links = (base_link, flange_link, third_joint)
+    if suffix not in languages.SUFFIXES and (frames or any(one is not None for one in links)):
+        raise InputError(
+            "--frames, --base-link, --flange-link and --third-joint are for programs of controllers"
+            f" ({', '.join(languages.SUFFIXES)}); leave them out"
+        )
+    if suffix in languages.SUFFIXES:
+        if any(option is not None for option in (keep, grid, zero, start, tolerance_mm)):
+            raise InputError("--keep, --grid, --zero, --start and --tolerance-mm are not for programs of controllers")
+        compensate_controller(known, program, result, frames, links, skip_unreachable, out, output)
+        return
+    if suffix in SUFFIXES:
         if keep is not None or grid is not None or skip_unreachable:
             raise InputError("--keep, --grid and --skip-unreachable are for programs in CSV; leave them out")
         compensate_gcode(known, program, result, (zero, start), tolerance_mm, out, output)

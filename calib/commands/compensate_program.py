@@ -1,0 +1,163 @@
+"""The part of `calib compensate` that is about programs of controllers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from calib.base.errors import UnreachablePoseError
+from calib.base.files import write_files
+from calib.base.units import ERROR_UNIT, error_scale, millimetres
+from calib.base.words import counted
+from calib.commands.common import Output, said_of_failure
+from calib.reporting.expected_text import COUNTED, before_and_now, expected_now, left_as_it_is, of_frame, summary
+from calib.rows.known_robot import KnownRobot
+from calib.using.programs.controller_program import CompensatedProgram, compensate_program
+from calib.using.programs.languages import read_program
+from calib.using.programs.robot_program import RobotProgram
+
+_SHOWN = 20
+
+
+def compensate_controller(
+    known: KnownRobot,
+    path: str,
+    result: str,
+    frames: Sequence[str],
+    links: tuple[str | None, str | None, str | None],
+    skip_unreachable: bool,
+    out: str,
+    output: Output,
+) -> None:
+    """Write a controller's program with which the calibrated robot goes where it says.
+
+    Args:
+        known: The calibrated robot.
+        path: The program.
+        result: Folder of the calibration, for messages.
+        frames: --frames.
+        links: --base-link, --flange-link and --third-joint.
+        skip_unreachable: Whether targets that cannot be compensated stay as they are.
+        out: File to write; a `.dat` file goes beside it.
+        output: Where to print.
+
+    Raises:
+        DataError: A program that cannot be read; with its line.
+        UnreachablePoseError: Targets that cannot be compensated.
+    """
+    program = read_program(path, frames)
+    places = [Path(out), *(Path(out).with_suffix(Path(source.path).suffix) for source in program.sources[1:])]
+    output.check(*map(str, places))
+    base, flange, third_joint = links
+    with output.working(f"compensating {counted(len(program.targets), 'target')}"):
+        found = compensate_program(known, program, base=base, flange=flange, third_joint=third_joint)
+    missed = [k for k, why in enumerate(found.reasons) if why]
+    if missed and not skip_unreachable:
+        named = "; ".join(f"{program.targets[k].label} {found.reasons[k]}" for k in missed[:5])
+        more = f" (and {len(missed) - 5} more)" if len(missed) > 5 else ""
+        raise UnreachablePoseError(
+            f"{counted(len(missed), 'target')} of {len(program.targets)} cannot be compensated: {named}{more}; change"
+            " them, or leave them as they are with --skip-unreachable"
+        )
+    for k in missed:
+        output.note(f"{program.targets[k].label} {found.reasons[k]}; left as it is")
+    _note(output, "", [str(one) for one in program.left_out])
+    _note(output, "note: ", [*found.configurations, *found.compensation.jumps()])
+    said_of_failure(output, result, out)
+    write_files(dict(zip(places, found.files(), strict=True)), comment=None, force=output.force)
+    output.json(_content(program, found))
+    output.say(_said(program, found, result, [str(place) for place in places]))
+
+
+def _note(output: Output, mark: str, lines: Sequence[str]) -> None:
+    for line in lines[:_SHOWN]:
+        output.note(f"{mark}{line}" if mark else f"not compensated: {line}")
+    if len(lines) > _SHOWN:
+        output.note(f"and {len(lines) - _SHOWN} more (--json lists all)")
+
+
+def _figures(found: CompensatedProgram) -> dict[str, dict[str, float]]:
+    """Root mean square and largest errors, of positions [mm] and of orientations where they are kept [mrad]."""
+    compensation, ok = found.compensation, found.compensation.ok
+    figures = {f"{name}_mm": millimetres(getattr(compensation, name)[ok]) for name in ("before", "expected")}
+    if compensation.keep != "position":
+        angle = error_scale("angle")
+        figures |= {
+            f"{name}_angle_{ERROR_UNIT['angle']}": angle * getattr(compensation, f"{name}_angle")[ok]
+            for name in ("before", "expected")
+        }
+    figures["rounding_mm"] = millimetres(found.rounding[ok])
+    return {name: summary(np.asarray(values)) for name, values in figures.items()}
+
+
+def _content(program: RobotProgram, found: CompensatedProgram) -> dict[str, object]:
+    compensation = found.compensation
+    place = {int(k): n for n, k in enumerate(found.rows)}
+    return {
+        "language": program.language,
+        "base_link": found.base,
+        "flange_link": found.flange,
+        "kept": compensation.keep,
+        "frame": compensation.frame,
+        "counted": COUNTED,
+        "nothing_to_correct": compensation.nothing_to_correct,
+        "n_targets": len(program.targets),
+        "n_compensated": sum(one is not None for one in found.values),
+        **_figures(found),
+        "tool_from_target_mm": millimetres(found.lever),
+        "targets": [
+            {
+                "file": target.path,
+                "line": target.line,
+                "name": target.name,
+                "status": found.reasons[k] or "ok",
+                **(
+                    {
+                        f"{name}_mm": millimetres(float(getattr(compensation, name)[place[k]]))
+                        for name in ("before", "expected")
+                    }
+                    if k in place
+                    else {}
+                ),
+            }
+            for k, target in enumerate(program.targets)
+        ],
+        "not_compensated": [
+            {"file": one.path, "line": one.line, "text": one.text, "why": one.why} for one in program.left_out
+        ],
+        "configurations": list(found.configurations),
+    }
+
+
+def _said(program: RobotProgram, found: CompensatedProgram, result: str, places: Sequence[str]) -> str:
+    compensation, figures = found.compensation, _figures(found)
+    n, written = int(np.sum(compensation.ok)), " and ".join(places)
+    count = f"{n} of {counted(len(program.targets), 'target')}"
+    if compensation.nothing_to_correct:
+        lines = [
+            f"{count} left as they are: {left_as_it_is(result)}; written to {written}",
+            expected_now("The tool", figures["expected_mm"], "mm"),
+        ]
+    else:
+        lines = [
+            f"{count} compensated ({compensation.keep} kept), written to {written}",
+            before_and_now("The tool", figures["before_mm"], figures["expected_mm"], "mm"),
+        ]
+        if "before_angle_mrad" in figures:
+            lines.append(
+                before_and_now("Its orientation", figures["before_angle_mrad"], figures["expected_angle_mrad"], "mrad")
+            )
+        lines.append(f"The decimals of the file move it by {figures['rounding_mm']['max']:.4f} mm at worst")
+    if found.lever > 1e-6 and "expected_angle_mrad" in figures:
+        far = millimetres(found.lever)
+        most = figures["expected_mm"]["rms"] + far * figures["expected_angle_mrad"]["rms"] / 1e3
+        lines.append(
+            f"This is said of target '{compensation.target}'; the program's tools end up to {far:.1f} mm from it, and"
+            f" {most:.4f} mm (rms) at most are expected there"
+        )
+    if program.left_out:
+        lines.append(f"{counted(len(program.left_out), 'place')} not compensated, listed above")
+    lines.append(f"Poses count from link '{found.base}' to link '{found.flange}' and the program's tool")
+    return "\n".join([*lines, of_frame(compensation.frame)])

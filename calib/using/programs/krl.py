@@ -1,0 +1,261 @@
+"""Targets of KRL, the language of KUKA: a `.src` file with the `.dat` file beside it.
+
+Read are `PTP`, `LIN`, `CIRC`, `SPL` and their splines with positions (`E6POS`, `POS`, `FRAME`) and axes (`E6AXIS`,
+`AXIS`), declared in either file or written out. Tool and base are those that hold there in the text: of the inline
+forms (`FDAT_ACT` or the spline's `STOOL2`, `SBASE`), of `BAS(#TOOL, ...)` and `BAS(#BASE, ...)`, or set in `$TOOL` and
+`$BASE`. `TOOL_DATA` and `BASE_DATA` stand in the controller's `$config.dat`, or in a table of frames.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from calib.using.programs.orientations import pose_of
+from calib.using.programs.robot_program import (
+    DEGREE,
+    MILLIMETRE,
+    NUMBER,
+    Collector,
+    Configuration,
+    LeftOutError,
+    Number,
+    ProgramTarget,
+    RobotProgram,
+    Source,
+    arguments,
+    cells_at,
+    closing,
+)
+
+LANGUAGE, SUFFIXES = "KRL", (".src",)
+_BLANK = r'"[^"\n]*"|;[^\n]*'
+_WHAT = "a KRL program"
+_DECLARED = re.compile(
+    r"^[ \t]*(?:DECL[ \t]+)?(?:GLOBAL[ \t]+)?(?:(E6POS|POS|FRAME|E6AXIS|AXIS|FDAT)[ \t]+)?([$\w]+(?:\[\d+\])?)[ \t]*="
+    r"[ \t]*(?=\{)",
+    re.IGNORECASE | re.MULTILINE,
+)
+_ASSIGNED = re.compile(r"^[ \t]*(?!DECL\b)(\w+)(?:\[[^\]\n]*\])?(?:\.\w+)?[ \t]*=(?!=)", re.IGNORECASE | re.MULTILINE)
+_MOVE = re.compile(r"^[ \t]*(S?PTP|S?LIN|S?CIRC|SPL)(_REL)?[ \t]+([^\n]*)", re.IGNORECASE | re.MULTILINE)
+_STATE = re.compile(
+    r"^[ \t]*(?:(\$TOOL|\$BASE|FDAT_ACT|\$IPO_MODE)[ \t]*=[ \t]*([^\n]*)"
+    r"|BAS[ \t]*\([ \t]*#(TOOL|BASE)[ \t]*,([^)\n]*)\))",
+    re.IGNORECASE | re.MULTILINE,
+)
+_WITH = re.compile(r"(STOOL2?|SBASE)\s*\(\s*(\w+)", re.IGNORECASE)
+_COMPONENT = re.compile(rf"\s*([A-Z]\w*)\s+({NUMBER})\s*", re.IGNORECASE)
+_MEMBER = re.compile(r"(TOOL_NO|BASE_NO)\s+(\d+)|IPO_FRAME\s+(#\w+)", re.IGNORECASE)
+_POSE, _AXES = ("X", "Y", "Z", "A", "B", "C"), ("A1", "A2", "A3", "A4", "A5", "A6")
+_NULL = ("$NULLFRAME", "TOOL_DATA[0]", "BASE_DATA[0]")
+
+
+@dataclass(frozen=True)
+class _Literal:
+    """Components in braces."""
+
+    file: int
+    start: int
+    name: str
+    components: Mapping[str, tuple[int, int]]
+
+
+def read_krl(path: Path | str, frames: Mapping[str, pin.SE3 | str]) -> RobotProgram:
+    """Read a program and the `.dat` file beside it, if there is one.
+
+    Args:
+        path: The `.src` file.
+        frames: `TOOL_DATA[1]`, `BASE_DATA[2]`, ... that it does not set.
+
+    Raises:
+        DataError: The message names file and line.
+    """
+    beside = [Path(path).with_suffix(suffix) for suffix in (".dat", ".DAT", ".Dat")]
+    found = [one for one in beside if one.is_file()][:1]
+    return _Reader([Source.read(one, _WHAT, _BLANK) for one in (Path(path), *found)], frames).program()
+
+
+def krl_frames(path: Path | str) -> dict[str, pin.SE3 | str]:
+    """Return `TOOL_DATA[...]` and `BASE_DATA[...]` of a file, such as `$config.dat`."""
+    return _Reader([Source.read(path, "a KRL data list", _BLANK)], {}).frames
+
+
+class _Reader:
+    def __init__(self, sources: list[Source], frames: Mapping[str, pin.SE3 | str]) -> None:
+        self.sources, self.collector = sources, Collector()
+        self.declared: dict[str, _Literal | None] = {}
+        self.forms: dict[str, str] = {}
+        self.frames: dict[str, pin.SE3 | str] = {**frames}
+        for file, source in enumerate(sources):
+            self._declarations(file, source)
+        self.set_later = {match[1].upper() for match in _ASSIGNED.finditer(sources[0].code)}
+        self.tool: pin.SE3 | str = "nothing before it says with which tool (BAS, $TOOL, an inline form)"
+        self.base: pin.SE3 | str = "nothing before it says in which base (BAS, $BASE, an inline form)"
+        self.outside = False
+
+    def _declarations(self, file: int, source: Source) -> None:
+        for match in _DECLARED.finditer(source.code):
+            opening, name = match.end(), match[2].upper()
+            end = closing(source.code, opening)
+            if end is None or name in ("$TOOL", "$BASE"):
+                continue
+            if (match[1] or "").upper() == "FDAT":
+                self.forms[name] = source.code[opening : end + 1]
+            elif name.startswith(("TOOL_DATA[", "BASE_DATA[")):
+                self.frames[name] = self._frame(file, opening, end + 1, name)
+            elif match[1] or name not in self.declared:
+                self.declared[name] = self._literal(file, opening, end + 1, match[2])
+
+    def _literal(self, file: int, start: int, end: int, name: str = "") -> _Literal | None:
+        """What stands in braces; None where it is not plain numbers."""
+        code = self.sources[file].code
+        if code[start] != "{" or closing(code, start) != end - 1:
+            return None
+        first = re.compile(r"\{\s*(?:\w+\s*:)?").match(code, start)  # the type may stand first
+        assert first is not None
+        components = {}
+        for left, right in arguments(code, first.end(), end - 1):
+            match = _COMPONENT.fullmatch(code, left, right)
+            if match is None:
+                return None
+            components[match[1].upper()] = match.span(2)
+        return _Literal(file, start, name, components)
+
+    def _frame(self, file: int, start: int, end: int, name: str) -> pin.SE3 | str:
+        literal = self._literal(file, start, end)
+        if literal is None or not set(_POSE) <= set(literal.components):
+            return f"{name} is not six plain numbers"
+        return pose_of([cell.value for cell in self._cells(literal, _POSE)], "zyx")
+
+    def _cells(self, literal: _Literal, names: tuple[str, ...]) -> tuple[Number, ...]:
+        units = [MILLIMETRE if name in "XYZ" else DEGREE for name in names]
+        spans = [literal.components[name] for name in names]
+        return cells_at(self.sources[literal.file], literal.file, spans, units)
+
+    def program(self) -> RobotProgram:
+        """Walk through the text."""
+        code = self.sources[0].code
+        found = [*_MOVE.finditer(code), *_STATE.finditer(code)]
+        for match in sorted(found, key=lambda one: one.start()):
+            if match.re is _STATE:
+                self._set(match)
+            else:
+                self._move(match)
+        return self.collector.program(LANGUAGE, self.sources)
+
+    def _set(self, match: re.Match[str]) -> None:
+        """Take in a tool or base that holds from here on."""
+        what, value = (match[1] or "").upper(), (match[2] or "").strip().upper()
+        if match[3]:
+            self._choose(match[3].upper(), match[4].strip())
+        elif what == "$IPO_MODE":
+            self.outside = value == "#TCP"
+        elif what == "FDAT_ACT":
+            self._form(value)
+        else:
+            opening = match.start(2)
+            end = closing(self.sources[0].code, opening) if value.startswith("{") else None
+            frame = self._frame(0, opening, end + 1, what) if end is not None else self._named(value)
+            if what == "$TOOL":
+                self.tool = frame
+            else:
+                self.base = frame
+
+    def _choose(self, what: str, number: str) -> None:
+        frame = self._named(f"{what}_DATA[{number}]")
+        if what == "TOOL":
+            self.tool = frame
+        else:
+            self.base = frame
+
+    def _named(self, value: str) -> pin.SE3 | str:
+        name = value.replace(" ", "")
+        if name in _NULL:
+            return pin.SE3.Identity()
+        if name in self.frames:
+            return self.frames[name]
+        literal = self.declared.get(name)
+        if literal is not None and set(_POSE) <= set(literal.components) and name not in self.set_later:
+            return pose_of([cell.value for cell in self._cells(literal, _POSE)], "zyx")
+        return f"{value.lower() if '[' not in name else name} is not known here; give $config.dat with --frames"
+
+    def _form(self, name: str) -> None:
+        """Take in the tool and base of an inline form."""
+        members = {(m[1] or "IPO").upper(): (m[2] or m[3]).upper() for m in _MEMBER.finditer(self.forms.get(name, ""))}
+        if not {"TOOL_NO", "BASE_NO"} <= set(members):
+            self.tool = self.base = f"{name} is declared nowhere here"
+            return
+        self._choose("TOOL", members["TOOL_NO"])
+        self._choose("BASE", members["BASE_NO"])
+        self.outside = members.get("IPO") == "#TCP"
+
+    def _move(self, match: re.Match[str]) -> None:
+        """Take in one motion."""
+        source, word = self.sources[0], match[1].upper()
+        for what, name in _WITH.findall(match[3]):
+            held = self.tool, self.base, self.outside
+            self._form(name.upper())
+            if what.upper() == "SBASE":
+                self.tool = held[0]
+            else:
+                self.base = held[1]
+        end = match.end(3) - len(match[3]) + len(re.split(r"(?i)\bWITH\b", match[3])[0])
+        spans = list(arguments(source.code, match.start(3), end))
+        for span in spans[: 2 if word.endswith("CIRC") else 1]:
+            start = span[0]
+            stop = re.compile(r"\s+C_(?:PTP|DIS|ORI|VEL|SPL)\b.*", re.IGNORECASE | re.DOTALL)
+            span = start, start + len(stop.sub("", source.code[slice(*span)]).rstrip())
+            try:
+                if match[2]:
+                    raise LeftOutError("counts from where the robot stands")
+                self.collector.take(self._target(span), source, start)
+            except LeftOutError as why:
+                self.collector.leave(source, start, source.shown(*span), str(why))
+
+    def _target(self, span: tuple[int, int]) -> ProgramTarget:
+        text = self.sources[0].code[slice(*span)].strip()
+        name = text.upper()
+        literal = self._literal(0, *span) if text.startswith("{") else self.declared.get(name)
+        if literal is None:
+            if name in self.declared or text.startswith("{"):
+                raise LeftOutError("is not plain numbers")
+            raise LeftOutError(
+                "is declared nowhere here" if re.fullmatch(r"\w+", text) else "is worked out at run time"
+            )
+        if name in self.set_later:
+            raise LeftOutError("is set while the program runs")
+        code = self.sources[literal.file].code
+        numbers = {key: float(code[slice(*place)]) for key, place in literal.components.items()}
+        if any(numbers.get(f"E{k}", 0.0) for k in range(1, 7)):
+            raise LeftOutError("moves external axes, of which the description knows nothing")
+        path, line = self.sources[literal.file].path, self.sources[literal.file].line(literal.start)
+        if set(_AXES) <= set(numbers):
+            return ProgramTarget(line, path, literal.name, self._cells(literal, _AXES), None)
+        if not set(_POSE) <= set(numbers):
+            raise LeftOutError("says only a part of a position; the rest is where the robot stands")
+        for one in (self.tool, self.base, "the tool stands in the room" if self.outside else None):
+            if isinstance(one, str):
+                raise LeftOutError(one)
+        assert isinstance(self.tool, pin.SE3)
+        assert isinstance(self.base, pin.SE3)
+        cells, configuration = self._cells(literal, _POSE), _configuration(numbers)
+        return ProgramTarget(line, path, literal.name, cells, "zyx", self.base, self.tool, configuration)
+
+
+def _configuration(numbers: Mapping[str, float]) -> Configuration | None:
+    """S: bit 0 the side of axis 1, bit 1 of axis 3. T: the signs of the axes. Bit 2 of S says no more than these."""
+    text = ", ".join(f"{key} {numbers[key]:g}" for key in ("S", "T") if key in numbers)
+    if not text:
+        return None
+    ranges = {}
+    if "T" in numbers:
+        turns = int(numbers["T"])
+        ranges = {k: (-np.inf, 0.0) if turns >> k & 1 else (0.0, np.inf) for k in range(6)}
+    status = int(numbers["S"]) if "S" in numbers else None
+    behind, bent = (None, None) if status is None else (bool(status & 1), bool(status & 2))
+    return Configuration(text, ranges, behind=behind, bent=bent)

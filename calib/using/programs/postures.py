@@ -146,7 +146,7 @@ class NominalCell:
         return turned
 
     def past(self, q: FloatArray, says: Configuration, sides: Sides) -> float:
-        """Return how far joints are from what a program says of them [rad]; infinite where a side is another."""
+        """Return how far joints (n_actuated,) are from what a program says [rad]; infinite where a side is another."""
         expected = (says.behind, says.elbow, says.flipped, says.bent)
         if any(one is not None for one in expected) and any(
             said is not None and side not in (None, said) for side, said in zip(sides.of(q), expected, strict=True)
@@ -176,6 +176,9 @@ class Sides:
         """Return whether wrist, elbow and joint 5 are on another side than in the reference, and joint 3 is beyond.
 
         None where that cannot be said: of an arm that is no chain of six axes, or on the border.
+
+        Args:
+            q: Joints, (n_actuated,) [m or rad].
         """
         if not self._known:
             return None, None, None, None

@@ -354,7 +354,7 @@ def test_orientations_are_off_by_what_is_expected(tmp_path, keep):
     found = compensate(fit, program, keep=keep)
     assert found.ok.all()
     meant = nominal.forward(program)[:, :3, :3]
-    root = np.linalg.cholesky(fit.statistics.covariance + 1e-30 * np.eye(len(fit.statistics.covariance)))
+    root = np.linalg.cholesky(fit.covariance.values + 1e-30 * np.eye(len(fit.statistics.covariance)))
     errors = []
     for _ in range(300):
         values = fit.robot.values.copy()

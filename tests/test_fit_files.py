@@ -128,7 +128,7 @@ def test_the_result_holds_these_robots_and_how_sure_they_are(fit, folder):
         own = fit.reduced[holds]
         assert len(robot.terms) == n_terms
         np.testing.assert_allclose(robot.values, own.robot.values, rtol=1e-14, atol=1e-16)
-        np.testing.assert_allclose(uncertainty.covariance, own.statistics.covariance, rtol=1e-12)
+        np.testing.assert_allclose(uncertainty.covariance, own.covariance.values, rtol=1e-12)
         assert uncertainty.coverage_factor == pytest.approx(own.statistics.coverage_factor, rel=1e-12)
     assert list(loaded.robot.files) == list(read_names(folder)) == [h for h in Holds if h is not Holds.TO_LAST_AXIS]
     for holds, one in loaded.robot.files.items():

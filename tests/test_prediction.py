@@ -27,7 +27,7 @@ def test_the_covariance_is_that_of_drawn_parameters(fit):
     q = joints(4, seed=5)
     found = fit.predict(q)
     rng = np.random.default_rng(2)
-    drawn = rng.multivariate_normal(np.zeros(fit.free.sum()), fit.statistics.covariance, size=3000)
+    drawn = rng.multivariate_normal(np.zeros(fit.free.sum()), fit.covariance.values, size=3000)
     positions = []
     for step in drawn:
         values = fit.robot.values.copy()

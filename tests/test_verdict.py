@@ -557,7 +557,7 @@ def test_joint_terms_that_the_poses_hardly_decide_are_told(prior_arm):
     fit = calib.fit(prior_arm, noisy(prior_arm, together, SIGMA, 1), sigma=SIGMA, terms="gain")
     found = remark(fit, "terms_untested")
     q = np.stack([np.roll(together[:, j], 10 * j) for j in range(6)], axis=1)
-    drawn = rng.multivariate_normal(np.zeros(len(fit.free_names)), fit.statistics.covariance, size=300)
+    drawn = rng.multivariate_normal(np.zeros(len(fit.free_names)), fit.covariance.values, size=300)
     for poses, words in ((q, r"known to ([\d.]+) mm RMS only"), (together, r"and to ([\d.]+) mm at the poses used")):
         mean, squares = fit.robot.positions(poses)[:, 0], []
         for step in drawn:

@@ -58,7 +58,7 @@ def test_predictions_of_a_fit_agree_with_the_robots(fit):
 def test_the_spread_of_predictions_agrees_with_random_parameters(fit):
     table = from_fit(fit)
     generator = np.random.default_rng(0)
-    draws = generator.multivariate_normal(np.zeros(int(fit.free.sum())), fit.statistics.covariance, size=300)
+    draws = generator.multivariate_normal(np.zeros(int(fit.free.sum())), fit.covariance.values, size=300)
     values = fit.robot.values + np.zeros((300, len(fit.free)))
     values[:, fit.free] += draws
     q = table.joints[:3]

@@ -170,7 +170,7 @@ class Fit(ReadOnlyArrays):
         later = {name: replace(found[name], status="placed") for name in self.placed_later}
         return Estimates({**found, **later}) if later else found
 
-    @property
+    @cached_property
     def covariance(self) -> Covariance:
         """Covariance of the free parameters, by name, as wide as their intervals."""
         return Covariance(self.free_names, self.widened**2 * self.statistics.covariance)
@@ -184,8 +184,8 @@ class Fit(ReadOnlyArrays):
 
     @property
     def widened(self) -> float:
-        """How many times as wide as noise alone makes them the intervals of parameters are."""
-        return 1.0 if self.regions is None else max(self.regions.ratio, 1.0)
+        """How many times as wide as noise alone makes them intervals, and what positions are known to, are."""
+        return 1.0 if self.regions is None else self.regions.ratio
 
     @property
     def residuals(self) -> dict[str, FloatArray]:
@@ -282,7 +282,7 @@ class Fit(ReadOnlyArrays):
     @property
     def uncertainty(self) -> ParameterUncertainty:
         """How sure the free parameters are."""
-        return ParameterUncertainty(self.free, self.statistics.covariance, self.statistics.coverage_factor)
+        return ParameterUncertainty(self.free, self.covariance.values, self.statistics.coverage_factor)
 
     @cached_property
     def identification_uncertainty(self) -> PositionUncertainty:

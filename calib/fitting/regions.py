@@ -2,10 +2,12 @@
 
 A model that leaves something out is pulled one way here and another way there. The fit of all poses then stands between
 them, and the scatter of single poses does not show it: `calib.numerics.clusters` compares what parameters move by with
-what noise explains. Where chance does not explain it, the intervals of parameters are as much wider.
+what noise explains. Where chance hardly explains it, everything that is made of the covariance is widened by as much:
+intervals of parameters, and how well predicted positions are known. Where chance does not explain it at all, the
+verdict says so.
 
-When it fails. What is off in the same way everywhere moves nothing. Predicted positions at poses like those measured
-stand for a mean over the same regions, and are not widened: what they leave out is in the errors of poses left out.
+When it fails. What is off in the same way everywhere moves nothing. Of a fit in twenty that leaves nothing out,
+intervals are a little wider than they need to be.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ from calib.rows.rows import Rows
 
 BLOCKS = 8
 """Number of boxes of joint space that are left out in turn."""
-_UNLIKELY = 1e-3  # chance, shared by all ways of cutting, above which noise may explain what parameters move by
+_HARDLY = 0.05  # chance, shared by all ways of cutting, below which what parameters move by counts
+_UNLIKELY = 1e-3  # likewise, below which it is no chance
 
 
 @dataclass(frozen=True)
@@ -33,14 +36,16 @@ class Regions:
     Attributes:
         cut: What was left out, in the plural.
         ratio: How many times as much as noise explains they move.
+        surely: Whether chance does not explain it.
     """
 
     cut: str
     ratio: float
+    surely: bool
 
 
 def disagreeing(data: Measurements, rows: Rows, found: Statistics) -> Regions | None:
-    """Return the regions by which parameters disagree most, beyond chance; None where they agree.
+    """Return the regions by which parameters disagree most; None where they agree as well as noise lets them.
 
     Args:
         data: The visits that were used.
@@ -54,8 +59,12 @@ def disagreeing(data: Measurements, rows: Rows, found: Statistics) -> Regions | 
     if data.setups is not None and np.ptp(data.setups) > 0:
         cuts["whole setups"] = data.setups
     ratios = {name: left_out(rows, found, blocks) for name, blocks in cuts.items()}
-    surely = [Regions(name, ratio) for name, (ratio, chance) in ratios.items() if chance < _UNLIKELY / len(cuts)]
-    return max(surely, key=lambda one: one.ratio, default=None)
+    apart = [
+        Regions(name, ratio, chance < _UNLIKELY / len(cuts))
+        for name, (ratio, chance) in ratios.items()
+        if chance < _HARDLY / len(cuts) and ratio > 1.0
+    ]
+    return max(apart, key=lambda one: one.ratio, default=None)
 
 
 def left_out(rows: Rows, found: Statistics, block: IntArray) -> tuple[float, float]:

@@ -42,7 +42,7 @@ def validation_studentised(fit: Fit) -> Studentised | None:
     rows = fit.validation_rows
     if rows is None:
         return None
-    known = fit.statistics.covariance / np.outer(fit.unknowns.scales, fit.unknowns.scales)
+    known = fit.covariance.values / np.outer(fit.unknowns.scales, fit.unknowns.scales)
     values, vectors = np.linalg.eigh(known)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     scale = studentised(fit).scale / _factor(fit)

@@ -58,9 +58,8 @@ class Promise:
         """Return what a fit promises."""
         sigma = {(one.group.name, one.group.part): one.sigma for one in fit.noise}
         found = fit.statistics
-        return Promise(
-            fit.robot, found.covariance, found.freedom, sigma, 1.0 if found.shared is None else found.shared.ratio
-        )
+        shared = 1.0 if found.shared is None else found.shared.ratio
+        return Promise(fit.robot, fit.covariance.values, found.freedom, sigma, shared)
 
 
 @dataclass(frozen=True)

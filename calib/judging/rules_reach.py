@@ -58,8 +58,8 @@ def moved_little(fit: Fit) -> Iterator[Reason]:
         return
     for j in np.flatnonzero((part < CORNER) & ~still):
         q = _elsewhere(fit, int(j), float(allowed[j]))
-        here = _relative(fit, _at_used(fit), fit.statistics.covariance)
-        there = _relative(fit, fit.robot.assemble(q), fit.statistics.covariance) if len(q) else 0.0
+        here = _relative(fit, _at_used(fit), fit.covariance.values)
+        there = _relative(fit, fit.robot.assemble(q), fit.covariance.values) if len(q) else 0.0
         if there > _well_known(fit, here):
             name = robot.joint_names[j]
             dimension = robot.mechanism.dimensions[name]
@@ -176,13 +176,13 @@ def beyond_curves(fit: Fit) -> Iterator[Reason]:
 def blocks_disagree(fit: Fit) -> Iterator[Reason]:
     """See whether the parameters stand where boxes of joint space, or whole setups, are left out in turn."""
     apart = fit.regions
-    if apart is not None:
+    if apart is not None and apart.surely:
         yield Reason(
             "CHECK",
             "blocks_disagree",
             f"with {apart.cut} left out in turn, parameters move {apart.ratio:.2g} times as much as noise explains: the"
-            " model leaves something out that is not the same everywhere; the intervals of parameters count it, and"
-            " places unlike those measured may be further off",
+            " model leaves something out that is not the same everywhere; intervals, and what positions are known to,"
+            " count it, and places unlike those measured may be further off",
             counted=True,
         )
 
@@ -223,7 +223,7 @@ def _widened(fit: Fit, q: FloatArray) -> str:
     q = q[fit.robot.close(q).ok] if np.any(terms) else q[:0]
     if len(q) == 0 or fit.computed:
         return ""
-    covariance = fit.statistics.covariance
+    covariance = fit.covariance.values
     here, there, alone = (
         _relative(fit, configurations, known)
         for configurations, known in (

@@ -107,7 +107,6 @@ def file_entries(fit: Fit) -> list[dict[str, object]]:
                 "formats": formats_that_hold(holds, fit.nominal),
                 "values": name_of_values(files, holds) or None,
                 "interval_degrees_of_freedom": reduced[holds].statistics.interval_freedom if holds in reduced else None,
-                "widened": reduced[holds].widened if holds in reduced else None,
                 "poses": judged.poses.name.lower(),
                 "n_poses": judged.n_poses,
                 "part": judged.part,

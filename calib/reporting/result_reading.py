@@ -188,9 +188,7 @@ def load_uncertainty(folder: Path | str, robot: Robot, holds: Holds = Holds.EVER
         covariance = np.array([[float(cell) for cell in row[2:]] for row in table.rows]) / scale[:, None] / scale
     except ValueError:
         raise DataError(f"{path}: holds text where a number is expected; run the fit again") from None
-    own = entry if entry.get("values") else content
-    freedom = own.get("interval_degrees_of_freedom")
-    covariance /= float(own.get("widened") or 1.0) ** 2  # the file's is as wide as the intervals of parameters
+    freedom = (entry if entry.get("values") else content).get("interval_degrees_of_freedom")
     if not np.all(np.isfinite(covariance)) or not isinstance(freedom, (int, float)) or not 0 < freedom < _MOST_FREEDOM:
         raise DataError(f"{folder}: its covariance or degrees of freedom are not numbers; run the fit again")
     free = np.array([p.name in names for p in robot.parameters])

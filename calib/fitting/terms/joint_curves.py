@@ -54,7 +54,7 @@ def joint_curves(fit: Fit) -> tuple[JointCurve, ...]:
         grid = np.zeros((_POINTS, len(robot.joint_names)))
         grid[:, j] = np.linspace(q.min(), q.max(), _POINTS)
         free = np.isin(fit.unknowns.index, index)
-        covariance = fit.statistics.covariance[np.ix_(free, free)]
+        covariance = fit.covariance.values[np.ix_(free, free)]
         values = robot.values[index]
         phi = term.columns(grid, j, Context.neutral(_POINTS, len(robot.joint_names)))
         used = term.columns(data.joints, j, data.conditions)

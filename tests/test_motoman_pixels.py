@@ -15,6 +15,7 @@ def test_pixels_of_a_turned_image_do_not_pass_and_the_reason_is_said(shared_data
     fit = calib.fit(robot, train, validation=test)
     assert fit.verdict.grade == "FAIL"
     words = " ".join(reason.text for reason in fit.verdict.reasons)
+    assert "doubtful_readings" in fit.verdict.to_dict()["codes"]
     assert "noise found of left, pixel, is" in words
     assert all(one.sigma > 2 for one in fit.noise)  # the most that cameras have [px]
     assert "camera 'left': 284 of 601 readings lie outside an image" in words

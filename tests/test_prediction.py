@@ -208,3 +208,15 @@ def test_a_point_at_a_known_place_makes_the_measurement_frame_count(tmp_path):
     fit = calib.fit(robot, calib.simulate(robot, joints(60, seed=3), None, 5))
     assert fit.identification_uncertainty.frame == ""
     assert fit.identification_uncertainty.summary() == fit.predict(joints(60, seed=3)).summary()
+
+
+def test_predict_says_what_the_fit_claims(tmp_path, run_calib):
+    """What positions are known to counts noise alone; the claim counts what the model leaves out."""
+    robot = six_axis_arm(tmp_path)
+    fit = calib.fit(robot, noisy(robot, joints(60), 4e-5, 1))
+    fit.save(tmp_path / "out", pages=False)
+    (tmp_path / "q.csv").write_text("j1,j2,j3,j4,j5,j6\n0.1,0.2,0.3,0.1,0.2,0.3\n")
+    run = run_calib("predict", tmp_path / "arm.yaml", tmp_path / "q.csv", "--result", tmp_path / "out", "--out",
+                    tmp_path / "p.csv")  # fmt: skip
+    limit = 1e3 * fit.verdict.claim.told.limit95
+    assert f"The tool itself is within {limit:.3g} mm of them, 95 % of the time, at poses like" in run.out

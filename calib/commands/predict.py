@@ -8,7 +8,7 @@ from calib.base.words import counted
 from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
 from calib.data.measurement_files import format_positions, read_poses
 from calib.data.measurements import Poses
-from calib.reporting.result_reading import joints_used, load_uncertainty, poses_beyond_curves
+from calib.reporting.result_reading import joints_used, load_uncertainty, poses_beyond_curves, read_result
 from calib.robots.robot import Robot
 from calib.rows.told_positions import ToldPositions
 
@@ -38,6 +38,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     if result:
         text, summary, remark = _with_uncertainty(model, poses, result, comment)
         content["position_uncertainty"] = summary
+        content["claim"] = claim = read_result(result)["verdict"].get("claim")
         content["beyond_curves"] = beyond = poses_beyond_curves(result, model, poses)
         remarks = remarks + beyond
     else:
@@ -46,6 +47,11 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     output.remarks(remarks)
     output.say(f"{counted(len(poses), 'pose')} written to {out}")
     if result:
+        if claim and claim["part"] == "position" and claim["limit95"] is not None:
+            output.say(
+                f"The tool itself is within {claim['limit95']:.3g} {claim['unit']} of them, 95 % of the time,"
+                f" {claim['region']}"
+            )
         output.say(
             f"Positions are known to {summary['mean']:.4f} mm on average, {summary['max']:.4f} mm at worst"
             f" (pose {summary['worst_pose']}); from measurement noise alone{remark}"

@@ -60,9 +60,13 @@ class Calibration(JudgedFit):
         """
         return pictures.plots(self)
 
-    def report(self) -> str:
-        """Return the result as text."""
-        return text_report(self)
+    def report(self, *, verbose: bool = False) -> str:
+        """Return the result as text.
+
+        Args:
+            verbose: Everything; otherwise the answer on one screen.
+        """
+        return text_report(self, verbose=verbose)
 
     def save(
         self, folder: Path | str, *, force: bool = False, pages: bool = True, logo: Path | str | None = None

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+__all__ = ["robot_file"]
+
 
 def robot_file(name: str = "medrue") -> Path:
     """Path of a robot description, which names the URDF beside it.

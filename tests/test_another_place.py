@@ -69,7 +69,9 @@ def test_each_setup_is_predicted_by_a_fit_of_the_others_and_placed_anew(tmp_path
     np.testing.assert_allclose(fit.folds.rms, expected, rtol=1e-4)
     assert np.all(np.array(expected) > 2 * SIGMA)
     figures = ", ".join(f"{name} {1e3 * rms:.4f}" for name, rms in zip(PLACES, fit.folds.rms, strict=True))
-    assert f"Setups left out in turns, each placed anew: RMS of {figures} mm" in " ".join(fit.report().split())
+    assert f"Setups left out in turns, each placed anew: RMS of {figures} mm" in " ".join(
+        fit.report(verbose=True).split()
+    )
     assert fit.folds.setups == (0, 1, 2)
 
 
@@ -94,9 +96,9 @@ def test_validation_in_a_setup_that_the_data_do_not_have_is_placed_by_itself(tmp
     distance = np.linalg.norm([where[f"{origin}.{axis}"] for axis in "xyz"])
     assert distance == pytest.approx(np.linalg.norm(PLACES[later]), abs=5e-3)
     said = f"Places that only the poses not used show, and that these placed: {origin} "
-    assert said in " ".join(fit.report().split())
+    assert said in " ".join(fit.report(verbose=True).split())
     assert {fit.parameters[name].status for name in fit.placed_later} == {"placed"}
-    assert "Held at nominal" not in fit.report()
+    assert "Held at nominal" not in fit.report(verbose=True)
     assert robot.is_free.sum() == fit.robot.is_free.sum() == len(fit.free_names) + 6
 
 
@@ -117,7 +119,8 @@ def test_folds_that_are_neither_a_number_nor_setups_are_errors(tmp_path, measure
 def test_the_command_leaves_setups_out(tmp_path, measured, run_calib):
     moving(tmp_path, PLACES)
     path = written(tmp_path / "all.csv", measured, PLACES)
-    run = run_calib("fit", tmp_path / "arm.yaml", path, "--folds", "setups", "--no-pages", "--out", tmp_path / "out")
+    run = run_calib("fit", tmp_path / "arm.yaml", path, "--folds", "setups", "--no-pages", "--verbose",
+                    "--out", tmp_path / "out")  # fmt: skip
     assert run.code == 0, run.err
     assert "Setups left out in turns, each placed anew: RMS of left" in " ".join(run.out.split())
     assert '"setups": [\n' in (tmp_path / "out" / "result.json").read_text()

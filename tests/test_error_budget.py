@@ -206,7 +206,7 @@ def test_the_report_and_the_result_show_the_same_budget(mixed):
             assert row["share"] == pytest.approx(row["mean_square"] / table["rms_before"] ** 2, rel=1e-9)
     errors = to_dict(fit)["errors"]["validation"]["before"]
     assert table["rms_before"] == pytest.approx(errors["rms"], rel=1e-9)
-    text = text_report(fit)
+    text = text_report(fit, verbose=True)
     assert "What made the error before (poses not used)" in text
     assert f"What is left: {fit.budget.advice}" in text
     for row in table["causes"]:

@@ -106,7 +106,7 @@ def test_asking_for_everything_at_once_works(arm):
         starts=3,
         folds=3,
     )
-    report = fit.report()
+    report = fit.report(verbose=True)
     for words in (
         "Verdict:",
         "left out in turns, after",

@@ -215,7 +215,7 @@ def test_a_fit_on_an_unclear_rank_gets_a_check_and_says_so(tmp_path, monkeypatch
     doubtful = replace(made, determination=replace(made.determination, free=unclear, together=unclear))
     assert doubtful.verdict.grade == "CHECK"
     assert "no clear gap" in next(r.text for r in doubtful.verdict.reasons if r.code == "rank_unclear")
-    assert "No clear gap" in doubtful.report()
+    assert "No clear gap" in doubtful.report(verbose=True)
     short = numerical_rank(np.diag([*np.ones(n - 2), 2e-9, 0.7e-9]))
     monkeypatch.setattr(
         "calib.fitting.pose_checks.determination",

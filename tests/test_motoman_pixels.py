@@ -32,7 +32,7 @@ def test_pixels_and_tracker_together_are_no_worse_than_the_tracker_alone(shared_
     assert 1e3 * np.mean(known.distance[:, 0]) > 10
     assert known.summary()["mean"] == pytest.approx(1e3 * np.mean(known.distance[:, 1]), rel=1e-12)
     assert known.summary()["mean"] < 0.05
-    assert "not counted: body (known to" in fit.report()
+    assert "not counted: body (known to" in fit.report(verbose=True)
     assert max(share.std for share in fit.budget.shares) < 0.05e-6  # directions that readings leave open do not count
 
 
@@ -43,4 +43,4 @@ def test_pixels_that_do_not_fit_their_camera_do_not_spoil_what_the_tracker_finds
     errors = fit.validation.errors("after")
     assert 1e3 * np.sqrt(np.mean(np.sum(errors**2, axis=1))) < 0.0735
     assert set(fit.offsets) == {"left", "right"}
-    assert "All readings of right at a pose are off alike" in fit.report()
+    assert "All readings of right at a pose are off alike" in fit.report(verbose=True)

@@ -27,3 +27,8 @@ def test_numbers_have_the_right_noun():
 def test_long_lists_are_cut():
     assert listed(["a", "b"], "; ") == "a; b"
     assert listed(list("abcdefg")) == "a, b, c, d, e, ..."
+
+
+def test_a_line_that_is_broken_goes_on_two_places_further_in():
+    text = plain_text(["  CHECK: one two three", "a\nb"], 16, wrap=True)
+    assert text == "  CHECK: one two\n    three\na\nb\n"

@@ -189,7 +189,7 @@ def test_a_base_that_nobody_measured_does_not_count_in_how_well_positions_are_kn
     told = 1e-3 * known.summary()["rms"]
     assert 0.5 < np.sqrt(np.mean(np.sum(off**2, axis=1))) / told < 2  # few directions of one draw
     assert known.measured.summary()["mean"] > 100 * known.summary()["mean"]
-    assert "in the robot's own base frame" in fit.report()
+    assert "in the robot's own base frame" in fit.report(verbose=True)
     fit.save(tmp_path / "out", pages=False)
     table = json.loads((tmp_path / "out" / "result.json").read_text())["position_uncertainty"]["identification"]
     assert table["frame"] == "robot base"

@@ -113,7 +113,7 @@ def test_residuals_larger_than_the_repeats_scatter_are_pointed_out(arm, tmp_path
     reason = next(reason for reason in fit.verdict.reasons if reason.code == "repeatability")
     assert "times what repeats of a pose scatter" in reason.text
     assert reason.grade == "CHECK"
-    assert "ISO 9283-style, 60 poses used" in fit.report()
+    assert "ISO 9283-style, 60 poses used" in fit.report(verbose=True)
 
 
 def test_many_repeats_do_not_make_sure_of_what_the_model_leaves_out(arm, tmp_path):
@@ -128,7 +128,7 @@ def test_many_repeats_do_not_make_sure_of_what_the_model_leaves_out(arm, tmp_pat
 def test_accuracy_and_repeatability_of_validation_poses_are_told_too(arm, tmp_path):
     data = measured(arm, tmp_path, scatter=5e-5, between=0.0)
     fit = calib.fit(arm, data.subset(np.arange(135)), validation=data.subset(np.arange(135, 180)))
-    assert "ISO 9283-style, 15 poses not used" in fit.report()
+    assert "ISO 9283-style, 15 poses not used" in fit.report(verbose=True)
     table = to_dict(fit)["repeats_validation"]
     assert table["n_readings"] == 45
     assert table["pose_accuracy"]["after"]["mean"] > to_dict(fit)["repeats"]["pose_accuracy"]["after"]["mean"]

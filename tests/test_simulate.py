@@ -105,7 +105,7 @@ def test_without_a_sigma_every_instrument_has_the_noise_that_is_stated_of_it(tmp
     off = {name: found.values - exact for name, found in data.readings.items()}
     # four standard errors of a standard deviation: 4 / sqrt(2 * 4000) = 4.5 %
     assert np.std(off["scale"], axis=0) == pytest.approx([1e-4, 2e-4, 3e-4], rel=0.045)
-    assert not off["unstated"].any()  # noise that nobody states is none
+    assert not off["unstated"].any()  # unstated noise is none
     distance = np.linalg.norm(exact, axis=1)
     beam = exact / distance[:, None]
     along = np.sum(off["tracker"] * beam, axis=1)

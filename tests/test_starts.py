@@ -106,7 +106,7 @@ def test_a_robot_with_one_minimum_comes_back_to_it_from_everywhere(tmp_path):
     fit = calib.fit(arm, noisy(arm, joints(40), 4e-5, seed=1), starts=6, seed=2)
     assert len(fit.starts.minima) == 1
     assert fit.starts.minima[0].count == 6
-    assert "6 starts (seed 2)" in fit.report()
+    assert "6 starts (seed 2)" in fit.report(verbose=True)
 
 
 def test_the_same_seed_gives_the_same_starts():

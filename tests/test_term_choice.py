@@ -134,7 +134,7 @@ def test_what_is_there_is_added_and_nothing_else():
     told = {one.term: one for one in fit.terms.tried}
     assert told["gain"].evidence > 50
     assert told["backlash"].after < told["backlash"].before
-    report = " ".join(fit.report().split())
+    report = " ".join(fit.report(verbose=True).split())
     assert "Joint terms added: gain (poses of blocks left out" in report
     assert "no more evidence than chance gives" in report
 
@@ -183,7 +183,7 @@ def test_terms_that_look_alike_are_added_together_and_none_is_claimed(tmp_path, 
     less = evidence_of(fit, robot, data, there) - evidence_of(fit, robot, data, other)
     assert told[there].alike[other] == pytest.approx(less)
     assert told[other].alike[there] == pytest.approx(-less)
-    report = " ".join(fit.report().split())
+    report = " ".join(fit.report(verbose=True).split())
     named = re.search(r"Joint terms added: ([a-z ]+) \(", report)
     assert set(named[1].split(" or ")) == set(told)
     assert "which of them, the data cannot tell: they were added together" in report
@@ -420,7 +420,8 @@ def _geared(q):
 def test_a_result_with_terms_is_read_back_by_other_commands(curved, run_calib):
     robot, folder = curved
     arm = EXAMPLES / "arm.yaml"
-    run = run_calib("fit", arm, folder / "data.csv", "--terms", "joint_2=curve", "--force", "--out", folder / "out")
+    run = run_calib("fit", arm, folder / "data.csv", "--terms", "joint_2=curve", "--force", "--verbose",
+                    "--out", folder / "out")  # fmt: skip
     assert run.code == 0, run.err
     assert "Joint terms asked for: joint_2=curve" in run.out
     run = run_calib("predict", arm, folder / "far.csv", "--result", folder / "out", "--out", folder / "predicted.csv")

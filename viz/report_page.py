@@ -18,7 +18,7 @@ from calib.base.version import PROGRAM
 from calib.base.words import sentence
 from calib.judging.verdict import judge
 from calib.reporting.files_held import worth_of_files
-from calib.reporting.report_text import notes
+from calib.reporting.fit_notes import notes
 from calib.reporting.result_content import budget_table, outlier_rows, parameter_rows, position_uncertainty_table
 from viz.part_plots import part_plots
 from viz.plots import all_plots, budget_bars

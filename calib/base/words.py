@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import io
 import math
+import textwrap
 from collections.abc import Collection, Iterable, Sequence
 from importlib import import_module
 from typing import Any, Literal
@@ -56,8 +57,19 @@ def plain_text(parts: Iterable[str | Table], width: int, *, wrap: bool = False) 
     stream = io.StringIO()
     console = Console(file=stream, width=width, color_system=None, markup=False, emoji=False, highlight=False)
     for part in parts:
-        console.print(part, soft_wrap=isinstance(part, str) and not wrap)
+        broken = wrap and isinstance(part, str)
+        console.print(_wrapped(str(part), width) if broken else part, soft_wrap=isinstance(part, str))
     return stream.getvalue()
+
+
+def _wrapped(text: str, width: int) -> str:
+    """Lines broken at a width; what follows a break stands two places further in."""
+    lines = []
+    for line in text.split("\n"):
+        further = " " * (len(line) - len(line.lstrip()) + 2)
+        lines.append(textwrap.fill(line, width, subsequent_indent=further, break_long_words=False,
+                                   break_on_hyphens=False))  # fmt: skip
+    return "\n".join(lines)
 
 
 def text_table(

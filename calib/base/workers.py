@@ -119,7 +119,7 @@ class Steps:
     """Tells how many steps of a long call are done, and of how many: of those known by now.
 
     Args:
-        progress: Who is told after each step; nobody if not given.
+        progress: Who is told after each step; no call if not given.
     """
 
     def __init__(self, progress: Progress | None = None) -> None:

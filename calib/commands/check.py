@@ -41,6 +41,7 @@ from calib.rows.observed import unsaid_touches
 @click.option("--parameters", metavar="FILE", help="Parameter values (CSV parameter,value,unit); nominal if not given.")
 @click.option("--result", metavar="DIR", help="Use the calibrated values of this result folder.")
 @click.option("--plots", metavar="DIR", help="Folder for figures: singular values, correlations, accuracy.")
+@click.option("--verbose", is_flag=True, help="Print everything: all groups, and a table of all parameters.")
 @shared_options(json_output=True)
 def command(
     robot: str,
@@ -52,6 +53,7 @@ def command(
     parameters: str | None,
     result: str | None,
     plots: str | None,
+    verbose: bool,
     output: Output,
 ) -> None:
     """Say which parameters of ROBOT the poses in DATA (CSV) determine, which combinations they cannot, and why.
@@ -93,7 +95,7 @@ def command(
         assessment = check(model, pose_set, task=task_poses, sigma=sigma)
     if plots is not None:
         write_folder(plots, figures(assessment), force=output.force)
-    output.say(text_report(assessment, source))
+    output.say(text_report(assessment, source, verbose=verbose))
     if plots is not None:
         output.say(f"Figures written to {plots}")
     output.hint(after_check(assessment, robot, pose_set, data))

@@ -47,7 +47,7 @@ from calib.robots.robot import Robot
 @click.option(
     "--sigma-mm",
     type=float,
-    help=f"{SIGMA_HELP}. Where nobody states it, it is found from the residuals.",
+    help=f"{SIGMA_HELP}. Without either, it is found from the residuals.",
 )
 @click.option(
     "--loss",
@@ -72,6 +72,7 @@ from calib.robots.robot import Robot
     help="Seed of the random choice of held-out poses, folds and starting points.",
 )
 @jobs_option("folds and starts")
+@click.option("--verbose", is_flag=True, help="Print everything: all reasons, tables and remarks.")
 @click.option("--no-pages", is_flag=True, help="Write no report.html and no viewer.html, which take most of the time.")
 @click.option("--logo", metavar="FILE", help="PNG, JPEG or SVG image (up to 512 kB) to put into report.html.")
 @click.option("--out", required=True, metavar="DIR", help="Folder for the result.")
@@ -92,6 +93,7 @@ def command(
     starts: int,
     seed: int,
     jobs: int,
+    verbose: bool,
     no_pages: bool,
     logo: str | None,
     out: str,
@@ -130,8 +132,8 @@ def command(
         )
     failed = result.verdict.grade == "FAIL"
     result.save(out, force=output.force, pages=not no_pages, logo=logo)
-    output.say(result.report())
-    output.say(f"Written to {Path(out)}")
+    output.say(result.report(verbose=verbose))
+    output.say(_written(Path(out)))
     withheld = "" if failed or output.force else why_no_origins(result)
     if withheld:
         output.note(f"note: calibrated.urdf was not written: {withheld} (--force writes it)")
@@ -141,6 +143,12 @@ def command(
         raise ComputationError(
             f"verdict FAIL: {result.verdict.reasons[0].text}; calibrated.urdf was not written (--force writes it)"
         )
+
+
+def _written(folder: Path) -> str:
+    """Where the result is, and its files that people open first."""
+    names = ("report.html", "viewer.html", "calibrated.urdf", "result.json")
+    return f"Written to {folder}: {', '.join(name for name in names if (folder / name).exists())} and others"
 
 
 def _folds(text: str) -> int | Literal["setups"]:

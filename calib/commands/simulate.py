@@ -72,7 +72,7 @@ def _noise_in_words(robot: Robot, sigma_mm: float | None) -> str:
 
 
 def _require_noise(robot: Robot, sigma: float | None) -> None:
-    """Raise `InputError` where nobody states the noise of an instrument."""
+    """Raise `InputError` if the noise of an instrument is not stated."""
     unstated = [] if sigma == 0 else unstated_noise(robot, sigma)
     if not unstated:
         return

@@ -9,7 +9,7 @@ with r the residuals of all readings of a visit and V the covariance of their no
 
 Order of work: (1) close every pose at nominal, or name those that cannot be; (2) where measurement frames or targets
 are not known, they are placed alone, near where they are expected if a sigma says so: this is the honest state
-`before`; (3) all free parameters together, with the noise that nobody states, from several starts if asked for
+`before`; (3) all free parameters together, with unstated noise, from several starts if asked for
 (`calib.fitting.solving`); (4) with a robust loss, again with weights (`calib.fitting.robust`); (5) rank, statistics and
 error tables at the solution, places that only validation poses show placed by these. What is done around one fit
 (joint terms chosen, outliers left out, poses left out in turns) is said in `calib.calibrating.calibrate`.
@@ -56,7 +56,7 @@ def fit_data(
         data: Measurements to identify with.
         validation: Measurements to judge the result with, or None.
         workers: Who does the fits of other starts; this process if not given.
-        steps: Told of each step that is done; of nobody if not given.
+        steps: Told of each step that is done; of nothing if not given.
 
     Raises:
         UnreachablePoseError, DataError, NotIdentifiableError, NotConvergedError: See

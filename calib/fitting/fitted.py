@@ -103,7 +103,7 @@ class Fit(ReadOnlyArrays):
         with_all: The fit of all visits, where outliers were left out of this one.
         terms: Which joint terms were asked for, if any were, and what choosing them found.
         reduced: Fits of the same measurements without terms of joint errors that files lose, by how much these hold;
-            None where nobody asked for files.
+            None where no files were asked for.
         seed: Seed of every random choice.
         placed_later: Parameters of places that validation poses alone show, and that these placed.
     """

@@ -65,7 +65,7 @@ class Problem:
     """Rows of a fit as functions of the parameters; remembers the last solution of the loops to start the next from.
 
     Attributes:
-        found: Of which groups the noise is found from the residuals, (n_groups,): at first where nobody states it.
+        found: Of which groups the noise is found from the residuals, (n_groups,): at first where it is not stated.
 
     Args:
         robot: Nominal robot.

@@ -5,7 +5,7 @@ gives new weights. The alternation runs on the linear model around the present p
 nothing, until the weights stand; then the parameters go where the linear model says, and so on until the weights stand
 there too. Last, the true problem is solved with these weights.
 
-Noise that nobody stated is that of the median reading: least squares finds the scales of the groups of rows, and each
+Unstated noise is that of the median reading: least squares finds the scales of the groups of rows, and each
 is brought to where the median length of its readings says. So is noise that is stated, where the median reading
 contradicts it (`calib.fitting.solving` says why); of a few gross errors the median knows nothing.
 

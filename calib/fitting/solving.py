@@ -1,6 +1,6 @@
-"""From placed base and targets to the minimum, with the noise that nobody states found on the way.
+"""From placed base and targets to the minimum, with unstated noise found on the way.
 
-Where nobody states the noise of an instrument, it is found from the residuals (`calib.numerics.variance_components`):
+Where the noise of an instrument is not stated, it is found from the residuals (`calib.numerics.variance_components`):
 the solve is repeated until noise changes by less than one percent.
 
 Where an instrument reads several times at a pose, an offset that these readings share is found as well, and the solve

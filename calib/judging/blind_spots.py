@@ -42,23 +42,20 @@ def _scale(fit: Fit) -> Iterator[str]:
     made = least * float(np.linalg.norm(column)) / np.sqrt(fit.statistics.freedom)
     if made > NO_MATTER * findings.linear(fit).factor:
         below = "" if least > LARGE_SCALE else f" below {float(f'{PARTS_PER_MILLION * least:.2g}'):.0f} ppm"
-        yield (
-            f"nothing here would show a scale error{below}, of the instrument or of a robot that is warmer or colder:"
-            " no known length was measured"
-        )
+        yield (f"no known length was measured, so a scale error{below} of the instrument, or from heat, stays unseen")
 
 
 def _whose_noise(fit: Fit) -> Iterator[str]:
-    """What the robot may do beside the model where nobody states the instrument's noise, and no repeats measured it."""
+    """What the robot may do beside the model, where the noise was neither stated nor measured by repeats."""
     one = fit.first_noise
     measured = repeatability(fit.identification)[1] >= ENOUGH_REPEATS
     if one.stated is None and not measured and one.group.part == "position":
         predicted = float(np.mean(fit.identification_uncertainty.located**2))
         single = millimetres(float(np.sqrt(predicted + 3.0 * one.sigma**2)))
         yield (
-            "nobody stated the noise, so that play, changing loads and whatever else the robot does by chance count as"
-            f" the instrument's: as far as they are the robot's, predicted positions are known to {single:.2g} mm RMS"
-            " only; state the instrument's noise (--sigma-mm)"
+            "the noise of the instrument was not stated, so the robot's own scatter (play, changing loads) counts as"
+            f" such noise; if all of it is the robot's, single positions are known to {single:.2g} mm RMS; state"
+            " the noise of the instrument (--sigma-mm)"
         )
 
 

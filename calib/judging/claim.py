@@ -58,6 +58,7 @@ class Claim:
         broken: Those of them that the claim does not hold for.
         gain: What becomes of poses that were not used.
         region: Which poses it is about, in words.
+        narrow: Joints that moved through less than half of their limits at these poses, and how far.
     """
 
     told: Accuracy
@@ -65,6 +66,7 @@ class Claim:
     broken: tuple[Accuracy, ...]
     gain: Gain
     region: str
+    narrow: tuple[str, ...]
 
     @property
     def holds(self) -> bool:
@@ -75,14 +77,15 @@ class Claim:
     def words(self) -> str:
         """The claim as a sentence."""
         told = self.told
-        within, rms = f"within {told.shown(told.limit95)} of where the model says, 95 % of the time", ""
-        if np.isfinite(told.limit95):
-            rms = f"{told.shown(told.rms)} RMS; "
-        else:
-            within = f"off by {told.shown(told.rms)} RMS"
         what = "The tool is" if told.part == "position" else f"Readings ({told.part}) are"
-        shown = "".join(f"{one.shown(one.rms)} RMS at {one.where}; " for one in self.shown)
-        return f"{what} {within}, {self.region} ({rms}{shown}before: {told.shown(told.before)})"
+        if np.isfinite(told.limit95):
+            off = f"within {told.shown(told.limit95)} of where the model says, 95 % of the time, {self.region}."
+            off += f" RMS {told.shown(told.rms)}; before"
+        else:
+            off = f"off by {told.shown(told.rms)} RMS, {self.region}. Before"
+        shown = "".join(f" At {one.where}: RMS {one.shown(one.rms)}." for one in self.shown)
+        narrow = f" Joints that moved through less than half of their limits: {listed(self.narrow)}."
+        return f"{what} {off}: {told.shown(told.before)}.{shown}{narrow if self.narrow else ''}"
 
     def to_dict(self) -> dict[str, object]:
         """Return the entry of `result.json`; errors in the unit of errors."""
@@ -95,6 +98,7 @@ class Claim:
             "rms_before": scale * told.before,
             "n_poses": told.n_poses,
             "region": self.region,
+            "joints_moved_little": list(self.narrow),
             "not_used": [
                 {"poses": one.poses.name.lower(), "n_poses": one.n_poses, "rms": scale * one.rms} for one in self.shown
             ],
@@ -116,7 +120,8 @@ def claim_of(fit: Fit) -> Claim | None:
         unused.append(of_errors(fit.folds.errors, SeenAt.FOLDS))
     shown = tuple(one for one in unused if (one.part, one.dimension) == (told.part, told.dimension))
     broken = tuple(one for one in shown if one.rms > _most(fit, told, one) * told.rms)
-    return Claim(told, shown, broken, _gain(fit, foretold), _region(fit))
+    n = fit.identification.data.n_poses
+    return Claim(told, shown, broken, _gain(fit, foretold), f"at poses like the {n} measured", _narrow(fit))
 
 
 def _most(fit: Fit, told: Accuracy, seen: Accuracy) -> float:
@@ -147,17 +152,11 @@ def _gain(fit: Fit, foretold: ErrorSet) -> Gain:
     return Gain.BETTER if chance[0] < CHANCE else Gain.WORSE if chance[1] < CHANCE else Gain.NONE
 
 
-def _region(fit: Fit) -> str:
-    """Which poses a claim is about."""
-    data, robot = fit.identification.data, fit.nominal
-    where = f"at poses like the {data.n_poses} measured"
+def _narrow(fit: Fit) -> tuple[str, ...]:
+    """Joints that moved through less than half of their limits, and the part that they moved through."""
+    robot = fit.nominal
     lower, upper = robot.urdf.limits(robot.joint_names)
-    reach, allowed = np.ptp(data.joints, axis=0), upper - lower
-    small = [
-        f"{name} {100 * part:.0f} %"
-        for name, part, known in zip(robot.joint_names, reach / allowed, np.isfinite(allowed), strict=True)
-        if known and part < _HALF
-    ]
-    if small:
-        where += f", where joints move through less than half of their limits: {listed(small)}"
-    return where
+    parts = np.ptp(fit.identification.data.joints, axis=0) / (upper - lower)
+    known = np.isfinite(upper - lower)
+    names = zip(robot.joint_names, parts, known, strict=True)
+    return tuple(f"{name} {100 * part:.0f} %" for name, part, limited in names if limited and part < _HALF)

@@ -27,7 +27,7 @@ LESS_KNOWN = 3.0
 """Uncertainty of positions elsewhere, over that at the poses used, from which the calibration does not reach there."""
 WIDENED = np.sqrt(2.0)
 """Uncertainty of positions with joint terms over that without them, from which most of it is theirs."""
-_TRIED = 50  # poses at which a joint is moved through its limits in thought
+_TRIED = 50  # poses at which a joint is moved through its limits in the model
 _EXACT = 1e-9  # of a variance, nothing
 _SAMPLED = 200  # poses at which uncertainties are looked at
 

@@ -49,7 +49,7 @@ class Assessment(ReadOnlyArrays):
         free: Which are not held, (n_parameters,).
         n_poses, n_rows: Poses, and measured coordinates.
         sigma: Noise of one reading per axis that was used [m].
-        sigma_assumed: Whether nobody stated it.
+        sigma_assumed: Whether it was not stated.
         determination: Ranks of all and of the free parameters, from the poses alone and with priors.
         known: How well poses and priors determine the free ones; in units of `determination.lengths`.
         groups: Parameters that move together unseen, of all parameters, from the poses alone.

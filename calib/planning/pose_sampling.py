@@ -1,4 +1,4 @@
-"""Poses to try a robot with where nobody gives any: spread at random over its joint limits (`Robot.sample`).
+"""Poses to try a robot with where none are given: spread at random over its joint limits (`Robot.sample`).
 
 Touches tell less than positions would: of one socket, the size of the robot stays open, because the ball is in the same
 place every time. So poses of a robot that touches are brought to what it touches, one thing after the other, where that

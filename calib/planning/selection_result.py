@@ -53,7 +53,7 @@ class Selection(ReadOnlyArrays):
         rank: What all candidates, measured poses and priors determine.
         rank_of_poses: What all candidates and measured poses determine; the indices are about that.
         sigma: Noise of one reading per axis that was used [m].
-        sigma_assumed: Whether nobody stated it.
+        sigma_assumed: Whether it was not stated.
         skipped: Candidates that could not be used, and why.
         already_measured: How many candidates were left out because they are measured.
         seed: Seed of everything random.

@@ -45,7 +45,7 @@ from calib.rows.jacobian import linearise
 from calib.rows.prediction import RootMeanSquare, predicted_rms
 
 CANDIDATES = 300
-"""Poses that are sampled where nobody gives any."""
+"""Poses that are sampled where none are given."""
 _MOST_BAD = 100  # lines that are passed over; the file is then another one than was meant
 
 

@@ -16,18 +16,22 @@ from calib.rows.candidates import WHITENED
 
 _SHOWN = 12
 _SINGLE = 5  # parameters without effect that get a line of their own
+_GROUPS = 6  # groups that the short answer lists
 
 
-def text_report(assessment: Assessment, source: str, width: int = 110) -> str:
-    """Return everything as text.
+def text_report(assessment: Assessment, source: str, width: int = 110, *, verbose: bool = False) -> str:
+    """Return what poses determine as text.
 
     Args:
         assessment: What was found.
         source: Where the poses came from.
         width: Of the tables, in characters.
+        verbose: All groups, and a table of all parameters; otherwise the answer on one screen.
     """
-    parts: list[str | Table] = [*_heading(assessment, source), "", *_verdict(assessment), "", *_groups(assessment), ""]
-    parts += [_observability(assessment), _parameters(assessment), *_doubts(assessment), "", _counts(assessment)]
+    groups = _groups(assessment, None if verbose else _GROUPS)
+    parts: list[str | Table] = [*_heading(assessment, source), "", *_verdict(assessment), "", *groups, ""]
+    parts += [_observability(assessment), _parameters(assessment)] if verbose else []
+    parts += [*_doubts(assessment), "", _counts(assessment)]
     return plain_text([*parts, *_accuracy(assessment)], width).rstrip()
 
 
@@ -72,9 +76,7 @@ def to_dict(assessment: Assessment) -> dict[str, object]:
 
 def _heading(a: Assessment, source: str) -> list[str]:
     noise = "" if a.sigma == WHITENED else f"; noise {millimetres(a.sigma):g} mm per axis"
-    noise += (
-        " (what nobody states is assumed; state it with --sigma-mm or in the description)" if a.sigma_assumed else ""
-    )
+    noise += " (assumed: state it with --sigma-mm or in the description)" if a.sigma_assumed else ""
     return [
         f"{counted(a.n_poses, 'pose')} ({source}), {a.n_rows} coordinates{noise}",
         *a.determination.lines(),
@@ -96,7 +98,8 @@ def _verdict(a: Assessment) -> list[str]:
     return lines
 
 
-def _groups(a: Assessment) -> list[str]:
+def _groups(a: Assessment, most: int | None) -> list[str]:
+    """What moves together unseen: all of it, or so many groups at most."""
     if not a.groups:
         return ["No parameters move together unseen."]
     lines = ["These move together (by these amounts) without moving any measured position:"]
@@ -104,7 +107,9 @@ def _groups(a: Assessment) -> list[str]:
     if len(single) > _SINGLE:
         lines.append(f"  {', '.join(single)} have no effect")
     listed = [group for group in a.groups if len(group.members) > 1 or len(single) <= _SINGLE]
-    lines += [f"  {describe_group(group, a.parameters)}" for group in listed]
+    lines += [f"  {describe_group(group, a.parameters)}" for group in listed[:most]]
+    if len(listed[:most]) < len(listed):
+        lines.append(f"  {counted(len(listed) - len(listed[:most]), 'more group')} with --verbose")
     dropped = [a.parameters[k].name for k in a.elimination.dropped]
     lines.append(
         f"To leave a determined set, hold {', '.join(dropped)}"

@@ -1,4 +1,4 @@
-"""The result of a fit as text for a terminal, verdict first."""
+"""The result of a fit as text for a terminal: the answer on one screen, or all of it."""
 
 from __future__ import annotations
 
@@ -7,264 +7,108 @@ from typing import Any, cast
 import numpy as np
 from rich.table import Table
 
-from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale, millimetres
-from calib.base.words import counted, listed, plain_text, sentence, text_table
+from calib.base.units import ERROR_UNIT
+from calib.base.words import counted, plain_text, text_table
 from calib.fitting.error_sets import STATES, ErrorSet, error_table, format_error
+from calib.fitting.estimates import Estimate
 from calib.fitting.fitted import Fit
-from calib.fitting.terms.joint_curves import joint_curves
-from calib.fitting.terms.term_choice import TELLS
 from calib.instruments.kind import Part
-from calib.judging import findings
 from calib.judging.reasons import Verdict
-from calib.judging.repeatability import repeatability, repeats
 from calib.judging.verdict import judge
 from calib.reporting.files_held import worth_of_files
-from calib.reporting.result_content import budget_table, correlated, error_sets, parameter_rows
+from calib.reporting.fit_notes import notes, outliers_left_out, terms_added
+from calib.reporting.result_content import budget_table, error_sets, parameter_rows
 
 _MOST_REASONS = 3
+_MOST_CHANGES = 5
+_NAMES = {"cross_validation": "left out in turns"}
 
 
-def text_report(fit: Fit, width: int = 120) -> str:
-    """Return verdict, accuracy before and after, parameters with their 95 % intervals, and what to know about them."""
-    parts: list[str | Table] = [
-        f"Calibration of {fit.nominal.name} ({fit.nominal.path})",
-        *verdict_lines(judge(fit), _MOST_REASONS),
-        *_accuracy(fit),
-        *_files(fit),
-        *_budget(fit),
-        _parameters(fit),
-        *notes(fit),
-    ]
+def text_report(fit: Fit, width: int = 120, *, verbose: bool = False) -> str:
+    """Return a fit as text.
+
+    Args:
+        fit: The fit.
+        width: Of the text, in characters.
+        verbose: All reasons, tables and remarks; otherwise the answer on at most 40 lines: the verdict, the errors
+            before and after, and the parameters that changed most.
+    """
+    verdict = judge(fit)
+    title = f"Calibration of {fit.nominal.name} ({fit.nominal.path})"
+    parts: list[str | Table]
+    if verbose:
+        accuracy = [*_accuracy(fit), *_files(fit), *_budget(fit)]
+        parts = [title, *verdict_lines(verdict), *accuracy, _parameters(fit), *notes(fit)]
+    else:
+        told = [*terms_added(fit), *outliers_left_out(fit), *_worth(fit)]
+        parts = [title, *verdict_lines(verdict, _MOST_REASONS), "", _change(fit), *told, *_changed_most(fit)]
     return plain_text(parts, width, wrap=True)
 
 
 def verdict_lines(verdict: Verdict, most: int | None = None) -> list[str]:
-    """Return the verdict, what it claims, its reasons, and what it does not cover, one line each.
+    """Return the verdict, its claim, its reasons, and what it does not cover, one line each.
 
     Args:
         verdict: The verdict.
-        most: How many reasons at most; all if not given.
+        most: How many reasons at most, and then how many others there are; all if not given.
     """
     claimed = [] if verdict.claim is None else [f"  {verdict.claim.words}"]
     names = {"PASS": "remark"}
     reasons = [f"  {names.get(reason.grade, reason.grade)}: {reason.text}" for reason in verdict.reasons]
-    left = len(reasons) - len(reasons[:most])
-    if left:
-        reasons = [*reasons[:most], f"  {left} more in report.html and result.json"]
     not_covered = [f"  not covered: {text}" for text in verdict.not_covered]
+    if most is not None:
+        more = [counted(len(reasons) - most, "more reason")] if len(reasons) > most else []
+        more += [counted(len(not_covered), "limit") + " of this verdict"] if not_covered else []
+        reasons = reasons[:most]
+        not_covered = [f"  {' and '.join(more)}: see report.html, or use --verbose"] if more else []
     return [f"Verdict: {verdict.grade}", *claimed, *reasons, *not_covered]
 
 
-def notes(fit: Fit, *, brief: bool = False) -> list[str]:
-    """Return what a reader must know beside the tables, one line each.
-
-    Args:
-        fit: The fit.
-        brief: Leave out what a page tells in sections of its own: the noise found, what is left, what the poses
-            determine, how sure positions are.
-    """
-    elsewhere = (_noise, _left, _determined, _held, _positions)
-    order = (_size, _noise, _scatter, _terms, _left, _curves, _determined, _observability, _held, _positions)
-    lines = [line for told in (*order, _repeats, _options) if not (brief and told in elsewhere) for line in told(fit)]
-    if any(p.placement for p in fit.nominal.parameters):
-        lines.append("'before' is with the base and the targets placed alone, the robot at nominal")
-    if fit.identification.data.ignored:
-        lines.append(f"Columns that were not used: {', '.join(fit.identification.data.ignored)}")
-    return lines
-
-
-def _size(fit: Fit) -> list[str]:
-    data, statistics = fit.identification.data, fit.statistics
-    return [
-        f"{counted(data.n_poses, 'pose')}, {counted(data.n_readings, 'reading')}, {statistics.freedom:.1f} degrees of"
-        f" freedom, {fit.seconds:.3f} s"
-    ]
+def _change(fit: Fit) -> Table:
+    """Errors before and after, one line for each part of each set of poses."""
+    what = "error before -> after"
+    table = text_table((what, "poses", "mean", "RMS", "95 %", "largest"), (what,), plain=True)
+    parts = dict.fromkeys(part for _, errors in error_sets(fit) for _, part, _ in errors.parts())
+    for part in parts:
+        for label, found in error_sets(fit):
+            errors = [found.errors(state, part.name) for state in STATES]
+            if not all(len(one) for one in errors):
+                continue
+            tables = [error_table(one, part) for one in errors]
+            pairs = [[cast(float, one[key]) for one in tables] for key in ("mean", "rms", "p95", "max")]
+            cells = [" -> ".join(f"{value:.4f}" for value in pair) for pair in pairs]
+            name = f"{part.name} [{ERROR_UNIT[part.dimension]}], {_NAMES.get(label, label)}"
+            table.add_row(name, str(found.data.n_poses), *cells)
+    return table
 
 
-def _noise(fit: Fit) -> list[str]:
-    lines = []
-    for one in fit.noise:
-        scale, unit = error_scale(one.group.dimension), ERROR_UNIT[one.group.dimension]
-        of = f" of {one.group.name}, {one.group.part}" if len(fit.noise) > 1 else ""
-        stated = "none was stated" if one.stated is None else f"stated: {scale * one.stated:.4g} {unit}"
-        lines.append(f"Noise found{of}: {scale * one.sigma:.4g} {unit} per axis ({stated})")
-    return lines
+def _changed_most(fit: Fit) -> list[str | Table]:
+    """The parameters that changed most against their standard deviation; places are no errors of the robot."""
+    places = {parameter.name for parameter in fit.nominal.parameters if parameter.placement}
+    free = [one for one in fit.parameters.values() if one.std > 0 and not one.family and one.name not in places]
+    most = sorted((one for one in free if one.value != one.nominal), key=_significance, reverse=True)[:_MOST_CHANGES]
+    if not most:
+        return []
+    table = text_table(("changed most", "unit", "nominal", "value", "change", "std", "change / std"),
+                       ("changed most", "unit"), plain=True)  # fmt: skip
+    for one in most:
+        numbers = (one.nominal, one.value, one.value - one.nominal, one.std)
+        table.add_row(one.name, one.unit, *(f"{number:.4f}" for number in numbers), f"{_significance(one):.1f}")
+    return ["", table]
 
 
-def _scatter(fit: Fit) -> list[str]:
-    """Beside the noise: what readings of a visit share, and whether the scatter agrees with what was stated."""
-    lines = []
-    if fit.statistics.shared is not None:
-        lines.append(
-            f"Readings of the same pose share errors: poses scatter {fit.statistics.shared.ratio:.2g} times as much as"
-            " independent readings would. Intervals count it"
-        )
-    for name, offsets in fit.offsets.items():
-        one = fit.nominal.instrument(name)
-        axes = [(axis, part) for part in one.parts for axis in part.axes]
-        sizes = [
-            f"{axis} {error_scale(part.dimension) * size:.3g} {ERROR_UNIT[part.dimension]}"
-            for (axis, part), size in zip(axes, offsets, strict=True)
-        ]
-        lines.append(
-            f"All readings of {name} at a pose are off alike (what the model leaves out): {', '.join(sizes)}. They are"
-            " weighed for it, because that predicts poses left out better"
-        )
-    if fit.chi_square is not None:
-        chi = fit.chi_square
-        chance = f"{chi.p_larger:.2g} of a larger, {chi.p_smaller:.2g} of a smaller value"
-        lines.append(f"Chi-square of the stated noise: {chi.value:.1f} where {chi.freedom:.1f} is expected ({chance})")
-    return lines
+def _significance(one: Estimate) -> float:
+    return abs(one.value - one.nominal) / one.std
 
 
-def _rival(kind: str, less: float) -> str:
-    """What speaks for another kind of term whose log evidence is lower by `less`."""
-    evidence = f"log evidence {abs(less):.1f} {'lower' if less > 0 else 'higher'}"
-    return f"{kind} ({evidence}{', but blocks are predicted as well' if less >= TELLS else ''})"
-
-
-def _terms(fit: Fit) -> list[str]:
-    """What choosing joint terms found: what each brought, what was left out and why."""
-    if fit.terms is None or fit.terms.asked != "auto":
-        return [] if fit.terms is None else [f"Joint terms asked for: {fit.terms.asked}"]
-    added: list[str] = []
-    left: list[str] = []
-    refused: list[str] = []
-    shown: set[str] = set()
-    for one in fit.terms.tried:
-        if one.term in shown:
-            continue
-        shown |= set(one.together)
-        if np.isnan(one.evidence):
-            refused.append(f"{one.term} ({one.why})")
-        else:
-            scale, unit = _unit(fit)
-            numbers = (
-                f"poses of blocks left out {scale * one.before:.4f} -> {scale * one.after:.4f} {unit} RMS, log evidence"
-                f" {one.evidence:+.1f}"
-            )
-            others = listed([_rival(kind, less) for kind, less in one.alike.items() if kind not in one.together])
-            alike = f"; its kind is not proven, it may be {others}" if others else ""
-            which = "; which of them, the data cannot tell: they were added together" if one.together else ""
-            name = " or ".join([one.term, *one.together])
-            (added if one.added else left).append(f"{name} ({one.why}{': ' if one.why else ''}{numbers}{which}{alike})")
-    every = len(fit.terms.tried)
-    lines = [f"Joint terms added: {listed(added, '; ', every) or 'none earns its place'}"]
-    lines += [f"Joint terms left out: {listed(left, '; ', every)}"] if left else []
-    return lines + ([f"Joint terms that could not be tried: {listed(refused, '; ', every)}"] if refused else [])
-
-
-def _left(fit: Fit) -> list[str]:
-    budget = findings.budget(fit)
-    return [] if budget is None else [f"What is left: {budget.advice}"]
-
-
-def _curves(fit: Fit) -> list[str]:
-    lines = []
-    for curve in joint_curves(fit):
-        scale, unit = error_scale(curve.dimension), ERROR_UNIT[curve.dimension]
-        shown = display_scale(curve.dimension)
-        lines.append(
-            f"Error curve of {curve.joint}: {scale * curve.rms:.3g} {unit} RMS, known to {scale * curve.rms_std:.2g}"
-            f" {unit}; it holds from {shown * curve.command[0]:.4g} to {shown * curve.command[-1]:.4g}"
-            f" {DISPLAY_UNIT[curve.dimension]}, where it was measured"
-        )
-    return lines
-
-
-def _determined(fit: Fit) -> list[str]:
-    return [*fit.determination.lines(), sentence(fit.determination.words())]
-
-
-def _held(fit: Fit) -> list[str]:
-    held = fit.nominal.description.held
-    return [f"Held at nominal: {', '.join(held)}"] if held else []
-
-
-def _observability(fit: Fit) -> list[str]:
-    lines = [
-        "Observability (scaled columns): "
-        + ", ".join(f"{name} {value:.3g}" for name, value in fit.observability.items()),
-    ]
-    pairs = [f"{row['a']} and {row['b']} ({row['correlation']:+.3f})" for row in correlated(fit)]
-    if pairs:
-        lines.append(f"Estimates that move together ({counted(len(pairs), 'pair')}): {listed(pairs)}")
-    return lines
-
-
-def _positions(fit: Fit) -> list[str]:
-    lines = []
-    sets = [("poses used", fit.identification, fit.identification_uncertainty)]
-    if fit.validation is not None and fit.validation_uncertainty is not None:
-        sets.append(("poses not used", fit.validation, fit.validation_uncertainty))
-    for name, errors, uncertainty in sets:
-        summary = uncertainty.summary()
-        lines.append(
-            f"Predicted positions are known to {summary['mean']:.4f} mm on average, {summary['max']:.4f} mm at worst"
-            f" (pose {errors.data.names[uncertainty.worst]}), over the {name}; from noise alone{uncertainty.remark()}"
-        )
-    return lines
-
-
-def _repeats(fit: Fit) -> list[str]:
-    lines = []
-    scatter, _ = repeatability(fit.identification)
-    if np.isfinite(scatter):
-        lines.append(f"Scatter of the repeats: {millimetres(scatter):.4g} mm per axis")
-    for name, errors in (("used", fit.identification), ("not used", fit.validation)):
-        repeated = None if errors is None else repeats(errors)
-        if repeated is not None:
-            sizes = (repeated.accuracy_before, repeated.accuracy_after, repeated.repeatability)
-            before, after, again = map(millimetres, sizes)
-            lines.append(
-                f"ISO 9283-style, {counted(len(repeated.poses), 'pose')} {name}: accuracy AP {before.mean():.3f} mm"
-                f" before, {after.mean():.3f} after (largest {after.max():.3f}); repeatability RP {again.mean():.3f} mm"
-                f" (largest {again.max():.3f})"
-            )
-    return lines
-
-
-def _options(fit: Fit) -> list[str]:
-    lines = []
-    if fit.loss != "none":
-        low = int(np.sum(fit.weights < 0.5))
-        lines.append(
-            f"Robust loss {fit.loss}: {low} of {fit.weights.size} points"
-            f" {'counts' if low == 1 else 'count'} less than half"
-        )
-    if fit.with_all is not None:
-        before = fit.with_all.identification.table()["after"]["rms"]
-        after = fit.identification.table()["after"]["rms"]
-        scale, unit = _unit(fit)
-        lines.append(
-            f"Outliers left out: {listed([str(outlier) for outlier in fit.excluded], '; ')}. With them: RMS"
-            f" {before:.4f} {unit}, noise {scale * fit.with_all.sigma:.4g} {unit}; without: RMS {after:.4f} {unit}"
-        )
-    if fit.starts is not None:
-        scale, unit = _unit(fit)
-        minima = [f"RMS {scale * m.rms:.4f} {unit} from {m.count}" for m in fit.starts.minima]
-        failed = f", {fit.starts.failed} failed" if fit.starts.failed else ""
-        lines.append(f"{counted(fit.starts.total, 'start')} (seed {fit.starts.seed}): {listed(minima, '; ')}{failed}")
-    if fit.folds is not None:
-        scale, unit = _unit(fit)
-        rms = [f"{scale * value:.4f}" for value in fit.folds.rms]
-        if fit.folds.setups:
-            names = list(fit.nominal.description.setups)
-            each = [f"{names[k]} {value}" for k, value in zip(fit.folds.setups, rms, strict=True)]
-            lines.append(f"Setups left out in turns, each placed anew: RMS of {', '.join(each)} {unit}")
-        else:
-            folds = f"{fit.folds.count} folds (seed {fit.folds.seed})"
-            lines.append(f"Cross-validation in {folds}: RMS of each {', '.join(rms)} {unit}")
-    if fit.placed_later:
-        places = dict.fromkeys(name.rpartition(".")[0] for name in fit.placed_later)
-        lines.append(f"Places that only the poses not used show, and that these placed: {listed(list(places))}")
-    return lines
-
-
-def _unit(fit: Fit) -> tuple[float, str]:
-    """What an SI error of the main part is multiplied by for tables, and its unit there."""
-    dimension = fit.identification.main_part.dimension
-    return error_scale(dimension), ERROR_UNIT[dimension]
+def _worth(fit: Fit) -> list[str]:
+    """What files are worth, in a line, where some hold less than the whole model."""
+    worth = worth_of_files(fit)
+    if worth is None:
+        return []
+    withheld = {True: " (withheld)", False: ""}
+    lines = [f"{one.holds} {one.rms:.4f}{withheld[one.formats.startswith('withheld')]}" for one in worth.lines]
+    return [f"What files are worth, {worth.unit} RMS ({worth.part} error, {worth.where}): {', '.join(lines)}"]
 
 
 def _accuracy(fit: Fit) -> list[Table]:
@@ -278,9 +122,8 @@ def _accuracy_of(fit: Fit, part: Part) -> Table:
     title = f"{part.name.capitalize()} error, {ERROR_UNIT[part.dimension]} ({axes}: mean)"
     headers = ("", "poses", "mean", "max", "rms", "std", "95 %", *(f"|{axis}|" for axis in part.axes))
     table = text_table(headers, title=title)
-    names = {"cross_validation": "left out in turns"}
     sets: list[tuple[str, ErrorSet, tuple[str, ...]]] = [
-        (names.get(label, label), error_set, STATES) for label, error_set in error_sets(fit)
+        (_NAMES.get(label, label), error_set, STATES) for label, error_set in error_sets(fit)
     ]
     if fit.with_all is not None:
         sets.append(("with outliers", fit.with_all.identification, STATES[1:]))

@@ -195,7 +195,7 @@ def _remarks(s: Selection) -> list[str]:
             " parameters, which the indices are about; priors hold the rest"
         )
     if s.sigma_assumed:
-        lines.append("Noise that nobody states is assumed; state it with --sigma-mm or in the description")
+        lines.append("Unstated noise is assumed; state it with --sigma-mm or in the description")
     if s.already_measured:
         lines.append(f"{counted(s.already_measured, 'candidate')} already measured and left out")
     if s.skipped:

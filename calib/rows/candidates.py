@@ -103,7 +103,7 @@ def rows_of_poses(
 ) -> PoseRows:
     """Return whitened rows of what the instruments are to read at assembled poses.
 
-    Noise that nobody states is assumed (`calib.rows.whitening.ASSUMED`).
+    Unstated noise is assumed (`calib.rows.whitening.ASSUMED`).
 
     Args:
         robot: The robot, linearised at its present values.

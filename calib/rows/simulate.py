@@ -48,7 +48,7 @@ def simulate(
     """Return simulated measurements of a robot at its current parameter values.
 
     Instruments read what the poses say (`calib.data.plan_files.read_plan`), or all that they can. Where something is
-    touched, the joint values are changed so that it is. Noise that nobody states is none.
+    touched, the joint values are changed so that it is. Unstated noise is none.
 
     Args:
         robot: The robot that plays the truth.

@@ -69,7 +69,7 @@ class Compensation(ReadOnlyArrays):
         meant: Where the target is meant to be in the measurement frame, (n, 3) [m]; NaN where that is not known.
         before: How far the calibrated robot is off there without compensation, (n,) [m]; NaN where not known.
         expected: Root mean square distance that is left, from the uncertainty of the parameters, (n,) [m]; NaN where
-            there is no command, or nobody says how well the robot is known.
+            there is no command, or the uncertainty of the robot is not known.
         low95, high95: The distance lies between them in 95 of 100 cases, (n,) [m].
         before_angle, expected_angle, low95_angle, high95_angle: The same of the orientation where the pose is kept, and
             of the z axis where that is, (n,) [rad]; NaN where only the position is.

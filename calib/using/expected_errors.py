@@ -21,7 +21,7 @@ from calib.using.goals import Goals
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExpectedError(ReadOnlyArrays):
-    """Expected errors of goals; NaN where there is no command, or nobody says how well the robot is known.
+    """Expected errors of goals; NaN where there is no command, or the uncertainty of the robot is not known.
 
     Attributes:
         distance: Root mean square distance from the goal, along the coordinates that it asks for, (n,) [m].

@@ -1,6 +1,6 @@
-"""The Python reference: one page for each module, and a first page that says which names to start from.
+"""The Python reference: public names, one page for each task, and the derivations that other pages cite.
 
-Modules stand under their package, and within `calib` under their room (the folder), floor above floor.
+Everything else is documented in the source.
 """
 
 from __future__ import annotations
@@ -8,17 +8,13 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
+import re
 from pathlib import Path
 
-from architecture import ROOMS, room_of
-
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = {
-    "calib": "the engine, for any robot",
-    "viz": "pictures of what calib knows",
-    "medrue": "MedRUE, and the studies of the paper",
-}
+DOCS = ROOT / "docs"
 FOLDER = "reference/api"
+PACKAGES = ("calib", "viz", "medrue")
 STEPS = {
     "A robot and its measurements": (
         "load",
@@ -28,18 +24,47 @@ STEPS = {
         "as_measurements",
         "as_poses",
         "read_parameters",
+        "Robot",
+        "Measurements",
+        "Poses",
     ),
-    "Before measuring": ("sample", "check", "select", "simulate", "study"),
-    "Calibrating": ("fit", "load_result", "Watch"),
-    "Judging": ("verify", "compare"),
-    "Using the calibrated robot": ("predict", "solve", "compensate", "export"),
+    "Before measuring": ("sample", "check", "select", "simulate", "study", "Assessment", "Selection", "Study"),
+    "Calibrating": ("fit", "load_result", "Watch", "Calibration", "Fit", "LoadedResult", "Progress"),
+    "Judging": ("verify", "compare", "Acceptance", "ResultComparison"),
+    "Using the calibrated robot": (
+        "predict",
+        "solve",
+        "compensate",
+        "export",
+        "Goals",
+        "Solution",
+        "Compensation",
+        "Holds",
+    ),
     "Parametrisations of your own": ("Parametrisation", "Parameter", "Origin", "twist_of_edit"),
 }
-"""Names of `calib` in the order in which they are used; what else there is follows by its kind."""
+"""Names of `calib` by task, in the order of use; functions before the classes that they return."""
+_CITED = re.compile(r"reference/api/((?:calib|viz|medrue)[\w.]*)\.md")
+
+
+def by_task() -> dict[str, list[str]]:
+    """Return the public names of `calib` by task, each once: those of `STEPS`, then what else there is, then errors."""
+    names = importlib.import_module("calib").__all__
+    steps = {step: [name for name in told if name in names] for step, told in STEPS.items()}
+    rest = [name for name in names if not any(name in told for told in steps.values())]
+    errors = [name for name in rest if name.endswith("Error")]
+    more = {"More": [name for name in rest if name not in errors], "Errors": errors}
+    return {step: told for step, told in {**steps, **more}.items() if told}
+
+
+def cited() -> list[str]:
+    """Return the modules whose derivations other pages link to."""
+    pages = (*DOCS.rglob("*.md"), ROOT / "CONTRIBUTING.md")
+    return sorted({name for page in pages for name in _CITED.findall(page.read_text(encoding="utf-8"))})
 
 
 def modules(package: str) -> list[str]:
-    """Dotted names of the public modules of a package, found on disk so that none is forgotten."""
+    """Return dotted names of the public modules of a package, found on disk so that none is forgotten."""
     names = []
     for path in sorted((ROOT / package).rglob("*.py")):
         parts = path.relative_to(ROOT).with_suffix("").parts
@@ -50,94 +75,79 @@ def modules(package: str) -> list[str]:
     return names
 
 
-def rooms() -> dict[str, list[str]]:
-    """Modules of `calib` but its front door, by the name of their room, floor above floor."""
-    names = [name for name in modules("calib") if name != "calib"]
-    return {room.name: [name for name in names if room_of(name.partition(".")[2]) is room] for room in ROOMS}
-
-
 def source(module: str) -> str:
-    """Text of a module."""
+    """Return the text of a module."""
     path = ROOT.joinpath(*module.split("."))
     path = path / "__init__.py" if path.is_dir() else path.parent / f"{path.name}.py"
     return path.read_text(encoding="utf-8")
 
 
 def summary(module: str) -> str:
-    """First sentence of a module's docstring."""
+    """Return the first sentence of a module's docstring."""
     text = ast.get_docstring(ast.parse(source(module))) or ""
     return " ".join(text.split("\n\n")[0].split())
 
 
 def navigation() -> list[object]:
-    """Entries of the navigation; below a room or a package a module goes by the last part of its name."""
-    by_room = [{room: [_entry(name) for name in names]} for room, names in rooms().items()]
-    others = [{package: [_entry(name) for name in modules(package)]} for package in PACKAGES if package != "calib"]
-    return [f"{FOLDER}/index.md", {"calib": [_entry("calib"), *by_room]}, *others]
-
-
-def _entry(module: str) -> dict[str, str]:
-    return {module.rpartition(".")[2]: f"{FOLDER}/{module}.md"}
+    """Return the entries of the navigation."""
+    tasks = [{title: f"{FOLDER}/{_slug(title)}.md"} for title in _tables()]
+    return [f"{FOLDER}/index.md", *tasks, {"Derivations": [{name: f"{FOLDER}/{name}.md"} for name in cited()]}]
 
 
 def pages() -> dict[str, str]:
-    """Path in docs/ and Markdown text of every page."""
+    """Return path in docs/ and Markdown text of every page."""
     result = {f"{FOLDER}/index.md": _index()}
-    for package in PACKAGES:
-        for name in modules(package):
-            result[f"{FOLDER}/{name}.md"] = f"---\ntitle: {name}\n---\n\n::: {name}\n"
+    for title, (package, names) in _tables().items():
+        entries = "\n".join(_entry(package, name) for name in names)
+        result[f"{FOLDER}/{_slug(title)}.md"] = f"# {title}\n\n{_names(package, names)}\n{entries}"
+    for name in cited():  # the derivation alone: what is in the module is in its source
+        result[f"{FOLDER}/{name}.md"] = f"---\ntitle: {name}\n---\n\n::: {name}\n    options:\n      members: false\n"
     return result
 
 
+def _tables() -> dict[str, tuple[str, list[str]]]:
+    """Package and names of each page."""
+    others = {f"Python names of {package}": package for package in PACKAGES[1:]}
+    own = {title: ("calib", names) for title, names in by_task().items()}
+    return own | {title: (package, importlib.import_module(package).__all__) for title, package in others.items()}
+
+
 def _index() -> str:
-    parts = ["# Python reference\n\nWhat to start from; every module has a page of its own.\n"]
-    parts.append("## From `calib`, in the order of use\n")
-    parts += [f"### {step}\n\n{_names('calib', names)}" for step, names in by_use("calib").items()]
-    parts.append(f"## From `viz`\n\n{_names('viz', importlib.import_module('viz').__all__)}")
-    for package, what in PACKAGES.items():
-        parts.append(f"## Modules of `{package}`: {what}\n")
-        if package == "calib":
-            parts.append(
-                "Each folder is a room; rooms stand on floors, the lowest first, and import only from lower ones"
-                " ([picture](../../contributing.md#architecture)).\n"
-            )
-            parts += [f"### {room}\n\n{_module_table(names)}" for room, names in rooms().items()]
-        else:
-            parts.append(_module_table(modules(package)))
-    return "\n".join(parts).replace("|---|---|\n\n", "|---|---|\n")
+    parts = [
+        "# Python reference\n\nFor whoever calls the program from Python: the public names by task, each with its"
+        " arguments, units and errors. Names of other modules may change; their documentation is in the source.\n"
+    ]
+    for title, (package, names) in _tables().items():
+        parts.append(f"## [{title}]({_slug(title)}.md)\n\n{_names(package, names)}")
+    rows = [f"| [`{name}`]({name}.md) | {_cell(summary(name))} |" for name in cited()]
+    parts.append("\n".join(["## Derivations\n", "| module | what it derives |", "|---|---|", *rows, ""]))
+    return "\n".join(parts)
 
 
-def by_use(package: str) -> dict[str, list[str]]:
-    """Public names of a package by when they are used, each once: the steps, then what else there is by its kind."""
-    module = importlib.import_module(package)
-    steps = {step: [name for name in names if name in module.__all__] for step, names in STEPS.items()}
-    rest = [name for name in module.__all__ if not any(name in names for names in steps.values())]
-    errors = [name for name in rest if name.endswith("Error")]
-    classes = [name for name in rest if name[0].isupper() and name not in errors]
-    more = [name for name in rest if name not in errors and name not in classes]
-    kinds = {"More": more, "What these take and return": classes, "Errors": errors}
-    return {step: names for step, names in {**steps, **kinds}.items() if names}
+def _entry(package: str, name: str) -> str:
+    options = (
+        "    options:\n      heading_level: 2\n      show_root_toc_entry: true\n      show_root_full_path: false\n"
+    )
+    return f"::: {_place(package, name)}\n{options}"
 
 
 def _names(package: str, names: list[str]) -> str:
-    module = importlib.import_module(package)
-    rows = [f"| [`{package}.{name}`][{_place(module, name)}] | {_first_line(module, name)} |" for name in names]
-    return "\n".join(["| name | what it is |\n|---|---|", *rows]) + "\n"
+    rows = [f"| [`{package}.{name}`][{_place(package, name)}] | {_first_line(package, name)} |" for name in names]
+    return "\n".join(["| name | what it is |", "|---|---|", *rows, ""])
 
 
-def _module_table(names: list[str]) -> str:
-    rows = [f"| [`{name}`]({name}.md) | {_cell(summary(name))} |" for name in names]
-    return "\n".join(["| module | what it is about |\n|---|---|", *rows]) + "\n"
-
-
-def _place(module: object, name: str) -> str:
+def _place(package: str, name: str) -> str:
     """Where an object is defined, which is where its documentation stands."""
-    thing = getattr(module, name)
+    thing = getattr(importlib.import_module(package), name)
     return f"{thing.__module__}.{thing.__qualname__}"
 
 
-def _first_line(module: object, name: str) -> str:
-    return _cell((inspect.getdoc(getattr(module, name)) or "").split("\n\n")[0])
+def _first_line(package: str, name: str) -> str:
+    return _cell((inspect.getdoc(getattr(importlib.import_module(package), name)) or "").split("\n\n")[0])
+
+
+def _slug(title: str) -> str:
+    return title.lower().replace(" ", "-")
 
 
 def _cell(text: str) -> str:

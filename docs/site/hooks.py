@@ -24,6 +24,8 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
         project = tomllib.load(file)["project"]
     config.copyright = f"{project['name']} {project['version']}, {project['license']}"
     config.repo_url = config.repo_url or project.get("urls", {}).get("Repository")
+    if config.repo_url:
+        config.edit_uri = "edit/main/docs/"
     for entry in config.nav or []:
         if "Reference" in entry:
             entry["Reference"] = [{"Commands": "reference/commands.md"}, {"Python": api_reference.navigation()}]

@@ -71,7 +71,7 @@ def workspace(facts: Mapping[str, Any]) -> str:
         f" {facts['smallest_singular_value_of_the_loops']:.3f}, smallest sine between two links"
         f" {facts['smallest_sine_between_links']:.3f}",
     }
-    return "| | |\n|---|---|\n" + "".join(f"| {name} | {value} |\n" for name, value in rows.items())
+    return "| what | value |\n|---|---|\n" + "".join(f"| {name} | {value} |\n" for name, value in rows.items())
 
 
 def filled(page: str, sources: dict[str, Path]) -> str:

@@ -176,7 +176,7 @@ ROBOT: dict[str, Scenario] = {
     "six poses": Scenario("sick", handful, validate=0.0),
     "a joint that sags, over a short range": Scenario("counted", sag, robots=("MedRUE", "3-RRR")),
     "all joints a little loose, noise not stated": Scenario(
-        "hidden", loose_joints, stated=False, named="nobody stated the noise"
+        "hidden", loose_joints, stated=False, named="the noise of the instrument was not stated"
     ),
 }
 """Sick scenarios of robots and poses, by name."""

@@ -115,7 +115,7 @@ def study(
         progress: Called with the number of draws done and of all draws, in the order of work.
 
     Raises:
-        InputError: A number of draws or processes that makes no sense, noise that nobody states, nothing to resample.
+        InputError: A number of draws or processes that makes no sense, unstated noise, nothing to resample.
         NotConvergedError: The first draw did not converge, or none gave an answer.
         CalibrationError: What `calib.fit` raises, of the first draw.
     """

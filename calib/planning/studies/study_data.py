@@ -131,7 +131,7 @@ def simulated(
         noise: What makes measurements of exact ones, if that is not what the description states.
 
     Raises:
-        InputError: The truth is none of this robot, there are no priors to draw it from, or nobody states the noise.
+        InputError: The truth is none of this robot, there are no priors to draw it from, or the noise is not stated.
     """
     unstated = [] if noise is not None else unstated_noise(robot, sigma)
     if unstated:

@@ -40,7 +40,7 @@ class CorrectionGrid(ReadOnlyArrays):
         angle_errors: The same of the turn, (n_tried,) [rad].
         before: How far the calibrated robot is off at the nodes without corrections, (n,) [m].
         expected: Root mean square distance that is left at the nodes, from the uncertainty of the parameters, (n,) [m];
-            NaN where nobody says how well the robot is known.
+            NaN where the uncertainty of the robot is not known.
         frame: In which frame the positions are, in words.
         nothing_to_correct: Whether all corrections are zero, because the verdict is that nothing is to be corrected.
     """

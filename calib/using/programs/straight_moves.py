@@ -76,7 +76,7 @@ class CompensatedMoves:
         q: Joints at the ends of the moves, (n, 3) [m or rad].
         before: How far the tool is off there without compensation, (n,) [m].
         expected: Root mean square distance that is left there, from the uncertainty of the parameters, (n,) [m]; NaN
-            where nobody says how well the robot is known.
+            where the uncertainty of the robot is not known.
         deviations: How far it is off between points at most, where that was measured, as if the machine had been led to
             the beginning of the move; (n,) [m], NaN where a move has no length or no known beginning.
         n_measured: At how many points it was measured.

@@ -64,8 +64,7 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
         yield Reason(
             "CHECK",
             "joint_never_moved",
-            f"{'joint' if len(still) == 1 else 'joints'} {', '.join(still)} never moved: what depends on"
-            f" {'it' if len(still) == 1 else 'them'} rests on priors, and poses that move"
+            f"{'joint' if len(still) == 1 else 'joints'} {', '.join(still)} never moved: poses that move"
             f" {'it' if len(still) == 1 else 'them'} are not calibrated",
             counted=True,
         )
@@ -75,8 +74,8 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
         yield Reason(
             "CHECK",
             "joints_move_together",
-            f"{n_moved} joints moved, but only together: the poses lie along {counted(directions, 'direction')} of"
-            " joint space, and what depends on the joints one by one rests on priors; move each joint by itself",
+            f"{n_moved} joints moved, but only together, along {counted(directions, 'direction')} of joint space: errors"
+            " of single joints rest on priors. Move each joint by itself",
             counted=True,
         )
     limit = fit.nominal.description.singularity_limit
@@ -111,9 +110,8 @@ def few_shared(fit: Fit) -> Iterator[Reason]:
         yield Reason(
             "CHECK",
             "too_few_poses",
-            f"too few poses: the readings of a pose share errors, so that intervals rest on"
-            f" {found.interval_freedom:.1f} independent errors only; measure several times as many poses, not more"
-            " readings of each",
+            f"too few poses: the readings of a pose share errors, and intervals rest on {found.interval_freedom:.1f}"
+            " independent errors. Measure several times as many poses, not more readings of each",
         )
 
 
@@ -212,8 +210,8 @@ def copied(fit: Fit) -> Iterator[Reason]:
         yield Reason(
             "CHECK",
             "copied",
-            f"{copies} of {counted(len(rows), 'reading')} are copies of others to the last digit: nothing new, so that"
-            " intervals are too narrow; leave the copies out",
+            f"{copies} of {counted(len(rows), 'reading')} are copies of others to the last digit, so intervals are too"
+            " narrow. Leave the copies out",
         )
 
 
@@ -280,9 +278,8 @@ def rounded(fit: Fit) -> Iterator[Reason]:
         yield Reason(
             "CHECK",
             "rounded",
-            f"joint values stand in steps of {found.steps}, and residuals scatter as if they were rounded to these:"
-            f" that alone makes about {size:.2g} {ERROR_UNIT[one.group.dimension]} of noise; export all digits that"
-            " the controller has",
+            f"joint values were rounded to steps of {found.steps}, which makes about {size:.2g}"
+            f" {ERROR_UNIT[one.group.dimension]} of noise. Export all digits of the controller",
             counted=True,
         )
 

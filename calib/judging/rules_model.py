@@ -38,6 +38,7 @@ EXPLAINED = 0.3
 LASTING = 0.55
 """What changes in the course of the measurement, over all that is left, up to which a claim holds at its end: what
 grows evenly is sqrt(3) times as large there as on average, so that all is 1.25 times as large at sqrt(0.3) of all."""
+_MOST_PATTERNS = 3  # that the sentence names
 OTHER_MINIMUM = 10.0
 """Difference of the cost within which another minimum explains the data as well."""
 
@@ -78,7 +79,7 @@ def worse_on_validation(fit: Fit) -> Iterator[Reason]:
                 "FAIL",
                 "worse_on_validation",
                 f"the calibration makes the robot worse on {comparison.name}: {comparison.words} (chance below"
-                f" {100 * CHANCE:g} %). The fit follows its own measurements, not the robot: measure more poses, spread"
+                f" {100 * CHANCE:g} %). The fit follows its own measurements, not the robot. Measure more poses, spread"
                 " over the space where the robot will work",
             )
 
@@ -136,7 +137,7 @@ def claim_broken(made: Claim, *, needless: bool) -> Iterator[Reason]:
                 "worse_on_validation",
                 f"the calibration makes the robot worse at {one.where}: {one.shown(one.rms)} RMS after,"
                 f" {one.shown(one.before)} before, and {times:.1f} times what it claims ({told.shown(told.rms)}). The"
-                " fit follows its own measurements, not the robot: measure more poses, spread over the space where the"
+                " fit follows its own measurements, not the robot. Measure more poses, spread over the space where the"
                 " robot will work",
             )
         else:
@@ -144,8 +145,8 @@ def claim_broken(made: Claim, *, needless: bool) -> Iterator[Reason]:
                 "CHECK",
                 "validation",
                 f"{one.where} are {times:.1f} times as far off as claimed ({one.shown(one.rms)} RMS where poses like"
-                f" those used have {told.shown(told.rms)}): the robot does something there that the poses used do not"
-                " show; measure also there",
+                f" those used have {told.shown(told.rms)}). The robot does something there that the poses used do not"
+                " show. Measure there too",
             )
 
 
@@ -208,15 +209,15 @@ def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
         yield Reason(
             "PASS",
             "nothing_to_correct",
-            f"nothing to correct: {said}; the nominal values are as good as any, as far as measurements with"
-            f" {in_words(fit.first_noise, fit.sigma)} of noise can tell",
+            f"nothing to correct: {said}. Measurements with {in_words(fit.first_noise, fit.sigma)} of noise show no"
+            " error of the nominal robot",
         )
     elif entries and all(entry.after >= entry.before for entry in entries):
         yield Reason(
             "CHECK",
             "no_gain",
-            f"poses that were not used get no better: {said}. The poses used do, beyond chance: the fit follows what"
-            " is special to them; measure more poses, spread over the space where the robot will work",
+            f"poses that were not used get no better: {said}. Only the poses used do: the fit follows what is special"
+            " to them. Measure more poses, spread over the space where the robot will work",
         )
 
 
@@ -241,17 +242,15 @@ def files_hold_less(fit: Fit) -> Iterator[Reason]:
         yield Reason(
             "PASS",
             "file_withheld",
-            f"calibrated.urdf is not written, nor any other file of joint origins: {why}; {others}; --force writes it"
-            " anyway",
+            f"calibrated.urdf and other files of joint origins are not written: {why}; {others}. --force writes them",
         )
     elif fit.robot.lost_by(Holds.ORIGINS):
         judged, whole = (fit.robot.files[holds].accuracy for holds in (Holds.ORIGINS, Holds.EVERYTHING))
         yield Reason(
             "PASS",
             "file_holds_less",
-            "calibrated.urdf, as every file of joint origins, holds no joint terms, and has the origins that are best"
-            f" without them: {judged.words}; nominal robot: {judged.shown(judged.before)}, whole model:"
-            f" {whole.shown(whole.rms)}",
+            f"a URDF cannot hold joint terms. The origins in calibrated.urdf are those that fit best without them:"
+            f" {judged.words}. Nominal robot: {judged.shown(judged.before)}; whole model: {whole.shown(whole.rms)}",
         )
 
 
@@ -275,8 +274,8 @@ def systematic(fit: Fit) -> Iterator[Reason]:
             yield Reason(
                 "CHECK",
                 "systematic",
-                f"residuals are not only noise: {listed(words, '; ')}; the model leaves this out, and intervals do not"
-                " count it",
+                f"residuals are not only noise: {listed(words, '; ', _MOST_PATTERNS)}. The model leaves this out, and"
+                " intervals do not count it",
                 counted=kinds is not changing or largest < LASTING * left,
             )
 

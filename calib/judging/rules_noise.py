@@ -135,7 +135,7 @@ def _against_statement(fit: Fit, one: FoundNoise) -> Iterator[Reason]:
         yield Reason(
             "CHECK",
             "noise",
-            f"{text}: state what robot and sensor do together, or look for what is missing",
+            f"{text}: state the noise of robot and sensor together, or look for what is missing",
             counted=True,
         )
     elif chi.p_smaller < UNLIKELY:
@@ -159,10 +159,10 @@ def _beyond(fit: Fit, one: FoundNoise, text: str) -> Reason:
         )
         return Reason("FAIL", "noise", text)
     if better or no_worse:
-        told = "do get better beyond chance" if better else "get neither better nor worse"
+        told = "get better beyond chance" if better else "get neither better nor worse"
         text += (
-            f" poses that were not used {told}, so what is left is what the model leaves out, or outliers, and"
-            " intervals do not count it: state the noise of robot and sensor together (--sigma-mm)"
+            f" poses that were not used {told}. The rest is what the model leaves out, or outliers; intervals do not"
+            " count it. State the noise of robot and sensor together (--sigma-mm)"
         )
         return Reason("CHECK", "noise", text, counted=True)
     text += (

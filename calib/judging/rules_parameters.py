@@ -144,8 +144,8 @@ def unclear_rank(fit: Fit) -> Iterator[Reason]:
         yield Reason(
             "CHECK",
             "rank_unclear",
-            f"{rank.doubt}: a combination of parameters is as good as not determined; hold one more (`calib check`"
-            " tells which), or measure other poses",
+            f"{rank.doubt}: one combination of parameters is hardly determined. Hold one more parameter (`calib check`"
+            " names it), or measure other poses",
         )
 
 
@@ -161,6 +161,6 @@ def loose(fit: Fit) -> Iterator[Reason]:
         yield Reason(
             "CHECK",
             "not_linear",
-            f"hardly determined, so that intervals, which suppose a linear model, do not hold: {listed(loose)};"
-            " measure poses that differ more, or hold these parameters",
+            f"hardly determined angles: {listed(loose)}. The model is not linear over such a range, so their intervals"
+            " mean nothing. Measure poses that differ more, or hold these parameters",
         )

@@ -67,9 +67,9 @@ def moved_little(fit: Fit) -> Iterator[Reason]:
             yield Reason(
                 "CHECK",
                 "joint_moved_little",
-                f"joint {name} moved through {reach:.2g} {unit} only: where it moves further, positions are known to"
-                f" {millimetres(there):.2g} mm RMS, and to {millimetres(here):.2g} mm at the poses used, base and tool"
-                " placed anew; measure poses that move it through its range",
+                f"joint {name} moved through {reach:.2g} {unit} only. Positions are known to {millimetres(here):.2g} mm"
+                f" at the poses used, but to {millimetres(there):.2g} mm RMS where it moves further. Measure poses that"
+                " move it through its range",
                 counted=True,
             )
 
@@ -84,9 +84,9 @@ def far_validation(fit: Fit) -> Iterator[Reason]:
         yield Reason(
             "CHECK",
             "validated_elsewhere",
-            f"poses that were not used lie where the calibration hardly reaches: positions are predicted to"
-            f" {millimetres(there):.2g} mm there, and to {millimetres(here):.2g} mm RMS at the poses used; measure"
-            " there too, and validate among the poses used",
+            f"validation poses lie far from the poses used: positions are known to {millimetres(there):.2g} mm there,"
+            f" but to {millimetres(here):.2g} mm RMS at the poses used. Measure there too, and validate among the poses"
+            " used",
             counted=True,
         )
 
@@ -167,8 +167,8 @@ def beyond_curves(fit: Fit) -> Iterator[Reason]:
             "beyond_curves",
             f"{counted(len(poses), 'validation pose lies', 'validation poses lie')} where no error curve of"
             f" {'joint' if len(joints) == 1 else 'joints'} {listed(joints)} was learned:"
-            f" {listed([fit.validation.data.labels[k] for k in poses])}; there a curve says nothing, and its band is as"
-            " wide as before: measure there, too, before you rely on it",
+            f" {listed([fit.validation.data.labels[k] for k in poses])}. The curve is unknown there: measure there too"
+            " before you rely on it",
             counted=True,
         )
 
@@ -181,8 +181,8 @@ def blocks_disagree(fit: Fit) -> Iterator[Reason]:
             "CHECK",
             "blocks_disagree",
             f"with {apart.cut} left out in turn, parameters move {apart.ratio:.2g} times as much as noise explains: the"
-            " model leaves something out that is not the same everywhere; intervals, and what positions are known to,"
-            " count it, and places unlike those measured may be further off",
+            " model leaves out something that differs from place to place. Intervals, and what positions are known to,"
+            " count it; places unlike those measured may be further off",
             counted=True,
         )
 
@@ -194,9 +194,9 @@ def terms_untested(fit: Fit) -> Iterator[Reason]:
         yield Reason(
             "CHECK",
             "terms_untested",
-            f"at other combinations of the joint values measured, positions are known to {found}: the poses used hardly"
-            " decide the joint terms there; measure poses that combine joint values in other ways, or see on such poses"
-            " whether the terms help (--validate)",
+            f"the poses used hardly determine the joint terms at other combinations of the same joint values: positions"
+            f" are known to {found}. Measure poses that combine joint values in other ways, or validate on such poses"
+            " (--validate)",
             counted=True,
         )
 
@@ -234,7 +234,7 @@ def _widened(fit: Fit, q: FloatArray) -> str:
     )
     if there <= max(_well_known(fit, here), WIDENED * alone):
         return ""
-    return f"{millimetres(there):.2g} mm RMS only, and to {millimetres(here):.2g} mm at the poses used"
+    return f"{millimetres(there):.2g} mm RMS there, and to {millimetres(here):.2g} mm at the poses used"
 
 
 def _relative(fit: Fit, configurations: Configurations, covariance: FloatArray) -> float:

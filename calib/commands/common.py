@@ -35,11 +35,11 @@ from calib.robots.urdf.arm_chain import arm_chain
 from calib.rows.registration import register
 
 SIGMA_HELP = (
-    "Standard deviation of one position reading per axis [mm]; the description's if not given. Of positions only: other"
-    " instruments state theirs in the description"
+    "Noise of one position reading: one standard deviation along each axis [mm]. Default: what the description states."
+    " The noise of other instruments stands in the description"
 )
 """What --sigma-mm means, in every command that takes it."""
-FORCED = "Replace files that this program did not write, or that this command reads."
+FORCED = "Also replace files that this program did not write, or that this command reads."
 """What --force does, in every command."""
 _REMARKS = 5
 
@@ -178,7 +178,7 @@ def shared_options(
                 "--json",
                 "json_target",
                 metavar="FILE",
-                help="Write the table as JSON ('-': to standard output, and nothing else there).",
+                help="Write the result as JSON; with '-' to standard output, and nothing else there.",
             )(run)
         return run
 

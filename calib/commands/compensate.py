@@ -44,7 +44,7 @@ _OF_ANGLES = tuple((f"{one}_angle", ERROR_UNIT["angle"], error_scale("angle")) f
 @click.option(
     "--keep",
     type=click.Choice(KEEP),
-    help="What of a program of joints is kept; the full pose where the joints can reach any, else the position.",
+    help="What to keep of a program of joints. Default: the full pose if the joints can reach any, else the position.",
 )
 @click.option(
     "--grid",

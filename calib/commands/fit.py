@@ -35,14 +35,14 @@ from calib.robots.robot import Robot
 @click.option(
     "--validate",
     metavar="FILE|FRACTION",
-    help="Measurements to judge the result with: a CSV file, or the part"
-    " of DATA to hold out (0.2: a fifth of the poses).",
+    help="Judge the result with other poses: those of a CSV file, or a part of DATA that the fit does not use (0.2: a"
+    " fifth of the poses).",
 )
 @click.option(
     "--folds",
     metavar="N|setups",
     default="0",
-    help="Cross-validation: leave out each of so many parts of DATA in turn, or each setup, which is then placed anew.",
+    help="Cross-validation: split DATA into N parts and leave out each in turn; or leave out each setup.",
 )
 @click.option(
     "--sigma-mm",
@@ -54,15 +54,15 @@ from calib.robots.robot import Robot
     type=click.Choice(LOSSES),
     default="none",
     show_default=True,
-    help="How far-off measurements count; all but none hold outliers back.",
+    help="Robust loss: gives outliers less weight.",
 )
 @click.option(
     "--terms",
     metavar="auto|none|LIST",
-    help="Errors of the joints beside the description's: those that earn their place (auto), or a list such as"
-    " curve,elbow=backlash (TERM for every joint, or JOINT=TERM); none leaves out the description's, too.",
+    help="Joint terms to add to those of the description. auto: those that improve the prediction of poses left out."
+    " LIST: TERM for every joint or JOINT=TERM, such as curve,elbow=backlash. none: not even those of the description.",
 )
-@click.option("--exclude-outliers", is_flag=True, help="Leave outliers out and fit again; both results are shown.")
+@click.option("--exclude-outliers", is_flag=True, help="Leave outliers out and fit again; show both results.")
 @click.option("--starts", type=int, default=1, show_default=True, help="Fit from so many starting points.")
 @click.option(
     "--seed",
@@ -73,13 +73,13 @@ from calib.robots.robot import Robot
 )
 @jobs_option("folds and starts")
 @click.option("--verbose", is_flag=True, help="Print everything: all reasons, tables and remarks.")
-@click.option("--no-pages", is_flag=True, help="Write no report.html and no viewer.html, which take most of the time.")
+@click.option("--no-pages", is_flag=True, help="Do not write report.html and viewer.html; this saves most of the time.")
 @click.option("--logo", metavar="FILE", help="PNG, JPEG or SVG image (up to 512 kB) to put into report.html.")
 @click.option("--out", required=True, metavar="DIR", help="Folder for the result.")
 @shared_options(
     json_output=True,
-    forced="Write calibrated.urdf even if the verdict is FAIL, or the file worse than the nominal robot (it says so"
-    " inside), and replace files that this program did not write, or reads.",
+    forced="Write calibrated.urdf even after FAIL, or if it is worse than the nominal robot; the file says so. Also"
+    " replace files that this program did not write, or that this command reads.",
 )
 def command(
     robot: str,
@@ -101,8 +101,8 @@ def command(
 ) -> None:
     """Calibrate ROBOT (YAML description, URDF or result folder) from the measurements DATA (CSV, or a ROS 2 bag).
 
-    Several files of DATA belong together: those with joint columns give the visits, the others say by their column
-    `pose` to which visit each of their rows belongs.
+    With several files, those with joint columns give the visits. The others have a column `pose` that says to which
+    visit each row belongs.
     """
     if logo is not None:
         if no_pages:

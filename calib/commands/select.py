@@ -53,9 +53,9 @@ from calib.reporting.selection_text import format_poses, text_report, to_dict
     type=click.Choice(CHOICES, case_sensitive=False),
     default="O1",
     show_default=True,
-    help="What to make best: an observability index, or 'task', the predicted position error.",
+    help="What to optimise: an observability index, or 'task', the predicted position error.",
 )
-@click.option("--measured", metavar="FILE", help="Poses that are measured already (CSV): choose which to add.")
+@click.option("--measured", metavar="FILE", help="Poses already measured (CSV): choose poses to add to these.")
 @click.option("--task", metavar="FILE", help="Poses whose accuracy counts (CSV); the candidates if not given.")
 @click.option(
     "--exclude",

@@ -25,7 +25,7 @@ from calib.planning.watch import CANDIDATES, GrowingFile, Watch
     "--goal",
     required=True,
     metavar="LENGTH",
-    help="Root mean square position error over the candidates to reach, with its unit, such as 0.1mm.",
+    help="Stop at this RMS position error over the candidates, with its unit, such as 0.1mm.",
 )
 @click.option(
     "--candidates",
@@ -62,11 +62,11 @@ def command(
     seed: int,
     output: Output,
 ) -> None:
-    """Follow FILE (CSV) while ROBOT is measured: what is known, what to measure next, and when to stop.
+    """Follow FILE (CSV) while ROBOT is measured: how accurate it is, which pose to measure next, and when to stop.
 
-    Every line that is added is first predicted, then fitted; one that cannot be read is told and passed over until it
-    is corrected. It ends when the goal holds with 95 %, or with Ctrl-C.
-    With --json FILE that file always holds the present state; with --json -, every state is one line.
+    Each new line is predicted first, then fitted. A line that cannot be read is named, and skipped until it is
+    corrected. The command ends when the goal holds with 95 %, or with Ctrl-C. With --json FILE, the file always holds
+    the present state; with --json -, every state is one line.
     """
     if once and view:
         raise InputError("--once ends at once, so there is nothing to --view; leave one of them out")

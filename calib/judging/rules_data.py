@@ -74,8 +74,8 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
         yield Reason(
             "CHECK",
             "joints_move_together",
-            f"{n_moved} joints moved, but only together, along {counted(directions, 'direction')} of joint space: errors"
-            " of single joints rest on priors. Move each joint by itself",
+            f"{n_moved} joints moved, but only together, along {counted(directions, 'direction')} of joint space:"
+            " errors of single joints rest on priors. Move each joint by itself",
             counted=True,
         )
     limit = fit.nominal.description.singularity_limit

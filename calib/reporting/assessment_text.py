@@ -16,7 +16,7 @@ from calib.rows.candidates import WHITENED
 
 _SHOWN = 12
 _SINGLE = 5  # parameters without effect that get a line of their own
-_GROUPS = 6  # groups that the short answer lists
+_GROUPS = 8  # groups that the short answer lists
 
 
 def text_report(assessment: Assessment, source: str, width: int = 110, *, verbose: bool = False) -> str:

@@ -135,8 +135,8 @@ def test_priors_are_weighed_by_the_noise_found_where_it_contradicts_what_is_stat
 
 def test_noise_three_times_what_was_stated_is_a_remark_where_unused_poses_prove_the_fit(arm, truth):
     data, other = noisy(truth, joints(80), 4 * SIGMA, 1), noisy(truth, joints(30, 5), 4 * SIGMA, 2)
-    assert "do get better" in remark(calib.fit(arm, data, sigma=SIGMA, validation=other), "noise").text
-    assert "do get better" in remark(calib.fit(arm, data, sigma=SIGMA, folds=4), "noise").text
+    assert "get better" in remark(calib.fit(arm, data, sigma=SIGMA, validation=other), "noise").text
+    assert "get better" in remark(calib.fit(arm, data, sigma=SIGMA, folds=4), "noise").text
 
 
 @pytest.mark.parametrize(("factor", "words"), [(1.6, "more than chance"), (0.5, "less than chance")])
@@ -449,7 +449,7 @@ def test_rounded_joint_values_are_told(arm, truth, step):
     positions = noisy(truth, q, SIGMA, 1).points(arm)
     fit = calib.fit(arm, measurements(arm, rounded_to(q, step), positions))
     found = remark(fit, "rounded")
-    assert f"in steps of {step:g} deg" in found.text
+    assert f"to steps of {step:g} deg" in found.text
     assert rounding(fit).part == pytest.approx(1.0, abs=0.5)  # noise is next to nothing beside it
 
 

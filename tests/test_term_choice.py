@@ -510,3 +510,16 @@ if __name__ == "__main__":
     parser.add_argument("seed", nargs="?", type=int, default=1)
     options = parser.parse_args()
     _print_tables(options.what, options.n, options.seed)
+
+
+def test_coefficients_that_explain_every_reading_are_no_evidence():
+    """Of 90 coordinates, harmonics and couplings beside the origins leave nothing: no noise, and nothing foretold."""
+    robot = example_arm(None)
+    true, data, elsewhere = simulated(
+        robot, ("harmonics",), np.random.default_rng([2, 30, sum(map(ord, "harmonics"))]), 30
+    )
+    fit = calib.fit(robot, data, terms="auto")
+    assert added(fit) == {"harmonics"}
+    alone = calib.fit(robot, data)
+    after, before = (np.sqrt(np.mean(position_errors(one, true, elsewhere)[0] ** 2)) for one in (fit, alone))
+    assert after < 0.5 * before

@@ -166,6 +166,8 @@ class _Search:
 
     def failed(self, without: Trial, trial: Trial) -> str:
         """Return why a trial has not earned the term that it has more; empty if it has."""
+        if np.isneginf(trial.evidence):
+            return "its coefficients are so many that they explain every reading: measure more poses"
         if self.beyond_chance(without, trial) <= 0.0:
             return "no more evidence than chance gives"
         if not _predicts_better(trial, without):
@@ -220,6 +222,8 @@ class _Search:
         without = self.of(tuple(other for other in groups if other != group))
         with_it = self.of(groups if group else tried)
         why = "" if group else self.failed(without, with_it) or one.doubt or self.refused(self.told_apart(tried))
+        if np.isneginf(with_it.evidence):
+            return TriedTerm(one.term, why=why)
         together = tuple(term for term in group if term != one.term)
         alike = self.rivals(one.term, groups) if group else {}
         gain = with_it.evidence - without.evidence

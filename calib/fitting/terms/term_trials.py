@@ -21,7 +21,7 @@ from calib.data.grouping import boxes
 from calib.fitting.fitted import Fit
 from calib.fitting.terms.candidate_terms import Candidate
 from calib.fitting.validation import stretches
-from calib.numerics.variance_components import LinearModel, found_with_families, log_evidence
+from calib.numerics.variance_components import EXACT, LinearModel, found_with_families, log_evidence
 from calib.rows.jacobian import linearise
 from calib.rows.observed import observe
 from calib.rows.prediction import beside_common_motion, other_combinations
@@ -42,7 +42,7 @@ class Trial(ReadOnlyArrays):
 
     Attributes:
         terms: Their names.
-        evidence: Log marginal likelihood.
+        evidence: Log marginal likelihood; minus infinity where so many columns explain all rows, and no noise is left.
         n_sizes: How many sizes were found.
         sizes: Largest size found of each term, over what is expected.
         squares: Of each partition, whitened squares of what each block is off when left out, (n_blocks,) each.
@@ -206,6 +206,8 @@ class Trials:
             len(names),
         )
         scales, sizes = found_with_families(model, self.fit.scales.groups * self.fit.statistics.factors.found)
+        if np.any(scales <= EXACT):
+            return self._explaining_all(terms, len(names))
         normal = _Normal.of(model, self.fit.whitening.row_scale(scales), np.append(sizes, 1.0)[family])
         left_out = [self._left_out(normal, use, blocks) for blocks in self._partitions]
         elsewhere = self._elsewhere[:, use] * normal.factor
@@ -223,6 +225,12 @@ class Trials:
             tuple(rms for _, rms in left_out),
             3.0 * float(np.mean(variances)) if len(variances) else 0.0,
         )
+
+    def _explaining_all(self, terms: tuple[str, ...], n_sizes: int) -> Trial:
+        """A trial that leaves no noise to any group that has some: it foretells nothing."""
+        nothing = tuple(np.full(len(blocks), np.inf) for blocks in self._partitions)
+        off = tuple(float("inf") for _ in self._partitions)
+        return Trial(terms, float("-inf"), n_sizes, dict.fromkeys(terms, float("inf")), nothing, off, float("inf"))
 
     def _left_out(self, normal: _Normal, use: IntArray, blocks: list[IntArray]) -> tuple[FloatArray, float]:
         """Whitened squares of each block when it is left out, and the root mean square of the main part [SI]."""

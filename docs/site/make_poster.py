@@ -31,7 +31,7 @@ DESCRIPTION = ROOT / "docs" / "examples" / "ur10_tracker.yaml"
 FIGURES = ROOT / "docs" / "figures"
 MAGNIFIED = 130
 """How many times as long as it is an error is drawn."""
-_DRAWN = 450  # poses: more would make the picture black
+_DRAWN = 300  # poses: more would make the picture black
 _SEEN_FROM = np.radians([-60.0, 18.0])  # azimuth, elevation
 _LINKS = ("base_link", "shoulder_link", "upper_arm_link", "forearm_link", "wrist_1_link", "wrist_2_link", "flange")
 _MARGIN = 0.08  # around what is drawn [m]

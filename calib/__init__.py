@@ -143,7 +143,9 @@ def __getattr__(name: str) -> Any:
     if name == "__version__":
         return import_module("calib.base.version").VERSION
     if name not in _HOMES:
-        raise AttributeError(f"module 'calib' has no attribute '{name}'")
+        if name.startswith("_"):
+            raise AttributeError(name)
+        raise import_module("calib.base.other_words").no_name_in_package(name, __all__)
     found = globals()[name] = getattr(import_module(_HOMES[name]), name)
     return found
 

@@ -2,34 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from calib import pictures
-from calib.base.units import ERROR_UNIT
+from calib.base.other_words import worded
+from calib.base.units import ERROR_UNIT, in_si
 from calib.base.words import titled_html
-from calib.base.workers import Progress
+from calib.base.workers import Progress, Workers
 from calib.calibrating.calibrate import calibrate
 from calib.calibrating.file_robots import with_files
-from calib.data.measurements import Measurements
-from calib.fitting.error_sets import error_table
+from calib.data.in_memory import MeasurementsLike, as_measurements, with_sigma
+from calib.exporting.formats import export, format_of
+from calib.fitting.error_sets import Folds, error_table
+from calib.fitting.fit import fit_data
 from calib.fitting.settings import Settings
+from calib.fitting.validation import cross_validate, n_folds
 from calib.joint_terms.terms import terms_text
 from calib.judging.judged_fit import JudgedFit
 from calib.numerics.losses import checked_loss
 from calib.pictures import Plots
-from calib.reporting.report_text import text_report, verdict_lines
-from calib.reporting.result_content import error_sets
+from calib.planning.studies.study import study
+from calib.planning.studies.study_result import Study
+from calib.reporting.report_text import summary, text_report, verdict_lines
+from calib.reporting.result_content import error_sets, to_dict
 from calib.reporting.results import save
-from calib.robots.robot import Robot, require_robot
+from calib.robots.loading import RobotLike, as_robot
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration(JudgedFit):
     """A finished fit for users: see `calib.fitting.fitted.Fit` for what it holds, `JudgedFit` for what it is worth."""
+
+    _made_by = "calib.fit(robot, data)"
 
     def __str__(self) -> str:
         return self.report()
@@ -68,6 +80,92 @@ class Calibration(JudgedFit):
         """
         return text_report(self, verbose=verbose)
 
+    def summary(self) -> str:
+        """Return the verdict with its reasons and the accuracy before and after, as text; `report` has the rest."""
+        return summary(self)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return everything that was found, in mm and degrees: the content of `result.json`."""
+        return to_dict(self)
+
+    @worded
+    def cross_validate(
+        self,
+        folds: int | Literal["setups"] = 5,
+        *,
+        seed: int = 0,
+        executor: Executor | int | None = None,
+        progress: Progress | None = None,
+    ) -> Folds:
+        """Fit again as often, each time without a part of the poses, and predict these.
+
+        Args:
+            folds: Number of parts, by pose; `setups`: every setup is one, placed anew.
+            seed: Seed of the random choice.
+            executor: Who fits; as in `fit`.
+            progress: Called after each part with how many are done, and of how many.
+
+        Returns:
+            The errors of all poses, each predicted by a fit that did not see it; `.rms` of each part [m].
+
+        Raises:
+            InputError: A number of folds that makes no sense.
+            CalibrationError: What `fit` raises, with fewer poses.
+        """
+        data = self.identification.data
+        fold = partial(fit_data, self.nominal, Settings(self.sigma_given, self.loss, seed=seed))
+        with Workers(executor, n_folds(data, folds)) as workers:
+            return cross_validate(data, folds, seed, fold, workers, progress)
+
+    @worded
+    def bootstrap(
+        self,
+        draws: int = 200,
+        *,
+        seed: int = 0,
+        executor: Executor | int | None = None,
+        progress: Progress | None = None,
+    ) -> Study:
+        """Fit again as often, each time from as many poses as there are, drawn from them with replacement.
+
+        Args:
+            draws: How many fits.
+            seed: Seed of the random choice.
+            executor: Who fits; as in `fit`.
+            progress: Called with the number of draws done and of all draws.
+
+        Returns:
+            How far every parameter scatters, beside the standard deviation that fits claim (`Study.to_dataframe`); see
+            `calib.study`.
+
+        Raises:
+            InputError: A number of draws that makes no sense.
+            CalibrationError: What `calib.study` raises.
+        """
+        return study(
+            self.nominal,
+            self.identification.data,
+            draws=draws,
+            resample=True,
+            sigma=self.sigma_given,
+            loss=self.loss,
+            seed=seed,
+            executor=executor,
+            progress=progress,
+        )
+
+    @worded
+    def export(self, path: Path | str, file_format: str | None = None, *, force: bool = False) -> None:
+        """Write the calibrated robot for another program; see `calib.export`.
+
+        Args:
+            path: File to write.
+            file_format: `urdf`, `mjcf`, `xacro` and others; what the file's ending means, if not given.
+            force: As in `calib.export`.
+        """
+        export(self.robot, file_format or format_of(path), path, force=force)
+
+    @worded
     def save(
         self, folder: Path | str, *, force: bool = False, pages: bool = True, logo: Path | str | None = None
     ) -> None:
@@ -82,42 +180,69 @@ class Calibration(JudgedFit):
         save(self, folder, force=force, pages=pictures.pages(self, logo) if pages else {})
 
 
+@worded
 def fit(
-    robot: Robot,
-    data: Measurements,
+    robot: RobotLike,
+    data: MeasurementsLike,
     *,
-    validation: Measurements | None = None,
-    sigma: float | None = None,
+    validation: MeasurementsLike | float | None = None,
+    sigma: float | str | ArrayLike | None = None,
     loss: str = "none",
     exclude_outliers: bool = False,
     starts: int = 1,
     folds: int | Literal["setups"] = 0,
     seed: int = 0,
     terms: str | Sequence[str] | None = None,
+    fix: str | Sequence[str] = (),
+    free: str | Sequence[str] = (),
+    prior: Mapping[str, float | str] | None = None,
     executor: Executor | int | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
     """Calibrate a robot; see `calib.fitting.fit` for the method, `calib.calibrating.calibrate` for its errors.
 
     Args:
-        robot: The nominal robot.
-        data: Measurements to identify with.
-        validation: Measurements to judge the result with.
-        sigma: Standard deviation of measured positions per axis [m], in place of what the description states.
+        robot: The nominal robot; or its description or URDF.
+        data: Measurements to identify with; or files or data frames of them, as `read_measurements` reads them.
+        validation: Measurements to judge the result with, likewise; or the part of the poses to hold out for that,
+            between 0 and 1.
+        sigma: Standard deviation of measured positions per axis, in place of what the description states: a number [m],
+            text such as `0.04 mm`, or one for each row of `data`, (n,) or (n, 3) [m].
         loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey`.
         exclude_outliers: Leave outliers out and fit again.
         starts: Number of starting points.
         folds: Number of folds for cross-validation by pose, 0 for none; `setups`: every setup is one, placed anew.
-        seed: Seed of perturbed starts and folds.
+        seed: Seed of perturbed starts, of folds, and of what is held out.
         terms: Joint terms in place of those of the description: `none`; or in addition to them: `auto` for those that
             earn their place, or a list such as `curve,elbow=backlash` or `["curve", "elbow=backlash"]`.
+        fix: Parameters to leave as they are, beside those that the description holds.
+        free: Parameters to find though the description holds them.
+        prior: How far off parameters are expected to be, one standard deviation by name: a number [m or rad], or text
+            such as `0.1 mm`.
         executor: Who does the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
             processes on this machine; this process if not given.
         progress: Called after each step with how many are done, and of how many that are known by then; three steps in
             a plain fit, one more for each start and each fold.
     """
-    require_robot(robot)
-    named = None if terms is None else terms_text(terms)
-    settings = Settings(sigma, checked_loss(loss), exclude_outliers, starts, folds, seed, named)
-    found = with_files(calibrate(robot, data, validation, settings, executor, progress), settings, executor)
+    robot = as_robot(robot).free(free).fix(fix)
+    for name, how_far in (prior or {}).items():
+        robot = robot.with_prior(name, how_far)
+    used, held = as_measurements(robot, data), None
+    one_for_all = sigma if sigma is None or isinstance(sigma, (float, str)) or np.ndim(sigma) == 0 else None
+    if sigma is not None and one_for_all is None:
+        used = with_sigma(robot, used, sigma)
+    if isinstance(validation, (float, int)):
+        used, held = used.split(validation, seed=seed)
+    elif validation is not None:
+        held = as_measurements(robot, validation)
+    settings = Settings(
+        None if one_for_all is None else in_si(cast("float | str", one_for_all), "length", "sigma"),
+        checked_loss(loss),
+        exclude_outliers,
+        starts,
+        folds,
+        seed,
+        None if terms is None else terms_text(terms),
+    )
+    found = with_files(calibrate(robot, used, held, settings, executor, progress), settings, executor)
     return Calibration.of(found)

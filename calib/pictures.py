@@ -27,6 +27,9 @@ GROUP = "calib.pictures"
 class Plots(Protocol):
     """Figures of a fit: axes in (a new figure if not given), axes out."""
 
+    def __call__(self, axes: Any = None) -> Any:
+        """Draw `errors`."""
+
     def errors(self, axes: Any = None) -> Any:
         """Draw how many points have which error, before and after."""
 

@@ -107,7 +107,7 @@ def test_folds_that_are_neither_a_number_nor_setups_are_errors(tmp_path, measure
     path = written(tmp_path / "one.csv", measured, ["left"])
     data, elsewhere = calib.read_measurements(path, robot), [p.name for p in robot.parameters if "@" in p.name]
     with pytest.raises(calib.InputError, match=r"folds setups: .*one.csv has one setup only"):
-        calib.fit(robot.hold(*elsewhere), data, folds="setups")
+        calib.fit(robot.fix(*elsewhere), data, folds="setups")
     with pytest.raises(calib.InputError, match="folds 'setup': must be a number of folds, or 'setups'"):
         calib.fit(robot, data, folds="setup")
     run = run_calib("fit", tmp_path / "arm.yaml", path, "--folds", "places", "--out", tmp_path / "out")

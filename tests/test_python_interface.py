@@ -112,7 +112,7 @@ def test_residuals_and_predictions_come_from_the_fit(fit):
 
 
 def test_parameters_are_held_and_freed_without_a_file(robot, data):
-    held = robot.hold("joint_3.z", "joint_4.x")
+    held = robot.fix("joint_3.z", "joint_4.x")
     assert [p.name for p, free in zip(held.parameters, held.is_free, strict=True) if not free] == [
         "joint_3.z",
         "joint_4.x",
@@ -121,7 +121,7 @@ def test_parameters_are_held_and_freed_without_a_file(robot, data):
     assert np.all(held.free("joint_3.z", "joint_4.x").is_free)
     assert np.all(robot.is_free)
     with pytest.raises(calib.ParameterError, match="did you mean"):
-        robot.hold("joint_3.zz")
+        robot.fix("joint_3.zz")
 
 
 def test_notebooks_show_tables_in_which_names_are_no_markup(fit):
@@ -201,8 +201,8 @@ def test_a_list_says_what_text_with_commas_says(robot, data):
     assert [p.name for p in listed.robot.parameters] == [p.name for p in text.robot.parameters]
     assert len(listed.robot.terms) == 7
     np.testing.assert_array_equal(listed.robot.values, text.robot.values)
-    held = robot.hold(["joint_3.z", "joint_4.x"])
-    np.testing.assert_array_equal(held.is_free, robot.hold("joint_3.z", "joint_4.x").is_free)
+    held = robot.fix(["joint_3.z", "joint_4.x"])
+    np.testing.assert_array_equal(held.is_free, robot.fix("joint_3.z", "joint_4.x").is_free)
     assert np.all(held.free(("joint_3.z", "joint_4.x")).is_free)
 
 
@@ -223,7 +223,7 @@ def test_the_package_says_its_version():
 
 
 def test_a_robot_made_in_python_is_saved_and_loads_the_same(robot, tmp_path):
-    made = robot.hold("joint_3.z").with_prior(["joint_2.y", "joint_4.rx"], 1e-5)
+    made = robot.fix("joint_3.z").with_prior(["joint_2.y", "joint_4.rx"], 1e-5)
     made.save(tmp_path / "robot.yaml")
     again = calib.load(tmp_path / "robot.yaml")
     assert again.parameters == made.parameters
@@ -261,7 +261,7 @@ def test_a_robot_made_in_python_is_saved_and_loads_the_same(robot, tmp_path):
         (lambda robot: calib.fit(robot, robot_data(robot), terms=["slack"]), "no term 'slack'"),
         (lambda robot: calib.fit(robot, robot_data(robot), terms=[]), "the list is empty"),
         (lambda robot: calib.fit(robot, robot_data(robot), terms=[1]), "a list of texts"),
-        (lambda robot: robot.hold(["joint_3.z", "joint_3.zz"]), "did you mean"),
+        (lambda robot: robot.fix(["joint_3.z", "joint_3.zz"]), "did you mean"),
         (lambda robot: robot.sample(5, within={"joint_9": (0, 1)}), "no joint or coordinate 'joint_9'"),
         (lambda robot: robot.positions(calib.sample(robot, 5)), "Poses are no array; give .joints"),
         (lambda robot: robot.parameters["joint_3.zz"], "did you mean 'joint_3.z'"),
@@ -362,8 +362,8 @@ GUESSES = {
     "print": lambda t: str(t.fit) == t.fit.report() and len(str(t.fit)) < 20000,
     "repr of a fit": lambda t: len(repr(t.fit)) < 200 and "array(" not in repr(t.fit),
     "html of a fit": lambda t: "joint_3.z" in t.fit._repr_html_(),
-    "hold": lambda t: calib.fit(t.robot.hold("joint_3.z"), t.used).parameters["joint_3.z"].status == "held",
-    "free again": lambda t: np.all(t.robot.hold("joint_3.z").free("joint_3.z").is_free),
+    "hold": lambda t: calib.fit(t.robot.fix("joint_3.z"), t.used).parameters["joint_3.z"].status == "held",
+    "free again": lambda t: np.all(t.robot.fix("joint_3.z").free("joint_3.z").is_free),
     "parameter of a robot": lambda t: t.robot.parameters["joint_3.z"].nominal == 440,
     "parameters of a robot in a row": lambda t: t.robot.parameters[:2] == tuple(t.robot.parameters)[:2],
     "prior": lambda t: t.robot.with_prior("joint_3.z", "1 um").parameters["joint_3.z"].sigma_si == 1e-6,

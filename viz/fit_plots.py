@@ -34,6 +34,10 @@ class FitPlots:
         names = [name for name in vars(type(self)) if not name.startswith("_")]
         return f"<plots: {', '.join(names)}>"
 
+    def __call__(self, axes: Axes | None = None) -> Axes:
+        """Draw `errors`, the figure to look at first."""
+        return self.errors(axes)
+
     def errors(self, axes: Axes | None = None) -> Axes:
         """Draw how many points have which error, before and after."""
         drawn = _axes(axes)

@@ -16,8 +16,7 @@ from calib import Robot
 from calib.base.arrays import FloatArray, IntArray
 from calib.base.errors import DataError
 from calib.base.units import error_scale
-from calib.data.in_memory import measurements
-from calib.data.measurements import Poses
+from calib.data.measurements import Poses, measurements
 from calib.data.tables import Table, read_table
 from calib.fitting.error_sets import STATES, ErrorSet
 from calib.instruments.kind import Instrument, Readings

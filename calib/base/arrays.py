@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.base.errors import InputError
+from calib.base.other_words import Worded
 
 FloatArray = NDArray[np.floating[Any]]
 IntArray = NDArray[np.intp]
@@ -42,7 +43,7 @@ def _short(value: object) -> str:
     return f"of {len(value)}" if isinstance(value, (tuple, list, dict)) else repr(value)
 
 
-class ReadOnlyArrays:
+class ReadOnlyArrays(Worded):
     """Base of frozen dataclasses: arrays, tuples and dictionaries of them become read-only copies.
 
     They are so after unpickling, too. What is printed of them are the shapes of arrays, not their numbers.

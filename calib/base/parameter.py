@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import SupportsIndex, overload
+from typing import Any, SupportsIndex, overload
 
 from calib.base.errors import ParameterError, nearest
+from calib.base.other_words import Worded
 from calib.base.units import PER_SI, Dimension
+from calib.base.words import data_frame
 
 
 @dataclass(frozen=True)
-class Parameter:
+class Parameter(Worded):
     """One number that may differ from its nominal value.
 
     Attributes:
@@ -34,6 +36,8 @@ class Parameter:
     prior: bool = True
     placement: bool = False
     family: str = ""
+
+    _other_words = "a parameter"
 
     @property
     def per_si(self) -> float:
@@ -70,6 +74,11 @@ class Parameters(tuple[Parameter, ...]):
     def __getitem__(self, which: slice) -> tuple[Parameter, ...]: ...
     def __getitem__(self, which: SupportsIndex | str | slice) -> Parameter | tuple[Parameter, ...]:
         return super().__getitem__(index_of(self, which) if isinstance(which, str) else which)
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas table of nominal values and sigmas, in the units of tables; see `calib.base.words.pandas`."""
+        told = ("name", "unit", "nominal", "sigma")
+        return data_frame([{key: getattr(one, key) for key in told} for one in self])
 
 
 def index_of(parameters: Sequence[Parameter], name: str, where: str = "parameters") -> int:

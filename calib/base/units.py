@@ -14,6 +14,7 @@ from calib.base.arrays import FloatArray
 from calib.base.errors import InputError, nearest
 
 Lengths = TypeVar("Lengths", float, FloatArray)
+Number = TypeVar("Number")
 Dimension = Literal["length", "angle", "pixel", "time", "temperature", "mass", "number"]
 
 PER_SI: dict[Dimension, dict[str, float]] = {
@@ -97,6 +98,11 @@ def quantity(value: object, dimension: Dimension, where: str) -> float:
         size = "large" if abs(si) > 1 else "small"
         raise InputError(f"{where}: {value!r:.60} is too {size} to mean anything; correct it")
     return si
+
+
+def in_si(value: Number | str, dimension: Dimension, where: str) -> Number | float:
+    """Return a number as it is [SI], and text with a unit, such as `0.04 mm`, as `quantity` reads it."""
+    return quantity(value, dimension, where) if isinstance(value, str) else value
 
 
 def split_column(header: str) -> tuple[str, str | None]:

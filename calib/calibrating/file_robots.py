@@ -146,7 +146,7 @@ class FitFiles(Mapping[Holds, FileRobot]):
             for p in start.parameters
             if p.name.rpartition(".")[0] in behind and not p.placement and p.name not in start.description.held
         }
-        return file_robot(self._again(start.with_parameters(there).hold(*there))) if there else self.get(Holds.ORIGINS)
+        return file_robot(self._again(start.with_parameters(there).fix(*there))) if there else self.get(Holds.ORIGINS)
 
     def _zeros(self) -> FileRobot:
         """The nominal robot with joint zeros."""
@@ -172,7 +172,7 @@ def with_zeros(nominal: Robot) -> Robot:
         section = TermSection(joint=name, term=Zero.word)
         terms.append(Zero.of(Joint(name, dimension, nominal.joint_names), section, expected))
     robot = replace(nominal, terms=tuple(terms), values=np.append(nominal.values, np.zeros(len(terms))))
-    return robot.hold(*(p.name for p in origins if not p.placement))
+    return robot.fix(*(p.name for p in origins if not p.placement))
 
 
 def file_robot(fit: Fit) -> FileRobot:

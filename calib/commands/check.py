@@ -12,7 +12,6 @@ from calib.commands.common import (
     folder_of_values,
     loaded,
     placed,
-    read_pose_files,
     shared_options,
     sigma_in_metres,
     with_values,
@@ -20,6 +19,7 @@ from calib.commands.common import (
 from calib.commands.next_steps import after_check
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Measurements
+from calib.data.plan_files import read_pose_files
 from calib.fitting.joint_conventions import wrapped_terms
 from calib.judging.blind_spots import unordered
 from calib.pictures import figures

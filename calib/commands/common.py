@@ -16,18 +16,15 @@ import numpy as np
 from rich.console import Console
 
 from calib.base.arrays import BoolArray, IntArray
-from calib.base.errors import CalibrationError, DataError, InputError
+from calib.base.errors import CalibrationError, InputError
 from calib.base.files import check_file, check_folder, write_file
 from calib.base.own_files import inputs_noted
 from calib.base.units import quantity
 from calib.base.words import as_data
 from calib.base.workers import Progress
 from calib.commands.program import OneLineError
-from calib.data.measurement_files import read_measurements
-from calib.data.measurements import Measurements, Poses, check_repeats
+from calib.data.measurements import Measurements, Poses
 from calib.data.parameter_files import read_parameters
-from calib.data.plan_files import INSTRUMENT, plan_of_table
-from calib.data.tables import Table, read_table
 from calib.instruments.kind import Readings
 from calib.reporting.result_reading import forced_lines, load, load_calibrated
 from calib.robots.robot import Robot
@@ -259,52 +256,6 @@ def with_values(robot: Robot, parameters: str | None, result: str | None) -> Rob
     if parameters:
         return robot.with_parameters(read_parameters(parameters, robot))
     return load_calibrated(result, robot) if result else robot
-
-
-def read_pose_files(paths: Sequence[str], robot: Robot, table: Table | None = None) -> Poses:
-    """Read poses; as `Measurements` where some instrument read in every row, or where rows repeat a pose.
-
-    Args:
-        paths: The file; several are measurements that belong together.
-        robot: The robot.
-        table: What is in the one file, if it has been read.
-
-    Raises:
-        DataError: The file is not valid, or poses that are not measured have the same name.
-    """
-    if len(paths) > 1:
-        return read_measurements(paths, robot)
-    table = read_table(paths[0], robot.description.columns) if table is None else table
-    measured = _measured(table, robot)
-    if np.all(measured) or (np.any(measured) and INSTRUMENT not in table.names and _repeats(table)):
-        return read_measurements(paths, robot)
-    poses = plan_of_table(table, robot)
-    if robot.description.instruments and INSTRUMENT in table.names:  # a row for each instrument, if need be
-        check_repeats(poses, robot)
-        return poses
-    again = np.flatnonzero(np.diff(np.maximum.accumulate(poses.pose_numbers), prepend=-1) == 0)
-    if len(again):
-        k = int(again[0])
-        raise DataError(f"{poses.labels[k]}: pose '{poses.names[k]}' is given twice; names of poses must be unique")
-    return poses
-
-
-def _measured(table: Table, robot: Robot) -> BoolArray:
-    """Which rows have all cells of some instrument, (n_rows,)."""
-    measured = np.zeros(len(table.rows), dtype=bool)
-    for one in robot.instruments:
-        names = [*(column.name for column in one.columns()), *one.text_columns()]
-        if names and set(names) <= set(table.names):
-            filled = np.ones(len(measured), dtype=bool)
-            for name in names:
-                filled &= np.fromiter(map(bool, table.texts(name)), dtype=bool)
-            measured |= filled
-    return measured
-
-
-def _repeats(table: Table) -> bool:
-    """Whether rows repeat a pose."""
-    return "pose" in table.names and len(set(table.texts("pose"))) < len(table.rows)
 
 
 def different_poses(poses: Poses) -> Poses:

@@ -9,6 +9,7 @@ import traceback
 import click
 
 from calib.base.errors import CalibrationError
+from calib.base.other_words import way
 
 _COLLECTED_AFTER = 50_000  # new objects; Python's 700 make a command look through all that it imported dozens of times
 
@@ -26,6 +27,12 @@ class OneLineError(click.ClickException):
         self.exit_code = exit_code  # type: ignore[misc]  # click declares it on the class, and documents setting it
 
 
+def _way(error: click.UsageError) -> str:
+    """What to write in place of an option or a command of other packages."""
+    typed = error.option_name if isinstance(error, click.NoSuchOption) else getattr(error, "command_name", "")
+    return way(typed, "the command line") if typed else ""
+
+
 def run_program(group: click.Group) -> None:
     """Run a command line; every error is one line on standard error and an exit code."""
     gc.set_threshold(_COLLECTED_AFTER)
@@ -37,7 +44,7 @@ def run_program(group: click.Group) -> None:
         sys.exit(2)
     except click.UsageError as error:
         path = error.ctx.command_path if error.ctx else group.name
-        click.echo(f"{path}: {_one_line(error.format_message())} (see {path} --help)", err=True)
+        click.echo(f"{path}: {_one_line(error.format_message())}{_way(error)} (see {path} --help)", err=True)
         sys.exit(2)
     except click.ClickException as error:
         click.echo(f"{group.name}: {_one_line(error.format_message())}", err=True)

@@ -12,8 +12,8 @@ from calib.base.errors import InputError, nearest
 from calib.base.units import Dimension, quantity
 from calib.base.words import counted
 from calib.commands.common import Output, loaded, shared_options, with_values
-from calib.data.in_memory import measurements
 from calib.data.measurement_files import format_measurements, read_poses
+from calib.data.measurements import measurements
 from calib.planning.pose_sampling import sample
 from calib.robots.robot import Robot
 

@@ -15,7 +15,6 @@ from calib.commands.common import (
     jobs_option,
     loaded,
     placed,
-    read_pose_files,
     shared_options,
     sigma_in_metres,
     with_values,
@@ -23,7 +22,7 @@ from calib.commands.common import (
 from calib.commands.next_steps import after_select
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Measurements, Poses
-from calib.data.plan_files import plan_of_table
+from calib.data.plan_files import plan_of_table, read_pose_files
 from calib.data.tables import read_table
 from calib.pictures import figures
 from calib.planning.instrument_choice import ALL, EACH

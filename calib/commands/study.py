@@ -12,12 +12,12 @@ from calib.commands.common import (
     Output,
     jobs_option,
     loaded,
-    read_pose_files,
     shared_options,
     sigma_in_metres,
 )
 from calib.data.measurement_files import read_measurements, read_poses
 from calib.data.parameter_files import read_parameters
+from calib.data.plan_files import read_pose_files
 from calib.numerics.losses import LOSSES
 from calib.planning.studies.study import study
 from calib.reporting.result_reading import load

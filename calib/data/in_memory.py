@@ -1,29 +1,41 @@
-"""Poses and measurements that are already in memory, checked as those of a file are."""
+"""Poses and measurements as callers give them: in memory already, in data frames, or in files; checked alike."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from calib.base.arrays import FloatArray
-from calib.base.errors import DataError, nearest
-from calib.data.measurements import Measurements, Poses, check_repeats
+from calib.base.errors import DataError, InputError, nearest
+from calib.base.other_words import worded
+from calib.data.measurement_files import read_measurements, sources
+from calib.data.measurements import Measurements, Poses, check_repeats, measurements
 from calib.data.on_demand import Numbered
+from calib.data.plan_files import read_pose_files
+from calib.data.tables import Source, is_columns
 from calib.instruments.kind import Instrument, Readings
 from calib.instruments.position import Position
 from calib.robots.robot import Robot
 
+PosesLike = Poses | Source | ArrayLike
+"""Poses as callers give them: with names; in a file or a data frame; or joint values alone [m or rad]."""
+MeasurementsLike = Measurements | Source | Sequence[Source]
+"""Measurements as callers give them: read; in files or data frames, one or several."""
 _SOURCE = "arrays"
 
 
-def as_poses(robot: Robot, poses: Poses | ArrayLike, names: Sequence[str] | None = None) -> Poses:
+def as_poses(robot: Robot, poses: PosesLike, names: Sequence[str] | None = None) -> Poses:
     """Return joint values as `Poses`, naming them by their row where they come without names.
 
     Args:
         robot: Whose joints they are.
-        poses: Poses with names, or actuated joints alone, (n_poses, n_actuated) [m or rad].
+        poses: Poses with names; a file or a data frame, with headers as in files; or actuated joints alone,
+            (n_poses, n_actuated) [m or rad].
         names: Pose names of joint values, n_poses of them.
 
     Raises:
@@ -31,27 +43,35 @@ def as_poses(robot: Robot, poses: Poses | ArrayLike, names: Sequence[str] | None
     """
     if isinstance(poses, Poses):
         return poses
-    joints = robot.joint_vector(poses)
+    if _is_table(poses):
+        return read_pose_files([cast(Source, poses)], robot)
+    joints = robot.joint_vector(cast(ArrayLike, poses))
     if names is not None and len(names) != len(joints):
         raise DataError(f"names: {len(names)} for {len(joints)} poses; give one for each")
     if names is None:
         numbers = range(len(joints))
-        return Poses(joints, Numbered("pose ", numbers), Numbered("", numbers), _SOURCE, ())
+        return Poses(joints, Numbered("pose ", numbers), Numbered("", numbers), _SOURCE, (), robot=robot)
     called = tuple(str(name) for name in names)
-    return Poses(joints, tuple(f"pose {name}" for name in called), called, _SOURCE, ())
+    return Poses(joints, tuple(f"pose {name}" for name in called), called, _SOURCE, (), robot=robot)
 
 
+def _is_table(given: object) -> bool:
+    return isinstance(given, (str, Path)) or is_columns(given)
+
+
+@worded
 def as_measurements(
     robot: Robot,
-    poses: Poses | ArrayLike,
-    readings: ArrayLike | Mapping[str, ArrayLike | Readings],
+    poses: PosesLike | Sequence[Source],
+    readings: ArrayLike | Mapping[str, ArrayLike | Readings] | None = None,
     names: Sequence[str] | None = None,
 ) -> Measurements:
     """Return what was read as `Measurements`; rows with the same pose name repeat that pose.
 
     Args:
         robot: Whose joints and instruments they are.
-        poses: Poses with names, or actuated joints alone, (n, n_actuated) [m or rad].
+        poses: Poses with names, or actuated joints alone, (n, n_actuated) [m or rad]. Without `readings`: measurements,
+            which are returned as they are; or a file or a data frame of them, or several (`read_measurements`).
         readings: What each instrument read, by its name, a row for each pose, (n, n_values) [SI], NaN where it read
             nothing; or `Readings`, where an instrument reads several things at a pose; of an instrument that reads no
             numbers: words, as in its column of a file, empty where it read nothing. Where all instruments measure
@@ -62,7 +82,9 @@ def as_measurements(
         DataError: Wrong shape, values that are not finite, an unknown instrument, or rows of one pose whose joint
             values differ.
     """
-    poses = as_poses(robot, poses, names)
+    if readings is None:
+        return _measured(robot, poses)
+    poses = as_poses(robot, cast(ArrayLike, poses), names)
     if not isinstance(readings, Mapping):
         readings = _positions_by_instrument(robot, len(poses), readings)
     readings_by_name: dict[str, Readings] = {}
@@ -82,22 +104,57 @@ def as_measurements(
     return data
 
 
-def measurements(poses: Poses, readings: Mapping[str, Readings]) -> Measurements:
-    """Put poses and readings together."""
-    return Measurements(
-        poses.joints,
-        tuple(poses.labels),
-        tuple(poses.names),
-        poses.path,
-        poses.ignored,
-        readings,
-        approach_assumed=isinstance(poses, Measurements) and poses.approach_assumed,
-        comments=poses.comments,
-        context=poses.context,
-        approach=poses.approach,
-        setups=poses.setups,
-        wanted=poses.wanted,
-    )
+def _measured(robot: Robot, given: object) -> Measurements:
+    """Measurements as they are, or read."""
+    if isinstance(given, Measurements):
+        return given
+    several = isinstance(given, (list, tuple)) and len(given) > 0 and all(_is_table(one) for one in given)
+    if not _is_table(given) and not several:
+        raise InputError(
+            f"measurements: expected a file, a data frame or Measurements, not {type(given).__name__}; arrays become"
+            " measurements with calib.as_measurements(robot, q, xyz)"
+        )
+    return read_measurements(sources(cast(Source, given)), robot)
+
+
+def with_sigma(robot: Robot, data: Measurements, sigma: ArrayLike) -> Measurements:
+    """Return measurements of which every row states the noise of its positions.
+
+    Args:
+        robot: Its instruments say what else is read, and how well that is known.
+        data: The measurements.
+        sigma: Standard deviation per axis of what was read in each row, (n,) or (n, 3) [m].
+
+    Raises:
+        DataError: Not one for each row, or not positive.
+        InputError: Nothing measures positions, or what is read beside them states no noise.
+    """
+    values = np.asarray(sigma, dtype=float)
+    if values.shape not in ((len(data),), (len(data), 3)):
+        raise DataError(f"sigma of shape {values.shape}: expected ({len(data)},) or ({len(data)}, 3), one for each row")
+    if not np.all(np.isfinite(values) & (values > 0)):
+        raise DataError("sigma: must be positive numbers [m]; leave out rows that are not to count")
+    stds = np.broadcast_to(values[:, None] if values.ndim == 1 else values, (len(data), 3))
+    changed = dict(data.readings)
+    for name, readings in data.readings.items():
+        one = robot.instrument(name)
+        if all(part.name != "position" for part in one.parts):
+            continue
+        others = [noise for part, noise in zip(one.parts, one.noise.parts, strict=True) if part.name != "position"]
+        if readings.covariance is None and not all(noise.stated for noise in others):
+            raise InputError(f"sigma: '{name}' reads more than positions, of which no noise is stated; state it there")
+        covariance = readings.covariance
+        if covariance is None:
+            widths = [len(part.axes) for part in one.parts]
+            covariance = one.noise.covariance(one.points(readings.values), len(readings), widths)
+        rows = np.flatnonzero([one.parts[k].name == "position" for k in one.part_of_row])
+        covariance = covariance.copy()
+        covariance[:, rows, :] = covariance[:, :, rows] = 0.0
+        covariance[:, rows, rows] = stds[readings.visits] ** 2
+        changed[name] = replace(readings, covariance=covariance)
+    if all(changed[name] is data.readings[name] for name in changed):
+        raise InputError("sigma: no instrument measures positions; the others state theirs in the robot description")
+    return replace(data, readings=changed)
 
 
 def plain_readings(values: FloatArray) -> Readings:

@@ -12,22 +12,22 @@ import difflib
 from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
 from calib.base.arrays import FloatArray, IntArray
-from calib.base.errors import DataError, nearest
-from calib.data.in_memory import measurements
+from calib.base.errors import DataError, InputError, nearest
 from calib.data.instrument_cells import columns_in, concatenated, named_columns, readings_in, setups_of
 from calib.data.measurement_columns import APPROACH, CONTEXT, header, shown
-from calib.data.measurements import Measurements, Poses, check_repeats
+from calib.data.measurements import Measurements, Poses, check_repeats, measurements
 from calib.data.on_demand import Numbered, Packed
-from calib.data.tables import Table, format_table, read_table
+from calib.data.tables import Source, Table, format_table, is_columns, read_table
 from calib.instruments.kind import Instrument, Readings
 from calib.robots.robot import Robot
 
 
-def read_poses(path: Path | str, robot: Robot) -> Poses:
+def read_poses(path: Source, robot: Robot) -> Poses:
     """Read joint values; one column for each actuated joint, other columns are ignored.
 
     Raises:
@@ -38,26 +38,29 @@ def read_poses(path: Path | str, robot: Robot) -> Poses:
 
 
 def read_measurements(
-    path: Path | str | Sequence[Path | str], robot: Robot, *, growing: Sequence[str] | None = None
+    path: Source | Sequence[Source], robot: Robot, *, growing: Sequence[str] | None = None
 ) -> Measurements:
     """Read joint values and what the instruments read; rows with the same `pose` repeat one pose.
 
     Args:
-        path: The file, or several that belong together; see the module docstring.
+        path: The file, or several that belong together; see the module docstring. Or data frames of pandas or polars,
+            or dictionaries of columns, with the headers that files have.
         robot: Whose joints and instruments they are.
         growing: Of a single file that somebody still writes, its lines so far, in which nothing may be read yet.
 
     Raises:
         DataError: The message names file, line and column.
     """
-    paths = [path] if isinstance(path, (str, Path)) else list(path)
+    paths = sources(path)
+    files = [Path(one).resolve() if isinstance(one, (str, Path)) else None for one in paths]
     for k, again in enumerate(paths):
-        if Path(again).resolve() in [Path(other).resolve() for other in paths[:k]]:
+        if files[k] is not None and files[k] in files[:k]:
             raise DataError(f"{again}: is given twice, so that every reading would count as two; give it once")
     tables = [read_table(one, robot.description.columns, growing=growing) for one in paths]
     with_joints = [table for table in tables if len(tables) == 1 or set(robot.joint_names) <= set(table.names)]
     if not with_joints:
-        raise DataError(f"{paths[0]}: none of the files has a column for every joint ({', '.join(robot.joint_names)})")
+        joints = ", ".join(robot.joint_names)
+        raise DataError(f"{tables[0].path}: none of the files has a column for every joint ({joints})")
     used = {column for table in tables for one in _seen_in(robot, table) for column in columns_in(one, table)}
     firsts = np.cumsum([0, *(len(table.rows) for table in with_joints)])
     poses = _joined(
@@ -75,13 +78,27 @@ def read_measurements(
             parts.setdefault(one.name, []).append(readings_in(robot, one, table, rows))
     data = measurements(poses, {name: concatenated(readings) for name, readings in parts.items()})
     if data.n_readings == 0 and not parts:
-        raise DataError(f"{paths[0]}: has no column of any instrument; expected: {_expected(robot)}")
+        raise DataError(f"{tables[0].path}: has no column of any instrument; expected: {_expected(robot)}")
     if data.n_readings == 0 and growing is None:
-        where = f"{paths[0]}{f' and {len(paths) - 1} more' if len(paths) > 1 else ''}"
+        where = f"{tables[0].path}{f' and {len(paths) - 1} more' if len(paths) > 1 else ''}"
         raise DataError(f"{where}: all cells of the measured columns are empty; there is nothing to read")
     check_repeats(data, robot)
     kept = np.unique(np.concatenate([readings.visits for readings in data.readings.values()]))
     return data.subset(kept) if len(kept) < len(data) else data
+
+
+def sources(given: Source | Sequence[Source]) -> list[Source]:
+    """Return the tables that are given, one or several."""
+    if isinstance(given, (str, Path)) or is_columns(given):
+        return [given]
+    several = list(cast(Sequence[Source], given))
+    for one in several:
+        if not isinstance(one, (str, Path)) and not is_columns(one):
+            raise InputError(
+                f"measurements: expected a file, a data frame, or several of them, not {type(one).__name__}; arrays"
+                " become measurements with calib.as_measurements(robot, q, xyz)"
+            )
+    return several
 
 
 def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -> Poses:
@@ -127,6 +144,7 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
         context=context,
         approach=approach,
         setups=setups,
+        robot=robot,
     )
 
 
@@ -153,6 +171,7 @@ def _joined(parts: Sequence[Poses]) -> Poses:
         comments=tuple(dict.fromkeys(chain.from_iterable(part.comments for part in parts))),
         setups=np.concatenate(setups) if len(setups) == len(parts) else None,
         approach=np.concatenate(approach) if approach else None,
+        robot=parts[0].robot,
         context={
             key: np.concatenate([part.context.get(key, np.full(len(part), np.nan)) for part in parts]) for key in keys
         },

@@ -15,6 +15,7 @@ import numpy as np
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.base.errors import DataError, InputError
+from calib.base.other_words import worded
 from calib.base.units import DISPLAY_UNIT, Dimension, display_scale
 from calib.base.words import pandas, titled_html
 from calib.data.grouping import shuffled_poses
@@ -46,7 +47,11 @@ class Poses(ReadOnlyArrays):
         setups: Number of the setup of each visit, as the description counts them, (n,); None: the first.
         wanted: What is to be read at these visits, as far as somebody says, by instrument: visits, pairs and details,
             no values.
+        robot: Whose joints they are, as it was when they were made; None: nobody said.
     """
+
+    _other_words = "measurements and poses"
+    _made_by = 'calib.read_measurements("data.csv", robot), or calib.as_measurements(robot, q, xyz) [SI]'
 
     joints: FloatArray
     labels: Texts
@@ -58,6 +63,7 @@ class Poses(ReadOnlyArrays):
     approach: FloatArray | None = field(default=None, kw_only=True)
     setups: IntArray | None = field(default=None, kw_only=True)
     wanted: Mapping[str, Readings] = field(default_factory=dict, kw_only=True)
+    robot: Robot | None = field(default=None, kw_only=True)
 
     def __len__(self) -> int:
         return len(self.joints)
@@ -78,6 +84,10 @@ class Poses(ReadOnlyArrays):
         Raises:
             DataError: A mask of another length, or an index that is no visit.
         """
+        if isinstance(which, str):
+            raise InputError(
+                f"{self.path}: rows are taken by number; here: data.to_dataframe()['{which}'] for a column"
+            )
         try:
             return self.subset(np.atleast_1d(np.arange(len(self))[which]))
         except IndexError as error:
@@ -89,13 +99,25 @@ class Poses(ReadOnlyArrays):
     def __iter__(self) -> Iterator[Self]:
         return (self[k] for k in range(len(self)))
 
-    def columns(self, robot: Robot) -> dict[str, list[object]]:
-        """Return a table of the visits, in mm and degrees: the cells below each header, as in files."""
+    def _robot(self, robot: Robot | None) -> Robot:
+        """The robot that is given, or that they were made for."""
+        known = self.robot if robot is None else robot
+        if known is None:
+            raise InputError(f"{self.path}: says nothing about its robot; give it")
+        return known
+
+    def columns(self, robot: Robot | None = None) -> dict[str, list[object]]:
+        """Return a table of the visits, in mm and degrees: the cells below each header, as in files.
+
+        Args:
+            robot: Names joints and instruments; that of the visits if not given.
+        """
+        robot = self._robot(robot)
         told = pose_columns(robot, self.names, self.joints)
         told |= condition_columns(robot, len(self), self.setups, self.context) | approach_columns(robot, self.approach)
         return told
 
-    def to_dataframe(self, robot: Robot) -> Any:
+    def to_dataframe(self, robot: Robot | None = None) -> Any:
         """Return `columns` as a pandas table, empty cells as NaN; pandas missing is an `InputError`."""
         columns = self.columns(robot)
         return pandas().DataFrame({key: [np.nan if x == "" else x for x in cells] for key, cells in columns.items()})
@@ -179,12 +201,16 @@ class Measurements(Poses):
     def _tables(self) -> tuple[list[dict[str, object]], ...]:
         return ([{"instrument": name, "readings": len(found)} for name, found in self.readings.items()],)
 
-    def columns(self, robot: Robot) -> dict[str, list[object]]:
+    def columns(self, robot: Robot | None = None) -> dict[str, list[object]]:
         """Return a table of what was read, in mm and degrees: the cells below each header, as in files.
+
+        Args:
+            robot: Names joints and instruments; that of the visits if not given.
 
         Raises:
             DataError: Simulated readings of an instrument that reads no numbers.
         """
+        robot = self._robot(robot)
         visits, read = reading_columns(robot, len(self), self.readings)
         return {key: [cells[k] for k in visits] for key, cells in super().columns(robot).items()} | read
 
@@ -199,6 +225,7 @@ class Measurements(Poses):
             readings={name: of_visits(readings, index) for name, readings in self.readings.items()},
         )
 
+    @worded
     def split(self, fraction: float, *, seed: int = 0) -> tuple[Measurements, Measurements]:
         """Hold out a random part of the poses for validation; repeats of one pose stay together.
 
@@ -226,11 +253,15 @@ class Measurements(Poses):
             )
         return self.subset(np.setdiff1d(np.arange(len(self)), held)), self.subset(np.sort(held))
 
-    def points(self, robot: Robot) -> FloatArray:
+    def points(self, robot: Robot | None = None) -> FloatArray:
         """Return where each target was seen in the measurement frame, (n, n_targets, 3) [m]; NaN where it was not.
 
         Only instruments that measure points say so; of several readings of a target at a visit, the mean.
+
+        Args:
+            robot: Names targets and instruments; that of the visits if not given.
         """
+        robot = self._robot(robot)
         total = np.zeros((len(self), len(robot.target_names), 3))
         count = np.zeros((len(self), len(robot.target_names), 1))
         for one in robot.instruments:
@@ -244,6 +275,25 @@ class Measurements(Poses):
         with np.errstate(invalid="ignore"):
             result: FloatArray = total / count
         return result
+
+
+def measurements(poses: Poses, readings: Mapping[str, Readings]) -> Measurements:
+    """Put poses and readings together."""
+    return Measurements(
+        poses.joints,
+        tuple(poses.labels),
+        tuple(poses.names),
+        poses.path,
+        poses.ignored,
+        readings,
+        approach_assumed=isinstance(poses, Measurements) and poses.approach_assumed,
+        comments=poses.comments,
+        context=poses.context,
+        approach=poses.approach,
+        setups=poses.setups,
+        wanted=poses.wanted,
+        robot=poses.robot,
+    )
 
 
 def with_points(robot: Robot, data: Measurements, points: FloatArray) -> Measurements:

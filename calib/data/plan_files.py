@@ -6,6 +6,7 @@ was read beside, it is a file of measurements.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,9 +15,9 @@ import numpy as np
 from calib.base.arrays import BoolArray, IntArray
 from calib.base.errors import DataError, nearest
 from calib.data.instrument_cells import columns_in
-from calib.data.measurement_files import poses_of_table
-from calib.data.measurements import Poses, in_setups
-from calib.data.tables import Table, read_table
+from calib.data.measurement_files import poses_of_table, read_measurements
+from calib.data.measurements import Poses, check_repeats, in_setups
+from calib.data.tables import Source, Table, read_table
 from calib.instruments.kind import Instrument, Readings
 from calib.robots.robot import Robot
 
@@ -52,6 +53,52 @@ def plan_of_table(table: Table, robot: Robot) -> Poses:
     if len(said) == len(robot.instruments) and not any(len(looks) for looks in said.values()):
         raise DataError(f"{table.path}: says of no pose that anything is read there")
     return replace(poses, wanted=said)
+
+
+def read_pose_files(paths: Sequence[Source], robot: Robot, table: Table | None = None) -> Poses:
+    """Read poses; as `Measurements` where some instrument read in every row, or where rows repeat a pose.
+
+    Args:
+        paths: The file; several are measurements that belong together.
+        robot: The robot.
+        table: What is in the one file, if it has been read.
+
+    Raises:
+        DataError: The file is not valid, or poses that are not measured have the same name.
+    """
+    if len(paths) > 1:
+        return read_measurements(paths, robot)
+    table = read_table(paths[0], robot.description.columns) if table is None else table
+    measured = _measured(table, robot)
+    if np.all(measured) or (np.any(measured) and INSTRUMENT not in table.names and _repeats(table)):
+        return read_measurements(paths, robot)
+    poses = plan_of_table(table, robot)
+    if robot.description.instruments and INSTRUMENT in table.names:  # a row for each instrument, if need be
+        check_repeats(poses, robot)
+        return poses
+    again = np.flatnonzero(np.diff(np.maximum.accumulate(poses.pose_numbers), prepend=-1) == 0)
+    if len(again):
+        k = int(again[0])
+        raise DataError(f"{poses.labels[k]}: pose '{poses.names[k]}' is given twice; names of poses must be unique")
+    return poses
+
+
+def _measured(table: Table, robot: Robot) -> BoolArray:
+    """Which rows have all cells of some instrument, (n_rows,)."""
+    measured = np.zeros(len(table.rows), dtype=bool)
+    for one in robot.instruments:
+        names = [*(column.name for column in one.columns()), *one.text_columns()]
+        if names and set(names) <= set(table.names):
+            filled = np.ones(len(measured), dtype=bool)
+            for name in names:
+                filled &= np.fromiter(map(bool, table.texts(name)), dtype=bool)
+            measured |= filled
+    return measured
+
+
+def _repeats(table: Table) -> bool:
+    """Whether rows repeat a pose."""
+    return "pose" in table.names and len(set(table.texts("pose"))) < len(table.rows)
 
 
 def _reading(robot: Robot, table: Table) -> dict[str, BoolArray]:

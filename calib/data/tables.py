@@ -18,6 +18,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import Any, Protocol, TypeGuard, cast
 
 import numpy as np
 
@@ -31,6 +32,8 @@ from calib.data.rosbag import is_bag, read_bag
 
 _LARGEST = 1e6  # [m or rad]
 _SEPARATORS = ",;\t"
+IN_MEMORY = "table in memory"
+"""What a table that is no file is called in messages."""
 _PART = 8192  # cells that are read together
 _WITH_THOUSANDS = re.compile(r"[-+]?\d+(\.\d+)+,\d*|[-+]?\d+(,\d+)+\.\d*|[-+]?\d+(,\d+){2,}", re.ASCII)
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
@@ -38,6 +41,28 @@ _FORMULA = re.compile(r"'*[=+\-@\uff1d\uff0b\uff0d\uff20]")  # the last four: of
 _FORMULA_IN_COMMENT = re.compile(r"([,;\t])(?=[=@\uff1d\uff0b\uff0d\uff20]|[-+](?![\d.]))")
 _DECIMAL_COMMA = re.compile(r"[-+]?(\d+,\d*|,\d+)([eE][-+]?\d+)?", re.ASCII)
 _SUSPICIOUS: dict[Dimension, tuple[float, str]] = {"angle": (4 * math.pi, "deg"), "length": (50.0, "mm")}
+
+
+class Frame(Protocol):
+    """A data frame, of pandas or polars."""
+
+    columns: Any
+
+    def __getitem__(self, name: Any, /) -> Any:
+        """Return a column."""
+
+
+Columns = Frame | Mapping[str, Sequence[object]]
+"""A table in memory: columns by their headers, which are written as in files."""
+Source = Path | str | Columns
+"""Where a table comes from."""
+
+
+def is_columns(source: object) -> TypeGuard[Columns]:
+    """Return whether this is a table in memory."""
+    if isinstance(source, Mapping):
+        return all(isinstance(name, str) for name in source)
+    return all(hasattr(type(source), name) for name in ("columns", "head", "__getitem__"))
 
 
 @dataclass(frozen=True)
@@ -204,7 +229,7 @@ def check_plausible(value: float, dimension: Dimension, where: str, place: str) 
 
 
 def read_table(
-    path: Path | str,
+    path: Source,
     renamed: Mapping[str, str] | None = None,
     *,
     growing: Sequence[str] | None = None,
@@ -213,7 +238,7 @@ def read_table(
     """Read a CSV file, its columns separated by commas, semicolons or tabs; or a ROS bag (`calib.data.rosbag`).
 
     Args:
-        path: The file, or the folder of a bag.
+        path: The file, or the folder of a bag; or a table in memory.
         renamed: Foreign column names and the `name` or `name [unit]` they stand for.
         growing: Of a file that somebody still writes, its lines so far.
         any_size: Whether a file on a disk may be as large as it is, beyond what `calib.base.files.read_bytes` allows.
@@ -221,8 +246,12 @@ def read_table(
     Raises:
         DataError: Missing or unreadable file, no header or rows, duplicate columns, rows of the wrong length.
     """
+    if is_columns(path):
+        columns = [(name, list(path[name])) for name in unique_headers(path)]
+        return _table_of_columns(IN_MEMORY, columns, (), renamed or {})
+    path = cast("Path | str", path)
     if is_bag(path):
-        return _bag_table(path, renamed or {})
+        return _table_of_columns(str(path), *read_bag(path), renamed or {})
     pieces = [list(growing)] if growing is not None else read_lines(path, "a CSV file", DataError, any_size=any_size)
     comments, numbers = list[str](), array("q")
     lines = _without_comments(pieces, comments, numbers)
@@ -265,11 +294,34 @@ def _checked(path: str, lines: Iterable[str], numbers: array[int], width: int, s
         yield line
 
 
-def _bag_table(path: Path | str, renamed: Mapping[str, str]) -> Table:
-    columns, comments = read_bag(path)
-    names, units = _header(str(path), tuple(header for header, _ in columns), renamed)
-    rows = tuple(zip(*([str(cell) for cell in cells] for _, cells in columns), strict=True))
-    return Table(str(path), names, units, rows, tuple(range(1, len(rows) + 1)), comments, ",")
+def _table_of_columns(
+    path: str, columns: Sequence[tuple[str, Sequence[object]]], comments: tuple[str, ...], renamed: Mapping[str, str]
+) -> Table:
+    names, units = _header(path, tuple(header for header, _ in columns), renamed)
+    lengths = {header: len(cells) for header, cells in columns}
+    if len(set(lengths.values())) > 1:
+        header = next(header for header, length in lengths.items() if length != len(columns[0][1]))
+        raise DataError(f"{path}: column '{header}' has {lengths[header]} cells, and others {len(columns[0][1])}")
+    rows = tuple(zip(*([_as_text(cell) for cell in cells] for _, cells in columns), strict=True))
+    if not rows:
+        raise DataError(f"{path}: has no rows")
+    return Table(path, names, units, rows, tuple(range(1, len(rows) + 1)), comments, ",")
+
+
+def unique_headers(table: Columns) -> list[str]:
+    """Return the headers of a table in memory; one that is there twice is a `DataError`."""
+    headers = [str(name) for name in (table if isinstance(table, Mapping) else table.columns)]
+    again = next((name for name in headers if headers.count(name) > 1), None)
+    if again is not None:
+        raise DataError(f"{IN_MEMORY}: column '{again}' appears twice; names must be unique")
+    return headers
+
+
+def _as_text(cell: object) -> str:
+    """A cell as it would stand in a file; empty where there is none."""
+    if cell is None or cell != cell:  # NaN, and what pandas has in its place
+        return ""
+    return repr(float(cell)) if isinstance(cell, (float, np.floating)) else str(cell)
 
 
 def _cells(path: str, line: str, number: int, separator: str) -> tuple[str, ...]:

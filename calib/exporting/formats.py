@@ -7,6 +7,7 @@ from pathlib import Path
 
 from calib.base.errors import InputError, nearest
 from calib.base.files import check_file, check_folder, write_files, write_folder
+from calib.base.other_words import worded
 from calib.exporting.closed_model import closed_model
 from calib.exporting.controllers import ControllerFile, dh_file, joint_offsets, ur_kinematics, xacro_origins
 from calib.exporting.drake import drake_bytes
@@ -17,7 +18,8 @@ from calib.exporting.mjcf import mjcf
 from calib.exporting.toolbox import toolbox_yaml
 from calib.exporting.urdf import urdf_bytes, with_mesh_prefix
 from calib.functions.functions import COMMENTS, LANGUAGES, function_file
-from calib.robots.robot import Robot, require_robot
+from calib.robots.loading import RobotLike, as_robot
+from calib.robots.robot import Robot
 
 CONTROLLERS: dict[str, Callable[[Robot, Sequence[str]], ControllerFile]] = {
     "dh": lambda robot, lines: dh_file(robot, "standard", lines),
@@ -31,12 +33,22 @@ _WITH_URDF = ("urdf", "drake", "toolbox")
 _UNTOUCHED = ("urdf", "toolbox")  # their URDF gets no comment, unless there is something to say
 JOINT_TABLES = "joint-tables"
 """The format that is a folder of files."""
+_ENDINGS = {".urdf": "urdf", ".xml": "mjcf", ".mjcf": "mjcf", ".xacro": "xacro", ".c": "c"}
 FORMATS = tuple(name for name in HELD if name != JOINT_TABLES)
 """Those that are a file."""
 
 
+def format_of(path: Path | str) -> str:
+    """Return the format that the ending of a file's name means; an `InputError` where it means several, or none."""
+    ending = Path(path).suffix.lower()
+    if ending not in _ENDINGS:
+        raise InputError(f"{path}: its ending does not say the format; give it ({', '.join(HELD)})")
+    return _ENDINGS[ending]
+
+
+@worded
 def export(
-    robot: Robot,
+    robot: RobotLike,
     file_format: str,
     path: Path | str,
     *,
@@ -80,7 +92,7 @@ def export(
         ComputationError: The robot that the format holds is worse than the nominal one at poses that judge it, or
             nobody knows which is best without what it cannot hold; or no pose is known at which loops close.
     """
-    require_robot(robot)
+    robot = as_robot(robot)
     path = Path(path)
     if file_format not in HELD:
         raise InputError(f"format '{file_format}': unknown{nearest(file_format, HELD)}")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.base.errors import InputError, nearest
+from calib.base.other_words import Worded
 from calib.base.parameter import Parameter
 from calib.base.words import data_frame, pandas, table_html
 from calib.numerics.statistics import Statistics, status
@@ -20,7 +21,7 @@ NUMBERS = ("nominal", "value", "std", "low95", "high95")
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Estimate(Worded):
     """One parameter: numbers in `unit`, and in m or rad where their name ends in `_si`.
 
     Attributes:
@@ -45,6 +46,8 @@ class Estimate:
     status: str
     family: str
     per_si: float
+
+    _other_words = "a parameter"
 
     @property
     def nominal(self) -> float:
@@ -85,8 +88,10 @@ class Estimate:
         return {"name": self.name, "unit": self.unit, **numbers, "status": self.status}
 
 
-class Estimates(Mapping[str, Estimate]):
+class Estimates(Worded, Mapping[str, Estimate]):
     """All parameters of a fit, by name and in their order."""
+
+    _other_words = "all parameters"
 
     def __init__(self, found: Mapping[str, Estimate]) -> None:
         self._found = dict(found)
@@ -142,11 +147,21 @@ class Covariance(ReadOnlyArrays):
         return np.array(self.values, dtype=dtype)
 
     def __repr__(self) -> str:
-        return f"<covariance of {len(self.names)} free parameters>"
+        return f"<{type(self).__name__.lower()} of {len(self.names)} free parameters>"
+
+    @property
+    def correlation(self) -> Correlation:
+        """The same, divided by the standard deviations."""
+        std = np.sqrt(np.diagonal(self.values))
+        return Correlation(self.names, self.values / np.outer(std, std))
 
     def to_dataframe(self) -> Any:
-        """Return a pandas table [SI]; pandas missing is an `InputError`."""
+        """Return a pandas table; pandas missing is an `InputError`."""
         return pandas().DataFrame(self.values, index=self.names, columns=self.names)
+
+
+class Correlation(Covariance):
+    """Correlation of the free parameters, by name: numbers between -1 and 1 in place of the products."""
 
 
 def estimates(parameters: tuple[Parameter, ...], values: FloatArray, free: BoolArray, found: Statistics) -> Estimates:

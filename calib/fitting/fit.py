@@ -64,7 +64,7 @@ def fit_data(
     """
     steps = steps or Steps()
     later = () if validation is None else unseen(robot, data, validation)
-    seen = robot.hold(*later) if later else robot
+    seen = robot.fix(*later) if later else robot
     check_measurements(seen, data)
     problem = Problem(seen, data, settings.sigma)
     placed = place(problem)

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
-from calib.data.in_memory import as_poses
-from calib.data.measurements import Poses
+from calib.data.in_memory import PosesLike, as_poses
 from calib.fitting.error_sets import ErrorSet, Folds
-from calib.fitting.estimates import Covariance, Estimates, estimates
+from calib.fitting.estimates import Correlation, Covariance, Estimates, estimates
 from calib.fitting.outliers import Outlier
 from calib.fitting.regions import Regions, disagreeing
 from calib.fitting.starts import Starts
@@ -108,6 +107,8 @@ class Fit(ReadOnlyArrays):
         placed_later: Parameters of places that validation poses alone show, and that these placed.
     """
 
+    _other_words = "a fit"
+
     nominal: Robot
     placed: Robot
     robot: Robot
@@ -188,6 +189,35 @@ class Fit(ReadOnlyArrays):
         return 1.0 if self.regions is None else self.regions.ratio
 
     @property
+    def correlation(self) -> Correlation:
+        """Correlation of the free parameters, by name, between -1 and 1."""
+        return self.covariance.correlation
+
+    def to_dataframe(self) -> Any:
+        """Return all parameters as a pandas table, in the units of tables; pandas missing is an `InputError`."""
+        return self.parameters.to_dataframe()
+
+    @property
+    def rms(self) -> float:
+        """Root mean square error after calibration [m; rad or px where no positions are measured].
+
+        At poses that were not used, if there are any: those of the validation, else those left out in turns. With
+        neither, at the poses that were used, where it is smaller than elsewhere. `errors` has them all.
+        """
+        folds = None if self.folds is None else self.folds.errors
+        return (self.validation or folds or self.identification).rms("after")
+
+    @property
+    def errors(self) -> dict[str, dict[str, dict[str, object]]]:
+        """Errors `before` and `after` of `identification`, `validation`, `cross_validation`, as far as there are these.
+
+        In mm for positions, as in `result.json`: `errors["validation"]["after"]["rms"]`.
+        """
+        sets = {"identification": self.identification, "validation": self.validation}
+        sets["cross_validation"] = None if self.folds is None else self.folds.errors
+        return {name: one.table() for name, one in sets.items() if one is not None}
+
+    @property
     def residuals(self) -> dict[str, FloatArray]:
         """Predicted minus read after calibration, of each instrument, (n_readings, n_rows) [SI]."""
         return dict(self.identification.after)
@@ -260,7 +290,7 @@ class Fit(ReadOnlyArrays):
             np.all(self.robot.close(self.identification.data.joints, columns=self.configurations.term_columns).ok)
         )
 
-    def predict(self, poses: Poses | ArrayLike, context: Context | None = None) -> PositionUncertainty:
+    def predict(self, poses: PosesLike, context: Context | None = None) -> PositionUncertainty:
         """Predict positions with their covariance.
 
         Args:

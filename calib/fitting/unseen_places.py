@@ -40,7 +40,7 @@ def placed_by(later: Measurements, robot: Robot, names: tuple[str, ...]) -> Robo
         UnreachablePoseError: A pose cannot be assembled.
     """
     others = [p.name for p in robot.parameters if p.name not in names]
-    alone = robot.hold(*others)
+    alone = robot.fix(*others)
     return robot.with_parameters(place(Problem(alone, later)).values)
 
 

@@ -13,21 +13,22 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.base.errors import DataError
+from calib.base.other_words import worded
 from calib.base.parameter import Parameter, index_of
 from calib.base.threads import one_blas_thread
-from calib.base.units import millimetres
+from calib.base.units import in_si, millimetres
 from calib.base.words import data_frame, titled_html
-from calib.data.in_memory import as_poses
+from calib.data.in_memory import PosesLike, as_poses
 from calib.data.measurements import Measurements, Poses
 from calib.numerics.identifiability import Elimination, Rank, eliminate
 from calib.numerics.null_space import Group, null_groups
 from calib.numerics.observability import Information, TaskIndex, information, observability_of, prior_rows, task_index
 from calib.planning.pose_count import CountRow, accuracy_by_count
-from calib.robots.robot import Configurations, Robot, require_robot
+from calib.robots.loading import RobotLike, as_robot
+from calib.robots.robot import Configurations, Robot
 from calib.rows.candidates import WHITENED, assumed_sigma, require_free, rows_of_measured, rows_of_poses
 from calib.rows.determination import Determination, determination
 from calib.rows.observed import looks_at, observe
@@ -138,9 +139,10 @@ class Assessment(ReadOnlyArrays):
         return sorted(named_ratios, key=lambda item: -item[1])
 
 
+@worded
 @one_blas_thread
 def check(
-    robot: Robot, poses: Poses | ArrayLike, *, task: Poses | ArrayLike | None = None, sigma: float | None = None
+    robot: RobotLike, poses: PosesLike, *, task: PosesLike | None = None, sigma: float | str | None = None
 ) -> Assessment:
     """Say what poses determine, at the robot's present values.
 
@@ -156,7 +158,7 @@ def check(
         DataError: Fewer measured coordinates than free parameters that no prior holds.
         UnreachablePoseError: A pose cannot be assembled.
     """
-    require_robot(robot)
+    robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")
     require_free(robot)
     poses, task = as_poses(robot, poses), None if task is None else as_poses(robot, task)
     own = np.array([not p.family for p in robot.parameters])

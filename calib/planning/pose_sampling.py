@@ -14,18 +14,25 @@ from numpy.typing import ArrayLike
 
 from calib.base.arrays import FloatArray
 from calib.base.memory import require_memory
+from calib.base.other_words import worded
 from calib.base.words import counted
 from calib.data.measurements import Poses, of_visits
 from calib.instruments.kind import Readings
 from calib.robots.joint_sampling import TRIES, Ranges
-from calib.robots.robot import Robot, require_robot
+from calib.robots.loading import RobotLike, as_robot
+from calib.robots.robot import Robot
 from calib.rows.simulate import MET, at_contact
 
 _NUMBERS_OF_EACH = 120  # of 8 bytes, for joint values, names and the text of a file: 700 to 850 bytes were measured
 
 
+@worded
 def sample(
-    robot: Robot, count: int, seed: int | np.random.Generator = 0, *, within: Poses | Ranges | ArrayLike | None = None
+    robot: RobotLike,
+    count: int,
+    seed: int | np.random.Generator = 0,
+    *,
+    within: Poses | Ranges | ArrayLike | None = None,
 ) -> Poses:
     """Return `count` poses that the robot can take, named by their number; at contact where it touches something.
 
@@ -43,12 +50,12 @@ def sample(
         InputError: The count or the seed is negative, or a range is not one; or more than fits into memory.
         DataError: Not enough were found, even near home; or a sliding joint has no limits.
     """
-    require_robot(robot)
+    robot = as_robot(robot)
     touches = [one for one in robot.instruments if not one.columns()]
     spanned = within.joints if isinstance(within, Poses) else within
     total = TRIES * count if touches and count > 0 else count
     require_memory(_NUMBERS_OF_EACH * max(total, 0), f"sampling {counted(count, 'pose')}", "sample fewer")
-    tried = _poses(robot.sample(total, seed, within=spanned))
+    tried = _poses(robot, robot.sample(total, seed, within=spanned))
     if not touches:
         return tried
     looks = [(one, pair, detail) for one in touches for pair, detail in zip(*one.looks(), strict=True)]
@@ -60,14 +67,14 @@ def sample(
     commands, misses = at_contact(robot, tried, wanted)
     there = np.flatnonzero(misses < MET)
     if len(there) < count:
-        return _poses(tried.joints[:count])
+        return _poses(robot, tried.joints[:count])
     found = {name: of_visits(one, there[:count]) for name, one in wanted.items()}
     said = {
         name: Readings(one.visits, one.pairs, np.zeros((len(one), 0)), None, one.details) for name, one in found.items()
     }
-    return replace(_poses(commands[there[:count]]), wanted=said)
+    return replace(_poses(robot, commands[there[:count]]), wanted=said)
 
 
-def _poses(joints: FloatArray) -> Poses:
+def _poses(robot: Robot, joints: FloatArray) -> Poses:
     names = tuple(str(k + 1) for k in range(len(joints)))
-    return Poses(joints, tuple(f"sampled pose {name}" for name in names), names, "sampled poses", ())
+    return Poses(joints, tuple(f"sampled pose {name}" for name in names), names, "sampled poses", (), robot=robot)

@@ -23,14 +23,14 @@ from functools import partial
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike
 
 from calib.base.arrays import FloatArray, IntArray, random_numbers
 from calib.base.errors import InputError
+from calib.base.other_words import worded
 from calib.base.threads import one_blas_thread
-from calib.base.units import millimetres
+from calib.base.units import in_si, millimetres
 from calib.base.workers import Progress, Workers, in_order
-from calib.data.measurements import Poses
+from calib.data.in_memory import PosesLike
 from calib.numerics.observability import observability_of
 from calib.planning.exchange import Exchange, Spacing, exchange, swap
 from calib.planning.instrument_choice import ALL, groups_of
@@ -43,22 +43,23 @@ from calib.planning.selection_problem import TASK, Problem
 from calib.planning.selection_result import Run, Selection
 from calib.planning.selection_scores import index_of_score, index_values, values_of_rows
 from calib.planning.selection_setting import Setting, Wanted, prepare, require_count
-from calib.robots.robot import Robot, require_robot
+from calib.robots.loading import RobotLike, as_robot
 from calib.rows.candidates import WHITENED
 
 __all__ = ["Run", "Selection", "select"]
 
 
+@worded
 @one_blas_thread
 def select(
-    robot: Robot,
-    candidates: Poses | ArrayLike,
+    robot: RobotLike,
+    candidates: PosesLike,
     count: int | Mapping[str, int],
     index: str = "O1",
     *,
     instruments: str | Sequence[str] = ALL,
-    measured: Poses | ArrayLike | None = None,
-    task: Poses | ArrayLike | None = None,
+    measured: PosesLike | None = None,
+    task: PosesLike | None = None,
     exclude: Sequence[int] = (),
     minimum_distance: float = 0.0,
     random_start: bool = False,
@@ -66,7 +67,7 @@ def select(
     seed: int = 0,
     off_grid: bool = False,
     skip_unreachable: bool = False,
-    sigma: float | None = None,
+    sigma: float | str | None = None,
     executor: Executor | int | None = None,
     progress: Progress | None = None,
 ) -> Selection:
@@ -101,7 +102,7 @@ def select(
         UnreachablePoseError: Candidates cannot be assembled.
         NotIdentifiableError: No choice determines what the index is about.
     """
-    require_robot(robot)
+    robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")
     started = time.perf_counter()
     rng = random_numbers(seed)
     groups = groups_of(robot, instruments, count)

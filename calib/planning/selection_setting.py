@@ -10,12 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.base.errors import InputError, NotIdentifiableError, nearest
 from calib.base.memory import require_memory
-from calib.data.in_memory import as_poses
+from calib.data.in_memory import PosesLike, as_poses
 from calib.data.measurements import Poses
 from calib.numerics.observability import prior_rows
 from calib.planning.exchange import Spacing, uniform_start
@@ -116,10 +115,10 @@ class Setting:
 
 def prepare(
     robot: Robot,
-    candidates: Poses | ArrayLike,
+    candidates: PosesLike,
     wanted: Wanted,
-    measured: Poses | ArrayLike | None,
-    task: Poses | ArrayLike | None,
+    measured: PosesLike | None,
+    task: PosesLike | None,
     exclude: Sequence[int],
     skip_unreachable: bool,
     sigma: float | None,

@@ -17,7 +17,6 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from calib.base.arrays import FloatArray
 from calib.base.errors import (
@@ -31,9 +30,9 @@ from calib.base.errors import (
 from calib.base.files import read_lines
 from calib.base.units import quantity
 from calib.calibrating.calibrate import calibrate
-from calib.data.in_memory import as_poses
+from calib.data.in_memory import PosesLike, as_poses
 from calib.data.measurement_files import read_measurements
-from calib.data.measurements import Measurements, Poses
+from calib.data.measurements import Measurements
 from calib.fitting.fitted import Fit
 from calib.fitting.settings import Settings
 from calib.planning.next_pose import NextPose, next_pose
@@ -70,7 +69,7 @@ class Watch:
         robot: Robot,
         goal: str | float,
         *,
-        candidates: Poses | ArrayLike | None = None,
+        candidates: PosesLike | None = None,
         sigma: float | None = None,
         seed: int = 0,
     ) -> None:

@@ -7,13 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from calib.base.arrays import FloatArray, ReadOnlyArrays
 from calib.base.words import titled_html
-from calib.data.in_memory import as_poses
-from calib.data.measurements import Poses
-from calib.fitting.estimates import NUMBERS, Covariance, Estimate, Estimates
+from calib.data.in_memory import PosesLike, as_poses
+from calib.fitting.estimates import NUMBERS, Correlation, Covariance, Estimate, Estimates
 from calib.fitting.fitted import Fit
 from calib.joint_terms.term import Context
 from calib.judging.reasons import NOTHING_TO_CORRECT
@@ -36,6 +34,9 @@ class LoadedResult(ReadOnlyArrays):
         uncertainty: How sure the free parameters are.
         joints: Of the visits that they were found from, (n, n_actuated) [m or rad].
     """
+
+    _other_words = "a fit"
+    _made_by = "calib.load_result(folder)"
 
     path: str
     robot: Robot
@@ -71,6 +72,24 @@ class LoadedResult(ReadOnlyArrays):
         """Covariance of the free parameters, by name."""
         return Covariance(self.free_names, self.uncertainty.covariance)
 
+    @property
+    def correlation(self) -> Correlation:
+        """Correlation of the free parameters, by name, between -1 and 1."""
+        return self.covariance.correlation
+
+    @property
+    def errors(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """Errors `before` and `after` of the poses that were used and of those that were not, in mm for positions."""
+        return dict(self.content["errors"])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything that was found, in mm and degrees: the content of `result.json`."""
+        return dict(self.content)
+
+    def to_dataframe(self) -> Any:
+        """Return all parameters as a pandas table, in the units of tables; pandas missing is an `InputError`."""
+        return self.parameters.to_dataframe()
+
     def held_by(self, holds: Holds) -> tuple[Robot, ParameterUncertainty]:
         """Return the robot that files get which hold so much (`calib.robots.held`), and how sure its parameters are.
 
@@ -81,7 +100,7 @@ class LoadedResult(ReadOnlyArrays):
         robot = self.robot.held_by(holds)
         return robot, load_uncertainty(self.path, robot, holds)
 
-    def predict(self, poses: Poses | ArrayLike, context: Context | None = None) -> PositionUncertainty:
+    def predict(self, poses: PosesLike, context: Context | None = None) -> PositionUncertainty:
         """Predict positions with their covariance; see `calib.fitting.fitted.Fit.predict`."""
         told = as_poses(self.robot, poses)
         return self.uncertainty.at(self.robot, told.joints, told.conditions if context is None else context)
@@ -111,7 +130,7 @@ def load_result(folder: Path | str) -> LoadedResult:
     return LoadedResult(str(folder), robot, Estimates(found), content, known, joints)
 
 
-def predict(calibrated: Robot | Fit | LoadedResult, poses: Poses | ArrayLike) -> PositionUncertainty:
+def predict(calibrated: Robot | Fit | LoadedResult, poses: PosesLike) -> PositionUncertainty:
     """Predict positions of all targets, loops closed.
 
     Args:

@@ -78,7 +78,7 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "observability": fit.observability,
             "parameters": parameter_rows(fit),
             "correlations": correlated(fit),
-            "errors": {name: found.table() for name, found in error_sets(fit)},
+            "errors": fit.errors,
             "instruments": instrument_blocks(fit),
             "error_budget": budget_table(fit),
             "position_uncertainty": position_uncertainty_table(fit),

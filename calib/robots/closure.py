@@ -16,7 +16,7 @@ from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.base.units import millimetres
 from calib.numerics.graphs import connected_parts
 from calib.robots import kinematics
-from calib.robots.mechanism import Mechanism
+from calib.robots.mechanism import Mechanism, RelativeFrame
 
 
 def residual(
@@ -34,6 +34,54 @@ def residual(
         left = swept.reduced.joints
         np.matmul(np.matmul(maps, swept.jacobian) * mechanism.loop_signs[:, left], select[left], out=slope[part])
     return values, slope[:, :, :n_passive], slope[:, :, n_passive:]
+
+
+def actuated_jacobian(
+    mechanism: Mechanism, target: RelativeFrame, actuated: FloatArray, passive: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Pose of a target in the measurement frame and how the actuated joints move it, through the loops.
+
+    Args:
+        mechanism: The mechanism.
+        target: The target seen from the measurement frame.
+        actuated: Actuated joints, (n, n_actuated) [m or rad].
+        passive: Passive joints that close the loops there, (n, n_passive) [m or rad].
+
+    Returns:
+        Position (n, 3) [m], rotation (n, 3, 3), and Jacobian (n, 6, n_actuated): [velocity of the point; angular
+        velocity] in the axes of the measurement frame, per joint rate.
+    """
+    return motion(mechanism, target, actuated, passive)[:3]
+
+
+def motion(
+    mechanism: Mechanism,
+    target: RelativeFrame,
+    actuated: FloatArray,
+    passive: FloatArray,
+    closures: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """As `actuated_jacobian`, and the derivative of the passive joints, (n, n_passive, n_actuated).
+
+    Args:
+        mechanism, target, actuated, passive: As there.
+        closures: [C_p C_a] there, where it is known, (n, n_passive, n_passive + n_actuated).
+    """
+    swept = kinematics.sweep(mechanism, mechanism.all_joints(actuated, passive), (target,))
+    to_frame = swept.rotation[:, swept.index[target.a]].transpose(0, 2, 1)
+    mapping = np.zeros((len(actuated), 6, 6))
+    mapping[:, :3] = kinematics.twist_map(swept, target)
+    mapping[:, 3:, 3:] = to_frame
+    sign = mechanism.between(target)[:, None]
+    jacobian: FloatArray = kinematics.joint_derivative(swept, mapping, sign * mechanism.select_actuated)
+    by_joint: FloatArray = np.zeros((len(actuated), passive.shape[1], actuated.shape[1]))
+    if mechanism.loops:
+        if closures is None:
+            closures = np.concatenate(residual(mechanism, actuated, passive)[1:], axis=2)
+        by_joint = -np.linalg.solve(closures[:, :, : passive.shape[1]], closures[:, :, passive.shape[1] :])
+        by_passive = kinematics.joint_derivative(swept, mapping, sign * mechanism.select_passive)
+        jacobian += by_passive @ by_joint
+    return kinematics.value(swept, target), to_frame @ swept.rotation[:, swept.index[target.b]], jacobian, by_joint
 
 
 def scaled(mechanism: Mechanism, slope_passive: FloatArray) -> FloatArray:

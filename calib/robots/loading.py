@@ -20,7 +20,7 @@ from calib.robots.loops import closed_home
 from calib.robots.mechanism import Mechanism
 from calib.robots.mechanism_builder import build_mechanism, home_values
 from calib.robots.parametrisation import build_parametrisation, default_sections
-from calib.robots.robot import Robot
+from calib.robots.robot import Robot, require_robot
 from calib.robots.urdf.arm_chain import ArmChain, arm_chain
 from calib.robots.urdf.text import UrdfText, read_urdf
 
@@ -100,6 +100,24 @@ def robot(
     if target is not None:
         content["targets"] = {target: {"frame": target, "position": "unknown"}} if isinstance(target, str) else target
     return _built(checked_description(content | keys, urdf), text, where)
+
+
+RobotLike = Robot | Path | str
+"""A robot as callers give it: loaded, or its description or URDF."""
+
+
+def as_robot(robot: RobotLike) -> Robot:
+    """Return a robot as it is, or loaded from its description or URDF.
+
+    Raises:
+        InputError: It is neither, such as a fit; or a folder, whose values are not those of a description.
+    """
+    if isinstance(robot, (Path, str)):
+        if Path(robot).is_dir():
+            raise InputError(f"{robot}: is a folder; the robot of a result is calib.load({str(robot)!r})")
+        return load(robot)
+    require_robot(robot)
+    return robot
 
 
 def _built(description: Description, urdf: UrdfText, where: str) -> Robot:

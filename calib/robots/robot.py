@@ -26,6 +26,7 @@ from calib.base.errors import (
 )
 from calib.base.files import write_file
 from calib.base.memory import require_memory
+from calib.base.other_words import worded
 from calib.base.parameter import Parameters, index_of
 from calib.base.sections import COMPONENTS, Component
 from calib.base.units import quantity
@@ -34,7 +35,7 @@ from calib.instruments.kind import Instrument
 from calib.joint_terms.term import Context, JointTerm, TermSection
 from calib.joint_terms.terms import TERMS
 from calib.robots import kinematics, loops
-from calib.robots.closure import AssemblyMode, singular_values
+from calib.robots.closure import AssemblyMode, actuated_jacobian, singular_values
 from calib.robots.described_instruments import pair_names, places_of
 from calib.robots.description import Description, description_yaml
 from calib.robots.held import FileRobot, Holds
@@ -89,6 +90,12 @@ class Robot(ReadOnlyArrays):
         files: The robots that files get, by how much these hold; of a fit alone, and gone where values are changed.
     """
 
+    _other_words = "a robot"
+    _made_by = (
+        'calib.load("robot.yaml"), of a robot description, a URDF or a result folder; calib.robot("arm.urdf",'
+        ' target="tool0") without a description'
+    )
+
     path: str
     description: Description
     urdf: UrdfText
@@ -131,6 +138,16 @@ class Robot(ReadOnlyArrays):
     def target_names(self) -> tuple[str, ...]:
         """Names of the measured points."""
         return tuple(target.name for target in self.mechanism.targets)
+
+    @property
+    def frame_names(self) -> tuple[str, ...]:
+        """Names of the frames that `forward` and `jacobian` know: links, joints and targets."""
+        return tuple(self.mechanism.frames)
+
+    @property
+    def joint_limits(self) -> FloatArray:
+        """Lower and upper limits of the actuated joints, (n_actuated, 2) [m or rad]; infinite where there are none."""
+        return read_only(np.stack(self.urdf.limits(self.joint_names), axis=1))
 
     @cached_property
     def left_out(self) -> dict[str, int]:
@@ -247,7 +264,7 @@ class Robot(ReadOnlyArrays):
         """Which parameters a fit may change: all but the held ones, (n_parameters,)."""
         return np.array([parameter.name not in self.description.held for parameter in self.parameters])
 
-    def hold(self, *names: str | Sequence[str]) -> Robot:
+    def fix(self, *names: str | Sequence[str]) -> Robot:
         """Return a robot of which a fit leaves these parameters, too, as they are.
 
         Args:
@@ -260,7 +277,7 @@ class Robot(ReadOnlyArrays):
         return self._held((*self.description.held, *named), named)
 
     def free(self, *names: str | Sequence[str]) -> Robot:
-        """Return a robot of which a fit may change these parameters; see `hold`."""
+        """Return a robot of which a fit may change these parameters; see `fix`."""
         named = _flat(names)
         return self._held(tuple(name for name in self.description.held if name not in named), named)
 
@@ -295,7 +312,7 @@ class Robot(ReadOnlyArrays):
                     " in the robot description"
                 )
             if quantity(sigma, one.dimension, f"prior of '{name}'") <= 0:
-                raise InputError(f"prior of '{name}': sigma {sigma} must be positive; hold('{name}') keeps it as it is")
+                raise InputError(f"prior of '{name}': sigma {sigma} must be positive; fix('{name}') keeps it as it is")
             description = description.with_sigma(origin, cast(Component, component), sigma)
         places = places_of(description, self.instruments, self.path)
         parametrisation = build_parametrisation(description, self.urdf, self.nominal, places, self.path)
@@ -515,6 +532,7 @@ class Robot(ReadOnlyArrays):
         limit, values = self.description.singularity_limit, self.singular_values(configurations)
         return [near_singularity(labels[k], values[k], limit) for k in map(int, np.flatnonzero(values < limit))]
 
+    @worded
     def forward(self, q: ArrayLike, frame: str | None = None) -> FloatArray:
         """Pose of a frame in the measurement frame, loops closed.
 
@@ -531,15 +549,43 @@ class Robot(ReadOnlyArrays):
             DescriptionError: Unknown frame.
             UnreachablePoseError: A loop cannot be closed.
         """
-        configurations = self.assemble(q)
-        target = self.mechanism.targets[0]
-        index = target.b if frame is None else self.mechanism.joint(frame)
-        pair = replace(target, b=index)
+        configurations, pair = self.assemble(q), self._seen(frame)
         joints = self.mechanism.all_joints(configurations.actuated, configurations.passive)
         swept = kinematics.sweep(self.mechanism, joints, (pair,))
         transforms = kinematics.relative_pose(swept, pair)
         return transforms[0] if np.ndim(q) == 1 else transforms
 
+    def _seen(self, frame: str | None) -> RelativeFrame:
+        """A frame seen from the measurement frame."""
+        target = self.mechanism.targets[0]
+        return target if frame is None else replace(target, b=self.mechanism.joint(frame))
+
+    @worded
+    def jacobian(self, q: ArrayLike, frame: str | None = None) -> FloatArray:
+        """Geometric Jacobian of a frame by the actuated joints, through the closed loops.
+
+        [v; w] = J dq/dt, with v the velocity of the frame's origin and w its angular velocity, both in the axes of the
+        measurement frame (Pinocchio's LOCAL_WORLD_ALIGNED). Where joint terms say that a joint is not what it is told,
+        dq/dt is how it really moves.
+
+        Args:
+            q: Actuated joints, (n, n_actuated) or (n_actuated,) [m or rad].
+            frame: As in `forward`.
+
+        Returns:
+            (n, 6, n_actuated) or (6, n_actuated) [m or rad, per m or rad].
+
+        Raises:
+            DataError: Joint values of the wrong shape.
+            DescriptionError: Unknown frame.
+            UnreachablePoseError: A loop cannot be closed.
+        """
+        found, pair = self.assemble(q), self._seen(frame)
+        by_joint = actuated_jacobian(self.mechanism, pair, found.actuated, found.passive)[2]
+        own = by_joint[:, :, : len(self.joint_names)]
+        return own[0] if np.ndim(q) == 1 else own
+
+    @worded
     def positions(self, q: ArrayLike, context: Context | None = None, seed: FloatArray | None = None) -> FloatArray:
         """Positions of all targets in the measurement frame, loops closed, (n, n_targets, 3) [m].
 
@@ -557,6 +603,7 @@ class Robot(ReadOnlyArrays):
         swept = kinematics.sweep(self.mechanism, joints, self.mechanism.targets)
         return np.stack([kinematics.value(swept, target) for target in self.mechanism.targets], axis=1)
 
+    @worded
     def sample(
         self, count: int, seed: int | np.random.Generator = 0, *, within: Ranges | ArrayLike | None = None
     ) -> FloatArray:

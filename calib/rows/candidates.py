@@ -11,9 +11,9 @@ import scipy
 from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.base.errors import DataError, InputError, UnreachablePoseError
 from calib.base.memory import zeros_with_room
-from calib.data.in_memory import as_poses, measurements
+from calib.data.in_memory import as_poses
 from calib.data.measurement_columns import rank_in_visit
-from calib.data.measurements import Measurements, Poses
+from calib.data.measurements import Measurements, Poses, measurements
 from calib.instruments.kind import Readings
 from calib.instruments.position import Position
 from calib.numerics.identifiability import reduced

@@ -16,16 +16,17 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray, random_numbers
 from calib.base.errors import DataError, UnreachablePoseError
-from calib.base.units import millimetres
-from calib.data.in_memory import as_poses, measurements
-from calib.data.measurements import Measurements, Poses, directions_of_motion, of_visits
+from calib.base.other_words import worded
+from calib.base.units import in_si, millimetres
+from calib.data.in_memory import PosesLike, as_poses
+from calib.data.measurements import Measurements, Poses, directions_of_motion, measurements, of_visits
 from calib.instruments.kind import Instrument, Readings
 from calib.joint_terms.term import Context
-from calib.robots.robot import Configurations, Robot, require_robot
+from calib.robots.loading import RobotLike, as_robot
+from calib.robots.robot import Configurations, Robot
 from calib.rows.observed import looks_at, observe, predicted_readings, unsaid_touches
 from calib.rows.whitening import stated_noise
 
@@ -37,10 +38,11 @@ MET = 1e-10
 _FIRST_DAMPING, _LARGEST_DAMPING, _SMALLEST_DAMPING = 1e-3, 1e12, 1e-15
 
 
+@worded
 def simulate(
-    robot: Robot,
-    poses: Poses | ArrayLike,
-    sigma: float | None = None,
+    robot: RobotLike,
+    poses: PosesLike,
+    sigma: float | str | None = None,
     seed: int | np.random.Generator = 0,
     *,
     joint_sigma: float = 0.0,
@@ -64,7 +66,7 @@ def simulate(
         DataError: Sigma is not a number >= 0, or nobody says what is touched at a pose.
         UnreachablePoseError: A pose cannot be assembled, or no contact was found near it.
     """
-    require_robot(robot)
+    robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")
     if sigma is not None and not (np.isfinite(sigma) and sigma >= 0):
         raise DataError(f"sigma {sigma:g} m: must be a number, zero or positive")
     rng = random_numbers(seed)

@@ -39,6 +39,7 @@ from calib.base.units import DISPLAY_UNIT, display_scale, millimetres
 from calib.data.in_memory import as_poses
 from calib.data.measurements import Poses, directions_of_motion
 from calib.joint_terms.term import Context
+from calib.robots.closure import actuated_jacobian
 from calib.robots.robot import Robot
 from calib.rows.frames import Frame, as_described, program_frame
 from calib.rows.known_robot import Calibrated, KnownRobot, known_robot
@@ -46,7 +47,7 @@ from calib.using.expected_errors import ExpectedError
 from calib.using.goals import Goals
 from calib.using.inverse import problem, settled
 from calib.using.program_goals import KEEP, Asked, asked_by_goals, asked_by_joints, reached_goals
-from calib.using.reaching import Configured, Reach, actuated_jacobian, descend
+from calib.using.reaching import Configured, Reach, descend
 from calib.using.redundancy import nearer
 from calib.using.search import TOLERANCE
 

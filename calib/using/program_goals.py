@@ -12,10 +12,11 @@ import numpy as np
 from calib.base.arrays import BoolArray, FloatArray
 from calib.base.errors import DataError, InputError
 from calib.data.measurements import Poses
+from calib.robots.closure import actuated_jacobian
 from calib.robots.robot import Robot
 from calib.using.goals import Goals
 from calib.using.inverse import problem, solve
-from calib.using.reaching import Configured, Reach, actuated_jacobian, descend
+from calib.using.reaching import Configured, Reach, descend
 from calib.using.search import TOLERANCE
 
 KEEP = ("pose", "axis", "position")

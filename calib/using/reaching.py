@@ -32,8 +32,8 @@ import numpy as np
 import pinocchio as pin
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray
-from calib.robots import kinematics, loops
-from calib.robots.closure import AssemblyMode, residual
+from calib.robots import loops
+from calib.robots.closure import AssemblyMode, actuated_jacobian, motion
 from calib.robots.continuation import newton
 from calib.robots.mechanism import Mechanism, RelativeFrame
 from calib.using.goals import Goals
@@ -130,7 +130,7 @@ class Reach:
             passive: Passive joints that close the loops there, (n, n_passive) [m or rad].
             closures: [C_p C_a] there, where it is known, (n, n_passive, n_passive + n_actuated).
         """
-        position, rotation, jacobian, by_joint = _motion(self.mechanism, self.target, actuated, passive, closures)
+        position, rotation, jacobian, by_joint = motion(self.mechanism, self.target, actuated, passive, closures)
         jacobian = jacobian * self.scale
         asked = ~np.isnan(self.goals.positions[index])
         error, slope = [self.goals.off(position, index)], [jacobian[:, :3] * asked[:, :, None]]
@@ -190,49 +190,6 @@ class Reach:
         """Return how far passive joints (n, n_passive) are above their lower and below their upper limits, scaled."""
         below, above = passive - self.mechanism.lower, self.mechanism.upper - passive
         return below / self.passive_scale, above / self.passive_scale
-
-
-def actuated_jacobian(
-    mechanism: Mechanism, target: RelativeFrame, actuated: FloatArray, passive: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Pose of a target in the measurement frame and how the actuated joints move it, through the loops.
-
-    Args:
-        mechanism: The mechanism.
-        target: The target seen from the measurement frame.
-        actuated: Actuated joints, (n, n_actuated) [m or rad].
-        passive: Passive joints that close the loops there, (n, n_passive) [m or rad].
-
-    Returns:
-        Position (n, 3) [m], rotation (n, 3, 3), and Jacobian (n, 6, n_actuated): [velocity of the point; angular
-        velocity] in the axes of the measurement frame, per joint rate.
-    """
-    return _motion(mechanism, target, actuated, passive)[:3]
-
-
-def _motion(
-    mechanism: Mechanism,
-    target: RelativeFrame,
-    actuated: FloatArray,
-    passive: FloatArray,
-    closures: FloatArray | None = None,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """As `actuated_jacobian`, and the derivative of the passive joints, (n, n_passive, n_actuated)."""
-    swept = kinematics.sweep(mechanism, mechanism.all_joints(actuated, passive), (target,))
-    to_frame = swept.rotation[:, swept.index[target.a]].transpose(0, 2, 1)
-    mapping = np.zeros((len(actuated), 6, 6))
-    mapping[:, :3] = kinematics.twist_map(swept, target)
-    mapping[:, 3:, 3:] = to_frame
-    sign = mechanism.between(target)[:, None]
-    jacobian: FloatArray = kinematics.joint_derivative(swept, mapping, sign * mechanism.select_actuated)
-    by_joint: FloatArray = np.zeros((len(actuated), passive.shape[1], actuated.shape[1]))
-    if mechanism.loops:
-        if closures is None:
-            closures = np.concatenate(residual(mechanism, actuated, passive)[1:], axis=2)
-        by_joint = -np.linalg.solve(closures[:, :, : passive.shape[1]], closures[:, :, passive.shape[1] :])
-        by_passive = kinematics.joint_derivative(swept, mapping, sign * mechanism.select_passive)
-        jacobian += by_passive @ by_joint
-    return kinematics.value(swept, target), to_frame @ swept.rotation[:, swept.index[target.b]], jacobian, by_joint
 
 
 def descend(reach: Reach, index: IntArray, start: Configured, iterations: int = _ITERATIONS) -> Configured:

@@ -17,8 +17,9 @@ import scipy
 from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.numerics.halton import halton
 from calib.robots import loops
+from calib.robots.closure import actuated_jacobian
 from calib.robots.robot import Robot
-from calib.using.reaching import Configured, Reach, actuated_jacobian, descend
+from calib.using.reaching import Configured, Reach, descend
 
 TOLERANCE = 1e-9
 """Largest miss of a goal that counts as reached [m, rad]."""

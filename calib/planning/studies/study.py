@@ -33,10 +33,13 @@ from numpy.typing import ArrayLike
 
 from calib.base.arrays import FloatArray
 from calib.base.errors import CalibrationError, InputError, NotConvergedError
+from calib.base.other_words import worded
 from calib.base.threads import one_blas_thread
+from calib.base.units import in_si
 from calib.base.workers import Progress, Workers, in_order
 from calib.calibrating.calibrate import calibrate
-from calib.data.measurements import Measurements, Poses
+from calib.data.in_memory import PosesLike
+from calib.data.measurements import Measurements
 from calib.fitting.fitted import Fit
 from calib.fitting.settings import Settings
 from calib.numerics.losses import checked_loss
@@ -44,7 +47,8 @@ from calib.planning.studies.many_calibrations import Estimate, Repeated
 from calib.planning.studies.study_data import Noise, Resampled, Simulated, simulated
 from calib.planning.studies.study_result import Draws, Study
 from calib.robots.acceleration import asked, compiled
-from calib.robots.robot import Robot, require_robot
+from calib.robots.loading import RobotLike, as_robot
+from calib.robots.robot import Robot
 from calib.rows.jacobian import linearise
 from calib.rows.prediction import carried
 
@@ -78,14 +82,15 @@ class _Setting:
         return self.first.chi_square is not None and isinstance(self.source, Simulated)
 
 
+@worded
 def study(
-    robot: Robot,
-    poses: Poses | ArrayLike,
+    robot: RobotLike,
+    poses: PosesLike,
     *,
     draws: int = 1000,
     truth: Robot | Literal["priors"] | None = None,
     resample: bool = False,
-    sigma: float | None = None,
+    sigma: float | str | None = None,
     noise: Noise | None = None,
     loss: str = "none",
     elsewhere: ArrayLike | None = None,
@@ -119,7 +124,7 @@ def study(
         NotConvergedError: The first draw did not converge, or none gave an answer.
         CalibrationError: What `calib.fit` raises, of the first draw.
     """
-    require_robot(robot)
+    robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")
     started = time.perf_counter()
     if draws < 2:
         raise InputError(f"draws {draws}: must be 2 or more")

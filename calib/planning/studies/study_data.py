@@ -25,13 +25,12 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from calib.base.arrays import FloatArray
 from calib.base.errors import InputError
 from calib.data.grouping import repeated_poses
-from calib.data.in_memory import as_poses
-from calib.data.measurements import Measurements, Poses
+from calib.data.in_memory import PosesLike, as_poses
+from calib.data.measurements import Measurements
 from calib.robots.robot import Robot
 from calib.rows.observed import predicted_readings
 from calib.rows.simulate import noisy_readings, simulate, unstated_noise
@@ -116,7 +115,7 @@ class Resampled:
 
 def simulated(
     robot: Robot,
-    poses: Poses | ArrayLike,
+    poses: PosesLike,
     truth: Robot | Literal["priors"] | None,
     sigma: float | None,
     noise: Noise | None,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
+from typing import Any
 
 import numpy as np
 import scipy
@@ -11,7 +12,7 @@ import scipy
 from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.base.parameter import Parameter
 from calib.base.units import millimetres
-from calib.base.words import as_data, counted, listed, plain_text, text_table
+from calib.base.words import as_data, counted, data_frame, listed, plain_text, text_table
 
 _TAIL = 0.05  # of chi-square, on both sides together
 _SURE = 4.0  # standard deviations beyond which a difference is no chance
@@ -222,6 +223,10 @@ class Study(ReadOnlyArrays):
         if not self.resampled:
             lines.append(f"{100 * self.outliers:.1f} % of the draws name an outlier")
         return lines
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas table of the free parameters over all draws; pandas missing is an `InputError`."""
+        return data_frame([one.row() for one in self.parameters])
 
     def to_dict(self) -> dict[str, object]:
         """Return the study as data for JSON; parameters in the units of tables, unknown numbers None."""

@@ -1,0 +1,156 @@
+"""Words of other packages, and what to write here: the table `other_words.txt`, behind errors and a page of the docs.
+
+There is one word for each thing in this package. Who types the word of another one is told this one, in place of a bare
+`AttributeError` or `TypeError`.
+"""
+
+from __future__ import annotations
+
+import functools
+from abc import ABCMeta
+from collections.abc import Callable
+from dataclasses import dataclass
+from inspect import Parameter, signature
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, ParamSpec, TypeVar
+
+from calib.base.errors import InputError, nearest
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+class UnknownNameError(InputError, AttributeError):
+    """Something has no attribute of this name."""
+
+
+class UnknownOptionError(InputError, TypeError):
+    """A function takes no argument of this name, or is called in another way than it is meant."""
+
+
+@dataclass(frozen=True)
+class Words:
+    """Words for one thing.
+
+    Attributes:
+        package: Whose words they are.
+        words: The words.
+        here: What to write here, with what there is to say about it.
+    """
+
+    package: str
+    words: tuple[str, ...]
+    here: str
+
+
+def tables() -> dict[str, tuple[Words, ...]]:
+    """Return all words, by where they are looked for; read when the first is."""
+    return _read(Path(__file__).with_suffix(".txt").read_text(encoding="utf-8"))
+
+
+@functools.cache
+def _read(text: str) -> dict[str, tuple[Words, ...]]:
+    result: dict[str, tuple[Words, ...]] = {}
+    place = ""
+    for line in text.splitlines():
+        if line.startswith("["):
+            place = line.strip("[]")
+        elif line and not line.startswith("#"):
+            package, words, here = (cell.strip() for cell in line.split(" | "))
+            result[place] = (*result.get(place, ()), Words(package, tuple(words.split()), here))
+    return result
+
+
+def way(word: str, place: str) -> str:
+    """Return what to write for a word of another package, as the end of a message; empty if the table has none.
+
+    Args:
+        word: The word.
+        place: Where it is looked for, as the table has it.
+    """
+    for row in tables().get(place, ()):
+        if word in row.words:
+            return f"; here: {row.here.replace('`', '')}"
+    return ""
+
+
+class _Worded(ABCMeta):
+    """The class of classes that are asked for more than they have, such as `Robot.from_urdf`."""
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(cls, name: str) -> Any:
+            if name.startswith("_"):
+                raise AttributeError(name)
+            raise UnknownNameError(_no_name(f"class {cls.__name__}", name, cls._other_words, dir(cls)))
+
+        def __call__(cls, *args: Any, **options: Any) -> Any:
+            """Make one; who meant to load one is told how."""
+            try:
+                return super().__call__(*args, **options)
+            except TypeError as error:
+                if not cls._made_by or isinstance(error, InputError) or _binds(cls.__init__, args, options):
+                    raise
+                raise UnknownOptionError(f"{cls.__name__}: is made by {cls._made_by}") from None
+
+
+def _binds(function: Callable[..., Any], args: tuple[Any, ...], options: dict[str, Any]) -> bool:
+    try:
+        signature(function).bind(None, *args, **options)
+    except TypeError:
+        return False
+    return True
+
+
+class Worded(metaclass=_Worded):
+    """Base of what users hold: a name that it does not have is answered with the one that is meant.
+
+    Attributes:
+        _other_words: Section of the table with what other packages call its attributes (class attribute).
+        _made_by: What makes one, if not the class itself (class attribute).
+    """
+
+    _other_words: ClassVar[str] = ""
+    _made_by: ClassVar[str] = ""
+
+    if not TYPE_CHECKING:  # type checkers know better which attributes there are
+
+        def __getattr__(self, name: str) -> Any:
+            if name.startswith("_"):
+                raise AttributeError(name)
+            if any(name in one.__dict__ for one in type(self).__mro__):
+                return object.__getattribute__(self, name)  # it has it: the error that comes is what went wrong inside
+            raise UnknownNameError(_no_name(type(self).__name__, name, self._other_words, dir(self)))
+
+
+def _no_name(of: str, name: str, place: str, names: list[str]) -> str:
+    own = [one for one in names if one[0] != "_" and one.isidentifier()]
+    return f"{of} has no '{name}'" + (way(name, place) or nearest(name, own))
+
+
+def no_name_in_package(name: str, names: list[str]) -> UnknownNameError:
+    """Return the error of a name that `calib` does not have, whose names these are."""
+    return UnknownNameError(_no_name("module 'calib'", name, "`calib` itself", names))
+
+
+def worded(function: Callable[P, R]) -> Callable[P, R]:
+    """Answer an argument that a function does not take with the one that is meant."""
+    parameters = signature(function).parameters
+    known = [name for name in parameters if name != "self"]
+    in_order = [name for name, one in parameters.items() if one.kind is not Parameter.KEYWORD_ONLY]
+    place = f"arguments of {function.__name__}"
+
+    @functools.wraps(function)
+    def called(*args: P.args, **options: P.kwargs) -> R:
+        for name in options:
+            if name not in known:
+                told = way(name, place) or way(name, "arguments") or nearest(name, known)
+                raise UnknownOptionError(f"{function.__name__}: takes no argument '{name}'{told}")
+        if len(args) > len(in_order):
+            names = ", ".join(name for name in in_order if name != "self")
+            raise UnknownOptionError(
+                f"{function.__name__}: takes {names} in this order, and the rest by name{way('another', place)}"
+            )
+        return function(*args, **options)
+
+    return called

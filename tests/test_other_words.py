@@ -1,0 +1,337 @@
+"""What someone types who is fluent in lmfit, scikit-learn, SciPy, pandas, Pinocchio or ROS runs, or names the way."""
+
+import importlib
+import re
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import calib
+from calib.base.other_words import tables
+from calib.cli import main
+
+EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
+ARM, READ = str(EXAMPLES / "arm.yaml"), str(EXAMPLES / "arm_simulated.csv")
+
+
+class Frame:
+    """What a data frame of pandas or polars is to this package."""
+
+    def __init__(self, columns):
+        self._columns = columns
+
+    @property
+    def columns(self):
+        return list(self._columns)
+
+    def head(self):
+        return self
+
+    def __getitem__(self, name):
+        return self._columns[name]
+
+
+@pytest.fixture(scope="module")
+def t(tmp_path_factory):
+    robot = calib.load(ARM)
+    data = calib.read_measurements(READ, robot)
+    fit = calib.fit(robot, data, validation=0.25, seed=1)
+    frame = Frame({name: np.array(cells, dtype=object) for name, cells in data.columns().items()})
+    return SimpleNamespace(
+        robot=robot, data=data, fit=fit, frame=frame, q=data.joints[:5], folder=tmp_path_factory.mktemp("out")
+    )
+
+
+def same(one, other):
+    return np.allclose(one.robot.values, other.robot.values, rtol=0, atol=1e-9)
+
+
+RUN = {
+    # data as paths, data frames, dictionaries of columns
+    "fit(robot, path)": lambda t: same(calib.fit(t.robot, READ), calib.fit(t.robot, t.data)),
+    "fit(path, path)": lambda t: calib.fit(ARM, READ, validation=READ).validation.data.n_poses == 80,
+    "fit(robot, Path)": lambda t: calib.fit(t.robot, Path(READ), terms="none").converged,
+    "fit(robot, frame)": lambda t: np.allclose(
+        calib.fit(t.robot, t.frame).robot.values, calib.fit(t.robot, t.data).robot.values, atol=1e-12
+    ),
+    "fit(robot, [a, b])": lambda t: len(calib.read_measurements([t.frame, t.frame], t.robot)) == 160,
+    "read_measurements(frame)": lambda t: np.allclose(calib.read_measurements(t.frame, t.robot).joints, t.data.joints),
+    "read_measurements(dict)": lambda t: len(calib.read_measurements(t.data.columns(), t.robot)) == 80,
+    "read_poses(frame)": lambda t: calib.read_poses(t.frame, t.robot).joints.shape == (80, 6),
+    "check(robot, path)": lambda t: calib.check(t.robot, READ).n_poses == 80,
+    "check(robot, frame)": lambda t: calib.check(ARM, t.frame).n_poses == 80,
+    "select(robot, path)": lambda t: len(calib.select(t.robot, READ, 30).joints) == 30,
+    "select(robot, frame)": lambda t: len(calib.select(t.robot, t.frame, count=30).joints) == 30,
+    "predict(frame)": lambda t: t.fit.predict(t.frame).positions.shape == (80, 1, 3),
+    "simulate(path of a robot)": lambda t: len(calib.simulate(ARM, t.q, "0.04 mm", seed=1)) == 5,
+    "sample(path of a robot)": lambda t: len(calib.sample(ARM, 5, seed=1)) == 5,
+    "as_measurements(path)": lambda t: len(calib.as_measurements(t.robot, READ)) == 80,
+    "as_measurements(q, xyz)": lambda t: np.allclose(
+        calib.as_measurements(t.robot, t.data.joints, t.data.points()[:, 0]).points(), t.data.points()
+    ),
+    "points()": lambda t: t.data.points().shape == (80, 1, 3),
+    "columns()": lambda t: "reflector_x [mm]" in t.data.columns(),
+    # fit: names, priors, noise, what is held out
+    "fix=": lambda t: calib.fit(t.robot, t.data, fix=["joint_3.z"]).parameters["joint_3.z"].status == "held",
+    "fix= a name": lambda t: calib.fit(t.robot, t.data, fix="joint_3.z").parameters["joint_3.z"].status == "held",
+    "free=": lambda t: calib.fit(t.robot.fix("joint_3.z"), t.data, free="joint_3.z").parameters["joint_3.z"].std > 0,
+    "prior=": lambda t: (
+        calib.fit(t.robot, t.data, prior={"joint_3.z": "0.1 um"}).parameters["joint_3.z"].value
+        == pytest.approx(440, abs=1e-3)
+    ),
+    "sigma= with a unit": lambda t: calib.fit(t.robot, t.data, sigma="0.03 mm").sigma_stated == pytest.approx(3e-5),
+    "sigma= of each row": lambda t: np.allclose(
+        calib.fit(t.robot, t.data, sigma=np.full(80, 3e-5)).robot.values,
+        calib.fit(t.robot, t.data, sigma=3e-5).robot.values,
+        atol=1e-9,
+    ),
+    "sigma= of each axis": lambda t: calib.fit(t.robot, t.data, sigma=np.full((80, 3), 3e-5)).converged,
+    "validation= a part": lambda t: len(t.fit.validation.data) == 20,
+    "progress=": lambda t: progress_of(lambda told: calib.fit(t.robot, t.data, progress=told))[-1] == (3, 3),
+    # results
+    "summary": lambda t: t.fit.summary().startswith("Calibration of") and t.fit.summary() in t.fit.report(),
+    "to_dict": lambda t: t.fit.to_dict()["n_poses"] == 60,
+    "errors": lambda t: (
+        t.fit.errors["validation"]["after"]["rms"] == t.fit.to_dict()["errors"]["validation"]["after"]["rms"]
+    ),
+    "rms": lambda t: 1e3 * t.fit.rms == pytest.approx(t.fit.errors["validation"]["after"]["rms"]),
+    "correlation": lambda t: t.fit.correlation["joint_3.z", "joint_3.z"] == pytest.approx(1.0),
+    "cross_validate": lambda t: np.mean(t.fit.cross_validate(3, seed=1).rms) == pytest.approx(5e-5, rel=0.5),
+    "bootstrap": lambda t: len(t.fit.bootstrap(4, seed=1).parameters) == len(t.fit.free_names),
+    "progress= of a bootstrap": lambda t: progress_of(lambda told: t.fit.bootstrap(3, progress=told))[-1] == (3, 3),
+    "plot()": lambda t: t.fit.plot().get_xlabel().endswith("[mm]"),
+    "export": lambda t: t.fit.export(t.folder / "arm.urdf") is None and (t.folder / "arm.urdf").exists(),
+    "nominal beside calibrated": lambda t: np.any(t.fit.nominal.values != t.fit.robot.values),
+    # robots
+    "jacobian": lambda t: t.robot.jacobian(t.q).shape == (5, 6, 6),
+    "jacobian of one": lambda t: t.robot.jacobian(t.q[0], "flange").shape == (6, 6),
+    "joint_limits": lambda t: t.robot.joint_limits.shape == (6, 2) and t.robot.joint_limits[0, 1] == 2.9,
+    "frame_names": lambda t: "flange" in t.robot.frame_names,
+    "forward of a list": lambda t: t.robot.forward([0.0] * 6, "flange").shape == (4, 4),
+    "fix of a robot": lambda t: (
+        not t.robot.fix("joint_3.z").is_free[[p.name for p in t.robot.parameters].index("joint_3.z")]
+    ),
+}
+"""Lines that run as they are typed, beside those of tests/test_python_interface.py."""
+
+
+def progress_of(call):
+    told = []
+    call(lambda done, total: told.append((done, total)))
+    return told
+
+
+@pytest.mark.parametrize("guess", RUN)
+def test_a_guess_runs(t, guess):
+    if "plot" in guess:
+        pytest.importorskip("matplotlib.pyplot").switch_backend("agg")
+    assert RUN[guess](t)
+
+
+ANSWERED = {
+    # lmfit and SciPy
+    "t.fit.params['joint_3.z']": 'fit.parameters["joint_3.z"]',
+    "t.fit.best_values": "fit.parameters",
+    "t.fit.parameters['joint_3.z'].stderr": ".std",
+    "t.fit.parameters['joint_3.z'].vary": "fix=",
+    "t.fit.parameters['joint_3.z'].min": "prior=",
+    "t.fit.parameters['joint_3.z'].correl": "fit.correlation",
+    "t.fit.parameters.valuesdict()": "value_si",
+    "t.fit.covar": "fit.covariance",
+    "t.fit.redchi": "fit.chi_square",
+    "t.fit.nfree": "fit.statistics.freedom",
+    "t.fit.success": "fit.converged",
+    "t.fit.fit_report()": "fit.summary()",
+    "t.fit.conf_interval()": ".interval",
+    "t.fit.x": "fit.robot.values",
+    "t.fit.cost": "fit.rms",
+    "t.fit.nfev": "fit.message",
+    "t.fit.aic": "fit.rms",
+    "calib.minimize(None)": "calib.fit(robot, data)",
+    "calib.least_squares(None)": "calib.fit(robot, data)",
+    "calib.fit(t.robot, t.data, robust=True)": 'loss="huber"',
+    "calib.fit(t.robot, t.data, bounds=(0, 1))": "prior=",
+    "calib.fit(t.robot, t.data, method='lm')": "one solver",
+    "calib.fit(t.robot, t.data, max_nfev=10)": "converged",
+    "calib.fit(t.robot, t.data, x0=None)": "starts=5",
+    "calib.fit(t.robot, t.data, weights=None)": "sigma=",
+    "calib.fit(t.robot, t.data, callback=print)": "progress=",
+    "calib.fit(t.robot, t.data, verbose=2)": "progress=",
+    "calib.fit(t.robot, t.data, los='huber')": "did you mean 'loss'",
+    # scikit-learn
+    "t.fit.score(t.data)": "calib.verify",
+    "t.fit.coef_": "fit.parameters",
+    "t.fit.rmse": "fit.rms",
+    "calib.train_test_split(t.data)": "data.split(0.25, seed=1)",
+    "calib.cross_val_score(t.robot)": "fit.cross_validate(5)",
+    "calib.fit(t.robot, t.data, cv=5)": "folds=5",
+    "calib.fit(t.robot, t.data, random_state=1)": "seed=",
+    "calib.fit(t.robot, t.data, n_jobs=4)": "executor=4",
+    "calib.fit(t.robot, t.data, test_size=0.2)": "validation=0.25",
+    "calib.fit(t.robot, t.q, t.q[:, :3])": "calib.as_measurements(robot, q, xyz)",
+    "calib.fit(t.robot, t.q)": "calib.as_measurements(robot, q, xyz)",
+    "t.data.split(test_size=0.25)": "data.split(0.25, seed=1)",
+    "t.robot.fit(t.data)": "calib.fit(robot, data)",
+    "t.fit.bootstrap(n_boot=5)": "draws=200",
+    # pandas and matplotlib
+    "calib.read_csv('x.csv')": "calib.read_measurements",
+    "calib.Measurements.from_csv('x.csv')": "calib.read_measurements",
+    "t.data.head()": "data.to_dataframe()",
+    "t.data.iloc[0]": "data.to_dataframe()",
+    "t.data['reflector_x']": "data.to_dataframe()",
+    "t.data.shape": "len(data)",
+    "t.fit.df": "fit.to_dataframe()",
+    "t.fit.to_csv('x.csv')": "fit.save",
+    "t.fit.savefig('x.png')": "axes",
+    "t.fit.show()": "fit.plot()",
+    "calib.plot(t.fit)": "calib view",
+    # Pinocchio, ROS, roboticstoolbox
+    "calib.Robot.from_urdf('x.urdf')": "calib.load",
+    "calib.Robot('x.urdf')": "calib.load",
+    "calib.load_urdf('x.urdf')": "calib.load",
+    "calib.load_robot('x.yaml')": "calib.load",
+    "t.robot.fk(t.q)": "robot.forward",
+    "t.robot.forward_kinematics(t.q)": "robot.forward",
+    "t.robot.forward(t.q, link='flange')": "frame=",
+    "t.robot.ik(t.q)": "calib.solve",
+    "t.robot.inverse_kinematics(t.q)": "calib.solve",
+    "t.robot.jacob0(t.q)": "robot.jacobian",
+    "t.robot.computeJointJacobians(t.q)": "robot.jacobian",
+    "t.robot.joints": "robot.joint_names",
+    "t.robot.limits": "robot.joint_limits",
+    "t.robot.lowerPositionLimit": "robot.joint_limits",
+    "t.robot.nq": "len(robot.joint_names)",
+    "t.robot.targets": "robot.target_names",
+    "t.robot.links": "robot.frame_names",
+    "t.robot.q0": "robot.home",
+    "t.robot.hold('joint_3.z')": "robot.fix",
+    "t.robot.params": "robot.parameters",
+    "t.robot.plot()": "calib view",
+    "t.robot.random_configuration()": "robot.sample",
+    "t.robot.parameters['joint_3.z'].value": "robot.values",
+    "t.robot.joint_name": "did you mean 'joint_names'",
+    "calib.calibrate(t.robot)": "calib.fit(robot, data)",
+    "calib.ik(t.robot)": "calib.solve",
+    "calib.observability(t.robot)": "calib.check",
+    "calib.optimal_poses(t.robot)": "calib.select",
+    "calib.select(t.robot, t.q, n=3)": "count=40",
+    "calib.select(t.robot, t.q, 3, criterion='D')": 'index="O1"',
+    "calib.fit(t.fit, t.data)": "expected a Robot",
+    "t.fit.to_urdf('x.urdf')": 'fit.export("arm.urdf")',
+    "t.fit.calibrated": "fit.robot",
+}
+"""Lines of other packages, and what the error names."""
+
+
+@pytest.mark.parametrize("typed", ANSWERED)
+def test_a_word_of_another_package_is_answered_with_the_way(t, typed):
+    with pytest.raises(calib.InputError) as caught:
+        eval(typed, {"calib": calib, "t": t})
+    assert ANSWERED[typed] in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_asked_for_politely_is_not_there(t):
+    assert not hasattr(t.robot, "fk")
+    assert not hasattr(t.fit, "params")
+    assert not hasattr(calib, "minimize")
+    assert getattr(t.fit, "params", None) is None
+
+
+def test_an_error_inside_an_attribute_is_not_taken_for_its_absence(t, monkeypatch):
+    monkeypatch.setattr(type(t.robot), "home", property(lambda self: self.urdf.nothing_of_this_name))
+    with pytest.raises(AttributeError, match="nothing_of_this_name"):
+        _ = t.robot.home
+
+
+def test_the_jacobian_is_the_derivative_of_the_pose(t):
+    for name, frame in (
+        (ARM, "flange"),
+        (str(EXAMPLES / "five_bar.yaml"), None),
+        (str(EXAMPLES / "stewart.yaml"), None),
+    ):
+        robot = calib.load(name)
+        q, step = robot.sample(2, seed=3), 1e-6
+        jacobian = robot.jacobian(q, frame)
+        for k in range(len(robot.joint_names)):
+            ahead, behind = (
+                robot.forward(q + sign * step * np.eye(len(robot.joint_names))[k], frame) for sign in (1, -1)
+            )
+            change = (ahead - behind) / (2 * step)
+            turn = change[:, :3, :3] @ robot.forward(q, frame)[:, :3, :3].transpose(0, 2, 1)
+            rate = np.stack([turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], axis=1)
+            np.testing.assert_allclose(jacobian[:, :3, k], change[:, :3, 3], atol=1e-7)  # differences: 1e-6^2
+            np.testing.assert_allclose(jacobian[:, 3:, k], rate, atol=1e-7)
+
+
+def test_rows_that_are_said_to_be_worse_count_less(t):
+    sigma = np.full(80, 3e-5)
+    sigma[:40] = 3e-2
+    weighed = calib.fit(t.robot, t.data, sigma=sigma)
+    rest = calib.fit(t.robot, t.data[40:], sigma=3e-5)
+    spread = np.sqrt(np.diagonal(np.asarray(rest.covariance)))
+    assert np.max(np.abs((weighed.robot.values - rest.robot.values)[rest.free]) / spread) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("sigma", "words"),
+    [(np.ones(3), "expected (80,)"), (np.zeros(80), "positive"), ("1 deg", "is for an angle"), ("x", "not a finite")],
+)
+def test_noise_that_makes_no_sense_is_told(t, sigma, words):
+    with pytest.raises(calib.InputError, match=re.escape(words)):
+        calib.fit(t.robot, t.data, sigma=sigma)
+
+
+def test_a_table_in_memory_is_checked_like_a_file(t):
+    columns = t.data.columns()
+    with pytest.raises(calib.DataError, match="line 2, column 'joint_1': 'x' is not a number"):
+        calib.read_measurements(columns | {"joint_1 [deg]": [0.0, "x", *[0.0] * 78]}, t.robot)
+    with pytest.raises(calib.DataError, match="column 'joint_2 \\[deg\\]' has 3 cells, and others 80"):
+        calib.read_measurements(columns | {"joint_2 [deg]": [0.0] * 3}, t.robot)
+    with pytest.raises(calib.InputError, match="is a folder; the robot of a result is"):
+        calib.check(str(EXAMPLES), t.q)
+    with pytest.raises(calib.InputError, match="its ending does not say the format"):
+        t.fit.export("robot.yaml")
+
+
+def test_every_word_stands_once_in_its_place():
+    for place, rows in tables().items():
+        words = [word for row in rows for word in row.words]
+        assert len(words) == len(set(words)), (place, [word for word in words if words.count(word) > 1])
+
+
+def test_what_the_table_names_is_there(t):
+    of = {"fit": t.fit, "robot": t.robot, "data": t.data, "calib": calib}
+    for rows in tables().values():
+        for row in rows:
+            for owner, name in re.findall(r"\b(fit|robot|data|calib)\.(?!yaml|csv)([a-z_]+)", row.here):
+                assert hasattr(of[owner], name), row.here
+
+
+@pytest.mark.parametrize(
+    ("typed", "words"),
+    [
+        (["fit", ARM, READ, "--robust"], "--loss huber"),
+        (["fit", ARM, READ, "--output", "x"], "--out DIR"),
+        (["fit", ARM, READ, "--bounds", "1"], "there are no bounds"),
+        (["calibrate", ARM, READ], "calib fit ROBOT DATA --out DIR"),
+        (["plot", ARM], "calib view ROBOT"),
+    ],
+)
+def test_the_command_line_names_the_way(typed, words, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["calib", *typed])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    told = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert words in told
+    assert len(told.splitlines()) == 1
+
+
+def test_the_page_is_made_of_the_table(monkeypatch):
+    monkeypatch.syspath_prepend(str(EXAMPLES.parent / "site"))
+    make_words_page = importlib.import_module("make_words_page")
+    assert make_words_page.PAGE.read_text(encoding="utf-8") == make_words_page.page()

@@ -10,15 +10,15 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-# not quiet: the first time takes minutes, and pip's lines show what is being done
-PIP := $(BIN)/python -m pip install --disable-pip-version-check
+# quiet: pip says what is wrong, and nothing where it succeeds
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 COMPILE := $(BIN)/pip-compile --quiet --upgrade --strip-extras --no-header --no-emit-index-url --no-emit-find-links --no-emit-trusted-host
 JOBS ?= 2
 
 .PHONY: demo test test-processors test-search lint bench docs pictures pins ci-packages data clean
 
 demo: $(VENV)/.ready
-	$(BIN)/calib fit urdf/medrue.yaml docs/examples/medrue_simulated.csv --validate 0.8 --out out/demo
+	@$(BIN)/medrue demo --out out/demo
 
 test: $(VENV)/.ready-dev
 	@echo "The tests, in $(JOBS) processes. The first dots come after half a minute, the last after some minutes."
@@ -60,20 +60,20 @@ pins: $(VENV)/.ready-dev
 	$(COMPILE) --all-extras --constraint requirements-dev.txt --output-file requirements-ci.txt pyproject.toml
 
 ci-packages: $(VENV)/.ready-dev
-	@echo "Installing every optional tool into $(VENV)."
-	$(PIP) -r requirements-ci.txt
+	@echo "Installing every optional tool into $(VENV): several minutes."
+	@$(PIP) -r requirements-ci.txt
 
 $(VENV)/.ready: pyproject.toml requirements.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=..." >&2; exit 1; }
 	@echo "Installing what running needs into $(VENV): once, some minutes."
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(PIP) -r requirements.txt
-	$(PIP) --no-deps --editable .
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@$(PIP) -r requirements.txt
+	@$(PIP) --no-deps --editable .
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready requirements-dev.txt
 	@echo "Installing tests and linters into $(VENV)."
-	$(PIP) -r requirements-dev.txt
+	@$(PIP) -r requirements-dev.txt
 	@touch $@
 
 clean:

@@ -19,11 +19,15 @@ from calib.commands.common import Output, shared_options
 from calib.commands.program import run_program
 from calib.data.measurement_files import format_positions
 from calib.robots.loading import load
-from medrue import robot_file
+from medrue import measurement_file, robot_file
 from medrue.progress import Silent, TerminalBars
 
 if TYPE_CHECKING:
     from medrue.pages import Report
+
+
+_HELD_OUT = 0.8
+"""Part of the poses of the demonstration that only judges the result."""
 
 
 class NumberRange(click.FloatRange):
@@ -41,6 +45,35 @@ class NumberRange(click.FloatRange):
 @click.version_option(package_name="medrue", prog_name="medrue")
 def group() -> None:
     """MedRUE, and the studies of the paper that calibrates it."""
+
+
+@group.command("demo")
+@click.option(
+    "--out", default="out/demo", show_default=True, metavar="DIR", help="Folder to write the result to, as `calib fit`."
+)
+@shared_options(json_output=True)
+def demo_command(out: str, output: Output) -> None:
+    """Calibrate MedRUE from the simulated measurements that come with the program: the main job, start to end."""
+    from calib import fit, read_measurements
+    from calib.reporting.result_content import to_dict
+    from calib.reporting.results import RESULT_FILES
+
+    output.check(folders=(out,), names=RESULT_FILES)
+    robot = load(robot_file())
+    data = read_measurements(measurement_file(), robot)
+    with output.working(f"calibrating MedRUE from {len(data)} poses"):
+        result = fit(robot, data, validation=_HELD_OUT)
+        result.save(out, force=output.force)
+    output.json(to_dict(result))
+    output.say(result.summary())
+    after, before = (float(str(result.errors["validation"][state]["rms"])) for state in ("after", "before"))
+    used, held = len(result.identification.data), len(data) - len(result.identification.data)
+    output.say(
+        f"{used} of the {len(data)} simulated poses were used. At the other {held} the tool is off by {after:.3f} mm"
+        f" (root mean square) where it was off by {before:.2f} mm.\n"
+        f"Open {Path(out) / 'report.html'} for the report, and {Path(out) / 'viewer.html'} to look at the robot.\n"
+        "With a robot of your own: calib init YOUR.urdf --out robot.yaml"
+    )
 
 
 @group.command("poses")

@@ -86,3 +86,11 @@ def test_the_command_works_when_installed_elsewhere(installed, tmp_path):
     out = run("-m", "calib", "predict", robot, "q.csv", "--out", "p.csv", cwd=tmp_path, PYTHONPATH=str(installed))
     assert out == "1 pose written to p.csv\n"
     assert "tool_x [mm]" in (tmp_path / "p.csv").read_text()
+
+
+def test_the_demonstration_runs_anywhere_and_names_the_files_to_open(installed, tmp_path):
+    out = run("-c", "from medrue.cli import main; main()", "demo", cwd=tmp_path, PYTHONPATH=str(installed))
+    assert "Verdict: PASS" in out
+    told = next(line for line in out.splitlines() if line.startswith("Open "))
+    named = [Path(word) for word in told.replace(",", " ").split() if word.endswith(".html")]
+    assert [(tmp_path / path).is_file() for path in named] == [True, True]

@@ -214,3 +214,27 @@ def test_descriptions_of_real_robots_load(shared_data, tmp_path, run_calib, name
     run = run_calib("init", shared_data / name, "--out", "robot.yaml", cwd=tmp_path)
     assert run.code == 0, run.err
     assert len(calib.load(tmp_path / "robot.yaml").joint_names) in (6, 7)
+
+
+FILLED = {"tracker": "1.1,2.2,3.3", "touch": "a", "ballbar": "512.5"}
+
+
+@pytest.mark.parametrize("measure", ["tracker", "touch", "ballbar", "rosbag"])
+def test_a_way_to_measure_gives_a_description_that_loads_and_a_file_that_reads(tmp_path, run_calib, measure):
+    (tmp_path / "arm.urdf").write_text(ARM_URDF)
+    run = run_calib("init", "arm.urdf", "--measure", measure, "--out", "arm.yaml", cwd=tmp_path)
+    assert run.code == 0, run.err
+    robot = calib.load(tmp_path / "arm.yaml")
+    sheet = tmp_path / "arm_measurements.csv"
+    assert sheet.exists() == (measure != "rosbag")
+    if measure == "rosbag":
+        assert robot.instruments[0].name == "reflector"
+        return
+    assert "arm_measurements.csv" in run.out
+    with pytest.raises(calib.DataError, match="has a header but no rows"):
+        calib.read_measurements(sheet, robot)
+    joints = ",".join("10" for _ in robot.joint_names)
+    sheet.write_text(sheet.read_text() + f"1,{joints},{FILLED[measure]}\n")
+    data = calib.read_measurements(sheet, robot)
+    assert data.n_readings == 1
+    assert data.ignored == ()

@@ -134,7 +134,14 @@ def no_name_in_package(name: str, names: list[str]) -> UnknownNameError:
 
 
 def worded(function: Callable[P, R]) -> Callable[P, R]:
-    """Answer an argument that a function does not take with the one that is meant."""
+    """Answer an argument that a function does not take with the one that is meant.
+
+    Args:
+        function: The function.
+
+    Raises:
+        UnknownOptionError: From what is returned, where it is called with such an argument.
+    """
     parameters = signature(function).parameters
     known = [name for name in parameters if name != "self"]
     in_order = [name for name, one in parameters.items() if one.kind is not Parameter.KEYWORD_ONLY]

@@ -8,17 +8,20 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import click
+import yaml
 
 from calib.base.errors import DescriptionError, InputError
 from calib.base.files import write_files
 from calib.base.units import millimetres
 from calib.commands.common import Output, shared_options
 from calib.data.dh_files import read_dh
+from calib.data.measurement_columns import header
+from calib.data.tables import format_table
 from calib.robots.loading import describe, load
-from calib.robots.templates import TEMPLATES, description_text, loop_files, read_lengths
+from calib.robots.templates import MEASURES, TEMPLATES, Measure, description_text, loop_files, read_lengths
 from calib.robots.urdf.arm_chain import arm_chain
 from calib.robots.urdf.denavit_hartenberg import CONVENTIONS, LAST_LINK, urdf_text
-from calib.robots.urdf.text import parse_urdf, read_urdf
+from calib.robots.urdf.text import UrdfText, parse_urdf, read_urdf
 
 _LENGTHS = "; ".join(
     f"{name}: " + ", ".join(f"{key} {millimetres(value):g} mm" for key, value in template.lengths.items())
@@ -29,6 +32,11 @@ _LENGTHS = "; ".join(
 @click.command("init")
 @click.argument("urdf", required=False)
 @click.option("--target", metavar="NAME", help="Link that carries the measured point; the arm's end if not given.")
+@click.option(
+    "--measure",
+    type=click.Choice(tuple(MEASURES)),
+    help="How you measure: writes the instrument into the description, and beside it the file to fill in.",
+)
 @click.option("--dh", metavar="FILE", help="Denavit-Hartenberg table (CSV) in place of a URDF, which is then written.")
 @click.option("--convention", type=click.Choice(CONVENTIONS), help="Of the table, if it does not say it itself.")
 @click.option("--template", type=click.Choice(tuple(TEMPLATES)), help="A robot with loops in place of a URDF.")
@@ -46,6 +54,7 @@ _LENGTHS = "; ".join(
 def command(
     urdf: str | None,
     target: str | None,
+    measure: str | None,
     dh: str | None,
     convention: str | None,
     template: str | None,
@@ -64,6 +73,8 @@ def command(
         raise InputError("give a URDF, or a Denavit-Hartenberg table with --dh, or a --template; one of the three")
     if template and target:
         raise InputError("--target is for a URDF or a table; a template has its own targets")
+    if template and measure:
+        raise InputError("--measure is for a URDF or a table; a template has its own targets")
     if lengths and not template:
         raise InputError("--length is for a robot of --template")
     if convention and not dh:
@@ -80,17 +91,36 @@ def command(
         text = parse_urdf(urdf_text(read_dh(dh, convention), Path(dh).stem).encode(), str(beside))
     else:
         text = read_urdf(str(urdf))
-    output.check(out, *([str(beside)] if beside else []))
+    how = MEASURES[measure] if measure else None
+    sheet = Path(out).with_name(f"{Path(out).stem}_measurements.csv") if how and how.comments else None
+    output.check(out, *(str(file) for file in (beside, sheet) if file is not None))
     relative = os.path.relpath(Path(text.path).resolve(), Path(out).resolve().parent)
     chain = arm_chain(text, target or (LAST_LINK if dh else None))
-    description = description_text(text, describe(chain, relative), chain.remark).encode()
+    description = description_text(text, describe(chain, relative), chain.remark, measure).encode()
     files = {beside: text.source, Path(out): description} if beside else {Path(out): description}
+    if sheet and how:
+        files[sheet] = _empty_sheet(text, description.decode(), how).encode()
     write_files(files, force=output.force)
     if beside:
         output.say(f"{beside} written, from the table")
     output.say(f"{out} written; it works as it is, and its comments say what to change")
+    if sheet is not None:
+        output.say(f"{sheet} written, with the header for your measurements; then: calib check {out} {sheet}")
     if chain.remark:
         output.say(chain.remark)
+
+
+def _empty_sheet(urdf: UrdfText, description: str, measure: Measure) -> str:
+    """The header of the measurements of a robot, with what to know while they are taken above it."""
+    with TemporaryDirectory() as folder:  # only a loaded robot knows its columns
+        (Path(folder) / "robot.urdf").write_bytes(urdf.source)
+        said = yaml.safe_load(description) | {"urdf": "robot.urdf"}
+        (Path(folder) / "robot.yaml").write_text(yaml.safe_dump(said), encoding="utf-8")
+        robot = load(Path(folder) / "robot.yaml")
+    columns = ["pose", *(header(name, robot.mechanism.dimensions[name]) for name in robot.joint_names)]
+    for one in robot.instruments:
+        columns += [*(header(column.name, column.dimension) for column in one.columns()), *one.text_columns()]
+    return format_table([(column, ()) for column in dict.fromkeys(columns)], measure.comments)
 
 
 def _write_template(name: str, given: Sequence[str], urdf: Path, description: Path, output: Output) -> None:

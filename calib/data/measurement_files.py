@@ -88,7 +88,7 @@ def read_measurements(
 
 
 def sources(given: Source | Sequence[Source]) -> list[Source]:
-    """Return the tables that are given, one or several."""
+    """Return the tables that are given, one or several; what is no table is an `InputError`."""
     if isinstance(given, (str, Path)) or is_columns(given):
         return [given]
     several = list(cast(Sequence[Source], given))

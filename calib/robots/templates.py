@@ -33,15 +33,7 @@ urdf: {urdf}
 # closed_loop_axes: [[y, z]]
 # home: {{{home}}}                # an assembled configuration, needed with loops: every joint of them
 
-# The frame of the measurements: fixed to this link. 'unknown': found from the measurements (a tracker anywhere);
-# 'known': measurements are in this link's frame, or in one that sees it at `xyz: [..]`, `rpy: [..]`.
-base: {{frame: {base}, pose: unknown}}
-
-# What is measured: columns <name>_x, <name>_y, <name>_z. `xyz` is about where the point is on the link; add
-# `sigma: 10 mm` if you know how far off that may be, which helps where the last joints hardly turned.
-targets:
-  {target}: {{frame: {target}, xyz: [0 mm, 0 mm, 0 mm], position: unknown}}
-
+{measured}
 # What may be wrong, and by how much (sigma, one standard deviation). `all` means every joint origin that moves a
 # target; an entry with a joint's name overrides it. x, y, z: translation; rx, ry, rz: small rotations about the
 # joint frame's axes.
@@ -52,21 +44,132 @@ parametrisation:
 # held: [{example}.x]             # keep some at nominal
 # priors: false                   # let the measurements alone decide
 
+{sigma}# Columns of foreign files, and what they stand for.
+# columns: {{x1: "{column}_x [m]", j1: "{example} [deg]"}}
+"""
+_SIGMA = """\
 # Standard deviation of one measured coordinate; left out, it is found from the residuals.
 # sigma: 0.04 mm
 
-# Columns of foreign files, and what they stand for.
-# columns: {{x1: "{target}_x [m]", j1: "{example} [deg]"}}
+"""
+_BASE_ANYWHERE = """\
+# The frame of the measurements: fixed to this link. 'unknown': found from the measurements (a tracker anywhere);
+# 'known': measurements are in this link's frame, or in one that sees it at `xyz: [..]`, `rpy: [..]`.
+base: {{frame: {base}, pose: unknown}}
+"""
+_BASE_KNOWN = """\
+# Positions are told in the frame of this link. Nothing here sees where it stands in the room.
+base: {{frame: {base}}}
+"""
+_POINT = """\
+  # `xyz` is about where the point is on the link; `sigma`: how far off that may be.
+  {point}: {{frame: {target}, xyz: [0 mm, 0 mm, 0 mm], position: unknown, sigma: 20 mm}}
+"""
+_PLAIN = f"""{_BASE_ANYWHERE}
+# What is measured: columns <name>_x, <name>_y, <name>_z. `xyz` is about where the point is on the link; add
+# `sigma: 10 mm` if you know how far off that may be, which helps where the last joints hardly turned.
+targets:
+  {{target}}: {{{{frame: {{target}}, xyz: [0 mm, 0 mm, 0 mm], position: unknown}}}}
 """
 
 
-def description_text(urdf: UrdfText, description: Description, remark: str = "") -> str:
+@dataclass(frozen=True)
+class Measure:
+    """A way to measure: what a description says of it, and the file that it fills.
+
+    Attributes:
+        text: Base, targets and instruments, as the description has them.
+        point: Name of the measured point.
+        comments: What to know while the file is filled, line by line; none of what writes a file of its own.
+    """
+
+    text: str
+    point: str
+    comments: tuple[str, ...]
+
+
+MEASURES = {
+    "tracker": Measure(
+        f"""{_BASE_ANYWHERE}
+targets:
+{_POINT}
+# A laser tracker: columns <name>_x, _y, _z. Noise: along its beam, and the angle across it; or one number: 0.04 mm.
+instruments:
+  reflector: {{{{kind: position, target: reflector, sigma: {{{{range: 0.02 mm, angle: 0.01 mrad}}}}}}}}
+""",
+        "reflector",
+        (
+            "one row for each pose: joint values as the controller shows them, and what the tracker reads",
+            "write the units of your numbers in place of [mm] and [deg]; 60 poses or more, spread over all joints",
+        ),
+    ),
+    "touch": Measure(
+        f"""{_BASE_KNOWN}
+targets:
+  # The centre of the ball that sits in the sockets.
+{_POINT}
+# Sockets that stand somewhere on one plate: say where they are on it. Several, as far apart as you have them: their
+# known distances give the robot its scale.
+instruments:
+  probe:
+    kind: touch
+    target: ball
+    artefact:
+      frame: {{base}}
+      pose: unknown
+      points: {{{{a: [0 mm, 0 mm, 0 mm], b: [200 mm, 0 mm, 0 mm], c: [0 mm, 150 mm, 0 mm]}}}}
+      tolerance: 0.02 mm           # how well these distances are known
+""",
+        "ball",
+        (
+            "one row for each touch: joint values while the ball sits in a socket, and the name of the socket",
+            "20 or more in each socket, with the tool turned as differently as the robot can",
+        ),
+    ),
+    "ballbar": Measure(
+        f"""{_BASE_KNOWN}
+targets:
+  # The centre of the ball that moves with the robot.
+{_POINT}
+# A ballbar or a draw wire: column <name>_distance. `xyz` is about where its fixed end stands.
+instruments:
+  ballbar:
+    kind: distance
+    target: ball
+    end: {{{{frame: {{base}}, xyz: [500 mm, 0 mm, 0 mm], position: unknown, sigma: 500 mm}}}}
+    sigma: 0.005 mm
+""",
+        "ball",
+        (
+            "one row for each pose: joint values, and the distance of the ball from the fixed end",
+            "50 poses or more around the end; with other ends, add an instrument and its column for each",
+        ),
+    ),
+    "rosbag": Measure(
+        f"""{_BASE_ANYWHERE}
+targets:
+{_POINT}
+# Read from a ROS 2 bag: joints from sensor_msgs/JointState by their names, and the topic /reflector
+# (geometry_msgs/PointStamped, PoseStamped or TransformStamped) [m]. Of another topic, say under `columns` what its
+# columns are, such as vicon/tool_x: reflector_x. The robot must stand still at each reading; needs rosbags.
+instruments:
+  reflector: {{{{kind: position, target: reflector}}}}
+""",
+        "reflector",
+        (),
+    ),
+}
+"""What `calib init --measure` knows, by name."""
+
+
+def description_text(urdf: UrdfText, description: Description, remark: str = "", measure: str | None = None) -> str:
     """Return the YAML text of a plain URDF's description, with comments.
 
     Args:
         urdf: The URDF.
         description: What it stands for.
         remark: What to say about the joints that it leaves out.
+        measure: How is measured, of `MEASURES`; positions of the target if not given.
     """
     target = next(iter(description.targets))
     lengths, angles = default_sections()
@@ -82,6 +185,11 @@ def description_text(urdf: UrdfText, description: Description, remark: str = "")
         text = str(yaml.safe_dump([value], default_flow_style=True, allow_unicode=True, width=10**6))
         return text.strip()[1:-1]
 
+    how = None if measure is None else MEASURES[measure]
+    point = target if how is None else how.point
+    measured = (_PLAIN if how is None else how.text).format(
+        base=quoted(description.base.frame), target=quoted(target), point=point
+    )
     remark = " ".join(remark.split())
     lines = textwrap.wrap(remark[:1].upper() + remark[1:], 116, break_long_words=False, break_on_hyphens=False)
     return _TEXT.format(
@@ -90,8 +198,9 @@ def description_text(urdf: UrdfText, description: Description, remark: str = "")
         urdf=quoted(description.urdf),
         actuated=quoted(list(description.name_mot)),
         home=", ".join(f"{quoted(name)}: 0" for name in moving[:2]),
-        base=quoted(description.base.frame),
-        target=quoted(target),
+        measured=measured,
+        sigma=_SIGMA if how is None else "",
+        column=quoted(target) if how is None else point,
         joints=" ".join(", ".join(joints).split()),
         length=lengths.sigma,
         angle=angles.sigma,

@@ -24,6 +24,7 @@ EXAMPLES = {
     "calib solve": "calib solve out/arm targets.csv --out commands.csv",
     "calib compensate": "calib compensate docs/examples/arm.yaml program.csv --result out/arm --out corrected.csv",
     "calib export": "calib export out/arm --format mjcf --out arm.xml",
+    "medrue demo": "medrue demo --out out/demo",
     "medrue poses": "medrue poses --out poses.csv",
     "medrue study": "medrue study --out out/study",
     "medrue experiment": "medrue experiment --out out/experiment",

@@ -298,7 +298,5 @@ def _said(
             lines.append(expected_now(what, expected, unit) if kept else before_and_now(what, before, expected, unit))
     lines.append(of_frame(compensation.frame))
     if held_out is not None:
-        lines.append(
-            f"Measurements that the fit had not seen were off by {held_out:.4f} mm (rms), with their own noise"
-        )
+        lines.append(f"Poses that the fit did not use were off by {held_out:.4f} mm (rms), their noise included")
     return "\n".join(lines)

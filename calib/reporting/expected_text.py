@@ -8,10 +8,7 @@ from calib.base.arrays import FloatArray
 from calib.base.units import ERROR_UNIT, Dimension, error_scale
 from calib.using.expected_errors import ExpectedError
 
-COUNTED = (
-    "counted are the noise of the measurements and what they leave to the errors that the description expects, not what"
-    " the model leaves out"
-)
+COUNTED = "expected errors count measurement noise and the priors, not what the model leaves out"
 """What an expected error counts."""
 
 

@@ -65,7 +65,7 @@ def demo_command(out: str, output: Output) -> None:
         result = fit(robot, data, validation=_HELD_OUT)
         result.save(out, force=output.force)
     output.json(to_dict(result))
-    output.say(result.summary())
+    output.say(result.report())
     after, before = (float(str(result.errors["validation"][state]["rms"])) for state in ("after", "before"))
     used, held = len(result.identification.data), len(data) - len(result.identification.data)
     output.say(

@@ -46,9 +46,9 @@ def text_report(fit: Fit, width: int = 120, *, verbose: bool = False) -> str:
 
 
 def summary(fit: Fit, width: int = 120) -> str:
-    """Return verdict and accuracy before and after: the beginning of `text_report`."""
+    """Return verdict and errors before and after: the beginning of `text_report`."""
     head = f"Calibration of {fit.nominal.name} ({fit.nominal.path})"
-    return plain_text([head, *verdict_lines(judge(fit), _MOST_REASONS), *_accuracy(fit)], width, wrap=True)
+    return plain_text([head, *verdict_lines(judge(fit), _MOST_REASONS), "", _change(fit)], width, wrap=True)
 
 
 def verdict_lines(verdict: Verdict, most: int | None = None) -> list[str]:

@@ -1,6 +1,8 @@
 """`calib init`: the description that it writes loads and works as it is, whatever the names in the URDF."""
 
+import json
 import re
+from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -238,3 +240,17 @@ def test_a_way_to_measure_gives_a_description_that_loads_and_a_file_that_reads(t
     data = calib.read_measurements(sheet, robot)
     assert data.n_readings == 1
     assert data.ignored == ()
+
+
+def test_the_schema_takes_what_descriptions_say_and_refuses_a_misspelt_key(tmp_path, run_calib):
+    jsonschema = pytest.importorskip("jsonschema")
+    assert run_calib("init", "--schema", "--out", "robot.schema.json", cwd=tmp_path).code == 0
+    schema = json.loads((tmp_path / "robot.schema.json").read_text())
+    validator = jsonschema.Draft202012Validator(schema)
+    root = Path(__file__).parents[1]
+    for path in (*(root / "docs" / "examples").glob("*.yaml"), *(root / "urdf").glob("*.yaml")):
+        said = yaml.safe_load(path.read_text())
+        assert list(validator.iter_errors(said)) == [], path
+        assert list(validator.iter_errors(said | {"name_motor": []}))
+        assert list(validator.iter_errors(said | {"priors": "perhaps"}))
+    assert run_calib("init", "arm.urdf", "--schema", "--out", "x.json", cwd=tmp_path).code == 2

@@ -35,7 +35,7 @@ def _reader(dimension: Dimension) -> BeforeValidator:
         except InputError as error:
             raise ValueError(str(error).removeprefix("value: ")) from None
 
-    return BeforeValidator(read)
+    return BeforeValidator(read, json_schema_input_type=float | str)
 
 
 def _number_or_text(value: Any) -> float | str:
@@ -48,7 +48,7 @@ Length = Annotated[float, _reader("length")]
 Angle = Annotated[float, _reader("angle")]
 PositiveLength = Annotated[Length, Field(gt=0)]
 PositiveAngle = Annotated[Angle, Field(gt=0)]
-Quantity = Annotated[float | str, PlainValidator(_number_or_text)]
+Quantity = Annotated[float | str, PlainValidator(_number_or_text, json_schema_input_type=float | str)]
 """A number, or text with a unit, whose dimension is known only later."""
 
 

@@ -41,6 +41,8 @@ ERROR_UNIT: dict[Dimension, str] = DISPLAY_UNIT | {"angle": "mrad"}
 """Units of errors."""
 _QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z°µ\u03bc]*)\s*$")
 _COLUMN = re.compile(r"^\s*(?P<name>.*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*$", re.DOTALL)
+_IN_ROUND = re.compile(r"^(?P<name>.*?\S)\s*\(\s*(?P<unit>[^()]*?)\s*\)$", re.DOTALL)
+_UNITS = {*_SIGNS, *(unit for units in PER_SI.values() for unit in units if unit != "1")}
 _SMALLEST, _LARGEST = 1e-30, 1e9  # [SI]
 
 
@@ -108,14 +110,19 @@ def in_si(value: Number | str, dimension: Dimension, where: str) -> Number | flo
 def split_column(header: str) -> tuple[str, str | None]:
     """Split the column header `name [unit]` into name and unit (None where there is none).
 
-    The unit is the last pair of brackets: a joint named `joint[1]` needs its unit written, `joint[1] [rad]`.
+    The unit is the last pair of brackets: a joint named `joint[1]` needs its unit written, `joint[1] [rad]`. Round ones
+    count where there is a unit in them, as other programs write it.
 
-    >>> split_column("tool_x [mm]")
-    ('tool_x', 'mm')
+    >>> split_column("tool_x [mm]"), split_column("tool_x (mm)"), split_column("joint (left)")
+    (('tool_x', 'mm'), ('tool_x', 'mm'), ('joint (left)', None))
     """
     match = _COLUMN.match(header)
     assert match is not None  # the pattern takes any text
-    return match.group("name"), match.group("unit")
+    name, unit = match.group("name"), match.group("unit")
+    round_ones = _IN_ROUND.match(name) if unit is None else None
+    if round_ones is not None and round_ones.group("unit") in _UNITS:
+        return round_ones.group("name"), round_ones.group("unit")
+    return name, unit
 
 
 def error_scale(dimension: Dimension) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import logging
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -142,6 +143,7 @@ def shared_options(
             *args: Any, quiet: bool, debug: bool, force: bool, json_target: str | None = None, **options: Any
         ) -> None:
             output = Output(quiet, json_target, force)
+            _tell_warnings(quiet)
             try:
                 with inputs_noted():
                     output.check()
@@ -180,6 +182,21 @@ def shared_options(
         return run
 
     return decorate
+
+
+class _ToStandardError(logging.Handler):
+    """Prints what the library warns of, in one line, as other notes."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print it."""
+        click.echo(f"note: {record.getMessage()}", err=True)
+
+
+def _tell_warnings(quiet: bool) -> None:
+    """Print warnings of the library to standard error, unless nothing but errors is to be printed."""
+    log = logging.getLogger("calib")
+    log.handlers = [logging.NullHandler() if quiet else _ToStandardError(logging.WARNING)]
+    log.propagate = False
 
 
 def jobs_option(shared: str, default: int = 1) -> Callable[[Callable[..., None]], Callable[..., None]]:

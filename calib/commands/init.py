@@ -17,6 +17,7 @@ from calib.commands.common import Output, shared_options
 from calib.data.dh_files import read_dh
 from calib.data.measurement_columns import header
 from calib.data.tables import format_table
+from calib.robots.description import schema_text
 from calib.robots.loading import describe, load
 from calib.robots.templates import MEASURES, TEMPLATES, Measure, description_text, loop_files, read_lengths
 from calib.robots.urdf.arm_chain import arm_chain
@@ -48,6 +49,9 @@ _LENGTHS = "; ".join(
     help=f"Of the template, such as rod=300mm; once for each. Names and defaults are: {_LENGTHS}.",
 )
 @click.option(
+    "--schema", is_flag=True, help="Write the JSON schema of robot descriptions instead, with which editors check them."
+)
+@click.option(
     "--out", required=True, metavar="FILE", help="YAML file to write; the URDF of --dh or --template goes beside it."
 )
 @shared_options()
@@ -59,6 +63,7 @@ def command(
     convention: str | None,
     template: str | None,
     lengths: tuple[str, ...],
+    schema: bool,
     out: str,
     output: Output,
 ) -> None:
@@ -69,6 +74,13 @@ def command(
     units, one row for each joint. With --template it writes the URDF, cut open, and the
     description of a robot with loops, which --length fits to yours.
     """
+    if schema:
+        if urdf or dh or template:
+            raise InputError("--schema is the same for all robots; give nothing but --out")
+        output.check(out)
+        write_files({Path(out): schema_text().encode()}, force=output.force)
+        output.say(f"{out} written; first line of a description: # yaml-language-server: $schema={Path(out).name}")
+        return
     if sum(given is not None for given in (urdf, dh, template)) != 1:
         raise InputError("give a URDF, or a Denavit-Hartenberg table with --dh, or a --template; one of the three")
     if template and target:

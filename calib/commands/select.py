@@ -23,7 +23,7 @@ from calib.commands.next_steps import after_select
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Measurements, Poses
 from calib.data.plan_files import plan_of_table, read_pose_files
-from calib.data.tables import read_table
+from calib.data.robot_tables import read_robot_table
 from calib.pictures import figures
 from calib.planning.instrument_choice import ALL, EACH
 from calib.planning.selection import select
@@ -122,7 +122,7 @@ def command(
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
     model = with_values(loaded(robot, output), parameters, result)
     result = folder_of_values(robot, parameters, result)
-    table = read_table(candidates, model.description.columns, any_size=True)
+    table = read_robot_table(candidates, model, any_size=True)
     poses = read_pose_files((candidates,), model, table)
     done = None if measured is None else read_pose_files((measured,), model)
     if parameters is None and result is None:

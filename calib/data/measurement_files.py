@@ -22,7 +22,8 @@ from calib.data.instrument_cells import columns_in, concatenated, named_columns,
 from calib.data.measurement_columns import APPROACH, CONTEXT, header, shown
 from calib.data.measurements import Measurements, Poses, check_repeats, measurements
 from calib.data.on_demand import Numbered, Packed
-from calib.data.tables import Source, Table, format_table, is_columns, read_table
+from calib.data.robot_tables import read_robot_table
+from calib.data.tables import Source, Table, format_table, is_columns
 from calib.instruments.kind import Instrument, Readings
 from calib.robots.robot import Robot
 
@@ -33,7 +34,7 @@ def read_poses(path: Source, robot: Robot) -> Poses:
     Raises:
         DataError: The message names file, line and column.
     """
-    table = read_table(path, robot.description.columns)
+    table = read_robot_table(path, robot)
     return poses_of_table(table, robot, used=set())
 
 
@@ -56,7 +57,7 @@ def read_measurements(
     for k, again in enumerate(paths):
         if files[k] is not None and files[k] in files[:k]:
             raise DataError(f"{again}: is given twice, so that every reading would count as two; give it once")
-    tables = [read_table(one, robot.description.columns, growing=growing) for one in paths]
+    tables = [read_robot_table(one, robot, growing=growing) for one in paths]
     with_joints = [table for table in tables if len(tables) == 1 or set(robot.joint_names) <= set(table.names)]
     if not with_joints:
         joints = ", ".join(robot.joint_names)

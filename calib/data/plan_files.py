@@ -17,7 +17,8 @@ from calib.base.errors import DataError, nearest
 from calib.data.instrument_cells import columns_in
 from calib.data.measurement_files import poses_of_table, read_measurements
 from calib.data.measurements import Poses, check_repeats, in_setups
-from calib.data.tables import Source, Table, read_table
+from calib.data.robot_tables import read_robot_table
+from calib.data.tables import Source, Table
 from calib.instruments.kind import Instrument, Readings
 from calib.robots.robot import Robot
 
@@ -36,7 +37,7 @@ def read_plan(path: Path | str, robot: Robot) -> Poses:
     Raises:
         DataError: The message names file, line and column.
     """
-    return plan_of_table(read_table(path, robot.description.columns), robot)
+    return plan_of_table(read_robot_table(path, robot), robot)
 
 
 def plan_of_table(table: Table, robot: Robot) -> Poses:
@@ -68,7 +69,7 @@ def read_pose_files(paths: Sequence[Source], robot: Robot, table: Table | None =
     """
     if len(paths) > 1:
         return read_measurements(paths, robot)
-    table = read_table(paths[0], robot.description.columns) if table is None else table
+    table = read_robot_table(paths[0], robot) if table is None else table
     measured = _measured(table, robot)
     if np.all(measured) or (np.any(measured) and INSTRUMENT not in table.names and _repeats(table)):
         return read_measurements(paths, robot)

@@ -7,6 +7,7 @@ of Pinocchio's toolbox-parallel-robots. Lengths and angles are SI, or text with 
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -211,6 +212,13 @@ def read_description(path: Path | str) -> Description:
             f"{path}: is not a mapping of keys to values; `calib init URDF` writes one to start from"
         )
     return checked_description(content, path)
+
+
+def schema_text() -> str:
+    """Return the JSON schema of robot descriptions, for editors, made of the same classes that read them."""
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **Description.model_json_schema()}
+    text = json.dumps(schema, indent=1) + "\n"
+    return text.replace('"oneOf":', '"anyOf":')  # entries of several kinds are told apart by a key that all have
 
 
 def checked_description(content: Mapping[str, Any], where: Path | str) -> Description:

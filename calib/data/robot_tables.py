@@ -1,0 +1,92 @@
+"""Tables of a robot whose columns other programs have named: `J1 (deg)` ... `J6 (deg)`, `X (mm)`, `Y (mm)`, `Z (mm)`.
+
+Columns are taken for joints where no joint has a column of its name, and there is one for each: of the same letters and
+figures (`Joint 1` for `joint_1`), or numbered from 1. Columns X, Y, Z are the position that is read, where one
+instrument reads positions and has no columns. A column needs its unit in the header for that, because nobody knows
+whether a robot's program writes degrees. What was guessed is told, as a warning of the logger `calib`; under `columns`
+a robot description says what files call their columns, and then nothing is guessed.
+"""
+
+from __future__ import annotations
+
+import functools
+import logging
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+
+from calib.base.errors import DataError
+from calib.data.tables import Source, Table, read_table
+from calib.instruments.position import Position
+from calib.robots.robot import Robot
+
+_LOG = logging.getLogger("calib")
+_NUMBERED = re.compile(r"(?:j|a|q|ax|axis|joint|theta|motor)0*(\d+)")
+_AXES = ("x", "y", "z")
+
+
+def read_robot_table(
+    source: Source, robot: Robot, *, growing: Sequence[str] | None = None, any_size: bool = False
+) -> Table:
+    """Read a table (`calib.data.tables.read_table`), its columns called as the robot's.
+
+    Args:
+        source: The file or the table in memory.
+        robot: The robot.
+        growing: Of a file that somebody still writes, its lines so far.
+        any_size: As in `read_table`.
+
+    Raises:
+        DataError: What `read_table` raises; or a column that would be guessed has no unit.
+    """
+    table = read_table(source, robot.description.columns, growing=growing, any_size=any_size)
+    guessed = _joints(robot, table) | _positions(robot, table)
+    if not guessed:
+        return table
+    bare = next((name for name in guessed if table.units[table.names.index(name)] is None), None)
+    if bare is not None:
+        raise DataError(
+            f"{table.path}, column '{bare}': looks like '{guessed[bare]}', but has no unit; write it into the header,"
+            f" such as '{bare} [deg]' or '{bare} [mm]', or call the column '{guessed[bare]}'"
+        )
+    told = ", ".join(f"{name} for {meant}" for name, meant in guessed.items())
+    _tell(table.path, told)
+    return replace(table, names=tuple(guessed.get(name, name) for name in table.names))
+
+
+@functools.lru_cache(maxsize=64)
+def _tell(path: str, told: str) -> None:
+    """Warn of a guess, once for each file."""
+    _LOG.warning("%s: took columns %s; `columns` in the robot description says what they really are", path, told)
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\W_]", "", name.casefold())
+
+
+def _joints(robot: Robot, table: Table) -> dict[str, str]:
+    """Columns that stand for joints, and these; none if one joint has its column, or not all have one."""
+    joints = robot.joint_names
+    if set(joints) & set(table.names):
+        return {}
+    same = {name: joint for joint in joints for name in table.names if _plain(name) == _plain(joint)}
+    if sorted(same.values()) == sorted(joints):
+        return same
+    numbers = {name: int(found.group(1)) for name in table.names if (found := _NUMBERED.fullmatch(_plain(name)))}
+    if sorted(numbers.values()) != list(range(1, len(joints) + 1)):
+        return {}
+    ends = [re.search(r"(\d+)\D*$", joint) for joint in joints]
+    own = [int(end.group(1)) for end in ends if end is not None]
+    order = own if sorted(own) == list(range(1, len(joints) + 1)) else list(range(1, len(joints) + 1))
+    return {name: joints[order.index(number)] for name, number in numbers.items()}
+
+
+def _positions(robot: Robot, table: Table) -> dict[str, str]:
+    """Columns X, Y, Z, and the coordinates that they stand for; none where it is not plain whose they are."""
+    reading = [one for one in robot.instruments if isinstance(one, Position)]
+    units = dict(zip(table.names, table.units, strict=True))
+    found = {name: _plain(name) for name in table.names if _plain(name) in _AXES and units[name]}
+    columns = [column.name for column in reading[0].columns()] if len(reading) == 1 else []
+    if sorted(found.values()) != list(_AXES) or not columns or set(columns) & set(table.names):
+        return {}
+    return {name: columns[_AXES.index(axis)] for name, axis in found.items()}

@@ -1,0 +1,90 @@
+"""Tables that other programs wrote: units in round brackets, joints by number, X, Y and Z."""
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib
+from calib.data import robot_tables
+
+EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return calib.load(EXAMPLES / "arm.yaml")
+
+
+@pytest.fixture(scope="module")
+def data(robot):
+    return calib.read_measurements(EXAMPLES / "arm_simulated.csv", robot)
+
+
+@pytest.fixture(autouse=True)
+def untold():
+    robot_tables._tell.cache_clear()
+
+
+def renamed(data, names):
+    """The table of measurements under other names."""
+    return {names.get(name, name): cells for name, cells in data.columns().items()}
+
+
+def foreign(joint, axis):
+    return {f"joint_{k} [deg]": joint.format(k) for k in range(1, 7)} | {
+        f"reflector_{a} [mm]": axis.format(a) for a in "xyz"
+    }
+
+
+@pytest.mark.parametrize(
+    ("joint", "axis"),
+    [
+        ("joint_{} (deg)", "reflector_{} (mm)"),
+        ("J{} (°)", "X_{} (mm)"),
+        ("A{} [deg]", "{} [mm]"),
+        ("Axis {} (deg)", "{}(mm)"),
+        ("Joint-{} [ deg ]", "{} [mm]"),
+    ],
+)
+def test_columns_of_other_programs_are_read_as_what_they_are(robot, data, caplog, joint, axis):
+    axis = axis.replace("X_{}", "{}").upper() if "X_" in axis else axis
+    with caplog.at_level(logging.WARNING, logger="calib"):
+        logging.getLogger("calib").propagate = True
+        found = calib.read_measurements(renamed(data, foreign(joint, axis.replace("(MM)", "(mm)"))), robot)
+    np.testing.assert_allclose(found.joints, data.joints, atol=1e-15)
+    np.testing.assert_allclose(found.points(), data.points(), atol=1e-15)
+    assert bool(caplog.records) == ("joint_" not in joint)
+    for record in caplog.records:
+        assert "for joint_1" in record.getMessage()
+
+
+def test_numbers_go_to_the_joint_that_has_them_whatever_its_place(data):
+    robot = calib.robot(EXAMPLES / "arm.urdf", motors=[f"joint_{k}" for k in (2, 1, 3, 4, 5, 6)], target="flange")
+    found = calib.read_poses(renamed(data, foreign("J{} [deg]", "{}")), robot)
+    np.testing.assert_allclose(found.joints, data.joints[:, [1, 0, 2, 3, 4, 5]], atol=1e-15)
+
+
+def test_a_guess_without_a_unit_is_refused(robot, data):
+    with pytest.raises(calib.DataError, match="column 'J1': looks like 'joint_1', but has no unit"):
+        calib.read_measurements(renamed(data, foreign("J{}", "{} [mm]")), robot)
+
+
+def test_too_few_or_doubtful_columns_are_not_guessed(robot, data):
+    names = foreign("J{} [deg]", "{} [mm]")
+    with pytest.raises(calib.DataError, match="no column 'joint_1'"):
+        calib.read_measurements(renamed(data, names | {"joint_6 [deg]": "J7 [deg]"}), robot)
+    with pytest.raises(calib.DataError, match="no column 'joint_2'"):
+        calib.read_measurements(renamed(data, names | {"joint_1 [deg]": "joint_1 [deg]"}), robot)
+
+
+def test_the_command_line_tells_a_guess_in_one_line(data, tmp_path, run_calib):
+    rows = renamed(data, foreign("J{} (deg)", "{} (mm)"))
+    lines = [",".join(rows), *(",".join(map(str, row)) for row in zip(*rows.values(), strict=True))]
+    (tmp_path / "foreign.csv").write_text("\n".join(lines) + "\n")
+    run = run_calib("check", EXAMPLES / "arm.yaml", "foreign.csv", cwd=tmp_path)
+    assert run.code == 0
+    assert run.err.startswith("note: foreign.csv: took columns J1 for joint_1, J2 for joint_2")
+    assert run.err.count("took columns") == 1
+    assert run_calib("check", EXAMPLES / "arm.yaml", "foreign.csv", "--quiet", cwd=tmp_path).err == ""

@@ -25,6 +25,9 @@ _COMMANDS = {
     "verify": ("calib.commands.verify", "Judge a calibrated robot by new measurements."),
     "export": ("calib.commands.export", "Write the robot in formats of other programs."),
     "watch": ("calib.commands.watch", "Follow a file while a robot is measured."),
+    "detect": ("calib.commands.detect", "Find a printed board in photographs."),
+    "board": ("calib.commands.boards", "Write a board to print."),
+    "hand-eye": ("calib.commands.hand_eye", "Find where a camera is, from photographs of a board."),
 }
 """The module of each command, and what it does, for the list of commands, which imports none of them."""
 

@@ -16,14 +16,14 @@ The package rosbags reads them, without ROS. It is not needed for anything else.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from calib.base.arrays import FloatArray, IntArray
+from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.base.errors import DataError
 from calib.base.words import counted
 
@@ -121,7 +121,7 @@ def _series(path: Path | str) -> tuple[dict[str, _Series], dict[str, _Series]]:
     joints: dict[str, _Series] = {}
     places: dict[str, _Series] = {}
     source: dict[str, str] = {}
-    for topic, kind, recorded, message in _messages(path):
+    for topic, kind, recorded, message in _messages(path, (_JOINTS, *_PLACES)):
         if kind != _JOINTS:
             at, turned = _PLACES[kind](message)
             rotation = () if turned is None else (turned.x, turned.y, turned.z, turned.w)
@@ -137,8 +137,40 @@ def _series(path: Path | str) -> tuple[dict[str, _Series], dict[str, _Series]]:
     return joints, places
 
 
-def _messages(path: Path | str) -> Iterator[tuple[str, str, float, Any]]:
-    """Topic, type, time [s] and message of all that is read."""
+def messages_of_bag(path: Path | str, kinds: Sequence[str]) -> Iterator[tuple[str, str, float, Any]]:
+    """Yield topic, type, time [s] and message of all messages of some types that have a header.
+
+    Time is that of the header; that of the recording where it has none.
+
+    Raises:
+        DataError: The package rosbags is missing, or the bag cannot be read.
+    """
+    for topic, kind, recorded, message in _messages(path, kinds):
+        stamp = message.header.stamp.sec + message.header.stamp.nanosec / 1e9
+        yield topic, kind, stamp if stamp > 0 else recorded, message
+
+
+def joints_of_bag(path: Path | str, times: FloatArray) -> tuple[list[str], FloatArray, BoolArray]:
+    """Return names of joints, their values at times (n,) [s], (n, n_joints), and whether the robot stood still, (n,).
+
+    Raises:
+        DataError: The package rosbags is missing, or the bag cannot be read.
+    """
+    joints: dict[str, tuple[list[float], list[float]]] = {}
+    for _, _, at, message in messages_of_bag(path, (_JOINTS,)):
+        for name, value in zip(message.name, message.position, strict=False):
+            joints.setdefault(name, ([], []))[0].append(at)
+            joints[name][1].append(float(value))
+    series = []
+    for stamps, values in joints.values():
+        order = np.argsort(stamps, kind="stable")
+        series.append((np.array(stamps)[order], np.array(values)[order][:, None]))
+    q, spread = _joints_at(times, series)
+    return list(joints), q, (spread <= _STILL) & bool(joints)
+
+
+def _messages(path: Path | str, kinds: Sequence[str]) -> Iterator[tuple[str, str, float, Any]]:
+    """Topic, type, time of recording [s] and message of all messages of some types."""
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -150,7 +182,7 @@ def _messages(path: Path | str) -> Iterator[tuple[str, str, float, Any]]:
         raise DataError(f"{path}: no such file; give a CSV file or a bag")
     try:
         with AnyReader([Path(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            wanted = [one for one in reader.connections if one.msgtype == _JOINTS or one.msgtype in _PLACES]
+            wanted = [one for one in reader.connections if one.msgtype in kinds]
             for connection, recorded, raw in reader.messages(wanted) if wanted else ():
                 message = reader.deserialize(raw, connection.msgtype)
                 yield connection.topic, connection.msgtype, recorded / 1e9, message

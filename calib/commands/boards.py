@@ -1,0 +1,77 @@
+"""`calib board`: a board to print; and how boards are given to commands."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from calib.base.errors import InputError, nearest
+from calib.base.files import write_files
+from calib.base.sections import read_yaml
+from calib.commands.common import Output, shared_options
+from calib.instruments.board import BOARD_KINDS, Board, checked_board
+from calib.photographs.printing import FORMATS, PAPERS, page
+
+_SHORT = {
+    "charuco": ("columns", "rows", "square", "marker", "dictionary"),
+    "chessboard": ("columns", "rows", "square"),
+    "circles": ("columns", "rows", "spacing"),
+    "aruco": ("columns", "rows", "marker", "gap", "dictionary"),
+    "apriltag": ("columns", "rows", "marker", "gap", "dictionary"),
+}
+_HELP = (
+    "The board: a YAML file (kind, columns, rows, square, marker, dictionary), or in short charuco:7x5:30mm:22mm:DICT_5X5_100"
+    " (squares, side, marker), chessboard:9x6:25mm (squares, not inner corners), circles:4x11:20mm,"
+    " aruco:4x3:40mm:10mm:DICT_4X4_50, apriltag:4x3:40mm:10mm (markers, side, gap)."
+)
+board_option = click.option("--board", required=True, metavar="FILE|TEXT", help=_HELP)
+"""The option that says which board it is."""
+
+
+def given_board(text: str) -> Board:
+    """Return the board of a file, or of its short form.
+
+    Raises:
+        InputError: It is neither.
+        DescriptionError: A key is missing or wrong.
+    """
+    kind, colon, rest = text.partition(":")
+    if Path(text).suffix.lower() in (".yaml", ".yml") or Path(text).is_file():
+        content = read_yaml(text)
+        inner = content.get("board") if isinstance(content, dict) else None
+        return checked_board(inner if isinstance(inner, dict) else content, text)
+    if not colon and kind not in BOARD_KINDS:
+        raise InputError(f"--board {text}: is neither a YAML file nor a kind{nearest(kind, BOARD_KINDS)}")
+    if kind not in _SHORT:
+        raise InputError(f"--board {text}: unknown kind '{kind}'{nearest(kind, BOARD_KINDS)}")
+    keys = _SHORT[kind]
+    counts, *values = rest.split(":")
+    columns, times, rows = counts.partition("x")
+    optional = kind == "apriltag" and len(values) == len(keys) - 3
+    if not (times and columns.isdigit() and rows.isdigit()) or not (len(values) == len(keys) - 2 or optional):
+        raise InputError(f"--board {text}: write it as {kind}:COLUMNSxROWS:{':'.join(key.upper() for key in keys[2:])}")
+    return checked_board(
+        {"kind": kind, "columns": int(columns), "rows": int(rows)} | dict(zip(keys[2:], values, strict=False)),
+        f"--board {text}",
+    )
+
+
+@click.command("board")
+@board_option
+@click.option("--paper", type=click.Choice(sorted(PAPERS)), help="Page to print on; as large as the board if not given.")
+@click.option("--out", required=True, metavar="FILE", help="PDF or SVG file to write.")
+@shared_options()
+def command(board: str, paper: str | None, out: str, output: Output) -> None:
+    """Write a board to print, in true size, with a ruler to check the print.
+
+    The same board describes the photographs (calib detect, calib hand-eye) and the points in a robot description.
+    """
+    form = Path(out).suffix.lower().removeprefix(".")
+    if form not in FORMATS:
+        raise InputError(f"{out}: the name of a page to print ends in .pdf or .svg")
+    described = given_board(board)
+    output.check(out)
+    content = page(described, form, paper)
+    write_files({Path(out): content}, comment="%" if form == "pdf" else "", force=output.force)
+    output.say(f"{out} written: {described}; print it at 100 % and measure the ruler")

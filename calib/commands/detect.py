@@ -1,0 +1,148 @@
+"""`calib detect`: where the points of a printed board are in photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+import numpy as np
+
+from calib.base.errors import DataError, InputError
+from calib.base.files import write_files
+from calib.base.words import counted
+from calib.commands.boards import board_option, given_board
+from calib.commands.common import Output, shared_options
+from calib.data.tables import format_table
+from calib.instruments.board import Board
+from calib.photographs.coverage import LITTLE, image_coverage
+from calib.photographs.detection import Detection, Found, detect
+from calib.photographs.images import Shot, joint_columns, shots
+from calib.photographs.pages import Picture, page, small_copy
+
+
+@click.command("detect")
+@click.argument("images", nargs=-1, required=True)
+@board_option
+@click.option("--topic", metavar="NAME", help="Of the images in a ROS 2 bag, where it has several.")
+@click.option(
+    "--columns", metavar="NAME", default="camera", show_default=True, help="How the columns are called: NAME_u, NAME_v."
+)
+@click.option("--page", "page_file", metavar="FILE", help="HTML page that shows what was found in each image.")
+@click.option("--out", required=True, metavar="FILE", help="CSV file to write: pose, point, and its pixels.")
+@shared_options(json_output=True)
+def command(
+    images: tuple[str, ...],
+    board: str,
+    topic: str | None,
+    columns: str,
+    page_file: str | None,
+    out: str,
+    output: Output,
+) -> None:
+    """Find a printed board in IMAGES: files, a folder, a pattern such as 'shots/*.png', or a ROS 2 bag.
+
+    Each image is a pose of its own, called by the name of its file. From a bag come the joint values of that moment
+    too, where the robot stood still. An image without a board is told in one line, and the rest goes on.
+    """
+    described, every = given_board(board), shots(images, topic)
+    output.check(out, page_file)
+    found, small = detected(described, every, output, pictures=page_file is not None)
+    if not found.usable:
+        raise DataError(f"no board in any of {counted(len(every), 'image')}: {found.images[0].remark}")
+    output.write(out, pixel_table(found, every, columns))
+    lines = summary(found)
+    if page_file:
+        pictures = [
+            Picture(one, copy, one.remark or counted(len(one.points), "point"), not one.usable)
+            for one, copy in zip(found.images, small, strict=True)
+        ]
+        write_files({Path(page_file): page(f"Photographs of a {found.board}", lines, pictures).encode()}, force=output.force)
+    for line in lines:
+        output.say(line)
+    output.say(f"Written to {out}")
+    output.json(content(found))
+
+
+def detected(
+    board: Board, every: Sequence[Shot], output: Output, *, pictures: bool
+) -> tuple[Detection, list[bytes]]:
+    """Find a board in images, telling of each that has none; return small copies too, if they are wanted."""
+    small: list[bytes] = []
+
+    def read() -> object:
+        for one in every:
+            image = one.read()
+            small.append(small_copy(image) if pictures else b"")
+            yield one.name, image
+
+    result: Detection | None = None
+    with output.working("looking for the board") as progress:
+        for k, step in enumerate(detect(board, read())):  # type: ignore[arg-type]
+            if isinstance(step, Detection):
+                result = step
+            else:
+                progress(k + 1, len(every))
+    if result is None:
+        raise InputError("no images")
+    for one in result.images:
+        if one.remark:
+            output.note(f"{'note' if one.usable else 'left out'}: {one.name}: {one.remark}")
+    return result, small
+
+
+def pixel_table(found: Detection, every: Sequence[Shot], columns: str) -> str:
+    """Return what was found as a table: one row for each point."""
+    own = {one.name: one for one in every}
+    usable = found.usable
+    names, joints = joint_columns([own[one.name] for one in usable])
+    counts = [len(one.points) for one in usable]
+    pixels = np.concatenate([one.pixels for one in usable])
+    table: list[tuple[str, Sequence[object]]] = [
+        ("pose", [one.name for one in usable for _ in one.points]),
+        ("point", [point for one in usable for point in one.points]),
+        (f"{columns}_u", [round(float(value), 4) for value in pixels[:, 0]]),
+        (f"{columns}_v", [round(float(value), 4) for value in pixels[:, 1]]),
+    ]
+    table += [(name, [repr(float(value)) for value in np.repeat(joints[:, k], counts)]) for k, name in enumerate(names)]
+    width, height = usable[0].size
+    return format_table(table, (f"image: {width} x {height} px", f"board: {found.board}"))
+
+
+def summary(found: Detection) -> list[str]:
+    """Return in words what was found, and what is too little."""
+    usable, whole = found.usable, len(found.board.points())
+    lines = [
+        f"{counted(found.n_points, 'point')} in {len(usable)} of {counted(len(found.images), 'image')}"
+        f" ({found.board}; {sum(len(one.points) == whole for one in usable)} show the whole board)"
+    ]
+    if found.board.kind == "charuco" and found.board.legacy:
+        lines.append("The board has the layout of OpenCV before 4.6 (legacy: true)")
+    sizes = {one.size for one in usable}
+    if len(sizes) > 1:
+        lines.append(f"Images have {len(sizes)} sizes: one camera with one lens has one; sort them")
+    seen = coverage(usable)
+    lines.append(f"The board was seen in {100 * seen:.0f} % of the image")
+    if seen < LITTLE:
+        lines.append(
+            "That is too little to find the lens: bring the board into the corners and edges of the image, near and far"
+        )
+    return lines
+
+
+def coverage(usable: Sequence[Found]) -> float:
+    """Return in which part of the image the board was seen."""
+    return image_coverage(np.concatenate([one.pixels for one in usable]), usable[0].size) if usable else 0.0
+
+
+def content(found: Detection) -> dict[str, object]:
+    """Return what was found as data."""
+    return {
+        "board": found.board.model_dump(exclude_none=True),
+        "n_points": found.n_points,
+        "coverage": coverage(found.usable),
+        "images": [
+            {"name": one.name, "points": len(one.points), "edge_px": one.edge, "remark": one.remark, "used": one.usable}
+            for one in found.images
+        ],
+    }

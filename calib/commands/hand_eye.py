@@ -1,0 +1,237 @@
+"""`calib hand-eye`: where a camera is on or beside a robot, from photographs of a board."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import cast
+
+import click
+import numpy as np
+
+from calib.base.arrays import FloatArray
+from calib.base.errors import ComputationError, DataError, InputError, nearest
+from calib.base.files import write_folder
+from calib.base.words import counted
+from calib.commands.boards import board_option, given_board
+from calib.commands.common import Output, loaded, shared_options
+from calib.commands.detect import detected, summary
+from calib.data.rosbag import is_bag
+from calib.data.tables import read_table
+from calib.instruments.board import Board
+from calib.photographs.answer import Frames, content, files, judge, report
+from calib.photographs.calibrating import LENSES, HandEye, calibrate, require_images
+from calib.photographs.camera_files import read_camera
+from calib.photographs.detection import Found
+from calib.photographs.images import joint_columns, shots
+from calib.photographs.pages import Picture, exaggeration, page
+from calib.photographs.scene import Mount, Scene
+from calib.photographs.tool_poses import ANGLES, matched, read_tool_poses
+
+_SIZE = re.compile(r"image: (\d+) x (\d+) px")
+FILES = (
+    "hand_eye.json",
+    "camera_matrix.txt",
+    "static_transform.sh",
+    "camera_pose.launch.py",
+    "easy_handeye.yaml",
+    "easy_handeye2.calib",
+    "camera_info.yaml",
+    "photographs.html",
+)
+"""What the result folder holds."""
+
+
+@click.command("hand-eye")
+@click.argument("images", nargs=-1, required=True)
+@board_option
+@click.option("--poses", metavar="FILE", help="CSV file with the pose of the tool at each image; or joint values (--robot).")
+@click.option("--robot", metavar="ROBOT", help="Robot of the joint values (YAML description or URDF), taken as it is.")
+@click.option("--angles", type=click.Choice(ANGLES), help="What columns rx, ry, rz are.")
+@click.option("--camera", metavar="FILE", help="Intrinsics: YAML of OpenCV or camera_info of ROS; found if not given.")
+@click.option(
+    "--lens",
+    type=click.Choice(LENSES),
+    default="auto",
+    show_default=True,
+    help="Intrinsics as given, or found from these images; auto: whichever tells images left out better.",
+)
+@click.option("--camera-on", type=click.Choice(["tool", "base"]), help="Where the camera is; found out if not given.")
+@click.option("--topic", metavar="NAME", help="Of the images in a ROS 2 bag, where it has several.")
+@click.option("--frames", metavar="BASE,TOOL,CAMERA", help="Names of frames in the exported files.")
+@click.option("--out", required=True, metavar="DIR", help="Folder for the result.")
+@shared_options(json_output=True, forced="Write the transform even if the verdict is FAIL, and replace files.")
+def command(
+    images: tuple[str, ...],
+    board: str,
+    poses: str | None,
+    robot: str | None,
+    angles: str | None,
+    camera: str | None,
+    lens: str,
+    camera_on: str | None,
+    topic: str | None,
+    frames: str | None,
+    out: str,
+    output: Output,
+) -> None:
+    """Find where a camera is, on the tool of a robot or beside it, from IMAGES of a printed board.
+
+    IMAGES are files, a folder, a pattern or a ROS 2 bag; or one CSV file of calib detect. --poses says where the tool
+    was at each: position and quaternion, or angles, as the teach pendant shows them; or joint values, with --robot. The
+    robot is taken as it is: to calibrate its joints as well, see calib fit.
+    """
+    described, named = given_board(board), _frames(frames)
+    model = None if robot is None else loaded(robot, output)
+    lens_file = None if camera is None else read_camera(camera)
+    table = len(images) == 1 and Path(images[0]).suffix.lower() == ".csv"
+    bag_joints: tuple[list[str], FloatArray] | None = None
+    small: dict[str, bytes] = {}
+    if table:
+        output.check(folders=(out,), names=FILES)
+        seen = _found_before(images[0], described)
+    else:
+        every = shots(images, topic)
+        output.check(folders=(out,), names=FILES)
+        detection, copies = detected(described, every, output, pictures=True)
+        small = {one.name: copy for one, copy in zip(every, copies, strict=True)}
+        seen, described = list(detection.usable), detection.board
+        for line in summary(detection):
+            output.say(line)
+        if not seen:
+            raise DataError(f"no board in any of {counted(len(every), 'image')}: {detection.images[0].remark}")
+        if any(is_bag(source) for source in images) and poses is None:
+            own = {one.name: one for one in every}
+            bag_joints = joint_columns([own[one.name] for one in seen])
+    rows, tool = _tools(seen, poses, model, angles, bag_joints, output)
+    seen = [one for one in seen if one.name in rows]
+    seen.sort(key=lambda one: rows[one.name])
+    require_images(len(seen))
+    scene = scene_of(seen, described, np.array([tool[rows[one.name]] for one in seen]))
+    if lens_file is not None and lens_file.image is not None and lens_file.image != scene.size:
+        raise InputError(
+            f"{camera}: is for images of {lens_file.image[0]} x {lens_file.image[1]} px, and these have"
+            f" {scene.size[0]} x {scene.size[1]}; give the intrinsics of these images, or leave --camera out"
+        )
+    mounts = ("tool", "base") if camera_on is None else (cast(Mount, camera_on),)
+    with output.working("calibrating") as progress:
+        result = calibrate(
+            scene, None if lens_file is None else lens_file.intrinsics, lens=lens, mounts=mounts, progress=progress
+        )
+    judgement = judge(result)
+    output.say(report(result, named))
+    pages = {"photographs.html": _page(result, named, seen, small).encode()}
+    if judgement.grade != "FAIL" or output.force:
+        write_folder(out, files(result, named) | pages, force=output.force)
+        output.say(f"Written to {out}: {', '.join(FILES)}")
+    else:
+        write_folder(out, pages, force=output.force)
+    output.json(content(result, named))
+    if judgement.grade == "FAIL" and not output.force:
+        raise ComputationError(f"verdict FAIL: {judgement.reasons[0]}; no transform was written (--force writes it)")
+
+
+def scene_of(seen: Sequence[Found], board: Board, tool: FloatArray) -> Scene:
+    """Return images of a board and the tool at each, (n, 4, 4) [m], as what is calibrated from.
+
+    Raises:
+        DataError: Images of several sizes.
+    """
+    sizes = {one.size for one in seen}
+    if len(sizes) > 1:
+        words = ", ".join(f"{width} x {height}" for width, height in sorted(sizes))
+        raise DataError(f"the images have several sizes ({words} px): one camera with one lens has one; sort them")
+    points = board.points()
+    counts = [len(one.points) for one in seen]
+    return Scene(
+        tuple(one.name for one in seen),
+        tool,
+        np.repeat(np.arange(len(seen)), counts),
+        np.array([points[name] for one in seen for name in one.points]),
+        np.concatenate([one.pixels for one in seen]),
+        "tool",
+        seen[0].size,
+    )
+
+
+def _frames(text: str | None) -> Frames:
+    if text is None:
+        return Frames()
+    names = [name.strip() for name in text.split(",")]
+    if len(names) != 3 or not all(re.fullmatch(r"[\w/.-]+", name) for name in names):
+        raise InputError(f"--frames {text}: give three names, such as base_link,tool0,camera_optical_frame")
+    return Frames(*names)
+
+
+def _tools(
+    seen: Sequence[Found],
+    poses: str | None,
+    model: object,
+    angles: str | None,
+    bag: tuple[list[str], FloatArray] | None,
+    output: Output,
+) -> tuple[dict[str, int], FloatArray]:
+    """Row of each image that has a pose of the tool, and these poses, (n, 4, 4)."""
+    if poses is None:
+        if bag is None or model is None:
+            raise InputError("give the pose of the tool at each image with --poses FILE; from a bag, joint values need --robot")
+        names, values = bag
+        missing = next((name for name in model.joint_names if name not in names), None)  # type: ignore[attr-defined]
+        if missing is not None:
+            raise DataError(f"the bag has no joint '{missing}'{nearest(missing, names)}")
+        joints = values[:, [names.index(name) for name in model.joint_names]]  # type: ignore[attr-defined]
+        return {one.name: k for k, one in enumerate(seen)}, model.forward(joints)  # type: ignore[attr-defined]
+    names, tool = read_tool_poses(poses, robot=model, angles=angles)  # type: ignore[arg-type]
+    chosen, remarks = matched([one.name for one in seen], names, tool, poses)
+    output.remarks([f"left out: {text}" for text in remarks])
+    return {names[k]: k for k in chosen}, tool
+
+
+def _found_before(path: str, board: Board) -> list[Found]:
+    """What `calib detect` has written."""
+    table = read_table(path, {})
+    size = next((match for text in table.comments if (match := _SIZE.search(text))), None)
+    if size is None:
+        raise DataError(f"{path}: does not say how large the images are; put '# image: 1600 x 1200 px' at its head")
+    pixel = next((name.removesuffix("_u") for name in table.names if name.endswith("_u")), None)
+    if pixel is None or f"{pixel}_v" not in table.names or "point" not in table.names:
+        raise DataError(f"{path}: needs columns pose, point, camera_u and camera_v, as calib detect writes them")
+    key = "pose" if "pose" in table.names else "image"
+    if key not in table.names:
+        raise DataError(f"{path}: has no column 'pose'")
+    pixels = np.stack([table.column(f"{pixel}_{axis}", None) for axis in "uv"], axis=1)
+    names, points, known = table.text(key), table.text("point"), board.points()
+    strange = next((k for k, name in enumerate(points) if name not in known), None)
+    if strange is not None:
+        raise DataError(
+            f"{path}, line {table.lines[strange]}, column 'point': the board has no point '{points[strange]}'"
+            f"{nearest(points[strange], known)}"
+        )
+    result = []
+    for name in dict.fromkeys(names):
+        own = [k for k, other in enumerate(names) if other == name]
+        twice = next((points[k] for k in own if [points[j] for j in own].count(points[k]) > 1), None)
+        if twice is not None:
+            raise DataError(f"{path}: image {name} has point {twice} twice")
+        result.append(Found(name, (int(size[1]), int(size[2])), tuple(points[k] for k in own), pixels[own]))
+    return result
+
+
+def _page(result: HandEye, frames: Frames, seen: Sequence[Found], small: dict[str, bytes]) -> str:
+    """The photographs with arrows from where points were found to where the calibration puts them."""
+    scene, own = result.scene, {one.name: one for one in seen}
+    factor = exaggeration(result.pixels, scene.size[0])
+    each, off = result.by_image(result.pixels), {one.name: one for one in result.off}
+    on = 1e3 * result.by_image(result.board)
+    pictures = []
+    for i, name in enumerate(scene.names):
+        points = scene.image == i
+        arrows = scene.pixels[points] + factor * result.pixels[points]
+        shown = replace(own[name], pixels=scene.pixels[points])
+        pictures.append(Picture(shown, small.get(name, b""), f"{each[i]:.2f} px, {on[i]:.2f} mm on the board", arrows=arrows))
+    for name, one in off.items():
+        pictures.append(Picture(own[name], small.get(name, b""), f"left out: {one.rms:.1f} px off", True))
+    lines = [*report(result, frames).splitlines(), f"Arrows: from where points were found to where they should be, {factor:g} times as long"]
+    return page("Hand-eye calibration", lines, pictures)

@@ -1,0 +1,1 @@
+"""From photographs of a printed board to pixels, and to where camera and board are."""

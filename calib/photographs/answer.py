@@ -1,0 +1,246 @@
+"""A hand-eye calibration in words, as data, and as files of other programs."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from calib.base.arrays import FloatArray
+from calib.base.words import counted, listed
+from calib.instruments.camera import NAMES
+from calib.photographs.calibrating import HandEye, rms
+from calib.photographs.coverage import LITTLE, image_coverage
+from calib.photographs.estimation import turning
+from calib.photographs.scene import SIDES
+
+_FEW = 10  # images below which a result is one to look at
+_LITTLE_TURN = np.deg2rad(15)
+_ROBOT_SHARE = 0.5
+_MM = 1e3
+_CLAIM_ABOVE = 0.7  # images left out over those used: where they differ more, the images are too few
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Names of frames in exported files."""
+
+    base: str = "base_link"
+    tool: str = "tool0"
+    camera: str = "camera_optical_frame"
+    board: str = "board"
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """PASS, CHECK or FAIL, and why."""
+
+    grade: str
+    reasons: tuple[str, ...]
+    advice: tuple[str, ...]
+
+
+def judge(result: HandEye) -> Judgement:
+    """Return what a calibration is worth.
+
+    FAIL: a mistake of the whole. CHECK: another mistake, images set aside, or too few of them, or too little turned to
+    tell. PASS: nothing of that, so that the error of new images is as told.
+    """
+    scene, reasons, advice = result.scene, [], []
+    failed = [one.text for one in result.mistakes if one.whole]
+    reasons += [one.text for one in result.mistakes if not one.whole]
+    for one in result.off:
+        reasons.append(
+            f"image {one.name} is off by {one.rms:.0f} px, as if the tool were {_MM * one.shift:.1f} mm and"
+            f" {np.rad2deg(one.turn):.2f} deg elsewhere; it was left out: look at it, and at its pose"
+        )
+    axes = turning(scene)
+    if len(scene) < _FEW:
+        reasons.append(f"{counted(len(scene), 'image')} are few to judge by")
+        advice.append(f"take {_FEW} to 20 images")
+    if axes[1] < _LITTLE_TURN:
+        reasons.append(
+            f"the tool turned by {np.rad2deg(axes[0]):.0f} deg about one axis, and by {np.rad2deg(axes[1]):.0f} deg about"
+            " others: lengths along the first are known badly"
+        )
+        advice.append("tilt the tool by 20 to 40 deg about two axes more")
+    seen = image_coverage(scene.pixels, scene.size)
+    if seen < LITTLE:
+        advice.append(f"bring the board into more of the image (it was seen in {100 * seen:.0f} %)")
+        if result.lens_found:
+            reasons.append(f"the lens was found from {100 * seen:.0f} % of the image")
+    used, left = rms(result.board), rms(result.left.board)
+    if not left * _CLAIM_ABOVE * 0.7 < used:
+        reasons.append(f"images left out are {left / used:.1f} times as far off as those used: there are too few for what is found")
+        advice.append("take more images")
+    grade = "FAIL" if failed else "CHECK" if reasons else "PASS"
+    return Judgement(grade, tuple(failed + reasons), tuple(advice))
+
+
+def transform(pose: FloatArray) -> dict[str, float]:
+    """Return x, y, z [m] and the quaternion qx, qy, qz, qw of a pose (4, 4), qw not negative."""
+    quaternion = scipy.spatial.transform.Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True)
+    keys = ("x", "y", "z", "qx", "qy", "qz", "qw")
+    return dict(zip(keys, map(float, [*pose[:3, 3], *quaternion]), strict=True))
+
+
+def report(result: HandEye, frames: Frames) -> str:
+    """Return a calibration in words."""
+    scene, found = result.scene, result.found
+    judgement, half = judge(result), result.uncertainty()
+    lines = [f"Hand-eye calibration of {counted(len(scene), 'image')}: camera {SIDES[scene.mount]}"]
+    lines.append(f"Verdict: {judgement.grade}")
+    lines += [f"  {judgement.grade if k == 0 else '     '}: {text}" for k, text in enumerate(judgement.reasons)]
+    if judgement.grade != "FAIL":
+        lines.append(
+            f"On the board, points of new images like these are {_MM * rms(result.left.board):.3f} mm off (RMS of images left"
+            f" out in turn; below {_MM * result.limit:.3f} mm with a chance of 95 %), {rms(result.left.pixels):.3f} px in the image"
+        )
+    errors, own = np.linalg.norm(result.board, axis=1), result.by_image(result.pixels)
+    lines.append(
+        f"Images used: {rms(result.pixels):.3f} px RMS; on the board {_MM * rms(result.board):.3f} mm RMS, mean"
+        f" {_MM * errors.mean():.3f} mm, largest {_MM * errors.max():.3f} mm ({len(scene.pixels)} points)"
+    )
+    lines.append(_shares(result))
+    worst = np.argsort(-own)[:3]
+    lines.append("Largest: " + listed([f"image {scene.names[i]} {own[i]:.2f} px" for i in worst]))
+    if result.intrinsics_given is not None and result.lens_found:
+        lines.append(
+            f"Lens: found from these images (left out: {rms(result.left.pixels):.3f} px;"
+            f" {result.rms_given:.3f} px with the intrinsics given)"
+        )
+    elif result.lens_found:
+        lines.append("Lens: found from these images, none was given")
+    else:
+        lines.append("Lens: as given; finding it from these images would not tell images left out better")
+    if result.lens_found:
+        numbers = zip(found.free, np.sqrt(np.diag(found.covariance)[12 : 12 + len(found.free)]), strict=True)
+        lines.append(
+            "  " + ", ".join(f"{NAMES[k]} {found.placed.intrinsics[k]:.{2 if k < 4 else 4}f} ± {std:.{2 if k < 4 else 4}f}" for k, std in numbers)
+        )
+    lines += [
+        f"{what}: x {1e3 * pose['x']:.3f} y {1e3 * pose['y']:.3f} z {1e3 * pose['z']:.3f} mm, quaternion (x y z w)"
+        f" {pose['qx']:.6f} {pose['qy']:.6f} {pose['qz']:.6f} {pose['qw']:.6f}; 95 %: ± {_MM * half[key][0]:.2f} mm,"
+        f" ± {np.rad2deg(half[key][1]):.3f} deg along and about the worst axis"
+        for what, key, pose in (
+            (f"Camera in {parents(result, frames)[0]}", "camera", transform(found.placed.camera)),
+            (f"Board in {parents(result, frames)[1]}", "board", transform(found.placed.board)),
+        )
+    ]
+    lines += [f"Next: {text}" for text in judgement.advice]
+    return "\n".join(lines)
+
+
+def _shares(result: HandEye) -> str:
+    """What the camera alone leaves, and what comes with the robot."""
+    all_, alone, noise = rms(result.pixels), rms(result.alone), result.found.noise
+    if not np.isfinite(alone):
+        return "What the camera alone leaves is not known: images show fewer than six points"
+    share = max(0.0, 1.0 - (alone / all_) ** 2)
+    rest = _MM * rms(result.board) * np.sqrt(share)
+    text = (
+        f"The camera alone (board placed freely in each image) leaves {alone:.3f} px: {100 * share:.0f} % of the squares,"
+        f" {all_ * np.sqrt(share):.3f} px or {rest:.3f} mm, come with the robot's poses"
+    )
+    if noise.shift > 0 or noise.turn > 0:
+        text += f" (about {_MM * noise.shift:.2f} mm and {np.rad2deg(noise.turn):.3f} deg per axis)"
+    if share > _ROBOT_SHARE:
+        text += "; calibrating its kinematics with joint values (calib init --measure camera) can remove part of that"
+    return text
+
+
+def parents(result: HandEye, frames: Frames) -> tuple[str, str]:
+    """Return the frames that camera and board are fixed to."""
+    return (frames.tool, frames.base) if result.scene.mount == "tool" else (frames.base, frames.tool)
+
+
+def content(result: HandEye, frames: Frames) -> dict[str, object]:
+    """Return a calibration as data [m, rad, px]."""
+    scene, found, judgement, half = result.scene, result.found, judge(result), result.uncertainty()
+    above = parents(result, frames)
+    images = zip(
+        scene.names, scene.counts, result.by_image(result.pixels), result.by_image(result.left.pixels),
+        result.by_image(result.board), result.by_image(result.left.board), strict=True,
+    )  # fmt: skip
+    return {
+        "verdict": judgement.grade,
+        "reasons": list(judgement.reasons),
+        "next": list(judgement.advice),
+        "camera_on": scene.mount,
+        "camera": _place(above[0], frames.camera, found.placed.camera, half["camera"]),
+        "board": _place(above[1], frames.board, found.placed.board, half["board"]),
+        "intrinsics": dict(zip(NAMES, map(float, found.placed.intrinsics), strict=True))
+        | {"found": [NAMES[k] for k in found.free], "image": list(scene.size)},
+        "pixels": {"rms": rms(result.pixels), "left_out": rms(result.left.pixels), "camera_alone": rms(result.alone),
+                   "left_out_with_given_intrinsics": result.rms_given},
+        "on_board_m": {"rms": rms(result.board), "left_out": rms(result.left.board), "limit95": result.limit},
+        "noise": {"pixel": found.noise.pixel, "tool_shift_m": found.noise.shift, "tool_turn_rad": found.noise.turn},
+        "weighed": result.weighed,
+        "images": [
+            {"name": name, "points": int(n), "rms_px": px, "left_out_px": lpx, "rms_m": mm, "left_out_m": lmm}
+            for name, n, px, lpx, mm, lmm in images
+        ],
+        "left_out": [{"name": one.name, "rms_px": one.rms, "shift_m": one.shift, "turn_rad": one.turn} for one in result.off],
+        "mistakes": [{"code": one.code, "text": one.text} for one in result.mistakes],
+    }  # fmt: skip
+
+
+def _place(parent: str, child: str, pose: FloatArray, half: tuple[float, float]) -> dict[str, object]:
+    return {
+        "parent": parent, "child": child, **transform(pose), "matrix": pose.tolist(),
+        "half_width95_m": half[0], "half_width95_rad": half[1],
+    }  # fmt: skip
+
+
+def files(result: HandEye, frames: Frames) -> dict[str, bytes]:
+    """Return the transform of the camera as files of other programs, by name."""
+    pose, above = transform(result.found.placed.camera), parents(result, frames)[0]
+    numbers = {key: f"{value:.9f}" for key, value in pose.items()}
+    arguments = [text for key, value in numbers.items() for text in (f"--{key}", value)]
+    arguments += ["--frame-id", above, "--child-frame-id", frames.camera]
+    hand = result.scene.mount == "tool"
+    matrix = "\n".join(" ".join(f"{value:.12g}" for value in row) for row in result.found.placed.camera)
+    own = f"robot_base_frame: {frames.base}\nrobot_effector_frame: {frames.tool}\ntracking_base_frame: {frames.camera}\n"
+    inside = "".join(f"  {key}: {numbers[key]}\n" for key in ("x", "y", "z", "qx", "qy", "qz", "qw"))
+    intrinsics = result.found.placed.intrinsics
+    width, height = result.scene.size
+    return {
+        "hand_eye.json": (json.dumps(content(result, frames), indent=1, default=float, allow_nan=True).replace("NaN", "null") + "\n").encode(),
+        "camera_matrix.txt": (matrix + "\n").encode(),
+        "static_transform.sh": (
+            "#!/bin/sh\n# the camera for ROS 2\nexec ros2 run tf2_ros static_transform_publisher " + " ".join(arguments) + "\n"
+        ).encode(),
+        "camera_pose.launch.py": _launch(arguments, hand).encode(),
+        "easy_handeye.yaml": (
+            f"parameters:\n  eye_on_hand: {str(hand).lower()}\n"
+            + "".join(f"  {line}\n" for line in own.splitlines())
+            + f"transformation:\n{inside}"
+        ).encode(),
+        "easy_handeye2.calib": (
+            f"parameters:\n  name: camera\n  calibration_type: {'eye_in_hand' if hand else 'eye_on_base'}\n"
+            + "".join(f"  {line}\n" for line in own.splitlines())
+            + f"  tracking_marker_frame: {frames.board}\n  freehand_robot_movement: true\n"
+            + f"transform:\n  translation: {{x: {numbers['x']}, y: {numbers['y']}, z: {numbers['z']}}}\n"
+            + f"  rotation: {{x: {numbers['qx']}, y: {numbers['qy']}, z: {numbers['qz']}, w: {numbers['qw']}}}\n"
+        ).encode(),
+        "camera_info.yaml": (
+            f"image_width: {width}\nimage_height: {height}\ncamera_name: camera\n"
+            f"camera_matrix: {{rows: 3, cols: 3, data: [{intrinsics[0]:.6f}, 0, {intrinsics[2]:.6f}, 0,"
+            f" {intrinsics[1]:.6f}, {intrinsics[3]:.6f}, 0, 0, 1]}}\n"
+            "distortion_model: plumb_bob\n"
+            f"distortion_coefficients: {{rows: 1, cols: 5, data: [{', '.join(f'{value:.9g}' for value in intrinsics[4:])}]}}\n"
+        ).encode(),
+    }  # fmt: skip
+
+
+def _launch(arguments: list[str], hand: bool) -> str:
+    listing = ", ".join(repr(text) for text in arguments)
+    where = "on the tool" if hand else "beside the robot"
+    return (
+        f'"""The camera {where}, as MoveIt launches it."""\n\nfrom launch import LaunchDescription\n'
+        "from launch_ros.actions import Node\n\n\ndef generate_launch_description():\n    return LaunchDescription([\n"
+        '        Node(package="tf2_ros", executable="static_transform_publisher", output="log",\n'
+        f"             arguments=[{listing}]),\n    ])\n"
+    )

@@ -1,0 +1,329 @@
+"""Hand-eye calibration from photographs, with a robot that is taken as it is: found, and judged by images left out.
+
+Order of work: (1) where to begin (`calib.photographs.starts`); (2) images that lie far off where the others put them are
+set aside and named; (3) the lens: intrinsics as given, or found from the same images, whichever predicts images that
+are left out in turn better; (4) every point alike or images weighed by what their points share
+(`calib.photographs.estimation`), by the same rule; (5) what the camera alone leaves, the board placed freely in each
+image: the rest comes with the robot's poses; (6) mistakes that would explain what is left (`calib.photographs.mistakes`).
+
+"Better" is more than chance: with n images, n log(RMS / RMS) of those left out must gain more than 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.base.errors import ComputationError, DataError, NotIdentifiableError
+from calib.base.words import counted
+from calib.instruments.camera import NAMES
+from calib.photographs.estimation import Estimate, Prior, estimate, left_out
+from calib.photographs.mistakes import Mistake, find_mistakes
+from calib.photographs.scene import Mount, Placed, Scene, linearised, on_board, residuals
+from calib.photographs.starts import LEAST_IMAGES, Start, camera_alone, intrinsics_at_first, start
+
+LENSES = ("auto", "given", "found")
+_GAIN = 1.0
+_OFF = 5.0  # medians of images left out from which one is set aside
+_LEAST_OFF = 1.0  # px
+_MOST_OFF = 1 / 3  # of the images: more are no outliers
+_FEWEST = 5  # images that must stay to call another one off
+_LENS = ("fx", "fy", "cx", "cy", "k1", "k2")
+_FOCAL, _MIDDLE, _RADIAL = 0.1, 0.05, 0.5  # how far off: of the focal length, of the width; k1 and k2
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut(ReadOnlyArrays):
+    """Images predicted by the others.
+
+    Attributes:
+        pixels: Predicted minus found, (m, 2) [px].
+        board: The same on the board, (m, 2) [m].
+        placed: The solution without each image.
+    """
+
+    pixels: FloatArray
+    board: FloatArray
+    placed: tuple[Placed, ...]
+
+
+@dataclass(frozen=True)
+class OffImage:
+    """An image that does not fit the others.
+
+    Attributes:
+        name: Of the image.
+        rms: How far its points are off [px].
+        shift, turn: By how much the robot's tool would have to be elsewhere [m], [rad].
+    """
+
+    name: str
+    rms: float
+    shift: float
+    turn: float
+
+
+@dataclass(frozen=True, eq=False)
+class HandEye(ReadOnlyArrays):
+    """A hand-eye calibration.
+
+    Attributes:
+        scene: The images that were used.
+        found: What they say.
+        prior: What was expected of the lens.
+        left: The images left out in turn.
+        alone: What the camera alone leaves, (m, 2) [px]; NaN where too few points were seen.
+        off: Images that were set aside.
+        mistakes: What would explain what is left, largest first.
+        intrinsics_given: As given, (9,); None where none were.
+        rms_given: At images left out with intrinsics as given [px]; NaN where none were or not tried.
+        weighed: Whether images were weighed.
+    """
+
+    scene: Scene
+    found: Estimate
+    prior: Prior | None
+    left: LeftOut
+    alone: FloatArray
+    off: tuple[OffImage, ...]
+    mistakes: tuple[Mistake, ...]
+    intrinsics_given: FloatArray | None
+    rms_given: float
+    weighed: bool
+
+    @property
+    def pixels(self) -> FloatArray:
+        """Predicted minus found, (m, 2) [px]."""
+        return residuals(self.scene, self.found.placed)
+
+    @property
+    def board(self) -> FloatArray:
+        """How far pixels lie from their points on the board, (m, 2) [m]."""
+        return on_board(self.scene, self.found.placed)
+
+    @property
+    def lens_found(self) -> bool:
+        """Whether intrinsics were found."""
+        return bool(self.found.free)
+
+    def by_image(self, errors: FloatArray) -> FloatArray:
+        """Return the root mean square of errors (m, 2) of each image, (n,)."""
+        return np.sqrt(self.scene.sums(np.sum(errors**2, axis=1)) / self.scene.counts)
+
+    @property
+    def limit(self) -> float:
+        """RMS error on the board that new images like these stay below with a chance of 95 % [m].
+
+        From the mean squares of images left out: their mean, and Student's t for how well so few tell it.
+        """
+        squares = self.by_image(self.left.board) ** 2
+        n = len(squares)
+        margin = scipy.special.stdtrit(n - 1, 0.95) * np.std(squares, ddof=1) / np.sqrt(n)
+        return float(np.sqrt(np.mean(squares) + margin))
+
+    def uncertainty(self) -> dict[str, tuple[float, float]]:
+        """Return half widths of 95 % intervals of camera and board: along the worst axis, and about it [m], [rad]."""
+        factor = scipy.special.stdtrit(self.found.freedom[:12], 0.975)
+        half = factor * np.sqrt(np.diag(self.found.covariance)[:12])
+        return {
+            name: (float(np.max(half[k : k + 3])), float(np.max(half[k + 3 : k + 6])))
+            for name, k in (("camera", 0), ("board", 6))
+        }
+
+
+def rms(errors: FloatArray) -> float:
+    """Return the root mean square length of errors (m, 2), without those that are not known."""
+    squares = np.sum(errors**2, axis=1)
+    known = np.isfinite(squares)
+    return float(np.sqrt(np.mean(squares[known]))) if np.any(known) else float("nan")
+
+
+def calibrate(
+    scene: Scene,
+    intrinsics: FloatArray | None,
+    *,
+    lens: str = "auto",
+    mounts: tuple[Mount, ...] = ("tool", "base"),
+    progress: Callable[[int, int], None] | None = None,
+) -> HandEye:
+    """Return the hand-eye calibration of a camera.
+
+    Args:
+        scene: The images, in the order in which they were taken; its mount does not count.
+        intrinsics: As given, (9,); None where nobody knows.
+        lens: `given`: as they are; `found`: from the images; `auto`: whichever predicts images left out better.
+        mounts: Where the camera may be.
+        progress: Told after each of five steps.
+
+    Raises:
+        DataError: Too few images.
+        NotIdentifiableError: They do not determine what is sought.
+        NotConvergedError: The noise was not found.
+    """
+    tell = progress or (lambda done, total: None)
+    if lens == "given" and intrinsics is None:
+        raise DataError("intrinsics are to stay as given, and none are; give --camera FILE")
+    scene = _in_order_of_content(scene)
+    first = intrinsics_at_first(scene) if intrinsics is None else intrinsics
+    begin = start(scene, first, mounts=mounts)
+    tell(1, 5)
+    sure = replace(begin.scene)
+    kept, begin = _without_off(sure, begin, intrinsics, lens)
+    off = _named_off(sure, kept, begin)
+    own = sure.only(kept)
+    tell(2, 5)
+    prior = _prior(first, own, intrinsics is not None)
+    given, rms_given = None, float("nan")
+    choices: list[tuple[Estimate, LeftOut, Prior | None]] = []
+    if intrinsics is not None and lens != "found":
+        given = estimate(own, begin.placed, ())
+        choices.append((given, _left(own, given, None), None))
+        rms_given = rms(choices[0][1].pixels)
+    if lens != "given":
+        choices += _with_lens(own, begin.placed, prior, required=not choices)
+    found, left, used = choices[0]
+    for other in choices[1:]:
+        if _gain(left, other[1], len(own)) > _GAIN:
+            found, left, used = other
+    tell(3, 5)
+    weighed = False
+    try:
+        other_found = estimate(own, found.placed, found.free, used, weighed=True)
+        other_left = _left(own, other_found, used)
+        if _gain(left, other_left, len(own)) > _GAIN:
+            found, left, weighed = other_found, other_left, True
+    except ComputationError:
+        pass  # weights that cannot be found are not used
+    tell(4, 5)
+    alone, _ = camera_alone(own, found.placed.intrinsics, found.free)
+    mistakes = find_mistakes(sure, own, found, used, rms(alone), intrinsics)
+    tell(5, 5)
+    return HandEye(own, found, used, left, alone, off, mistakes, intrinsics, rms_given, weighed)
+
+
+def _in_order_of_content(scene: Scene) -> Scene:
+    """The same images, their points in one order, whatever order the file has: sums are then the same to the last digit."""
+    order = np.lexsort((scene.pixels[:, 1], scene.pixels[:, 0], scene.image))
+    return replace(scene, image=scene.image[order], body=scene.body[order], pixels=scene.pixels[order])
+
+
+def _gain(before: LeftOut, after: LeftOut, n: int) -> float:
+    return float(n * np.log(rms(before.pixels) / rms(after.pixels)))
+
+
+def _left(scene: Scene, found: Estimate, prior: Prior | None) -> LeftOut:
+    placed = tuple(left_out(scene, found, prior))
+    pixels, board = np.zeros_like(scene.pixels), np.zeros_like(scene.pixels)
+    for i, without in enumerate(placed):
+        own = scene.image == i
+        part = scene.only(np.arange(len(scene)) == i)
+        pixels[own], board[own] = residuals(part, without), on_board(part, without)
+    return LeftOut(pixels, board, placed)
+
+
+def _prior(first: FloatArray, scene: Scene, given: bool) -> Prior:
+    """What is expected of a lens: as wide as a mistake may be, so that images decide where they can."""
+    numbers = [NAMES.index(name) for name in _LENS]
+    width = float(max(scene.size))
+    focal = (_FOCAL if given else 1.0) * first[0]
+    sigma = np.array([focal, focal, _MIDDLE * width, _MIDDLE * width, _RADIAL, _RADIAL])
+    return Prior(first[numbers], sigma)
+
+
+def _with_lens(
+    scene: Scene, begin: Placed, prior: Prior, *, required: bool
+) -> list[tuple[Estimate, LeftOut, Prior | None]]:
+    """Calibrations with the lens found: without distortion where nothing is given, and with it."""
+    sets = [4, 6] if required else [6]
+    result: list[tuple[Estimate, LeftOut, Prior | None]] = []
+    for count in sets:
+        free = tuple(NAMES.index(name) for name in _LENS[:count])
+        part = Prior(prior.values[:count], prior.sigma[:count])
+        try:
+            found = estimate(scene, begin, free, part)
+            result.append((found, _left(scene, found, part), part))
+        except (ComputationError, np.linalg.LinAlgError):
+            if required and count == sets[-1] and not result:
+                raise
+    if required and not result:
+        raise NotIdentifiableError("the photographs do not determine the lens; give intrinsics (--camera FILE)")
+    return result
+
+
+def _without_off(
+    scene: Scene, begin: Start, intrinsics: FloatArray | None, lens: str
+) -> tuple[BoolArray, Start]:
+    """Which images fit the others, (n,), and where these begin."""
+    kept = np.ones(len(scene), dtype=bool)
+    free = () if lens == "given" else tuple(NAMES.index(name) for name in _LENS)
+    most = int(_MOST_OFF * len(scene))
+    candidates = np.argsort(-begin.rms)[: most + 1]
+    trial = kept.copy()
+    trial[[i for i in candidates if begin.rms[i] > 3 * begin.typical][:most]] = False
+    if np.sum(trial) < _FEWEST:
+        return kept, begin
+    for _ in range(3):
+        errors = _foretold(scene, trial, begin.placed, free, intrinsics)
+        if errors is None:
+            return kept, begin
+        level = max(_OFF * float(np.median(errors[trial])), _LEAST_OFF)
+        now = errors <= level
+        if np.sum(now) < max(_FEWEST, len(scene) - most):
+            return kept, begin
+        if np.array_equal(now, trial):
+            break
+        trial = now
+    return trial, begin
+
+
+def _foretold(
+    scene: Scene, kept: BoolArray, begin: Placed, free: tuple[int, ...], intrinsics: FloatArray | None
+) -> FloatArray | None:
+    """How far off each image is from where the kept ones put it, itself aside, (n,) [px]; None if that is not known."""
+    own = scene.only(kept)
+    prior = _prior(begin.intrinsics, own, intrinsics is not None) if free else None
+    try:
+        found = estimate(own, begin, free, prior)
+    except ComputationError:
+        return None
+    result = np.zeros(len(scene))
+    left = _left(own, found, prior)
+    result[kept] = np.sqrt(own.sums(np.sum(left.pixels**2, axis=1)) / own.counts)
+    for i in np.flatnonzero(~kept):
+        part = scene.only(np.arange(len(scene)) == i)
+        result[i] = rms(residuals(part, found.placed))
+    return result
+
+
+def _named_off(scene: Scene, kept: BoolArray, begin: Start) -> tuple[OffImage, ...]:
+    """Images that are set aside, and by how much the robot would have to be elsewhere."""
+    if np.all(kept):
+        return ()
+    found = estimate(scene.only(kept), begin.placed, ())
+    named = []
+    for i in np.flatnonzero(~kept):
+        part = scene.only(np.arange(len(scene)) == i)
+        linear = linearised(part, found.placed, ())
+        error = -np.linalg.lstsq(linear.gg[0], linear.gr[0], rcond=1e-9)[0]
+        named.append(
+            OffImage(
+                scene.names[i],
+                rms(residuals(part, found.placed)),
+                float(np.linalg.norm(error[:3])),
+                float(np.linalg.norm(error[3:])),
+            )
+        )
+    return tuple(sorted(named, key=lambda one: -one.rms))
+
+
+def require_images(count: int) -> None:
+    """Raise `DataError` unless there are enough images with a board and a pose."""
+    if count < LEAST_IMAGES:
+        raise DataError(
+            f"{counted(count, 'image')} with a board and a pose of the robot; it takes {LEAST_IMAGES}, and 10 to 20 are"
+            " sensible"
+        )

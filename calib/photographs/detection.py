@@ -1,0 +1,379 @@
+"""Which points of a board are where in an image, by OpenCV; and in words, why none are.
+
+    chessboard    `findChessboardCornersSB`, which is accurate below a pixel by itself. Which end is the first is told by
+                  the colours of the squares: white or black is looked up between the corners that were found.
+    charuco       markers, then corners between them, refined by `CharucoDetector`
+    circles       `findCirclesGrid`, asymmetric
+    aruco         corners of markers, refined to the edges (`CORNER_REFINE_SUBPIX`)
+    apriltag      the same
+
+Where nothing is found in an image, the likely mistakes are tried, and named if one of them explains it: the image is
+mirrored, columns and rows are exchanged, the markers are of another dictionary, the image is blurred.
+
+Sharpness is told by the width of edges: contrast over the steepest slopes, within what the board covers. A corner is
+found well up to some 5 px; beyond that it wanders.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.base.arrays import FloatArray
+from calib.base.errors import DescriptionError
+from calib.base.words import counted
+from calib.instruments.board import Board
+from calib.photographs.opencv import GreyImage, dictionary, dictionary_families, opencv
+
+FEWEST = 4
+"""Points below which an image says too little of where the board is."""
+_BLURRED = 6.0  # px, width of edges
+_OFF = 0.05  # of what the board covers: how far a lens may bend it
+_LEAST_OFF = 5.0  # px
+_TRIES = 2  # images of a set in which other dictionaries are looked for
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What was found in one image.
+
+    Attributes:
+        name: Of the image.
+        size: Width and height [px].
+        points: Names of the points.
+        pixels: Where they are, (n, 2).
+        remark: What is wrong, in words; empty if nothing is.
+        edge: Width of edges [px]; NaN where nothing was found.
+    """
+
+    name: str
+    size: tuple[int, int]
+    points: tuple[str, ...]
+    pixels: FloatArray
+    remark: str = ""
+    edge: float = float("nan")
+
+    @property
+    def usable(self) -> bool:
+        """Whether enough was found."""
+        return len(self.points) >= FEWEST
+
+
+@dataclass(frozen=True)
+class Detection:
+    """What was found in a set of images.
+
+    Attributes:
+        board: The board, with the layout that most corners have shown.
+        images: What was found in each image, in the order given.
+    """
+
+    board: Board
+    images: tuple[Found, ...]
+
+    @property
+    def usable(self) -> tuple[Found, ...]:
+        """Images in which enough was found."""
+        return tuple(one for one in self.images if one.usable)
+
+    @property
+    def n_points(self) -> int:
+        """Number of points in these."""
+        return sum(len(one.points) for one in self.usable)
+
+
+def detect(board: Board, images: Iterable[tuple[str, GreyImage | str]]) -> Iterator[Found | Detection]:
+    """Find a board in images; yield what was found in each, then all together.
+
+    Of a ChArUco board with an even number of rows whose layout is not known, both are tried, and the one that shows
+    more corners in all images holds; what is yielded before is of the first.
+
+    Args:
+        board: The board.
+        images: Name of each, and the image, or in words why it could not be read.
+
+    Raises:
+        DescriptionError: No such dictionary, or it has too few markers.
+    """
+    layouts = _layouts(board)
+    detectors = [_Detector(board.model_copy(update={"legacy": legacy} if board.kind == "charuco" else {})) for legacy in layouts]
+    each: list[list[Found]] = [[] for _ in layouts]
+    for name, image in images:
+        if isinstance(image, str):
+            shown = [Found(name, (0, 0), (), np.zeros((0, 2)), image)] * len(layouts)
+        else:
+            shown = [detector.find(name, image) for detector in detectors]
+            if not any(one.usable for one in shown):
+                mirrored = np.ascontiguousarray(image[:, ::-1])
+                ahead = max(detectors, key=lambda detector: len(detector.points(mirrored)))
+                shown = [ahead.explained(shown[0], image)] * len(layouts)
+        for own, one in zip(each, shown, strict=True):
+            own.append(one)
+        yield max(shown, key=lambda one: len(one.points))
+    best = max(range(len(layouts)), key=lambda k: sum(len(one.points) for one in each[k]))
+    yield Detection(detectors[best].board, tuple(each[best]))
+
+
+class _Detector:
+    """Finds one board, whose layout is known, in images."""
+
+    def __init__(self, board: Board) -> None:
+        self.board = board
+        self._n_points = len(board.points())
+        self._tries = _TRIES
+        self._dictionary = ""
+        self._board = opencv_board(board, bool(board.legacy)) if board.dictionary else None
+
+    def find(self, name: str, image: GreyImage) -> Found:
+        """Return what is in an image."""
+        points = self.points(image)
+        if 0 < len(points) < self._n_points / 2 and len(self.points(np.ascontiguousarray(image[:, ::-1]))) > 2 * len(points):
+            points = {}  # chance finds in a mirrored image
+        kept = on_one_plane(self.board, points)
+        pixels = np.array(list(kept.values())).reshape(-1, 2)
+        edge = edge_width(image, pixels) if len(kept) >= FEWEST else float("nan")
+        remark = "" if len(kept) >= FEWEST else "no board found"
+        off, points = len(points) - len(kept), kept
+        if edge > _BLURRED:
+            remark = f"blurred: edges are {edge:.0f} px wide"
+        elif off:
+            remark = f"{counted(off, 'point')} left out that cannot be where the others put the board"
+        elif len(points) >= FEWEST and self.board.dictionary:
+            remark = self._strangers(_marker_numbers(image, self.board.dictionary))
+        return Found(name, (image.shape[1], image.shape[0]), tuple(points), pixels, remark, edge)
+
+    def points(self, image: GreyImage) -> dict[str, FloatArray]:
+        """Return the points that are in an image."""
+        if self.board.kind == "chessboard":
+            return _chessboard(self.board, image)
+        if self.board.kind == "circles":
+            return _circles(self.board, image)
+        if self.board.kind == "charuco":
+            return _charuco(self._board, image)
+        return _markers(self.board, image, self.board.dictionary or "")
+
+    def explained(self, found: Found, image: GreyImage) -> Found:
+        """Return what was found with a remark that says why it is too little."""
+        return Found(found.name, found.size, found.points, found.pixels, self._why(image, len(found.points)))
+
+    def _why(self, image: GreyImage, n: int) -> str:
+        few = f"only {counted(n, 'point')} found" if n else "no board found"
+        if len(self.points(np.ascontiguousarray(image[:, ::-1]))) >= max(FEWEST, 2 * n):
+            return f"{few}: the image is mirrored; switch that off in the camera, or flip the images back"
+        board = self.board
+        if board.dictionary is None:
+            for other, what in _other_counts(board):
+                if len(_Detector(other).points(image)) >= FEWEST:
+                    return f"{few}, but one of {other.columns} x {other.rows} {what}: correct the board"
+            return few + _blur_remark(image)
+        markers = _marker_numbers(image, board.dictionary)
+        if len(markers) == 0:
+            if self._tries > 0 and not self._dictionary:
+                self._tries -= 1
+                self._dictionary = _dictionary_in(image)
+            if self._dictionary:
+                return f"{few}: no marker of {board.dictionary}, but some of {self._dictionary}; correct 'dictionary'"
+            return f"{few}: no marker of {board.dictionary}{_blur_remark(image)}"
+        strangers = self._strangers(markers)
+        if strangers:
+            return f"{few}: {strangers}"
+        if board.kind == "charuco":
+            turned = board.model_copy(update={"columns": board.rows, "rows": board.columns})
+            if len(_Detector(turned).points(image)) > n:
+                return (
+                    f"{few}, but {counted(len(set(markers)), 'marker')}: columns and rows are exchanged; the board is"
+                    f" {turned.columns} x {turned.rows} squares"
+                )
+        return f"{few} ({counted(len(set(markers)), 'marker')}): the board is partly outside, covered or too small"
+
+    def _strangers(self, markers: list[int]) -> str:
+        """What markers in an image that the board does not have say; empty without any."""
+        own = marker_numbers(self.board)
+        strange = sorted(set(markers) - set(own))
+        if not strange:
+            return ""
+        return (
+            f"marker {strange[0]} is in the image, and the board as described has markers {own[0]} to {own[-1]}; correct"
+            " columns, rows or first_marker"
+        )
+
+
+def _layouts(board: Board) -> tuple[bool, ...]:
+    if board.kind != "charuco" or board.legacy is not None:
+        return (bool(board.legacy),)
+    return (False, True) if board.rows % 2 == 0 else (False,)
+
+
+def opencv_board(board: Board, legacy: bool) -> object:
+    """Return the board as OpenCV has it, of a kind with markers.
+
+    Args:
+        board: The board.
+        legacy: Whether a ChArUco board has the older layout.
+
+    Raises:
+        DescriptionError: No such dictionary, or it has too few markers.
+    """
+    cv2 = opencv()
+    markers = dictionary(board.dictionary or "")
+    numbers = np.array(marker_numbers(board), dtype=np.int32)
+    if numbers.max() >= len(markers.bytesList):
+        raise DescriptionError(
+            f"the board needs markers {numbers.min()} to {numbers.max()}, and {board.dictionary} has"
+            f" {len(markers.bytesList)}; name a larger dictionary"
+        )
+    counts = (board.columns, board.rows)
+    if board.kind != "charuco":
+        return cv2.aruco.GridBoard(counts, board.marker, board.gap, markers, numbers)
+    made = cv2.aruco.CharucoBoard(counts, board.square, board.marker, markers, numbers)
+    made.setLegacyPattern(legacy)
+    return made
+
+
+def marker_numbers(board: Board) -> range:
+    """Return the numbers of a board's markers."""
+    count = board.columns * board.rows
+    return range(board.first_marker, board.first_marker + (count // 2 if board.kind == "charuco" else count))
+
+
+def _charuco(board: object, image: GreyImage) -> dict[str, FloatArray]:
+    corners, numbers, _, _ = opencv().aruco.CharucoDetector(board).detectBoard(image)
+    if numbers is None:
+        return {}
+    places = np.asarray(corners, dtype=float).reshape(-1, 2)
+    return {f"c{int(k)}": place for k, place in zip(np.ravel(numbers), places, strict=True)}
+
+
+def _found_markers(image: GreyImage, name: str) -> tuple[list[FloatArray], list[int]]:
+    aruco = opencv().aruco
+    settings = aruco.DetectorParameters()
+    settings.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
+    corners, numbers, _ = aruco.ArucoDetector(dictionary(name), settings).detectMarkers(image)
+    if numbers is None:
+        return [], []
+    return [np.asarray(one, dtype=float).reshape(4, 2) for one in corners], [int(k) for k in np.ravel(numbers)]
+
+
+def _marker_numbers(image: GreyImage, name: str) -> list[int]:
+    return _found_markers(image, name)[1]
+
+
+def _markers(board: Board, image: GreyImage, name: str) -> dict[str, FloatArray]:
+    own = marker_numbers(board)
+    corners, numbers = _found_markers(image, name)
+    return {
+        f"m{number}.{k}": places[k]
+        for places, number in sorted(zip(corners, numbers, strict=True), key=lambda pair: pair[1])
+        if number in own and numbers.count(number) == 1
+        for k in range(4)
+    }
+
+
+def _dictionary_in(image: GreyImage) -> str:
+    """The dictionary whose markers are in an image; empty if none shows three of them.
+
+    Dictionaries of one kind begin alike (the first 50 of DICT_4X4_100 are DICT_4X4_50), so that the largest of each is
+    looked for, and the smallest that has all the markers is named.
+    """
+    best, most = "", 2
+    for family, sizes in sorted(dictionary_families().items()):
+        numbers = _marker_numbers(image, f"{family}{sizes[-1]}")
+        if len(set(numbers)) > most:
+            best, most = f"{family}{next(size for size in sizes if not size or int(size[1:]) > max(numbers))}", len(set(numbers))
+    return best
+
+
+def _chessboard(board: Board, image: GreyImage) -> dict[str, FloatArray]:
+    cv2 = opencv()
+    counts = board.columns - 1, board.rows - 1
+    if min(counts) < 2:
+        return {}
+    done, corners = cv2.findChessboardCornersSB(image, counts, flags=cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_EXHAUSTIVE)
+    if not done:
+        return {}
+    grid = np.asarray(corners, dtype=float).reshape(board.rows - 1, board.columns - 1, 2)
+    along, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
+    if along[0] * down[1] < along[1] * down[0]:  # rows run from right to left: seen from the front, they do not
+        grid = grid[:, ::-1]
+    pixels = grid.reshape(-1, 2)
+    ways = [pixels, pixels[::-1]]
+    contrasts = [_contrast(board, image, way) for way in ways]
+    if abs(contrasts[0] - contrasts[1]) < 5:  # grey values: the squares cannot be told apart
+        return {}
+    return {f"c{k}": place for k, place in enumerate(ways[int(np.argmax(contrasts))])}
+
+
+def _contrast(board: Board, image: GreyImage, pixels: FloatArray) -> float:
+    """White minus black of the squares between the corners, if the first corner has a black square at its top left."""
+    grid = pixels.reshape(board.rows - 1, board.columns - 1, 2)
+    middles = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4
+    row, column = np.indices(middles.shape[:2])
+    limits = np.array([image.shape[1], image.shape[0]]) - 1
+    at = np.clip(np.rint(middles).astype(int), 0, limits)
+    values = image[at[..., 1], at[..., 0]].astype(float)
+    black = (row + column) % 2 == 0  # the square at (1, 1), counted from 0, is black as the one at (0, 0)
+    return float(values[~black].mean() - values[black].mean()) if np.any(~black) else 0.0
+
+
+def _circles(board: Board, image: GreyImage) -> dict[str, FloatArray]:
+    cv2 = opencv()
+    settings = cv2.SimpleBlobDetector_Params()
+    settings.maxArea = image.size / 50
+    settings.minArea = 20
+    settings.minDistBetweenBlobs = 5
+    done, centres = cv2.findCirclesGrid(
+        image,
+        (board.columns, board.rows),
+        flags=cv2.CALIB_CB_ASYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING,
+        blobDetector=cv2.SimpleBlobDetector_create(settings),
+    )
+    if not done:
+        return {}
+    return {f"c{k}": place for k, place in enumerate(np.asarray(centres, dtype=float).reshape(-1, 2))}
+
+
+def _other_counts(board: Board) -> Iterable[tuple[Board, str]]:
+    """Boards that a miscount or an exchange makes of one without markers."""
+    what = "squares" if board.kind == "chessboard" else "dots"
+    pairs = [(board.rows, board.columns)]
+    if board.kind == "chessboard":  # inner corners were counted, or corners and squares mixed
+        pairs += [(board.columns + 1, board.rows + 1), (board.rows + 1, board.columns + 1)]
+    for columns, rows in pairs:
+        even = (columns + rows) % 2 == 0 if board.kind == "chessboard" else rows % 2 == 0
+        if not even:
+            yield board.model_copy(update={"columns": columns, "rows": rows}), what
+
+
+def _blur_remark(image: GreyImage) -> str:
+    height, width = image.shape
+    edge = edge_width(image, np.array([[0.0, 0.0], [width - 1.0, height - 1.0]]))
+    return f"; the image is blurred (edges are {edge:.0f} px wide)" if edge > _BLURRED else ""
+
+
+def on_one_plane(board: Board, points: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """Return the points that are where most others put the board, as one homography has it, lenses allowed for."""
+    if len(points) <= FEWEST:
+        return points
+    cv2, places = opencv(), board.points()
+    own = np.array([places[name][:2] for name in points])
+    pixels = np.array(list(points.values()))
+    allowed = max(_LEAST_OFF, _OFF * float(np.max(np.ptp(pixels, axis=0))))
+    _, inside = cv2.findHomography(own, pixels, cv2.RANSAC, allowed)
+    if inside is None:
+        return {}
+    return {name: place for (name, place), keep in zip(points.items(), np.ravel(inside), strict=True) if keep}
+
+
+def edge_width(image: GreyImage, pixels: FloatArray) -> float:
+    """Return how wide edges are within the rectangle around points (n, 2): contrast over the steepest slopes [px]."""
+    low = np.maximum(np.floor(pixels.min(axis=0)).astype(int), 0)
+    high = np.ceil(pixels.max(axis=0)).astype(int) + 1
+    part = image[low[1] : high[1], low[0] : high[0]].astype(float)
+    if min(part.shape) < 8:
+        return float("nan")
+    dark, bright = np.percentile(part, [5, 95])
+    slopes = np.hypot(*np.gradient(part))
+    steepest = float(np.percentile(slopes, 99))
+    return float((bright - dark) / steepest) if steepest > 0 else float("inf")

@@ -1,0 +1,159 @@
+"""Where images come from: files, folders, patterns such as `shots/*.png`, and ROS 2 bags with the joints of the moment.
+
+An image that cannot be read is no error here: it comes as a few words, and the rest goes on.
+"""
+
+from __future__ import annotations
+
+import glob
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib.base.arrays import FloatArray
+from calib.base.errors import DataError, InputError
+from calib.data.rosbag import is_bag, joints_of_bag, messages_of_bag
+from calib.photographs.opencv import GreyImage, decoded, opencv, read_image
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp")
+_RAW = "sensor_msgs/msg/Image"
+_COMPRESSED = "sensor_msgs/msg/CompressedImage"
+_CHANNELS = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4, "mono16": 1, "16UC1": 1}
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One image to come.
+
+    Attributes:
+        name: That results call it by: the file's name without its ending, or the number in a bag.
+        path: Its file; the bag.
+        image: The image, or in words why there is none; None where the file is still to be read.
+        joints: Joint values at that moment [m or rad]; None where nothing tells.
+    """
+
+    name: str
+    path: str
+    image: GreyImage | str | None = None
+    joints: dict[str, float] | None = None
+
+    def read(self) -> GreyImage | str:
+        """Return the image, or in words why there is none."""
+        if self.image is not None:
+            return self.image
+        try:
+            return read_image(self.path)
+        except DataError as error:
+            return str(error).removeprefix(f"{self.path}: ")
+
+
+def shots(sources: Sequence[str], topic: str | None = None) -> list[Shot]:
+    """Return the images of files, folders, patterns and bags, in the order of their names.
+
+    Args:
+        sources: As given.
+        topic: Of the images in a bag, where there are several.
+
+    Raises:
+        InputError: Nothing there, or two images of one name.
+        DataError: A bag that cannot be read.
+    """
+    result: list[Shot] = []
+    for source in sources:
+        if is_bag(source):
+            result += _in_bag(source, topic)
+            continue
+        files = _files(source)
+        result += [Shot(Path(file).stem, file) for file in sorted(files, key=_natural)]
+    seen: dict[str, str] = {}
+    for one in result:
+        if one.name in seen:
+            raise InputError(f"{one.path} and {seen[one.name]}: both are called '{one.name}'; give images names of their own")
+        seen[one.name] = one.path
+    return result
+
+
+def _files(source: str) -> list[str]:
+    path = Path(source)
+    if path.is_dir():
+        files = [str(file) for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()]
+        if not files:
+            raise InputError(f"{source}: has no images ({', '.join(SUFFIXES)})")
+        return files
+    if path.exists():
+        return [source]
+    files = [file for file in glob.glob(source, recursive=True) if Path(file).is_file()]  # noqa: PTH207 (any folder)
+    if not files:
+        raise InputError(f"{source}: no such image, folder or bag; give files, a folder or a pattern such as 'shots/*.png'")
+    return files
+
+
+def _natural(path: str) -> list[object]:
+    """Order in which 2 comes before 10."""
+    return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in re.split(r"(\d+)", Path(path).name)]
+
+
+def _in_bag(source: str, topic: str | None) -> Iterator[Shot]:
+    """Images of a bag at which the robot stood still."""
+    kinds = (_RAW, _COMPRESSED)
+    images = [
+        (name, stamp, kind, message)
+        for name, kind, stamp, message in messages_of_bag(source, kinds)
+    ]
+    topics = sorted({name for name, *_ in images})
+    if not topics:
+        raise DataError(f"{source}: has no images ({_RAW} or CompressedImage); record their topic too")
+    if topic is None and len(topics) > 1:
+        raise InputError(f"{source}: has images of several topics ({', '.join(topics)}); choose one with --topic")
+    chosen = topics[0] if topic is None else topic
+    if chosen not in topics:
+        raise InputError(f"{source}: has no images of the topic {chosen}; it has {', '.join(topics)}")
+    images = [one for one in images if one[0] == chosen]
+    names, values, still = joints_of_bag(source, np.array([stamp for _, stamp, *_ in images]))
+    for k, (_, _, kind, message) in enumerate(images):
+        joints = dict(zip(names, map(float, values[k]), strict=True)) if still[k] else None
+        image: GreyImage | str = "the robot moved, or no joint states were recorded around it"
+        if still[k] or not names:
+            image = _image_of(kind, message, f"{source}, image {k + 1}")
+        yield Shot(f"{Path(source).stem}_{k + 1}", source, image, joints)
+
+
+def _image_of(kind: str, message: Any, where: str) -> GreyImage | str:
+    try:
+        if kind == _COMPRESSED:
+            return decoded(bytes(message.data), where)
+        return _raw_image(message)
+    except (DataError, ValueError) as error:
+        return str(error).removeprefix(f"{where}: ")
+
+
+def _raw_image(message: Any) -> GreyImage:
+    encoding = str(message.encoding)
+    if encoding not in _CHANNELS:
+        raise DataError(f"pixels are coded as {encoding}; record mono8, rgb8 or bgr8")
+    deep = encoding.endswith("16") or encoding.startswith("16")
+    kind: np.dtype[Any] = np.dtype(np.uint16 if deep else np.uint8).newbyteorder(">" if message.is_bigendian else "<")
+    rows = np.frombuffer(bytes(message.data), np.uint8).reshape(message.height, message.step)
+    channels = _CHANNELS[encoding]
+    used = np.ascontiguousarray(rows[:, : message.width * channels * kind.itemsize]).view(kind)
+    image = used.reshape(message.height, message.width, channels)
+    if deep:
+        return (image[:, :, 0] / max(int(image.max()) / 255.0, 1.0)).astype(np.uint8)
+    if channels == 1:
+        return np.ascontiguousarray(image[:, :, 0])
+    order = image[:, :, 2::-1] if encoding.startswith("rgb") else image[:, :, :3]  # to blue, green, red
+    cv2 = opencv()
+    return np.ascontiguousarray(cv2.cvtColor(np.ascontiguousarray(order), cv2.COLOR_BGR2GRAY))
+
+
+def joint_columns(shots_used: Sequence[Shot]) -> tuple[list[str], FloatArray]:
+    """Return the joints of images of a bag: names, and values (n_images, n_joints); none where an image has none."""
+    known = [one.joints for one in shots_used]
+    if not known or any(joints is None for joints in known):
+        return [], np.zeros((len(shots_used), 0))
+    names = list(known[0] or {})
+    return names, np.array([[(joints or {})[name] for name in names] for joints in known])

@@ -1,0 +1,259 @@
+"""Mistakes that would explain what a hand-eye calibration leaves: each is tried, and named where it explains it.
+
+    pairs shifted          images belong to the poses one or two rows further on
+    poses inverted         the file has the base in the tool
+    mirrored               the camera mirrors its images (a chessboard does not show it)
+    square size            the board is larger or smaller than described: sought as one more unknown
+    something moved        board or camera is elsewhere from some image on: sought as six more unknowns
+    lens as given          intrinsics found contradict those given
+    principal point        far from the middle of the image: of another image, or turned
+
+The first three are tried as wholes, from closed forms, where an image is off by more than robots are; they count where
+they halve what is left. The others are one more step of the same least squares; they count where the likelihood gains
+more than chance gives in one data set of ten thousand, and by a size that matters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from calib.base.arrays import FloatArray
+from calib.base.errors import CalibrationError
+from calib.instruments.camera import NAMES
+from calib.photographs.estimation import Estimate, Prior, estimate, found_noise, left_out, normal_equations
+from calib.photographs.scene import Linear, Scene, linearised, residuals, rows
+from calib.photographs.starts import Start, start
+
+_FAR = 0.01  # m on the board: more than robots are off
+_FAR_PIXELS = 4.0
+_HALVES = 0.5
+_BETTER = 0.6  # of the squares of images left out
+_SHIFTS = (1, -1, 2, -2)
+_CHANCE = 1e-4
+_SCALE = 0.004  # part of the size of a board that matters
+_MOVED = 1e-3  # m
+_TURNED = np.deg2rad(0.15)
+_MIDDLE = 0.12  # of the width of the image: how far a principal point may be from its middle
+_LENS_OFF = 6.0  # standard deviations
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A mistake that would explain what is left.
+
+    Attributes:
+        code: Such as `pairs_shifted`.
+        text: In words: what, by how much, what to do.
+        whole: Whether nothing of the result can be used.
+    """
+
+    code: str
+    text: str
+    whole: bool = False
+
+
+def find_mistakes(
+    every: Scene, own: Scene, found: Estimate, prior: Prior | None, alone: float, given: FloatArray | None
+) -> tuple[Mistake, ...]:
+    """Return mistakes that would explain what is left, those of the whole first.
+
+    Args:
+        every: All images.
+        own: Those that were used.
+        found: What they say.
+        prior: What was expected of the lens.
+        alone: What the camera alone leaves [px].
+        given: Intrinsics as given, (9,); None without.
+    """
+    result = list(_of_the_whole(every, found, alone))
+    if not result:
+        result += [one for one in (_square_size(own, found, prior), _moved(own, found, prior)) if one is not None]
+    result += _of_the_lens(own, found, given)
+    return tuple(result)
+
+
+def _of_the_whole(scene: Scene, found: Estimate, alone: float) -> list[Mistake]:
+    errors = residuals(scene, found.placed)
+    image = np.sqrt(scene.sums(np.sum(errors**2, axis=1)) / scene.counts)
+    typical = float(np.median(image))
+    if not typical > max(_FAR_PIXELS, 4 * (alone if np.isfinite(alone) else 0.0)):
+        return []
+    intrinsics, tried = found.placed.intrinsics, []
+    n = len(scene)
+    for shift in _SHIFTS:
+        pairs = np.arange(n) + shift
+        there = (pairs >= 0) & (pairs < n)
+        if np.sum(there) < 4:
+            continue
+        tool = scene.tool.copy()
+        tool[there] = scene.tool[pairs[there]]
+        rows_ = abs(shift)
+        text = (
+            f"images and poses are shifted: each image fits the pose {rows_} {'row' if rows_ == 1 else 'rows'}"
+            f" {'further on' if shift > 0 else 'before'}"
+        )
+        tried.append(("pairs_shifted", text, replace(scene, tool=tool).only(there)))
+    inverted = replace(scene, tool=np.linalg.inv(scene.tool))
+    tried.append(("poses_inverted", "the poses are inverted: the base in the tool, not the tool in the base", inverted))
+    mirrored = scene.pixels * [-1, 1] + [scene.size[0] - 1, 0]
+    tried.append(("mirrored", "the images are mirrored; flip them, or switch that off in the camera", replace(scene, pixels=mirrored)))
+    ends: list[tuple[float, str, str]] = []
+    for code, text, other in tried:
+        try:
+            begun: Start = start(other, intrinsics, mounts=(scene.mount,))
+        except (CalibrationError, np.linalg.LinAlgError):
+            continue
+        ends.append((begun.typical, code, text))
+    if ends and min(ends)[0] < _HALVES * typical:
+        rms, code, text = min(ends)
+        return [Mistake(code, f"{text} (then {rms:.1f} px are left in place of {typical:.1f})", True)]
+    text = (
+        f"images are off by {typical:.0f} px, and the camera alone leaves {alone:.1f}: poses and images do not belong together,"
+        " or the tool of the poses, the units or the order of rotations are not what the file says"
+    )
+    return [Mistake("not_explained", text, True)]
+
+
+def _likelihood(linear: Linear, near: Estimate, prior: Prior | None, now: FloatArray) -> tuple[float, FloatArray]:
+    """Twice the log-likelihood at the best step of a linearised problem, its sizes found anew, and that step."""
+    noise = found_noise(linear, prior, now, near.noise)
+    a, b, c = normal_equations(linear, noise, prior, now)
+    s = noise.sizes
+    inner = np.eye(6) + s[:, None] * linear.gg * s / noise.pixel**2
+    log_v = float(np.sum(np.linalg.slogdet(inner)[1]) + 2 * np.sum(linear.n_rows) * np.log(noise.pixel))
+    step = -np.linalg.lstsq(a, b, rcond=1e-12)[0]
+    return -(log_v + c + float(b @ step)), step
+
+
+def _square_size(scene: Scene, found: Estimate, prior: Prior | None) -> Mistake | None:
+    """Whether the board has another size than described."""
+    try:
+        other = estimate(scene, found.placed, found.free, prior, scaled=True, near=found.noise)
+    except (CalibrationError, np.linalg.LinAlgError):
+        return None
+    k = 12 + len(found.free)
+    std, change = float(np.sqrt(other.covariance[k, k])), other.placed.scale - 1.0
+    freedom = float(other.freedom[k])
+    chance = 2 * float(scipy.special.stdtr(freedom, -abs(change) / std))
+    if abs(change) < _SCALE or chance > _CHANCE:
+        return None
+    ends = [left_out(scene, one, prior) for one in (found, other)]
+    before, after = (
+        sum(float(np.sum(residuals(scene.only(np.arange(len(scene)) == i), one) ** 2)) for i, one in enumerate(every))
+        for every in ends
+    )
+    if not after < _BETTER * before:
+        return None
+    return Mistake(
+        "square_size",
+        f"the board is {100 * abs(change):.1f} % {'larger' if change > 0 else 'smaller'} than described (± {100 * std:.1f} %):"
+        " measure it, and correct its sizes; printers shrink pages that they fit to paper",
+    )
+
+
+def _moved(scene: Scene, found: Estimate, prior: Prior | None) -> Mistake | None:
+    """Whether board or camera is elsewhere from some image on."""
+    n = len(scene)
+    if n < 8:
+        return None
+    free = found.free
+    now = found.placed.intrinsics[list(free)]
+    linear = linearised(scene, found.placed, free)
+    before, _ = _likelihood(linear, found, prior, now)
+    a, b, _ = normal_equations(linear, found.noise, prior, now)
+    unmoved = float(b @ np.linalg.lstsq(a, b, rcond=1e-12)[0])
+    best: tuple[float, int, str, FloatArray] = (0.0, 0, "", np.zeros(6))
+    for which, first in (("board", 6), ("camera", 0)):
+        promised = []  # with the noise as it is: which image it may be
+        for k in range(3, n - 2):
+            a, b, _ = normal_equations(_extended(linear, np.arange(n) >= k, first), found.noise, prior, now)
+            promised.append((float(b @ np.linalg.lstsq(a, b, rcond=1e-12)[0]) - unmoved, k))
+        k = max(promised)[1]
+        likelihood, step = _likelihood(_extended(linear, np.arange(n) >= k, first), found, prior, now)
+        if likelihood - before > best[0]:
+            best = likelihood - before, k, which, step[-6:]
+    gained, k, which, step = best
+    moved, turned = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
+    chance = 2 * (n - 5) * float(scipy.special.chdtrc(6, max(gained, 0.0)))
+    if chance > _CHANCE or (moved < _MOVED and turned < _TURNED) or not _explains(scene, found, k, which):
+        return None
+    return Mistake(
+        "moved",
+        f"the {which} is elsewhere from image {scene.names[k]} on, by {1e3 * moved:.1f} mm and {np.rad2deg(turned):.2f} deg:"
+        " fix it, and take the images again (or calibrate with those before and those after alone)",
+    )
+
+
+def _extended(linear: Linear, later: FloatArray, first: int) -> Linear:
+    """The problem with six more unknowns: a step of camera or board that only later images have."""
+    own = slice(first, first + 6)
+    on = later.astype(float)
+    jj = np.concatenate(
+        [
+            np.concatenate([linear.jj, linear.jj[:, :, own] * on[:, None, None]], axis=2),
+            np.concatenate([linear.jj[:, own] * on[:, None, None], linear.jj[:, own, own] * on[:, None, None]], axis=2),
+        ],
+        axis=1,
+    )
+    jg = np.concatenate([linear.jg, linear.jg[:, own] * on[:, None, None]], axis=1)
+    jr = np.concatenate([linear.jr, linear.jr[:, own] * on[:, None]], axis=1)
+    return Linear(linear.residuals, jj, jg, linear.gg, jr, linear.gr, linear.rr, linear.n_rows)
+
+
+def _explains(scene: Scene, found: Estimate, k: int, which: str) -> bool:
+    """Whether images left out are told better by one move: the sum over them, each by the linear problem without it."""
+    later = np.arange(len(scene)) >= k
+    r, j, _ = rows(scene, found.placed, found.free)
+    own = slice(6, 12) if which == "board" else slice(0, 6)
+    wide = np.concatenate([j, j[:, :, own] * later[scene.image][:, None, None]], axis=2)
+
+    def error(columns: FloatArray) -> float:
+        total = 0.0
+        size = columns.shape[2]
+        flat = columns.reshape(-1, size)
+        scale = 1.0 / np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
+        for i in range(len(scene)):
+            at = np.repeat(scene.image == i, 2)
+            step_ = np.linalg.lstsq(flat[~at] * scale, -r.ravel()[~at], rcond=1e-9)[0] * scale
+            total += float(np.sum((r.ravel()[at] + flat[at] @ step_) ** 2))
+        return total
+
+    return error(wide) < _BETTER * error(j)
+
+
+def _of_the_lens(scene: Scene, found: Estimate, given: FloatArray | None) -> list[Mistake]:
+    width, height = scene.size
+    result = []
+    if given is not None:
+        away = np.abs(given[2:4] - [(width - 1) / 2, (height - 1) / 2])
+        if np.max(away) > _MIDDLE * max(width, height):
+            swapped = np.max(np.abs(given[3:1:-1] - [(width - 1) / 2, (height - 1) / 2])) < np.max(away) / 2
+            result.append(
+                Mistake(
+                    "principal_point",
+                    f"the principal point given, {given[2]:.0f}, {given[3]:.0f} px, is far from the middle of images of"
+                    f" {width} x {height} px: {'cx and cy are exchanged' if swapped else 'the intrinsics are of another image'}"
+                    ", or the images were turned, cut or scaled since",
+                )
+            )
+        if not 0.8 < given[0] / given[1] < 1.25:
+            result.append(Mistake("focal", f"fx and fy as given differ ({given[0]:.0f} and {given[1]:.0f} px): one of them is wrong"))
+    if given is not None and found.free:
+        std = np.sqrt(np.diag(found.covariance)[12 : 12 + len(found.free)])
+        change = (found.placed.intrinsics - given)[list(found.free)]
+        sure = np.abs(change) / std
+        k = int(np.argmax(sure))
+        # a focal length that is off by a percent is a distance that is off by a percent
+        if sure[k] > _LENS_OFF and np.max(np.abs(change[:4]) / found.placed.intrinsics[0]) > 0.02:
+            name = NAMES[found.free[k]]
+            result.append(
+                Mistake(
+                    "lens_given",
+                    f"the intrinsics given contradict the photographs: {name} is {given[found.free[k]]:.1f} there and"
+                    f" {found.placed.intrinsics[found.free[k]]:.1f} ± {std[k]:.1f} here; those found are used",
+                )
+            )
+    return result

@@ -1,0 +1,120 @@
+"""OpenCV: it finds boards in images and reads and writes image files. Nothing else of it is used.
+
+It is an extra (`pip install medrue[camera]`); whatever needs it says so.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.base.errors import DataError, DescriptionError, InputError, nearest
+from calib.base.files import read_bytes
+
+GreyImage = NDArray[np.uint8]
+"""(height, width)."""
+
+
+def opencv() -> Any:
+    """Return the module.
+
+    Raises:
+        InputError: It is not installed, or too old.
+    """
+    try:
+        cv2 = import_module("cv2")
+    except ImportError:
+        raise InputError(
+            "OpenCV, which finds boards in images, is not installed: pip install opencv-python-headless (or"
+            " medrue[camera])"
+        ) from None
+    if tuple(map(int, cv2.__version__.split(".")[:2])) < (4, 14) or not hasattr(cv2, "aruco"):
+        raise InputError(
+            f"OpenCV {cv2.__version__} is too old (it tells corners of ChArUco boards half a pixel off): pip install"
+            " 'opencv-python-headless>=4.14'"
+        )
+    return cv2
+
+
+def dictionary(name: str) -> Any:
+    """Return a dictionary of markers.
+
+    Raises:
+        DescriptionError: There is none of this name.
+    """
+    aruco = opencv().aruco
+    names = dictionaries()
+    known = {one.casefold(): one for one in names}
+    if name.casefold() not in known:
+        raise DescriptionError(f"no dictionary '{name}'{nearest(name, names)}")
+    return aruco.getPredefinedDictionary(getattr(aruco, known[name.casefold()]))
+
+
+def dictionaries() -> list[str]:
+    """Return the names of all dictionaries."""
+    aruco = opencv().aruco
+    named = {getattr(aruco, name): name for name in sorted(dir(aruco)) if name.startswith("DICT_")}
+    return sorted(named.values())
+
+
+def dictionary_families() -> dict[str, list[str]]:
+    """Return dictionaries by the beginning that their names share: how these end, smallest first, such as _50, _100."""
+    families: dict[str, list[str]] = {}
+    for name in dictionaries():
+        family, _, size = name.rpartition("_")
+        whole = not size.isdigit() or "X" not in family
+        families.setdefault(name if whole else family, []).append("" if whole else f"_{size}")
+    return {family: sorted(sizes, key=lambda size: int(size[1:] or 0)) for family, sizes in families.items()}
+
+
+def read_image(path: Path | str) -> GreyImage:
+    """Return an image file as grey values.
+
+    Raises:
+        DataError: No such file, or no image that can be read.
+    """
+    return decoded(read_bytes(path, "an image", DataError), str(path))
+
+
+def decoded(content: bytes, where: str) -> GreyImage:
+    """Return the content of an image file as grey values.
+
+    Colours are read first and then turned into grey by one formula: decoders of their own make other grey values.
+
+    Raises:
+        DataError: It is no image that can be read.
+    """
+    cv2 = opencv()
+    level = cv2.utils.logging.setLogLevel(0) if hasattr(cv2.utils, "logging") else None
+    try:
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED) if content else None
+    except cv2.error:
+        image = None
+    finally:
+        if level is not None:
+            cv2.utils.logging.setLogLevel(level)
+    if image is None or image.ndim not in (2, 3):
+        raise DataError(f"{where}: is no image that can be read; give PNG, JPEG, TIFF or BMP")
+    if image.dtype == np.uint16:
+        image = (image / max(int(image.max()) / 255.0, 1.0)).astype(np.uint8)
+    if image.dtype != np.uint8:
+        raise DataError(f"{where}: has pixels of type {image.dtype}; give an image with 8 or 16 bits")
+    if image.ndim == 2:
+        return np.ascontiguousarray(image)
+    if image.shape[2] == 4:
+        image = image[:, :, :3]
+    return np.ascontiguousarray(image[:, :, 0] if image.shape[2] == 1 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
+
+
+def encoded(image: GreyImage, suffix: str = ".png") -> bytes:
+    """Return an image as the content of a file of this kind."""
+    cv2 = opencv()
+    options = [cv2.IMWRITE_JPEG_QUALITY, 80] if suffix == ".jpg" else []
+    done, content = cv2.imencode(suffix, image, options)
+    if not done:
+        raise InputError(f"OpenCV cannot write images as {suffix}")
+    return bytes(content)

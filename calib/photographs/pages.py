@@ -1,0 +1,112 @@
+"""Pages with photographs: what was found in each, and how far off a calibration is there, as arrows.
+
+A page holds small copies of the images, so that it can be sent as one file; what is drawn over them is SVG.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+
+import numpy as np
+
+from calib.base.arrays import FloatArray
+from calib.photographs.detection import Found
+from calib.photographs.opencv import GreyImage, encoded, opencv
+
+_WIDTH = 480  # px of the small copies
+_STYLE = """
+body { font: 14px/1.4 system-ui, sans-serif; margin: 1.5em; color: #1b1b1b; background: #fff; max-width: 110em; }
+.set { display: grid; grid-template-columns: repeat(auto-fill, minmax(300px, 1fr)); gap: 1em; }
+figure { margin: 0; } svg { width: 100%; height: auto; background: #ddd; display: block; }
+figcaption { overflow-wrap: anywhere; } .off { color: #a40000; font-weight: 600; }
+table { border-collapse: collapse; margin: 1em 0; } td, th { padding: .2em .8em; text-align: right; } th { text-align: left; }
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """One image of a page.
+
+    Attributes:
+        found: What was found in it.
+        small: Its small copy as JPEG; empty where there is no image.
+        caption: What to say below it.
+        off: Whether it is marked as off.
+        arrows: From where points were found to where the calibration puts them, (n, 2) [px]; empty for none.
+    """
+
+    found: Found
+    small: bytes
+    caption: str
+    off: bool = False
+    arrows: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+
+
+def small_copy(image: GreyImage | str) -> bytes:
+    """Return a small copy of an image as JPEG; nothing of what is none."""
+    if isinstance(image, str):
+        return b""
+    factor = min(1.0, _WIDTH / image.shape[1])
+    if factor < 1.0:
+        cv2 = opencv()
+        size = _WIDTH, max(round(image.shape[0] * factor), 1)
+        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    return encoded(image, ".jpg")
+
+
+def page(title: str, lines: Sequence[str], pictures: Sequence[Picture], table: Mapping[str, str] | None = None) -> str:
+    """Return a page.
+
+    Args:
+        title: Its heading.
+        lines: Paragraphs below it.
+        pictures: Images in their order.
+        table: Names and values to show before the images.
+    """
+    rows = "".join(f"<tr><th>{escape(key)}</th><td>{escape(value)}</td></tr>" for key, value in (table or {}).items())
+    shown = "".join(f"<p>{escape(line)}</p>\n" for line in lines)
+    figures = "\n".join(_figure(one) for one in pictures)
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        f'<meta name="viewport" content="width=device-width"><title>{escape(title)}</title><style>{_STYLE}</style></head>\n'
+        f"<body><h1>{escape(title)}</h1>\n{shown}{f'<table>{rows}</table>' if rows else ''}\n"
+        f'<div class="set">\n{figures}\n</div></body></html>\n'
+    )
+
+
+def _figure(one: Picture) -> str:
+    width, height = one.found.size
+    words = f'<span class="{"off" if one.off else "fine"}">{escape(one.caption)}</span>'
+    if not one.small or not width:
+        return f"<figure><figcaption><b>{escape(one.found.name)}</b>: {words}</figcaption></figure>"
+    radius = max(width, height) / 160
+    address = f"data:image/jpeg;base64,{base64.b64encode(one.small).decode()}"
+    marks = "".join(f'<circle cx="{u:.1f}" cy="{v:.1f}" r="{radius:.1f}"/>' for u, v in one.found.pixels)
+    line = "".join(_arrow(start, end, width) for start, end in zip(one.found.pixels, one.arrows, strict=False))
+    first = ""
+    if len(one.found.pixels):
+        (u, v), name = one.found.pixels[0], one.found.points[0]
+        first = f'<text x="{u:.1f}" y="{v - 2 * radius:.1f}" font-size="{4 * radius:.1f}" fill="#e0007a">{escape(name)}</text>'
+    return (
+        f'<figure><svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(one.found.name)}">'
+        f'<image href="{address}" width="{width}" height="{height}"/>'
+        f'<g fill="none" stroke="#00a2ff" stroke-width="{radius / 2.5:.2f}">{marks}</g>'
+        f'<g stroke="#e0007a" stroke-width="{radius / 2:.2f}">{line}</g>{first}</svg>'
+        f"<figcaption><b>{escape(one.found.name)}</b>: {words}</figcaption></figure>"
+    )
+
+
+def _arrow(start: FloatArray, end: FloatArray, width: int) -> str:
+    (u, v), (x, y) = start, end
+    return f'<line x1="{u:.1f}" y1="{v:.1f}" x2="{x:.1f}" y2="{y:.1f}"/>'
+
+
+def exaggeration(errors: FloatArray, width: int) -> float:
+    """Return by how much to lengthen errors (n, 2) [px] so that they show: a round number."""
+    typical = float(np.sqrt(np.mean(np.sum(errors**2, axis=1)))) if len(errors) else 0.0
+    if typical <= 0:
+        return 1.0
+    return float(10 ** np.floor(np.log10(max(0.05 * width / typical, 1.0))))

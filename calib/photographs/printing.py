@@ -1,0 +1,170 @@
+"""A board as shapes, and as a page to print in true size.
+
+What is black are rectangles and discs in the board's frame (x along the rows, y down, [m]). Of boards with markers,
+OpenCV says where the markers are and which of their cells are black; squares without a marker are black. All of it is
+filled as one path, so that neighbouring cells leave no hairlines between them.
+
+A ruler and a cross of two lengths are printed below the board: printers that fit pages to paper shrink by some
+percent, and every length of a calibration shrinks with them.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.base.arrays import FloatArray
+from calib.base.errors import InputError
+from calib.instruments.board import Board
+from calib.photographs.detection import opencv_board
+from calib.photographs.opencv import GreyImage, dictionary
+
+FORMATS = ("pdf", "svg")
+PAPERS = {"a4": (0.210, 0.297), "a3": (0.297, 0.420), "a2": (0.420, 0.594), "letter": (0.2159, 0.2794)}
+"""Width and height [m]."""
+_RULER = 0.1  # m
+_FOOT = 0.022  # m below the board: ruler and words
+_MARGIN = 0.008
+_MM = 1e3
+_INCH = 0.0254
+_DOT = 0.5  # radius of a dot over the spacing
+
+
+@dataclass(frozen=True, eq=False)
+class Shapes:
+    """What is black on a board.
+
+    Attributes:
+        rectangles: x0, y0, x1, y1, (n, 4) [m].
+        discs: x, y, radius, (n, 3) [m].
+    """
+
+    rectangles: FloatArray
+    discs: FloatArray
+
+
+def shapes(board: Board) -> Shapes:
+    """Return what is black on a board.
+
+    Raises:
+        InputError: OpenCV, which knows the markers, is not installed.
+        DescriptionError: No such dictionary.
+    """
+    none = np.zeros((0, 3))
+    if board.kind == "circles":
+        radius = _DOT * (board.spacing or 0.0)
+        return Shapes(np.zeros((0, 4)), np.array([(x, y, radius) for x, y, _ in board.points().values()]))
+    if board.kind == "chessboard":
+        return Shapes(_squares(board, lambda i, j: (i + j) % 2 == 0), none)
+    made = opencv_board(board, bool(board.legacy))
+    corners = np.array([np.asarray(one)[:, :2] for one in made.getObjPoints()], dtype=float)  # type: ignore[attr-defined]
+    cells = [
+        _cells(board.dictionary or "", int(number), places[0], float(places[1, 0] - places[0, 0]))
+        for number, places in zip(np.ravel(made.getIds()), corners, strict=True)  # type: ignore[attr-defined]
+    ]
+    rectangles = np.concatenate(cells)
+    if board.kind == "charuco":
+        side = board.square or 0.0
+        taken = {(int(x / side), int(y / side)) for x, y in corners.mean(axis=1)}
+        rectangles = np.concatenate([_squares(board, lambda i, j: (i, j) not in taken), rectangles])
+    return Shapes(rectangles, none)
+
+
+def _squares(board: Board, black: object) -> FloatArray:
+    side = board.square or 0.0
+    chosen = [(i, j) for j in range(board.rows) for i in range(board.columns) if black(i, j)]  # type: ignore[operator]
+    corners = side * np.array(chosen, dtype=float)
+    return np.hstack([corners, corners + side])
+
+
+def _cells(name: str, number: int, corner: FloatArray, side: float) -> FloatArray:
+    """Black cells of a marker, in runs along its rows."""
+    markers = dictionary(name)
+    count = int(markers.markerSize) + 2
+    image = np.asarray(markers.generateImageMarker(number, count)) < 128
+    step = side / count
+    runs = []
+    for j, row in enumerate(image):
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], row.astype(int), [0]])))
+        runs += [(start, j, end, j + 1) for start, end in edges.reshape(-1, 2)]
+    return np.tile(corner, 2) + step * np.array(runs, dtype=float)
+
+
+def raster(board: Board, size: float, margin: float) -> GreyImage:
+    """Return a board as an image in grey values, with a white margin.
+
+    Args:
+        board: The board.
+        size: Of a pixel [m].
+        margin: Width of the margin [m].
+    """
+    width, height = (int(np.ceil((length + 2 * margin) / size)) for length in board.size)
+    image = np.full((height, width), 255, np.uint8)
+    black = shapes(board)
+    for x0, y0, x1, y1 in np.rint((black.rectangles + margin) / size).astype(int):
+        image[y0:y1, x0:x1] = 0
+    x, y = np.meshgrid((np.arange(width) + 0.5) * size - margin, (np.arange(height) + 0.5) * size - margin)
+    for cx, cy, radius in black.discs:
+        image[(x - cx) ** 2 + (y - cy) ** 2 < radius**2] = 0
+    return image
+
+
+def page(board: Board, form: str, paper: str | None = None) -> bytes:
+    """Return a page with the board in true size, a ruler, and what the board is.
+
+    Args:
+        board: The board.
+        form: pdf or svg.
+        paper: One of `PAPERS`, upright or lying as the board needs; the page is as large as the board if not given.
+
+    Raises:
+        InputError: The board is larger than the paper, or OpenCV is not installed.
+    """
+    from matplotlib.figure import Figure  # it takes a while, and only this page needs it
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path
+
+    width, height = board.size
+    needed = np.array([max(width, _RULER) + 2 * _MARGIN, height + _FOOT + 2 * _MARGIN])
+    sheet = needed if paper is None else _sheet(paper, needed, board)
+    left, top = (sheet[0] - width) / 2, (sheet[1] - height - _FOOT) / 2
+    figure = Figure(figsize=tuple(sheet / _INCH))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set_xlim(0.0, sheet[0])
+    axes.set_ylim(sheet[1], 0.0)
+    axes.set_axis_off()
+    black = shapes(board)
+    parts = [
+        Path(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]]), closed=True)
+        for x0, y0, x1, y1 in black.rectangles + np.tile([left, top], 2)
+    ]
+    parts += [Path.circle((x + left, y + top), radius) for x, y, radius in black.discs]
+    axes.add_patch(PathPatch(Path.make_compound_path(*parts), facecolor="black", edgecolor="none"))
+    _draw_foot(axes, board, (sheet[0] - _RULER) / 2, top + height + 0.006)
+    stream = io.BytesIO()
+    about = {"Date": None} if form == "svg" else {"CreationDate": None}
+    figure.savefig(stream, format=form, metadata=about)
+    return stream.getvalue()
+
+
+def _sheet(paper: str, needed: FloatArray, board: Board) -> FloatArray:
+    for size in (PAPERS[paper], PAPERS[paper][::-1]):
+        if np.all(needed <= size):
+            return np.array(size)
+    width, height = _MM * needed
+    raise InputError(
+        f"the {board.kind} needs a page of {width:.0f} x {height:.0f} mm, and {paper.upper()} is smaller; take larger"
+        " paper, smaller or fewer squares"
+    )
+
+
+def _draw_foot(axes: object, board: Board, left: float, top: float) -> None:
+    """A ruler in steps of 10 mm, and words."""
+    for k in range(11):
+        x = left + k * _RULER / 10
+        axes.plot([x, x], [top, top + (0.004 if k % 5 == 0 else 0.0025)], color="black", linewidth=0.4)  # type: ignore[attr-defined]
+    axes.plot([left, left + _RULER], [top, top], color="black", linewidth=0.4)  # type: ignore[attr-defined]
+    words = f"{board}\nprint at 100 %; the ruler is 100 mm long: measure it, and state the sizes as printed"
+    axes.text(left, top + 0.006, words, fontsize=5, va="top")  # type: ignore[attr-defined]

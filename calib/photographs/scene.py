@@ -1,0 +1,220 @@
+"""Photographs of a board with the pose of the robot's tool at each: what is known, what is sought, what is predicted.
+
+The camera is fixed to one end of the robot by C, the board to the other by M, and the robot says how the two ends lie:
+
+    p = C^-1 A_i M X        A_i = L_i for a camera that stands beside the robot (board on the tool)
+                            A_i = L_i^-1 for a camera on the tool (board beside the robot)
+
+with L_i the tool in the robot's base at image i, X a point of the board and p the same in the camera. Pixels follow by
+`calib.instruments.camera`. Sought are C, M and intrinsics. Steps turn and move places in their own axes, C exp(xi), and
+so does an error of the robot at an image, L_i exp(e_i): [d; w], the tool moved by d and turned by w.
+
+All that solving asks of the points of an image are sums over them: with residuals r, their derivative J by what is
+sought and G by e_i, J^T J, J^T G, G^T G, J^T r, G^T r and r^T r. Whatever weighs images by errors that their points
+share is algebra with 6 x 6 matrices (`calib.photographs.estimation`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import pinocchio as pin
+
+from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.instruments.camera import project, rays
+from calib.numerics.rigid import cross_matrices
+
+Mount = Literal["tool", "base"]
+SIDES: dict[Mount, str] = {"tool": "on the tool", "base": "beside the robot"}
+
+
+@dataclass(frozen=True, eq=False)
+class Scene(ReadOnlyArrays):
+    """Images of a board.
+
+    Attributes:
+        names: Of the images.
+        tool: L_i, tool in base at each image, (n, 4, 4) [m].
+        image: Image of each point, ascending, (m,).
+        body: Points in the board's frame, (m, 3) [m].
+        pixels: Where they were found, (m, 2).
+        mount: Where the camera is.
+        size: Width and height of the images [px].
+    """
+
+    names: tuple[str, ...]
+    tool: FloatArray
+    image: IntArray
+    body: FloatArray
+    pixels: FloatArray
+    mount: Mount
+    size: tuple[int, int]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def links(self) -> FloatArray:
+        """A_i, (n, 4, 4) [m]."""
+        return self.tool if self.mount == "base" else np.linalg.inv(self.tool)
+
+    def only(self, chosen: BoolArray) -> Scene:
+        """Return the scene with some of the images, (n,)."""
+        number = np.cumsum(chosen) - 1
+        kept = chosen[self.image]
+        names = tuple(name for name, keep in zip(self.names, chosen, strict=True) if keep)
+        return replace(
+            self,
+            names=names,
+            tool=self.tool[chosen],
+            image=number[self.image[kept]],
+            body=self.body[kept],
+            pixels=self.pixels[kept],
+        )
+
+    def sums(self, values: FloatArray) -> FloatArray:
+        """Return sums over the points of each image of values (m, ...), (n, ...)."""
+        result = np.zeros((len(self), *values.shape[1:]))
+        np.add.at(result, self.image, values)
+        return result
+
+    @property
+    def counts(self) -> IntArray:
+        """Points in each image, (n,)."""
+        return np.bincount(self.image, minlength=len(self))
+
+
+@dataclass(frozen=True, eq=False)
+class Placed(ReadOnlyArrays):
+    """Where camera and board are.
+
+    Attributes:
+        camera: C, camera in the frame that it is fixed to, (4, 4) [m].
+        board: M, board in the frame that it is fixed to, (4, 4) [m].
+        intrinsics: fx fy cx cy k1 k2 p1 p2 k3, (9,).
+        scale: By how much the board is larger than described.
+    """
+
+    camera: FloatArray
+    board: FloatArray
+    intrinsics: FloatArray
+    scale: float = 1.0
+
+    def moved(self, step: FloatArray, free: Sequence[int]) -> Placed:
+        """Return this after a step [camera 6, board 6, intrinsics, scale], as many as `Linear` has columns."""
+        intrinsics = self.intrinsics.copy()
+        intrinsics[list(free)] += step[12 : 12 + len(free)]
+        scale = self.scale + (float(step[12 + len(free)]) if len(step) > 12 + len(free) else 0.0)
+        return Placed(_stepped(self.camera, step[:6]), _stepped(self.board, step[6:12]), intrinsics, scale)
+
+
+def _stepped(pose: FloatArray, step: FloatArray) -> FloatArray:
+    return pose @ np.asarray(pin.exp6(pin.Motion(step)).homogeneous)
+
+
+@dataclass(frozen=True, eq=False)
+class Linear(ReadOnlyArrays):
+    """Residuals and derivatives, summed over the points of each image; see the module docstring.
+
+    Attributes:
+        residuals: Predicted minus found, (m, 2) [px].
+        jj, jg, gg: J^T J, J^T G, G^T G, (n, k, k), (n, k, 6), (n, 6, 6).
+        jr, gr, rr: J^T r, G^T r, r^T r, (n, k), (n, 6), (n,).
+        n_rows: Rows of each image, (n,).
+    """
+
+    residuals: FloatArray
+    jj: FloatArray
+    jg: FloatArray
+    gg: FloatArray
+    jr: FloatArray
+    gr: FloatArray
+    rr: FloatArray
+    n_rows: IntArray
+
+    def only(self, chosen: BoolArray) -> Linear:
+        """Return the sums of some images (n,); residuals stay those of all."""
+        parts = (one[chosen] for one in (self.jj, self.jg, self.gg, self.jr, self.gr, self.rr, self.n_rows))
+        return Linear(self.residuals, *parts)
+
+
+def in_camera(scene: Scene, placed: Placed) -> tuple[FloatArray, FloatArray]:
+    """Return the points in the camera, (m, 3) [m], and the board in the camera at each image, (n, 4, 4)."""
+    poses = np.linalg.inv(placed.camera) @ scene.links @ placed.board
+    at = poses[scene.image]
+    return np.einsum("kab,kb->ka", at[:, :3, :3], placed.scale * scene.body) + at[:, :3, 3], poses
+
+
+def residuals(scene: Scene, placed: Placed) -> FloatArray:
+    """Return predicted minus found, (m, 2) [px]."""
+    return project(in_camera(scene, placed)[0], placed.intrinsics)[0] - scene.pixels
+
+
+def rows(
+    scene: Scene, placed: Placed, free: Sequence[int], scaled: bool = False
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return residuals (m, 2) [px], J (m, 2, k) and G (m, 2, 6).
+
+    Args:
+        scene: The images.
+        placed: Where camera and board are.
+        free: Which intrinsics are sought, by their numbers.
+        scaled: Whether the size of the board is sought too.
+    """
+    points, poses = in_camera(scene, placed)
+    pixels, by_point, by_number = project(points, placed.intrinsics)
+    body = placed.scale * scene.body
+    turned = poses[scene.image, :3, :3]
+    by_camera = np.concatenate([-np.tile(np.eye(3), (len(points), 1, 1)), cross_matrices(points)], axis=2)
+    by_board = np.concatenate([turned, -turned @ cross_matrices(body)], axis=2)
+    columns = [by_point @ by_camera, by_point @ by_board, by_number[:, :, list(free)]]
+    if scaled:
+        columns.append(by_point @ np.einsum("kab,kb->ka", turned, scene.body)[:, :, None])
+    return pixels - scene.pixels, np.concatenate(columns, axis=2), by_point @ _by_error(scene, placed, body)
+
+
+def _by_error(scene: Scene, placed: Placed, body: FloatArray) -> FloatArray:
+    """How an error of the robot's tool moves points in the camera, (m, 3, 6)."""
+    if scene.mount == "base":
+        carried = body @ placed.board[:3, :3].T + placed.board[:3, 3]  # in the tool
+        turned = (placed.camera[:3, :3].T @ scene.tool[:, :3, :3])[scene.image]
+        return np.concatenate([turned, -turned @ cross_matrices(carried)], axis=2)
+    seen = (scene.links @ placed.board)[scene.image]
+    carried = np.einsum("kab,kb->ka", seen[:, :3, :3], body) + seen[:, :3, 3]
+    turned = np.tile(placed.camera[:3, :3].T, (len(body), 1, 1))
+    return -np.concatenate([turned, -turned @ cross_matrices(carried)], axis=2)
+
+
+def linearised(scene: Scene, placed: Placed, free: Sequence[int], scaled: bool = False) -> Linear:
+    """Return residuals and derivatives, summed over the points of each image; see `rows`."""
+    r, j, g = rows(scene, placed, free, scaled)
+    starts = np.concatenate([[0], np.cumsum(scene.counts)])
+    n, k = len(scene), j.shape[2]
+    jj, jg, gg, jr, gr, rr = (np.zeros((n, *shape)) for shape in ((k, k), (k, 6), (6, 6), (k,), (6,), ()))
+    for i in range(n):
+        some = slice(starts[i], starts[i + 1])
+        own_r, own_j, own_g = r[some].ravel(), j[some].reshape(-1, k), g[some].reshape(-1, 6)
+        jj[i], jg[i], gg[i] = own_j.T @ own_j, own_j.T @ own_g, own_g.T @ own_g
+        jr[i], gr[i], rr[i] = own_j.T @ own_r, own_g.T @ own_r, own_r @ own_r
+    return Linear(r, jj, jg, gg, jr, gr, rr, 2 * scene.counts)
+
+
+def on_board(scene: Scene, placed: Placed) -> FloatArray:
+    """Return how far pixels lie from their points on the board, in its plane as the model places it, (m, 2) [m].
+
+    A ray that does not meet the plane in front of the camera gives infinity.
+    """
+    poses = in_camera(scene, placed)[1][scene.image]
+    seen = rays(scene.pixels, placed.intrinsics)
+    directions = np.hstack([seen, np.ones((len(seen), 1))])
+    normal, place = poses[:, :3, 2], poses[:, :3, 3]
+    along = np.einsum("ka,ka->k", normal, directions)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = np.einsum("ka,ka->k", normal, place) / along
+    depth = np.where((np.abs(along) > 1e-6) & (depth > 0), depth, np.inf)
+    with np.errstate(invalid="ignore"):
+        away = np.einsum("kba,kb->ka", poses[:, :3, :3], depth[:, None] * directions - place)[:, :2]
+        return np.where(np.isfinite(depth)[:, None], away / placed.scale - scene.body[:, :2], np.inf)

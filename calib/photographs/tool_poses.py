@@ -1,0 +1,150 @@
+"""Poses of a robot's tool as teach pendants show them: position, and a quaternion or three angles.
+
+Columns (with units in the header; m and rad without):
+
+    x, y, z               the tool in the robot's base
+    qx, qy, qz, qw        unit quaternion; or q1, q2, q3, q4 with the real part first, as ABB has it
+    roll, pitch, yaw      turned about the fixed axes x, y, z in this order, as URDF has it
+    w, p, r               the same, as Fanuc calls it
+    a, b, c               about z, then the new y, then the new x, as KUKA calls it
+    rx, ry, rz            a rotation vector (Universal Robots), or roll, pitch, yaw: which one, must be said
+
+Which image belongs to which row says a column `image` (the file) or `pose` (its name without ending).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from calib.base.arrays import FloatArray
+from calib.base.errors import DataError, nearest
+from calib.data.tables import Table, read_table
+from calib.photographs.images import SUFFIXES
+from calib.robots.robot import Robot
+
+ANGLES = ("rpy", "rotvec")
+_POSITION = ("x", "y", "z")
+_FORMS = (
+    ("qx", "qy", "qz", "qw"),
+    ("q1", "q2", "q3", "q4"),
+    ("roll", "pitch", "yaw"),
+    ("w", "p", "r"),
+    ("a", "b", "c"),
+    ("rx", "ry", "rz"),
+)
+_NORM = 0.01
+
+
+def read_tool_poses(
+    path: Path | str, *, robot: Robot | None = None, angles: str | None = None
+) -> tuple[list[str], FloatArray]:
+    """Return which image each row belongs to, and the tool in the base there, (n, 4, 4) [m].
+
+    Args:
+        path: A CSV file.
+        robot: Whose joint values these are: the tool is then the frame that carries its first target, in its base.
+        angles: What rx, ry, rz are.
+
+    Raises:
+        DataError: A column that is missing, a cell that is no number, a quaternion that is none.
+    """
+    table = read_table(path, {} if robot is None else robot.description.columns)
+    names = image_names(table)
+    if robot is not None:
+        return names, _by_joints(table, robot)
+    columns = {name.casefold(): name for name in table.names}
+    missing = next((name for name in _POSITION if name not in columns), None)
+    if missing is not None:
+        raise DataError(
+            f"{path}: no column '{missing}'; the pose of the tool needs x, y, z and a rotation ({', '.join(map(' '.join, _FORMS))});"
+            " joint values need --robot"
+        )
+    form = next((form for form in _FORMS if all(name in columns for name in form)), None)
+    if form is None:
+        given = ", ".join(table.names)
+        raise DataError(f"{path}: no rotation; expected one of: {'; '.join(map(', '.join, _FORMS))}; it has {given}")
+    poses = np.tile(np.eye(4), (len(names), 1, 1))
+    poses[:, :3, 3] = np.stack([table.column(columns[name], "length") for name in _POSITION], axis=1)
+    poses[:, :3, :3] = _rotations(table, [columns[name] for name in form], form, angles)
+    return names, poses
+
+
+def image_names(table: Table) -> list[str]:
+    """Return which image each row of a table belongs to.
+
+    Raises:
+        DataError: No column says so, a cell is empty, or an image is named twice.
+    """
+    columns = {name.casefold(): name for name in table.names}
+    key = next((columns[name] for name in ("image", "pose", "photo", "file") if name in columns), None)
+    if key is None:
+        raise DataError(f"{table.path}: no column 'image' or 'pose' that says which photograph each row belongs to")
+    names = [Path(cell).stem if cell.lower().endswith(SUFFIXES) else cell for cell in table.text(key)]
+    for k, name in enumerate(names):
+        if not name:
+            raise DataError(f"{table.path}, line {table.lines[k]}, column '{key}': is empty; name the photograph")
+        if name in names[:k]:
+            raise DataError(f"{table.path}, line {table.lines[k]}, column '{key}': '{name}' comes twice")
+    return names
+
+
+def _rotations(table: Table, columns: Sequence[str], form: tuple[str, ...], angles: str | None) -> FloatArray:
+    if form[0].startswith("q"):
+        numbers = np.stack([table.column(name, None) for name in columns], axis=1)
+        lengths = np.linalg.norm(numbers, axis=1)
+        bad = np.flatnonzero(np.abs(lengths - 1) > _NORM)
+        if len(bad):
+            raise DataError(
+                f"{table.path}, line {table.lines[bad[0]]}: {', '.join(form)} is no unit quaternion (its length is"
+                f" {lengths[bad[0]]:.4g})"
+            )
+        return scipy.spatial.transform.Rotation.from_quat(numbers if form[0] == "qx" else np.roll(numbers, -1, axis=1)).as_matrix()
+    values = np.stack([table.column(name, "angle") for name in columns], axis=1)
+    if form == ("a", "b", "c"):
+        return scipy.spatial.transform.Rotation.from_euler("ZYX", values).as_matrix()
+    if form == ("rx", "ry", "rz"):
+        if angles is None:
+            raise DataError(
+                f"{table.path}: rx, ry, rz may be a rotation vector (Universal Robots) or angles about x, y, z; say which:"
+                " --angles rotvec or --angles rpy"
+            )
+        if angles == "rotvec":
+            return scipy.spatial.transform.Rotation.from_rotvec(values).as_matrix()
+    return scipy.spatial.transform.Rotation.from_euler("xyz", values).as_matrix()
+
+
+def _by_joints(table: Table, robot: Robot) -> FloatArray:
+    """The tool by the robot's kinematics: the frame of its first target."""
+    missing = next((name for name in robot.joint_names if name not in table.names), None)
+    if missing is not None:
+        raise DataError(f"{table.path}: no column '{missing}'{nearest(missing, table.names)}")
+    joints = np.stack([table.column(name, robot.mechanism.dimensions[name]) for name in robot.joint_names], axis=1)
+    return robot.forward(joints)
+
+
+def matched(
+    seen: Sequence[str], names: Sequence[str], poses: FloatArray, where: str
+) -> tuple[list[int], list[str]]:
+    """Return the row of each image that was seen, and in words which images have none.
+
+    Args:
+        seen: Names of images with a board.
+        names: Image of each row.
+        poses: (n, 4, 4) [m].
+        where: Of the rows, for messages.
+
+    Raises:
+        DataError: No image has a row.
+    """
+    row = {name: k for k, name in enumerate(names)}
+    remarks = [f"{name}: {where} has no pose of this image{nearest(name, names)}" for name in seen if name not in row]
+    if len(remarks) == len(seen):
+        raise DataError(
+            f"{where}: no row names any of the photographs ({', '.join(list(seen)[:3])}, ...); its rows are called"
+            f" {', '.join(list(names)[:3])}, ..."
+        )
+    return [row[name] for name in seen if name in row], remarks

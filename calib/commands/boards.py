@@ -5,13 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
+import numpy as np
 
 from calib.base.errors import InputError, nearest
-from calib.base.files import write_files
+from calib.base.files import write_files, write_folder
 from calib.base.sections import read_yaml
 from calib.commands.common import Output, shared_options
 from calib.instruments.board import BOARD_KINDS, Board, checked_board
 from calib.photographs.printing import FORMATS, PAPERS, page
+from calib.photographs.rendering import example
 
 _SHORT = {
     "charuco": ("columns", "rows", "square", "marker", "dictionary"),
@@ -20,8 +22,10 @@ _SHORT = {
     "aruco": ("columns", "rows", "marker", "gap", "dictionary"),
     "apriltag": ("columns", "rows", "marker", "gap", "dictionary"),
 }
+_PHOTOGRAPHS = 12
 _HELP = (
-    "The board: a YAML file (kind, columns, rows, square, marker, dictionary), or in short charuco:7x5:30mm:22mm:DICT_5X5_100"
+    "The board: a YAML file (kind, columns, rows, square, marker, dictionary), or in short"
+    " charuco:7x5:30mm:22mm:DICT_5X5_100"
     " (squares, side, marker), chessboard:9x6:25mm (squares, not inner corners), circles:4x11:20mm,"
     " aruco:4x3:40mm:10mm:DICT_4X4_50, apriltag:4x3:40mm:10mm (markers, side, gap)."
 )
@@ -59,10 +63,14 @@ def given_board(text: str) -> Board:
 
 @click.command("board")
 @board_option
-@click.option("--paper", type=click.Choice(sorted(PAPERS)), help="Page to print on; as large as the board if not given.")
+@click.option(
+    "--paper", type=click.Choice(sorted(PAPERS)), help="Page to print on; as large as the board if not given."
+)
+@click.option("--photographs", metavar="DIR", help="Write 12 simulated photographs too, with poses, to try it.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the simulated photographs.")
 @click.option("--out", required=True, metavar="FILE", help="PDF or SVG file to write.")
 @shared_options()
-def command(board: str, paper: str | None, out: str, output: Output) -> None:
+def command(board: str, paper: str | None, photographs: str | None, seed: int, out: str, output: Output) -> None:
     """Write a board to print, in true size, with a ruler to check the print.
 
     The same board describes the photographs (calib detect, calib hand-eye) and the points in a robot description.
@@ -71,7 +79,12 @@ def command(board: str, paper: str | None, out: str, output: Output) -> None:
     if form not in FORMATS:
         raise InputError(f"{out}: the name of a page to print ends in .pdf or .svg")
     described = given_board(board)
-    output.check(out)
+    output.check(out, folders=(photographs,))
     content = page(described, form, paper)
     write_files({Path(out): content}, comment="%" if form == "pdf" else "", force=output.force)
     output.say(f"{out} written: {described}; print it at 100 % and measure the ruler")
+    if photographs:
+        with output.working("rendering photographs"):
+            files = example(described, _PHOTOGRAPHS, np.random.default_rng(seed))
+        write_folder(photographs, files, force=output.force)
+        output.say(f"{_PHOTOGRAPHS} simulated photographs and poses.csv written to {photographs}, seed {seed}")

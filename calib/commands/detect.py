@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import click
@@ -18,6 +18,7 @@ from calib.instruments.board import Board
 from calib.photographs.coverage import LITTLE, image_coverage
 from calib.photographs.detection import Detection, Found, detect
 from calib.photographs.images import Shot, joint_columns, shots
+from calib.photographs.opencv import GreyImage
 from calib.photographs.pages import Picture, page, small_copy
 
 
@@ -57,20 +58,20 @@ def command(
             Picture(one, copy, one.remark or counted(len(one.points), "point"), not one.usable)
             for one, copy in zip(found.images, small, strict=True)
         ]
-        write_files({Path(page_file): page(f"Photographs of a {found.board}", lines, pictures).encode()}, force=output.force)
+        write_files(
+            {Path(page_file): page(f"Photographs of a {found.board}", lines, pictures).encode()}, force=output.force
+        )
     for line in lines:
         output.say(line)
     output.say(f"Written to {out}")
     output.json(content(found))
 
 
-def detected(
-    board: Board, every: Sequence[Shot], output: Output, *, pictures: bool
-) -> tuple[Detection, list[bytes]]:
+def detected(board: Board, every: Sequence[Shot], output: Output, *, pictures: bool) -> tuple[Detection, list[bytes]]:
     """Find a board in images, telling of each that has none; return small copies too, if they are wanted."""
     small: list[bytes] = []
 
-    def read() -> object:
+    def read() -> Iterator[tuple[str, GreyImage | str]]:
         for one in every:
             image = one.read()
             small.append(small_copy(image) if pictures else b"")
@@ -78,7 +79,7 @@ def detected(
 
     result: Detection | None = None
     with output.working("looking for the board") as progress:
-        for k, step in enumerate(detect(board, read())):  # type: ignore[arg-type]
+        for k, step in enumerate(detect(board, read())):
             if isinstance(step, Detection):
                 result = step
             else:

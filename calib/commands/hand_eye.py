@@ -29,6 +29,7 @@ from calib.photographs.images import joint_columns, shots
 from calib.photographs.pages import Picture, exaggeration, page
 from calib.photographs.scene import Mount, Scene
 from calib.photographs.tool_poses import ANGLES, matched, read_tool_poses
+from calib.robots.robot import Robot
 
 _SIZE = re.compile(r"image: (\d+) x (\d+) px")
 FILES = (
@@ -47,7 +48,9 @@ FILES = (
 @click.command("hand-eye")
 @click.argument("images", nargs=-1, required=True)
 @board_option
-@click.option("--poses", metavar="FILE", help="CSV file with the pose of the tool at each image; or joint values (--robot).")
+@click.option(
+    "--poses", metavar="FILE", help="CSV file with the pose of the tool at each image; or joint values (--robot)."
+)
 @click.option("--robot", metavar="ROBOT", help="Robot of the joint values (YAML description or URDF), taken as it is.")
 @click.option("--angles", type=click.Choice(ANGLES), help="What columns rx, ry, rz are.")
 @click.option("--camera", metavar="FILE", help="Intrinsics: YAML of OpenCV or camera_info of ROS; found if not given.")
@@ -115,7 +118,7 @@ def command(
             f"{camera}: is for images of {lens_file.image[0]} x {lens_file.image[1]} px, and these have"
             f" {scene.size[0]} x {scene.size[1]}; give the intrinsics of these images, or leave --camera out"
         )
-    mounts = ("tool", "base") if camera_on is None else (cast(Mount, camera_on),)
+    mounts: tuple[Mount, ...] = ("tool", "base") if camera_on is None else (cast(Mount, camera_on),)
     with output.working("calibrating") as progress:
         result = calibrate(
             scene, None if lens_file is None else lens_file.intrinsics, lens=lens, mounts=mounts, progress=progress
@@ -168,7 +171,7 @@ def _frames(text: str | None) -> Frames:
 def _tools(
     seen: Sequence[Found],
     poses: str | None,
-    model: object,
+    model: Robot | None,
     angles: str | None,
     bag: tuple[list[str], FloatArray] | None,
     output: Output,
@@ -176,14 +179,16 @@ def _tools(
     """Row of each image that has a pose of the tool, and these poses, (n, 4, 4)."""
     if poses is None:
         if bag is None or model is None:
-            raise InputError("give the pose of the tool at each image with --poses FILE; from a bag, joint values need --robot")
+            raise InputError(
+                "give the pose of the tool at each image with --poses FILE; from a bag, joint values need --robot"
+            )
         names, values = bag
-        missing = next((name for name in model.joint_names if name not in names), None)  # type: ignore[attr-defined]
+        missing = next((name for name in model.joint_names if name not in names), None)
         if missing is not None:
             raise DataError(f"the bag has no joint '{missing}'{nearest(missing, names)}")
-        joints = values[:, [names.index(name) for name in model.joint_names]]  # type: ignore[attr-defined]
-        return {one.name: k for k, one in enumerate(seen)}, model.forward(joints)  # type: ignore[attr-defined]
-    names, tool = read_tool_poses(poses, robot=model, angles=angles)  # type: ignore[arg-type]
+        joints = values[:, np.array([names.index(name) for name in model.joint_names])]
+        return {one.name: k for k, one in enumerate(seen)}, model.forward(joints)
+    names, tool = read_tool_poses(poses, robot=model, angles=angles)
     chosen, remarks = matched([one.name for one in seen], names, tool, poses)
     output.remarks([f"left out: {text}" for text in remarks])
     return {names[k]: k for k in chosen}, tool
@@ -230,8 +235,13 @@ def _page(result: HandEye, frames: Frames, seen: Sequence[Found], small: dict[st
         points = scene.image == i
         arrows = scene.pixels[points] + factor * result.pixels[points]
         shown = replace(own[name], pixels=scene.pixels[points])
-        pictures.append(Picture(shown, small.get(name, b""), f"{each[i]:.2f} px, {on[i]:.2f} mm on the board", arrows=arrows))
+        pictures.append(
+            Picture(shown, small.get(name, b""), f"{each[i]:.2f} px, {on[i]:.2f} mm on the board", arrows=arrows)
+        )
     for name, one in off.items():
         pictures.append(Picture(own[name], small.get(name, b""), f"left out: {one.rms:.1f} px off", True))
-    lines = [*report(result, frames).splitlines(), f"Arrows: from where points were found to where they should be, {factor:g} times as long"]
+    lines = [
+        *report(result, frames).splitlines(),
+        f"Arrows: from where points were found to where they should be, {factor:g} times as long",
+    ]
     return page("Hand-eye calibration", lines, pictures)

@@ -47,8 +47,8 @@ class Board(Section):
         spacing: Between neighbouring rows of dots, and half of that between dots of one row [m].
         dictionary: Of the markers, as OpenCV calls it, such as DICT_6X6_250.
         first_marker: Number of the first marker.
-        legacy: Whether a ChArUco board has the layout of OpenCV before 4.6, which has a marker in its first square where
-            the number of rows is even; None: not known, both are tried.
+        legacy: Whether a ChArUco board has the layout of OpenCV before 4.6, which has a marker in its first square
+            where the number of rows is even; None: not known, both are tried.
     """
 
     kind: BoardKind
@@ -85,7 +85,8 @@ class Board(Section):
             raise ValueError("'legacy' is for charuco boards")
         if self.kind == "chessboard" and (self.columns + self.rows) % 2 == 0:
             raise ValueError(
-                f"a chessboard of {self.columns} x {self.rows} squares looks the same turned by half a turn, so that its"
+                f"a chessboard of {self.columns} x {self.rows} squares looks the same turned by half a turn, so"
+                f" that its"
                 " points could be exchanged; use one with an odd and an even number of squares (count squares, not"
                 " inner corners)"
             )
@@ -114,7 +115,9 @@ class Board(Section):
             places = [((i + 1) * side, (j + 1) * side) for j in range(self.rows - 1) for i in range(self.columns - 1)]
         elif self.kind == "circles":
             step = self.spacing or 0.0
-            places = [((2 * i + j % 2 + 1) * step, (j + 1) * step) for j in range(self.rows) for i in range(self.columns)]
+            places = [
+                ((2 * i + j % 2 + 1) * step, (j + 1) * step) for j in range(self.rows) for i in range(self.columns)
+            ]
         else:
             side, pitch = self.marker or 0.0, (self.marker or 0.0) + (self.gap or 0.0)
             around = ((0.0, 0.0), (side, 0.0), (side, side), (0.0, side))
@@ -133,7 +136,8 @@ class Board(Section):
             for key in ("square", "marker", "gap", "spacing")
             if (value := getattr(self, key)) is not None
         ]
-        return f"{self.kind} of {self.columns} x {self.rows} {what}, {', '.join([*numbers, *filter(None, [self.dictionary])])}"
+        sizes = ", ".join([*numbers, *filter(None, [self.dictionary])])
+        return f"{self.kind} of {self.columns} x {self.rows} {what}, {sizes}"
 
 
 def checked_board(content: object, where: str) -> Board:

@@ -1,10 +1,11 @@
 """Hand-eye calibration from photographs, with a robot that is taken as it is: found, and judged by images left out.
 
-Order of work: (1) where to begin (`calib.photographs.starts`); (2) images that lie far off where the others put them are
-set aside and named; (3) the lens: intrinsics as given, or found from the same images, whichever predicts images that
-are left out in turn better; (4) every point alike or images weighed by what their points share
+Order of work: (1) where to begin (`calib.photographs.starts`); (2) images that lie far off where the others put them
+are set aside and named; (3) the lens: intrinsics as given, or found from the same images, whichever predicts images
+that are left out in turn better; (4) every point alike or images weighed by what their points share
 (`calib.photographs.estimation`), by the same rule; (5) what the camera alone leaves, the board placed freely in each
-image: the rest comes with the robot's poses; (6) mistakes that would explain what is left (`calib.photographs.mistakes`).
+image: the rest comes with the robot's poses; (6) mistakes that would explain what is left
+(`calib.photographs.mistakes`).
 
 "Better" is more than chance: with n images, n log(RMS / RMS) of those left out must gain more than 1.
 """
@@ -21,7 +22,7 @@ from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.base.errors import ComputationError, DataError, NotIdentifiableError
 from calib.base.words import counted
 from calib.instruments.camera import NAMES
-from calib.photographs.estimation import Estimate, Prior, estimate, left_out
+from calib.photographs.estimation import Estimate, Noise, Prior, estimate, left_out, plain
 from calib.photographs.mistakes import Mistake, find_mistakes
 from calib.photographs.scene import Mount, Placed, Scene, linearised, on_board, residuals
 from calib.photographs.starts import LEAST_IMAGES, Start, camera_alone, intrinsics_at_first, start
@@ -177,36 +178,35 @@ def calibrate(
     own = sure.only(kept)
     tell(2, 5)
     prior = _prior(first, own, intrinsics is not None)
-    given, rms_given = None, float("nan")
-    choices: list[tuple[Estimate, LeftOut, Prior | None]] = []
-    if intrinsics is not None and lens != "found":
-        given = estimate(own, begin.placed, ())
-        choices.append((given, _left(own, given, None), None))
-        rms_given = rms(choices[0][1].pixels)
-    if lens != "given":
-        choices += _with_lens(own, begin.placed, prior, required=not choices)
-    found, left, used = choices[0]
+    choices = _lenses(own, begin.placed, prior, intrinsics, lens)
+    chosen = choices[0]
+    better = chosen
     for other in choices[1:]:
-        if _gain(left, other[1], len(own)) > _GAIN:
-            found, left, used = other
+        if _gain(better.left, other.left, len(own)) > _GAIN:
+            better = other
+    chosen = choices[0] if lens == "given" else better
+    rms_given = float("nan") if choices[0].free else rms(choices[0].left.pixels)
     tell(3, 5)
-    weighed = False
-    try:
-        other_found = estimate(own, found.placed, found.free, used, weighed=True)
-        other_left = _left(own, other_found, used)
-        if _gain(left, other_left, len(own)) > _GAIN:
-            found, left, weighed = other_found, other_left, True
-    except ComputationError:
-        pass  # weights that cannot be found are not used
+    found, left = estimate(own, chosen.placed, chosen.free, chosen.prior), chosen.left
+    used, weighed = chosen.prior, False
+    if found.noise.shift > 0 or found.noise.turn > 0:
+        try:
+            other_found = estimate(own, found.placed, found.free, used, weighed=True, near=found.noise)
+            other_left = _left(own, other_found.placed, other_found.free, other_found.weights, used)
+            if _gain(left, other_left, len(own)) > _GAIN:
+                found, left, weighed = other_found, other_left, True
+        except ComputationError:
+            pass  # weights that cannot be found are not used
     tell(4, 5)
     alone, _ = camera_alone(own, found.placed.intrinsics, found.free)
-    mistakes = find_mistakes(sure, own, found, used, rms(alone), intrinsics)
+    of_lens = found if better is chosen else estimate(own, better.placed, better.free, better.prior)
+    mistakes = find_mistakes(sure, own, found, used, intrinsics, first, of_lens)
     tell(5, 5)
     return HandEye(own, found, used, left, alone, off, mistakes, intrinsics, rms_given, weighed)
 
 
 def _in_order_of_content(scene: Scene) -> Scene:
-    """The same images, their points in one order, whatever order the file has: sums are then the same to the last digit."""
+    """The same images, their points in one order whatever the file has, so that sums are the same to the last digit."""
     order = np.lexsort((scene.pixels[:, 1], scene.pixels[:, 0], scene.image))
     return replace(scene, image=scene.image[order], body=scene.body[order], pixels=scene.pixels[order])
 
@@ -215,14 +215,14 @@ def _gain(before: LeftOut, after: LeftOut, n: int) -> float:
     return float(n * np.log(rms(before.pixels) / rms(after.pixels)))
 
 
-def _left(scene: Scene, found: Estimate, prior: Prior | None) -> LeftOut:
-    placed = tuple(left_out(scene, found, prior))
+def _left(scene: Scene, placed: Placed, free: tuple[int, ...], weights: Noise, prior: Prior | None) -> LeftOut:
+    ends = tuple(left_out(scene, placed, free, weights, prior))
     pixels, board = np.zeros_like(scene.pixels), np.zeros_like(scene.pixels)
-    for i, without in enumerate(placed):
+    for i, without in enumerate(ends):
         own = scene.image == i
         part = scene.only(np.arange(len(scene)) == i)
         pixels[own], board[own] = residuals(part, without), on_board(part, without)
-    return LeftOut(pixels, board, placed)
+    return LeftOut(pixels, board, ends)
 
 
 def _prior(first: FloatArray, scene: Scene, given: bool) -> Prior:
@@ -234,29 +234,37 @@ def _prior(first: FloatArray, scene: Scene, given: bool) -> Prior:
     return Prior(first[numbers], sigma)
 
 
-def _with_lens(
-    scene: Scene, begin: Placed, prior: Prior, *, required: bool
-) -> list[tuple[Estimate, LeftOut, Prior | None]]:
-    """Calibrations with the lens found: without distortion where nothing is given, and with it."""
-    sets = [4, 6] if required else [6]
-    result: list[tuple[Estimate, LeftOut, Prior | None]] = []
-    for count in sets:
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """One way to take the lens, by plain least squares."""
+
+    placed: Placed
+    free: tuple[int, ...]
+    prior: Prior | None
+    left: LeftOut
+
+
+def _lenses(scene: Scene, begin: Placed, prior: Prior, intrinsics: FloatArray | None, lens: str) -> list[_Choice]:
+    """Ways to take the lens: as given first; found, without distortion only where none is given, and with it."""
+    result: list[_Choice] = []
+    if intrinsics is not None and lens != "found":
+        placed, weights = plain(scene, begin, ())
+        result.append(_Choice(placed, (), None, _left(scene, placed, (), weights, None)))
+    for count in (6,) if intrinsics is not None else (4, 6):
         free = tuple(NAMES.index(name) for name in _LENS[:count])
         part = Prior(prior.values[:count], prior.sigma[:count])
         try:
-            found = estimate(scene, begin, free, part)
-            result.append((found, _left(scene, found, part), part))
+            placed, weights = plain(scene, begin, free, part)
         except (ComputationError, np.linalg.LinAlgError):
-            if required and count == sets[-1] and not result:
-                raise
-    if required and not result:
+            continue
+        result.append(_Choice(placed, free, part, _left(scene, placed, free, weights, part)))
+    if not result:
+        plain(scene, begin, ())  # says what the images do not determine
         raise NotIdentifiableError("the photographs do not determine the lens; give intrinsics (--camera FILE)")
     return result
 
 
-def _without_off(
-    scene: Scene, begin: Start, intrinsics: FloatArray | None, lens: str
-) -> tuple[BoolArray, Start]:
+def _without_off(scene: Scene, begin: Start, intrinsics: FloatArray | None, lens: str) -> tuple[BoolArray, Start]:
     """Which images fit the others, (n,), and where these begin."""
     kept = np.ones(len(scene), dtype=bool)
     free = () if lens == "given" else tuple(NAMES.index(name) for name in _LENS)
@@ -287,15 +295,15 @@ def _foretold(
     own = scene.only(kept)
     prior = _prior(begin.intrinsics, own, intrinsics is not None) if free else None
     try:
-        found = estimate(own, begin, free, prior)
+        placed, weights = plain(own, begin, free, prior)
     except ComputationError:
         return None
     result = np.zeros(len(scene))
-    left = _left(own, found, prior)
+    left = _left(own, placed, free, weights, prior)
     result[kept] = np.sqrt(own.sums(np.sum(left.pixels**2, axis=1)) / own.counts)
     for i in np.flatnonzero(~kept):
         part = scene.only(np.arange(len(scene)) == i)
-        result[i] = rms(residuals(part, found.placed))
+        result[i] = rms(residuals(part, placed))
     return result
 
 
@@ -303,16 +311,16 @@ def _named_off(scene: Scene, kept: BoolArray, begin: Start) -> tuple[OffImage, .
     """Images that are set aside, and by how much the robot would have to be elsewhere."""
     if np.all(kept):
         return ()
-    found = estimate(scene.only(kept), begin.placed, ())
+    placed, _ = plain(scene.only(kept), begin.placed, ())
     named = []
     for i in np.flatnonzero(~kept):
         part = scene.only(np.arange(len(scene)) == i)
-        linear = linearised(part, found.placed, ())
+        linear = linearised(part, placed, ())
         error = -np.linalg.lstsq(linear.gg[0], linear.gr[0], rcond=1e-9)[0]
         named.append(
             OffImage(
                 scene.names[i],
-                rms(residuals(part, found.placed)),
+                rms(residuals(part, placed)),
                 float(np.linalg.norm(error[:3])),
                 float(np.linalg.norm(error[3:])),
             )

@@ -1,6 +1,6 @@
 """Intrinsics from the files that cameras come with: YAML of OpenCV's calibration, and `camera_info` of ROS.
 
-    OpenCV    camera_matrix (`!!opencv-matrix` with rows, cols, data), distortion_coefficients, image_width, image_height
+    OpenCV    camera_matrix (`!!opencv-matrix`: rows, cols, data), distortion_coefficients, image_width, image_height
     ROS       the same keys without the tag, and distortion_model
     calib     fx, fy, cx, cy, k1, k2, p1, p2, k3, and image: [width, height]
 
@@ -47,7 +47,8 @@ class _Loader(yaml.SafeLoader):
 
 
 _Loader.add_constructor(
-    "tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, deep=True)  # type: ignore[arg-type]
+    "tag:yaml.org,2002:opencv-matrix",
+    lambda loader, node: loader.construct_mapping(node, deep=True),  # type: ignore[arg-type]
 )
 
 
@@ -124,7 +125,8 @@ def _distortion(content: Mapping[str, Any], path: Path | str) -> list[float]:
     numbers = [] if given is None else _numbers(given, path, key)
     if any(abs(number) > 0 for number in numbers[5:]):
         raise DescriptionError(
-            f"{path}: {key}: has {len(numbers)} coefficients; k4 and beyond (rational, thin prism, tilted) are not known"
+            f"{path}: {key}: has {len(numbers)} coefficients; k4 and beyond (rational, thin prism, tilted) are"
+            f" not known"
             " here: calibrate the camera with k1 k2 p1 p2 k3, or let them be found (leave the file out)"
         )
     return (numbers + [0.0] * 5)[:5]

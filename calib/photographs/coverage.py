@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.base.arrays import FloatArray
+from calib.base.arrays import BoolArray, FloatArray
 
 _CELLS = 8  # across and down
 LITTLE = 0.4
@@ -21,10 +21,10 @@ def image_coverage(pixels: FloatArray, size: tuple[int, int]) -> float:
     return float(np.mean(_filled(seen)))
 
 
-def _filled(seen: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+def _filled(seen: BoolArray) -> BoolArray:
     """Fields between two that were seen, along a row and along a column."""
 
-    def between(rows: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+    def between(rows: BoolArray) -> BoolArray:
         before = np.maximum.accumulate(rows, axis=1)
         after = np.maximum.accumulate(rows[:, ::-1], axis=1)[:, ::-1]
         return before & after

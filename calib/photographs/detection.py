@@ -1,7 +1,7 @@
 """Which points of a board are where in an image, by OpenCV; and in words, why none are.
 
-    chessboard    `findChessboardCornersSB`, which is accurate below a pixel by itself. Which end is the first is told by
-                  the colours of the squares: white or black is looked up between the corners that were found.
+    chessboard    `findChessboardCornersSB`, which is accurate below a pixel by itself. Which end is the first is told
+                  by the colours of the squares: white or black is looked up between the corners that were found.
     charuco       markers, then corners between them, refined by `CharucoDetector`
     circles       `findCirclesGrid`, asymmetric
     aruco         corners of markers, refined to the edges (`CORNER_REFINE_SUBPIX`)
@@ -98,7 +98,9 @@ def detect(board: Board, images: Iterable[tuple[str, GreyImage | str]]) -> Itera
         DescriptionError: No such dictionary, or it has too few markers.
     """
     layouts = _layouts(board)
-    detectors = [_Detector(board.model_copy(update={"legacy": legacy} if board.kind == "charuco" else {})) for legacy in layouts]
+    detectors = [
+        _Detector(board.model_copy(update={"legacy": legacy} if board.kind == "charuco" else {})) for legacy in layouts
+    ]
     each: list[list[Found]] = [[] for _ in layouts]
     for name, image in images:
         if isinstance(image, str):
@@ -129,7 +131,9 @@ class _Detector:
     def find(self, name: str, image: GreyImage) -> Found:
         """Return what is in an image."""
         points = self.points(image)
-        if 0 < len(points) < self._n_points / 2 and len(self.points(np.ascontiguousarray(image[:, ::-1]))) > 2 * len(points):
+        if 0 < len(points) < self._n_points / 2 and len(self.points(np.ascontiguousarray(image[:, ::-1]))) > 2 * len(
+            points
+        ):
             points = {}  # chance finds in a mirrored image
         kept = on_one_plane(self.board, points)
         pixels = np.array(list(kept.values())).reshape(-1, 2)
@@ -195,7 +199,8 @@ class _Detector:
         if not strange:
             return ""
         return (
-            f"marker {strange[0]} is in the image, and the board as described has markers {own[0]} to {own[-1]}; correct"
+            f"marker {strange[0]} is in the image, and the board as described has markers {own[0]} to"
+            f" {own[-1]}; correct"
             " columns, rows or first_marker"
         )
 
@@ -281,7 +286,10 @@ def _dictionary_in(image: GreyImage) -> str:
     for family, sizes in sorted(dictionary_families().items()):
         numbers = _marker_numbers(image, f"{family}{sizes[-1]}")
         if len(set(numbers)) > most:
-            best, most = f"{family}{next(size for size in sizes if not size or int(size[1:]) > max(numbers))}", len(set(numbers))
+            best, most = (
+                f"{family}{next(size for size in sizes if not size or int(size[1:]) > max(numbers))}",
+                len(set(numbers)),
+            )
     return best
 
 

@@ -3,7 +3,7 @@
 Problem. Residuals of image i, to first order, are r_i = J_i x + G_i e_i + noise: x is what is sought, e_i an error of
 the robot's tool there (6 components), and the noise of pixels is independent. With S = diag(s_t s_t s_t s_r s_r s_r),
 
-    cov r_i = s^2 I + G_i S^2 G_i^T,        V_i^-1 = (I - G_i K_i G_i^T) / s^2,       K_i = S (s^2 I + S G_i^T G_i S)^-1 S
+    cov r_i = V_i = s^2 I + G_i S^2 G_i^T,   V_i^-1 = (I - G_i K_i G_i^T) / s^2,   K_i = S (s^2 I + S G_i^T G_i S)^-1 S
 
 so that least squares weighed by it needs only sums over the points of each image (`calib.photographs.scene`):
 
@@ -17,9 +17,9 @@ likelihood: they make
 smallest. It is solved by L-BFGS in their logarithms from several starts and polished by Newton steps, so that rounding
 alone decides the last digits. A robot that is exact gets s_t = s_r = 0, which is plain least squares.
 
-Plain least squares (V = s^2 I) with the covariance A^-1 (sum of J^T V J) A^-1 / s^4 is the other choice. Weights believe
-what differs within an image more than what differs between images: right where the robot errs, wrong where lens or
-board are not as modelled, and blind to robots whose errors follow the pose. So whoever asks takes weights only where
+Plain least squares (V = s^2 I) with the covariance A^-1 (sum of J^T V J) A^-1 / s^4 is the other choice. Weights
+believe what differs within an image more than what differs between images: right where the robot errs, wrong where lens
+or board are not as modelled, and blind to robots whose errors follow the pose. So whoever asks takes weights only where
 they predict images that were left out better (`calib.photographs.calibrating`).
 
 Why. An image of 24 corners has 48 rows, but its robot pose is wrong once. Counted as independent, intervals are several
@@ -37,13 +37,13 @@ Reference: patterson1971, satterthwaite1946.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
-from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.base.errors import NotConvergedError, NotIdentifiableError
 from calib.photographs.scene import Linear, Placed, Scene, linearised
 
@@ -53,6 +53,7 @@ _NOISE_ROUNDS = 12
 _NOISE_STANDS = 1e-8
 _SMALLEST = 1e-8  # s_t [m] and s_r [rad] that count as none
 _SINGULAR = 1e-7  # of scaled columns: a direction that the images do not show
+_FAR = 1e12  # of a criterion that cannot be computed
 _STARTS = ((3e-4, 3e-4), (3e-3, 1e-4), (1e-4, 3e-3))  # s_t [m], s_r [rad]
 
 
@@ -141,6 +142,8 @@ def _criterion(linear: Linear, noise: Noise, prior: Prior | None, now: FloatArra
     s = noise.sizes
     inner = np.eye(6) + s[:, None] * linear.gg * s / noise.pixel**2
     log_v = float(np.sum(np.linalg.slogdet(inner)[1]) + 2 * np.sum(linear.n_rows) * np.log(noise.pixel))
+    if not np.all(np.diag(a) > 0):  # rounding, where the sizes are far from what they can be
+        return _FAR
     scale = 1.0 / np.sqrt(np.diag(a))
     scaled = scale[:, None] * a * scale
     log_a = float(np.linalg.slogdet(scaled)[1] - 2 * np.sum(np.log(scale)))
@@ -155,7 +158,7 @@ def _noise_of(logs: FloatArray) -> Noise:
 def found_noise(linear: Linear, prior: Prior | None, now: FloatArray, near: Noise | None = None) -> Noise:
     """Return the sizes of the errors by restricted maximum likelihood at a linearisation."""
     low = np.log([1e-3, 0.3 * _SMALLEST, 0.3 * _SMALLEST])
-    bounds = list(zip(low, np.log([1e3, 1.0, 1.0]), strict=True))
+    bounds = list(zip(low, np.log([1e3, 0.1, 0.1]), strict=True))
 
     def cost(logs: FloatArray) -> float:
         return _criterion(linear, _noise_of(logs), prior, now)
@@ -172,7 +175,7 @@ def found_noise(linear: Linear, prior: Prior | None, now: FloatArray, near: Nois
     return _noise_of(_polished(cost, np.asarray(best.x), low))
 
 
-def _polished(cost: object, at: FloatArray, low: FloatArray) -> FloatArray:
+def _polished(cost: Callable[[FloatArray], float], at: FloatArray, low: FloatArray) -> FloatArray:
     """Newton steps by central differences, over sizes that are not at their smallest."""
     for _ in range(4):
         free = np.flatnonzero(np.exp(at) > 30 * _SMALLEST)
@@ -190,19 +193,19 @@ def _polished(cost: object, at: FloatArray, low: FloatArray) -> FloatArray:
     return np.maximum(at, low)
 
 
-def _differences(cost: object, at: FloatArray, free: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _differences(cost: Callable[[FloatArray], float], at: FloatArray, free: IntArray) -> tuple[FloatArray, FloatArray]:
     """Gradient and curvature by central differences, (k,) and (k, k)."""
     h, k = 1e-3, len(free)
     gradient, curvature = np.zeros(k), np.zeros((k, k))
     unit = np.eye(len(at))[free] * h
-    here = cost(at)  # type: ignore[operator]
-    ahead = [cost(at + one) for one in unit]  # type: ignore[operator]
-    back = [cost(at - one) for one in unit]  # type: ignore[operator]
+    here = cost(at)
+    ahead = [cost(at + one) for one in unit]
+    back = [cost(at - one) for one in unit]
     for i in range(k):
         gradient[i] = (ahead[i] - back[i]) / (2 * h)
         curvature[i, i] = (ahead[i] - 2 * here + back[i]) / h**2
         for j in range(i):
-            corners = [cost(at + a * unit[i] + b * unit[j]) * a * b for a in (1, -1) for b in (1, -1)]  # type: ignore[operator]
+            corners = [cost(at + a * unit[i] + b * unit[j]) * a * b for a in (1, -1) for b in (1, -1)]
             curvature[i, j] = curvature[j, i] = sum(corners) / (4 * h**2)
     return gradient, curvature
 
@@ -280,9 +283,8 @@ def estimate(
     """
     free = tuple(free)
     if not weighed:
-        placed, weights = _plain(scene, start, free, prior, scaled)
+        placed, weights = plain(scene, start, free, prior, scaled=scaled)
         linear = linearised(scene, placed, free, scaled)
-        require_determined(normal_equations(linear, weights, prior, placed.intrinsics[list(free)])[0], scene)
         noise = found_noise(linear, prior, placed.intrinsics[list(free)], near)
         return _finished(scene, linear, placed, free, noise, weights, prior, scaled)
     placed, before = start, near
@@ -300,10 +302,21 @@ def estimate(
     return _finished(scene, linear, placed, free, noise, noise, prior, scaled)
 
 
-def _plain(
-    scene: Scene, start: Placed, free: tuple[int, ...], prior: Prior | None, scaled: bool
+def plain(
+    scene: Scene, start: Placed, free: Sequence[int], prior: Prior | None = None, *, scaled: bool = False
 ) -> tuple[Placed, Noise]:
-    """Plain least squares, against priors with the noise that is left."""
+    """Return the solution of plain least squares, against priors with the noise that is left, and that noise.
+
+    Args:
+        scene: The images.
+        start: Where to begin.
+        free: Which intrinsics are sought.
+        prior: Of these.
+        scaled: Whether the size of the board is sought.
+
+    Raises:
+        NotIdentifiableError: The images do not determine all of it.
+    """
     placed, weights = solve(scene, start, free, Noise(), scaled=scaled) if prior is None else start, Noise()
     for _ in range(1 if prior is None else _NOISE_ROUNDS):
         linear = linearised(scene, placed, free, scaled)
@@ -313,6 +326,8 @@ def _plain(
             placed = solve(scene, placed, free, weights, prior, scaled=scaled)
         if abs(before.pixel - weights.pixel) < _NOISE_STANDS * weights.pixel:
             break
+    linear = linearised(scene, placed, free, scaled)
+    require_determined(normal_equations(linear, weights, prior, placed.intrinsics[list(free)])[0], scene)
     return placed, weights
 
 
@@ -341,7 +356,9 @@ def _finished(
         if weights is noise:
             return np.linalg.inv(normal_equations(linear, _noise_of(at), prior, now)[0])
         pixel, shared = np.exp(at[0]), np.repeat(np.exp(2 * at[1:]), 3)
-        scatter = pixel**2 * np.sum(linear.jj, axis=0) + np.sum((linear.jg * shared) @ linear.jg.transpose(0, 2, 1), axis=0)
+        scatter = pixel**2 * np.sum(linear.jj, axis=0) + np.sum(
+            (linear.jg * shared) @ linear.jg.transpose(0, 2, 1), axis=0
+        )
         scatter = scatter / weights.pixel**4
         if prior is not None and free:
             own = 12 + np.arange(len(free))
@@ -359,39 +376,55 @@ def _finished(
     spread = np.linalg.pinv(curvature / 2, hermitian=True)
     own = np.einsum("ik,ij,jk->k", slope, spread, slope)
     freedom = np.where(own > 0, 2 * np.diag(covariance) ** 2 / np.maximum(own, 1e-300), 1e6)
-    return Estimate(
-        placed, free, noise, weights, covariance, np.clip(freedom, 1.0, 1e6), -cost(logs), scaled
-    )
+    return Estimate(placed, free, noise, weights, covariance, np.clip(freedom, 1.0, 1e6), -cost(logs), scaled)
 
 
 def require_determined(a: FloatArray, scene: Scene) -> None:
     """Raise `NotIdentifiableError` unless all that is sought shows in the images."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(a), 1e-300))
-    values, vectors = np.linalg.eigh(scale[:, None] * a * scale)
+    values = np.linalg.eigvalsh(scale[:, None] * a * scale)
     if values[0] > _SINGULAR**2 * values[-1] and np.all(np.isfinite(values)):
         return
     axes = turning(scene)
     raise NotIdentifiableError(
         f"these {len(scene)} images do not determine where camera and board are: the tool turned by"
-        f" {np.rad2deg(axes[0]):.1f} deg about its main axis and {np.rad2deg(axes[1]):.1f} deg about another one; turn it"
+        f" {np.rad2deg(axes[0]):.1f} deg about its main axis and {np.rad2deg(axes[1]):.1f} deg about another"
+        f" one; turn it"
         " about two axes or more, by 20 deg or more"
     )
 
 
 def turning(scene: Scene) -> FloatArray:
-    """Return how far the tool turned, as spreads about three axes that are at right angles, largest first, (3,) [rad]."""
+    """Return how far the tool turned: spreads about three axes at right angles, largest first, (3,) [rad]."""
     rotations = scene.tool[:, :3, :3]
     middle = scipy.spatial.transform.Rotation.from_matrix(rotations).mean().as_matrix()
     turns = scipy.spatial.transform.Rotation.from_matrix(middle.T @ rotations).as_rotvec()
-    return np.linalg.svd(turns, compute_uv=False)[:3] * 2 / np.sqrt(max(len(scene), 1)) if len(scene) > 2 else np.zeros(3)
+    return (
+        np.linalg.svd(turns, compute_uv=False)[:3] * 2 / np.sqrt(max(len(scene), 1)) if len(scene) > 2 else np.zeros(3)
+    )
 
 
-def left_out(scene: Scene, found: Estimate, prior: Prior | None = None) -> list[Placed]:
-    """Return the solution without each image in turn, in order; the noise stays as it is."""
+def left_out(
+    scene: Scene,
+    placed: Placed,
+    free: Sequence[int],
+    weights: Noise,
+    prior: Prior | None = None,
+    *,
+    scaled: bool = False,
+) -> list[Placed]:
+    """Return the solution without each image in turn, in order.
+
+    Args:
+        scene: The images.
+        placed: The solution of all.
+        free: Which intrinsics are sought.
+        weights: What images are weighed by; they stay as they are.
+        prior: Of the intrinsics.
+        scaled: Whether the size of the board is sought.
+    """
     result = []
     for i in range(len(scene)):
         others: BoolArray = np.arange(len(scene)) != i
-        result.append(
-            solve(scene.only(others), found.placed, found.free, found.weights, prior, scaled=found.scaled, steps=6)
-        )
+        result.append(solve(scene.only(others), placed, free, weights, prior, scaled=scaled, steps=6))
     return result

@@ -72,7 +72,9 @@ def shots(sources: Sequence[str], topic: str | None = None) -> list[Shot]:
     seen: dict[str, str] = {}
     for one in result:
         if one.name in seen:
-            raise InputError(f"{one.path} and {seen[one.name]}: both are called '{one.name}'; give images names of their own")
+            raise InputError(
+                f"{one.path} and {seen[one.name]}: both are called '{one.name}'; give images names of their own"
+            )
         seen[one.name] = one.path
     return result
 
@@ -88,7 +90,9 @@ def _files(source: str) -> list[str]:
         return [source]
     files = [file for file in glob.glob(source, recursive=True) if Path(file).is_file()]  # noqa: PTH207 (any folder)
     if not files:
-        raise InputError(f"{source}: no such image, folder or bag; give files, a folder or a pattern such as 'shots/*.png'")
+        raise InputError(
+            f"{source}: no such image, folder or bag; give files, a folder or a pattern such as 'shots/*.png'"
+        )
     return files
 
 
@@ -100,10 +104,7 @@ def _natural(path: str) -> list[object]:
 def _in_bag(source: str, topic: str | None) -> Iterator[Shot]:
     """Images of a bag at which the robot stood still."""
     kinds = (_RAW, _COMPRESSED)
-    images = [
-        (name, stamp, kind, message)
-        for name, kind, stamp, message in messages_of_bag(source, kinds)
-    ]
+    images = [(name, stamp, kind, message) for name, kind, stamp, message in messages_of_bag(source, kinds)]
     topics = sorted({name for name, *_ in images})
     if not topics:
         raise DataError(f"{source}: has no images ({_RAW} or CompressedImage); record their topic too")

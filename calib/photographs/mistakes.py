@@ -20,12 +20,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from calib.base.arrays import FloatArray
+from calib.base.arrays import BoolArray, FloatArray
 from calib.base.errors import CalibrationError
 from calib.instruments.camera import NAMES
 from calib.photographs.estimation import Estimate, Prior, estimate, found_noise, left_out, normal_equations
 from calib.photographs.scene import Linear, Scene, linearised, residuals, rows
-from calib.photographs.starts import Start, start
+from calib.photographs.starts import Start, camera_alone, start
 
 _FAR = 0.01  # m on the board: more than robots are off
 _FAR_PIXELS = 4.0
@@ -56,7 +56,13 @@ class Mistake:
 
 
 def find_mistakes(
-    every: Scene, own: Scene, found: Estimate, prior: Prior | None, alone: float, given: FloatArray | None
+    every: Scene,
+    own: Scene,
+    found: Estimate,
+    prior: Prior | None,
+    given: FloatArray | None,
+    first: FloatArray,
+    better: Estimate,
 ) -> tuple[Mistake, ...]:
     """Return mistakes that would explain what is left, those of the whole first.
 
@@ -65,23 +71,28 @@ def find_mistakes(
         own: Those that were used.
         found: What they say.
         prior: What was expected of the lens.
-        alone: What the camera alone leaves [px].
         given: Intrinsics as given, (9,); None without.
+        first: The same, or those to begin with, (9,).
+        better: With the lens found, where that tells images left out better; else `found`.
     """
-    result = list(_of_the_whole(every, found, alone))
+    result = list(_of_the_whole(every, found, first))
     if not result:
         result += [one for one in (_square_size(own, found, prior), _moved(own, found, prior)) if one is not None]
-    result += _of_the_lens(own, found, given)
+    result += _of_the_lens(own, better, given, bool(found.free))
     return tuple(result)
 
 
-def _of_the_whole(scene: Scene, found: Estimate, alone: float) -> list[Mistake]:
+def _of_the_whole(scene: Scene, found: Estimate, intrinsics: FloatArray) -> list[Mistake]:
     errors = residuals(scene, found.placed)
     image = np.sqrt(scene.sums(np.sum(errors**2, axis=1)) / scene.counts)
     typical = float(np.median(image))
-    if not typical > max(_FAR_PIXELS, 4 * (alone if np.isfinite(alone) else 0.0)):
+    if not typical > _FAR_PIXELS:
         return []
-    intrinsics, tried = found.placed.intrinsics, []
+    left = np.sum(camera_alone(scene, intrinsics)[0] ** 2, axis=1)
+    alone = float(np.sqrt(np.mean(left[np.isfinite(left)]))) if np.any(np.isfinite(left)) else 0.0
+    if not typical > 4 * alone:
+        return []
+    tried = []
     n = len(scene)
     for shift in _SHIFTS:
         pairs = np.arange(n) + shift
@@ -99,7 +110,13 @@ def _of_the_whole(scene: Scene, found: Estimate, alone: float) -> list[Mistake]:
     inverted = replace(scene, tool=np.linalg.inv(scene.tool))
     tried.append(("poses_inverted", "the poses are inverted: the base in the tool, not the tool in the base", inverted))
     mirrored = scene.pixels * [-1, 1] + [scene.size[0] - 1, 0]
-    tried.append(("mirrored", "the images are mirrored; flip them, or switch that off in the camera", replace(scene, pixels=mirrored)))
+    tried.append(
+        (
+            "mirrored",
+            "the images are mirrored; flip them, or switch that off in the camera",
+            replace(scene, pixels=mirrored),
+        )
+    )
     ends: list[tuple[float, str, str]] = []
     for code, text, other in tried:
         try:
@@ -111,7 +128,8 @@ def _of_the_whole(scene: Scene, found: Estimate, alone: float) -> list[Mistake]:
         rms, code, text = min(ends)
         return [Mistake(code, f"{text} (then {rms:.1f} px are left in place of {typical:.1f})", True)]
     text = (
-        f"images are off by {typical:.0f} px, and the camera alone leaves {alone:.1f}: poses and images do not belong together,"
+        f"images are off by {typical:.0f} px, and the camera alone leaves {alone:.1f}: poses and images do not"
+        f" belong together,"
         " or the tool of the poses, the units or the order of rotations are not what the file says"
     )
     return [Mistake("not_explained", text, True)]
@@ -140,7 +158,7 @@ def _square_size(scene: Scene, found: Estimate, prior: Prior | None) -> Mistake 
     chance = 2 * float(scipy.special.stdtr(freedom, -abs(change) / std))
     if abs(change) < _SCALE or chance > _CHANCE:
         return None
-    ends = [left_out(scene, one, prior) for one in (found, other)]
+    ends = [left_out(scene, one.placed, one.free, one.weights, prior, scaled=one.scaled) for one in (found, other)]
     before, after = (
         sum(float(np.sum(residuals(scene.only(np.arange(len(scene)) == i), one) ** 2)) for i, one in enumerate(every))
         for every in ends
@@ -149,7 +167,8 @@ def _square_size(scene: Scene, found: Estimate, prior: Prior | None) -> Mistake 
         return None
     return Mistake(
         "square_size",
-        f"the board is {100 * abs(change):.1f} % {'larger' if change > 0 else 'smaller'} than described (± {100 * std:.1f} %):"
+        f"the board is {100 * abs(change):.1f} % {'larger' if change > 0 else 'smaller'} than described (±"
+        f" {100 * std:.1f} %):"
         " measure it, and correct its sizes; printers shrink pages that they fit to paper",
     )
 
@@ -182,12 +201,13 @@ def _moved(scene: Scene, found: Estimate, prior: Prior | None) -> Mistake | None
         return None
     return Mistake(
         "moved",
-        f"the {which} is elsewhere from image {scene.names[k]} on, by {1e3 * moved:.1f} mm and {np.rad2deg(turned):.2f} deg:"
+        f"the {which} is elsewhere from image {scene.names[k]} on, by {1e3 * moved:.1f} mm and"
+        f" {np.rad2deg(turned):.2f} deg:"
         " fix it, and take the images again (or calibrate with those before and those after alone)",
     )
 
 
-def _extended(linear: Linear, later: FloatArray, first: int) -> Linear:
+def _extended(linear: Linear, later: BoolArray, first: int) -> Linear:
     """The problem with six more unknowns: a step of camera or board that only later images have."""
     own = slice(first, first + 6)
     on = later.astype(float)
@@ -224,7 +244,7 @@ def _explains(scene: Scene, found: Estimate, k: int, which: str) -> bool:
     return error(wide) < _BETTER * error(j)
 
 
-def _of_the_lens(scene: Scene, found: Estimate, given: FloatArray | None) -> list[Mistake]:
+def _of_the_lens(scene: Scene, found: Estimate, given: FloatArray | None, used: bool) -> list[Mistake]:
     width, height = scene.size
     result = []
     if given is not None:
@@ -235,25 +255,31 @@ def _of_the_lens(scene: Scene, found: Estimate, given: FloatArray | None) -> lis
                 Mistake(
                     "principal_point",
                     f"the principal point given, {given[2]:.0f}, {given[3]:.0f} px, is far from the middle of images of"
-                    f" {width} x {height} px: {'cx and cy are exchanged' if swapped else 'the intrinsics are of another image'}"
+                    f" {width} x {height} px:"
+                    f" {'cx and cy are exchanged' if swapped else 'the intrinsics are of another image'}"
                     ", or the images were turned, cut or scaled since",
                 )
             )
         if not 0.8 < given[0] / given[1] < 1.25:
-            result.append(Mistake("focal", f"fx and fy as given differ ({given[0]:.0f} and {given[1]:.0f} px): one of them is wrong"))
+            result.append(
+                Mistake(
+                    "focal", f"fx and fy as given differ ({given[0]:.0f} and {given[1]:.0f} px): one of them is wrong"
+                )
+            )
     if given is not None and found.free:
         std = np.sqrt(np.diag(found.covariance)[12 : 12 + len(found.free)])
         change = (found.placed.intrinsics - given)[list(found.free)]
         sure = np.abs(change) / std
         k = int(np.argmax(sure))
         # a focal length that is off by a percent is a distance that is off by a percent
-        if sure[k] > _LENS_OFF and np.max(np.abs(change[:4]) / found.placed.intrinsics[0]) > 0.02:
+        if not used or (sure[k] > _LENS_OFF and np.max(np.abs(change[:4]) / found.placed.intrinsics[0]) > 0.02):
             name = NAMES[found.free[k]]
             result.append(
                 Mistake(
                     "lens_given",
                     f"the intrinsics given contradict the photographs: {name} is {given[found.free[k]]:.1f} there and"
-                    f" {found.placed.intrinsics[found.free[k]]:.1f} ± {std[k]:.1f} here; those found are used",
+                    f" {found.placed.intrinsics[found.free[k]]:.1f} ± {std[k]:.1f}"
+                    f" here; {'those found are used' if used else 'let them be found (leave out --lens given)'}",
                 )
             )
     return result

@@ -22,7 +22,8 @@ body { font: 14px/1.4 system-ui, sans-serif; margin: 1.5em; color: #1b1b1b; back
 .set { display: grid; grid-template-columns: repeat(auto-fill, minmax(300px, 1fr)); gap: 1em; }
 figure { margin: 0; } svg { width: 100%; height: auto; background: #ddd; display: block; }
 figcaption { overflow-wrap: anywhere; } .off { color: #a40000; font-weight: 600; }
-table { border-collapse: collapse; margin: 1em 0; } td, th { padding: .2em .8em; text-align: right; } th { text-align: left; }
+table { border-collapse: collapse; margin: 1em 0; } td, th { padding: .2em .8em; text-align: right; }
+th { text-align: left; }
 """
 
 
@@ -53,7 +54,7 @@ def small_copy(image: GreyImage | str) -> bytes:
     if factor < 1.0:
         cv2 = opencv()
         size = _WIDTH, max(round(image.shape[0] * factor), 1)
-        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        return encoded(cv2.resize(image, size, interpolation=cv2.INTER_AREA), ".jpg")
     return encoded(image, ".jpg")
 
 
@@ -71,7 +72,8 @@ def page(title: str, lines: Sequence[str], pictures: Sequence[Picture], table: M
     figures = "\n".join(_figure(one) for one in pictures)
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        f'<meta name="viewport" content="width=device-width"><title>{escape(title)}</title><style>{_STYLE}</style></head>\n'
+        f'<meta name="viewport" content="width=device-width"><title>{escape(title)}</title>'
+        f"<style>{_STYLE}</style></head>\n"
         f"<body><h1>{escape(title)}</h1>\n{shown}{f'<table>{rows}</table>' if rows else ''}\n"
         f'<div class="set">\n{figures}\n</div></body></html>\n'
     )
@@ -89,7 +91,8 @@ def _figure(one: Picture) -> str:
     first = ""
     if len(one.found.pixels):
         (u, v), name = one.found.pixels[0], one.found.points[0]
-        first = f'<text x="{u:.1f}" y="{v - 2 * radius:.1f}" font-size="{4 * radius:.1f}" fill="#e0007a">{escape(name)}</text>'
+        where = f'x="{u:.1f}" y="{v - 2 * radius:.1f}" font-size="{4 * radius:.1f}"'
+        first = f'<text {where} fill="#e0007a">{escape(name)}</text>'
     return (
         f'<figure><svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(one.found.name)}">'
         f'<image href="{address}" width="{width}" height="{height}"/>'

@@ -11,7 +11,9 @@ percent, and every length of a calibration shrinks with them.
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -58,11 +60,11 @@ def shapes(board: Board) -> Shapes:
         return Shapes(np.zeros((0, 4)), np.array([(x, y, radius) for x, y, _ in board.points().values()]))
     if board.kind == "chessboard":
         return Shapes(_squares(board, lambda i, j: (i + j) % 2 == 0), none)
-    made = opencv_board(board, bool(board.legacy))
-    corners = np.array([np.asarray(one)[:, :2] for one in made.getObjPoints()], dtype=float)  # type: ignore[attr-defined]
+    made: Any = opencv_board(board, bool(board.legacy))
+    corners = np.array([np.asarray(one)[:, :2] for one in made.getObjPoints()], dtype=float)
     cells = [
         _cells(board.dictionary or "", int(number), places[0], float(places[1, 0] - places[0, 0]))
-        for number, places in zip(np.ravel(made.getIds()), corners, strict=True)  # type: ignore[attr-defined]
+        for number, places in zip(np.ravel(made.getIds()), corners, strict=True)
     ]
     rectangles = np.concatenate(cells)
     if board.kind == "charuco":
@@ -72,9 +74,9 @@ def shapes(board: Board) -> Shapes:
     return Shapes(rectangles, none)
 
 
-def _squares(board: Board, black: object) -> FloatArray:
+def _squares(board: Board, black: Callable[[int, int], bool]) -> FloatArray:
     side = board.square or 0.0
-    chosen = [(i, j) for j in range(board.rows) for i in range(board.columns) if black(i, j)]  # type: ignore[operator]
+    chosen = [(i, j) for j in range(board.rows) for i in range(board.columns) if black(i, j)]
     corners = side * np.array(chosen, dtype=float)
     return np.hstack([corners, corners + side])
 
@@ -160,11 +162,11 @@ def _sheet(paper: str, needed: FloatArray, board: Board) -> FloatArray:
     )
 
 
-def _draw_foot(axes: object, board: Board, left: float, top: float) -> None:
+def _draw_foot(axes: Any, board: Board, left: float, top: float) -> None:
     """A ruler in steps of 10 mm, and words."""
     for k in range(11):
         x = left + k * _RULER / 10
-        axes.plot([x, x], [top, top + (0.004 if k % 5 == 0 else 0.0025)], color="black", linewidth=0.4)  # type: ignore[attr-defined]
-    axes.plot([left, left + _RULER], [top, top], color="black", linewidth=0.4)  # type: ignore[attr-defined]
+        axes.plot([x, x], [top, top + (0.004 if k % 5 == 0 else 0.0025)], color="black", linewidth=0.4)
+    axes.plot([left, left + _RULER], [top, top], color="black", linewidth=0.4)
     words = f"{board}\nprint at 100 %; the ruler is 100 mm long: measure it, and state the sizes as printed"
-    axes.text(left, top + 0.006, words, fontsize=5, va="top")  # type: ignore[attr-defined]
+    axes.text(left, top + 0.006, words, fontsize=5, va="top")

@@ -135,10 +135,11 @@ class Linear(ReadOnlyArrays):
     rr: FloatArray
     n_rows: IntArray
 
-    def only(self, chosen: BoolArray) -> Linear:
-        """Return the sums of some images (n,); residuals stay those of all."""
-        parts = (one[chosen] for one in (self.jj, self.jg, self.gg, self.jr, self.gr, self.rr, self.n_rows))
-        return Linear(self.residuals, *parts)
+    def times(self, weight: FloatArray) -> Linear:
+        """Return the sums with weights of images, (n,)."""
+        parts = (self.jj, self.jg, self.gg, self.jr, self.gr, self.rr)
+        jj, jg, gg, jr, gr, rr = (one * weight.reshape(-1, *[1] * (one.ndim - 1)) for one in parts)
+        return Linear(self.residuals, jj, jg, gg, jr, gr, rr, self.n_rows)
 
 
 def in_camera(scene: Scene, placed: Placed) -> tuple[FloatArray, FloatArray]:

@@ -1,10 +1,10 @@
 """Where to begin, without any guess: closed forms on the poses, and which images do not fit the others.
 
-1. The focal length, where nobody states it: of a homography H = K [r1 r2 t] from board to pixels, counted from the middle
-   of the image, r1 . r2 = 0 and |r1| = |r2| are linear in 1 / f^2 (zhang2000).
-2. The board in the camera at each image (`calib.instruments.camera.view_poses`), and the hand-eye problem in closed form
-   (`calib.instruments.hand_eye`): from all images, and from four at a time chosen at random, since some may be wrong.
-   The solution with the smallest median error of images is kept.
+1. The focal length, where nobody states it: of a homography H = K [r1 r2 t] from board to pixels, counted from the
+   middle of the image, r1 . r2 = 0 and |r1| = |r2| are linear in 1 / f^2 (zhang2000).
+2. The board in the camera at each image (`calib.instruments.camera.view_poses`), and the hand-eye problem in closed
+   form (`calib.instruments.hand_eye`): from all images; where that leaves much, from four at a time chosen at random,
+   since some may be wrong. The solution with the smallest median error of images is kept.
 3. Least squares in which images that lie further off than most count less, again and again.
 
 Both ways to mount the camera are tried where it is not said; the wrong one fits no robot.
@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.base.arrays import FloatArray, ReadOnlyArrays
+from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.base.errors import DataError, NotIdentifiableError
 from calib.instruments.camera import LEAST_POINTS, rays, view_poses
 from calib.instruments.hand_eye import fixed_poses
@@ -31,6 +31,7 @@ _AT_ONCE = 4
 _MOST_POINTS = 12  # of an image, for its pose: more tell little more
 _ROUNDS = 25
 _SEED = 0
+_LOST = 1e14  # condition of the pose of a board
 _FAR = 2.5  # medians from which an image counts less
 LEAST_IMAGES = 3
 
@@ -77,20 +78,19 @@ def first_focal(scene: Scene) -> float:
     focal = float(middle[0] / np.sqrt(value)) if value > 0 else float("nan")
     if not 0.2 * middle[0] < focal < 50 * middle[0]:
         raise NotIdentifiableError(
-            "the photographs do not tell the focal length; give intrinsics (--camera FILE), or tilt the board by 30 deg in"
+            "the photographs do not tell the focal length; give intrinsics (--camera FILE), or tilt the board"
+            " by 30 deg in"
             " some images"
         )
     return focal
 
 
 def _homography(body: FloatArray, seen: FloatArray) -> FloatArray | None:
-    """H with seen ~ H body by the direct linear transform, columns in units of the board; None where points are in line."""
+    """H with seen ~ H body by the direct linear transform, in units of the board; None where points are in line."""
     centre, size = body.mean(axis=0), float(np.std(body))
     x = np.hstack([(body - centre) / size, np.ones((len(body), 1))])
     zeros = np.zeros_like(x)
-    design = np.vstack(
-        [np.hstack([x, zeros, -seen[:, :1] * x]), np.hstack([zeros, x, -seen[:, 1:] * x])]
-    )
+    design = np.vstack([np.hstack([x, zeros, -seen[:, :1] * x]), np.hstack([zeros, x, -seen[:, 1:] * x])])
     _, values, vt = np.linalg.svd(design)
     if values[-2] < 1e-6 * values[0]:
         return None
@@ -111,7 +111,7 @@ def single_views(scene: Scene, intrinsics: FloatArray) -> tuple[FloatArray, Floa
     return view_poses(scene.body[chosen], rays(scene.pixels[chosen], intrinsics), scene.image[chosen], len(scene))
 
 
-def _by_image(scene: Scene) -> list[FloatArray]:
+def _by_image(scene: Scene) -> list[IntArray]:
     ends = np.cumsum(scene.counts)
     return [np.arange(end - count, end) for end, count in zip(ends, scene.counts, strict=True)]
 
@@ -130,7 +130,8 @@ def start(scene: Scene, intrinsics: FloatArray, *, mounts: tuple[Mount, ...] = (
     enough = scene.counts >= LEAST_POINTS
     if np.sum(enough) < LEAST_IMAGES:
         raise DataError(
-            f"{int(np.sum(enough))} images show {LEAST_POINTS} points or more; it takes {LEAST_IMAGES}, and 10 to 20 are"
+            f"{int(np.sum(enough))} images show {LEAST_POINTS} points or more; it takes {LEAST_IMAGES}, and 10"
+            f" to 20 are"
             " sensible"
         )
     views, errors = single_views(scene, intrinsics)
@@ -145,7 +146,7 @@ def start(scene: Scene, intrinsics: FloatArray, *, mounts: tuple[Mount, ...] = (
     return best
 
 
-def _started(scene: Scene, intrinsics: FloatArray, views: FloatArray, usable: FloatArray) -> Start:
+def _started(scene: Scene, intrinsics: FloatArray, views: FloatArray, usable: IntArray) -> Start:
     links, now, none = scene.links, (np.eye(4), np.eye(4)), (False, False)
     whole = _robust(scene, Placed(*fixed_poses(links[usable], views[usable], now, none), intrinsics))
     if whole.typical < _GOOD or len(usable) <= _AT_ONCE:
@@ -176,7 +177,7 @@ def _robust(scene: Scene, placed: Placed) -> Start:
         scale = _FAR * max(float(np.median(rms)), 1e-3)
         weight = 1.0 / (1.0 + (rms / scale) ** 2)
         linear = linearised(scene, placed, ())
-        part = replace(linear, **{key: _times(getattr(linear, key), weight) for key in ("jj", "jg", "gg", "jr", "gr", "rr")})
+        part = linear.times(weight)
         a, b, _ = normal_equations(part, Noise(), None, np.zeros(0))
         size = 1.0 / np.sqrt(np.diag(a) + 1e-300)
         step = -size * np.linalg.solve(size[:, None] * a * size + damping * np.eye(12), size * b)
@@ -193,10 +194,6 @@ def _robust(scene: Scene, placed: Placed) -> Start:
             if damping > 1e6:
                 break
     return Start(scene, placed, rms)
-
-
-def _times(values: FloatArray, weight: FloatArray) -> FloatArray:
-    return values * weight.reshape(-1, *[1] * (values.ndim - 1))
 
 
 def camera_alone(scene: Scene, intrinsics: FloatArray, free: tuple[int, ...] = ()) -> tuple[FloatArray, FloatArray]:
@@ -222,6 +219,8 @@ def camera_alone(scene: Scene, intrinsics: FloatArray, free: tuple[int, ...] = (
     alone = replace(own, tool=views, mount="base")
     for _ in range(_ROUNDS):
         linear = linearised(alone, placed, free)
+        if np.max(np.linalg.cond(linear.gg)) > _LOST or not np.all(np.isfinite(linear.gg)):
+            return result, intrinsics  # no pose of the board explains an image
         inverse = np.linalg.inv(linear.gg)
         change = np.zeros(0)
         if free:
@@ -234,8 +233,12 @@ def camera_alone(scene: Scene, intrinsics: FloatArray, free: tuple[int, ...] = (
         else:
             pull = linear.gr
         steps = -np.einsum("nab,nb->na", inverse, pull)
-        moved = np.array([Placed(pose, np.eye(4), intrinsics).moved(np.r_[one, np.zeros(6)], ()).camera
-                          for pose, one in zip(alone.tool, steps, strict=True)])
+        moved = np.array(
+            [
+                Placed(pose, np.eye(4), intrinsics).moved(np.r_[one, np.zeros(6)], ()).camera
+                for pose, one in zip(alone.tool, steps, strict=True)
+            ]
+        )
         alone = replace(alone, tool=moved)
         if np.max(np.abs(steps)) < 1e-10:
             break

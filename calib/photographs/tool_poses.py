@@ -60,7 +60,8 @@ def read_tool_poses(
     missing = next((name for name in _POSITION if name not in columns), None)
     if missing is not None:
         raise DataError(
-            f"{path}: no column '{missing}'; the pose of the tool needs x, y, z and a rotation ({', '.join(map(' '.join, _FORMS))});"
+            f"{path}: no column '{missing}'; the pose of the tool needs x, y, z and a rotation"
+            f" ({', '.join(map(' '.join, _FORMS))});"
             " joint values need --robot"
         )
     form = next((form for form in _FORMS if all(name in columns for name in form)), None)
@@ -102,14 +103,17 @@ def _rotations(table: Table, columns: Sequence[str], form: tuple[str, ...], angl
                 f"{table.path}, line {table.lines[bad[0]]}: {', '.join(form)} is no unit quaternion (its length is"
                 f" {lengths[bad[0]]:.4g})"
             )
-        return scipy.spatial.transform.Rotation.from_quat(numbers if form[0] == "qx" else np.roll(numbers, -1, axis=1)).as_matrix()
+        return scipy.spatial.transform.Rotation.from_quat(
+            numbers if form[0] == "qx" else np.roll(numbers, -1, axis=1)
+        ).as_matrix()
     values = np.stack([table.column(name, "angle") for name in columns], axis=1)
     if form == ("a", "b", "c"):
         return scipy.spatial.transform.Rotation.from_euler("ZYX", values).as_matrix()
     if form == ("rx", "ry", "rz"):
         if angles is None:
             raise DataError(
-                f"{table.path}: rx, ry, rz may be a rotation vector (Universal Robots) or angles about x, y, z; say which:"
+                f"{table.path}: rx, ry, rz may be a rotation vector (Universal Robots) or angles about x, y, z;"
+                f" say which:"
                 " --angles rotvec or --angles rpy"
             )
         if angles == "rotvec":
@@ -126,9 +130,7 @@ def _by_joints(table: Table, robot: Robot) -> FloatArray:
     return robot.forward(joints)
 
 
-def matched(
-    seen: Sequence[str], names: Sequence[str], poses: FloatArray, where: str
-) -> tuple[list[int], list[str]]:
+def matched(seen: Sequence[str], names: Sequence[str], poses: FloatArray, where: str) -> tuple[list[int], list[str]]:
     """Return the row of each image that was seen, and in words which images have none.
 
     Args:

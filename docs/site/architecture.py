@@ -56,6 +56,7 @@ ROOMS = (
     Room("Robots", 3, ("robots",)),
     Room("Data", 4, ("data",)),
     Room("Rows", 5, ("rows",)),
+    Room("Photographs", 5, ("photographs",)),
     Room("Functions", 4, ("functions",)),
     Room("Exporting", 5, ("exporting",)),
     Room("Fitting", 6, ("fitting",)),

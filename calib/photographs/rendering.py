@@ -1,0 +1,161 @@
+"""Simulated photographs: what a camera would see of a printed board, so that examples and tests need no camera.
+
+Every pixel is a few rays (`calib.instruments.camera.rays`, lens distortion included), each cut with the plane of the
+board, and looked up in a fine raster of it. Then come blur, noise and rounding to grey values, as in a camera. There is
+no light but a slope of brightness, and nothing stands in the way.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from calib.base.arrays import FloatArray
+from calib.instruments.board import Board
+from calib.instruments.camera import project, rays
+from calib.photographs.opencv import GreyImage, encoded
+from calib.photographs.printing import raster
+
+_RAYS = 2  # across and down a pixel
+_PIXELS_OF_RASTER = 1200  # across a board
+_MARGIN = 0.12  # of the board: white paper around it
+_NODES = 40  # across the image, between which rays are interpolated
+_PAPER, _INK, _TABLE = 215.0, 35.0, 120.0
+
+
+@dataclass(frozen=True, eq=False)
+class Photographer:
+    """A camera that takes simulated photographs of a board.
+
+    Attributes:
+        board: The board.
+        intrinsics: (9,).
+        size: Width and height of images [px].
+        blur: Standard deviation [px].
+        noise: Of grey values.
+    """
+
+    board: Board
+    intrinsics: FloatArray
+    size: tuple[int, int]
+    blur: float = 0.7
+    noise: float = 2.0
+
+    def __post_init__(self) -> None:
+        step = max(self.board.size) / _PIXELS_OF_RASTER
+        margin = _MARGIN * max(self.board.size)
+        width, height = self.size
+        around = (np.arange(_RAYS) + 0.5) / _RAYS - 0.5
+        u = (np.arange(width)[:, None] + around).ravel()
+        v = (np.arange(height)[:, None] + around).ravel()
+        object.__setattr__(self, "_raster", raster(self.board, step, margin))
+        object.__setattr__(self, "_step", (step, margin))
+        object.__setattr__(self, "_rays", _smooth_rays(u, v, self.intrinsics))
+
+    def photograph(self, T_camera_board: FloatArray, generator: np.random.Generator) -> GreyImage:
+        """Return the photograph of the board at a pose in the camera, (4, 4) [m].
+
+        Args:
+            T_camera_board: The pose.
+            generator: Of the noise.
+        """
+        paper: GreyImage = self._raster  # type: ignore[attr-defined]
+        step, margin = self._step  # type: ignore[attr-defined]
+        width, height = self.size
+        fine = np.full((_RAYS * height, _RAYS * width), _TABLE)
+        part = self._shown(T_camera_board, margin)
+        own = self._rays[part].reshape(-1, 2)  # type: ignore[attr-defined]
+        directions = np.hstack([own, np.ones((len(own), 1))])
+        normal, place = T_camera_board[:3, 2], T_camera_board[:3, 3]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            depth = (normal @ place) / (directions @ normal)
+        at = (depth[:, None] * directions - place) @ T_camera_board[:3, :2]
+        cell = np.floor(np.nan_to_num((at + margin) / step, nan=-1.0, posinf=-1.0, neginf=-1.0)).astype(np.int64)
+        inside = np.all((cell >= 0) & (cell < paper.shape[::-1]), axis=1) & (depth > 0)
+        grey = np.full(len(at), _TABLE)
+        grey[inside] = np.where(paper[cell[inside, 1], cell[inside, 0]] > 127, _PAPER, _INK)
+        fine[part] = grey.reshape(fine[part].shape)
+        image = fine.reshape(height, _RAYS, width, _RAYS).mean(axis=(1, 3)) * np.linspace(0.9, 1.05, width)
+        image = scipy.ndimage.gaussian_filter(image, self.blur)
+        image += self.noise * generator.standard_normal(image.shape)
+        return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+    def _shown(self, pose: FloatArray, margin: float) -> tuple[slice, slice]:
+        """Rows and columns of rays that may meet the paper."""
+        width, height = self.board.size
+        corners = [(x, y, 0.0) for x in (-margin, width + margin) for y in (-margin, height + margin)]
+        points = np.array(corners) @ pose[:3, :3].T + pose[:3, 3]
+        if np.any(points[:, 2] <= 0):
+            return slice(None), slice(None)
+        pixels = project(points, self.intrinsics)[0]
+        low = np.floor(pixels.min(axis=0) - 0.05 * max(self.size)).astype(int)
+        high = np.ceil(pixels.max(axis=0) + 0.05 * max(self.size)).astype(int)
+        columns, rows = (
+            slice(_RAYS * int(np.clip(low[k], 0, self.size[k])), _RAYS * int(np.clip(high[k], 0, self.size[k])))
+            for k in (0, 1)
+        )
+        return rows, columns
+
+
+def _smooth_rays(u: FloatArray, v: FloatArray, intrinsics: FloatArray) -> FloatArray:
+    """Rays of all pixels of a grid, (n_v, n_u, 2), by splines through some of them: a lens is smooth."""
+    nodes = [np.linspace(ends[0], ends[-1], _NODES) for ends in (v, u)]
+    grid = np.stack(np.meshgrid(nodes[1], nodes[0]), axis=-1).reshape(-1, 2)
+    seen = rays(grid, intrinsics).reshape(_NODES, _NODES, 2)
+    parts = [scipy.interpolate.RectBivariateSpline(*nodes, seen[:, :, k])(v, u) for k in (0, 1)]
+    return np.stack(parts, axis=-1)
+
+
+def example(board: Board, count: int, generator: np.random.Generator) -> dict[str, bytes]:
+    """Return simulated photographs of a board by a camera on a robot's tool, with the poses, as files by name.
+
+    The robot's poses are off by 0.2 mm and 0.2 mrad per axis; `truth.json` has where camera and board really are.
+
+    Args:
+        board: The board.
+        count: How many photographs.
+        generator: Of poses, errors and noise.
+    """
+    size = (640, 480)
+    intrinsics = np.array([610.0, 612.0, 323.0, 236.0, -0.12, 0.06, 0.0, 0.0, 0.0])
+    photographer = Photographer(board, intrinsics, size)
+    T_tool_camera, T_base_board = (
+        _pose((0.04, -0.06, 0.09), (2.0, -3.0, 91.0)),
+        _pose((0.55, -0.1, 0.02), (180.0, 2.0, 30.0)),
+    )
+    middle = np.array([*np.array(board.size) / 2, 0.0])
+    distance = 1.5 * intrinsics[0] / size[1] * float(np.hypot(*board.size)) / np.sqrt(2)
+    files: dict[str, bytes] = {}
+    lines = ["image,x [mm],y [mm],z [mm],qx,qy,qz,qw"]
+    for k in range(count):
+        angle = 2 * np.pi * k / count
+        tilt = (28.0 * np.cos(angle), 28.0 * np.sin(angle), float(generator.uniform(-50, 50)))
+        T_camera_board = _pose((0.0, 0.0, 0.0), tilt)
+        aside = distance * generator.uniform(-0.12, 0.12, 2)
+        T_camera_board[:3, 3] = [*aside, distance * generator.uniform(0.85, 1.2)] - T_camera_board[:3, :3] @ middle
+        files[f"shot_{k + 1:02d}.png"] = encoded(photographer.photograph(T_camera_board, generator))
+        tool = T_base_board @ np.linalg.inv(T_camera_board) @ np.linalg.inv(T_tool_camera)
+        error = 2e-4 * generator.standard_normal(6)
+        told = tool @ _pose(tuple(error[:3]), tuple(np.rad2deg(error[3:])))
+        quaternion = scipy.spatial.transform.Rotation.from_matrix(told[:3, :3]).as_quat(canonical=True)
+        numbers = [*(f"{1e3 * value:.4f}" for value in told[:3, 3]), *(f"{value:.7f}" for value in quaternion)]
+        lines.append(",".join([f"shot_{k + 1:02d}.png", *numbers]))
+    files["poses.csv"] = ("# simulated: a camera on the tool\n" + "\n".join(lines) + "\n").encode()
+    truth = {
+        "simulated": True,
+        "camera_in_tool": T_tool_camera.tolist(),
+        "board_in_base": T_base_board.tolist(),
+        "intrinsics": intrinsics.tolist(),
+    }
+    files["truth.json"] = (json.dumps(truth, indent=1) + "\n").encode()
+    return files
+
+
+def _pose(xyz: tuple[float, ...], degrees: tuple[float, ...]) -> FloatArray:
+    result = np.eye(4)
+    result[:3, :3] = scipy.spatial.transform.Rotation.from_euler("xyz", degrees, degrees=True).as_matrix()
+    result[:3, 3] = xyz
+    return result

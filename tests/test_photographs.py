@@ -1,0 +1,297 @@
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from calib.base.errors import DataError, DescriptionError, InputError
+from calib.cli import group
+from calib.commands.boards import given_board
+from calib.instruments.board import checked_board
+from calib.photographs.camera_files import read_camera
+from calib.photographs.tool_poses import read_tool_poses
+
+cv2 = pytest.importorskip("cv2")
+from calib.photographs.detection import detect  # noqa: E402
+from calib.photographs.images import shots  # noqa: E402
+from calib.photographs.opencv import read_image  # noqa: E402
+from calib.photographs.printing import page, raster  # noqa: E402
+
+CHARUCO = "charuco:6x8:30mm:21mm:DICT_5X5_100"
+BOARDS = {
+    "charuco": CHARUCO,
+    "chessboard": "chessboard:9x6:24mm",
+    "circles": "circles:4x11:20mm",
+    "aruco": "aruco:4x3:40mm:10mm:DICT_4X4_50",
+    "apriltag": "apriltag:4x3:40mm:10mm",
+}
+
+
+def seen(board, homography=None, size=(900, 760)):
+    """A photograph by OpenCV's own warping, and the homography from the board [m] to it."""
+    flat = raster(board, 4e-4, 0.03)
+    if homography is None:
+        homography = np.array([[0.95, -0.18, 160.0], [0.12, 0.9, 40.0], [1e-4, -1e-4, 1.0]])
+    image = cv2.warpPerspective(flat, homography, size, borderValue=130)
+    to_raster = np.array([[1 / 4e-4, 0, 0.03 / 4e-4 - 0.5], [0, 1 / 4e-4, 0.03 / 4e-4 - 0.5], [0, 0, 1]])
+    return cv2.GaussianBlur(image, (0, 0), 0.8), homography @ to_raster
+
+
+def last(board, *images):
+    *_, found = detect(board, [(f"image {k}", image) for k, image in enumerate(images)])
+    return found
+
+
+@pytest.mark.parametrize("kind", BOARDS)
+def test_points_are_found_where_the_homography_puts_them(kind):
+    board = given_board(BOARDS[kind])
+    image, homography = seen(board)
+    (found,) = last(board, image).images
+    assert len(found.points) == len(board.points())
+    places = np.array([board.points()[name] for name in found.points])
+    expected = np.hstack([places[:, :2], np.ones((len(places), 1))]) @ homography.T
+    assert np.max(np.abs(found.pixels - expected[:, :2] / expected[:, 2:])) < 0.8  # px; markers are the worst
+    assert not found.remark
+
+
+def test_the_older_layout_is_told_by_trying_both():
+    older = given_board(CHARUCO).model_copy(update={"legacy": True})
+    found = last(given_board(CHARUCO), seen(older)[0])
+    assert found.board.legacy is True
+    assert found.n_points == 35
+
+
+def test_the_drawing_is_opencvs_own():
+    from calib.photographs.detection import opencv_board
+
+    for legacy in (False, True):
+        board = given_board(CHARUCO).model_copy(update={"legacy": legacy})
+        own = opencv_board(board, legacy).generateImage((6 * 70, 8 * 70), marginSize=0)  # 7 px a cell
+        assert np.mean(own != raster(board, 0.03 / 70, 0.0)) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("told", "shown", "words"),
+    [
+        ("charuco:8x6:30mm:21mm:DICT_5X5_100", "", "columns and rows are exchanged; the board is 6 x 8"),
+        ("charuco:6x8:30mm:21mm:DICT_6X6_250", "", "but some of DICT_5X5_50; correct 'dictionary'"),
+        (CHARUCO, "mirrored", "the image is mirrored"),
+        (CHARUCO, "empty", "no board found: no marker of DICT_5X5_100"),
+        ("chessboard:8x5:24mm", "chessboard", "but one of 9 x 6 squares"),
+    ],
+)
+def test_why_no_board_is_found_is_said(told, shown, words):
+    board = given_board(BOARDS["chessboard"] if shown == "chessboard" else CHARUCO)
+    image = seen(board)[0]
+    if shown == "mirrored":
+        image = np.ascontiguousarray(image[:, ::-1])
+    if shown == "empty":
+        image = np.full((300, 400), 127, np.uint8)
+    assert words in last(given_board(told), image).images[0].remark
+
+
+def test_blur_and_strange_markers_are_said():
+    board = given_board(CHARUCO)
+    blurred = cv2.GaussianBlur(seen(board)[0], (0, 0), 3.0)
+    (found,) = last(board, blurred).images
+    assert "blurred: edges are" in found.remark
+    (found,) = last(board.model_copy(update={"first_marker": 3}), seen(board)[0]).images
+    assert "marker 0 is in the image, and the board as described has markers 3 to 26" in found.remark
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ({"kind": "chessbord", "columns": 9, "rows": 6}, "did you mean 'chessboard'"),
+        ({"kind": "chessboard", "columns": 9, "rows": 7, "square": "20 mm"}, "an odd and an even number"),
+        ({"kind": "chessboard", "columns": 9, "rows": 6}, "needs 'square'"),
+        ({"kind": "chessboard", "columns": 9, "rows": 6, "square": "20 mm", "marker": "9 mm"}, "has no 'marker'"),
+        ({"kind": "circles", "columns": 4, "rows": 10, "spacing": "20 mm"}, "odd number of rows"),
+        (
+            {"kind": "charuco", "columns": 5, "rows": 7, "square": "2 mm", "marker": "3 mm", "dictionary": "D"},
+            "smaller",
+        ),
+        ({"kind": "chessboard", "columns": 9, "rows": 6, "squares": "20 mm"}, "did you mean 'square'"),
+        ({"kind": "chessboard", "columns": 9, "square": "20 mm"}, "key 'rows' is missing"),
+        ({"kind": "chessboard", "columns": 9, "rows": 6, "square": "20 kg"}, "square"),
+        ([], "is not a mapping"),
+    ],
+)
+def test_bad_boards_are_one_line(content, words):
+    with pytest.raises(DescriptionError) as error:
+        checked_board(content, "board.yaml")
+    assert words in str(error.value)
+    assert str(error.value).startswith("board.yaml: ")
+
+
+def test_bad_short_forms_are_one_line():
+    for text, words in (
+        ("chesboard:9x6:20mm", "did you mean 'chessboard'"),
+        ("chessboard:9by6:20mm", "write it as chessboard:COLUMNSxROWS:SQUARE"),
+        ("nothing.yaml", "no such file"),
+    ):
+        with pytest.raises(InputError, match=words):
+            given_board(text)
+
+
+def test_pages_to_print_have_the_true_size():
+    board = given_board(CHARUCO)
+    svg = page(board, "svg", "a3").decode()
+    assert 'width="841.889' in svg  # 297 mm in points
+    assert page(board, "pdf", None).startswith(b"%PDF")
+    with pytest.raises(InputError, match="take larger paper"):
+        page(given_board("chessboard:9x6:50mm"), "pdf", "a4")
+
+
+OPENCV = """%YAML:1.0
+---
+image_width: 1280
+image_height: 960
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 900., 0., 640., 0., 905., 470., 0., 0., 1. ]
+distortion_coefficients: !!opencv-matrix
+   rows: 5
+   cols: 1
+   dt: d
+   data: [ -0.1, 0.05, 0.001, -0.002, 0.01 ]
+"""
+ROS = """image_width: 1280
+image_height: 960
+camera_name: narrow
+camera_matrix: {rows: 3, cols: 3, data: [900, 0, 640, 0, 905, 470, 0, 0, 1]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [-0.1, 0.05, 0.001, -0.002, 0.01]}
+"""
+
+
+def test_intrinsics_are_read_from_opencv_and_ros(tmp_path):
+    for text in (OPENCV, ROS):
+        file = tmp_path / "camera.yaml"
+        file.write_text(text)
+        camera = read_camera(file)
+        assert camera.intrinsics.tolist() == [900, 905, 640, 470, -0.1, 0.05, 0.001, -0.002, 0.01]
+        assert camera.image == (1280, 960)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (ROS.replace("plumb_bob", "equidistant"), "fish-eye"),
+        (ROS.replace("plumb_bob", "cubic"), "'cubic' is not known"),
+        (ROS.replace("cols: 5, data: [-0.1, 0.05, 0.001, -0.002, 0.01]", "cols: 6, data: [0, 0, 0, 0, 0, 0.1]"), "k4"),
+        (ROS.replace("900, 0, 640", "900, 3, 640"), "skew"),
+        (ROS.replace("900, 0, 640", "-900, 0, 640"), "positive"),
+        (ROS.replace("0, 0, 1]", "0, 0]"), "a camera matrix has 9"),
+        (ROS.replace("900", "nine"), "no number"),
+        ("a: [1", "not valid YAML"),
+        ("just text", "holds no intrinsics"),
+        ("image_width: 12\n", "has no camera_matrix"),
+    ],
+)
+def test_bad_intrinsics_are_one_line(tmp_path, text, words):
+    (tmp_path / "camera.yaml").write_text(text)
+    with pytest.raises(DescriptionError) as error:
+        read_camera(tmp_path / "camera.yaml")
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_all_ways_to_write_a_rotation_give_the_same(tmp_path):
+    rotation = cv2.Rodrigues(np.array([0.3, -0.4, 0.5]))[0]
+    from scipy.spatial.transform import Rotation
+
+    r = Rotation.from_matrix(rotation)
+    x, y, z, w = r.as_quat()
+    roll, pitch, yaw = r.as_euler("xyz", degrees=True)
+    forms = {
+        "qx,qy,qz,qw": (x, y, z, w),
+        "q1,q2,q3,q4": (w, x, y, z),
+        "roll [deg],pitch [deg],yaw [deg]": (roll, pitch, yaw),
+        "W [deg],P [deg],R [deg]": (roll, pitch, yaw),
+        "A [deg],B [deg],C [deg]": (yaw, pitch, roll),
+        "rx,ry,rz": (0.3, -0.4, 0.5),
+    }
+    for header, numbers in forms.items():
+        file = tmp_path / "poses.csv"
+        file.write_text(
+            f"image,x [mm],y [mm],z [mm],{header}\na.png,100,200,300,{','.join(map(repr, map(float, numbers)))}\n"
+        )
+        names, poses = read_tool_poses(file, angles="rotvec")
+        assert names == ["a"]
+        assert np.allclose(poses[0, :3, :3], rotation, atol=1e-12)
+        assert np.allclose(poses[0, :3, 3], [0.1, 0.2, 0.3])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("image,x,y,qx,qy,qz,qw\na,0,0,0,0,0,1\n", "no column 'z'"),
+        ("image,x,y,z\na,0,0,0\n", "no rotation"),
+        ("image,x,y,z,qx,qy,qz,qw\na,0,0,0,0,0,1,1\n", "no unit quaternion"),
+        ("image,x,y,z,rx,ry,rz\na,0,0,0,0,0,1\n", "--angles rotvec or --angles rpy"),
+        ("x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,1\n", "no column 'image' or 'pose'"),
+        ("image,x,y,z,qx,qy,qz,qw\na,0,0,0,0,0,0,1\na,0,0,0,0,0,0,1\n", "'a' comes twice"),
+        ("image,x,y,z,qx,qy,qz,qw\na,zero,0,0,0,0,0,1\n", "zero"),
+    ],
+)
+def test_bad_poses_are_one_line(tmp_path, text, words):
+    (tmp_path / "poses.csv").write_text(text)
+    with pytest.raises(DataError) as error:
+        read_tool_poses(tmp_path / "poses.csv")
+    assert words in str(error.value)
+
+
+def test_images_that_cannot_be_read_are_said_and_the_rest_goes_on(tmp_path):
+    board = given_board(CHARUCO)
+    cv2.imwrite(str(tmp_path / "shot_2.png"), seen(board)[0])
+    (tmp_path / "shot_10.png").write_bytes(b"no image")
+    (tmp_path / "shot_1.png").write_bytes(b"")
+    assert [one.name for one in shots([str(tmp_path)])] == ["shot_1", "shot_2", "shot_10"]
+    done = CliRunner().invoke(
+        group,
+        [
+            "detect",
+            str(tmp_path),
+            "--board",
+            CHARUCO,
+            "--out",
+            str(tmp_path / "out.csv"),
+            "--json",
+            str(tmp_path / "d.json"),
+        ],
+    )
+    assert done.exit_code == 0, done.output
+    assert "left out: shot_10: is no image that can be read" in done.output
+    assert "35 points in 1 of 3 images" in done.output
+    assert "shot_2,c0," in (tmp_path / "out.csv").read_text()
+    assert json.loads((tmp_path / "d.json").read_text())["n_points"] == 35
+    with pytest.raises(DataError, match="no such file"):
+        read_image(tmp_path / "none.png")
+    for given in (["none/*.png"], [str(tmp_path / "none.png")]):
+        with pytest.raises(InputError, match="no such image"):
+            shots(given)
+
+
+def test_ten_minutes_to_hand_eye(tmp_path):
+    """Board, simulated photographs, one command: the camera where the simulation has it."""
+    (tmp_path / "board.yaml").write_text(
+        "kind: charuco\ncolumns: 5\nrows: 7\nsquare: 30 mm\nmarker: 22 mm\ndictionary: DICT_5X5_100\n"
+    )
+    runner, board = CliRunner(), str(tmp_path / "board.yaml")
+    printed = ["board", "--board", board, "--out", str(tmp_path / "b.pdf"), "--photographs", str(tmp_path / "shots")]
+    assert runner.invoke(group, printed).exit_code == 0
+    told = ["hand-eye", str(tmp_path / "shots"), "--board", board, "--poses", str(tmp_path / "shots" / "poses.csv")]
+    done = runner.invoke(group, [*told, "--out", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    assert "camera on the tool" in done.output
+    result = json.loads((tmp_path / "out" / "hand_eye.json").read_text())
+    truth = json.loads((tmp_path / "shots" / "truth.json").read_text())
+    away = np.array(result["camera"]["matrix"])[:3, 3] - np.array(truth["camera_in_tool"])[:3, 3]
+    assert np.linalg.norm(away) < 1.5e-3
+    assert "<svg" in (tmp_path / "out" / "photographs.html").read_text()
+    wrong = runner.invoke(group, [*told[:-1], board, "--out", str(tmp_path / "other")])
+    assert wrong.exit_code == 2
+    assert not (tmp_path / "other").exists()

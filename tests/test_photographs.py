@@ -65,8 +65,8 @@ def test_the_drawing_is_opencvs_own():
     from calib.photographs.detection import opencv_board
 
     for legacy in (False, True):
-        board = given_board(CHARUCO).model_copy(update={"legacy": legacy})
-        own = opencv_board(board, legacy).generateImage((6 * 70, 8 * 70), marginSize=0)  # 7 px a cell
+        board = given_board("charuco:6x8:30mm:24mm:DICT_5X5_100").model_copy(update={"legacy": legacy})
+        own = opencv_board(board, legacy).generateImage((6 * 70, 8 * 70), marginSize=0)  # 8 px a cell
         assert np.mean(own != raster(board, 0.03 / 70, 0.0)) < 1e-3
 
 

@@ -1,0 +1,46 @@
+"""What `calib hand-eye` makes of the ChArUco set of ros-industrial/industrial_calibration, beside plain least squares.
+
+    python tests/hand_eye_figures.py FOLDER
+
+FOLDER has images/*.png, poses.csv (pose, x, y, z, qx, qy, qz, qw) and cal.yaml with the intrinsics as published. The
+reference is scipy's least squares without weights on the same corners.
+"""
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from calib.commands.boards import given_board
+from calib.commands.hand_eye import scene_of
+from calib.photographs.calibrating import calibrate, rms
+from calib.photographs.detection import detect
+from calib.photographs.images import shots
+from calib.photographs.tool_poses import read_tool_poses
+
+BOARD = "charuco:5x7:36.195mm:18.256mm:DICT_6X6_250"
+REFERENCE = {"given": (2.668, 3.338, 1.420, 1.822), "found": (1.128, 1.538, 0.619, 0.886)}
+
+
+def main(folder: Path) -> None:
+    started = time.perf_counter()
+    board = given_board(BOARD)
+    *_, found = detect(board, ((one.name, one.read()) for one in shots([str(folder / "images")])))
+    print(f"{found.n_points} corners: {' '.join(str(len(one.points)) for one in found.images)}")
+    names, tool = read_tool_poses(folder / "poses.csv")
+    scene = scene_of(found.usable, board, np.array([tool[names.index(one.name)] for one in found.usable]))
+    given = yaml.safe_load((folder / "cal.yaml").read_text())["intrinsics"]
+    intrinsics = np.array([*(given[key] for key in ("fx", "fy", "cx", "cy")), 0, 0, 0, 0, 0])
+    for lens, reference in REFERENCE.items():
+        result = calibrate(scene, intrinsics, lens=lens)
+        own = rms(result.pixels), rms(result.left.pixels), 1e3 * rms(result.board), 1e3 * rms(result.left.board)
+        print(f"{lens}: px {own[0]:.3f}, left out {own[1]:.3f}; mm {own[2]:.3f}, left out {own[3]:.3f}")
+        print("   over the reference: " + ", ".join(f"{a / b:.4f}" for a, b in zip(own, reference, strict=True)))
+        print(f"   camera alone {rms(result.alone):.3f} px; {[one.code for one in result.mistakes]}")
+    print(f"{time.perf_counter() - started:.1f} s")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -68,7 +68,11 @@ def command(
 
 
 def detected(board: Board, every: Sequence[Shot], output: Output, *, pictures: bool) -> tuple[Detection, list[bytes]]:
-    """Find a board in images, telling of each that has none; return small copies too, if they are wanted."""
+    """Find a board in images, telling of each that has none; return small copies too, if they are wanted.
+
+    Raises:
+        InputError: There are no images.
+    """
     small: list[bytes] = []
 
     def read() -> Iterator[tuple[str, GreyImage | str]]:

@@ -361,7 +361,7 @@ def _blur_remark(image: GreyImage) -> str:
 
 
 def on_one_plane(board: Board, points: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """Return the points that are where most others put the board, as one homography has it, lenses allowed for."""
+    """Return the points (2,) [px] by name that are where most others put the board, as one homography has it."""
     if len(points) <= FEWEST:
         return points
     cv2, places = opencv(), board.points()

@@ -156,7 +156,7 @@ def _noise_of(logs: FloatArray) -> Noise:
 
 
 def found_noise(linear: Linear, prior: Prior | None, now: FloatArray, near: Noise | None = None) -> Noise:
-    """Return the sizes of the errors by restricted maximum likelihood at a linearisation."""
+    """Return the sizes of the errors by restricted maximum likelihood, the intrinsics sought being `now`, (k,)."""
     low = np.log([1e-3, 0.3 * _SMALLEST, 0.3 * _SMALLEST])
     bounds = list(zip(low, np.log([1e3, 0.1, 0.1]), strict=True))
 
@@ -380,7 +380,7 @@ def _finished(
 
 
 def require_determined(a: FloatArray, scene: Scene) -> None:
-    """Raise `NotIdentifiableError` unless all that is sought shows in the images."""
+    """Raise `NotIdentifiableError` unless all that is sought shows in A of the module docstring, (k, k)."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(a), 1e-300))
     values = np.linalg.eigvalsh(scale[:, None] * a * scale)
     if values[0] > _SINGULAR**2 * values[-1] and np.all(np.isfinite(values)):

@@ -111,7 +111,11 @@ def decoded(content: bytes, where: str) -> GreyImage:
 
 
 def encoded(image: GreyImage, suffix: str = ".png") -> bytes:
-    """Return an image as the content of a file of this kind."""
+    """Return an image as the content of a file of this kind.
+
+    Raises:
+        InputError: OpenCV cannot write such files.
+    """
     cv2 = opencv()
     options = [cv2.IMWRITE_JPEG_QUALITY, 80] if suffix == ".jpg" else []
     done, content = cv2.imencode(suffix, image, options)

@@ -104,7 +104,7 @@ class Placed(ReadOnlyArrays):
     scale: float = 1.0
 
     def moved(self, step: FloatArray, free: Sequence[int]) -> Placed:
-        """Return this after a step [camera 6, board 6, intrinsics, scale], as many as `Linear` has columns."""
+        """Return this after a step [camera 6, board 6, intrinsics, scale], (k,) with the columns of `Linear`."""
         intrinsics = self.intrinsics.copy()
         intrinsics[list(free)] += step[12 : 12 + len(free)]
         scale = self.scale + (float(step[12 + len(free)]) if len(step) > 12 + len(free) else 0.0)

@@ -32,6 +32,14 @@ _COMMANDS = {
 """The module of each command, and what it does, for the list of commands, which imports none of them."""
 
 
+_GROUPS = {
+    "Before measuring": ("init", "check", "sample", "select", "simulate", "study"),
+    "Measuring and calibrating": ("watch", "fit", "verify", "compare"),
+    "Using the result": ("predict", "solve", "compensate", "export"),
+}
+"""The commands in the order of work; others come after them."""
+
+
 class Commands(click.Group):
     """The commands of this package, and those that come with the pictures."""
 
@@ -51,14 +59,21 @@ class Commands(click.Group):
         return None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the list of commands."""
-        with formatter.section("Commands"):
-            formatter.write_dl(
-                [
-                    (name, _COMMANDS[name][1] if name in _COMMANDS else pictures.summary(name))
-                    for name in self.list_commands(ctx)
-                ]
-            )
+        """Write the list of commands, group by group, their summaries one below the other."""
+        names = self.list_commands(ctx)
+        told = {name for group in _GROUPS.values() for name in group}
+        groups = {**_GROUPS, "More commands": tuple(name for name in names if name not in told)}
+        width = max(len(name) for name in names)
+        for title, group in groups.items():
+            if not group:
+                continue
+            with formatter.section(title):
+                formatter.write_dl(
+                    [
+                        (name.ljust(width), _COMMANDS[name][1] if name in _COMMANDS else pictures.summary(name))
+                        for name in group
+                    ]
+                )
 
 
 @click.group(name="calib", cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})

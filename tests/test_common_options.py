@@ -2,12 +2,14 @@
 
 import errno
 import json
+import re
 import sys
 
 import click
 import pytest
 from signed_files import read_plain
 
+from calib import cli
 from calib.base.errors import ComputationError, InputError, NotConvergedError
 from calib.commands.common import shared_options, sigma_in_metres, with_values
 from calib.commands.program import run_program
@@ -139,3 +141,12 @@ def test_sigma_is_given_in_millimetres():
 
 def test_without_a_file_or_a_result_the_robot_stays_nominal(medrue):
     assert with_values(medrue, None, None) is medrue
+
+
+def test_the_list_of_commands_is_grouped_and_names_each_once(run_calib):
+    told = run_calib("--help").out
+    assert "Before measuring:" in told
+    assert "Using the result:" in told
+    context = click.Context(cli.group)
+    for name in cli.group.list_commands(context):
+        assert len(re.findall(rf"^  {name} ", told, re.MULTILINE)) == 1, name

@@ -6,7 +6,7 @@ FOLDER has images/*.png, poses.csv (pose, x, y, z, qx, qy, qz, qw) and cal.yaml 
 reference is scipy's least squares without weights on the same corners.
 """
 
-import sys
+import argparse
 import time
 from pathlib import Path
 
@@ -43,4 +43,6 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", metavar="FOLDER", type=Path, help="with images, poses.csv and cal.yaml")
+    main(parser.parse_args().folder)

@@ -350,7 +350,7 @@ def test_files_that_cannot_be(tmp_path, header, row, said):
         (("cx: 1000", "cx: .inf"), "instruments.eye.intrinsics.cx: "),
         (("k1: -0.1", "k1: .nan"), "instruments.eye.intrinsics.k1: "),
         (("k1: -0.1", "k4: -0.1"), "unknown key 'instruments.eye.intrinsics.k4'"),
-        ((f"points: {POINTS}", "points: {}"), "instruments.eye: needs points (name: [x, y, z]) or points_file"),
+        ((f"points: {POINTS}", "points: {}"), "instruments.eye: needs points (name: [x, y, z]), points_file or board"),
         ((f"points: {POINTS}", "points_file: no.csv"), "no.csv: no such file"),
         ((f"points: {POINTS}", "points_file: arm.urdf"), "no column 'point'; expected point, x, y, z"),
         (("target: body", "target: bdy"), "instruments.eye: no target 'bdy'; did you mean 'body'"),
@@ -389,6 +389,19 @@ def test_points_may_come_from_a_file(tmp_path):
     (tmp_path / "points.csv").write_text("point,x [mm],y [mm],z [mm]\n" + rows)
     robot = calib.load(write_six_axis(tmp_path, YAML.replace(f"points: {POINTS}", "points_file: points.csv")))
     np.testing.assert_allclose(list(robot.instrument("eye").points_of_body.values()), BODY, atol=1e-15)
+
+
+def test_points_may_be_those_of_a_printed_board(tmp_path):
+    board = "kind: chessboard\ncolumns: 4\nrows: 3\nsquare: 20 mm\n"
+    (tmp_path / "board.yaml").write_text(board)
+    for given in ("board.yaml", "{kind: chessboard, columns: 4, rows: 3, square: 20 mm}"):
+        robot = calib.load(write_six_axis(tmp_path, YAML.replace(f"points: {POINTS}", f"board: {given}")))
+        points = robot.instrument("eye").points_of_body
+        assert list(points) == ["c0", "c1", "c2", "c3", "c4", "c5"]
+        np.testing.assert_allclose(points["c5"], (0.06, 0.04, 0.0), atol=1e-15)
+    (tmp_path / "board.yaml").write_text(board.replace("rows: 3", "rows: 4"))
+    with pytest.raises(calib.CalibrationError, match=r"board.yaml: a chessboard of 4 x 4 squares looks the same"):
+        calib.load(write_six_axis(tmp_path, YAML.replace(f"points: {POINTS}", "board: board.yaml")))
 
 
 def test_a_camera_that_is_said_to_look_away_is_named(tmp_path):

@@ -14,8 +14,9 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from calib.base.errors import DescriptionError, InputError
 from calib.base.files import read_text
-from calib.base.sections import Length, PosedSection, Section
+from calib.base.sections import Length, PosedSection, Section, read_yaml
 from calib.base.units import per_si, split_column
+from calib.instruments.board import Board, checked_board
 
 _Number = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[_Number, Field(gt=0)]
@@ -67,6 +68,8 @@ class PixelSection(Section):
         unknown_intrinsics: How far intrinsics may be off that the measurements must find.
         points: Where each point is in the target frame, by name [m].
         points_file: A CSV file that says so, columns point, x, y, z; its path as seen from the description.
+        board: A printed board (`calib.instruments.board`), or the YAML file that describes it, in place of points; the
+            target frame is then the board's.
         image: Width and height [px]; points outside are not seen. Only predictions need it.
         columns: How the columns begin: `<columns>_u`, `<columns>_v`; the instrument's name if left out.
         sigma: Noise of a coordinate [px].
@@ -79,6 +82,7 @@ class PixelSection(Section):
     unknown_intrinsics: UnknownIntrinsicsSection | None = None
     points: dict[str, tuple[Length, Length, Length]] = Field(default_factory=dict)
     points_file: str | None = None
+    board: Board | None = None
     image: tuple[_Positive, _Positive] | None = None
     columns: str | None = None
     sigma: _Positive | None = None
@@ -87,13 +91,19 @@ class PixelSection(Section):
     @classmethod
     def _from_file(cls, value: Any, info: ValidationInfo) -> Any:
         """Read the points of a file, so that it does not matter where they came from."""
-        file = value.get("points_file") if isinstance(value, dict) else None
-        if not isinstance(file, str):
+        if not isinstance(value, dict):
             return value
-        if "points" in value:
-            raise ValueError("has points and points_file; leave one of them out")
         folder = (info.context or {}).get("folder", Path())
+        sources = [key for key in ("points", "points_file", "board") if value.get(key)]
+        if len(sources) > 1:
+            raise ValueError(f"has {sources[0]} and {sources[1]}; leave one of them out")
         try:
+            if value.get("board"):
+                board = _board(value["board"], folder)
+                return {**{key: entry for key, entry in value.items() if key != "board"}, "points": board.points()}
+            file = value.get("points_file")
+            if not isinstance(file, str):
+                return value
             rest = {key: entry for key, entry in value.items() if key != "points_file"}
             return {**rest, "points": read_points(folder / file)}
         except DescriptionError as error:
@@ -102,8 +112,17 @@ class PixelSection(Section):
     @model_validator(mode="after")
     def _some_points(self) -> PixelSection:
         if not self.points:
-            raise ValueError("needs points (name: [x, y, z]) or points_file")
+            raise ValueError("needs points (name: [x, y, z]), points_file or board")
         return self
+
+
+def _board(given: Any, folder: Path) -> Board:
+    """The board of a mapping, or of a file."""
+    if not isinstance(given, str):
+        return checked_board(given, "board")
+    content = read_yaml(folder / given)
+    inner = content.get("board") if isinstance(content, dict) else None
+    return checked_board(inner if isinstance(inner, dict) else content, str(folder / given))
 
 
 def read_points(path: Path) -> dict[str, tuple[float, float, float]]:

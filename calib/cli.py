@@ -35,6 +35,7 @@ _COMMANDS = {
 _GROUPS = {
     "Before measuring": ("init", "check", "sample", "select", "simulate", "study"),
     "Measuring and calibrating": ("watch", "fit", "verify", "compare"),
+    "Cameras": ("board", "detect", "hand-eye"),
     "Using the result": ("predict", "solve", "compensate", "export"),
 }
 """The commands in the order of work; others come after them."""

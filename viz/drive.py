@@ -18,7 +18,7 @@ import numpy as np
 
 from calib import Robot
 from calib.base.arrays import FloatArray
-from calib.joint_terms.term import Context
+from calib.joint_terms.term import Condition, Context
 from calib.robots.joint_errors import term_columns
 from calib.robots.mechanism import RelativeFrame
 from viz.bodies import Bodies
@@ -165,5 +165,6 @@ def _remarks(robot: Robot) -> tuple[str, ...]:
     """What the page says about joint terms that do not follow from the motors."""
     torque = sorted({term.joint for term in robot.terms if term.needs_torque})
     told = [f"Left out here: what gravity bends in {', '.join(torque)}."] if torque else []
-    kinds = sorted({term.depends_on for term in robot.terms} - {"", "another joint", "the load"})
+    conditions = {one for term in robot.terms if not term.needs_torque for one in term.depends_on}
+    kinds = sorted(one.value for one in conditions - {Condition.ANOTHER_JOINT})
     return (*told, f"Not known here, and taken as neutral: {', '.join(kinds)}.") if kinds else tuple(told)

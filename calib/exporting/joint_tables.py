@@ -23,9 +23,10 @@ import numpy as np
 from calib.base.arrays import FloatArray, ReadOnlyArrays
 from calib.base.errors import InputError
 from calib.base.units import ERROR_UNIT, Dimension, error_scale
+from calib.base.words import listed
 from calib.data.tables import format_table
 from calib.exporting.urdf import urdf_bytes
-from calib.joint_terms.term import Context
+from calib.joint_terms.term import Context, JointTerm
 from calib.robots.held import Holds
 from calib.robots.joint_errors import term_columns
 from calib.robots.robot import Robot
@@ -139,7 +140,7 @@ def beside_tables(robot: Robot) -> list[str]:
     for term in robot.terms:
         own = slice(start, start := start + len(term.parameters))
         if not Holds.TABLES.keeps(term):
-            left.append(_left_out(robot, own, term.joint, term.cause, term.depends_on))
+            left.append(_left_out(robot, own, term))
     return left
 
 
@@ -168,17 +169,13 @@ def _table(robot: Robot, joint: str, curvature: float) -> JointTable:
     return JointTable(joint, dimension, commands, actual(commands))
 
 
-def _left_out(robot: Robot, own: slice, joint: str, cause: str, depends_on: str) -> str:
+def _left_out(robot: Robot, own: slice, term: JointTerm) -> str:
     """Say what of a joint's error is not in its table."""
-    dimension = robot.mechanism.dimensions[joint]
+    dimension = robot.mechanism.dimensions[term.joint]
     size, unit = error_scale(dimension) * float(np.max(np.abs(robot.values[own]))), ERROR_UNIT[dimension]
-    what = {
-        "the load": f"{size:.3g} {unit} per N m or N",
-        "time": f"{size:.3g} {unit} per hour",
-        "temperature": f"{size:.3g} {unit} per kelvin",
-        "another joint": f"{size:.3g} {unit} per rad or m of it",
-    }.get(depends_on, f"{size:.3g} {unit} to either side")
-    return f"{joint}: {cause} is not in the table, because it depends on {depends_on}: {what} remains"
+    depends_on = listed([condition.value for condition in term.depends_on])
+    what = f"{size:.3g} {unit} {term.per}".rstrip()
+    return f"{term.joint}: {term.cause} is not in the table, because it depends on {depends_on}: {what} remains"
 
 
 def joint_table_files(robot: Robot, lines: Sequence[str] = ()) -> dict[str, bytes]:

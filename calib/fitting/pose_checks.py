@@ -30,13 +30,11 @@ from calib.base.words import counted, listed
 from calib.data.measurements import Measurements, with_points
 from calib.fitting.joint_conventions import joint_changes
 from calib.fitting.problem import Evaluation, Problem
-from calib.joint_terms.term import JointTerm
+from calib.joint_terms.term import COLUMNS, Condition
 from calib.robots.robot import Robot
 from calib.rows.determination import Determination, determination
 from calib.rows.registration import register
 
-CONDITION = {"time": "time", "temperature": "temperature", "the load": "load"}
-"""Column of a file that says what a joint term depends on (`JointTerm.depends_on`)."""
 _STILL = 1e-6  # range of a joint below which it never moved [m, rad]
 _ALONE = 1e-3  # part of the widest spread of poses in joint space that a direction must have to count
 _LINE = 1e-3  # width over length below which positions lie on one line
@@ -69,12 +67,13 @@ def check_measurements(robot: Robot, data: Measurements) -> None:
                 " leave the pose out"
             )
     for term in robot.terms:
-        k = unstated(term, data)
-        if k is not None:
-            raise DataError(
-                f"{data.labels[k]}: says no {CONDITION[term.depends_on]}, which '{term.parameters[0].name}' depends on;"
-                " fill it in, or leave the row out"
-            )
+        for condition in term.depends_on:
+            k = unstated(condition, data)
+            if k is not None:
+                raise DataError(
+                    f"{data.labels[k]}: says no {COLUMNS[condition]}, which '{term.parameters[0].name}' depends on;"
+                    " fill it in, or leave the row out"
+                )
     unknown = int(sum(use and not p.prior for p, use in zip(robot.parameters, robot.is_free, strict=True)))
     if not np.any(robot.is_free):
         raise DataError(f"{robot.path}: every parameter is held; there is nothing to identify")
@@ -95,9 +94,9 @@ def check_measurements(robot: Robot, data: Measurements) -> None:
         _refuse_one_line(robot, data)
 
 
-def unstated(term: JointTerm | type[JointTerm], data: Measurements) -> int | None:
-    """Return the first visit of which the condition that a term depends on is not known, where others state it."""
-    empty = np.flatnonzero(np.isnan(data.context.get(CONDITION.get(term.depends_on, ""), np.zeros(0))))
+def unstated(condition: Condition, data: Measurements) -> int | None:
+    """Return the first visit of which a condition is not known, where others state it."""
+    empty = np.flatnonzero(np.isnan(data.context.get(COLUMNS.get(condition, ""), np.zeros(0))))
     return int(empty[0]) if len(empty) else None
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib.base.arrays import FloatArray, ReadOnlyArrays
-from calib.base.errors import ComputationError, DataError
+from calib.base.errors import ComputationError, DataError, InputError
 from calib.functions.trees import Tree, tree_of
 from calib.joint_terms.formula import Proportional, Source
 from calib.robots import loops
@@ -123,6 +123,7 @@ def facts_of(robot: Robot) -> RobotFacts:
 
     Raises:
         ComputationError: No configuration is known at which the loops close.
+        InputError: A joint term has no formula.
     """
     mechanism = robot.mechanism
     commands, configurations = _starts(robot)
@@ -172,6 +173,11 @@ def _errors(robot: Robot) -> tuple[tuple[Share, ...], tuple[Wave, ...]]:
         start += len(term.parameters)
         for driven in driven_by(term, robot.mechanism):
             formula = term.formula(driven)
+            if formula is None:
+                raise InputError(
+                    f"{robot.path}: the joint term of '{term.parameters[0].name}' ({type(term).__qualname__}) gives no"
+                    " formula, so that no function can be written of it; choose another format"
+                )
             if isinstance(formula, Proportional):
                 key = (driven, formula.source, formula.place)
                 rates[key] = rates.get(key, 0.0) + formula.factor * float(values[0])

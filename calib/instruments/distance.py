@@ -32,7 +32,18 @@ from calib.base.sections import (
     Section,
 )
 from calib.base.units import micrometres, millimetres
-from calib.instruments.kind import Column, Comparison, Guess, Instrument, Part, Place, Readings, Scene, View
+from calib.instruments.kind import (
+    Column,
+    Comparison,
+    Guess,
+    Instrument,
+    InstrumentSection,
+    Part,
+    Place,
+    Readings,
+    Scene,
+    View,
+)
 from calib.instruments.noise import Noise, PartNoise
 from calib.numerics.rigid import centre, common_offset
 
@@ -62,7 +73,7 @@ class EndSection(Section):
         return self
 
 
-class DistanceSection(Section):
+class DistanceSection(InstrumentSection):
     """An instrument that measures how far a target is from a fixed point.
 
     Attributes:
@@ -72,7 +83,6 @@ class DistanceSection(Section):
         sigma: Its noise [m].
     """
 
-    kind: Literal["distance"]
     target: str | None = None
     end: EndSection | None = None
     offset: LengthOrUnknown = KNOWN_ZERO
@@ -83,7 +93,7 @@ class DistanceSection(Section):
 class Distance(Instrument):
     """Distances of one target from a fixed point: one row."""
 
-    section: ClassVar[type[Section]] = DistanceSection
+    section: ClassVar[type[InstrumentSection]] = DistanceSection
     parts: ClassVar[tuple[Part, ...]] = (DISTANCE,)  # type: ignore[misc]
     name: str
     target: str

@@ -18,15 +18,15 @@ from pydantic import model_validator
 from calib.base.arrays import FloatArray
 from calib.base.errors import InputError
 from calib.base.parameter import Parameter
-from calib.base.sections import Quantity, Section
+from calib.base.sections import Quantity
 from calib.base.units import DISPLAY_UNIT, Dimension, quantity
-from calib.instruments.kind import Column, Comparison, Guess, Instrument, Part, Readings, Scene, View
+from calib.instruments.kind import Column, Comparison, Guess, Instrument, InstrumentSection, Part, Readings, Scene, View
 from calib.instruments.noise import Noise, PartNoise
 
 _SCALE: dict[str, float] = {"angle": 1e-2, "length": 1e-2}  # of an unknown zero that nothing is known of [rad, m]
 
 
-class JointReadingSection(Section):
+class JointReadingSection(InstrumentSection):
     """An encoder on a joint.
 
     Attributes:
@@ -38,7 +38,6 @@ class JointReadingSection(Section):
         sigma_zero: How far an unknown zero may be from `offset`; left out, `offset` says nothing.
     """
 
-    kind: Literal["joint_reading"]
     joint: str
     dimension: Literal["angle", "length"] = "angle"
     sigma: Quantity | None = None
@@ -74,7 +73,7 @@ class JointReadingSection(Section):
 class JointReading(Instrument):
     """Values of one joint: one row."""
 
-    section: ClassVar[type[Section]] = JointReadingSection
+    section: ClassVar[type[InstrumentSection]] = JointReadingSection
     name: str
     joint: str
     dimension: Dimension = "angle"

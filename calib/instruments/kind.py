@@ -4,7 +4,8 @@ An instrument looks from one frame a at another frame b; a reading is a few numb
 the engine needs of a kind is here: which frames it looks at and from, which columns of a file it reads, which unknown
 numbers it brings, what it predicts, how a prediction differs from what was read, and how that difference moves with
 T_ab and with its unknowns. Kinematics, loops and parameters enter by the chain rule, which is written once
-(`calib.rows.observed`), so that a new kind is one small file and a line in `calib.instruments.kinds`.
+(`calib.rows.observed`), so that a new kind is one small file, here with a line in `calib.instruments.kinds`, or in
+another package with an entry point.
 
 Derivatives are by the twist [dp; dw] of b seen from a, in the axes of a:
 
@@ -16,7 +17,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -168,6 +169,16 @@ class Guess:
     unknowns: FloatArray | None = None
 
 
+class InstrumentSection(Section):
+    """The entry of an instrument in a robot description.
+
+    Attributes:
+        kind: Its kind of measurement.
+    """
+
+    kind: str
+
+
 class Instrument(ABC):
     """A kind of measurement, as one instrument of a robot description makes it.
 
@@ -184,7 +195,7 @@ class Instrument(ABC):
             one may share their columns of numbers; a file may leave it out where they do not. None: there is none.
     """
 
-    section: ClassVar[type[Section]]
+    section: ClassVar[type[InstrumentSection]]
     parts: tuple[Part, ...]
     name: str
     target: str
@@ -193,6 +204,19 @@ class Instrument(ABC):
     unknowns: tuple[Parameter, ...] = ()
     joint: str | None = None
     label_column: ClassVar[str | None] = None
+
+    @classmethod
+    @abstractmethod
+    def of(cls, name: str, section: Any) -> Instrument:
+        """Return the instrument that an entry of a robot description means.
+
+        Args:
+            name: Its name.
+            section: The entry.
+
+        Raises:
+            ValueError: The entry means none.
+        """
 
     @property
     def n_rows(self) -> int:

@@ -1,34 +1,39 @@
-"""Every kind of measurement, by the name that robot descriptions use: the one place that knows them all."""
+"""Every kind of measurement, by the name that robot descriptions use: the one place that knows them all.
+
+Kinds of other packages come in by entry points of the group `calib.kinds`, or by `KINDS.register` in Python.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Union
+from typing import TYPE_CHECKING, Annotated
 
-from pydantic import Field
-
-from calib.base.sections import Section
+from calib.base.registry import Registry, entry
 from calib.instruments.distance import Distance
 from calib.instruments.joint_reading import JointReading
-from calib.instruments.kind import Instrument
+from calib.instruments.kind import Instrument, InstrumentSection
 from calib.instruments.orientation import Orientation
 from calib.instruments.pixel import Pixel
 from calib.instruments.pose import Pose
 from calib.instruments.position import Position
 from calib.instruments.touch import Touch
 
-KINDS: dict[str, type[Instrument]] = {
-    "position": Position,
-    "pose": Pose,
-    "orientation": Orientation,
-    "joint_reading": JointReading,
-    "pixel": Pixel,
-    "distance": Distance,
-    "touch": Touch,
-}
+KINDS: Registry[Instrument] = Registry(
+    "kind of measurement",
+    "calib.kinds",
+    Instrument,  # type: ignore[type-abstract]
+    {
+        "position": Position,
+        "pose": Pose,
+        "orientation": Orientation,
+        "joint_reading": JointReading,
+        "pixel": Pixel,
+        "distance": Distance,
+        "touch": Touch,
+    },
+)
 
 if TYPE_CHECKING:
-    AnyInstrument = Section
+    AnyInstrument = InstrumentSection
 else:
-    _sections = tuple(kind.section for kind in KINDS.values())
-    AnyInstrument = Annotated[Union[_sections], Field(discriminator="kind")]  # noqa: UP007  # known when it runs
+    AnyInstrument = Annotated[InstrumentSection, *entry("kind", KINDS)]
     """The entry of an instrument in a robot description."""

@@ -26,9 +26,9 @@ from pydantic import model_validator
 
 from calib.base.arrays import FloatArray
 from calib.base.parameter import Parameter
-from calib.base.sections import ANGLE_COMPONENTS, Section
+from calib.base.sections import ANGLE_COMPONENTS
 from calib.instruments.hand_eye import fixed_rotations
-from calib.instruments.kind import Column, Comparison, Guess, Instrument, Part, Readings, Scene, View
+from calib.instruments.kind import Column, Comparison, Guess, Instrument, InstrumentSection, Part, Readings, Scene, View
 from calib.instruments.noise import AngleSigma, Noise, PartNoise
 from calib.instruments.rotations import (
     ORIENTATION,
@@ -51,7 +51,7 @@ _ROUNDS = 100
 _SETTLED = 1e-10
 
 
-class OrientationSection(Section):
+class OrientationSection(InstrumentSection):
     """An instrument that measures how a target frame is turned.
 
     Attributes:
@@ -61,7 +61,6 @@ class OrientationSection(Section):
         sigma: Noise: one number, or one for each of three axes.
     """
 
-    kind: Literal["orientation"]
     target: str | None = None
     axes: Literal["all", "gravity"] = "all"
     rotation: Form = "quaternion"
@@ -80,7 +79,7 @@ class OrientationSection(Section):
 class Orientation(Instrument):
     """Orientations of one target frame: three rows, values are rotation vectors; or two tilts."""
 
-    section: ClassVar[type[Section]] = OrientationSection
+    section: ClassVar[type[InstrumentSection]] = OrientationSection
     name: str
     target: str
     group: str

@@ -19,11 +19,22 @@ import numpy as np
 from calib.base.arrays import FloatArray, IntArray
 from calib.base.errors import DataError, nearest
 from calib.base.parameter import Parameter
-from calib.base.sections import COMPONENTS, Component, Section
+from calib.base.sections import COMPONENTS, Component
 from calib.base.units import DISPLAY_UNIT, Dimension
 from calib.instruments.camera import NAMES, in_front, project, rays
 from calib.instruments.camera_places import Sightings, guesses, seen_points
-from calib.instruments.kind import Column, Comparison, Guess, Instrument, Part, Place, Readings, Scene, View
+from calib.instruments.kind import (
+    Column,
+    Comparison,
+    Guess,
+    Instrument,
+    InstrumentSection,
+    Part,
+    Place,
+    Readings,
+    Scene,
+    View,
+)
 from calib.instruments.noise import Noise, PartNoise
 from calib.instruments.pixel_section import PixelSection
 from calib.numerics.rigid import cross_matrices
@@ -38,7 +49,7 @@ _MOSTLY = 0.5  # part of the sightings that must not lie behind the camera
 class Pixel(Instrument):
     """Pixels of named points of one target frame in one camera: two rows. The detail of a reading is its point."""
 
-    section: ClassVar[type[Section]] = PixelSection
+    section: ClassVar[type[InstrumentSection]] = PixelSection
     parts: ClassVar[tuple[Part, ...]] = (PIXEL,)  # type: ignore[misc]
     label_column: ClassVar[str | None] = "camera"
     name: str

@@ -17,6 +17,7 @@ from calib.base.files import read_text
 from calib.base.sections import Length, PosedSection, Section, read_yaml
 from calib.base.units import per_si, split_column
 from calib.instruments.board import Board, checked_board
+from calib.instruments.kind import InstrumentSection
 
 _Number = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[_Number, Field(gt=0)]
@@ -58,7 +59,7 @@ class UnknownIntrinsicsSection(Section):
     k3: _Positive | None = None
 
 
-class PixelSection(Section):
+class PixelSection(InstrumentSection):
     """A camera that sees points of a target frame.
 
     Attributes:
@@ -75,7 +76,6 @@ class PixelSection(Section):
         sigma: Noise of a coordinate [px].
     """
 
-    kind: Literal["pixel"]
     target: str
     camera: CameraSection
     intrinsics: IntrinsicsSection

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 
 from calib.base.arrays import FloatArray
 from calib.base.parameter import Parameter
-from calib.base.sections import Section
-from calib.instruments.kind import Column, Comparison, Instrument, Part, Readings, View
+from calib.instruments.kind import Column, Comparison, Instrument, InstrumentSection, Part, Readings, View
 from calib.instruments.noise import AngleSigma, Noise, PartNoise, PositionSigma
 from calib.instruments.position import AXES, POSITION
 from calib.instruments.rotations import (
@@ -33,7 +32,7 @@ from calib.instruments.rotations import (
 )
 
 
-class PoseSection(Section):
+class PoseSection(InstrumentSection):
     """An instrument that measures the pose of a target frame.
 
     Attributes:
@@ -45,7 +44,6 @@ class PoseSection(Section):
         sigma_angle: Noise of the orientation: one number, or three.
     """
 
-    kind: Literal["pose"]
     target: str | None = None
     rotation: Form = "quaternion"
     sigma: PositionSigma | None = None
@@ -56,7 +54,7 @@ class PoseSection(Section):
 class Pose(Instrument):
     """Poses of one target frame in the measurement frame: six rows. Values are x, y, z and a rotation vector."""
 
-    section: ClassVar[type[Section]] = PoseSection
+    section: ClassVar[type[InstrumentSection]] = PoseSection
     parts: ClassVar[tuple[Part, ...]] = (POSITION, ORIENTATION)  # type: ignore[misc]
     name: str
     target: str

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 
 from calib.base.arrays import FloatArray
 from calib.base.parameter import Parameter
-from calib.base.sections import Section
-from calib.instruments.kind import Column, Comparison, Instrument, Part, Readings, View
+from calib.instruments.kind import Column, Comparison, Instrument, InstrumentSection, Part, Readings, View
 from calib.instruments.noise import Noise, PartNoise, PositionSigma
 
 AXES = ("x", "y", "z")
 POSITION = Part("position", AXES, "length")
 
 
-class PositionSection(Section):
+class PositionSection(InstrumentSection):
     """An instrument that measures the position of a target.
 
     Attributes:
@@ -25,7 +24,6 @@ class PositionSection(Section):
         sigma: Its noise: one number, three, or a tracker's `{range, angle}`.
     """
 
-    kind: Literal["position"]
     target: str | None = None
     sigma: PositionSigma | None = None
 
@@ -34,7 +32,7 @@ class PositionSection(Section):
 class Position(Instrument):
     """Positions of one target in the measurement frame: three rows."""
 
-    section: ClassVar[type[Section]] = PositionSection
+    section: ClassVar[type[InstrumentSection]] = PositionSection
     parts: ClassVar[tuple[Part, ...]] = (POSITION,)  # type: ignore[misc]
     name: str
     target: str

@@ -27,9 +27,20 @@ import numpy as np
 from calib.base.arrays import FloatArray, IntArray
 from calib.base.errors import DataError, nearest
 from calib.base.parameter import Parameter
-from calib.base.sections import LENGTH_COMPONENTS, OwnLength, Section
+from calib.base.sections import LENGTH_COMPONENTS, OwnLength
 from calib.instruments.distance import distances
-from calib.instruments.kind import Column, Comparison, Guess, Instrument, Part, Place, Readings, Scene, View
+from calib.instruments.kind import (
+    Column,
+    Comparison,
+    Guess,
+    Instrument,
+    InstrumentSection,
+    Part,
+    Place,
+    Readings,
+    Scene,
+    View,
+)
 from calib.instruments.noise import Noise, PartNoise
 from calib.instruments.touch_places import first_touches
 from calib.instruments.touch_sections import Surface, TouchSection
@@ -56,7 +67,7 @@ class Touch(Instrument):
         tolerance: Of the coordinates of the points of the artefact [m]; None: they are right.
     """
 
-    section: ClassVar[type[Section]] = TouchSection
+    section: ClassVar[type[InstrumentSection]] = TouchSection
     name: str
     target: str
     group: str

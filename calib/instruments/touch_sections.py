@@ -17,9 +17,8 @@ from calib.base.sections import (
     PlaceSection,
     PosedSection,
     PositiveLength,
-    Section,
 )
-from calib.instruments.kind import Place
+from calib.instruments.kind import InstrumentSection, Place
 
 Surface = Literal["socket", "plane", "sphere"]
 _ON_A_LINE = 1e-6  # width of points below which they are on one line [m]
@@ -101,7 +100,7 @@ class ArtefactSection(PosedSection):
         return tuple(turn for k, turn in enumerate(ANGLE_COMPONENTS) if k != held)
 
 
-class TouchSection(Section):
+class TouchSection(InstrumentSection):
     """An instrument that is the robot itself: its target touches something.
 
     Attributes:
@@ -113,7 +112,6 @@ class TouchSection(Section):
         sigma: How well the ball touches, each coordinate or the gap [m].
     """
 
-    kind: Literal["touch"]
     target: str | None = None
     surface: Surface = "socket"
     radius: Annotated[Length, Field(ge=0)] = 0.0

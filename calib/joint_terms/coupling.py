@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from calib.base.errors import nearest
 from calib.base.parameter import Parameter
 from calib.base.units import Dimension
 from calib.joint_terms.formula import Formula, Proportional, Source
-from calib.joint_terms.term import Joint, JointTerm, TermSection, coefficient
+from calib.joint_terms.term import Condition, Joint, JointTerm, TermSection, coefficient
 
 EXPECTED: dict[Dimension, float] = {"angle": 1e-3, "length": 1e-3}
 """Expected error per radian or metre of the other joint, where nothing is stated [rad, m]."""
@@ -35,7 +36,8 @@ class Coupling(JointTerm):
 
     section = CouplingSection
     cause = "coupling"
-    depends_on = "another joint"
+    depends_on = (Condition.ANOTHER_JOINT,)
+    per = "per rad or m of it"
     counts_turns = True
     joint: str
     parameters: tuple[Parameter, ...]
@@ -56,6 +58,18 @@ class Coupling(JointTerm):
         size = EXPECTED[joint.dimension] if sigma is None else sigma
         name = coupling_name(joint.name, other)
         return cls(joint.name, (coefficient(name, joint.dimension, size),), joint.actuated.index(other))
+
+    @classmethod
+    def entries(cls, term: str, joints: Sequence[str], actuated: Sequence[str]) -> tuple[TermSection, ...]:
+        """Return one for every joint driven by every other one that moved: who drives, data say."""
+        pairs = ((joint, other) for joint in actuated for other in joints if joint != other)
+        return tuple(CouplingSection(joint=joint, term=term, driven_by=other) for joint, other in pairs)
+
+    def answers(self, section: TermSection) -> bool:
+        """Whether it is of the same two joints."""
+        return isinstance(section, CouplingSection) and self.parameters[0].name == coupling_name(
+            section.joint, section.driven_by
+        )
 
     def followed(self, actuated: tuple[str, ...]) -> str:
         """Return the joint that drives."""

@@ -16,7 +16,7 @@ from typing import ClassVar
 
 from calib.base.parameter import Parameter
 from calib.joint_terms.formula import Formula, Proportional, Source
-from calib.joint_terms.term import Joint, JointTerm, TermSection, coefficient
+from calib.joint_terms.term import Condition, Joint, JointTerm, TermSection, coefficient
 
 _HOUR = 3600.0
 
@@ -61,6 +61,7 @@ class Gain(OneCoefficient):
     """dq = c q, with q in radians or metres, as of a gear ratio, a belt, or the pitch of a lead screw."""
 
     word = "gain"
+    cause = "gain and harmonics"
     counts_turns = True
     expected_angle, expected_length = 1e-3, 1e-3  # a thousandth of the motion
 
@@ -74,7 +75,9 @@ class Backlash(OneCoefficient):
 
     word = "backlash"
     cause = "backlash"
-    depends_on = "the direction of approach"
+    depends_on = (Condition.APPROACH,)
+    per = "to either side"
+    follows_command = False
     expected_angle, expected_length = 2e-4, 5e-5  # half of the play
 
     def formula(self, j: int) -> Formula:
@@ -87,7 +90,9 @@ class Drift(OneCoefficient):
 
     word = "drift"
     cause = "drift"
-    depends_on = "time"
+    depends_on = (Condition.TIME,)
+    per = "per hour"
+    follows_command = False
     expected_angle, expected_length = 1e-4, 2e-5  # per hour
 
     def formula(self, j: int) -> Formula:
@@ -100,7 +105,9 @@ class Temperature(OneCoefficient):
 
     word = "temperature"
     cause = "drift"
-    depends_on = "temperature"
+    depends_on = (Condition.TEMPERATURE,)
+    per = "per kelvin"
+    follows_command = False
     expected_angle, expected_length = 1e-4, 2e-5  # per kelvin
 
     def formula(self, j: int) -> Formula:
@@ -113,7 +120,8 @@ class Compliance(OneCoefficient):
 
     word = "compliance"
     cause = "load (compliance)"
-    depends_on = "the load"
+    depends_on = (Condition.LOAD,)
+    per = "per N m or N"
     expected_angle, expected_length = 2e-5, 1e-7  # [rad / (N m), m / N]
     needs_torque = True
 

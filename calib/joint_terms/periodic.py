@@ -93,6 +93,7 @@ class HarmonicsSection(TermSection):
 class Harmonics(_Periodic):
     """Harmonics of the joint's turn, or of a period."""
 
+    cause = "gain and harmonics"
     section = HarmonicsSection
 
     @classmethod
@@ -108,6 +109,11 @@ class Harmonics(_Periodic):
         return cls(
             joint.name, tuple(coefficient(name, joint.dimension, size) for name in names), section.orders, repeats
         )
+
+    @classmethod
+    def needs_more(cls, dimension: Dimension) -> str:
+        """Return the period of a joint that slides: after which length a screw repeats, nobody said."""
+        return "prismatic joints need a period, which only a description can state" if dimension == "length" else ""
 
 
 class CurveSection(TermSection):

@@ -6,7 +6,7 @@ Joints do not stand where they are told. The error of joint j is a sum of terms,
 
 with coefficients c_k that are found like all other parameters, and columns phi_k that depend on what was commanded
 alone. So derivatives are exact, d(anything)/dc_k = d(anything)/d(joint j) phi_k, through closed loops too, and a new
-term is one small class and a line in `calib.joint_terms.terms`.
+term is one small class, here with a line in `calib.joint_terms.terms`, or in another package with an entry point.
 
 Every coefficient has the dimension of its joint (an angle or a length): it is the error at phi_k = 1.
 
@@ -17,8 +17,9 @@ angle c_k phi_k, all with the same coefficients.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any, ClassVar
 
 import numpy as np
@@ -48,6 +49,18 @@ class TermSection(Section):
         return self
 
 
+class Condition(Enum):
+    """What the error of a joint may depend on beside the joint's own command, in words."""
+
+    APPROACH = "the direction of approach"
+    TIME = "time"
+    TEMPERATURE = "temperature"
+    LOAD = "the load"
+    ANOTHER_JOINT = "another joint"
+
+
+COLUMNS = {Condition.TIME: "time", Condition.TEMPERATURE: "temperature", Condition.LOAD: "load"}
+"""Columns of a file that say under which conditions a command was given; the direction of approach has one a joint."""
 REFERENCE_TEMPERATURE = 20.0
 """At which lengths hold [degC]: a fixed one, so that a coefficient means the same for every file."""
 
@@ -126,7 +139,7 @@ class Context(ReadOnlyArrays):
 
 
 class JointTerm(ABC):
-    """One term of one joint's error.
+    """One term of one joint's error. It gives its columns, or a formula that has them.
 
     Attributes:
         section: Keys of its entry in a robot description (class attribute).
@@ -135,15 +148,21 @@ class JointTerm(ABC):
         needs_torque: Whether it asks for `Context.torque` (class attribute).
         tilts: Whether it tilts the link behind its joint, in place of moving the joint (class attribute).
         cause: Under which name an error budget counts it (class attribute).
-        depends_on: What it depends on beside the joint's own command; empty: nothing (class attribute).
+        depends_on: Conditions that its columns change with (class attribute). With the direction of approach, columns
+            change their sign.
+        per: What a coefficient is of, such as `per hour` (class attribute).
+        follows_command: Whether its columns change with the command of its joint, so that one that did not move does
+            not show it (class attribute).
         counts_turns: Whether a whole turn of the joint that it follows changes its columns (class attribute).
     """
 
     section: ClassVar[type[TermSection]] = TermSection
     needs_torque: ClassVar[bool] = False
     tilts: ClassVar[bool] = False
-    cause: ClassVar[str] = "gain and harmonics"
-    depends_on: ClassVar[str] = ""
+    cause: ClassVar[str] = "other joint terms"
+    depends_on: ClassVar[tuple[Condition, ...]] = ()
+    per: ClassVar[str] = ""
+    follows_command: ClassVar[bool] = True
     counts_turns: ClassVar[bool] = False
     joint: str
     parameters: tuple[Parameter, ...]
@@ -162,18 +181,39 @@ class JointTerm(ABC):
             ValueError: The entry does not fit the joint.
         """
 
+    @classmethod
+    def entries(cls, term: str, joints: Sequence[str], actuated: Sequence[str]) -> tuple[TermSection, ...]:
+        """Return the entries that are tried where nobody says which terms a robot has.
+
+        Args:
+            term: Its name.
+            joints: The joints that can show it.
+            actuated: All actuated joints.
+        """
+        named = ["all"] if len(joints) == len(actuated) else joints
+        return tuple(cls.section(joint=name, term=term) for name in named)
+
+    @classmethod
+    def needs_more(cls, dimension: Dimension) -> str:
+        """Return what a joint of a dimension needs that only a description can state, in words; empty: nothing."""
+        return ""
+
+    def answers(self, section: TermSection) -> bool:
+        """Whether a robot that has this term needs no other one for an entry of the same term."""
+        return section.joint in ("all", self.joint)
+
     def followed(self, actuated: tuple[str, ...]) -> str:
         """Return the joint whose command it follows, of the actuated ones."""
         return self.joint
 
-    @abstractmethod
-    def formula(self, j: int) -> Formula:
-        """Return phi of the coefficients.
+    def formula(self, j: int) -> Formula | None:
+        """Return phi of the coefficients as data, which functions in other languages are made of; None: there is none.
 
         Args:
             j: Place of the term's joint among the actuated ones; of a term that tilts, of one of the rotations among
                 the driven joints.
         """
+        return None
 
     def columns(self, q: FloatArray, j: int, context: Context) -> FloatArray:
         """Return phi of each coefficient, (n, n_coefficients).
@@ -183,7 +223,10 @@ class JointTerm(ABC):
             j: As in `formula`.
             context: Conditions of the commands, the torque among them if the term asks for it.
         """
-        return self.formula(j).columns(context.known(q))
+        formula = self.formula(j)
+        if formula is None:
+            raise NotImplementedError(f"{type(self).__qualname__} gives neither columns nor a formula")
+        return formula.columns(context.known(q))
 
     def curvature(self, values: FloatArray) -> float:
         """Return a bound of |d^2(dq)/dq^2| [1/rad or 1/m], from the coefficients (n_coefficients,); 0 if straight."""

@@ -1,40 +1,43 @@
-"""Every term of a joint's error, by the name that robot descriptions use: the one place that knows them all."""
+"""Every term of a joint's error, by the name that robot descriptions use: the one place that knows them all.
+
+Terms of other packages come in by entry points of the group `calib.terms`, or by `TERMS.register` in Python.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Union
+from typing import TYPE_CHECKING, Annotated
 
-from pydantic import Discriminator, Tag, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from calib.base.errors import InputError, nearest
+from calib.base.registry import Registry, entry
 from calib.joint_terms.coupling import Coupling
 from calib.joint_terms.one_coefficient import Backlash, Bending, Compliance, Drift, Gain, Temperature
 from calib.joint_terms.periodic import Curve, Harmonics
 from calib.joint_terms.term import JointTerm, TermSection
 
-TERMS: dict[str, type[JointTerm]] = {
-    "gain": Gain,
-    "harmonics": Harmonics,
-    "curve": Curve,
-    "backlash": Backlash,
-    "coupling": Coupling,
-    "drift": Drift,
-    "temperature": Temperature,
-    "compliance": Compliance,
-    "bending": Bending,
-}
-
-
-def _term_of(value: Any) -> str | None:
-    return str(value.get("term")) if isinstance(value, dict) else getattr(value, "term", None)
-
+TERMS: Registry[JointTerm] = Registry(
+    "joint term",
+    "calib.terms",
+    JointTerm,  # type: ignore[type-abstract]
+    {
+        "gain": Gain,
+        "harmonics": Harmonics,
+        "curve": Curve,
+        "backlash": Backlash,
+        "coupling": Coupling,
+        "drift": Drift,
+        "temperature": Temperature,
+        "compliance": Compliance,
+        "bending": Bending,
+    },
+)
 
 if TYPE_CHECKING:
     AnyTerm = TermSection
 else:
-    _tagged = tuple(Annotated[kind.section, Tag(name)] for name, kind in TERMS.items())
-    AnyTerm = Annotated[Union[_tagged], Discriminator(_term_of)]  # noqa: UP007  # a tuple, known only when it runs
+    AnyTerm = Annotated[TermSection, *entry("term", TERMS)]
     """The entry of a joint term in a robot description."""
 
 

@@ -36,7 +36,7 @@ def instruments_of(description: Description, where: str) -> tuple[Instrument, ..
         noise = Noise((PartNoise.of(description.sigma, 3),))
         return tuple(Position(name, name, _TARGETS_GROUP, noise) for name in description.targets)
     sections = description.instruments.items()
-    instruments = tuple(KINDS[section.kind].of(name, section) for name, section in sections)  # type: ignore[attr-defined]
+    instruments = tuple(KINDS[section.kind].of(name, section) for name, section in sections)
     for one in instruments:
         if one.target and one.target not in description.targets:
             raise DescriptionError(

@@ -234,7 +234,7 @@ def checked_description(content: Mapping[str, Any], where: Path | str) -> Descri
     try:
         return Description.model_validate(content, context={"folder": Path(where).parent})
     except ValidationError as error:
-        raise DescriptionError(f"{where}: {_one_line(error)}") from None
+        raise DescriptionError(f"{where}: {_one_line(error, content)}") from None
 
 
 def description_yaml(description: Description) -> str:
@@ -243,7 +243,7 @@ def description_yaml(description: Description) -> str:
     return str(yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120))
 
 
-def _one_line(error: ValidationError) -> str:
+def _one_line(error: ValidationError, content: Mapping[str, Any]) -> str:
     """Turn pydantic's complaints into one line: where, what, and the nearest valid key."""
     complaints = error.errors()  # a misspelled key first: it explains why another one is missing
     first = next((detail for detail in complaints if detail["type"] == "extra_forbidden"), complaints[0])
@@ -252,7 +252,7 @@ def _one_line(error: ValidationError) -> str:
         return f"key {first['input']} should be text; put it in quotes"
     place = _place(location)
     if first["type"] == "extra_forbidden":
-        return f"unknown key '{place}'{nearest(str(location[-1]), _valid_keys(first['loc']))}"
+        return f"unknown key '{place}'{nearest(str(location[-1]), _valid_keys(location, content))}"
     if first["type"] == "missing" and isinstance(location[-1], str):
         return f"key '{place}' is missing"
     if first["type"] == "missing":
@@ -263,11 +263,9 @@ def _one_line(error: ValidationError) -> str:
 def _is_tag(k: int, location: tuple[int | str, ...]) -> bool:
     """Whether pydantic put the k-th part of a location there to tell forms of a value apart."""
     if location[0] == "parametrisation":
-        return k in (1, 3) or (k == 4 and location[3] == "joint" and location[k] in TERMS)
-    if location[0] == "joint_terms":
-        return k == 2 and location[k] in TERMS
+        return k in (1, 3)
     if location[0] == "instruments":
-        return (k == 2 and location[k] in KINDS) or (k > 3 and location[k] in _FORMS)
+        return k > 2 and location[k] in _FORMS
     return location[0] == "sigma" and k == 1 and location[k] in _FORMS
 
 
@@ -282,13 +280,6 @@ def _complaint(detail: ErrorDetails) -> str:
     kind, given, context = detail["type"], detail["input"], detail.get("ctx", {})
     if kind == "value_error":
         return detail["msg"].removeprefix("Value error, ")
-    if kind in ("union_tag_invalid", "union_tag_not_found"):
-        tag = str(context.get("tag", ""))
-        valid = re.findall("'([^']*)'", context.get("expected_tags", "")) or list(KINDS)
-        key = "term" if set(valid) <= set(TERMS) else "kind"
-        return (
-            f"unknown {key} '{tag}'{nearest(tag, valid)}" if tag else f"needs a key '{key}', one of {', '.join(valid)}"
-        )
     if kind == "literal_error":
         valid = re.findall("'([^']*)'", context["expected"])
         return f"unknown value '{given}'{nearest(str(given), valid)}"
@@ -306,21 +297,24 @@ def _complaint(detail: ErrorDetails) -> str:
     return detail["msg"].removeprefix("Input ") + shown
 
 
-def _valid_keys(location: tuple[int | str, ...]) -> list[str]:
-    sections: dict[str, type[Section]] = {
-        "base": BaseSection,
-        "targets": TargetSection,
-        "parametrisation": OriginSection,
-    }
-    if location[0] == "instruments" and len(location) > 2 and location[2] in KINDS:
-        nested = KINDS[str(location[2])].section
-        for key in map(str, location[3:-1]):  # sections inside a section
-            inner = nested.model_fields.get(key)
-            kinds = [] if inner is None else [inner.annotation, *get_args(inner.annotation)]
-            nested = next((one for one in kinds if isinstance(one, type) and issubclass(one, Section)), nested)
-        return list(nested.model_fields)
-    named = [part for part in location if part in TERMS]
-    if named:
-        return list(TERMS[str(named[0])].section.model_fields)
-    section = sections.get(str(location[0]), Description) if len(location) > 1 else Description
+def _valid_keys(location: list[int | str], content: Mapping[str, Any]) -> list[str]:
+    """Keys that are valid beside one that is not."""
+    first, entry = str(location[0]), content
+    section: type[Section] = Description
+    if len(location) > 1:
+        sections: dict[str, type[Section]] = {
+            "base": BaseSection,
+            "targets": TargetSection,
+            "parametrisation": OriginSection,
+        }
+        section = sections.get(first, Description)
+    if first in ("instruments", "parametrisation", "joint_terms"):
+        entry = content[first][location[1]]
+        named = "kind" if first == "instruments" else "term"
+        if named in entry:
+            section = (KINDS if first == "instruments" else TERMS)[entry[named]].section
+    for key in map(str, location[2:-1]):  # sections inside a section
+        inner = section.model_fields.get(key)
+        kinds = [] if inner is None else [inner.annotation, *get_args(inner.annotation)]
+        section = next((one for one in kinds if isinstance(one, type) and issubclass(one, Section)), section)
     return list(section.model_fields)

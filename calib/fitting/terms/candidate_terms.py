@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from pydantic import ValidationError
 
 from calib.base.errors import DescriptionError
 from calib.data.measurements import Measurements
 from calib.fitting.joint_conventions import may_be_wrapped, uncounted_turns
 from calib.fitting.pose_checks import unmoved_joints, unstated
-from calib.joint_terms.coupling import CouplingSection, coupling_name
-from calib.joint_terms.term import JointTerm, TermSection
+from calib.joint_terms.term import COLUMNS, Condition, JointTerm, TermSection
 from calib.joint_terms.terms import TERMS
 from calib.robots.robot import Robot
 
@@ -124,7 +124,8 @@ def missing_terms(robot: Robot, sections: tuple[TermSection, ...]) -> tuple[Term
     """Return entries without those that a robot has already, joint by joint where it has them for some joints."""
     missing: list[TermSection] = []
     for section in sections:
-        having = {term.joint for term in robot.terms if type(term) is TERMS[section.term]}
+        kind = TERMS[section.term]
+        having = {term.joint for term in robot.terms if type(term) is kind and term.answers(section)}
         if not having & ({*robot.joint_names} if section.joint == "all" else {section.joint}):
             missing.append(section)
             continue
@@ -134,29 +135,23 @@ def missing_terms(robot: Robot, sections: tuple[TermSection, ...]) -> tuple[Term
 
 
 def _candidate(name: str, robot: Robot, data: Measurements) -> Candidate:
-    context, kind = data.conditions, TERMS[name]
-    if name in ("drift", "temperature"):
-        column = "time" if name == "drift" else name
-        if np.ptp(context.time if name == "drift" else context.temperature) == 0:
-            return Candidate(name, refused=f"the data have no column '{column}' that changes")
-    if unstated(kind, data) is not None:
-        return Candidate(name, refused=f"some rows do not say {kind.depends_on}")
-    joints = [joint for joint in robot.joint_names if _shows(name, joint, robot, data)]
-    if not joints:
-        return Candidate(name, refused=_nothing_shows(name, robot, data))
-    if name == "coupling":
-        sections = _couplings(joints, robot)
-    else:
-        everywhere = len(joints) == len(robot.joint_names)
-        entries = tuple(kind.section(joint=joint, term=name) for joint in (["all"] if everywhere else joints))
-        sections = missing_terms(robot, entries)
-    if not sections:
-        only_one = name == "coupling" and len(robot.joint_names) == 1
-        why = "there is no other joint" if only_one else "the description has it already"
-        return Candidate(name, refused=why)
     try:
+        kind = TERMS[name]
+    except DescriptionError as error:  # of another package, which is broken
+        return Candidate(name, refused=str(error))
+    joints = [joint for joint in robot.joint_names if _shows(kind, joint, robot, data)]
+    refused = _not_known(kind, data) or ("" if joints else _nothing_shows(name, kind, robot, data))
+    if refused:
+        return Candidate(name, refused=refused)
+    try:
+        entries = kind.entries(name, joints, robot.joint_names)
+        sections = missing_terms(robot, entries)
+        if not sections:
+            return Candidate(name, refused="the description has it already" if entries else "there is no other joint")
         with_it = robot.with_terms((*robot.description.terms, *sections))
-        columns = with_it.term_columns(data.joints, context)
+        columns = with_it.term_columns(data.joints, data.conditions)
+    except ValidationError:
+        return Candidate(name, refused="it needs more than a joint, which only a description can state")
     except DescriptionError as error:  # no masses, a prismatic joint without limits
         return Candidate(name, refused=str(error).removeprefix(f"{robot.path}: "))
     if kind.needs_torque:
@@ -168,39 +163,44 @@ def _candidate(name: str, robot: Robot, data: Measurements) -> Candidate:
         sections = missing_terms(robot, tuple(kind.section(joint=joint, term=name) for joint in loaded))
         if not sections:
             return Candidate(name, refused="gravity loads no joint differently from pose to pose")
-    return Candidate(name, sections, doubt=_OF_ORDER if name == "backlash" and not data.states_approach else "")
+    doubtful = Condition.APPROACH in kind.depends_on and not data.states_approach
+    return Candidate(name, sections, doubt=_OF_ORDER if doubtful else "")
 
 
-def _shows(name: str, joint: str, robot: Robot, data: Measurements) -> bool:
-    """Whether a joint can show a kind of term in these measurements."""
-    if name in ("drift", "temperature"):
-        return True
-    if name == "harmonics" and robot.mechanism.dimensions[joint] == "length":
-        return False  # after which length a screw repeats, nobody said
-    if name == "backlash":
-        return bool(np.ptp(data.approach_directions[:, robot.joint_names.index(joint)]) > 0)
-    if TERMS[name].counts_turns and joint in uncounted_turns(robot, data.joints):
+def _not_known(kind: type[JointTerm], data: Measurements) -> str:
+    """Why a term cannot be asked for, by the conditions that it depends on; empty if it can."""
+    of_column = {
+        Condition.TIME: data.conditions.time,
+        Condition.TEMPERATURE: data.conditions.temperature,
+        Condition.LOAD: data.conditions.load,
+    }
+    for condition in kind.depends_on:
+        by_torque = condition is Condition.LOAD and kind.needs_torque  # the robot's own masses load it, too
+        if condition in of_column and not by_torque and np.ptp(of_column[condition]) == 0:
+            return f"the data have no column '{COLUMNS[condition]}' that changes"
+        if unstated(condition, data) is not None:
+            return f"some rows do not say {condition.value}"
+    return ""
+
+
+def _shows(kind: type[JointTerm], joint: str, robot: Robot, data: Measurements) -> bool:
+    """Whether a joint can show a kind of term in these measurements; of a coupling: the joint that drives."""
+    if kind.needs_more(robot.mechanism.dimensions[joint]):
         return False
-    return joint not in unmoved_joints(robot, data.joints)  # of a coupling: what drives moved
+    if Condition.APPROACH in kind.depends_on:
+        directions = data.approach_directions[:, robot.joint_names.index(joint)]
+        if not np.ptp(directions) > 0:
+            return False
+    if kind.counts_turns and joint in uncounted_turns(robot, data.joints):
+        return False
+    return not kind.follows_command or joint not in unmoved_joints(robot, data.joints)
 
 
-def _couplings(moving: list[str], robot: Robot) -> tuple[TermSection, ...]:
-    """Entries for every joint driven by every other one that moved, where the robot has none: who drives, data say."""
-    names = {parameter.name for parameter in robot.parameters}
-    return tuple(
-        CouplingSection(joint=joint, term="coupling", driven_by=other)
-        for joint in robot.joint_names
-        for other in moving
-        if joint != other and coupling_name(joint, other) not in names
-    )
-
-
-def _nothing_shows(name: str, robot: Robot, data: Measurements) -> str:
+def _nothing_shows(name: str, kind: type[JointTerm], robot: Robot, data: Measurements) -> str:
     uncounted = uncounted_turns(robot, data.joints)
-    if TERMS[name].counts_turns and uncounted:
+    if kind.counts_turns and uncounted:
         return may_be_wrapped(uncounted, [f"a {name}"])
-    if name == "backlash":
+    if Condition.APPROACH in kind.depends_on and not np.any(np.ptp(data.approach_directions, axis=0) > 0):
         return "no joint was approached from both sides"
-    if name == "harmonics" and all(robot.mechanism.dimensions[joint] == "length" for joint in robot.joint_names):
-        return "prismatic joints need a period, which only a description can state"
-    return "no joint moved that could show it"
+    needs = {kind.needs_more(robot.mechanism.dimensions[joint]) for joint in robot.joint_names}
+    return "no joint moved that could show it" if "" in needs else needs.pop()

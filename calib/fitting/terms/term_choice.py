@@ -209,7 +209,8 @@ class _Search:
 
     def entries(self, one: Candidate, trial: Trial) -> tuple[TermSection, ...]:
         """Return the entries of a candidate, with a larger sigma than is usual where the data ask for it."""
-        if trial.sizes[one.term] <= 1.0 or one.term == "curve":  # the size of a curve is found again by the fit
+        found_again = all(p.family for term in one.of(self.trials.robot) for p in term.parameters)  # by the fit
+        if trial.sizes[one.term] <= 1.0 or found_again:
             return one.sections
         return one.resized(self.trials.robot, trial.sizes[one.term])
 

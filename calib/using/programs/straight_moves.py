@@ -31,7 +31,7 @@ from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.base.errors import ComputationError, DataError, InputError, UnreachablePoseError
 from calib.base.units import millimetres
 from calib.base.words import counted, listed
-from calib.joint_terms.one_coefficient import Backlash
+from calib.joint_terms.term import Condition
 from calib.robots.robot import Robot
 from calib.rows.frames import Frame, program_frame
 from calib.rows.known_robot import Calibrated, KnownRobot, known_robot
@@ -160,10 +160,9 @@ def compensate_moves(
 
 
 def _without_backlash(robot: Robot) -> Robot:
-    """The calibrated robot without backlash."""
-    return robot.with_parameters(
-        {one.name: 0.0 for term in robot.terms if isinstance(term, Backlash) for one in term.parameters}
-    )
+    """The calibrated robot without what depends on the direction of approach."""
+    directed = (term for term in robot.terms if Condition.APPROACH in term.depends_on)
+    return robot.with_parameters({one.name: 0.0 for term in directed for one in term.parameters})
 
 
 def _ways(frame: Frame, moves: StraightMoves, active: IntArray, pieces: IntArray) -> dict[int, _Way]:

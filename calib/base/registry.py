@@ -1,0 +1,128 @@
+"""Classes by name: those of this package, and those of other packages.
+
+Another package names its classes in its `pyproject.toml`, in the registry's group of entry points; a notebook or script
+calls `register`. Names are looked up when they are asked for, so that nothing of another package is imported before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from importlib.metadata import EntryPoint, entry_points
+from inspect import isabstract
+from typing import Any, Generic, TypeVar
+
+from pydantic import PlainValidator, SerializeAsAny, ValidationInfo
+
+from calib.base.errors import DescriptionError, nearest
+from calib.base.sections import Section
+
+Class = TypeVar("Class")
+
+
+class Registry(Mapping[str, type[Class]], Generic[Class]):
+    """Classes by name; first this package's in their order, then those that were registered, then other packages'.
+
+    Args:
+        what: What such a class is, in words, such as `joint term`.
+        group: Group of the entry points.
+        base: What each derives from.
+        own: This package's.
+    """
+
+    def __init__(self, what: str, group: str, base: type[Class], own: Mapping[str, type[Class]]) -> None:
+        self.what, self.group = what, group
+        self._base, self._own = base, dict(own)
+        self._given: dict[str, type[Class]] = {}  # registered, or loaded before
+
+    def register(self, name: str, given: type[Class]) -> None:
+        """Add a class under a name; one that was registered before under this name is replaced.
+
+        A class that worker processes need registers itself where it is defined: they import its module.
+
+        Raises:
+            DescriptionError: This package or another installed one has the name, or the class is not complete.
+        """
+        if name in self._own or name in self._entries():
+            raise DescriptionError(f"{self.what} '{name}': there is one already; give another name")
+        self._given[name] = self._checked(name, given, f"({given!r})")
+
+    def __getitem__(self, name: str) -> type[Class]:
+        """Return the class of a name.
+
+        Raises:
+            KeyError: There is none.
+            DescriptionError: Another package's cannot be loaded, or is not complete.
+        """
+        known = self._own.get(name) or self._given.get(name)
+        if known is None:
+            entry = self._entries()[name]
+            known = self._given[name] = self._checked(name, self._loaded(entry), f"({entry.value})")
+        return known
+
+    def __contains__(self, name: object) -> bool:
+        """Whether there is a class of this name; loads none."""
+        return name in self._own or name in self._given or name in self._entries()
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names."""
+        return iter(dict.fromkeys([*self._own, *self._given, *sorted(self._entries())]))
+
+    def __len__(self) -> int:
+        """Return how many names there are."""
+        return sum(1 for _ in self)
+
+    def _entries(self) -> dict[str, EntryPoint]:
+        """Entry points of other packages by name.
+
+        Raises:
+            DescriptionError: Two packages give one name, or one gives that of a class of this package.
+        """
+        entries: dict[str, EntryPoint] = {}
+        for entry in entry_points(group=self.group):
+            other = entries.setdefault(entry.name, entry)
+            if entry.name in self._own or other.value != entry.value:
+                known = f" ({other.value})" if other.value != entry.value else ""
+                raise DescriptionError(
+                    f"{self.what} '{entry.name}' ({entry.value}): there is another one of this name{known}; uninstall"
+                    " one of the packages, or have it renamed"
+                )
+        return entries
+
+    def _loaded(self, entry: EntryPoint) -> object:
+        try:
+            return entry.load()
+        except Exception as error:  # whatever another package does while it is imported
+            raise DescriptionError(
+                f"{self.what} '{entry.name}' ({entry.value}) cannot be loaded: {type(error).__name__}: {error};"
+                " install its package again, or uninstall it"
+            ) from None
+
+    def _checked(self, name: str, given: object, where: str) -> type[Class]:
+        if not (isinstance(given, type) and issubclass(given, self._base)):
+            raise DescriptionError(f"{self.what} '{name}' {where}: is no class derived from {self._base.__qualname__}")
+        if isabstract(given):
+            missing = ", ".join(sorted(getattr(given, "__abstractmethods__", ())))
+            raise DescriptionError(f"{self.what} '{name}' {where}: does not define {missing}")
+        return given
+
+
+def entry(key: str, registry: Registry[Any]) -> tuple[Any, ...]:
+    """Return what reads an entry by the section of the class that its key names: metadata of `Annotated`."""
+
+    def read(value: Any, info: ValidationInfo) -> Section:
+        if not isinstance(value, (dict, Section)):
+            raise ValueError(
+                f"should be keys and values, such as {{{key}: {next(iter(registry))}}} (given: {value!r:.60})"
+            )
+        name = value.get(key) if isinstance(value, dict) else getattr(value, key, None)
+        if name is None:
+            raise ValueError(f"needs a key '{key}', one of {', '.join(registry)}")
+        try:
+            if str(name) not in registry:
+                raise ValueError(f"unknown {key} '{name}'{nearest(str(name), registry)}")
+            section = registry[str(name)].section
+        except DescriptionError as error:
+            raise ValueError(str(error)) from None
+        return value if isinstance(value, section) else section.model_validate(value, context=info.context)
+
+    return PlainValidator(read), SerializeAsAny()  # type: ignore[type-arg]

@@ -73,7 +73,7 @@ def test_the_kind_has_exact_derivatives(tmp_path, offset):
     yaml = YAML.replace("offset: unknown", f"offset: {offset}")
     one = calib.load(write_six_axis(tmp_path, yaml)).instrument("wire")
     rng = np.random.default_rng(1)
-    view = View(Rotation.random(20, rng).as_matrix(), rng.normal(size=(20, 3)), np.full(20, np.nan))
+    view = View(Rotation.random(20, rng).as_matrix(), rng.normal(size=(20, 3)))
     nothing = np.zeros(20, dtype=int)
     readings = Readings(nothing, nothing, rng.normal(1.0, 0.3, (20, 1)), None, np.zeros((20, 0)))
     assert kind_error(one, view, np.full(len(one.unknowns), 0.02), readings) <= 1e-8

@@ -73,7 +73,7 @@ def upright(robot, n, seed):
 def test_tilts_grow_as_the_sensor_turns_about_its_own_axes(tmp_path):
     one = arm(tmp_path, TILTED).instrument("sensor")
     turned = Rotation.from_rotvec([[0.3, 0, 0], [0, 0.2, 0], [0, 0, 1.0], [0, 0, 0]]).as_matrix()
-    view = View(turned, np.zeros((4, 3)), np.full(4, np.nan))
+    view = View(turned, np.zeros((4, 3)))
     expected = [[0.3, 0], [0, 0.2], [0, 0], [0, 0]]
     np.testing.assert_allclose(one.predict(view, np.zeros(0), np.zeros((4, 0))), expected, atol=1e-15)
 
@@ -82,7 +82,7 @@ def test_tilts_grow_as_the_sensor_turns_about_its_own_axes(tmp_path):
 def test_the_kind_has_exact_derivatives(tmp_path, yaml):
     one = arm(tmp_path, yaml).instrument("sensor")
     rng = np.random.default_rng(1)
-    view = View(Rotation.random(30, rng).as_matrix(), rng.normal(size=(30, 3)), np.full(30, np.nan))
+    view = View(Rotation.random(30, rng).as_matrix(), rng.normal(size=(30, 3)))
     nothing = np.zeros(30, dtype=int)
     near = one.moved(one.predict(view, np.zeros(0), np.zeros((30, 0))), rng.normal(0, 0.3, (30, one.n_rows)))
     readings = Readings(nothing, nothing, near, None, np.zeros((30, 0)))

@@ -131,7 +131,7 @@ def test_the_kind_has_exact_derivatives(tmp_path, unknown):
     rng = np.random.default_rng(3)
     n = 30
     places_ = np.column_stack([rng.uniform(-0.4, 0.4, (n, 2)), rng.uniform(1, 2, n)])
-    view = View(Rotation.random(n, rng).as_matrix(), places_, np.full(n, np.nan))
+    view = View(Rotation.random(n, rng).as_matrix(), places_)
     nothing = np.zeros(n, dtype=int)
     readings = Readings(nothing, nothing, rng.uniform(0, 2000, (n, 2)), None, rng.integers(0, 12, (n, 1)).astype(float))
     unknowns = CAMERA if unknown else np.zeros(0)

@@ -51,7 +51,7 @@ def test_the_derivative_of_the_kind_agrees_with_differences():
     read = np.hstack([translation + 1e-3, (Rotation.from_rotvec([0.02, -0.01, 0.03]) * rotation).as_rotvec()])
     n = len(read)
     readings = Readings(np.arange(n), np.zeros(n, dtype=np.intp), read, None, np.zeros((n, 0)))
-    view = View(rotation.as_matrix(), translation, np.full(n, np.nan))
+    view = View(rotation.as_matrix(), translation)
     assert kind_error(one, view, np.zeros(0), readings) < 1e-6
 
 

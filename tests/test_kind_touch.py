@@ -78,7 +78,7 @@ def test_the_kind_has_exact_derivatives(any_arm):
     one, rng = any_arm.instrument("probe"), np.random.default_rng(1)
     pairs, details = (np.tile(part, (10, 1) if part.ndim > 1 else 10) for part in one.looks())
     n = len(pairs)
-    view = View(Rotation.random(n, rng).as_matrix(), 0.5 + rng.random((n, 3)), np.full(n, np.nan))
+    view = View(Rotation.random(n, rng).as_matrix(), 0.5 + rng.random((n, 3)))
     readings = Readings(np.zeros(n, dtype=int), pairs, np.zeros((n, one.n_rows)), None, details)
     unknowns = rng.normal(0.02, 0.005, len(one.unknowns))
     assert kind_error(one, view, unknowns, readings) <= 1e-7

@@ -16,7 +16,7 @@ from calib import Fit, Measurements, Robot
 from calib.base.arrays import FloatArray, IntArray
 from calib.fitting.error_sets import ErrorSet
 from calib.fitting.outliers import Outlier
-from calib.instruments.kind import Instrument
+from calib.instruments.kind import FrameInstrument, Instrument
 from calib.judging import findings
 from calib.rows.observed import predicted_readings
 from calib.rows.prediction import PositionUncertainty
@@ -216,7 +216,7 @@ def _rows_of(source: _Set, one: Instrument) -> tuple[PoseTable, IntArray]:
             for row in rows:
                 names[row] = f"{one.name}@{setup}"
     spread = np.full(measured.shape, np.nan)
-    if source.predictions is not None:
+    if source.predictions is not None and isinstance(one, FrameInstrument):
         spread = source.predictions.std[visits, source.placed.target_names.index(one.target)]
     table = PoseTable(
         joints=source.data.joints[visits],

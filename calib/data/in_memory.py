@@ -95,7 +95,7 @@ def as_measurements(
         if isinstance(given, Readings):
             readings_by_name[name] = given
             continue
-        if not one.columns():
+        if one.touches:
             readings_by_name[name] = _words(one, poses, np.asarray(given))
             continue
         readings_by_name[name] = _readings(one, poses, np.asarray(given, dtype=float))

@@ -21,7 +21,7 @@ from calib.base.words import pandas, titled_html
 from calib.data.grouping import shuffled_poses
 from calib.data.measurement_columns import approach_columns, condition_columns, pose_columns, reading_columns
 from calib.data.on_demand import Texts
-from calib.instruments.kind import Instrument, Readings
+from calib.instruments.kind import FrameInstrument, Instrument, Readings
 from calib.joint_terms.term import Context
 from calib.robots.robot import Robot
 
@@ -267,7 +267,7 @@ class Measurements(Poses):
         for one in robot.instruments:
             readings = self.readings.get(one.name)
             points = None if readings is None else one.points(readings.values)
-            if readings is None or points is None:
+            if readings is None or points is None or not isinstance(one, FrameInstrument):
                 continue
             t = robot.target_names.index(one.target)
             np.add.at(total[:, t], readings.visits, points)
@@ -302,7 +302,7 @@ def with_points(robot: Robot, data: Measurements, points: FloatArray) -> Measure
     for name, readings in data.readings.items():
         one = robot.instrument(name)
         measured = one.points(readings.values)
-        if measured is not None:
+        if measured is not None and isinstance(one, FrameInstrument):
             change = np.zeros((len(readings), one.n_rows))
             change[:, :3] = points[readings.visits, robot.target_names.index(one.target)] - measured
             moved[name] = replace(readings, values=one.moved(readings.values, change))

@@ -13,15 +13,14 @@ stays in one plane does not tell on which side of it the fixed point is; the sid
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from pydantic import model_validator
 
 from calib.base.arrays import FloatArray
 from calib.base.errors import ComputationError, DataError
-from calib.base.parameter import Parameter
 from calib.base.sections import (
     KNOWN_ZERO,
     LENGTH_COMPONENTS,
@@ -35,8 +34,8 @@ from calib.base.units import micrometres, millimetres
 from calib.instruments.kind import (
     Column,
     Comparison,
+    FrameInstrument,
     Guess,
-    Instrument,
     InstrumentSection,
     Part,
     Place,
@@ -90,18 +89,13 @@ class DistanceSection(InstrumentSection):
 
 
 @dataclass(frozen=True)
-class Distance(Instrument):
+class Distance(FrameInstrument):
     """Distances of one target from a fixed point: one row."""
 
-    section: ClassVar[type[InstrumentSection]] = DistanceSection
-    parts: ClassVar[tuple[Part, ...]] = (DISTANCE,)  # type: ignore[misc]
-    name: str
-    target: str
-    group: str
+    section = DistanceSection
+    parts = (DISTANCE,)
     end: Place | None = None
     offset: OwnLength = KNOWN_ZERO
-    noise: Noise = field(default_factory=lambda: Noise((PartNoise(),)))
-    unknowns: tuple[Parameter, ...] = ()
 
     @classmethod
     def of(cls, name: str, section: DistanceSection) -> Distance:
@@ -112,7 +106,7 @@ class Distance(Instrument):
             end = Place(f"{name}_end", section.end.frame, section.end.xyz, unknown=unknown, sigma=section.end.sigma)
         unknowns = section.offset.parameters(f"{name}.offset")
         noise = Noise((PartNoise.of(section.sigma, 1),))
-        return cls(name, section.target or name, name, end, section.offset, noise, unknowns)
+        return cls(name, section.target or name, end, section.offset, noise=noise, unknowns=unknowns)
 
     def places(self) -> tuple[Place, ...]:
         """Return its fixed point, unless that is the origin of the measurement frame."""

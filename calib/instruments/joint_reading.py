@@ -9,8 +9,8 @@ taken within half a turn where the joint turns: an encoder does not count turns.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from pydantic import model_validator
@@ -20,7 +20,7 @@ from calib.base.errors import InputError
 from calib.base.parameter import Parameter
 from calib.base.sections import Quantity
 from calib.base.units import DISPLAY_UNIT, Dimension, quantity
-from calib.instruments.kind import Column, Comparison, Guess, Instrument, InstrumentSection, Part, Readings, Scene, View
+from calib.instruments.kind import Column, InstrumentSection, JointComparison, JointInstrument, Part, Readings
 from calib.instruments.noise import Noise, PartNoise
 
 _SCALE: dict[str, float] = {"angle": 1e-2, "length": 1e-2}  # of an unknown zero that nothing is known of [rad, m]
@@ -70,17 +70,12 @@ class JointReadingSection(InstrumentSection):
 
 
 @dataclass(frozen=True)
-class JointReading(Instrument):
+class JointReading(JointInstrument):
     """Values of one joint: one row."""
 
-    section: ClassVar[type[InstrumentSection]] = JointReadingSection
-    name: str
-    joint: str
+    section = JointReadingSection
     dimension: Dimension = "angle"
     offset: float = 0.0
-    noise: Noise = field(default_factory=lambda: Noise((PartNoise(),)))
-    unknowns: tuple[Parameter, ...] = ()
-    target: str = ""
 
     @classmethod
     def of(cls, name: str, section: JointReadingSection) -> JointReading:
@@ -97,48 +92,40 @@ class JointReading(Instrument):
             placement=True,
         )
         noise = Noise((PartNoise.of(section.number("sigma"), 1),))
-        return cls(name, section.joint, dimension, offset, noise, (zero,) if section.zero == "unknown" else ())
+        unknowns = (zero,) if section.zero == "unknown" else ()
+        return cls(name, section.joint, dimension, offset, noise=noise, unknowns=unknowns)
 
     @property
-    def group(self) -> str:  # type: ignore[override]
-        """Its own."""
-        return self.name
-
-    @property
-    def parts(self) -> tuple[Part, ...]:  # type: ignore[override]
+    def parts(self) -> tuple[Part, ...]:
         """The joint."""
         name = "angle" if self.dimension == "angle" else "slide"  # two kinds of joints are two parts
         return (Part(name, (name,), self.dimension),)
-
-    def pairs(self, base: str) -> tuple[tuple[str, str], ...]:
-        """Return none: it looks at no frames."""
-        return ()
 
     def columns(self) -> tuple[Column, ...]:
         """Return one column with the instrument's name."""
         return (Column(self.name, self.dimension),)
 
-    def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
+    def predict(self, joint: FloatArray, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return the joint's value and zero, (n, 1) [m or rad]."""
-        return (view.joint + (unknowns[0] if len(unknowns) else self.offset))[:, None]
+        return (joint + (unknowns[0] if len(unknowns) else self.offset))[:, None]
 
-    def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
+    def compare(self, joint: FloatArray, unknowns: FloatArray, readings: Readings) -> JointComparison:
         """Return errors of the joint, and how it and the zero move them."""
         n = len(readings)
-        residuals = self._nearest(self.predict(view, unknowns, readings.details) - readings.values)
-        return Comparison(residuals, np.zeros((n, 1, 6)), np.ones((n, 1, len(unknowns))), np.ones((n, 1)))
+        residuals = self._nearest(self.predict(joint, unknowns, readings.details) - readings.values)
+        return JointComparison(residuals, np.ones((n, 1)), np.ones((n, 1, len(unknowns))))
 
-    def first_values(self, scene: Scene) -> tuple[Guess, ...]:
+    def first_unknowns(self, joint: FloatArray, unknowns: FloatArray, readings: Readings) -> FloatArray:
         """Return the zero that fits the joint as it is: the mean, or on a circle the direction of the mean."""
-        seen = np.isfinite(scene.readings.values[:, 0]) & np.isfinite(scene.joint)
-        if len(scene.unknowns) == 0 or not np.any(seen):
-            return ()
-        off = (scene.readings.values[:, 0] - scene.joint)[seen]
+        seen = np.isfinite(readings.values[:, 0]) & np.isfinite(joint)
+        if len(unknowns) == 0 or not np.any(seen):
+            return unknowns
+        off = (readings.values[:, 0] - joint)[seen]
         if self.dimension == "length":
-            return (Guess({}, np.array([np.mean(off)])),)
+            return np.array([np.mean(off)])
         mean = float(np.angle(np.mean(np.exp(1j * off))))
         turns = np.round((np.median(off) - mean) / (2 * np.pi))
-        return (Guess({}, np.array([mean + 2 * np.pi * turns])),)
+        return np.array([mean + 2 * np.pi * turns])
 
     def _nearest(self, off: FloatArray) -> FloatArray:
         if self.dimension == "length":

@@ -1,9 +1,10 @@
 """What a kind of measurement is.
 
-An instrument looks from one frame a at another frame b; a reading is a few numbers about T_ab, b seen from a. All that
-the engine needs of a kind is here: which frames it looks at and from, which columns of a file it reads, which unknown
-numbers it brings, what it predicts, how a prediction differs from what was read, and how that difference moves with
-T_ab and with its unknowns. Kinematics, loops and parameters enter by the chain rule, which is written once
+An instrument looks from one frame a at another frame b (`FrameInstrument`); a reading is a few numbers about T_ab, b
+seen from a. Or it reads the value of a joint (`JointInstrument`). All that the engine needs of a kind is here: which
+frames it looks at and from, or which joint it reads, which columns of a file it reads, which unknown numbers it brings,
+what it predicts, how a prediction differs from what was read, and how that difference moves with T_ab or the joint, and
+with its unknowns. Kinematics, loops and parameters enter by the chain rule, which is written once
 (`calib.rows.observed`), so that a new kind is one small file, here with a line in `calib.instruments.kinds`, or in
 another package with an entry point.
 
@@ -16,7 +17,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -85,12 +86,10 @@ class View(ReadOnlyArrays):
     Attributes:
         rotation: R_ab of frame b seen from frame a, (n, 3, 3).
         translation: p_ab, (n, 3) [m].
-        joint: Value of the joint that the instrument reads, (n,) [m or rad]; NaN for one that looks at frames.
     """
 
     rotation: FloatArray
     translation: FloatArray
-    joint: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,19 +116,32 @@ class Readings(ReadOnlyArrays):
 
 @dataclass(frozen=True, eq=False)
 class Comparison(ReadOnlyArrays):
-    """Predicted minus read.
+    """Predicted minus read, of an instrument that looks at frames.
 
     Attributes:
         residuals: (n, n_rows) [SI]; NaN where a component was not read.
         by_twist: Derivative by the twist of the module docstring, (n, n_rows, 6).
         by_unknown: Derivative by the instrument's unknown numbers, (n, n_rows, n_unknowns).
-        by_joint: Derivative by the joint that the instrument reads, (n, n_rows); None for one that looks at frames.
     """
 
     residuals: FloatArray
     by_twist: FloatArray
     by_unknown: FloatArray
-    by_joint: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class JointComparison(ReadOnlyArrays):
+    """Predicted minus read, of an instrument that reads a joint.
+
+    Attributes:
+        residuals: (n, n_rows) [SI]; NaN where a component was not read.
+        by_joint: Derivative by the joint's value, (n, n_rows).
+        by_unknown: Derivative by the instrument's unknown numbers, (n, n_rows, n_unknowns).
+    """
+
+    residuals: FloatArray
+    by_joint: FloatArray
+    by_unknown: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,8 +155,6 @@ class Scene:
         places: Where each of these places is in its link now, (4, 4) [m].
         unknown: Components of each place that the measurements must find.
         unknowns: Unknown numbers of the instrument now, (n_unknowns,).
-        joint: Value of the joint that the instrument reads, by the robot as it is, (n,) [m or rad]; NaN for one that
-            looks at frames.
     """
 
     readings: Readings
@@ -153,7 +163,6 @@ class Scene:
     places: Mapping[str, FloatArray]
     unknown: Mapping[str, tuple[Component, ...]]
     unknowns: FloatArray
-    joint: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,31 +188,27 @@ class InstrumentSection(Section):
     kind: str
 
 
+@dataclass(frozen=True)
 class Instrument(ABC):
-    """A kind of measurement, as one instrument of a robot description makes it.
+    """A kind of measurement, as one instrument of a robot description makes it: what all kinds have.
 
     Attributes:
         section: Keys of its entry in a robot description (class attribute).
-        parts: Its rows (class or instance attribute).
+        label_column: Text column whose cells say by name which instrument a row is of. Instruments that have the same
+            one may share their columns of numbers; a file may leave it out where they do not. None: there is none
+            (class attribute).
+        touches: Whether a reading has no numbers: to be there is all that it says (class attribute).
         name: Its name in the description, and the beginning of its columns.
-        target: The target that it looks at; empty for one that looks at none.
-        group: Instruments of one group share the scale of their noise.
         noise: What is stated of its noise.
         unknowns: Unknown numbers of its own.
-        joint: Joint whose value it reads; None: it looks at frames.
-        label_column: Text column whose cells say by name which instrument a row is of. Instruments that have the same
-            one may share their columns of numbers; a file may leave it out where they do not. None: there is none.
     """
 
     section: ClassVar[type[InstrumentSection]]
-    parts: tuple[Part, ...]
-    name: str
-    target: str
-    group: str
-    noise: Noise
-    unknowns: tuple[Parameter, ...] = ()
-    joint: str | None = None
     label_column: ClassVar[str | None] = None
+    touches: ClassVar[bool] = False
+    name: str
+    noise: Noise = field(kw_only=True)
+    unknowns: tuple[Parameter, ...] = field(default=(), kw_only=True)
 
     @classmethod
     @abstractmethod
@@ -217,6 +222,16 @@ class Instrument(ABC):
         Raises:
             ValueError: The entry means none.
         """
+
+    @property
+    @abstractmethod
+    def parts(self) -> tuple[Part, ...]:
+        """Its rows; most kinds have them as a class attribute."""
+
+    @property
+    def group(self) -> str:
+        """Instruments of one group share the scale of their noise; its own name unless a kind says more."""
+        return self.name
 
     @property
     def n_rows(self) -> int:
@@ -238,7 +253,7 @@ class Instrument(ABC):
         Args:
             base: The measurement frame, from which a kind looks at its target that does not say otherwise.
         """
-        return ((base, self.target),)
+        return ()
 
     @abstractmethod
     def columns(self) -> tuple[Column, ...]:
@@ -283,18 +298,12 @@ class Instrument(ABC):
         return {column.name: values[:, k] for k, column in enumerate(self.columns())}
 
     @abstractmethod
-    def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
-        """Return what it reads, (n, n_values).
-
-        Args:
-            view: The frames.
-            unknowns: Its unknown numbers, (n_unknowns,).
-            details: Of `Readings`, (n, n_details).
-        """
+    def predict(self, seen: Any, unknowns: FloatArray, details: FloatArray) -> FloatArray:
+        """Return what it reads of what it has before it; see the two kinds of kinds."""
 
     @abstractmethod
-    def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
-        """Compare what it would read with what it read; see `Comparison`."""
+    def compare(self, seen: Any, unknowns: FloatArray, readings: Readings) -> Comparison | JointComparison:
+        """Compare what it would read with what it read."""
 
     def moved(self, values: FloatArray, change: FloatArray) -> FloatArray:
         """Return values (n, n_values) changed by small errors of their rows (n, n_rows) [SI]: what noise does."""
@@ -312,6 +321,39 @@ class Instrument(ABC):
         """Yield what else values (n, n_values) may mean, in words, and the values then; nothing where nothing else."""
         yield from ()
 
+    def orientations(self, values: FloatArray) -> FloatArray | None:
+        """Return how values (n, n_values) turn the target, R_ab (n, 3, 3); None for kinds that do not."""
+        return None
+
+
+@dataclass(frozen=True)
+class FrameInstrument(Instrument):
+    """A kind that looks from one frame at another.
+
+    Attributes:
+        target: The target that it looks at.
+    """
+
+    target: str
+
+    def pairs(self, base: str) -> tuple[tuple[str, str], ...]:
+        """Return the measurement frame and the target."""
+        return ((base, self.target),)
+
+    @abstractmethod
+    def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
+        """Return what it reads, (n, n_values).
+
+        Args:
+            view: The frames.
+            unknowns: Its unknown numbers, (n_unknowns,).
+            details: Of `Readings`, (n, n_details).
+        """
+
+    @abstractmethod
+    def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
+        """Compare what it would read with what it read; see `Comparison`."""
+
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
         """Return first guesses at what is unknown, the best of which is kept; none where there is nothing to guess.
 
@@ -319,6 +361,31 @@ class Instrument(ABC):
         """
         return ()
 
-    def orientations(self, values: FloatArray) -> FloatArray | None:
-        """Return how values (n, n_values) turn the target, R_ab (n, 3, 3); None for kinds that do not."""
-        return None
+
+@dataclass(frozen=True)
+class JointInstrument(Instrument):
+    """A kind that reads the value of a joint.
+
+    Attributes:
+        joint: The joint.
+    """
+
+    joint: str
+
+    @abstractmethod
+    def predict(self, joint: FloatArray, unknowns: FloatArray, details: FloatArray) -> FloatArray:
+        """Return what it reads, (n, n_values).
+
+        Args:
+            joint: The joint's value, (n,) [m or rad].
+            unknowns: Its unknown numbers, (n_unknowns,).
+            details: Of `Readings`, (n, n_details).
+        """
+
+    @abstractmethod
+    def compare(self, joint: FloatArray, unknowns: FloatArray, readings: Readings) -> JointComparison:
+        """Compare what it would read with what it read; see `JointComparison`."""
+
+    def first_unknowns(self, joint: FloatArray, unknowns: FloatArray, readings: Readings) -> FloatArray:
+        """Return a first guess at its unknown numbers, (n_unknowns,), from the joint's value by the robot as it is."""
+        return unknowns

@@ -18,17 +18,26 @@ where the other axis is upright too.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from pydantic import model_validator
 
 from calib.base.arrays import FloatArray
-from calib.base.parameter import Parameter
 from calib.base.sections import ANGLE_COMPONENTS
 from calib.instruments.hand_eye import fixed_rotations
-from calib.instruments.kind import Column, Comparison, Guess, Instrument, InstrumentSection, Part, Readings, Scene, View
+from calib.instruments.kind import (
+    Column,
+    Comparison,
+    FrameInstrument,
+    Guess,
+    InstrumentSection,
+    Part,
+    Readings,
+    Scene,
+    View,
+)
 from calib.instruments.noise import AngleSigma, Noise, PartNoise
 from calib.instruments.rotations import (
     ORIENTATION,
@@ -76,27 +85,22 @@ class OrientationSection(InstrumentSection):
 
 
 @dataclass(frozen=True)
-class Orientation(Instrument):
+class Orientation(FrameInstrument):
     """Orientations of one target frame: three rows, values are rotation vectors; or two tilts."""
 
-    section: ClassVar[type[InstrumentSection]] = OrientationSection
-    name: str
-    target: str
-    group: str
+    section = OrientationSection
     gravity: bool = False
     rotation: Form = "quaternion"
-    noise: Noise = field(default_factory=lambda: Noise((PartNoise(),)))
-    unknowns: tuple[Parameter, ...] = ()
 
     @classmethod
     def of(cls, name: str, section: OrientationSection) -> Orientation:
         """Return the instrument that an entry of a robot description means."""
         gravity = section.axes == "gravity"
         noise = Noise((PartNoise.of(section.sigma, 2 if gravity else 3),))
-        return cls(name, section.target or name, name, gravity, section.rotation, noise)
+        return cls(name, section.target or name, gravity, section.rotation, noise=noise)
 
     @property
-    def parts(self) -> tuple[Part, ...]:  # type: ignore[override]
+    def parts(self) -> tuple[Part, ...]:
         """Rotation errors, or tilts."""
         return (TILT,) if self.gravity else (ORIENTATION,)
 

@@ -11,8 +11,7 @@ column `camera` says which one saw it. A point that the camera cannot see is NaN
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import ClassVar
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,9 +25,8 @@ from calib.instruments.camera_places import Sightings, guesses, seen_points
 from calib.instruments.kind import (
     Column,
     Comparison,
+    FrameInstrument,
     Guess,
-    Instrument,
-    InstrumentSection,
     Part,
     Place,
     Readings,
@@ -46,22 +44,17 @@ _MOSTLY = 0.5  # part of the sightings that must not lie behind the camera
 
 
 @dataclass(frozen=True, eq=False)
-class Pixel(Instrument):
+class Pixel(FrameInstrument):
     """Pixels of named points of one target frame in one camera: two rows. The detail of a reading is its point."""
 
-    section: ClassVar[type[InstrumentSection]] = PixelSection
-    parts: ClassVar[tuple[Part, ...]] = (PIXEL,)  # type: ignore[misc]
-    label_column: ClassVar[str | None] = "camera"
-    name: str
-    target: str
-    group: str
+    section = PixelSection
+    parts = (PIXEL,)
+    label_column = "camera"
     place: Place
     intrinsics: tuple[float, ...]
     points_of_body: Mapping[str, tuple[float, float, float]]
     image: tuple[float, float] | None = None
     prefix: str = ""
-    noise: Noise = field(default_factory=lambda: Noise((PartNoise(),)))
-    unknowns: tuple[Parameter, ...] = ()
 
     @classmethod
     def of(cls, name: str, section: PixelSection) -> Pixel:
@@ -76,14 +69,13 @@ class Pixel(Instrument):
         return cls(
             name,
             section.target,
-            name,
             place,
             tuple(numbers[key] for key in NAMES),
             dict(section.points),
             section.image,
             section.columns or name,
-            Noise((PartNoise.of(section.sigma, 2),)),
-            unknowns,
+            noise=Noise((PartNoise.of(section.sigma, 2),)),
+            unknowns=unknowns,
         )
 
     def places(self) -> tuple[Place, ...]:

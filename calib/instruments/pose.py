@@ -8,14 +8,12 @@ Rows are the position error p_ab - p and the rotation error of `calib.instrument
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import ClassVar
+from dataclasses import dataclass
 
 import numpy as np
 
 from calib.base.arrays import FloatArray
-from calib.base.parameter import Parameter
-from calib.instruments.kind import Column, Comparison, Instrument, InstrumentSection, Part, Readings, View
+from calib.instruments.kind import Column, Comparison, FrameInstrument, InstrumentSection, Readings, View
 from calib.instruments.noise import AngleSigma, Noise, PartNoise, PositionSigma
 from calib.instruments.position import AXES, POSITION
 from calib.instruments.rotations import (
@@ -51,23 +49,18 @@ class PoseSection(InstrumentSection):
 
 
 @dataclass(frozen=True)
-class Pose(Instrument):
+class Pose(FrameInstrument):
     """Poses of one target frame in the measurement frame: six rows. Values are x, y, z and a rotation vector."""
 
-    section: ClassVar[type[InstrumentSection]] = PoseSection
-    parts: ClassVar[tuple[Part, ...]] = (POSITION, ORIENTATION)  # type: ignore[misc]
-    name: str
-    target: str
-    group: str
+    section = PoseSection
+    parts = (POSITION, ORIENTATION)
     rotation: Form = "quaternion"
-    noise: Noise = field(default_factory=lambda: Noise((PartNoise(), PartNoise())))
-    unknowns: tuple[Parameter, ...] = ()
 
     @classmethod
     def of(cls, name: str, section: PoseSection) -> Pose:
         """Return the instrument that an entry of a robot description means."""
         noise = Noise((PartNoise.of(section.sigma, 3), PartNoise.of(section.sigma_angle, 3)))
-        return cls(name, section.target or name, name, section.rotation, noise)
+        return cls(name, section.target or name, section.rotation, noise=noise)
 
     def columns(self) -> tuple[Column, ...]:
         """Return `<name>_x`, `_y`, `_z`, and those of the rotation."""

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import ClassVar
+from dataclasses import dataclass
 
 import numpy as np
 
 from calib.base.arrays import FloatArray
-from calib.base.parameter import Parameter
-from calib.instruments.kind import Column, Comparison, Instrument, InstrumentSection, Part, Readings, View
+from calib.instruments.kind import Column, Comparison, FrameInstrument, InstrumentSection, Part, Readings, View
 from calib.instruments.noise import Noise, PartNoise, PositionSigma
 
 AXES = ("x", "y", "z")
@@ -29,21 +27,26 @@ class PositionSection(InstrumentSection):
 
 
 @dataclass(frozen=True)
-class Position(Instrument):
-    """Positions of one target in the measurement frame: three rows."""
+class Position(FrameInstrument):
+    """Positions of one target in the measurement frame: three rows.
 
-    section: ClassVar[type[InstrumentSection]] = PositionSection
-    parts: ClassVar[tuple[Part, ...]] = (POSITION,)  # type: ignore[misc]
-    name: str
-    target: str
-    group: str
-    noise: Noise = field(default_factory=lambda: Noise((PartNoise(),)))
-    unknowns: tuple[Parameter, ...] = ()
+    Attributes:
+        together: Name of the group whose noise is its own; empty: it shares none.
+    """
+
+    section = PositionSection
+    parts = (POSITION,)
+    together: str = ""
 
     @classmethod
     def of(cls, name: str, section: PositionSection) -> Position:
         """Return the instrument that an entry of a robot description means."""
-        return cls(name, section.target or name, name, Noise((PartNoise.of(section.sigma, 3),)))
+        return cls(name, section.target or name, noise=Noise((PartNoise.of(section.sigma, 3),)))
+
+    @property
+    def group(self) -> str:
+        """Its own, or the one that it shares."""
+        return self.together or self.name
 
     def columns(self) -> tuple[Column, ...]:
         """Return `<name>_x`, `_y`, `_z`."""

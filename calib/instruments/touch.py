@@ -19,8 +19,7 @@ the description has it. A turn about the line of all points of an artefact moves
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import ClassVar
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,9 +31,8 @@ from calib.instruments.distance import distances
 from calib.instruments.kind import (
     Column,
     Comparison,
+    FrameInstrument,
     Guess,
-    Instrument,
-    InstrumentSection,
     Part,
     Place,
     Readings,
@@ -54,7 +52,7 @@ _RADIUS = 0.01  # where an unknown radius starts [m]
 
 
 @dataclass(frozen=True)
-class Touch(Instrument):
+class Touch(FrameInstrument):
     """Touches of sockets, planes or spheres by one target. The one detail of a reading says which was touched.
 
     Attributes:
@@ -67,10 +65,8 @@ class Touch(Instrument):
         tolerance: Of the coordinates of the points of the artefact [m]; None: they are right.
     """
 
-    section: ClassVar[type[InstrumentSection]] = TouchSection
-    name: str
-    target: str
-    group: str
+    section = TouchSection
+    touches = True
     surface: Surface
     touched: tuple[str, ...]
     own: tuple[Place, ...]
@@ -78,9 +74,6 @@ class Touch(Instrument):
     ball: float = 0.0
     radii: tuple[OwnLength, ...] = ()
     tolerance: float | None = None
-    noise: Noise = field(default_factory=lambda: Noise((PartNoise(),)))
-    parts: tuple[Part, ...] = (_PARTS["socket"],)
-    unknowns: tuple[Parameter, ...] = ()
 
     @classmethod
     def of(cls, name: str, section: TouchSection) -> Touch:
@@ -95,7 +88,6 @@ class Touch(Instrument):
         return cls(
             name,
             section.target or name,
-            name,
             section.surface,
             tuple(section.places if piece is None else piece.points),
             own if piece is None else (piece.place(f"{name}_artefact"),),
@@ -103,10 +95,14 @@ class Touch(Instrument):
             section.radius,
             tuple(radius or OwnLength() for _, radius in radii),
             None if piece is None else piece.tolerance,
-            Noise((PartNoise.of(section.sigma, len(part.axes)),)),
-            (part,),
-            unknowns,
+            noise=Noise((PartNoise.of(section.sigma, len(part.axes)),)),
+            unknowns=unknowns,
         )
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """Three coordinates of a socket, or the gap to a surface."""
+        return (_PARTS[self.surface],)
 
     def places(self) -> tuple[Place, ...]:
         """Return what is touched."""

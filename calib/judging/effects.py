@@ -31,7 +31,7 @@ from numpy.polynomial import legendre
 
 from calib.base.arrays import FloatArray, IntArray
 from calib.fitting.pose_checks import unmoved_joints
-from calib.instruments.kind import Instrument
+from calib.instruments.kind import FrameInstrument, Instrument
 from calib.joint_terms.periodic import TURN
 from calib.judging.effect_setting import Setting
 from calib.robots import kinematics
@@ -227,7 +227,7 @@ def _moved_targets(setting: Setting) -> dict[str, dict[str, FloatArray]]:
     for name, own in readings.items():
         one = robot.instrument(name)
         rows = _position_rows(one)
-        if len(rows) != 3:
+        if len(rows) != 3 or not isinstance(one, FrameInstrument):
             continue
         pairs = robot.pairs(one)
         swept = kinematics.sweep(robot.mechanism, joints, pairs)

@@ -51,7 +51,7 @@ def sample(
         DataError: Not enough were found, even near home; or a sliding joint has no limits.
     """
     robot = as_robot(robot)
-    touches = [one for one in robot.instruments if not one.columns()]
+    touches = [one for one in robot.instruments if one.touches]
     spanned = within.joints if isinstance(within, Poses) else within
     total = TRIES * count if touches and count > 0 else count
     require_memory(_NUMBERS_OF_EACH * max(total, 0), f"sampling {counted(count, 'pose')}", "sample fewer")

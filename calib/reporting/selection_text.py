@@ -116,7 +116,7 @@ def _plan(
     for k, together in zip(selection.chosen, selection.instruments, strict=True):
         read = [robot.instrument(name) for name in together.split(TOGETHER)]
         own = {column for one in read for column in columns_in(one, table)}
-        touched = [table.names.index(name) for one in read if not one.columns() for name in one.text_columns()]
+        touched = [table.names.index(name) for one in read if one.touches for name in one.text_columns()]
         line = next(line for line in lines[poses.names[k]] if all(table.rows[line][c] for c in touched))
         others = {column for one in robot.instruments for column in columns_in(one, table)} - own
         cells = zip(table.names, table.rows[line], strict=True)

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from calib.base.errors import DescriptionError, nearest
 from calib.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS
-from calib.instruments.kind import Instrument, Place
+from calib.instruments.kind import FrameInstrument, Instrument, Place
 from calib.instruments.kinds import KINDS
 from calib.instruments.noise import Noise, PartNoise
 from calib.instruments.position import Position
@@ -34,11 +34,11 @@ def instruments_of(description: Description, where: str) -> tuple[Instrument, ..
     """
     if not description.instruments:
         noise = Noise((PartNoise.of(description.sigma, 3),))
-        return tuple(Position(name, name, _TARGETS_GROUP, noise) for name in description.targets)
+        return tuple(Position(name, name, _TARGETS_GROUP, noise=noise) for name in description.targets)
     sections = description.instruments.items()
     instruments = tuple(KINDS[section.kind].of(name, section) for name, section in sections)
     for one in instruments:
-        if one.target and one.target not in description.targets:
+        if isinstance(one, FrameInstrument) and one.target not in description.targets:
             raise DescriptionError(
                 f"{where}: instruments.{one.name}: no target '{one.target}'{nearest(one.target, description.targets)}"
             )

@@ -12,7 +12,7 @@ import numpy as np
 from calib.base.errors import DescriptionError, InputError, nearest
 from calib.base.parameter import index_of
 from calib.base.units import Dimension, per_si, split_column
-from calib.instruments.kind import Instrument
+from calib.instruments.kind import Instrument, JointInstrument
 from calib.robots.described_instruments import instruments_of, places_of
 from calib.robots.description import BaseSection, Description, TargetSection, checked_description, read_description
 from calib.robots.joint_errors import build_terms
@@ -172,7 +172,7 @@ def _check_columns(
 def _check_joints(mechanism: Mechanism, instruments: tuple[Instrument, ...], where: str) -> None:
     """Raise `DescriptionError` if an instrument reads a joint that does not move, or in the wrong dimension."""
     for one in instruments:
-        if one.joint is None:
+        if not isinstance(one, JointInstrument):
             continue
         place = f"{where}: instruments.{one.name}.joint"
         moving = [

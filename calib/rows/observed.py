@@ -19,7 +19,7 @@ import numpy as np
 from calib.base.arrays import FloatArray, IntArray
 from calib.base.threads import one_blas_thread
 from calib.data.measurements import Measurements, Poses, in_setups, of_visits
-from calib.instruments.kind import Comparison, Instrument, Readings, View
+from calib.instruments.kind import Comparison, Instrument, JointComparison, JointInstrument, Readings, View
 from calib.robots import kinematics
 from calib.robots.mechanism import RelativeFrame
 from calib.robots.robot import Configurations, Robot
@@ -79,7 +79,7 @@ class _Work:
     def __init__(self, robot: Robot, instrument: Instrument, readings: Readings, n_actuated: int) -> None:
         self.robot, self.instrument, self.readings = robot, instrument, readings
         self.all_pairs = robot.pairs(instrument)
-        self.pairs = tuple(self.all_pairs[k] for k in np.unique(readings.pairs)) if instrument.joint is None else ()
+        self.pairs = tuple(self.all_pairs[k] for k in np.unique(readings.pairs)) if self.all_pairs else ()
         self._n_parameters, n = len(robot.parameters), len(readings)
         self._residuals = np.empty((n, instrument.n_rows))
         self._columns = np.zeros((n, instrument.n_rows, self._n_parameters + n_actuated))
@@ -93,8 +93,8 @@ class _Work:
         if len(here) == 0:
             return
         slope = configurations.slope[part]
-        if self.instrument.joint is not None:
-            self._fill_joint(here, part, swept, configurations, twists)
+        if isinstance(self.instrument, JointInstrument):
+            self._fill_joint(self.instrument, here, part, swept, configurations, twists)
             return
         for number in np.unique(self.readings.pairs[here]):
             chosen = here[self.readings.pairs[here] == number]
@@ -111,8 +111,8 @@ class _Work:
     ) -> None:
         at = self.readings.visits[chosen] - part.start
         poses = kinematics.relative_pose(swept, pair)[at]
-        view = View(poses[:, :3, :3], poses[:, :3, 3], np.full(len(at), np.nan))
-        comparison = self._compare(chosen, view)
+        comparison = self._compare(chosen, View(poses[:, :3, :3], poses[:, :3, 3]))
+        assert isinstance(comparison, Comparison)  # of a kind that looks at frames
         angular = bool(np.any(comparison.by_twist[:, :, 3:]))
         motion = relative_motion(self.robot.mechanism, swept, pair, slope, twists, angular=angular)
         by_twist = comparison.by_twist[:, :, : motion.shape[1]]
@@ -122,6 +122,7 @@ class _Work:
 
     def _fill_joint(
         self,
+        instrument: JointInstrument,
         chosen: IntArray,
         part: slice,
         swept: kinematics.Sweep,
@@ -130,13 +131,10 @@ class _Work:
     ) -> None:
         mechanism = self.robot.mechanism
         at = self.readings.visits[chosen] - part.start
-        index = mechanism.origin_names.index(str(self.instrument.joint))
+        index = mechanism.origin_names.index(instrument.joint)
         joints = mechanism.all_joints(configurations.actuated[part], configurations.passive[part])
-        n = len(at)
-        view = View(np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)), joints[at, index])
-        comparison = self._compare(chosen, view)
-        if comparison.by_joint is None:
-            raise TypeError(f"{type(self.instrument).__name__} reads a joint, but gives no derivative by it")
+        comparison = self._compare(chosen, joints[at, index])
+        assert isinstance(comparison, JointComparison)  # of a kind that reads a joint
         motion = passive_motion(mechanism, swept, mechanism.select_passive[index], configurations.slope[part], twists)
         self._columns[chosen] += comparison.by_joint[:, :, None] * motion[at]
         if self._columns.shape[2] > self._n_parameters:
@@ -144,10 +142,10 @@ class _Work:
                 comparison.by_joint[:, :, None] * mechanism.select_actuated[index]
             )
 
-    def _compare(self, chosen: IntArray, view: View) -> Comparison:
+    def _compare(self, chosen: IntArray, seen: View | FloatArray) -> Comparison | JointComparison:
         """Ask the kind, and keep residuals and the columns of its own unknowns."""
         own = self.robot.unknowns(self.instrument.name)
-        comparison = self.instrument.compare(view, self.robot.values[own], _some(self.readings, chosen))
+        comparison = self.instrument.compare(seen, self.robot.values[own], _some(self.readings, chosen))
         self._residuals[chosen] = comparison.residuals
         self._columns[chosen, :, own] += comparison.by_unknown
         return comparison
@@ -198,15 +196,17 @@ def predicted_readings(
     if wanted is None:
         wanted = {one.name: _every_look(one, len(configurations.actuated)) for one in robot.instruments}
     result = {}
-    for name, seen in views(robot, configurations, wanted).items():
+    for name, seen in seen_by(robot, configurations, wanted).items():
         looks = wanted[name]
         values = robot.instrument(name).predict(seen, robot.values[robot.unknowns(name)], looks.details)
         result[name] = Readings(looks.visits, looks.pairs, values, None, looks.details)
     return result
 
 
-def views(robot: Robot, configurations: Configurations, looks: Mapping[str, Readings]) -> dict[str, View]:
-    """Return what each instrument has before it at each of its readings, by name.
+def seen_by(
+    robot: Robot, configurations: Configurations, looks: Mapping[str, Readings]
+) -> dict[str, View | FloatArray]:
+    """Return what each instrument has before it at each of its readings, by name: frames, or values of a joint (n,).
 
     Args:
         robot: The robot, at its current values.
@@ -217,17 +217,17 @@ def views(robot: Robot, configurations: Configurations, looks: Mapping[str, Read
     joints = mechanism.all_joints(configurations.actuated, configurations.passive)
     pairs = tuple(pair for name in looks for pair in robot.pairs(robot.instrument(name)))
     swept = kinematics.sweep(mechanism, joints, pairs)
-    result = {}
+    result: dict[str, View | FloatArray] = {}
     for name, readings in looks.items():
         one = robot.instrument(name)
+        if isinstance(one, JointInstrument):
+            result[name] = joints[readings.visits, mechanism.origin_names.index(one.joint)]
+            continue
         poses = np.tile(np.eye(4), (len(readings), 1, 1))
         for number, pair in enumerate(robot.pairs(one)):
             chosen = np.flatnonzero(readings.pairs == number)
             poses[chosen] = kinematics.relative_pose(swept, pair)[readings.visits[chosen]]
-        value = np.full(len(readings), np.nan)
-        if one.joint is not None:
-            value = joints[readings.visits, mechanism.origin_names.index(one.joint)]
-        result[name] = View(poses[:, :3, :3], poses[:, :3, 3], value)
+        result[name] = View(poses[:, :3, :3], poses[:, :3, 3])
     return result
 
 
@@ -242,13 +242,13 @@ def looks_at(robot: Robot, poses: Poses) -> dict[str, Readings]:
 def unsaid_touches(robot: Robot, poses: Poses) -> list[Instrument]:
     """Return the instruments that touch, and of which poses do not say what."""
     said = poses.wanted.keys() | (poses.readings.keys() if isinstance(poses, Measurements) else set())
-    return [one for one in robot.instruments if not one.columns() and one.name not in said]
+    return [one for one in robot.instruments if one.touches and one.name not in said]
 
 
 def _looks_of(robot: Robot, one: Instrument, poses: Poses) -> Readings:
     if one.name in poses.wanted:
         return poses.wanted[one.name]
-    if isinstance(poses, Measurements) and not one.columns():
+    if isinstance(poses, Measurements) and one.touches:
         index = np.arange(len(poses))
         made = of_visits(poses.readings[one.name], index) if one.name in poses.readings else _every_look(one, 0)
         return Readings(made.visits, made.pairs, np.zeros((len(made), 0)), None, made.details)

@@ -19,13 +19,13 @@ from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.base.errors import DataError
 from calib.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component
 from calib.data.measurements import Measurements
-from calib.instruments.kind import Guess, Instrument, Scene
+from calib.instruments.kind import FrameInstrument, Guess, JointInstrument, Scene
 from calib.numerics.placement import MovingPoint, Placement, place
 from calib.robots import kinematics
 from calib.robots.described_instruments import MEASUREMENT_FRAME, pair_names
 from calib.robots.mechanism import RelativeFrame
 from calib.robots.robot import Robot
-from calib.rows.observed import observe
+from calib.rows.observed import observe, seen_by
 
 _EXACT = 1e-30  # squares below are rounding
 
@@ -47,7 +47,10 @@ def register(robot: Robot, data: Measurements) -> Robot:
     for one in robot.instruments:
         if len(data.readings.get(one.name, ())):
             placed.append(one.name)
-            robot = _guessed(robot, data, one, placed)
+            if isinstance(one, FrameInstrument):
+                robot = _guessed(robot, data, one, placed)
+            elif isinstance(one, JointInstrument):
+                robot = _read_off(robot, data, one)
     return robot
 
 
@@ -77,7 +80,7 @@ class _Frames:
         self.pairs: dict[str, RelativeFrame] = {}
         for one in robot.instruments:
             every = robot.pairs(one)
-            if every and every[0].a == robot.mechanism.targets[0].a:
+            if isinstance(one, FrameInstrument) and every[0].a == robot.mechanism.targets[0].a:
                 later = every[setup * len(every) // max(len(robot.description.setups), 1)]
                 self.pairs.setdefault(one.target, later)
 
@@ -153,7 +156,7 @@ def _registration(
     return place(moving, np.ones(len(chosen)), T_base_measurement, frame_known=frame_known)
 
 
-def _guessed(robot: Robot, data: Measurements, one: Instrument, placed: list[str]) -> Robot:
+def _guessed(robot: Robot, data: Measurements, one: FrameInstrument, placed: list[str]) -> Robot:
     """Return the robot with what an instrument alone can guess.
 
     Of its guesses, that counts which explains best what it and the instruments placed before have read: two cameras may
@@ -171,19 +174,28 @@ def _guessed(robot: Robot, data: Measurements, one: Instrument, placed: list[str
         if len(chosen):
             links[chosen] = _carriers(robot, data, readings.visits[chosen], [pair])[0]
     values = robot.values[robot.unknowns(one.name)]
-    configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
-    joint = np.full(len(readings), np.nan)
-    if one.joint is not None:
-        joints = mechanism.all_joints(configurations.actuated, configurations.passive)
-        joint = joints[readings.visits, mechanism.origin_names.index(one.joint)]
-    guesses = one.first_values(Scene(readings, links, names, known, unknown, values, joint))
+    guesses = one.first_values(Scene(readings, links, names, known, unknown, values))
     tried = [_with_guess(robot, one, guess, unknown) for guess in guesses]
+    if len(tried) < 2:
+        return tried[0] if tried else robot
+    configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
 
     def miss(candidate: Robot) -> float:
         observed = observe(candidate, configurations, {name: data.readings[name] for name in placed})
         return sum(len(each.residuals) * np.log(np.nanmean(each.residuals**2) + _EXACT) for each in observed.values())
 
-    return robot if not tried else tried[0] if len(tried) == 1 else min(tried, key=miss)
+    return min(tried, key=miss)
+
+
+def _read_off(robot: Robot, data: Measurements, one: JointInstrument) -> Robot:
+    """Return the robot with what an instrument that reads a joint can guess of its unknown numbers."""
+    readings, configurations = (
+        data.readings[one.name],
+        robot.assemble(data.joints, labels=data.labels, context=data.conditions),
+    )
+    seen = np.asarray(seen_by(robot, configurations, {one.name: readings})[one.name])
+    first = one.first_unknowns(seen, robot.values[robot.unknowns(one.name)], readings)
+    return _with(robot, {p.name: float(value) for p, value in zip(one.unknowns, first, strict=True)})
 
 
 def _open_components(robot: Robot, place: str) -> tuple[Component, ...]:
@@ -193,7 +205,9 @@ def _open_components(robot: Robot, place: str) -> tuple[Component, ...]:
     return tuple(component for component in COMPONENTS if f"{origin}.{component}" in free)
 
 
-def _with_guess(robot: Robot, one: Instrument, guess: Guess, unknown: Mapping[str, tuple[Component, ...]]) -> Robot:
+def _with_guess(
+    robot: Robot, one: FrameInstrument, guess: Guess, unknown: Mapping[str, tuple[Component, ...]]
+) -> Robot:
     values: dict[str, float] = {}
     for name, pose in guess.places.items():
         origin = robot.mechanism.origin(name)
@@ -205,10 +219,8 @@ def _with_guess(robot: Robot, one: Instrument, guess: Guess, unknown: Mapping[st
             if component in unknown.get(name, ()):
                 values[f"{origin}.{component}"] = float(number)
     if guess.unknowns is not None:
-        for parameter, number in zip(one.unknowns, guess.unknowns, strict=True):
-            if parameter.name not in robot.description.held:
-                values[parameter.name] = float(number)
-    return robot.with_parameters(values)
+        values |= {p.name: float(number) for p, number in zip(one.unknowns, guess.unknowns, strict=True)}
+    return _with(robot, values)
 
 
 def _orientations(robot: Robot, data: Measurements, seen: BoolArray, frames: _Frames) -> dict[str, float]:
@@ -217,7 +229,9 @@ def _orientations(robot: Robot, data: Measurements, seen: BoolArray, frames: _Fr
     for name, readings in data.readings.items():
         one = robot.instrument(name)
         turned = one.orientations(readings.values)
-        if turned is None or robot.description.targets[one.target].orientation == "known":
+        if turned is None or not isinstance(one, FrameInstrument):
+            continue
+        if robot.description.targets[one.target].orientation == "known":
             continue
         chosen = seen[readings.visits] & np.isfinite(turned).all(axis=(1, 2))
         carriers = _carriers(robot, data, readings.visits[chosen], [frames.pairs[one.target]])[0][:, :3, :3]

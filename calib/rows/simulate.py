@@ -129,7 +129,7 @@ def _touches(
             f" '{unsaid.text_columns()[0]}' that names it, empty where nothing is touched"
         )
     result = {}
-    for one in (one for one in robot.instruments if not one.columns()):
+    for one in (one for one in robot.instruments if one.touches):
         look = looks[one.name]
         exact = Readings(look.visits, look.pairs, np.zeros((len(look), one.n_rows)), None, look.details)
         result[one.name] = _noisy(one, exact, sigma, rng)

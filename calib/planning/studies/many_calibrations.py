@@ -34,7 +34,7 @@ from calib.instruments.kind import Readings
 from calib.numerics.losses import studentised
 from calib.numerics.statistics import Statistics
 from calib.robots.robot import Robot
-from calib.rows.observed import views
+from calib.rows.observed import seen_by
 from calib.rows.rows import Rows
 
 
@@ -85,7 +85,7 @@ class Repeated:
         data, near = first.identification.data, first.configurations.passive
         self._problem = Problem(first.nominal, data, settings.sigma, near)
         self._near = self._problem.evaluate(first.robot)
-        self._views = views(first.robot, self._near.configurations, data.readings)
+        self._seen = seen_by(first.robot, self._near.configurations, data.readings)
 
     def estimate(self, data: Measurements, passive: FloatArray | None = None) -> Estimate:
         """Calibrate from other readings.
@@ -126,8 +126,8 @@ class Repeated:
         if any(not _same_looks(readings[name], known[name]) for name in known):
             return robot
         residuals = {
-            name: robot.instrument(name).compare(view, robot.values[robot.unknowns(name)], readings[name]).residuals
-            for name, view in self._views.items()
+            name: robot.instrument(name).compare(seen, robot.values[robot.unknowns(name)], readings[name]).residuals
+            for name, seen in self._seen.items()
         }
         rows, root, groups = first.rows, first.rows.known.root, first.scales.groups
         whitening = problem.whitening

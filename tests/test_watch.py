@@ -197,7 +197,7 @@ def test_a_goal_is_a_positive_length(robot, arguments, words):
         calib.Watch(robot, **arguments)
 
 
-def test_a_robot_whose_positions_nobody_measures_has_no_goal(tmp_path):
+def test_a_robot_read_by_distances_alone_is_watched_and_its_goal_met_where_positions_are_that_good(tmp_path):
     text = (EXAMPLES / "arm.yaml").read_text().replace("urdf: ", f"urdf: {EXAMPLES}/", 1)
     text = text[: text.index("targets:")] + (
         "targets:\n  ball: {frame: flange, xyz: [0, 0, 60 mm]}\n"

@@ -114,8 +114,6 @@ def _placed(robot: Robot, data: Measurements) -> Robot:
 def _stated(robot: Robot, data: Measurements) -> Sigmas:
     """Return the noise of measured points that the description or the measurements state."""
     stated = {
-        group.name: group.typical
-        for group in Whitening(robot, data).groups
-        if group.stated and group.part == "position"
+        group.name: group.typical for group in Whitening(robot, data).groups if group.stated and group.is_position
     }
     return {one.name: stated[one.group] for one in robot.instruments if one.group in stated}

@@ -136,15 +136,13 @@ def from_saved(saved: Saved, placed: Robot, calibrated: Calibrated) -> PoseTable
 
 def noise(fit: Fit) -> Sigmas:
     """Return the noise of measured points of each instrument, as found."""
-    by_group = {one.group.name: one.sigma for one in reversed(fit.noise) if one.group.part == "position"}
+    by_group = {one.group.name: one.sigma for one in reversed(fit.noise) if one.group.is_position}
     return {one.name: by_group[one.group] for one in fit.robot.instruments if one.group in by_group}
 
 
 def _position_errors(errors: ErrorSet, state: str) -> dict[str, FloatArray]:
     return {
-        one.name: getattr(errors, state)[one.name][:, rows]
-        for one, part, rows in errors.parts()
-        if part.name == "position"
+        one.name: getattr(errors, state)[one.name][:, rows] for one, part, rows in errors.parts() if part.is_position
     }
 
 
@@ -176,7 +174,7 @@ def _points_off(robot: Robot, data: Measurements) -> dict[str, FloatArray]:
 
 
 def _measures_points(one: Instrument) -> bool:
-    return any(part.name == "position" for part in one.parts)
+    return any(part.is_position for part in one.parts)
 
 
 def _measured_together(first: Measurements, second: Measurements) -> bool:

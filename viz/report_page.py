@@ -94,7 +94,7 @@ def report_page(
             notes=notes(fit, brief=True),
             unsure=unsure(fit),
             outliers=left_out(fit) + outlier_rows(fit),
-            only_positions=all(part.name == "position" for one in fit.nominal.instruments for part in one.parts),
+            only_positions=all(part.is_position for one in fit.nominal.instruments for part in one.parts),
             reach=position_uncertainty_table(fit),
             reach_of="identification" if fit.validation is None else "validation",
             uncounted=fit.identification_uncertainty.remark(),

@@ -75,7 +75,7 @@ def judged_by(fit: Fit) -> ErrorSet:
 def worst(fit: Fit) -> str:
     """Return where the robot is still worst: the pose with the largest error after calibration, and its place."""
     errors = judged_by(fit)
-    if errors.main_part.name != "position":
+    if not errors.main_part.is_position:
         return _worst_reading(errors)
     table = averaged(of_errors(fit, IDENTIFICATION, errors))
     row = int(np.nanargmax(np.linalg.norm(table.error("after"), axis=1)))

@@ -71,15 +71,16 @@ def read_saved(folder: Path | str, robot: Robot) -> Saved:
         )
         for group, errors in sets.items()
     }
-    return Saved(sets, _sigmas(content), outliers)
+    return Saved(sets, _sigmas(robot, content), outliers)
 
 
-def _sigmas(content: dict[str, Any]) -> dict[str, float]:
+def _sigmas(robot: Robot, content: dict[str, Any]) -> dict[str, float]:
+    positions = {(one.name, part.name) for one in robot.instruments for part in one.parts if part.is_position}
     return {
         block["name"]: part["sigma"] / error_scale("length")
         for block in content.get("instruments", ())
         for part in block["parts"]
-        if part["name"] == "position" and part["sigma"] is not None
+        if (block["name"], part["name"]) in positions and part["sigma"] is not None
     }
 
 
@@ -88,7 +89,7 @@ def _error_set(robot: Robot, table: Table, rows: IntArray) -> ErrorSet:
     joints = [table.column(name, robot.mechanism.dimensions[name])[rows] for name in robot.joint_names]
     labels, targets = ([table.text(name)[row] for row in rows] for name in ("pose", "target"))
     cells = [(label, *values) for label, *values in zip(labels, *joints, strict=True)]
-    instruments = tuple(one for one in robot.instruments if any(part.name == "position" for part in one.parts))
+    instruments = tuple(one for one in robot.instruments if any(part.is_position for part in one.parts))
     visits = _visits(cells, targets, {one.name for one in instruments})
     first = np.unique(visits, return_index=True)[1]
     names = tuple(labels[row] for row in first)

@@ -66,7 +66,7 @@ def _noise_in_words(robot: Robot, sigma_mm: float | None) -> str:
     if sigma_mm is None:
         return "noise as the description states it"
     said = f"normal noise, sigma {sigma_mm:g} mm per axis"
-    if sigma_mm == 0 or all(part.name == "position" for one in robot.instruments for part in one.parts):
+    if sigma_mm == 0 or all(part.is_position for one in robot.instruments for part in one.parts):
         return said
     return f"{said} of positions, else as the description states it"
 

@@ -48,18 +48,18 @@ class ErrorSet(ReadOnlyArrays):
                     parts.append((one, part, np.flatnonzero(np.array(one.part_of_row) == k)))
         return parts
 
-    def errors(self, state: str, part: str = "position", *, single: bool = False) -> FloatArray:
+    def errors(self, state: str, part: str = "", *, single: bool = False) -> FloatArray:
         """Return errors of a part of all instruments that have it, (n, k) [SI].
 
         Args:
             state: `before` or `after`.
-            part: Such as `position`.
+            part: Name of the part; the positions if not given.
             single: Whether every reading counts by itself; else those that repeat one pose are averaged, which leaves
                 what the model is off there.
         """
         pieces = []
         for one, own, rows in self.parts():
-            if own.name == part:
+            if own.name == part if part else own.is_position:
                 errors = getattr(self, state)[one.name][:, rows]
                 pieces.append(errors if single else self._by_pose(one.name, errors))
         return np.concatenate(pieces) if pieces else np.zeros((0, 3))
@@ -84,7 +84,7 @@ class ErrorSet(ReadOnlyArrays):
     def main_part(self) -> Part:
         """The part that tables of all are about: positions, or the first part where none were measured."""
         parts = [part for _, part, _ in self.parts()]
-        return next((part for part in parts if part.name == "position"), parts[0])
+        return next((part for part in parts if part.is_position), parts[0])
 
     def rms(self, state: str) -> float:
         """Return the root mean square error `before` or `after` of the main part [SI]."""

@@ -244,7 +244,7 @@ class Fit(ReadOnlyArrays):
     @property
     def first_noise(self) -> FoundNoise:
         """Noise of measured positions; of the first group of rows where none are."""
-        return next((one for one in self.noise if one.group.part == "position"), self.noise[0])
+        return next((one for one in self.noise if one.group.is_position), self.noise[0])
 
     @property
     def sigma(self) -> float:

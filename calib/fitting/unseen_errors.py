@@ -67,7 +67,8 @@ def of_errors(errors: ErrorSet, poses: SeenAt) -> Accuracy:
     part = errors.main_part
     lengths = np.sqrt(np.nansum(errors.errors("after", part.name) ** 2, axis=1))
     rms = errors.rms("after")
-    return Accuracy(poses, errors.data.n_poses, part.name, part.dimension, errors.rms("before"), rms, limit95(lengths))
+    before, limit = errors.rms("before"), limit95(lengths)
+    return Accuracy(poses, errors.data.n_poses, part.name, part.dimension, before, rms, limit, part.is_position)
 
 
 def limit95(lengths: FloatArray) -> float:

@@ -39,6 +39,8 @@ class Part:
         dimension: What they measure.
         usual: The largest noise that such instruments have [SI]: more is what the model leaves out.
         largest: Noise beyond which the numbers mean something else, whatever robot they are of [SI].
+        is_position: Whether its rows are the coordinates of the target: where they are read, how accurate a robot is
+            is told in them, and the noise of positions is theirs.
     """
 
     name: str
@@ -46,6 +48,7 @@ class Part:
     dimension: Dimension
     usual: float = float("inf")
     largest: float = float("inf")
+    is_position: bool = False
 
 
 @dataclass(frozen=True)

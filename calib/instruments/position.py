@@ -11,7 +11,7 @@ from calib.instruments.kind import Column, Comparison, FrameInstrument, Instrume
 from calib.instruments.noise import Noise, PartNoise, PositionSigma
 
 AXES = ("x", "y", "z")
-POSITION = Part("position", AXES, "length")
+POSITION = Part("position", AXES, "length", is_position=True)
 
 
 class PositionSection(InstrumentSection):

@@ -212,7 +212,9 @@ def poses_needed(
 def _is_noise(promise: Promise, system: System, level: float) -> bool:
     """Whether repeats scatter more than promised, and the readings agree with as much noise."""
     scatter, freedom = repeatability(system.errors)
-    sigma = [size for (_, part), size in promise.sigma.items() if part == "position"]
+    every = promise.robot.instruments
+    positions = {(one.group, part.name) for one in every for part in one.parts if part.is_position}
+    sigma = [size for key, size in promise.sigma.items() if key in positions]
     if freedom == 0 or len(sigma) != 1 or sigma[0] <= 0:
         return False
     more = (scatter / sigma[0]) ** 2

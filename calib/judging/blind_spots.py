@@ -49,7 +49,7 @@ def _whose_noise(fit: Fit) -> Iterator[str]:
     """What the robot may do beside the model, where the noise was neither stated nor measured by repeats."""
     one = fit.first_noise
     measured = repeatability(fit.identification)[1] >= ENOUGH_REPEATS
-    if one.stated is None and not measured and one.group.part == "position":
+    if one.stated is None and not measured and one.group.is_position:
         predicted = float(np.mean(fit.identification_uncertainty.located**2))
         single = millimetres(float(np.sqrt(predicted + 3.0 * one.sigma**2)))
         yield (

@@ -77,7 +77,7 @@ class Claim:
     def words(self) -> str:
         """The claim as a sentence."""
         told = self.told
-        what = "The tool is" if told.part == "position" else f"Readings ({told.part}) are"
+        what = "The tool is" if told.is_position else f"Readings ({told.part}) are"
         if np.isfinite(told.limit95):
             off = f"within {told.shown(told.limit95)} of where the model says, 95 % of the time, {self.region}."
             off += f" RMS {told.shown(told.rms)}; before"

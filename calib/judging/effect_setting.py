@@ -85,7 +85,7 @@ class Setting:
 
     @property
     def _first(self) -> int:
-        return next((g for g, group in enumerate(self.whitening.groups) if group.part == "position"), 0)
+        return next((g for g, group in enumerate(self.whitening.groups) if group.is_position), 0)
 
 
 def has_time(data: Poses) -> bool:

@@ -166,7 +166,7 @@ def _of_joints(setting: Setting) -> Iterator[Effect | Waves]:
 
 def _position_rows(one: Instrument) -> list[int]:
     """Rows of an instrument that are the position of its target; none for kinds that measure none."""
-    return [k for k, part in enumerate(one.part_of_row) if one.parts[part].name == "position"]
+    return [k for k, part in enumerate(one.part_of_row) if one.parts[part].is_position]
 
 
 def _shifts(setting: Setting) -> dict[str, FloatArray]:

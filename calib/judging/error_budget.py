@@ -270,7 +270,7 @@ def _std(parts: FloatArray, pose: IntArray) -> float:
 def _noise(errors: ErrorSet, stated: float, width: float) -> tuple[float, float, str]:
     """Mean square of the noise of a reading with so many components, its standard deviation, and where it is from."""
     scatter, freedom = repeatability(errors)
-    if freedom >= ENOUGH_REPEATS and errors.main_part.name == "position":
+    if freedom >= ENOUGH_REPEATS and errors.main_part.is_position:
         return width * scatter**2, width * scatter**2 * float(np.sqrt(2.0 / freedom)), "repeats"
     return (stated, 0.0, "stated") if np.isfinite(stated) else (float("nan"), float("nan"), "")
 

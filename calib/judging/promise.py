@@ -353,11 +353,13 @@ def _promised(
     free, slopes, square, n = np.flatnonzero(robot.is_free), [], 0.0, 0
     for name, derivatives in observed.items():
         one = robot.instrument(name)
-        rows = [r for r, k in enumerate(one.part_of_row) if one.parts[k].name == "position"]
-        if rows:
+        for index, part in enumerate(one.parts):
+            if not part.is_position:
+                continue
+            rows = [r for r, k in enumerate(one.part_of_row) if k == index]
             n += len(derivatives.jacobian)
             slopes.append(derivatives.jacobian[:, rows][:, :, free].reshape(-1, len(free)))
-            square += len(rows) * len(derivatives.jacobian) * promise.sigma.get((one.group, "position"), np.nan) ** 2
+            square += len(rows) * len(derivatives.jacobian) * promise.sigma.get((one.group, part.name), np.nan) ** 2
     if not n:
         return float("nan"), float("nan")
     slope = np.concatenate(slopes)

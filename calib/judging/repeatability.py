@@ -96,11 +96,11 @@ class Scatter:
     after: FloatArray
 
 
-def _repeated(errors: ErrorSet, part_name: str = "position") -> list[Scatter]:
-    """Errors (n, 3) of a part of every reading at a pose that was read more than once along one pair."""
+def _repeated(errors: ErrorSet, part_name: str = "") -> list[Scatter]:
+    """Errors (n, 3) of a part, of positions if none is named, of readings at poses that were read more than once."""
     result = []
     for one, part, rows in errors.parts():
-        if part.name != part_name:
+        if part.name != part_name if part_name else not part.is_position:
             continue
         readings = errors.data.readings[one.name]
         pose = errors.data.pose_numbers[readings.visits]

@@ -309,7 +309,7 @@ def _points(error_set: ErrorSet) -> tuple[FloatArray, FloatArray]:
     errors: list[FloatArray] = [np.zeros((0, 3))]
     for one, part, rows in error_set.parts():
         points = one.points(error_set.data.readings[one.name].values)
-        if points is not None and part.name == "position":
+        if points is not None and part.is_position:
             measured_rows = np.isfinite(points).all(axis=1)
             measured.append(points[measured_rows])
             errors.append(error_set.after[one.name][measured_rows][:, rows])

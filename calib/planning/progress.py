@@ -65,6 +65,8 @@ class Progress(ReadOnlyArrays):
         obstacle: Why they do not.
         predicted: Error over the candidates that noise leaves, by the covariance of the fit.
         unseen: Error at the last poses, each judged by a fit that had not seen it; noise of the readings included.
+            Where nobody reads positions: the predicted error, times how much larger the errors of readings were there
+            than promised.
         n_unseen: How many poses that is about.
         n_settled: How many of them were judged by fits whose predicted error met the goal.
         next_pose: Where to measure next; None where all candidates are measured.
@@ -159,7 +161,11 @@ class Progress(ReadOnlyArrays):
     def _unseen_shown(self) -> str:
         if not math.isfinite(self.unseen.high95):
             return f"too few poses yet that no fit had seen ({self.n_unseen})"
-        return f"{_shown(self.unseen)} at the last {self.n_unseen} poses, each judged before it was fitted"
+        where = f"the last {self.n_unseen} poses, each judged before it was fitted"
+        if reads_positions(self.robot):
+            return f"{_shown(self.unseen)} at {where}"
+        times = self.unseen.value / self.predicted.value
+        return f"{_shown(self.unseen)}: readings were off {times:.2g} times as much as promised at {where}"
 
     def _next(self) -> list[str]:
         following = self.next_pose
@@ -193,8 +199,15 @@ def _as_data(error: RootMeanSquare) -> dict[str, object]:
     }
 
 
+def reads_positions(robot: Robot) -> bool:
+    """Whether an instrument reads positions of a target."""
+    return any(part.is_position for one in robot.instruments for part in one.parts)
+
+
 def squares_of(fit: Fit, data: Measurements) -> list[float]:
     """Return the mean square position error of each pose that a fit has not seen, in order of appearance [m^2].
+
+    Where no instrument reads positions: the mean square error of its readings over the variance that the fit promises.
 
     Args:
         fit: The fit.
@@ -205,10 +218,17 @@ def squares_of(fit: Fit, data: Measurements) -> list[float]:
         return []
     errors = errors_on(fit.placed, fit.robot, new)
     total, count = np.zeros(new.n_poses), np.zeros(new.n_poses)
-    for one, part, rows in errors.parts():
-        if part.name == "position":
+    if not reads_positions(fit.robot):
+        rows = fit.whitened(errors)[1]
+        read = rows.layout.group >= 0
+        by_parameter = (rows.jacobian / fit.unknowns.scales)[read]
+        variance = 1.0 + np.sum((by_parameter @ fit.statistics.covariance) * by_parameter, axis=1)
+        np.add.at(total, rows.layout.pose_of_row[read], rows.residuals[read] ** 2 / variance)
+        np.add.at(count, rows.layout.pose_of_row[read], 1.0)
+    for one, part, own in errors.parts():
+        if part.is_position:
             pose = new.pose_numbers[new.readings[one.name].visits]
-            np.add.at(total, pose, np.nansum(errors.after[one.name][:, rows] ** 2, axis=1))
+            np.add.at(total, pose, np.nansum(errors.after[one.name][:, own] ** 2, axis=1))
             np.add.at(count, pose, 1.0)
     squares: list[float] = (total[count > 0] / count[count > 0]).tolist()
     return squares

@@ -8,6 +8,9 @@ The goal is a root mean square position error over the candidates. It holds with
 intervals lies below it: that of the error predicted from the covariance of the fit, and that of the errors at the last
 poses that were judged before they were fitted (`calib.planning.progress`). The second contains the noise of readings:
 a goal below that noise is never seen to hold.
+
+Where nobody reads positions, but distances or angles, readings at the last poses say by how much their errors are
+larger than promised (noise and what the fit is unsure of), and the predicted error is taken that many times.
 """
 
 from __future__ import annotations
@@ -37,7 +40,7 @@ from calib.fitting.fitted import Fit
 from calib.fitting.settings import Settings
 from calib.planning.next_pose import NextPose, next_pose
 from calib.planning.pose_sampling import sample
-from calib.planning.progress import LAST, LEAST, MOST, UNKNOWN, Progress, squares_of, unseen_rms
+from calib.planning.progress import LAST, LEAST, MOST, UNKNOWN, Progress, reads_positions, squares_of, unseen_rms
 from calib.robots.robot import Robot
 from calib.rows.candidates import configurations_at, require_free
 from calib.rows.jacobian import linearise
@@ -60,7 +63,7 @@ class Watch:
         seed: Of sampled candidates, and of poses to check with.
 
     Raises:
-        InputError: The goal is no positive length, or nothing measures positions.
+        InputError: The goal is no positive length.
         DataError: No candidates can be sampled.
     """
 
@@ -74,8 +77,6 @@ class Watch:
         seed: int = 0,
     ) -> None:
         require_free(robot)
-        if not any(part.name == "position" for one in robot.instruments for part in one.parts):
-            raise InputError(f"{robot.path}: no instrument measures positions, so nothing shows whether a goal is met")
         self.robot, self.goal = robot, quantity(goal, "length", "goal")
         if self.goal <= 0:
             raise InputError(f"goal {goal}: must be a positive length, such as 0.1 mm")
@@ -117,7 +118,7 @@ class Watch:
             fit=self._fit,
             obstacle=obstacle,
             predicted=predicted,
-            unseen=unseen_rms(self._squares[-n_unseen:] if n_unseen else []),
+            unseen=self._unseen(n_unseen, predicted),
             n_unseen=n_unseen,
             n_settled=min(self._settled, n_unseen),
             next_pose=self._next(data),
@@ -146,6 +147,13 @@ class Watch:
         except (DataError, NotIdentifiableError, NotConvergedError) as error:  # too few poses, all on one line
             return None, error
 
+    def _unseen(self, n_unseen: int, predicted: RootMeanSquare) -> RootMeanSquare:
+        """The error at the last poses that were judged before they were fitted."""
+        found = unseen_rms(self._squares[-n_unseen:] if n_unseen else [])
+        if reads_positions(self.robot) or found is UNKNOWN or predicted is UNKNOWN:
+            return found
+        return RootMeanSquare(*(predicted.value * times for times in (found.value, found.low95, found.high95)))
+
     def _predicted(self, fit: Fit | None) -> RootMeanSquare:
         if fit is None:
             return UNKNOWN
@@ -167,7 +175,7 @@ class Watch:
         """Where to measure next, by the present fit or by the nominal robot."""
         fit, measured = self._fit, data if data is not None and len(data) else None
         sigma = self._settings.sigma
-        if fit is not None and sigma is None and fit.sigma_stated is None and fit.first_noise.group.part == "position":
+        if fit is not None and sigma is None and fit.sigma_stated is None and fit.first_noise.group.is_position:
             sigma = max(fit.sigma, 1e-9)  # what was found; data without noise leave none
         robot = self.robot if fit is None else fit.robot
         present = None if measured is None else measured.joints[-1]

@@ -58,6 +58,7 @@ class Accuracy:
         rms: Root mean square error of the robot [SI].
         limit95: What the error at one more such pose stays below with a chance of 95 % or more [SI]; NaN where the
             poses are too few to say.
+        is_position: Whether positions were read (`calib.instruments.kind.Part`).
     """
 
     poses: SeenAt
@@ -67,6 +68,7 @@ class Accuracy:
     before: float
     rms: float
     limit95: float
+    is_position: bool = False
 
     @property
     def where(self) -> str:

@@ -87,7 +87,7 @@ def assumed_sigma(robot: Robot, sigma: float | None) -> tuple[float, bool]:
         for part, noise in zip(one.parts, stated_noise(one, sigma).parts, strict=True)
         if part.dimension == "length"
     ]
-    for part, noise in sorted(lengths, key=lambda length: length[0].name != "position"):
+    for part, noise in sorted(lengths, key=lambda length: not length[0].is_position):
         typical = np.sqrt(np.median(np.diag(noise.covariance(np.full((1, 3), 1.0), 1, len(part.axes))[0])))
         return float(typical) if noise.stated else ASSUMED[part.dimension], assumed
     return WHITENED, assumed

@@ -51,6 +51,7 @@ class Group:
         typical: Typical standard deviation as stated, or 1 SI unit [SI].
         usual: The largest that such instruments have [SI]; infinite where nothing is known.
         largest: Beyond which the numbers mean something else [SI]; infinite likewise.
+        is_position: Whether they are positions (`calib.instruments.kind.Part`).
     """
 
     name: str
@@ -60,6 +61,7 @@ class Group:
     typical: float
     usual: float = float("inf")
     largest: float = float("inf")
+    is_position: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -184,7 +184,7 @@ def stated_noise(one: Instrument, sigma: float | None) -> Noise:
     if sigma is None:
         return one.noise
     parts = [
-        PartNoise.of(sigma, len(part.axes)) if part.name == "position" else noise
+        PartNoise.of(sigma, len(part.axes)) if part.is_position else noise
         for part, noise in zip(one.parts, one.noise.parts, strict=True)
     ]
     return Noise(tuple(parts))
@@ -223,7 +223,8 @@ def _group(
     if key not in groups:
         rows = [k for k, number in enumerate(one.part_of_row) if number == index]
         typical = float(np.sqrt(np.median(covariance[:, rows, rows]))) if len(covariance) else 1.0
-        groups[key] = Group(one.group, part.name, part.dimension, stated, typical, part.usual, part.largest)
+        limits = part.usual, part.largest
+        groups[key] = Group(one.group, part.name, part.dimension, stated, typical, *limits, part.is_position)
     return list(groups).index(key)
 
 

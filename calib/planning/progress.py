@@ -23,22 +23,24 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
-from calib.base.arrays import ReadOnlyArrays
+from calib.base.arrays import FloatArray, ReadOnlyArrays
 from calib.base.errors import CalibrationError
 from calib.base.units import DISPLAY_UNIT, display_scale, millimetres
 from calib.base.words import as_data, counted
 from calib.data.measurements import Measurements
 from calib.fitting.fit import errors_on
 from calib.fitting.fitted import Fit
+from calib.instruments.kind import Comparison
 from calib.planning.next_pose import NextPose
 from calib.robots.robot import Robot
 from calib.rows.candidates import near_measured
+from calib.rows.observed import seen_by
 from calib.rows.prediction import RootMeanSquare
 
 UNKNOWN = RootMeanSquare(math.inf, 0.0, math.inf)
@@ -65,8 +67,7 @@ class Progress(ReadOnlyArrays):
         obstacle: Why they do not.
         predicted: Error over the candidates that noise leaves, by the covariance of the fit.
         unseen: Error at the last poses, each judged by a fit that had not seen it; noise of the readings included.
-            Where nobody reads positions: the predicted error, times how much larger the errors of readings were there
-            than promised.
+            Where nobody reads positions: what the errors of readings show of it.
         n_unseen: How many poses that is about.
         n_settled: How many of them were judged by fits whose predicted error met the goal.
         next_pose: Where to measure next; None where all candidates are measured.
@@ -161,11 +162,9 @@ class Progress(ReadOnlyArrays):
     def _unseen_shown(self) -> str:
         if not math.isfinite(self.unseen.high95):
             return f"too few poses yet that no fit had seen ({self.n_unseen})"
+        shown = "" if reads_positions(self.robot) else ", as far as readings show positions"
         where = f"the last {self.n_unseen} poses, each judged before it was fitted"
-        if reads_positions(self.robot):
-            return f"{_shown(self.unseen)} at {where}"
-        times = self.unseen.value / self.predicted.value
-        return f"{_shown(self.unseen)}: readings were off {times:.2g} times as much as promised at {where}"
+        return f"{_shown(self.unseen)} at {where}{shown}"
 
     def _next(self) -> list[str]:
         following = self.next_pose
@@ -207,7 +206,7 @@ def reads_positions(robot: Robot) -> bool:
 def squares_of(fit: Fit, data: Measurements) -> list[float]:
     """Return the mean square position error of each pose that a fit has not seen, in order of appearance [m^2].
 
-    Where no instrument reads positions: the mean square error of its readings over the variance that the fit promises.
+    Where no instrument reads positions: of those that the errors of its readings show.
 
     Args:
         fit: The fit.
@@ -216,22 +215,43 @@ def squares_of(fit: Fit, data: Measurements) -> list[float]:
     new = data[~near_measured(data.joints, fit.identification.data.joints)]
     if not len(new):
         return []
-    errors = errors_on(fit.placed, fit.robot, new)
     total, count = np.zeros(new.n_poses), np.zeros(new.n_poses)
-    if not reads_positions(fit.robot):
-        rows = fit.whitened(errors)[1]
-        read = rows.layout.group >= 0
-        by_parameter = (rows.jacobian / fit.unknowns.scales)[read]
-        variance = 1.0 + np.sum((by_parameter @ fit.statistics.covariance) * by_parameter, axis=1)
-        np.add.at(total, rows.layout.pose_of_row[read], rows.residuals[read] ** 2 / variance)
-        np.add.at(count, rows.layout.pose_of_row[read], 1.0)
+    for name, squares in (_of_positions if reads_positions(fit.robot) else _shown_by_readings)(fit, new):
+        pose = new.pose_numbers[new.readings[name].visits]
+        np.add.at(total, pose, np.nan_to_num(squares))
+        np.add.at(count, pose, np.isfinite(squares).astype(float))
+    means: list[float] = (total[count > 0] / count[count > 0]).tolist()
+    return means
+
+
+def _of_positions(fit: Fit, new: Measurements) -> Iterator[tuple[str, FloatArray]]:
+    """Square of the error of each position that was read, (n,) [m^2], by instrument."""
+    errors = errors_on(fit.placed, fit.robot, new)
     for one, part, own in errors.parts():
         if part.is_position:
-            pose = new.pose_numbers[new.readings[one.name].visits]
-            np.add.at(total, pose, np.nansum(errors.after[one.name][:, own] ** 2, axis=1))
-            np.add.at(count, pose, 1.0)
-    squares: list[float] = (total[count > 0] / count[count > 0]).tolist()
-    return squares
+            yield one.name, np.nansum(errors.after[one.name][:, own] ** 2, axis=1)
+
+
+def _shown_by_readings(fit: Fit, new: Measurements) -> Iterator[tuple[str, FloatArray]]:
+    """Square of the position error that each reading shows, (n,) [m^2], by instrument; NaN where it shows none.
+
+    The smallest motion [dp; L dw] of the target that explains the reading's error, with the robot's characteristic
+    length L, along the directions that the reading sees; those that it does not see count as they do.
+    """
+    robot = fit.robot
+    configurations = robot.assemble(new.joints, labels=new.labels, context=new.conditions)
+    for name, seen in seen_by(robot, configurations, new.readings).items():
+        readings, one = new.readings[name], robot.instrument(name)
+        compared = one.compare(seen, robot.values[robot.unknowns(name)], readings)
+        if not isinstance(compared, Comparison):
+            continue
+        read = np.isfinite(compared.residuals).all(axis=1)
+        by_motion = compared.by_twist[read] / np.repeat([1.0, robot.mechanism.length], 3)
+        motion = np.einsum("nxr,nr->nx", np.linalg.pinv(by_motion), compared.residuals[read])
+        squares = np.full(len(readings), np.nan)
+        n_seen = np.clip(np.linalg.matrix_rank(by_motion), 0, 3)
+        squares[read] = np.where(n_seen > 0, 3.0 / np.maximum(n_seen, 1) * np.sum(motion**2, axis=1), np.nan)
+        yield name, squares
 
 
 def unseen_rms(squares: Sequence[float]) -> RootMeanSquare:

@@ -9,8 +9,7 @@ intervals lies below it: that of the error predicted from the covariance of the 
 poses that were judged before they were fitted (`calib.planning.progress`). The second contains the noise of readings:
 a goal below that noise is never seen to hold.
 
-Where nobody reads positions, but distances or angles, readings at the last poses say by how much their errors are
-larger than promised (noise and what the fit is unsure of), and the predicted error is taken that many times.
+Where nobody reads positions, but distances or angles, their errors count as the errors of positions that they show.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ from calib.fitting.fitted import Fit
 from calib.fitting.settings import Settings
 from calib.planning.next_pose import NextPose, next_pose
 from calib.planning.pose_sampling import sample
-from calib.planning.progress import LAST, LEAST, MOST, UNKNOWN, Progress, reads_positions, squares_of, unseen_rms
+from calib.planning.progress import LAST, LEAST, MOST, UNKNOWN, Progress, squares_of, unseen_rms
 from calib.robots.robot import Robot
 from calib.rows.candidates import configurations_at, require_free
 from calib.rows.jacobian import linearise
@@ -118,7 +117,7 @@ class Watch:
             fit=self._fit,
             obstacle=obstacle,
             predicted=predicted,
-            unseen=self._unseen(n_unseen, predicted),
+            unseen=unseen_rms(self._squares[-n_unseen:] if n_unseen else []),
             n_unseen=n_unseen,
             n_settled=min(self._settled, n_unseen),
             next_pose=self._next(data),
@@ -146,13 +145,6 @@ class Watch:
             return calibrate(self.robot, data, None, self._settings), None
         except (DataError, NotIdentifiableError, NotConvergedError) as error:  # too few poses, all on one line
             return None, error
-
-    def _unseen(self, n_unseen: int, predicted: RootMeanSquare) -> RootMeanSquare:
-        """The error at the last poses that were judged before they were fitted."""
-        found = unseen_rms(self._squares[-n_unseen:] if n_unseen else [])
-        if reads_positions(self.robot) or found is UNKNOWN or predicted is UNKNOWN:
-            return found
-        return RootMeanSquare(*(predicted.value * times for times in (found.value, found.low95, found.high95)))
 
     def _predicted(self, fit: Fit | None) -> RootMeanSquare:
         if fit is None:

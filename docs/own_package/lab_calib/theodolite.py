@@ -29,7 +29,7 @@ from calib.instruments.noise import Noise, PartNoise
 
 
 class TheodoliteSection(InstrumentSection):
-    """The entry of a theodolite: its target, about where it stands, and how far off that may be [m], its noise [rad]."""
+    """Its target, about where it stands, how far off that may be [m], and its noise [rad]."""
 
     target: str
     station: FrameSection
@@ -95,6 +95,5 @@ class Theodolite(FrameInstrument):
         station = scene.places[scene.pairs[0][0]].copy()
         seen = np.linalg.inv(station) @ scene.links @ scene.places[scene.pairs[0][1]]
         turn = np.nanmean(np.exp(1j * (np.arctan2(seen[:, 1, 3], seen[:, 0, 3]) - scene.readings.values[:, 0])))
-        station[:2, :2] = station[:2, :2] @ [[turn.real, -turn.imag], [turn.imag, turn.real]] / abs(turn)
-        station[2, :2] = station[2, :2] @ [[turn.real, -turn.imag], [turn.imag, turn.real]] / abs(turn)
+        station[:3, :2] = station[:3, :2] @ [[turn.real, -turn.imag], [turn.imag, turn.real]] / abs(turn)
         return (Guess({scene.pairs[0][0]: station}),)

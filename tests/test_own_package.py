@@ -1,0 +1,321 @@
+"""The package of docs/own_package, installed beside calib: its theodolite and its hysteresis in every command."""
+
+import importlib
+import json
+import subprocess
+import sys
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_robots import write_arm
+
+import calib
+from calib.base.registry import Registry
+from calib.data.measurements import directions_of_motion
+from calib.fitting.terms.candidate_terms import candidates
+from calib.instruments.kind import Readings, View
+from calib.instruments.kinds import KINDS
+from calib.joint_terms.term import JointTerm
+from calib.joint_terms.terms import TERMS, listed_terms
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "docs" / "own_package"
+STATIONS = {"east": ("2.5 m, 0.2 m, 0.4 m", 0.7), "north": ("0.3 m, 2.8 m, 0.5 m", -1.9)}
+"""Of each theodolite where it is said to be, and its true heading [rad]."""
+THEODOLITES = "\n".join(
+    f"  {name}: {{kind: theodolite, target: prism, station: {{frame: base_link, xyz: [{xyz}]}},"
+    " sigma_station: 20 mm, sigma: 0.01 mrad}"
+    for name, (xyz, _) in STATIONS.items()
+)
+YAML = f"""\
+urdf: arm.urdf
+name_mot: [joint_1, joint_2, joint_3, joint_4, joint_5, joint_6]
+base: {{frame: base_link}}
+targets:
+  prism: {{frame: flange, xyz: [20 mm, 0 mm, 50 mm], position: unknown, sigma: 1 mm}}
+instruments:
+{THEODOLITES}
+parametrisation:
+  - {{origin: all, components: [x, y, z], sigma: 0.3 mm}}
+  - {{origin: all, components: [rx, ry, rz], sigma: 1 mrad}}
+"""
+GROUPS = tomllib.loads((PACKAGE / "pyproject.toml").read_text())["project"]["entry-points"]
+
+
+def installed_into(folder, groups):
+    """What an installer leaves of a package: its modules, and beside them what its pyproject.toml says."""
+    (folder / "lab_calib").symlink_to(PACKAGE / "lab_calib")
+    about = folder / "lab_calib-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: lab-calib\nVersion: 1.0\n")
+    lines = [f"[{group}]\n" + "\n".join(f"{k} = {v}" for k, v in points.items()) for group, points in groups.items()]
+    (about / "entry_points.txt").write_text("\n".join(lines) + "\n")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _installed(tmp_path_factory):
+    """The package beside calib, in this process."""
+    folder = tmp_path_factory.mktemp("site")
+    installed_into(folder, GROUPS)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder)
+        patch.setattr(KINDS, "_given", {})
+        patch.setattr(TERMS, "_given", {})
+        yield
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory, run_calib):
+    """A folder with an arm that two theodolites look at, its true parameters, simulated measurements and their fit."""
+    folder = tmp_path_factory.mktemp("lab")
+    (folder / "arm.urdf").write_bytes((ROOT / "docs" / "examples" / "arm.urdf").read_bytes())
+    (folder / "arm.yaml").write_text(YAML)
+    robot, rng = calib.load(folder / "arm.yaml"), np.random.default_rng(0)
+    truth = {p.name: p.nominal_si + 0.5 * p.sigma_si * rng.standard_normal() for p in robot.parameters}
+    truth |= {f"{name}_station.rz": heading for name, (_, heading) in STATIONS.items()}
+    lines = [f"{p.name},{truth[p.name]!r},{'m' if p.dimension == 'length' else 'rad'}" for p in robot.parameters]
+    (folder / "truth.csv").write_text("\n".join(["parameter,value,unit", *lines]) + "\n")
+    for words in (
+        "sample arm.yaml --count 60 --seed 1 --out poses.csv",
+        "simulate arm.yaml poses.csv --parameters truth.csv --seed 2 --out data.csv",
+        "fit arm.yaml data.csv --validate 0.8 --out fit",
+    ):
+        run = run_calib(*words.split(), cwd=folder)
+        assert run.code == 0, run.err
+    return folder, robot, robot.with_parameters(truth)
+
+
+def test_derivatives_of_a_direction_are_central_differences():
+    one = KINDS["theodolite"].of("t", KINDS["theodolite"].section.model_validate(_entry()))
+    p = np.array([[2.0, 1.0, 0.5], [-1.0, 0.3, -2.0], [-3.0, -1e-3, 0.1]])
+    view, none, step = View(np.tile(np.eye(3), (3, 1, 1)), p), np.zeros(0), 1e-6
+    readings = Readings(np.arange(3), np.zeros(3, dtype=int), np.zeros((3, 2)), None, np.zeros((3, 0)))
+    for axis, d in enumerate(np.eye(3)):
+        ends = [one.predict(View(view.rotation, p + sign * step * d), none, none) for sign in (1, -1)]
+        numeric = (ends[0] - ends[1]) / (2 * step)
+        np.testing.assert_allclose(one.compare(view, none, readings).by_twist[:, :, axis], numeric, atol=1e-8)
+
+
+def _entry(**changes):
+    entry = {"kind": "theodolite", "target": "prism", "station": {"frame": "base_link"}, "sigma_station": "20 mm"}
+    return entry | changes
+
+
+def test_a_fit_by_directions_finds_stations_and_the_robot(lab):
+    folder, robot, true = lab
+    found = calib.load(folder / "fit")
+    q = calib.sample(robot, 30, 5).joints
+    off, before = (np.abs(one.positions(q) - true.positions(q)).max() for one in (found, robot))
+    assert off < 0.6 * before  # directions alone leave the scale to what is expected of lengths
+    content = json.loads((folder / "fit" / "result.json").read_text())
+    assert content["verdict"]["grade"] != "FAIL"
+    row = {one["name"]: one for one in content["parameters"]}
+    for name, (_, heading) in STATIONS.items():
+        one = row[f"{name}_station.rz"]
+        assert abs(one["value"] - np.degrees(heading)) < 4 * one["std"]
+    assert {part["name"] for one in content["instruments"] for part in one["parts"]} == {"direction"}
+    report = (folder / "fit" / "report.html").read_text()
+    assert "azimuth" in report
+    assert "elevation" in report
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("check arm.yaml data.csv", "60 poses"),
+        ("select arm.yaml poses.csv --count 25 --out chosen.csv", "Written to chosen.csv"),
+        ("predict fit poses.csv --out predicted.csv", "60 poses written"),
+        ("verify fit data.csv", ""),
+        ("export fit --format urdf --out calibrated.urdf", "written to calibrated.urdf"),
+        ("view fit --html view.html", "Written to view.html"),
+        ("watch arm.yaml data.csv --once --goal 5mm", "as far as readings show positions"),
+    ],
+)
+def test_a_theodolite_works_in_every_command(lab, run_calib, words, said):
+    run = run_calib(*words.split(), cwd=lab[0])
+    assert run.code == 0, run.err
+    assert said in run.out
+
+
+def test_a_robot_read_by_directions_is_watched_until_its_positions_are_that_good(lab):
+    folder, robot, _ = lab
+    data = calib.read_measurements(folder / "data.csv", robot)
+    told = calib.Watch(robot, "5 mm", candidates=calib.sample(robot, 20, 3)).update(data)
+    assert told.stop
+    assert told.unseen.value < 1e-4  # beside the scale, which directions do not see
+    assert "as far as readings show positions" in str(told)
+
+
+def test_errors_that_the_model_leaves_out_show_while_a_robot_is_watched_by_directions(lab):
+    folder, robot, true = lab
+    data = calib.read_measurements(folder / "data.csv", robot)
+    bent = data.joints + 2e-3 * np.sin(3 * data.joints)  # gears that no free parameter describes
+    readings = calib.simulate(true, bent, seed=4).readings
+    bad = replace(data, readings=readings)
+    told = calib.Watch(robot, "1 mm", candidates=calib.sample(robot, 20, 3)).update(bad)
+    off = told.fit.robot.positions(data.joints[-20:]) - true.positions(bent[-20:])
+    rms = np.sqrt(np.mean(np.sum(off**2, axis=-1)))  # of poses that were fitted: what was not is a little further off
+    assert 0.7 * rms < told.unseen.value < 2.5 * rms
+    assert not told.stop
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"kind": "theodolit"}, "unknown kind 'theodolit'; did you mean 'theodolite'?"),
+        ({"statoin": {"frame": "base_link"}}, "unknown key 'instruments.east.statoin'; did you mean 'station'?"),
+        ({"station": {"frame": "base_link", "xzy": 1}}, "unknown key 'instruments.east.station.xzy'; did you mean"),
+        ({"sigma": "1 mm"}, "instruments.east.sigma: unit 'mm' is for a length"),
+        ({"sigma_station": None}, "instruments.east.sigma_station: None is not a finite number"),
+        ({"target": "prsm"}, "instruments.east: no target 'prsm'; did you mean 'prism'?"),
+        ({"station": {"frame": "bas_link"}}, "'bas_link'"),
+    ],
+)
+def test_mistakes_in_its_entry_are_told_as_those_of_other_kinds(lab, tmp_path, run_calib, changes, said):
+    entry = json.dumps(_entry(**changes))
+    (tmp_path / "arm.urdf").write_bytes((lab[0] / "arm.urdf").read_bytes())
+    (tmp_path / "arm.yaml").write_text(YAML.replace(THEODOLITES, f"  east: {entry}"))
+    run = run_calib("check", "arm.yaml", cwd=tmp_path)
+    assert run.code == 2
+    assert said in run.err
+    assert run.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("east_azimuth [deg]", "east_azimut [deg]", "east_azimut"),
+        ("east_azimuth [deg]", "east_azimuth [mm]", "unit 'mm'"),
+        ("\n1,", "\n1,x", "'x"),
+    ],
+)
+def test_mistakes_in_its_columns_are_told_as_those_of_other_kinds(lab, run_calib, tmp_path, old, new, said):
+    text = (lab[0] / "data.csv").read_text()
+    assert old in text
+    (tmp_path / "data.csv").write_text(text.replace(old, new, 1))
+    run = run_calib("fit", lab[0] / "arm.yaml", "data.csv", "--out", "out", cwd=tmp_path)
+    assert run.code == 2
+    assert said in run.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_elevation_beyond_straight_up_is_none(lab):
+    data = calib.read_measurements(lab[0] / "data.csv", lab[1])
+    east = lab[1].instrument("east")
+    cells = east.cells(data.readings["east"].values)
+    cells["east_elevation"] = np.where(np.arange(len(data)) == 2, np.radians(100), 0.0)
+    with pytest.raises(calib.DataError, match="'east', reading 3: no elevation is 100 deg"):
+        east.values(cells)
+
+
+HALF_PLAY = 4e-4
+
+
+@pytest.fixture(scope="module")
+def lagging(tmp_path_factory):
+    """A small arm whose first joint lags, and what a tracker reads: the nominal arm where the joints really are."""
+    folder = tmp_path_factory.mktemp("lagging")
+    robot, rng = calib.load(write_arm(folder)), np.random.default_rng(3)
+    low, high = [-1.5, 0.1, -1.5], [1.5, 0.9, 1.5]
+    q = rng.uniform(low, high, (60, 3))
+    side, actual = directions_of_motion(q), q.copy()
+    actual[:, 0] += HALF_PLAY * side[:, 0] * np.sin(q[:, 0])
+    read = robot.positions(actual) + 1e-5 * rng.standard_normal((60, 1, 3))
+    data = calib.as_measurements(robot, q, read)
+    return robot, data, replace(data, approach=side)
+
+
+def test_hysteresis_is_found_where_the_direction_of_approach_is_stated(lagging):
+    robot, _, stated = lagging
+    fit = calib.fit(robot, stated, terms="auto")
+    told = {one.term: one for one in fit.terms.tried}
+    assert told["hysteresis"].added
+    values = {name: fit.parameters[f"turn.hysteresis_{name}"] for name in ("sin", "cos")}
+    assert abs(values["sin"].value * 1e-3 - HALF_PLAY) < 1e-4 * HALF_PLAY + 4e-3 * values["sin"].std
+    assert abs(values["cos"].value) < 4 * values["cos"].std
+    assert "hysteresis" in {share.cause for share in fit.budget.shares}
+
+
+def test_hysteresis_without_a_stated_direction_is_doubted_as_backlash_is(lagging):
+    robot, unstated, stated = lagging
+    doubts = {one.term: one.doubt for one in candidates(robot, unstated)}
+    assert doubts["hysteresis"] == doubts["backlash"] != ""
+    assert {one.doubt for one in candidates(robot, stated)} == {""}
+    fit = calib.fit(robot, unstated, terms="auto")
+    told = next(one for one in fit.terms.tried if one.term == "hysteresis")
+    assert not told.added
+    assert told.why == "the data do not state the direction of approach (columns approach_JOINT)"
+
+
+def test_hysteresis_asks_no_joint_that_slides_or_came_from_one_side(lagging):
+    robot, data, stated = lagging
+    tried = {one.term: one for one in candidates(robot, stated)}
+    assert [section.joint for section in tried["hysteresis"].sections] == ["turn", "wrist"]
+    one_side = replace(data, approach=np.ones_like(data.joints))
+    refused = {one.term: one.refused for one in candidates(robot, one_side)}
+    assert refused["hysteresis"] == refused["backlash"] == "no joint was approached from both sides"
+    with pytest.raises(calib.DescriptionError, match="'slide': it repeats with the turn of a joint"):
+        robot.with_terms(listed_terms("slide=hysteresis"))
+
+
+def test_hysteresis_by_name_is_kept_by_the_result_and_left_out_of_files_that_cannot_hold_it(
+    lagging, tmp_path, run_calib
+):
+    robot, _, stated = lagging
+    calib.fit(robot, stated, terms="turn=hysteresis").save(tmp_path / "fit", pages=False)
+    again = calib.load(tmp_path / "fit")
+    assert [type(term).__name__ for term in again.terms] == ["Hysteresis"]
+    run = run_calib("export", "fit", "--format", "urdf", "--out", "arm.urdf", cwd=tmp_path)
+    assert run.code == 0, run.err
+    run = run_calib("export", "fit", "--format", "numpy", "--out", "arm.py", cwd=tmp_path)
+    assert run.code == 2
+    assert "'turn.hysteresis_sin' (Hysteresis) gives no formula" in run.err
+    run = run_calib("fit", tmp_path / "fit", "no.csv", "--terms", "histeresis", "--out", "x", cwd=tmp_path)
+    assert run.code == 2
+
+
+def test_a_term_that_nobody_installed_is_named_with_the_nearest_one():
+    with pytest.raises(calib.InputError, match="no term 'histeresis'; did you mean 'hysteresis'"):
+        listed_terms("histeresis")
+
+
+def test_a_package_that_cannot_be_loaded_is_said_and_disturbs_nobody_else(tmp_path, monkeypatch, lagging):
+    installed_into(tmp_path, {"calib.terms": {"broken": "lab_calib.nothing:There", "wrong": "lab_calib:__name__"}})
+    monkeypatch.syspath_prepend(tmp_path)
+    refused = {one.term: one.refused for one in candidates(lagging[0], lagging[2])}
+    assert "'broken' (lab_calib.nothing:There) cannot be loaded: ModuleNotFoundError" in refused["broken"]
+    assert "'wrong' (lab_calib:__name__): is no class derived from JointTerm" in refused["wrong"]
+    assert refused["gain"] == ""
+    with pytest.raises(calib.DescriptionError, match="cannot be loaded"):
+        listed_terms("broken")
+
+
+def test_a_name_that_is_taken_is_refused(tmp_path, monkeypatch):
+    installed_into(tmp_path, {"calib.terms": {"gain": "lab_calib.hysteresis:Hysteresis"}})
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(calib.DescriptionError, match=r"'gain' \(lab_calib.hysteresis:Hysteresis\): there is another"):
+        list(TERMS)
+
+
+def test_classes_are_registered_in_python_too():
+    module = importlib.import_module("lab_calib.hysteresis")
+    registry = Registry("joint term", "calib.none", JointTerm, {"gain": TERMS["gain"]})
+    registry.register("mine", module.Hysteresis)
+    assert registry["mine"] is module.Hysteresis
+    assert list(registry) == ["gain", "mine"]
+    with pytest.raises(calib.DescriptionError, match="'gain': there is one already"):
+        registry.register("gain", module.Hysteresis)
+    with pytest.raises(calib.DescriptionError, match="does not define of"):
+        registry.register("half", type("Half", (JointTerm,), {}))
+
+
+def test_it_is_installed_by_pip_as_any_package(tmp_path):
+    pytest.importorskip("hatchling", reason="hatchling (dev extra) builds the wheel")
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--no-build-isolation"]
+    subprocess.run([*pip, "--target", str(tmp_path), str(PACKAGE)], check=True, timeout=120)
+    points = (tmp_path / "lab_calib-1.0.dist-info" / "entry_points.txt").read_text()
+    assert "theodolite = lab_calib.theodolite:Theodolite" in points
+    assert "hysteresis = lab_calib.hysteresis:Hysteresis" in points

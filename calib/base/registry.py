@@ -107,7 +107,10 @@ class Registry(Mapping[str, type[Class]], Generic[Class]):
 
 
 def entry(key: str, registry: Registry[Any]) -> tuple[Any, ...]:
-    """Return what reads an entry by the section of the class that its key names: metadata of `Annotated`."""
+    """Return what reads an entry by the section of the class that its key names: metadata of `Annotated`.
+
+    Reading raises `ValueError` where the key names none.
+    """
 
     def read(value: Any, info: ValidationInfo) -> Section:
         if not isinstance(value, (dict, Section)):

@@ -302,11 +302,11 @@ class Instrument(ABC):
 
     @abstractmethod
     def predict(self, seen: Any, unknowns: FloatArray, details: FloatArray) -> FloatArray:
-        """Return what it reads of what it has before it; see the two kinds of kinds."""
+        """Return what it reads, (n, n_values), of what it has before it: frames or values of a joint."""
 
     @abstractmethod
     def compare(self, seen: Any, unknowns: FloatArray, readings: Readings) -> Comparison | JointComparison:
-        """Compare what it would read with what it read."""
+        """Compare what it would read with what it read; see `Comparison` and `JointComparison`."""
 
     def moved(self, values: FloatArray, change: FloatArray) -> FloatArray:
         """Return values (n, n_values) changed by small errors of their rows (n, n_rows) [SI]: what noise does."""

@@ -222,6 +222,9 @@ class JointTerm(ABC):
             q: Commanded actuated joints, (n, n_actuated) [m or rad].
             j: As in `formula`.
             context: Conditions of the commands, the torque among them if the term asks for it.
+
+        Raises:
+            NotImplementedError: The class gives neither columns nor a formula.
         """
         formula = self.formula(j)
         if formula is None:

@@ -22,12 +22,16 @@ _SHAPE = re.compile(r"\((?:\w+(?: [-+*] \w+)*|\.\.\.),|\(\d")
 
 
 def promises(text: str) -> dict[str, set[str]]:
-    """Return the methods of each abstract base class of a module."""
-    return {
-        node.name: {method.name for method in node.body if isinstance(method, ast.FunctionDef)}
-        for node in ast.parse(text).body
-        if isinstance(node, ast.ClassDef) and any(ast.unparse(base) == "ABC" for base in node.bases)
-    }
+    """Return the methods of each abstract base class of a module, those of its own abstract bases included."""
+    found: dict[str, set[str]] = {}
+    for node in ast.parse(text).body:
+        if not isinstance(node, ast.ClassDef):
+            continue
+        bases = [ast.unparse(base) for base in node.bases]
+        methods = [method for method in node.body if isinstance(method, ast.FunctionDef)]
+        if "ABC" in bases or any("abstractmethod" in map(ast.unparse, one.decorator_list) for one in methods):
+            found[node.name] = {one.name for one in methods}.union(*(found.get(base, set()) for base in bases))
+    return found
 
 
 def gaps(text: str, promised: Mapping[str, set[str]]) -> Iterator[tuple[int, str, str]]:

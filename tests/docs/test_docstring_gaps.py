@@ -49,6 +49,11 @@ class Kind(ABC):
 
 class Other:
     pass
+
+class Wider(Kind):
+    @abstractmethod
+    def turned(self) -> FloatArray:
+        """Return it turned, (n, 3)."""
 '''
 CHILD = '''
 class Position(Kind):
@@ -61,7 +66,7 @@ class Position(Kind):
 
 
 def test_what_an_abstract_base_class_promises_need_not_be_said_again():
-    assert promises(BASE) == {"Kind": {"predict"}}
+    assert promises(BASE) == {"Kind": {"predict"}, "Wider": {"predict", "turned"}}
     assert list(gaps(CHILD, promises(BASE))) == [(6, "Position.more", "no shape")]
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from small_robots import write_arm
 
 import calib
@@ -20,6 +21,7 @@ from calib.instruments.kind import Readings, View
 from calib.instruments.kinds import KINDS
 from calib.joint_terms.term import JointTerm
 from calib.joint_terms.terms import TERMS, listed_terms
+from calib.robots.description import schema_text
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "docs" / "own_package"
@@ -310,6 +312,17 @@ def test_classes_are_registered_in_python_too():
         registry.register("gain", module.Hysteresis)
     with pytest.raises(calib.DescriptionError, match="does not define of"):
         registry.register("half", type("Half", (JointTerm,), {}))
+
+
+def test_editors_know_its_keys(lab):
+    jsonschema = pytest.importorskip("jsonschema")
+    validator = jsonschema.Draft202012Validator(json.loads(schema_text()))
+    said = yaml.safe_load(YAML) | {"joint_terms": [{"joint": "joint_2", "term": "hysteresis"}]}
+    assert list(validator.iter_errors(said)) == []
+    assert list(validator.iter_errors(said | {"instruments": {"east": _entry(statoin=1)}}))
+    assert list(
+        validator.iter_errors(said | {"joint_terms": [{"joint": "joint_2", "term": "hysteresis", "orders": 1}]})
+    )
 
 
 def test_it_is_installed_by_pip_as_any_package(tmp_path):

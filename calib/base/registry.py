@@ -11,7 +11,7 @@ from importlib.metadata import EntryPoint, entry_points
 from inspect import isabstract
 from typing import Any, Generic, TypeVar
 
-from pydantic import PlainValidator, SerializeAsAny, ValidationInfo
+from pydantic import GetJsonSchemaHandler, PlainValidator, SerializeAsAny, ValidationInfo
 
 from calib.base.errors import DescriptionError, nearest
 from calib.base.sections import Section
@@ -114,9 +114,8 @@ def entry(key: str, registry: Registry[Any]) -> tuple[Any, ...]:
 
     def read(value: Any, info: ValidationInfo) -> Section:
         if not isinstance(value, (dict, Section)):
-            raise ValueError(
-                f"should be keys and values, such as {{{key}: {next(iter(registry))}}} (given: {value!r:.60})"
-            )
+            such = f"{{{key}: {next(iter(registry))}}}"
+            raise ValueError(f"should be keys and values, such as {such} (given: {value!r:.60})")
         name = value.get(key) if isinstance(value, dict) else getattr(value, key, None)
         if name is None:
             raise ValueError(f"needs a key '{key}', one of {', '.join(registry)}")
@@ -128,4 +127,21 @@ def entry(key: str, registry: Registry[Any]) -> tuple[Any, ...]:
             raise ValueError(str(error)) from None
         return value if isinstance(value, section) else section.model_validate(value, context=info.context)
 
-    return PlainValidator(read), SerializeAsAny()  # type: ignore[type-arg]
+    return PlainValidator(read), SerializeAsAny(), _Schema(key, registry)  # type: ignore[type-arg]
+
+
+class _Schema:
+    """The JSON schema of an entry: that of each section, with the names that mean it."""
+
+    def __init__(self, key: str, registry: Registry[Any]) -> None:
+        self._key, self._registry = key, registry
+
+    def __get_pydantic_json_schema__(self, _: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        every = []
+        for name in self._registry:
+            section = self._registry[name].section
+            section.model_rebuild()
+            one = handler.resolve_ref_schema(handler(section.__pydantic_core_schema__)).copy()
+            one["properties"] = one["properties"] | {self._key: {"const": name}}
+            every.append(one)
+        return {"anyOf": every}

@@ -63,6 +63,15 @@ def test_every_page_is_in_the_navigation():
         assert name.startswith(("examples/", "site/")) or f": {name}\n" in text, name
 
 
+def test_the_search_works_from_disk_by_a_script_of_the_site():
+    text = (DOCS / "site" / "mkdocs.yml").read_text()
+    named = re.search(r"polyfills: \[(site/[\w.-]+)\]", text)[1]
+    assert (DOCS / named).is_file()
+    assert f"!/{named}\n" in text
+    assert "iframe-worker" in named  # by this name the plugin sees that it need not ask another computer for one
+    assert re.search(r"^  - offline\b", text, re.MULTILINE)
+
+
 def test_the_citation_has_the_paper_in_full():
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     paper = cited["references"][0]

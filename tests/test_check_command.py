@@ -88,7 +88,7 @@ def test_a_plain_urdf_is_enough(run_calib, tmp_path):
     run = run_calib("check", tmp_path / "arm.urdf", "--poses", 30)
     assert run.code == 0, run.err
     assert "priors hold the other " in run.out
-    assert "is assumed" in run.out or "assumed; state it with --sigma-mm" in run.out
+    assert "(assumed: state it with --sigma-mm or in the description)" in run.out
 
 
 def test_instruments_without_lengths_have_no_noise_in_mm_and_samples_one_setup(run_calib, tmp_path):
@@ -105,7 +105,7 @@ def test_instruments_without_lengths_have_no_noise_in_mm_and_samples_one_setup(r
 
 def test_what_is_not_determined_is_said(run_calib, tmp_path):
     write_arm(tmp_path, ARM_YAML + "priors: false\n")
-    run = run_calib("check", tmp_path / "arm.yaml", "--json", tmp_path / "out.json")
+    run = run_calib("check", tmp_path / "arm.yaml", "--verbose", "--json", tmp_path / "out.json")
     assert run.code == 0, run.err
     assert "NOT determined." in run.out
     assert "unbounded" in run.out

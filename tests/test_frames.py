@@ -251,7 +251,7 @@ def test_commands_leave_a_good_robot_alone_and_say_so(nominal_delta, tmp_path, r
     assert np.all(np.array(table, dtype=float)[:, 3:] == 0)
     rows = json.loads((tmp_path / "rows.json").read_text())
     assert rows["nothing_to_correct"]
-    assert "what they leave to the errors that the description expects" in rows["counted"]
+    assert "count measurement noise and the priors" in rows["counted"]
     assert [one["joints"]["arm_2 [deg]"] for one in rows["rows"]] == pytest.approx(np.degrees([0.2, 0.125]), abs=1e-12)
 
 

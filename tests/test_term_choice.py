@@ -347,8 +347,7 @@ def test_boxes_are_neighbours_and_keep_repeats_together():
     q = rng.uniform(-1, 1, (64, 6)) * [1.0, 3.0, 2.0, 0.1, 0.1, 0.1]
     names = [f"p{k}" for k in range(64)]
     data = calib.as_measurements(robot, np.vstack([q, q]), np.zeros((128, 3)), [*names, *names])
-    for cut in (boxes, stretches):
-        parts = cut(data, 8)
+    for parts in (boxes(data.joints, data.pose_numbers, 8), stretches(data, 8)):
         assert sorted(np.concatenate(parts).tolist()) == list(range(128))
         assert all({k % 64 for k in part} == {k % 64 for k in part if k < 64} for part in parts)
         assert [len(part) for part in parts] == [16] * 8

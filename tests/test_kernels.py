@@ -12,7 +12,7 @@ from small_robots import small_arm, write_parallelogram, write_pose_loop
 from test_kind_joint_reading import five_bar as five_bar_with_encoder
 
 import calib
-from calib.robots.acceleration import compiled, kernels
+from calib.robots.acceleration import compiled, compiled_for, kernels
 from calib.robots.continuation import newton
 from calib.rows.jacobian import linearise, origin_jacobian
 from calib.rows.observed import observe
@@ -146,3 +146,22 @@ def test_numba_is_loaded_only_where_it_is_asked_for():
     )
     command = [sys.executable, "-c", check, EXAMPLES / "five_bar.yaml"]
     assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "False\n"
+
+
+def test_a_task_of_many_poses_is_worth_loading_it():
+    robot = calib.load(EXAMPLES / "five_bar.yaml")
+    with compiled_for(20_000):
+        assert kernels(robot.mechanism, 10) is not None
+    with compiled_for(1000):
+        assert kernels(robot.mechanism, 10) is None
+    with compiled(False), compiled_for(20_000):
+        assert kernels(robot.mechanism, 10) is None
+
+
+def test_the_same_poses_are_sampled_by_compiled_code():
+    robot = calib.load(EXAMPLES / "five_bar.yaml")
+    sampled = []
+    for wanted in (True, False):
+        with compiled(wanted):
+            sampled.append(robot.sample(200, seed=4))
+    assert np.array_equal(*sampled)

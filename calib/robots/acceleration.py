@@ -8,7 +8,7 @@ same numbers to 1e-12.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
 from importlib import import_module
 from importlib.util import find_spec
@@ -17,6 +17,7 @@ from typing import Any
 from calib.robots.mechanism import Mechanism
 
 _MANY = 5000  # poses at once, for which loading numba is worth it
+_MANY_IN_ALL = 20_000  # poses of a task, for which each process may load it
 _AVAILABLE = find_spec("numba") is not None
 _wanted: ContextVar[bool | None] = ContextVar("compiled kinematics", default=None)
 
@@ -33,6 +34,15 @@ def compiled(wanted: bool = True) -> Iterator[None]:
         yield
     finally:
         _wanted.reset(before)
+
+
+def compiled_for(n_poses: int) -> AbstractContextManager[None]:
+    """Inside, compute kinematics by compiled code where so many poses in all are worth it, unless told otherwise.
+
+    Args:
+        n_poses: How many, one part after the other.
+    """
+    return compiled() if _wanted.get() is None and n_poses >= _MANY_IN_ALL else nullcontext()
 
 
 def asked() -> bool:

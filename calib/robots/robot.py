@@ -35,12 +35,13 @@ from calib.instruments.kind import Instrument
 from calib.joint_terms.term import Context, JointTerm, TermSection
 from calib.joint_terms.terms import TERMS
 from calib.robots import kinematics, loops
+from calib.robots.acceleration import compiled_for
 from calib.robots.closure import AssemblyMode, actuated_jacobian, singular_values
 from calib.robots.described_instruments import pair_names, places_of
 from calib.robots.description import Description, description_yaml
 from calib.robots.held import FileRobot, Holds
 from calib.robots.joint_errors import build_terms, gravity_torque, joint_errors, term_columns
-from calib.robots.joint_sampling import Ranges, checked_ranges, joint_box, spread
+from calib.robots.joint_sampling import TRIES, Ranges, checked_ranges, joint_box, spread
 from calib.robots.loops import why_open
 from calib.robots.mechanism import Mechanism, RelativeFrame, view
 from calib.robots.mechanism_builder import build_mechanism, tilted_joints
@@ -647,7 +648,8 @@ class Robot(ReadOnlyArrays):
             points = self.positions(q[good]).reshape(len(good), -1)
             return good[np.all((points >= low) & (points <= high), axis=1)]
 
-        found = spread(count, random_numbers(seed), box, self.home, taken, draw_in=not bounded)
+        with compiled_for(TRIES * count if self.mechanism.loops else 0):
+            found = spread(count, random_numbers(seed), box, self.home, taken, draw_in=not bounded)
         if len(found) < count:
             what = "are within these ranges; widen them" if ranges else "can be assembled; give a file of poses"
             raise DataError(f"{self.path}: only {len(found)} of {count} random poses {what}")

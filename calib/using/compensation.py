@@ -39,6 +39,7 @@ from calib.base.units import DISPLAY_UNIT, display_scale, millimetres
 from calib.data.in_memory import as_poses
 from calib.data.measurements import Poses, directions_of_motion
 from calib.joint_terms.term import Context
+from calib.robots.acceleration import compiled_for
 from calib.robots.closure import actuated_jacobian
 from calib.robots.robot import Robot
 from calib.rows.frames import Frame, as_described, program_frame
@@ -52,6 +53,7 @@ from calib.using.redundancy import nearer
 from calib.using.search import TOLERANCE
 
 _JUMP = 0.1  # more than the program itself goes between two rows [rad, or characteristic lengths]
+_CLOSINGS = 4  # of the loops at each row
 _BEYOND = 1e-9  # past a limit by more than rounding [m or rad]
 
 
@@ -174,9 +176,10 @@ def compensated_in(frame: Frame, program: Poses | Goals, keep: str | None = None
         program: Joints of the nominal robot, or goals.
         keep: What of a program of joints is kept.
     """
-    if isinstance(program, Goals):
-        return _compensated(frame, asked_by_goals(frame.nominal, frame.meant, program))
-    return _compensated(frame, asked_by_joints(frame.meant, program, keep))
+    with compiled_for(_CLOSINGS * len(program) if frame.nominal.mechanism.loops else 0):
+        if isinstance(program, Goals):
+            return _compensated(frame, asked_by_goals(frame.nominal, frame.meant, program))
+        return _compensated(frame, asked_by_joints(frame.meant, program, keep))
 
 
 def _compensated(frame: Frame, asked: Asked) -> Compensation:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calib.numerics.prior_sizes import variance_by_sizes
-from calib.numerics.variance_components import LinearModel, found_with_families
+from calib.numerics.prior_sizes import FamilyModel, found_with_families, variance_by_sizes
+from calib.numerics.variance_components import LinearModel
 
 FAMILY = np.array([-1, -1, 0, 0, 0, 0, 1, 1, 1, 1, 1])
 STEP = 1e-4
@@ -75,7 +75,7 @@ def test_intervals_of_families_that_are_hardly_seen_hold():
             family,
             3,
         )
-        sizes = found_with_families(model, np.ones(1))[1][family]
+        sizes = found_with_families(FamilyModel.of(model), np.ones(1))[1][family]
         covariance = np.linalg.inv((jacobian * sizes).T @ (jacobian * sizes) + np.eye(36))
         u = -covariance @ (jacobian * sizes).T @ model.residuals
         total = covariance + variance_by_sizes(covariance, family, u)

@@ -7,12 +7,11 @@ import pytest
 from scipy.optimize import minimize
 
 from calib.base.errors import NotIdentifiableError
+from calib.numerics.prior_sizes import FamilyModel, found_with_families, log_evidence
 from calib.numerics.variance_components import (
     LinearModel,
     found_components,
     found_scales,
-    found_with_families,
-    log_evidence,
 )
 
 N_FREE = 4
@@ -162,7 +161,7 @@ def with_families(seed):
 @pytest.mark.parametrize("seed", range(3))
 def test_sizes_of_families_are_where_the_marginal_likelihood_is_largest(seed):
     model = with_families(seed)
-    scales, sizes = found_with_families(model, np.array([1.0]))
+    scales, sizes = found_with_families(FamilyModel.of(model), np.array([1.0]))
 
     def minus_twice_log(x):
         factor = np.append(np.exp(x[1:]), 1.0)[model.family]
@@ -174,11 +173,12 @@ def test_sizes_of_families_are_where_the_marginal_likelihood_is_largest(seed):
     assert found.success
     np.testing.assert_allclose([*scales, *sizes], np.exp(found.x), rtol=0.03)  # it stops at changes below 1 %
     x = np.array([0.1, 0.3, -0.7])
-    evidence = log_evidence(model, np.exp(x[:1]), np.exp(x[1:]))
+    by_products, at = FamilyModel.of(model), (np.exp(x[:1]), np.exp(x[1:]))
+    evidence = log_evidence(by_products, by_products.solved(*at), at[0])
     assert evidence == pytest.approx(-0.5 * (minus_twice_log(x) + 2.0 * np.sum(np.minimum(x[1:], 0.0))), rel=1e-9)
 
 
 def test_a_family_that_is_not_seen_keeps_the_size_that_is_expected():
     model = with_families(3)
     unseen = replace(model, jacobian=model.jacobian * np.where(model.family == 1, 1e-9, 1.0))
-    assert found_with_families(unseen, np.array([1.0]))[1][1] == 1.0
+    assert found_with_families(FamilyModel.of(unseen), np.array([1.0]))[1][1] == 1.0

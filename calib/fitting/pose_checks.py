@@ -218,12 +218,13 @@ def _some(data: Measurements) -> Measurements:
 
 def _miss(robot: Robot, data: Measurements) -> float:
     """Root mean square error of the nominal robot, placed where that is needed, over the spread of the positions."""
-    if 2 * np.sum(robot.close(data.joints, thorough=False).ok) < len(data):  # no need to look for ways to the others
+    closed = robot.close(data.joints, thorough=False)
+    if 2 * np.sum(closed.ok) < len(data):  # no need to look for ways to the others
         return float("inf")
     try:
         placed = register(robot, data) if any(p.placement for p in robot.parameters) else robot
         points = data.points(robot)
-        errors = placed.positions(data.joints) - points
+        errors = placed.positions(data.joints, seed=closed.passive) - points
     except CalibrationError:  # a loop stays open, or nothing can be placed
         return float("inf")
     spread = np.sum((points - points.mean(axis=0)) ** 2)

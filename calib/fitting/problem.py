@@ -23,11 +23,11 @@ from calib.base.errors import ComputationError
 from calib.data.measurements import Measurements
 from calib.numerics.clusters import foretold
 from calib.numerics.least_squares import TOLERANCE, Solution, minimise
+from calib.numerics.prior_sizes import FamilyModel, found_with_families
 from calib.numerics.variance_components import (
     LinearModel,
     found_components,
     found_scales,
-    found_with_families,
 )
 from calib.robots.robot import Configurations, Robot, describe_open
 from calib.rows.observed import Observed, observe
@@ -205,7 +205,7 @@ class Problem:
         """
         model = self._model(self.rows(evaluation, np.ones(len(groups))))
         if self.unknowns.families:
-            return found_with_families(model, groups)
+            return found_with_families(FamilyModel.of(model), groups)
         return found_scales(model, groups).scales, np.ones(0)
 
     def found_ratios(self, evaluation: Evaluation, groups: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ I + C C^T is I + U (f(1 + S^2) - 1) U^T.
 
 When it fails. A group with fewer rows than parameters that it alone determines says nothing about its noise.
 
-Reference: foerstner1979; patterson1971; mackay1992.
+Reference: foerstner1979; patterson1971.
 """
 
 from __future__ import annotations
@@ -42,9 +42,6 @@ EXACT = 1e-9
 """Noise below this [SI] is rounding: the data were computed, not measured."""
 _ROUNDS = 60
 _SETTLED = 1e-4
-_FAMILY_ROUNDS = 100
-_SMALLEST_FAMILY = 1e-3  # factor below which a family does not fall at once
-_SEEN = 0.05  # coefficients that the data must decide of a family for its size to be found
 _GONE = 0.03  # size of a shared error beside the scales below which one that falls is none
 _STANDS = 0.01  # relative change of a shared error at which it is found
 
@@ -203,83 +200,6 @@ def found_scales(model: LinearModel, start: FloatArray) -> Components:
     cost = float(np.sum((stacked[:, :-1] @ step + stacked[:, -1]) ** 2)) + _prior_cost(model, step)
     determinant = 2.0 * float(np.sum(counts * np.log(scales)))
     return Components(scales, np.zeros(0), -0.5 * (determinant + _log_determinant(known) + cost))
-
-
-def found_with_families(model: LinearModel, start: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Find scales of groups together with the size of the priors of families.
-
-    The coefficients of a family f, u_k ~ N(0, a_f^2) in units of their sigma, are random effects like any other: their
-    variance obeys the same equation, a_f^2 = |u_f|^2 / (n_f - trace of C_ff / a_f^2) with C the posterior covariance.
-    That is marginal likelihood, by MacKay's iteration. Below what is expected, a_f < 1, where a maximum at zero often
-    means only that the data say little, the density of a_f is taken to rise in proportion to it (chung2013): then
-    |u_f|^2 + a_f^2 stands in the place of |u_f|^2, a_f stays about a standard error away from zero, and coefficients
-    that the data do not see keep an interval. Hundreds of columns are worked on through their products, whose size is
-    that of the columns, however many rows there are.
-
-    Args:
-        model: The rows.
-        start: Scales of the groups to start from, (n_groups,).
-
-    Returns:
-        Scales of the groups (n_groups,), and a_f of the families (n_families,).
-    """
-    counts = np.array([int(np.sum(model.group == g)) for g in range(len(start))])
-    products = []
-    for g in range(len(start)):
-        rows, right = model.jacobian[model.group == g], model.residuals[model.group == g]
-        products.append((rows.T @ rows, rows.T @ right, float(right @ right)))
-    scales, sizes = start.copy(), np.ones(model.n_families)
-    members = [model.family == f for f in range(model.n_families)]
-    prior = model.has_prior.astype(float)
-    for _ in range(_FAMILY_ROUNDS):
-        factor = np.append(sizes, 1.0)[model.family]
-        deviations = model.deviations / factor
-        gram = sum(product / scale**2 for (product, _, _), scale in zip(products, scales, strict=True))
-        pull = sum(right / scale**2 for (_, right, _), scale in zip(products, scales, strict=True))
-        matrix = factor[:, None] * gram * factor
-        matrix[np.diag_indices(len(prior))] += prior
-        inverse = np.linalg.inv(matrix)
-        step = -inverse @ (factor * pull + prior * deviations)
-        moved = factor * step
-        change = np.ones(len(start))
-        for g in map(int, np.flatnonzero(model.unstated & (counts > 0))):
-            product, right, square = products[g]
-            left = square + 2.0 * float(moved @ right) + float(moved @ product @ moved)
-            used = float(np.sum(inverse * (factor[:, None] * product * factor))) / scales[g] ** 2
-            change[g] = np.sqrt(max(left, 0.0) / max(counts[g] - used, 0.5)) / scales[g]
-        growth = np.ones(model.n_families)
-        for f, own in enumerate(members):
-            determined = int(np.sum(own)) - float(np.sum(np.diag(inverse)[own]))
-            if determined > _SEEN:  # else the data say nothing of it: it stays
-                square = float(np.sum((deviations + step)[own] ** 2))
-                growth[f] = np.sqrt(square / determined)
-                if sizes[f] * growth[f] < 1.0:
-                    growth[f] = min(np.sqrt((square + 1.0) / determined), 1.0 / sizes[f])
-        scales, sizes = np.maximum(scales * change, EXACT / 10), np.maximum(sizes * growth, _SMALLEST_FAMILY)
-        if np.all(np.abs(growth - 1.0) <= _STANDS) and np.all(np.abs(change - 1.0) <= _STANDS / 10):
-            break
-    return scales, sizes
-
-
-def log_evidence(model: LinearModel, scales: FloatArray, sizes: FloatArray) -> float:
-    """Return the log marginal likelihood of the rows with these scales and sizes of families, up to a constant.
-
-    Coefficients with a prior are integrated over it, the others over all values; so only models whose parameters
-    without a prior are the same can be compared.
-
-    Args:
-        model: The rows.
-        scales: Of the groups, (n_groups,).
-        sizes: a_f of the families, (n_families,).
-    """
-    read = model.group >= 0
-    divisor = np.where(read, scales[np.where(read, model.group, 0)], 1.0)
-    factor = np.append(sizes, 1.0)[model.family]
-    rows, right = model.jacobian * factor / divisor[:, None], model.residuals / divisor
-    scaled = replace(model, deviations=model.deviations / factor)
-    known, step = _solved_fast(scaled, np.hstack([rows, right[:, None]]))
-    cost = float(np.sum((rows @ step + right) ** 2)) + _prior_cost(scaled, step)
-    return -0.5 * (2.0 * float(np.sum(np.log(divisor[read]))) + known.log_determinant + cost)
 
 
 def found_components(

@@ -1,11 +1,14 @@
 """How many evaluations a fit takes as the stated noise shrinks from 1 mm to 1 um, for every robot of the tests.
 
-    python tests/benchmarks/evaluations.py [--data FOLDER] [--starts N]
+    python tests/benchmarks/evaluations.py [--data FOLDER] [--starts N] [--subsets N]
 
 FOLDER holds the measurements of others: motoman_right (docs/examples/motoman_right.yaml), and ur10_tracker
 (docs/examples/ur10_tracker.yaml, 300 random rows). Without it, only robots that ship with the project are fitted. A
 number is the evaluations of a fit, all its solves together; * says that it is not converged, or failed. With N starts
 that are a random prior sigma away in every parameter that has one, it is the most that one of them takes.
+
+With N subsets, the fit is compared with MINPACK's `lm` in SciPy (tolerances as it has them), on the same residuals and
+the same Jacobian: subsets of 20 to 200 rows, at random, one behind the other, and nearest in joint space.
 """
 
 import argparse
@@ -18,13 +21,17 @@ from pathlib import Path
 from unittest import mock
 
 import numpy as np
+import scipy
 from motoman_choice import load as motoman
 
 import calib
+from calib.base.threads import one_blas_thread
+from calib.fitting.fit import fit_data
 from calib.fitting.problem import Problem
 from calib.fitting.settings import Settings
 from calib.fitting.solving import place, solve_from
 from calib.joint_terms.term import Context
+from calib.numerics.least_squares import TOLERANCE, minimise
 from medrue import robot_file
 from medrue.imperfections import from_direction
 from medrue.workspace import target_workspace
@@ -118,12 +125,72 @@ def table(robots, starts=0):
         yield row
 
 
+def subsets(joints, count):
+    """How rows were chosen, and which: `count` of each sort, of joint values (n, n_actuated)."""
+    rng, n = np.random.default_rng(5), len(joints)
+    scaled = (joints - joints.mean(axis=0)) / joints.std(axis=0)
+    for _ in range(count):
+        size = int(np.exp(rng.uniform(np.log(20), np.log(min(200, n)))))
+        first, centre = rng.integers(0, n - size + 1), rng.integers(n)
+        yield "at random", np.sort(rng.choice(n, size, replace=False))
+        yield "one behind the other", np.arange(first, first + size)
+        yield "nearest in joint space", np.sort(np.argsort(np.linalg.norm(scaled - scaled[centre], axis=1))[:size])
+
+
+@one_blas_thread
+def against_minpack(robot, data):
+    """Evaluations of the last solve of a fit and of MINPACK's from the same start, and both costs; none of no fit."""
+    last = []
+
+    def both(residuals, jacobian, start, **options):
+        ours = minimise(residuals, jacobian, start, **options)
+        if options.get("tolerance", TOLERANCE) <= TOLERANCE:
+            theirs = scipy.optimize.least_squares(
+                lambda u: np.nan_to_num(residuals(u), nan=1e6), start, jacobian, method="lm", max_nfev=300
+            )
+            last[:] = [ours.evaluations, theirs.nfev, ours.cost, 2.0 * theirs.cost, ours.converged]
+        return ours
+
+    with mock.patch("calib.fitting.problem.minimise", both):
+        try:
+            fit_data(robot, Settings(), data)
+        except calib.NotIdentifiableError:  # said before anything is fitted
+            return []
+    return last
+
+
+def clustered():
+    """Robots and measurements of which subsets are fitted."""
+    return {"MedRUE": example("medrue"), "arm": example("arm"), "Stewart": example("stewart")}
+
+
+def subset_table(robots, count):
+    """Lines of the table of subsets."""
+    yield "| rows | fits | evaluations: median | most | MINPACK: median | most | more than MINPACK's | higher cost |"
+    yield "|---|---:|---:|---:|---:|---:|---:|---:|"
+    for name, (robot, data) in robots.items():
+        found = {}
+        for sort, rows in subsets(data.joints, count):
+            found.setdefault(sort, []).append(against_minpack(robot, data.subset(rows)))
+        for sort, each in found.items():
+            ours, theirs, cost, other, converged = np.array([one for one in each if one]).T
+            failed = "" if np.all(converged) else f", {int(np.sum(converged == 0))} not converged"
+            numbers = np.median(ours), np.max(ours), np.median(theirs), np.max(theirs), np.sum(ours > theirs)
+            shown = " | ".join(f"{number:.0f}" for number in (*numbers, np.sum(cost > (1 + 1e-6) * other)))
+            yield f"| {name}, {sort} | {len(ours)}{failed} | {shown} |"
+
+
 def main():
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path)
     parser.add_argument("--starts", type=int, default=0)
+    parser.add_argument("--subsets", type=int, default=0)
     options = parser.parse_args()
+    if options.subsets:
+        for line in subset_table(clustered(), options.subsets):
+            print(line, flush=True)
+        return
     for line in table(problems(options.data), options.starts):
         print(line, flush=True)
 

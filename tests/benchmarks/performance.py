@@ -221,6 +221,15 @@ How many points a fit looks at, as the noise that is stated shrinks from 1 mm to
 say that a fit did not converge, or failed. Alone: `python tests/benchmarks/evaluations.py --data FOLDER`.
 """
     yield from evaluations.table(robots)
+    yield """
+## Rows that are not spread
+
+Subsets of 20 to 200 rows, eight of each sort, and how many points the fit and MINPACK (`lm` of SciPy, its own
+tolerances) look at from the same start, with the same residuals and the same Jacobian. Fewer fits are those whose rows
+were refused at once, because they do not determine the robot. Alone:
+`python tests/benchmarks/evaluations.py --subsets 8`.
+"""
+    yield from evaluations.subset_table(evaluations.clustered(), 8)
 
 
 def main():

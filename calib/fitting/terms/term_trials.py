@@ -7,6 +7,9 @@ handful of numbers, and they stay the same in all blocks.
 
 When it fails. All of it is linear: joint errors of many milliradians look curved.
 
+Products of the rows are made once for each block, and a trial takes those of its columns: its work grows with columns
+alone, however many poses there are.
+
 Reference: mackay1992; roberts2017.
 """
 
@@ -15,13 +18,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.data.grouping import boxes
 from calib.fitting.fitted import Fit
 from calib.fitting.terms.candidate_terms import Candidate
 from calib.fitting.validation import stretches
-from calib.numerics.variance_components import EXACT, LinearModel, found_with_families, log_evidence
+from calib.numerics.prior_sizes import FamilyModel, Products, SizedModel, found_with_families, log_evidence
+from calib.numerics.variance_components import EXACT
 from calib.rows.jacobian import linearise
 from calib.rows.observed import observe
 from calib.rows.prediction import beside_common_motion, other_combinations
@@ -111,31 +116,38 @@ def _design(rows: Rows, unknowns: Unknowns, owner: list[str]) -> _Design:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Normal(ReadOnlyArrays):
-    """Normal equations of a trial: matrix x step = -pull.
+class _Part:
+    """Rows of a design that are left out together, or all of them.
 
-    Attributes:
-        rows, right: Whitened, (n_rows, n_columns) and (n_rows,).
-        matrix: (n_columns, n_columns).
-        pull: (n_columns,).
-        factor: By which columns are larger than those of the design, (n_columns,).
-        has_prior: (n_columns,).
+    Their products are kept where they are smaller than the rows; else they are made of the columns that a trial uses.
+
+    Args:
+        design: The design.
+        group: Group of each of its rows, (n_rows,).
+        n_groups: Number of groups.
+        which: Which rows, (n_part,).
     """
 
-    rows: FloatArray
-    right: FloatArray
-    matrix: FloatArray
-    pull: FloatArray
-    factor: FloatArray
-    has_prior: BoolArray
+    def __init__(self, design: _Design, group: IntArray, n_groups: int, which: IntArray) -> None:
+        self._design, self._group, self._n_groups, self.which = design, group[which], n_groups, which
+        n_columns = design.rows.shape[1]
+        self._kept = self._made(np.arange(n_columns)) if len(which) > n_groups * n_columns else None
 
-    @staticmethod
-    def of(model: LinearModel, divisor: FloatArray, factor: FloatArray) -> _Normal:
-        """Set them up, rows divided by their noise (n_rows,)."""
-        rows, right = model.jacobian * factor / divisor[:, None], model.residuals / divisor
-        pull = rows.T @ right + np.where(model.has_prior, model.deviations / factor, 0.0)
-        return _Normal(rows, right, rows.T @ rows + np.diag(1.0 * model.has_prior), pull, factor, model.has_prior)
+    def _made(self, use: IntArray) -> Products:
+        rows, right = self._design.rows[np.ix_(self.which, use)], self._design.residuals[self.which]
+        return Products.of(rows, right, self._group, self._n_groups)
+
+    def products(self, use: IntArray) -> Products:
+        """Return the products of some columns, by group."""
+        return self._made(use) if self._kept is None else self._kept.only(use)
+
+    def weighed(self, use: IntArray, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return J^T J and J^T y of some columns, rows over the scales of their groups (n_groups,)."""
+        if self._kept is not None:
+            return self._kept.only(use).weighed(scales)
+        divisor = np.where(self._group >= 0, scales[self._group], 1.0)
+        rows = self._design.rows[np.ix_(self.which, use)] / divisor[:, None]
+        return rows.T @ rows, rows.T @ (self._design.residuals[self.which] / divisor)
 
 
 class Trials:
@@ -164,13 +176,22 @@ class Trials:
         self._residuals = {name: one.residuals for name, one in observed.items()}
         self._by_column = {name: one.jacobian[:, :, unknowns.index] @ change for name, one in observed.items()}
         self._elsewhere = self._combined()[:, unknowns.index] @ change
-        self._partitions = [boxes(data.joints, data.pose_numbers, BLOCKS)]
+        partitions = [boxes(data.joints, data.pose_numbers, BLOCKS)]
         if np.ptp(data.conditions.time) > 0:
-            self._partitions.append(stretches(data, BLOCKS))
+            partitions.append(stretches(data, BLOCKS))
         if data.setups is not None and np.ptp(data.setups) > 0:
-            self._partitions.append([np.flatnonzero(data.setups == one) for one in np.unique(data.setups)])
+            partitions.append([np.flatnonzero(data.setups == one) for one in np.unique(data.setups)])
+        visit = layout.visit[layout.reading]
+        self._all = self._part(np.arange(layout.n_rows))
+        self._partitions = [
+            [self._part(np.flatnonzero(np.isin(visit, held))) for held in blocks] for blocks in partitions
+        ]
         self._known: dict[tuple[str, ...], Trial] = {}
         self._divisor = fit.whitening.row_scale(fit.scales.groups * fit.statistics.factors.found)
+
+    def _part(self, which: IntArray) -> _Part:
+        layout = self.fit.whitening.layout
+        return _Part(self._design, layout.group, len(layout.groups), which)
 
     def _combined(self) -> FloatArray:
         """Derivatives of positions where joint values are combined in other ways, (n_coordinates, n_parameters)."""
@@ -195,12 +216,10 @@ class Trials:
         use = np.array([k for k, own in enumerate(design.owner) if own == "" or own in terms])
         names = list(dict.fromkeys(design.label[k] for k in use if design.label[k]))
         family = np.array([names.index(design.label[k]) if design.label[k] else -1 for k in use], dtype=np.intp)
-        model = LinearModel(
-            design.residuals,
-            design.rows[:, use],
+        model = FamilyModel(
+            self._all.products(use),
             design.has_prior[use],
             design.deviations[use],
-            layout.group,
             np.ones(len(layout.groups), dtype=bool),  # stated noise knows nothing of what the robot itself does
             family,
             len(names),
@@ -208,17 +227,17 @@ class Trials:
         scales, sizes = found_with_families(model, self.fit.scales.groups * self.fit.statistics.factors.found)
         if np.any(scales <= EXACT):
             return self._explaining_all(terms, len(names))
-        normal = _Normal.of(model, self.fit.whitening.row_scale(scales), np.append(sizes, 1.0)[family])
-        left_out = [self._left_out(normal, use, blocks) for blocks in self._partitions]
-        elsewhere = self._elsewhere[:, use] * normal.factor
-        variances = np.sum(elsewhere * np.linalg.solve(normal.matrix, elsewhere.T).T, axis=1)
+        solved = model.solved(scales, sizes)
+        left_out = [self._left_out(solved, model.has_prior, scales, use, parts) for parts in self._partitions]
+        elsewhere = self._elsewhere[:, use] * solved.factor
+        variances = np.sum((elsewhere @ solved.root) ** 2, axis=1)
         of_term = {
             term: max(float(sizes[number]) for k, number in zip(use, family, strict=True) if design.owner[k] == term)
             for term in terms
         }
         return Trial(
             terms,
-            log_evidence(model, scales, sizes),
+            log_evidence(model, solved, scales),
             len(names),
             of_term,
             tuple(squares for squares, _ in left_out),
@@ -228,31 +247,56 @@ class Trials:
 
     def _explaining_all(self, terms: tuple[str, ...], n_sizes: int) -> Trial:
         """A trial that leaves no noise to any group that has some: it foretells nothing."""
-        nothing = tuple(np.full(len(blocks), np.inf) for blocks in self._partitions)
+        nothing = tuple(np.full(len(parts), np.inf) for parts in self._partitions)
         off = tuple(float("inf") for _ in self._partitions)
         return Trial(terms, float("-inf"), n_sizes, dict.fromkeys(terms, float("inf")), nothing, off, float("inf"))
 
-    def _left_out(self, normal: _Normal, use: IntArray, blocks: list[IntArray]) -> tuple[FloatArray, float]:
+    def _left_out(
+        self, solved: SizedModel, has_prior: BoolArray, scales: FloatArray, use: IntArray, parts: list[_Part]
+    ) -> tuple[FloatArray, float]:
         """Whitened squares of each block when it is left out, and the root mean square of the main part [SI]."""
         layout, data = self.fit.whitening.layout, self.fit.identification.data
-        rows, right, matrix, factor = normal.rows, normal.right, normal.matrix, normal.factor
-        visit = layout.visit[layout.reading]
-        after = {name: residuals.copy() for name, residuals in self._residuals.items()}
-        for held in blocks:
-            own = np.isin(visit, held)
-            kept, known = matrix - rows[own].T @ rows[own], normal.pull - rows[own].T @ right[own]
-            lost = ~normal.has_prior & (np.diag(kept) <= _LOST * np.diag(matrix))
-            step = np.zeros(len(known))
-            ridge = np.diag(_RIDGE * np.diag(matrix)[~lost])
-            step[~lost] = -np.linalg.solve(kept[np.ix_(~lost, ~lost)] + ridge, known[~lost])
-            if np.any(lost):  # places that only this block sees are placed by it
-                step[lost] = -np.linalg.lstsq(rows[own][:, lost], right[own] + rows[own] @ step, rcond=None)[0]
-            for name, columns in self._by_column.items():
-                read = np.isin(data.readings[name].visits, held)
-                after[name][read] += columns[read][:, :, use] @ (factor * step)
+        steps = np.zeros((len(self._design.owner), len(parts)))
+        block = np.full(len(data), -1)
+        for k, part in enumerate(parts):
+            steps[use, k] = solved.factor * self._step_without(part, solved, has_prior, scales, use)
+            block[layout.visit[layout.reading[part.which]]] = k
+        after = {}
+        for name, columns in self._by_column.items():
+            moves = columns @ steps  # of all blocks: one product in place of many copies
+            own = block[data.readings[name].visits]
+            moved = np.take_along_axis(moves, np.maximum(own, 0)[:, None, None], axis=2)[:, :, 0]
+            after[name] = self._residuals[name] + np.where(own[:, None] >= 0, moved, 0.0)
         flat = self.fit.whitening.flatten(after) / self._divisor
         flat *= np.sqrt(self.fit.weights)[layout.reading]
-        squares = np.array([float(np.sum(flat[np.isin(visit, held)] ** 2)) for held in blocks])
+        squares = np.array([float(np.sum(flat[part.which] ** 2)) for part in parts])
         errors = replace(self.fit.identification, after=after)
         lengths = np.nansum(errors.errors("after", errors.main_part.name) ** 2, axis=1)
         return squares, float(np.sqrt(np.mean(lengths)))
+
+    def _step_without(
+        self, part: _Part, solved: SizedModel, has_prior: BoolArray, scales: FloatArray, use: IntArray
+    ) -> FloatArray:
+        """Step to the minimum without some rows, in units of `solved.factor`, (n_use,)."""
+        factor = solved.factor
+        gram, pull = part.weighed(use, scales)
+        kept, known = solved.matrix - factor[:, None] * gram * factor, solved.right - factor * pull
+        size = np.diag(solved.matrix)
+        lost = ~has_prior & (np.diag(kept) <= _LOST * size)
+        step = np.zeros(len(use))
+        step[~lost] = -_solution(kept[np.ix_(~lost, ~lost)] + np.diag(_RIDGE * size[~lost]), known[~lost])
+        if np.any(lost):  # places that only these rows see are placed by them
+            group = self.fit.whitening.layout.group[part.which]
+            divisor = np.where(group >= 0, scales[group], 1.0)
+            rows = self._design.rows[np.ix_(part.which, use)] * factor / divisor[:, None]
+            right = self._design.residuals[part.which] / divisor
+            step[lost] = -np.linalg.lstsq(rows[:, lost], right + rows @ step, rcond=None)[0]
+        return step
+
+
+def _solution(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Solve a symmetric system, (n, n) and (n,), that rounding may have made indefinite."""
+    try:
+        return np.asarray(scipy.linalg.cho_solve(scipy.linalg.cho_factor(matrix, lower=True), right))
+    except np.linalg.LinAlgError:
+        return np.linalg.solve(matrix, right)

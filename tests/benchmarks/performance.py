@@ -170,8 +170,9 @@ others ([benchmarks](benchmarks.md)).
 
 MedRUE, 420 poses, after a small step of the parameters; and whole fits. The unit is Pinocchio's own loop: one
 `computeJointJacobians` of the same model for each pose, called from Python, nothing read out. With the extra `fast`,
-numba compiles the same formulas (`calib.robots.kernels`, to 1e-12 the same numbers); studies of many calibrations and
-work on thousands of poses at once use that by themselves, `with calib.robots.acceleration.compiled():` asks for it.
+numba compiles the same formulas (`calib.robots.kernels`, to 1e-12 the same numbers); studies of many calibrations,
+sampling and compensating many poses, and work on thousands of poses at once use that by themselves,
+`with calib.robots.acceleration.compiled():` asks for it. Compiling takes tens of seconds, once for each version.
 
 | work for each pose | over Pinocchio's loop | with `fast` |
 |---|---:|---:|"""
@@ -224,9 +225,9 @@ say that a fit did not converge, or failed. Alone: `python tests/benchmarks/eval
     yield """
 ## Rows that are not spread
 
-Subsets of 20 to 200 rows, eight of each sort, and how many points the fit and MINPACK (`lm` of SciPy, its own
-tolerances) look at from the same start, with the same residuals and the same Jacobian. Fewer fits are those whose rows
-were refused at once, because they do not determine the robot. Alone:
+Subsets of 20 to 200 rows, eight of each sort, and how many points the fit and MINPACK (`lm` of SciPy) look at from the
+same start, with the same residuals and the same Jacobian. MINPACK ends at relative changes of 1e-8, the fit at 1e-12.
+Fewer fits are those whose rows were refused at once, because they do not determine the robot. Alone:
 `python tests/benchmarks/evaluations.py --subsets 8`.
 """
     yield from evaluations.subset_table(evaluations.clustered(), 8)

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from calib.planning.studies.study import study
     from calib.planning.studies.study_result import Study
     from calib.planning.watch import Watch
+    from calib.reporting.fleet import Fleet, fleet
     from calib.reporting.loaded_result import LoadedResult, load_result, predict
     from calib.reporting.result_comparison import ResultComparison
     from calib.reporting.result_differences import compare
@@ -74,6 +75,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "calib.planning.assessment": ("Assessment", "check"),
     "calib.planning.pose_sampling": ("sample",),
     "calib.planning.selection": ("Selection", "select"),
+    "calib.reporting.fleet": ("Fleet", "fleet"),
     "calib.reporting.loaded_result": ("LoadedResult", "load_result", "predict"),
     "calib.reporting.result_comparison": ("ResultComparison",),
     "calib.reporting.result_differences": ("compare",),
@@ -94,6 +96,7 @@ __all__ = [
     "DataError",
     "DescriptionError",
     "Fit",
+    "Fleet",
     "Goals",
     "Holds",
     "InputError",
@@ -122,6 +125,7 @@ __all__ = [
     "compensate",
     "export",
     "fit",
+    "fleet",
     "load",
     "load_result",
     "predict",

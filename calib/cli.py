@@ -15,6 +15,7 @@ _COMMANDS = {
     "check": ("calib.commands.check", "Say what poses determine, and what they cannot."),
     "sample": ("calib.commands.sample", "Write poses that a robot can take."),
     "compare": ("calib.commands.compare", "Show results side by side."),
+    "fleet": ("calib.commands.fleet", "Learn from robots of one model what the next one is like."),
     "select": ("calib.commands.select", "Choose the poses to measure."),
     "simulate": ("calib.commands.simulate", "Simulate measurements."),
     "study": ("calib.commands.study", "Calibrate many times from simulated measurements."),

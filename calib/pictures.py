@@ -18,6 +18,7 @@ from calib.base.files import image_address
 if TYPE_CHECKING:
     from calib.base.arrays import FloatArray
     from calib.fitting.fitted import Fit
+    from calib.reporting.fleet import Fleet
     from calib.reporting.result_comparison import ResultComparison
     from calib.robots.robot import Robot
 
@@ -73,6 +74,9 @@ class Pictures(Protocol):
     def comparison(self, found: ResultComparison) -> bytes:
         """Return the page of results side by side."""
 
+    def fleet(self, found: Fleet) -> bytes:
+        """Return the page of a fleet."""
+
     def figures(self, subject: object) -> dict[str, bytes]:
         """Return the figures of an assessment or a selection."""
 
@@ -120,6 +124,15 @@ def comparison(found: ResultComparison) -> bytes:
         InputError: Nothing that draws is installed.
     """
     return _installed("--html")[0].comparison(found)
+
+
+def fleet(found: Fleet) -> bytes:
+    """Return the page of robots of one model side by side.
+
+    Raises:
+        InputError: Nothing that draws is installed.
+    """
+    return _installed("--html")[0].fleet(found)
 
 
 def figures(subject: object) -> dict[str, bytes]:

@@ -5,7 +5,8 @@ import pytest
 from scipy.linalg import inv, sqrtm
 
 from calib.numerics.clusters import foretold, scatter
-from calib.numerics.observability import information, prior_rows
+from calib.numerics.observability import information
+from calib.numerics.prior import Prior
 
 N_FREE = 7
 
@@ -16,7 +17,7 @@ def problem(seed, lengths, priors=2):
     block = rng.permutation(np.repeat(np.arange(len(lengths)), lengths))
     jacobian = rng.standard_normal((len(lengths), N_FREE))[block] + 0.5 * rng.standard_normal((len(block), N_FREE))
     has_prior = np.arange(N_FREE) < priors
-    return jacobian, information(jacobian, prior_rows(has_prior)).root, has_prior, block
+    return jacobian, information(jacobian, Prior(has_prior).rows).root, has_prior, block
 
 
 def fitted(jacobian, root, has_prior, errors):

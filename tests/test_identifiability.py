@@ -10,7 +10,8 @@ import calib
 from calib import fit
 from calib.base.parameter import Parameter
 from calib.numerics.identifiability import RANK_TOLERANCE, numerical_rank, reduced
-from calib.numerics.observability import information, prior_rows
+from calib.numerics.observability import information
+from calib.numerics.prior import Prior
 from calib.rows.candidates import assumed_sigma
 from calib.rows.determination import determination
 from calib.rows.jacobian import linearise
@@ -124,12 +125,12 @@ def test_a_direction_that_nothing_determines_is_infinite_and_never_a_number():
 
 def test_a_prior_gives_what_the_rows_do_not():
     has_prior = np.array([True, False, True])
-    nothing_measured = information(np.zeros((1, 3, 3)), prior_rows(has_prior))
+    nothing_measured = information(np.zeros((1, 3, 3)), Prior(has_prior).rows)
     # scaled parameters have a prior of one sigma
     np.testing.assert_allclose(nothing_measured.standard_deviations(), [1.0, np.inf, 1.0], rtol=1e-12)
     rows = random_matrix(6, 3, 3)
     expected = np.linalg.inv(rows.T @ rows + np.diag(has_prior.astype(float)))
-    root = information(rows, prior_rows(has_prior)).root
+    root = information(rows, Prior(has_prior).rows).root
     np.testing.assert_allclose(root @ root.T, expected, rtol=1e-10)
 
 

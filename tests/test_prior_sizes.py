@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from calib.numerics.prior import Prior
 from calib.numerics.prior_sizes import FamilyModel, found_with_families, variance_by_sizes
 from calib.numerics.variance_components import LinearModel
 
@@ -68,7 +69,7 @@ def test_intervals_of_families_that_are_hardly_seen_hold():
         model = LinearModel(
             -jacobian @ truth + rng.standard_normal(60),
             jacobian,
-            np.ones(36, dtype=bool),
+            Prior(np.ones(36, dtype=bool)),
             np.zeros(36),
             np.zeros(60, dtype=int),
             np.zeros(1, dtype=bool),

@@ -5,7 +5,8 @@ import pytest
 from scipy import stats
 
 from calib.base.errors import NotIdentifiableError
-from calib.numerics.observability import information, prior_rows
+from calib.numerics.observability import information
+from calib.numerics.prior import Prior
 from calib.numerics.statistics import Factors, chi_square, effective_parameters, found_factors, statistics, status
 
 RNG = np.random.default_rng(7)
@@ -18,9 +19,11 @@ def judged(rows, sigma, has_prior=None, *, freedom=9.0, scales=None, assumed=Non
     has_prior = np.zeros(n, dtype=bool) if has_prior is None else np.array(has_prior)
     found = np.array([sigma / assumed])
     factors = Factors(found, np.array([freedom]), found)
-    known = information(rows / assumed, prior_rows(has_prior))
+    known = information(rows / assumed, Prior(has_prior).rows)
     groups = np.zeros(len(rows), dtype=np.intp)
-    return statistics(rows / assumed, groups, known, factors, np.ones(n) if scales is None else scales, has_prior)
+    return statistics(
+        rows / assumed, groups, known, factors, np.ones(n) if scales is None else scales, Prior(has_prior)
+    )
 
 
 def of_line(x, y):
@@ -29,7 +32,7 @@ def of_line(x, y):
     residuals = y - rows @ np.linalg.lstsq(rows, y, rcond=None)[0]
     known, groups = information(rows), np.zeros(len(x), dtype=np.intp)
     factors = found_factors(residuals, rows, groups, 1, known)
-    return statistics(rows, groups, known, factors, np.ones(2), np.zeros(2, dtype=bool)), factors.found[0]
+    return statistics(rows, groups, known, factors, np.ones(2), Prior(np.zeros(2, dtype=bool))), factors.found[0]
 
 
 def test_a_straight_line_has_the_uncertainty_of_the_textbook():
@@ -101,10 +104,10 @@ def test_degrees_of_freedom_with_priors_make_the_found_noise_unbiased():
     data = u @ rows.T + sigma * y
     solve = np.linalg.solve(rows.T @ rows + sigma**2 * np.eye(8), rows.T)
     residuals = data - (data @ solve.T) @ rows.T
-    known, groups = information(rows / sigma, prior_rows(has_prior)), np.zeros(12, dtype=np.intp)
-    assert 2 < effective_parameters(known, has_prior) < 6
+    known, groups = information(rows / sigma, Prior(has_prior).rows), np.zeros(12, dtype=np.intp)
+    assert 2 < effective_parameters(known, Prior(has_prior)) < 6
     found = [found_factors(r / sigma, rows / sigma, groups, 1, known) for r in residuals]
-    assert found[0].freedom[0] == pytest.approx(12 - effective_parameters(known, has_prior))
+    assert found[0].freedom[0] == pytest.approx(12 - effective_parameters(known, Prior(has_prior)))
     variances = [(sigma * one.found[0]) ** 2 for one in found]
     assert np.mean(variances) == pytest.approx(sigma**2, rel=0.02)  # standard error 0.4 %
 
@@ -157,7 +160,7 @@ def test_groups_of_rows_have_noise_of_their_own():
     assert np.mean([one.found**2 for one in factors], axis=0) == pytest.approx([1.0, 1.0], rel=0.02)
     assert np.mean([one.found[1] for one in found]) > 3
     stated = Factors(np.array([1.0, 5.0]), np.array([36.0, 10.0]), np.array([1.0, 5.0]))
-    judged_ = statistics(rows, groups, known, stated, np.ones(4), np.zeros(4, dtype=bool))
+    judged_ = statistics(rows, groups, known, stated, np.ones(4), Prior(np.zeros(4, dtype=bool)))
     np.testing.assert_allclose(judged_.std, np.std(estimate, axis=0), rtol=0.02)
 
 

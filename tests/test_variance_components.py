@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import minimize
 
 from calib.base.errors import NotIdentifiableError
+from calib.numerics.prior import Prior
 from calib.numerics.prior_sizes import FamilyModel, found_with_families, log_evidence
 from calib.numerics.variance_components import (
     LinearModel,
@@ -31,7 +32,7 @@ def model_of(seed, *, priors=(), groups=(40, 30), noise=(0.5, 3.0), shared=(), v
     has_prior = np.isin(np.arange(N_FREE), priors)
     deviations = np.where(has_prior, rng.standard_normal(N_FREE), 0.0)
     unstated = ~np.isin(np.arange(len(groups)), stated)
-    return LinearModel(residuals, jacobian, has_prior, deviations, group, unstated, NO_FAMILY), columns, block
+    return LinearModel(residuals, jacobian, Prior(has_prior), deviations, group, unstated, NO_FAMILY), columns, block
 
 
 def deviance(model, scales, tau, columns, block):
@@ -42,9 +43,9 @@ def deviance(model, scales, tau, columns, block):
     v = np.diag(scales[model.group[read]] ** 2) + np.where(same, c @ c.T, 0.0)
     j, y = model.jacobian[read], model.residuals[read]
     inverse = np.linalg.inv(v)
-    a = j.T @ inverse @ j + np.diag(model.has_prior.astype(float))
-    step = -np.linalg.solve(a, j.T @ inverse @ y + np.where(model.has_prior, model.deviations, 0.0))
-    left, u = y + j @ step, (model.deviations + step)[model.has_prior]
+    a = j.T @ inverse @ j + np.diag(model.prior.has.astype(float))
+    step = -np.linalg.solve(a, j.T @ inverse @ y + np.where(model.prior.has, model.deviations, 0.0))
+    left, u = y + j @ step, (model.deviations + step)[model.prior.has]
     return np.linalg.slogdet(v)[1] + np.linalg.slogdet(a)[1] + left @ inverse @ left + u @ u
 
 
@@ -155,7 +156,9 @@ def with_families(seed):
     u = rng.standard_normal(14) * np.array([1.0, 1.0, 3.0, 0.2])[[0, 1, *[2] * 6, *[3] * 6]]
     residuals = 0.5 * rng.standard_normal(120) - jacobian @ u
     one = np.zeros(120, dtype=np.intp)
-    return LinearModel(residuals, jacobian, family >= 0, np.zeros(14), one, np.array([True]), family, n_families=2)
+    return LinearModel(
+        residuals, jacobian, Prior(family >= 0), np.zeros(14), one, np.array([True]), family, n_families=2
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -8,12 +8,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from calib import Fit, ResultComparison, Robot
+    from calib import Fit, Fleet, ResultComparison, Robot
     from viz.command import view as command
     from viz.fit_plots import FitPlots
     from viz.live import LiveViewer
 
-__all__ = ["command", "comparison", "figures", "live", "pages", "plots", "summary"]
+__all__ = ["command", "comparison", "figures", "fleet", "live", "pages", "plots", "summary"]
 
 summary = "Show a robot and its calibration in a browser."
 
@@ -43,6 +43,14 @@ def comparison(found: ResultComparison) -> bytes:
     from viz.report_page import command_line
 
     return comparison_page(found, command=command_line()).html.encode()
+
+
+def fleet(found: Fleet) -> bytes:
+    """Return the page of robots of one model side by side."""
+    from viz.fleet_page import fleet_page
+    from viz.report_page import command_line
+
+    return fleet_page(found, command=command_line()).html.encode()
 
 
 def figures(subject: object) -> dict[str, bytes]:

@@ -25,6 +25,7 @@ class Parameter(Worded):
         unit: Unit of tables, and of every number here whose name does not end in `_si`.
         prior: Whether nominal +- sigma counts as information in a fit. False: the measurements alone decide.
         placement: Whether it only says where the measurement frame or a target is, which is no error of the robot.
+        mean_si: Value around which its prior lies, where that is not the nominal one [m or rad].
         family: Parameters of one family share a factor on their sigmas that is found from the data; empty: none.
     """
 
@@ -36,6 +37,12 @@ class Parameter(Worded):
     prior: bool = True
     placement: bool = False
     family: str = ""
+    mean_si: float | None = None
+
+    @property
+    def expected_si(self) -> float:
+        """Value that is expected before measuring [m or rad]."""
+        return self.nominal_si if self.mean_si is None else self.mean_si
 
     _other_words = "a parameter"
 

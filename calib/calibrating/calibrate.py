@@ -1,7 +1,8 @@
 """Calibration: a fit, judged, and fitted again where the judgement asks for it.
 
-Order of work: (1) joint terms, if asked for: those that earn their place (`calib.fitting.terms.term_choice`); (2) the
-fit (`calib.fitting.fit`); (3) outliers left out and all done again, if asked for; (4) poses left out in turns for
+Order of work: (1) joint terms, if asked for: those that earn their place (`calib.fitting.terms.term_choice`); what a
+fleet says is left out where the readings contradict it (`calib.calibrating.fleet_contradicted`); (2) the fit
+(`calib.fitting.fit`); (3) outliers left out and all done again, if asked for; (4) poses left out in turns for
 cross-validation, if asked for; also where noise is so far above its statement that nothing else can prove the result.
 
 Outliers that are to be left out are found with a robust loss, so that they cannot hide behind each other. A pose goes
@@ -23,6 +24,7 @@ import numpy as np
 from calib.base.errors import CalibrationError, ComputationError, InputError, UnreachablePoseError
 from calib.base.threads import one_blas_thread
 from calib.base.workers import Progress, Steps, Workers
+from calib.calibrating.fleet_contradicted import without_contradicted_fleet
 from calib.data.measurements import Measurements
 from calib.fitting.fit import fit_data
 from calib.fitting.fitted import Fit
@@ -93,6 +95,7 @@ def _calibrated(
     steps.expect(of_each + n_folds(data, settings.folds) + (_OF_ONE_FIT + 1) * (settings.terms == "auto"))
     try:
         robot, choice = _with_terms(robot, data, settings, steps)
+        robot = without_contradicted_fleet(robot, data, settings)
         fit = fit_data(robot, settings, data, validation, workers, steps)
     except (UnreachablePoseError, ComputationError) as error:
         mistake = likely_mistake(robot, data)

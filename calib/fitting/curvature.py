@@ -46,7 +46,7 @@ def mean_square_beyond_linear(problem: Problem, robot: Robot, rows: Rows, groups
         groups: Scale of the noise of each group, (n_groups,).
     """
     root, problem = rows.known.root, problem.apart()
-    shares, turned = np.linalg.eigh(prior_shares(rows.known, rows.has_prior))
+    shares, turned = np.linalg.eigh(prior_shares(rows.known, rows.prior))
     directions, held = root @ turned, shares > _HELD
     back = root @ (root.T @ rows.jacobian.T)
     squares, mean = np.zeros(len(root)), np.zeros(len(root))

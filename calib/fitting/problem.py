@@ -1,9 +1,10 @@
 """The least-squares problem of a fit: whitened rows as functions of the scaled parameters.
 
-Unknowns u = (p - p_nominal) / s with scales s, the parameters' sigma. The rows are those of `calib.rows.rows`,
+Unknowns u = (p - p_expected) / s with scales s, the parameters' sigma, around where priors expect them (nominal, unless
+a fleet of robots says otherwise). The rows are those of `calib.rows.rows`,
 times the root of the weight that a robust loss gives their reading (`calib.fitting.robust`), and
 
-    u       for every parameter that has a prior
+    u       for every parameter that has a prior of its own, P u (`calib.numerics.prior`) for those known together
 
 Signed components, never distances: a distance loses its sign, and has no derivative at zero. A trial step that opens a
 loop is answered with NaN, on which the solver (`calib.numerics.least_squares`) shortens its step.
@@ -107,9 +108,15 @@ class Problem:
         return np.asarray(~self.unstated & (scales > 1.0) & (chance < _UNLIKELY))
 
     @property
+    def confirmed(self) -> FloatArray:
+        """Degrees of freedom with which a fleet confirmed the stated noise of groups, (n_groups,); 0 if found."""
+        fleet = self.robot.description.fleet
+        return np.where(self.found | self.unstated, 0.0, 0.0 if fleet is None else fleet.noise_freedom)
+
+    @property
     def noise_weighs(self) -> bool:
         """Whether the scales of the groups change the solution: against priors, or against each other."""
-        return bool(np.any(self.unknowns.has_prior)) or len(self.whitening.groups) > 1
+        return bool(np.any(self.unknowns.prior.has)) or len(self.whitening.groups) > 1
 
     def weigh(self, ratios: FloatArray) -> None:
         """Weigh all that comes by these ratios of offsets to the scales of their groups, (n_offsets,)."""
@@ -185,7 +192,7 @@ class Problem:
         return LinearModel(
             rows.residuals,
             rows.jacobian,
-            rows.has_prior,
+            rows.prior,
             rows.deviations,
             layout.group,
             self.found,
@@ -251,7 +258,7 @@ class Problem:
         return np.sqrt(means)
 
     def moved(self, start: Robot, unknowns: Unknowns, u: FloatArray) -> Robot:
-        """Return `start` with these parameters at nominal + scale u, u (n_unknowns,)."""
+        """Return `start` with these parameters at expected + scale u, u (n_unknowns,)."""
         return start.with_parameters(_values(start, unknowns, u))
 
     def solve(
@@ -277,9 +284,8 @@ class Problem:
         """
         chosen = self.unknowns if unknowns is None else unknowns
         self.evaluate(start)  # says which loop is open, if one is
-        prior = np.flatnonzero(chosen.has_prior)
-        prior_rows = np.eye(len(chosen))[prior]
-        n_rows = self.whitening.layout.n_rows + len(prior)
+        prior_rows = chosen.prior.rows
+        n_rows = self.whitening.layout.n_rows + len(prior_rows)
         last: dict[bytes, Rows] = {}
 
         def rows(u: FloatArray) -> Rows | None:
@@ -297,7 +303,9 @@ class Problem:
 
         def residuals(u: FloatArray) -> FloatArray:
             whitened = rows(u)
-            return np.full(n_rows, np.nan) if whitened is None else np.concatenate([whitened.residuals, u[prior]])
+            if whitened is None:
+                return np.full(n_rows, np.nan)
+            return np.concatenate([whitened.residuals, chosen.prior.times(u)])
 
         def jacobian(u: FloatArray) -> FloatArray:
             whitened = rows(u)
@@ -312,5 +320,5 @@ class Problem:
 def _values(start: Robot, unknowns: Unknowns, u: FloatArray) -> FloatArray:
     values = start.values.copy()
     change = unknowns.scales * u
-    values[unknowns.index] = unknowns.nominal + np.where(np.abs(change) < _ROUNDING, 0.0, change)
+    values[unknowns.index] = unknowns.expected + np.where(np.abs(change) < _ROUNDING, 0.0, change)
     return values

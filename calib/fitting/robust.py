@@ -27,7 +27,7 @@ from calib.base.errors import ComputationError, NotIdentifiableError
 from calib.fitting.problem import Evaluation, Problem
 from calib.numerics.least_squares import Solution
 from calib.numerics.losses import Loss, median_length, robust_factors, scale_of, weights_of
-from calib.numerics.observability import information, prior_rows
+from calib.numerics.observability import information
 from calib.numerics.statistics import Factors, effective_parameters
 from calib.numerics.variance_components import EXACT
 from calib.robots.robot import Robot
@@ -104,8 +104,8 @@ def solve_robust(problem: Problem, start: Robot, loss: Loss, groups: FloatArray)
         groups, scale = groups * scale, 1.0
     robot, solution = problem.solve(robot, groups, weights=weights)
     final = problem.rows(problem.evaluate(robot), groups)
-    known = information(np.sqrt(np.mean(weights)) * final.factor[:, :-1], prior_rows(final.has_prior))
-    n_effective = effective_parameters(known, final.has_prior)
+    known = information(np.sqrt(np.mean(weights)) * final.factor[:, :-1], final.prior.rows)
+    n_effective = effective_parameters(known, final.prior)
     one = robust_factors(loss, final.distances(), layout.width, scale, n_effective)
     n_rows = np.bincount(layout.group[layout.group >= 0], minlength=len(layout.groups))
     every = np.ones(len(n_rows))
@@ -165,14 +165,14 @@ def _linear_solution(
     weights: FloatArray = np.ones(layout.n_readings)
     step: FloatArray = np.zeros(rows.jacobian.shape[1])
     scale, smallest = fixed_scale or 0.0, _SMALLEST_SCALE / max(group.typical for group in layout.groups)
-    priors = prior_rows(rows.has_prior)
+    priors = rows.prior.rows
     for _ in range(_LINEAR_ROUNDS):
         residuals = rows.residuals + rows.jacobian @ step
         distances = np.sqrt(np.bincount(layout.reading, residuals**2, layout.n_readings))
         if fixed_scale is None:
             assumed = max(scale_of(distances, layout.width, 0.0), smallest) if found_everywhere else 1.0
             known = information(rows.factor[:, :-1] / assumed, priors)
-            n_effective = effective_parameters(known, rows.has_prior)
+            n_effective = effective_parameters(known, rows.prior)
             scale = max(scale_of(distances, layout.width, n_effective), smallest)
         now = weights_of(loss, distances / scale, layout.width)
         settled = bool(np.max(np.abs(now - weights)) < _WEIGHTS_STAND / 10)
@@ -186,7 +186,7 @@ def _linear_solution(
 def _step(rows: Rows, weights: FloatArray, sigma: float) -> FloatArray:
     """Solve the weighted linear problem, priors weighed against this noise."""
     root = np.sqrt(weights)[rows.layout.reading]
-    priors = prior_rows(rows.has_prior)
+    priors = rows.prior.rows
     stacked = np.vstack([root[:, None] * rows.jacobian, sigma * priors])
     right = np.concatenate([root * rows.residuals, sigma * (priors @ rows.deviations)])
     if len(stacked) < stacked.shape[1]:

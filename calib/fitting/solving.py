@@ -28,7 +28,7 @@ from functools import partial
 import numpy as np
 
 from calib.base.arrays import FloatArray
-from calib.base.errors import NotConvergedError
+from calib.base.errors import NotConvergedError, NotIdentifiableError
 from calib.base.workers import Progress
 from calib.fitting.curvature import mean_square_beyond_linear
 from calib.fitting.fitted import Convergence
@@ -100,7 +100,7 @@ def place(problem: Problem) -> Robot:
     if not len(places):
         return robot
     registered = register(robot, problem.data)
-    if not np.any(places.has_prior) and _is_best_placed(problem, registered, places):
+    if not np.any(places.prior.has) and _is_best_placed(problem, registered, places):
         return registered
     first = problem.evaluate(registered)
     placed, solution = registered, None
@@ -108,7 +108,7 @@ def place(problem: Problem) -> Robot:
     for _ in range(_NOISE_ROUNDS):
         placed, solution = problem.solve(placed, groups, places, tolerance=_PLACED)
         again = _as_found(problem, problem.evaluate(placed), groups)
-        if not np.any(places.has_prior) or np.all(np.abs(again / groups - 1.0) <= _NOISE_STANDS):
+        if not np.any(places.prior.has) or np.all(np.abs(again / groups - 1.0) <= _NOISE_STANDS):
             break
         groups = again
     if solution is None or not solution.converged:
@@ -128,11 +128,11 @@ def seen_from(problem: Problem, placed: Robot) -> Robot:
     unknowns, evaluation = problem.unknowns, problem.evaluate(placed)
     columns = problem.rows(evaluation, problem.whitening.start(), unknowns).jacobian
     lengths = np.linalg.norm(columns, axis=0)
-    blind = unknowns.placement & ~unknowns.has_prior & (lengths < _BLIND * np.max(lengths, initial=0.0))
+    blind = unknowns.placement & ~unknowns.prior.has & (lengths < _BLIND * np.max(lengths, initial=0.0))
     if not np.any(blind):
         return placed
     values = placed.values.copy()
-    values[unknowns.index[blind]] = unknowns.nominal[blind]
+    values[unknowns.index[blind]] = unknowns.expected[blind]
     return placed.with_parameters(values)
 
 
@@ -261,7 +261,13 @@ def _contradicted(problem: Problem, evaluation: Evaluation, groups: FloatArray) 
     """Have the noise found of groups whose statement the linear model contradicts; return scales to start from."""
     unstated = problem.found
     problem.found = np.ones(len(groups), dtype=bool)
-    scales, _ = problem.found_scales(evaluation, groups)
+    try:
+        scales, _ = problem.found_scales(evaluation, groups)
+    except NotIdentifiableError:
+        problem.found = unstated
+        if np.any(problem.confirmed):  # too few readings to contradict what others confirmed
+            return groups
+        raise
     problem.found = unstated | problem.contradicted(scales)
     return np.where(problem.found & ~unstated, scales, groups)
 
@@ -284,7 +290,7 @@ def uncertainty_at(
     rows, scales = problem.rows(final, solved.groups), Scales(solved.groups, problem.ratios)
     layout, unknowns = problem.whitening.layout, problem.unknowns
     factors = solved.factors or found_factors(
-        rows.residuals, rows.jacobian, layout.group, len(layout.groups), rows.known
+        rows.residuals, rows.jacobian, layout.group, len(layout.groups), rows.known, problem.confirmed
     )
     slowed = rows if factors.slope == 1.0 else rows.weighted(np.full(layout.n_readings, factors.slope))
     bent = (
@@ -298,7 +304,7 @@ def uncertainty_at(
         slowed.known,
         factors,
         unknowns.scales,
-        unknowns.has_prior,
+        unknowns.prior,
         scatter_of_poses(rows, slowed.known, factors, solved.weights),
         variance_by_sizes(slowed.known.root @ slowed.known.root.T, unknowns.family, rows.deviations),
         bent,
@@ -333,7 +339,7 @@ def convergence_at(problem: Problem, solved: Solved, rows: Rows, std: FloatArray
         std: Standard deviations of the free parameters, (n_free,) [m, rad].
     """
     weighted = rows if solved.weights is None else rows.weighted(solved.weights)
-    pull = weighted.jacobian.T @ weighted.residuals + np.where(rows.has_prior, rows.deviations, 0.0)
+    pull = weighted.jacobian.T @ weighted.residuals + rows.prior.pull(rows.deviations)
     root = weighted.known.root
     left = np.abs(problem.unknowns.scales * (root @ (root.T @ pull))) / (std + _ROUNDING)
     largest = int(np.argmax(left))

@@ -121,6 +121,20 @@ def large_terms(fit: Fit) -> Iterator[Reason]:
         )
 
 
+def unlike_fleet(fit: Fit) -> Iterator[Reason]:
+    """Say in what a robot is unlike the others of its model, so that these said nothing of it."""
+    fleet = fit.nominal.description.fleet
+    if fleet is not None and fleet.unlike:
+        whole = len(fleet.unlike) == len(fleet.parameters)
+        what = "altogether" if whole else f"in {listed(fleet.unlike)}"
+        yield Reason(
+            "CHECK",
+            "unlike_fleet",
+            f"this robot is unlike the {fleet.robots} of its fleet {what}: what they say of that was left out, so that"
+            " it takes more poses; look for a repair, a crash, another model or another convention",
+        )
+
+
 def _deviations(fit: Fit) -> Iterator[tuple[Parameter, float]]:
     """Yield each free parameter that has an expected error, and its deviation in units of what that allows."""
     known = iter(zip(fit.statistics.std, fit.statistics.data_share, strict=True))
@@ -130,7 +144,7 @@ def _deviations(fit: Fit) -> Iterator[tuple[Parameter, float]]:
         std, share = next(known)
         if (parameter.placement and not parameter.prior) or parameter.family:  # a family's size is found
             continue
-        away = abs(float(value) - parameter.nominal_si) / parameter.sigma_si
+        away = abs(float(value) - parameter.expected_si) / parameter.sigma_si
         if parameter.prior:
             yield parameter, away / float(np.sqrt(max(share, SMALLEST_SHARE)))
         else:

@@ -41,6 +41,7 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_reach.beyond_joint_limits,
     rules_reach.terms_untested,
     rules_parameters.large_terms,
+    rules_parameters.unlike_fleet,
     rules_reach.turns_not_counted,
     rules_data.too_few_poses,
     rules_data.few_shared,

@@ -16,9 +16,9 @@ the same number); the others are meaningful on scaled columns. None of them is w
 for poses where the robot will work, given the poses that were measured and the noise; and its largest value.
 
 Information, what rows and priors say about the unknowns, is how sure everything that follows from them is. With u = (p
-- p_nominal) / s the scaled free parameters, J the whitened rows (each with noise 1) and P a unit row for each parameter
-that has a prior (nominal +- s), all rows carry the same noise. So priors, readings already there and new readings
-simply stack,
+- p_expected) / s the scaled free parameters, J the whitened rows (each with noise 1) and P the rows of the prior
+(`calib.numerics.prior`: a unit row for each parameter that has one), all rows carry the same noise. So priors, readings
+already there and new readings simply stack,
 
     R = [J; P] = U S V^T            covariance of u = V S^-2 V^T = T T^T,        T = V S^-1
 
@@ -188,7 +188,7 @@ def information(rows: FloatArray, priors: FloatArray | None = None) -> Informati
 
     Args:
         rows: Whitened, of scaled parameters, (..., n_parameters); leading axes are flattened.
-        priors: P, (n_priors, n_parameters), of `prior_rows`; none if not given.
+        priors: P, (n_priors, n_parameters), of `calib.numerics.prior`; none if not given.
     """
     factor = reduced(rows.reshape(-1, rows.shape[-1]))
     if priors is not None and len(priors):
@@ -196,8 +196,3 @@ def information(rows: FloatArray, priors: FloatArray | None = None) -> Informati
     rank = numerical_rank(factor)
     directions = np.linalg.svd(factor)[2][: rank.rank].T
     return Information(rank, directions, rank.singular_values[: rank.rank].copy())
-
-
-def prior_rows(has_prior: BoolArray) -> FloatArray:
-    """Return P of the module docstring, (n_priors, n_parameters), from which parameters have a prior."""
-    return np.eye(len(has_prior))[has_prior]

@@ -33,6 +33,7 @@ import numpy as np
 import scipy
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray
+from calib.numerics.prior import Prior
 from calib.numerics.variance_components import EXACT, LinearModel
 
 _ROUNDS = 100
@@ -115,11 +116,11 @@ class FamilyModel:
 
     Attributes:
         products: Of the rows, whitened by what is stated.
-        has_prior, deviations, unstated, family, n_families: As there.
+        prior, deviations, unstated, family, n_families: As there.
     """
 
     products: Products
-    has_prior: BoolArray
+    prior: Prior
     deviations: FloatArray
     unstated: BoolArray
     family: IntArray
@@ -129,16 +130,15 @@ class FamilyModel:
     def of(model: LinearModel) -> FamilyModel:
         """Return that of rows."""
         products = Products.of(model.jacobian, model.residuals, model.group, len(model.unstated))
-        return FamilyModel(products, model.has_prior, model.deviations, model.unstated, model.family, model.n_families)
+        return FamilyModel(products, model.prior, model.deviations, model.unstated, model.family, model.n_families)
 
     def solved(self, scales: FloatArray, sizes: FloatArray) -> SizedModel:
         """Solve it with these scales of the groups (n_groups,) and sizes of the families (n_families,)."""
         factor = np.append(sizes, 1.0)[self.family]
         gram, pull = self.products.weighed(scales)
-        matrix = factor[:, None] * gram * factor
-        matrix[np.diag_indices(len(matrix))] += self.has_prior
+        matrix = self.prior.added_to(factor[:, None] * gram * factor)
         deviations = self.deviations / factor
-        right = factor * pull + np.where(self.has_prior, deviations, 0.0)
+        right = factor * pull + self.prior.pull(deviations)
         root = inverse_root(matrix)
         return SizedModel(matrix, right, root, -root @ (root.T @ right), factor, deviations)
 
@@ -197,7 +197,7 @@ def found_with_families(model: FamilyModel, start: FloatArray) -> tuple[FloatArr
     Returns:
         Scales of the groups (n_groups,), and a_f of the families (n_families,).
     """
-    products, n = model.products, len(model.has_prior)
+    products, n = model.products, len(model.deviations)
     scales, sizes = start.copy(), np.ones(model.n_families)
     members = [model.family == f for f in range(model.n_families)]
     sought = np.flatnonzero(model.unstated & (products.count > 0))
@@ -209,7 +209,7 @@ def found_with_families(model: FamilyModel, start: FloatArray) -> tuple[FloatArr
         change = np.ones(len(start))
         for g in map(int, sought):
             if inverse is None:  # what the rows determine is all that priors do not
-                used = n - float(np.sum(variances[model.has_prior]))
+                used = n - float(np.sum(model.prior.times(solved.root) ** 2))
             else:
                 used = float(np.sum(inverse * (factor[:, None] * products.gram[g] * factor))) / scales[g] ** 2
             change[g] = np.sqrt(left[g] / max(products.count[g] - used, 0.5)) / scales[g]
@@ -239,6 +239,6 @@ def log_evidence(model: FamilyModel, solved: SizedModel, scales: FloatArray) -> 
         scales: Of the groups, (n_groups,).
     """
     cost = float(np.sum(model.products.left(solved.factor * solved.step) / scales**2))
-    cost += float(np.sum((solved.deviations + solved.step)[model.has_prior] ** 2))
+    cost += model.prior.cost(solved.deviations + solved.step)
     determinant = 2.0 * float(model.products.count @ np.log(scales)) - 2.0 * float(np.sum(np.log(np.diag(solved.root))))
     return -0.5 * (determinant + cost)

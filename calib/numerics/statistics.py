@@ -1,11 +1,11 @@
 """How sure the parameters are: covariance, intervals and the found noise of a least-squares fit with priors.
 
-Unknowns u = (p - p_nominal) / s with scales s (the parameters' sigma). Whitened data rows J u ~ N(r, f^2), each with
+Unknowns u = (p - p_expected) / s with scales s (the parameters' sigma). Whitened data rows J u ~ N(r, f^2), each with
 the noise that the fit assumed, f being by how much that was off (1 where it was found from the residuals, about 1 where
-it was stated well), and for parameters that have a prior u ~ N(0, 1). With P = 1 for a prior, else 0, and
-T T^T = (J^T J + P)^-1 (`calib.numerics.observability`):
+it was stated well), and for parameters that have a prior P u ~ N(0, I) (`calib.numerics.prior`: mostly u ~ N(0, 1)
+for each). With T T^T = (J^T J + P^T P)^-1 (`calib.numerics.observability`):
 
-    S = T^T P T                              the share that the priors have in each direction
+    S = T^T P^T P T                          the share that the priors have in each direction
     effective parameters                     n_eff = trace(I - S)       (the number of free ones without any prior)
     degrees of freedom                       rows - n_eff
     found factor                             f^2 = |r|^2 / (rows - n_eff)
@@ -46,9 +46,10 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.numerics.clusters import Scatter
 from calib.numerics.observability import Information
+from calib.numerics.prior import Prior
 from calib.numerics.variance_components import CHANCE, require_freedom
 
 DECIDED_BY_DATA = 0.9
@@ -186,29 +187,34 @@ def chi_square(factor: float, freedom: float) -> ChiSquare:
     )
 
 
-def prior_shares(known: Information, has_prior: BoolArray) -> FloatArray:
+def prior_shares(known: Information, prior: Prior) -> FloatArray:
     """Return S of the module docstring, (rank, rank).
 
     Args:
         known: What rows and priors determine.
-        has_prior: Which parameters have a prior, (n_free,).
+        prior: Of the parameters.
     """
-    held = known.root[has_prior]
+    held = prior.times(known.root)
     return held.T @ held
 
 
-def effective_parameters(known: Information, has_prior: BoolArray) -> float:
+def effective_parameters(known: Information, prior: Prior) -> float:
     """Return n_eff of the module docstring: how many parameters the rows decide, not the priors.
 
     Args:
         known: What rows and priors determine.
-        has_prior: Which parameters have a prior, (n_free,).
+        prior: Of the parameters.
     """
-    return float(known.rank.rank - np.trace(prior_shares(known, has_prior)))
+    return float(known.rank.rank - np.trace(prior_shares(known, prior)))
 
 
 def found_factors(
-    residuals: FloatArray, jacobian: FloatArray, groups: IntArray, n_groups: int, known: Information
+    residuals: FloatArray,
+    jacobian: FloatArray,
+    groups: IntArray,
+    n_groups: int,
+    known: Information,
+    confirmed: FloatArray | None = None,
 ) -> Factors:
     """Return by how much the assumed noise of each group of rows is off.
 
@@ -218,14 +224,18 @@ def found_factors(
         groups: Group of each row, (n_rows,); -1 for rows that were not read.
         n_groups: Number of groups.
         known: What these rows and the priors determine.
+        confirmed: With how many degrees of freedom the assumed noise was confirmed before, (n_groups,); these count
+            like readings whose residuals are as large as assumed.
 
     Raises:
         NotIdentifiableError: No degrees of freedom are left.
     """
     read = groups >= 0
     pulled = np.sum((jacobian @ known.root) ** 2, axis=1)
-    squares = np.bincount(groups[read], residuals[read] ** 2, n_groups)
+    squares: FloatArray = np.bincount(groups[read], residuals[read] ** 2, n_groups)
     freedom: FloatArray = np.bincount(groups[read], 1.0 - pulled[read], n_groups).astype(float)
+    if confirmed is not None:
+        squares, freedom = squares + confirmed, freedom + confirmed
     require_freedom(float(np.sum(freedom)), int(np.sum(read)))
     total = float(np.sum(squares) / np.sum(freedom))
     factor = np.sqrt(np.where(freedom > _ENOUGH, squares / np.maximum(freedom, _ENOUGH), total))
@@ -238,7 +248,7 @@ def statistics(
     known: Information,
     factors: Factors,
     scales: FloatArray,
-    has_prior: BoolArray,
+    prior: Prior,
     poses: Scatter | None = None,
     by_sizes: FloatArray | None = None,
     beyond_linear: FloatArray | None = None,
@@ -251,13 +261,13 @@ def statistics(
         known: What these rows (times the root of `factors.slope`) and the priors determine.
         factors: What the residuals say about the noise.
         scales: s of the module docstring, (n_free,) [m, rad].
-        has_prior: Which parameters have a prior, (n_free,).
+        prior: Of the parameters.
         poses: How the readings of each pose scatter together; None: independently.
         by_sizes: What is added to the covariance of u where sizes of priors were found, (n_free, n_free).
         beyond_linear: Mean square of what u is off beyond the linear model, (n_free,); none if not given.
     """
     root = known.root
-    share = prior_shares(known, has_prior)
+    share = prior_shares(known, prior)
     core = share.copy()  # with a robust loss J counts times the root of the slope in T, and in the scatter
     shared = _beyond_chance(poses)
     if shared is not None:
@@ -271,7 +281,7 @@ def statistics(
     covariance = scales[:, None] * scaled_covariance * scales
     beyond = np.zeros(len(scales)) if beyond_linear is None else scales**2 * beyond_linear
     std: FloatArray = np.sqrt(np.diag(covariance))
-    decided = np.where(has_prior, np.clip(1.0 - np.diag(scaled_covariance), 0.0, 1.0), 1.0)
+    decided = np.where(prior.has, np.clip(1.0 - np.diag(scaled_covariance), 0.0, 1.0), 1.0)
     n_effective = float(len(share) - np.trace(share))
     found = Statistics(factors, factors.total_freedom, covariance, std, std, decided, n_effective, root, poses, beyond)
     return replace(found, half_width=found.coverage_factor * np.sqrt(std**2 + beyond))

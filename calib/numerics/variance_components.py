@@ -34,7 +34,8 @@ import scipy
 from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.base.errors import NotIdentifiableError
 from calib.numerics.identifiability import reduced
-from calib.numerics.observability import Information, information, prior_rows
+from calib.numerics.observability import Information, information
+from calib.numerics.prior import Prior
 
 CHANCE = 1e-3
 """Chance that errors shared by the readings of a pose are found where there are none."""
@@ -147,7 +148,7 @@ class LinearModel:
     Attributes:
         residuals: y there, (n_rows,).
         jacobian: By the scaled parameters, (n_rows, n_free).
-        has_prior: Which of these have a prior, (n_free,).
+        prior: Of these.
         deviations: u there, (n_free,).
         group: Of each row, -1 for one that was not read, (n_rows,).
         unstated: Which groups' scales are to be found, (n_groups,).
@@ -157,7 +158,7 @@ class LinearModel:
 
     residuals: FloatArray
     jacobian: FloatArray
-    has_prior: BoolArray
+    prior: Prior
     deviations: FloatArray
     group: IntArray
     unstated: BoolArray
@@ -193,7 +194,7 @@ def found_scales(model: LinearModel, start: FloatArray) -> Components:
         scales = np.maximum(scales * change, EXACT / 10)
         if np.all(np.abs(change - 1.0) <= _SETTLED) or np.all((scales < EXACT) | ~model.unstated):
             break
-    freedom_left = int(np.sum(counts)) - known.rank.rank + float(np.sum(known.root[model.has_prior] ** 2))
+    freedom_left = int(np.sum(counts)) - known.rank.rank + float(np.sum(model.prior.times(known.root) ** 2))
     require_freedom(freedom_left, int(np.sum(counts)))
     stacked = np.vstack([factor / scale for factor, scale in zip(factors, scales, strict=True)])
     known, step = _solved(model, stacked)
@@ -299,23 +300,22 @@ class _Root:
 
 def _solved_fast(model: LinearModel, rows: FloatArray) -> tuple[_Root, FloatArray]:
     """The same as `_solved` by Cholesky's factors, which do for finding noise and cost a tenth."""
-    matrix = rows[:, :-1].T @ rows[:, :-1]
-    matrix[np.diag_indices(len(matrix))] += model.has_prior
+    matrix = model.prior.added_to(rows[:, :-1].T @ rows[:, :-1])
     lower = np.linalg.cholesky(matrix)
     root = scipy.linalg.solve_triangular(lower, np.eye(len(matrix)), lower=True).T
-    pull = rows[:, :-1].T @ rows[:, -1] + np.where(model.has_prior, model.deviations, 0.0)
+    pull = rows[:, :-1].T @ rows[:, -1] + model.prior.pull(model.deviations)
     return _Root(root, 2.0 * float(np.sum(np.log(np.diag(lower))))), -root @ (root.T @ pull)
 
 
 def _solved(model: LinearModel, rows: FloatArray) -> tuple[Information, FloatArray]:
     """What whitened rows [J y] and the priors determine, and the step to their minimum."""
-    known = information(rows[:, :-1], prior_rows(model.has_prior))
-    pull = rows[:, :-1].T @ rows[:, -1] + np.where(model.has_prior, model.deviations, 0.0)
+    known = information(rows[:, :-1], model.prior.rows)
+    pull = rows[:, :-1].T @ rows[:, -1] + model.prior.pull(model.deviations)
     return known, -known.root @ (known.root.T @ pull)
 
 
 def _prior_cost(model: LinearModel, step: FloatArray) -> float:
-    return float(np.sum((model.deviations + step)[model.has_prior] ** 2))
+    return model.prior.cost(model.deviations + step)
 
 
 def _log_determinant(known: Information) -> float:

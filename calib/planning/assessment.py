@@ -25,7 +25,7 @@ from calib.data.in_memory import PosesLike, as_poses
 from calib.data.measurements import Measurements, Poses
 from calib.numerics.identifiability import Elimination, Rank, eliminate
 from calib.numerics.null_space import Group, null_groups
-from calib.numerics.observability import Information, TaskIndex, information, observability_of, prior_rows, task_index
+from calib.numerics.observability import Information, TaskIndex, information, observability_of, task_index
 from calib.planning.pose_count import CountRow, accuracy_by_count
 from calib.robots.loading import RobotLike, as_robot
 from calib.robots.robot import Configurations, Robot
@@ -171,7 +171,7 @@ def check(
     determined = determination(columns / everything.scales, parameters, free)
     unknowns = Unknowns.chosen_by_poses(robot)
     lengths = determined.lengths * everything.scales  # of columns scaled by sigma: what rows and priors are divided by
-    priors = prior_rows(unknowns.has_prior) / lengths[free]
+    priors = unknowns.prior.rows / lengths[free]
     unit = columns[:, free] / lengths[free]
     known = information(unit, priors)
     order = [index_of(parameters, name) for name in robot.description.elimination_order]

@@ -16,7 +16,6 @@ from calib.base.errors import InputError, NotIdentifiableError, nearest
 from calib.base.memory import require_memory
 from calib.data.in_memory import PosesLike, as_poses
 from calib.data.measurements import Poses
-from calib.numerics.observability import prior_rows
 from calib.planning.exchange import Spacing, uniform_start
 from calib.planning.instrument_choice import Groups, Pairs, already_read, pairs_of, require_touches_said
 from calib.planning.selection_bound import CERTIFIED, kinds_of, largest
@@ -183,7 +182,7 @@ def prepare(
         task_rows = rows_of_measured(robot, as_poses(robot, task), sigma)[2]
         n_task = task_rows.shape[0] * len(robot.located)
     problem = build_problem(
-        pairs.rows, done_rows, prior_rows(Unknowns.chosen_by_poses(robot).has_prior), n_before, task_rows, n_task
+        pairs.rows, done_rows, Unknowns.chosen_by_poses(robot).prior.rows, n_before, task_rows, n_task
     )
     _require_answer(problem, wanted)
     kind = None if wanted.groups.counts is None else pairs.group

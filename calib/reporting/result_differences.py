@@ -74,7 +74,7 @@ class _Result:
         known = load_uncertainty(folder, robot)
         free = tuple(p.name for p, use in zip(robot.parameters, known.free, strict=True) if use)
         freedom = float(content["degrees_of_freedom"])
-        return cls(name, content, robot, free, known.covariance, freedom, _readings(folder / "residuals.csv"))
+        return cls(name, content, robot, free, known.covariance, freedom, readings_of(folder / "residuals.csv"))
 
     def parameters(self, names: Sequence[str]) -> list[Parameter]:
         """Return the parameters of these names."""
@@ -98,7 +98,7 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
         raise InputError("a result folder is given twice; give each once")
     read = [_read(one, f"fit {k + 1}") for k, one in enumerate(results)]
     for one in read[1:]:
-        if _geometry(one.robot) != _geometry(read[0].robot):
+        if geometry(one.robot) != geometry(read[0].robot):
             raise DataError(f"{one.name}: is the result of another robot than {read[0].name}; their URDFs differ")
     pairs = list(combinations(read, 2))
     notes = [note for first, other in pairs for note in _notes(first, other)]
@@ -168,8 +168,8 @@ def _read(result: Fit | Path | str, name: str) -> _Result:
         return _Result.of(Path(folder), name)
 
 
-def _readings(path: Path) -> dict[str, dict[tuple[str, ...], float]]:
-    """The readings of each set, by all that was commanded and read, with their squared errors; NaN in another unit."""
+def readings_of(path: Path) -> dict[str, dict[tuple[str, ...], float]]:
+    """Return the readings of each set, by all that was told and read, with squared errors; NaN in another unit."""
     table = read_table(path)
     names = list(table.names)
     errors = [k for k, name in enumerate(names) if name.startswith("error_after_")]
@@ -188,7 +188,8 @@ def _readings(path: Path) -> dict[str, dict[tuple[str, ...], float]]:
     return found
 
 
-def _geometry(robot: Robot) -> list[tuple[object, ...]]:
+def geometry(robot: Robot) -> list[tuple[object, ...]]:
+    """Return what robots of one model share: names, links and origins of all joints of the URDF."""
     return [(joint.name, joint.parent, joint.child, tuple(joint.xyz), tuple(joint.rpy)) for joint in robot.urdf.joints]
 
 
@@ -246,7 +247,9 @@ def _of_common(one: _Result, common: Sequence[str]) -> tuple[FloatArray, FloatAr
     """Values, covariance, and sigmas of priors that are known beforehand (NaN: none) of these free parameters [SI]."""
     place = [one.free.index(name) for name in common]
     values = one.robot.values[[index_of(one.robot.parameters, name) for name in common]]
-    sigma = np.array([p.sigma_si if p.prior and not p.family else np.nan for p in one.parameters(common)])
+    sigma = np.array(
+        [p.sigma_si if p.prior and not p.family and p.mean_si is None else np.nan for p in one.parameters(common)]
+    )
     return values, one.covariance[np.ix_(place, place)], sigma
 
 

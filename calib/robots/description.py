@@ -33,6 +33,7 @@ from calib.instruments.kinds import KINDS, AnyInstrument
 from calib.instruments.noise import PositionSigma
 from calib.joint_terms.term import TermSection
 from calib.joint_terms.terms import TERMS, AnyTerm
+from calib.robots.fleet_prior import FleetSection
 
 
 class BaseSection(FrameSection):
@@ -102,6 +103,7 @@ class Description(Section):
     `setups` names the setups of a measurement and what had been moved or remounted before each but the first.
     `joint_terms` are terms of the joints' errors, which a list in `parametrisation` may hold too; `payload` is the
     frame that carries the mass of a column `load`.
+    `fleet` is what other robots of the model are like (`calib fleet` writes it).
     `elimination_order` names parameters in the order in which `calib check` proposes to hold them, where it can choose.
     """
 
@@ -133,6 +135,7 @@ class Description(Section):
     payload: str | None = None
     held: tuple[str, ...] = ()
     elimination_order: tuple[str, ...] = ()
+    fleet: FleetSection | None = None
     priors: bool = True
     sigma: PositionSigma | None = None
     singularity_limit: Annotated[float, Field(gt=0, lt=1)] = 0.02

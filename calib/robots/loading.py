@@ -133,6 +133,8 @@ def _built(description: Description, urdf: UrdfText, where: str) -> Robot:
     terms = build_terms(description, urdf, nominal, where)
     robot = Robot(where, description, urdf, nominal, nominal, parametrisation, instruments, terms, np.zeros(0), mode)
     robot.check_names()
+    if description.fleet is not None:
+        description.fleet.check(robot.parameters, where)
     for held in description.held:
         index_of(robot.parameters, held, f"{where}: held")
     for name in description.elimination_order:

@@ -176,7 +176,9 @@ class Robot(ReadOnlyArrays):
         """Parameters, in the order of `values`, and by name."""
         of_instruments = tuple(p for one in self.instruments for p in one.unknowns)
         of_terms = tuple(p for term in self.terms for p in term.parameters)
-        return Parameters(self.parametrisation.parameters + of_instruments + of_terms)
+        every = self.parametrisation.parameters + of_instruments + of_terms
+        fleet = self.description.fleet
+        return Parameters(every if fleet is None else fleet.expected(every, self.path))
 
     @cached_property
     def n_origin_parameters(self) -> int:
@@ -432,7 +434,8 @@ class Robot(ReadOnlyArrays):
         robot = self.with_terms(kept)
         names = {parameter.name for parameter in robot.parameters}
         held = tuple(name for name in robot.description.held if name in names)
-        return replace(robot, description=robot.description.model_copy(update={"held": held}))
+        fleet = robot.description.fleet if robot.terms == self.terms else None  # its means belong with the terms
+        return replace(robot, description=robot.description.model_copy(update={"held": held, "fleet": fleet}))
 
     def check_names(self) -> None:
         """Raise `DescriptionError` if two parameters share a name."""

@@ -47,14 +47,14 @@ def nearest_to_nominal(robot: Robot) -> Robot:
     if np.all(own):
         return robot
     sigma = np.array([parameters[k].sigma_si for k in free])
-    nominal = np.array([parameters[k].nominal_si for k in free])
+    expected = np.array([parameters[k].expected_si for k in free])
     q = around_home(robot)
     readings = predicted_readings(robot, robot.assemble(q))
     for _ in range(_ROUNDS):
         changed, jacobian = _stacked(observe(robot, robot.assemble(q), readings))
         seen, unseen = _split(jacobian[:, free] * sigma)
         back = -seen @ np.linalg.lstsq(jacobian[:, free] * sigma @ seen, changed, rcond=None)[0]
-        start = (robot.values[free] - nominal) / sigma + back
+        start = (robot.values[free] - expected) / sigma + back
         step = back - unseen @ np.linalg.lstsq(unseen[own], start[own], rcond=RANK_TOLERANCE)[0]
         values = robot.values.copy()
         values[free] += sigma * step

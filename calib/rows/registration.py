@@ -256,7 +256,7 @@ def _expected(robot: Robot, target: str, origin: str) -> tuple[FloatArray, Float
         parameter = robot.parameters[f"{origin}.{axis}"]
         if parameter.name not in robot.description.held:
             sigma[k] = parameter.sigma_si if parameter.prior else np.inf
-            point[k] = parameter.nominal_si if parameter.prior else point[k]
+            point[k] = parameter.expected_si if parameter.prior else point[k]
     return point, sigma
 
 

@@ -35,7 +35,8 @@ import numpy as np
 from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.base.units import Dimension
 from calib.numerics.identifiability import reduced
-from calib.numerics.observability import Information, information, prior_rows
+from calib.numerics.observability import Information, information
+from calib.numerics.prior import Prior
 from calib.numerics.variance_components import SharedError
 
 
@@ -147,14 +148,14 @@ class Rows:
     Attributes:
         residuals: (n_rows,).
         jacobian: By the scaled free parameters, (n_rows, n_free).
-        has_prior: Which of these have a prior, (n_free,).
-        deviations: u = (p - p_nominal) / s of these, (n_free,).
+        prior: Of these.
+        deviations: u = (p - p_expected) / s of these, (n_free,).
         layout: Which row is what.
     """
 
     residuals: FloatArray
     jacobian: FloatArray
-    has_prior: BoolArray
+    prior: Prior
     deviations: FloatArray
     layout: Layout
 
@@ -166,7 +167,7 @@ class Rows:
     @cached_property
     def known(self) -> Information:
         """What these rows and the priors determine."""
-        return information(self.factor[:, :-1], prior_rows(self.has_prior))
+        return information(self.factor[:, :-1], self.prior.rows)
 
     @cached_property
     def alone(self) -> Information:
@@ -176,21 +177,21 @@ class Rows:
     @property
     def cost(self) -> float:
         """Sum of the squares of residuals and priors."""
-        return float(self.residuals @ self.residuals + np.sum(self.deviations[self.has_prior] ** 2))
+        return float(self.residuals @ self.residuals) + self.prior.cost(self.deviations)
 
     def only(self, chosen: BoolArray) -> Rows:
         """Return the rows by some of the parameters, (n_free,)."""
         return replace(
             self,
             jacobian=self.jacobian[:, chosen],
-            has_prior=self.has_prior[chosen],
+            prior=self.prior.only(chosen),
             deviations=self.deviations[chosen],
         )
 
     def weighted(self, weights: FloatArray) -> Rows:
         """Return the rows with these weights of the readings, (n_readings,)."""
         root = np.sqrt(weights)[self.layout.reading]
-        return Rows(root * self.residuals, root[:, None] * self.jacobian, self.has_prior, self.deviations, self.layout)
+        return Rows(root * self.residuals, root[:, None] * self.jacobian, self.prior, self.deviations, self.layout)
 
     def whitened(self, shared: SharedError | None) -> Rows:
         """Return the rows whitened for errors that the rows of a pose share; as they are without any."""

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.base.parameter import Parameter
+from calib.numerics.prior import Prior
 from calib.robots.robot import Robot
 
 
@@ -18,8 +20,8 @@ class Unknowns(ReadOnlyArrays):
         names: Their names.
         index: Their places among all parameters, (n,).
         scales: Their sigma, (n,) [SI].
-        nominal: Their nominal values, (n,) [SI].
-        has_prior: Which of them have a prior, (n,).
+        expected: Around which values priors lie, nominal ones unless a fleet says otherwise, (n,) [SI].
+        prior: What is known of them before measuring.
         placement: Which only say where instruments and targets are, (n,).
         family: Number of the family of each, -1 for none, (n,).
         families: Their names.
@@ -28,8 +30,8 @@ class Unknowns(ReadOnlyArrays):
     names: tuple[str, ...]
     index: IntArray
     scales: FloatArray
-    nominal: FloatArray
-    has_prior: BoolArray
+    expected: FloatArray
+    prior: Prior
     placement: BoolArray
     family: IntArray
     families: tuple[str, ...]
@@ -47,8 +49,8 @@ class Unknowns(ReadOnlyArrays):
             tuple(p.name for p in kept),
             chosen,
             np.array([p.sigma_si for p in kept]),
-            np.array([p.nominal_si for p in kept]),
-            np.array([p.prior for p in kept], dtype=bool),
+            np.array([p.expected_si for p in kept]),
+            _prior(robot, kept),
             np.array([p.placement for p in kept], dtype=bool),
             np.array([families.index(p.family) if p.family else -1 for p in kept], dtype=np.intp),
             families,
@@ -60,8 +62,8 @@ class Unknowns(ReadOnlyArrays):
             tuple(name for name, use in zip(self.names, chosen, strict=True) if use),
             self.index[chosen],
             self.scales[chosen],
-            self.nominal[chosen],
-            self.has_prior[chosen],
+            self.expected[chosen],
+            self.prior.only(chosen),
             self.placement[chosen],
             self.family[chosen],
             self.families,
@@ -79,5 +81,15 @@ class Unknowns(ReadOnlyArrays):
         return every.only(every.family < 0)
 
     def deviations(self, values: FloatArray) -> FloatArray:
-        """Return u = (p - p_nominal) / s from the values of all parameters, (n_parameters,)."""
-        return (values[self.index] - self.nominal) / self.scales
+        """Return u = (p - p_expected) / s from the values of all parameters, (n_parameters,)."""
+        return (values[self.index] - self.expected) / self.scales
+
+
+def _prior(robot: Robot, kept: list[Parameter]) -> Prior:
+    """What is known before measuring of some of the robot's parameters."""
+    has, fleet = np.array([p.prior for p in kept], dtype=bool), robot.description.fleet
+    together = [k for k, p in enumerate(kept) if fleet is not None and fleet.knows(p.name)]
+    if fleet is None or not together:
+        return Prior(has)
+    correlations = fleet.correlations([kept[k].name for k in together])
+    return Prior(has, np.array(together, dtype=np.intp), correlations)

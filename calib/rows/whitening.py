@@ -106,7 +106,7 @@ class Whitening:
         residuals = self.flatten({name: observed[name].residuals for name in self._names}) / divisor
         columns = self.flatten({name: observed[name].jacobian for name in self._names}, unknowns.index)
         columns *= unknowns.scales / divisor[:, None]
-        return Rows(residuals, columns, unknowns.has_prior, deviations, self.layout)
+        return Rows(residuals, columns, unknowns.prior, deviations, self.layout)
 
     def weighing(self, ratios: FloatArray) -> SharedError | None:
         """Return offsets as estimates are weighed for them, whatever the scales are; None without any.

@@ -30,7 +30,7 @@ STEPS = {
     ),
     "Before measuring": ("sample", "check", "select", "simulate", "study", "Assessment", "Selection", "Study"),
     "Calibrating": ("fit", "load_result", "Watch", "Calibration", "Fit", "LoadedResult", "Progress"),
-    "Judging": ("verify", "compare", "Acceptance", "ResultComparison"),
+    "Judging": ("verify", "compare", "fleet", "Acceptance", "ResultComparison", "Fleet"),
     "Using the calibrated robot": (
         "predict",
         "solve",

@@ -22,6 +22,7 @@ EXAMPLES = {
     "calib watch": "calib watch docs/examples/arm.yaml growing.csv --goal 0.1mm",
     "calib view": "calib view out/arm --map",
     "calib compare": "calib compare out/before out/after --html compared.html",
+    "calib fleet": "calib fleet out/robot_1 out/robot_2 out/robot_3 --out fleet.yaml",
     "calib verify": "calib verify out/arm check.csv",
     "calib predict": "calib predict out/arm poses.csv --out predicted.csv",
     "calib solve": "calib solve out/arm targets.csv --out commands.csv",

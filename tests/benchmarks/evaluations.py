@@ -106,7 +106,7 @@ def most_of(starts, robot, data, sigma):
     groups = solve_from(problem, placed, Settings(sigma=sigma)).groups
     found = []
     for seed in range(starts):
-        away = np.where(unknowns.has_prior, np.random.default_rng(seed).standard_normal(len(unknowns)), 0.0)
+        away = np.where(unknowns.prior.has, np.random.default_rng(seed).standard_normal(len(unknowns)), 0.0)
         start = problem.moved(placed, unknowns, unknowns.deviations(placed.values) + away)
         found.append(problem.apart().solve(start, groups)[1])
     return max(solution.evaluations for solution in found), all(solution.converged for solution in found)

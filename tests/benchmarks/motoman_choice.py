@@ -16,7 +16,7 @@ import numpy as np
 
 import calib
 from calib.base.threads import one_blas_thread
-from calib.numerics.observability import information, prior_rows
+from calib.numerics.observability import information
 from calib.planning.selection import select
 from calib.rows.candidates import rows_of_poses
 from calib.rows.unknowns import Unknowns
@@ -56,7 +56,7 @@ def predicted(fit, train, test):
     robot, sigma = fit.robot, fit.sigma
     rows = rows_of_poses(robot, robot.assemble(train.joints), sigma).rows
     there = rows_of_poses(robot, robot.assemble(test.joints), sigma).position_rows
-    priors = prior_rows(Unknowns.of(robot).has_prior)
+    priors = Unknowns.of(robot).prior.rows
 
     @one_blas_thread
     def error(index):

@@ -20,11 +20,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.data.grouping import boxes
 from calib.fitting.fitted import Fit
 from calib.fitting.terms.candidate_terms import Candidate
 from calib.fitting.validation import stretches
+from calib.numerics.prior import Prior
 from calib.numerics.prior_sizes import FamilyModel, Products, SizedModel, found_with_families, log_evidence
 from calib.numerics.variance_components import EXACT
 from calib.rows.jacobian import linearise
@@ -76,7 +77,7 @@ class _Design(ReadOnlyArrays):
         rows: Whitened by what is stated, (n_rows, n_columns).
         residuals: (n_rows,).
         parameters: Scaled parameters of each column, (n_parameters, n_columns).
-        has_prior, deviations: As of `calib.rows.rows.Rows`, (n_columns,).
+        prior, deviations: As of `calib.rows.rows.Rows`, of the columns.
         owner: The candidate of each column; empty for what the fit has anyway.
         label: The size of each column's coefficients: its name; empty where it is not to be found.
     """
@@ -84,7 +85,7 @@ class _Design(ReadOnlyArrays):
     rows: FloatArray
     residuals: FloatArray
     parameters: FloatArray
-    has_prior: BoolArray
+    prior: Prior
     deviations: FloatArray
     owner: tuple[str, ...]
     label: tuple[str, ...]
@@ -109,7 +110,7 @@ def _design(rows: Rows, unknowns: Unknowns, owner: list[str]) -> _Design:
         rows.jacobian @ maps,
         rows.residuals,
         maps,
-        rows.has_prior[first],
+        rows.prior.only(first),
         maps.T @ rows.deviations,
         tuple(owner[k] for k in first),
         tuple(labels[k] for k in first),
@@ -218,7 +219,7 @@ class Trials:
         family = np.array([names.index(design.label[k]) if design.label[k] else -1 for k in use], dtype=np.intp)
         model = FamilyModel(
             self._all.products(use),
-            design.has_prior[use],
+            design.prior.only(use),
             design.deviations[use],
             np.ones(len(layout.groups), dtype=bool),  # stated noise knows nothing of what the robot itself does
             family,
@@ -228,7 +229,7 @@ class Trials:
         if np.any(scales <= EXACT):
             return self._explaining_all(terms, len(names))
         solved = model.solved(scales, sizes)
-        left_out = [self._left_out(solved, model.has_prior, scales, use, parts) for parts in self._partitions]
+        left_out = [self._left_out(solved, model.prior, scales, use, parts) for parts in self._partitions]
         elsewhere = self._elsewhere[:, use] * solved.factor
         variances = np.sum((elsewhere @ solved.root) ** 2, axis=1)
         of_term = {
@@ -252,14 +253,14 @@ class Trials:
         return Trial(terms, float("-inf"), n_sizes, dict.fromkeys(terms, float("inf")), nothing, off, float("inf"))
 
     def _left_out(
-        self, solved: SizedModel, has_prior: BoolArray, scales: FloatArray, use: IntArray, parts: list[_Part]
+        self, solved: SizedModel, prior: Prior, scales: FloatArray, use: IntArray, parts: list[_Part]
     ) -> tuple[FloatArray, float]:
         """Whitened squares of each block when it is left out, and the root mean square of the main part [SI]."""
         layout, data = self.fit.whitening.layout, self.fit.identification.data
         steps = np.zeros((len(self._design.owner), len(parts)))
         block = np.full(len(data), -1)
         for k, part in enumerate(parts):
-            steps[use, k] = solved.factor * self._step_without(part, solved, has_prior, scales, use)
+            steps[use, k] = solved.factor * self._step_without(part, solved, prior, scales, use)
             block[layout.visit[layout.reading[part.which]]] = k
         after = {}
         for name, columns in self._by_column.items():
@@ -275,14 +276,14 @@ class Trials:
         return squares, float(np.sqrt(np.mean(lengths)))
 
     def _step_without(
-        self, part: _Part, solved: SizedModel, has_prior: BoolArray, scales: FloatArray, use: IntArray
+        self, part: _Part, solved: SizedModel, prior: Prior, scales: FloatArray, use: IntArray
     ) -> FloatArray:
         """Step to the minimum without some rows, in units of `solved.factor`, (n_use,)."""
         factor = solved.factor
         gram, pull = part.weighed(use, scales)
         kept, known = solved.matrix - factor[:, None] * gram * factor, solved.right - factor * pull
         size = np.diag(solved.matrix)
-        lost = ~has_prior & (np.diag(kept) <= _LOST * size)
+        lost = ~prior.has & (np.diag(kept) <= _LOST * size)
         step = np.zeros(len(use))
         step[~lost] = -_solution(kept[np.ix_(~lost, ~lost)] + np.diag(_RIDGE * size[~lost]), known[~lost])
         if np.any(lost):  # places that only these rows see are placed by them

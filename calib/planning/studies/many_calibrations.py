@@ -134,7 +134,7 @@ class Repeated:
         weighing = whitening.weighing(first.scales.ratios)
         whitened: FloatArray = whitening.flatten(residuals) / whitening.row_scale(groups)
         whitened = whitened if weighing is None else weighing.whiten(whitened)
-        pull = rows.jacobian.T @ whitened + np.where(rows.has_prior, rows.deviations, 0.0)
+        pull = rows.jacobian.T @ whitened + rows.prior.pull(rows.deviations)
         return self._problem.moved(robot, first.unknowns, rows.deviations - root @ (root.T @ pull))
 
 

@@ -34,6 +34,7 @@ from calib.data.measurements import Measurements
 from calib.robots.robot import Robot
 from calib.rows.observed import predicted_readings
 from calib.rows.simulate import noisy_readings, simulate, unstated_noise
+from calib.rows.unknowns import Unknowns
 
 Noise = Callable[[Measurements, np.random.Generator], Measurements]
 """Makes what is read of what would be read without noise."""
@@ -61,7 +62,7 @@ class Simulated:
     Attributes:
         truth: The robot that is measured.
         data: What would be read of it without noise.
-        drawn: Which parameters of the truth are drawn in each draw, by how much, (n_parameters,) [m or rad].
+        drawn: D; in each draw, D z with z normal is added to the values of the truth, (n_parameters, n) [m or rad].
         noise: What makes measurements of `data`, if that is not what the description states.
         sigma: Noise of positions in place of what is stated [m], or None.
         passive: Passive joints of the truth where it is measured, (n, n_passive) [m or rad].
@@ -78,7 +79,7 @@ class Simulated:
         """Return what a draw calibrates from."""
         rng, truth, exact = np.random.default_rng(seed), self.truth, self.data
         if np.any(self.drawn):
-            truth = truth.with_parameters(truth.values + self.drawn * rng.standard_normal(len(self.drawn)))
+            truth = truth.with_parameters(truth.values + self.drawn @ rng.standard_normal(self.drawn.shape[1]))
         if any(one.touches for one in truth.instruments):  # touches: the noise is in the joints
             return Drawn(truth, simulate(truth, exact, self.sigma, rng))
         if truth is not self.truth:
@@ -146,11 +147,19 @@ def simulated(
             f"truth {true.path}: has joints {', '.join(true.joint_names)}, and {robot.path} has"
             f" {', '.join(robot.joint_names)}; give the same robot with other values or more parameters"
         )
-    drawn = np.zeros(len(true.parameters))
+    drawn: FloatArray = np.zeros((len(true.parameters), 0))
     if truth == "priors":
-        drawn = np.array([p.sigma_si * p.prior for p in robot.parameters]) * robot.is_free
+        true = robot.with_parameters({p.name: p.mean_si for p in robot.parameters if p.mean_si is not None})
+        drawn = _drawn_from_priors(robot)
         if not np.any(drawn):
             raise InputError(f"{robot.path}: has no priors to draw the truth from; give a robot as the truth")
     exact = simulate(true, as_poses(robot, poses), 0.0)
     passive = true.assemble(exact.joints, labels=exact.labels, context=exact.conditions).passive
     return Simulated(true, exact, drawn, noise, sigma, passive)
+
+
+def _drawn_from_priors(robot: Robot) -> FloatArray:
+    """D of `Simulated`, by what is expected of the free parameters, (n_parameters, n_parameters) [m or rad]."""
+    unknowns, drawn = Unknowns.of(robot), np.zeros((len(robot.parameters), len(robot.parameters)))
+    drawn[np.ix_(unknowns.index, unknowns.index)] = unknowns.scales[:, None] * unknowns.prior.root
+    return drawn

@@ -1,0 +1,39 @@
+"""`calib fleet`: what robots of one model say of the next one."""
+
+from __future__ import annotations
+
+import click
+
+from calib import pictures
+from calib.commands.common import Output, shared_options
+from calib.reporting.fleet import fleet, urdf_beside
+
+
+@click.command("fleet")
+@click.argument("results", nargs=-1, required=True, metavar="DIR DIR...")
+@click.option(
+    "--out",
+    metavar="FILE",
+    help="YAML file to write: the robot with what is expected of one more; its URDF goes beside.",
+)
+@click.option("--html", metavar="FILE", help="Write one page: parameters of all robots side by side, and who is odd.")
+@shared_options(json_output=True)
+def command(results: tuple[str, ...], out: str | None, html: str | None, output: Output) -> None:
+    """Learn from results of robots of one model what one more robot is like.
+
+    Each DIR is what `calib fit` wrote of another robot: same URDF, same parameters, other poses, instruments and
+    places as you like. Mean and spread of every parameter become the prior of the robot in --out, with which few poses
+    are enough. A robot that is unlike the others is named, and left out.
+    """
+    beside = str(urdf_beside(out)) if out is not None else None
+    with output.working(f"learning from {len(results)} results"):
+        found = fleet(*results)
+    output.check(out, beside, html)
+    output.say(found.report().rstrip())
+    output.json(found.to_dict())
+    if out is not None:
+        found.save(out, force=output.force)
+        output.say(f"{out} and {beside} written; `calib fit {out} DATA --out DIR` calibrates one more robot")
+    if html is not None:
+        output.write(html, pictures.fleet(found))
+        output.say(f"Written to {html}")

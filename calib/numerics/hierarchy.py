@@ -1,0 +1,255 @@
+"""What several results of things of one model say of the model: mean, spread, and who is unlike the others.
+
+Result i tells of its own parameters u_i (scaled, n of them) by a likelihood with precision H_i and pull h_i,
+
+    log p(data_i | u_i) = -u_i^T H_i u_i / 2 + h_i^T u_i + const,
+
+so that directions that its data did not show, where H_i is zero, say nothing. The things differ around a mean,
+
+    u_i = m + d_i,        d_i ~ N(0, diag(t^2)),        m ~ N(0, I),        t_k^2 ~ scaled inverse chi^2 (nu, r^2),
+
+with one typical size r for parameters of a kind (`kinds`), found from the data, so that few things are enough: r is
+the geometric mean of the t_k of the kind, and each t_k is drawn towards it with the weight of nu things. Given
+t, all else is normal:
+
+    A_i = (H_i + diag(1/t^2))^-1            covariance of d_i given m
+    V = (I + sum H_i - H_i A_i H_i)^-1,     m = V sum (I - H_i A_i) h_i
+    d_i = A_i (h_i - H_i m),                C_i = A_i + A_i H_i V H_i A_i
+    t_k^2 = (nu r^2 + sum_i d_ik^2) / f_k,  f_k = nu + sum_i (1 - C_i,kk / t_k^2)
+
+The last line is repeated until it stands. It is restricted marginal likelihood, like that of variance components
+(`calib.numerics.variance_components`), and f_k counts how much was seen. What is expected of one more thing has Student
+tails; a normal with their variance stands for them, t_k^2 f_k / (f_k - 2), which holds 95 % as it should.
+
+Who is unlike the others is asked of the others: learned without result i, they expect u_i ~ N(m, D + V), D the diagonal
+of these variances. In the combinations in which that is wider than the noise of result i, scaled to variance 1, the
+mean square is tested by F with the typical f_k; each parameter alone by Student's t. The least likely is left out, and
+all is learned again, until nobody is unlike at a chance of one in a hundred for all tests together. So one wrong
+result changes nothing, and does not hide behind the spread that it makes.
+
+When it fails. Half of the results wrong; two results alone, of which none can be told to be unlike; spreads that go
+together (all links of a robot longer): they are counted as independent, and combinations of them as narrower than they
+are.
+
+Reference: patterson1971; gelman2006 for the weight of spreads that few things tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+
+CHANCE = 0.01
+"""Chance that any result of a fleet is called unlike the others that is not."""
+_WEIGHT = 4.0  # nu of the module docstring
+_SMALLEST = 1e-3  # typical size r of spreads, over what is expected of single things
+_STANDS = 1e-4  # relative change of a variance
+_ROUNDS = 500
+_WIDER = 2.0  # variance of a combination, over that of noise, from which on it tells who is unlike
+_NOTHING = 1e-2  # information, over that of what is expected of single things, below which nothing was shown
+_SHOWN = 0.5  # part of a parameter's variance that data must take away for it to be tested
+
+
+@dataclass(frozen=True, eq=False)
+class Told(ReadOnlyArrays):
+    """What one result tells of its parameters, scaled.
+
+    Attributes:
+        precision: H, (n, n).
+        pull: h, (n,).
+    """
+
+    precision: FloatArray
+    pull: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Hierarchy(ReadOnlyArrays):
+    """Mean and spread, scaled.
+
+    Attributes:
+        mean: m, (n,).
+        covariance: V of the mean, (n, n).
+        variance: Of one more thing around the mean, (n,).
+        freedom: f, (n,).
+        estimates: d_i + m of the results, (n_results, n).
+        deviations: Standard deviation of these, (n_results, n).
+        shown: How many of the results showed each parameter, in parts, (n,).
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    variance: FloatArray
+    freedom: FloatArray
+    estimates: FloatArray
+    deviations: FloatArray
+    shown: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Likeness(ReadOnlyArrays):
+    """How a result compares with what others lead to expect.
+
+    Attributes:
+        distances: How far each parameter is from what is expected, in standard deviations of that, (n,); NaN where the
+            result does not show it.
+        p_values: Chance of each, (n,); NaN likewise.
+        together: Root mean square over combinations, 1 on average; NaN where there are none.
+        p_together: Its chance.
+    """
+
+    distances: FloatArray
+    p_values: FloatArray
+    together: float
+    p_together: float
+
+    def p_value(self) -> float:
+        """Return the chance of the least likely of all that, corrected for their number; NaN without a test."""
+        p = np.append(self.p_values[np.isfinite(self.p_values)], [self.p_together] * bool(np.isfinite(self.p_together)))
+        return float(min(1.0, len(p) * np.min(p))) if len(p) else np.nan
+
+
+def told_by(covariance: FloatArray, u: FloatArray, prior: FloatArray, mean: FloatArray, freedom: float) -> Told:
+    """Return what the data alone say of parameters, from an estimate that had a prior: C^-1 less the prior.
+
+    Args:
+        covariance: C of the scaled estimate, (n, n).
+        u: The estimate, (n,).
+        prior: Its precision, (n, n); 0 for what had none.
+        mean: Mean of the prior, (n,).
+        freedom: Degrees of freedom of the noise, which was found: Student's variance stands for it.
+    """
+    inverse = np.linalg.inv(covariance)
+    sizes, axes = np.linalg.eigh((inverse - prior + (inverse - prior).T) / 2)
+    kept = axes[:, sizes > _NOTHING]
+    shrunk = max(freedom - 2.0, 1.0) / max(freedom, 3.0)
+    pull = kept @ (kept.T @ (inverse @ u - prior @ mean))
+    return Told(shrunk * (kept * sizes[sizes > _NOTHING]) @ kept.T, shrunk * pull)
+
+
+def learn(told: Sequence[Told], kinds: IntArray, start: FloatArray | None = None) -> Hierarchy:
+    """Learn mean and spread; see the module docstring.
+
+    Args:
+        told: What each result tells.
+        kinds: Kind of each parameter, from 0, (n,).
+        start: Variances t^2 to start from, (n,).
+    """
+    n, n_kinds = len(kinds), int(np.max(kinds)) + 1
+    variance = np.full(n, 0.1) if start is None else start.copy()
+    members = [kinds == kind for kind in range(n_kinds)]
+    mean, covariance, estimates, spreads = _given(told, variance)
+    seen: FloatArray = np.zeros(n)
+    for _ in range(_ROUNDS):
+        mean, covariance, estimates, spreads = _given(told, variance)
+        seen = np.sum(np.maximum(1.0 - spreads / variance, 0.0), axis=0)
+        squares = np.sum(estimates**2, axis=0)
+        typical = np.empty(n)
+        for own in members:
+            typical[own] = max(float(np.exp(np.mean(np.log(variance[own])))), _SMALLEST**2)
+        again = (_WEIGHT * typical + squares) / (_WEIGHT + seen)
+        change, variance = float(np.max(np.abs(again / variance - 1.0))), again
+        if change < _STANDS:
+            break
+    freedom = _WEIGHT + seen
+    return Hierarchy(
+        mean,
+        covariance,
+        variance * freedom / (freedom - 2.0),
+        freedom,
+        estimates + mean,
+        np.sqrt(np.array([_with_mean(one, variance, covariance) for one in told])),
+        np.sum([1.0 - np.diag(_inner(one, variance)) / variance for one in told], axis=0),
+    )
+
+
+def _given(told: Sequence[Told], variance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """m, V, and of each result d_i and the diagonal of C_i, given the variances t^2."""
+    n = len(variance)
+    inner = [_inner(one, variance) for one in told]
+    through = [a @ one.precision for a, one in zip(inner, told, strict=True)]
+    precision = np.eye(n) + sum(one.precision - one.precision @ t for one, t in zip(told, through, strict=True))
+    covariance = np.linalg.inv((precision + precision.T) / 2)
+    mean = covariance @ sum(one.pull - t.T @ one.pull for one, t in zip(told, through, strict=True))
+    estimates = np.array([a @ (one.pull - one.precision @ mean) for a, one in zip(inner, told, strict=True)])
+    spreads = np.array([np.diag(a) + np.sum((t @ covariance) * t, axis=1) for a, t in zip(inner, through, strict=True)])
+    return mean, covariance, estimates, spreads
+
+
+def _inner(one: Told, variance: FloatArray) -> FloatArray:
+    """A of the module docstring, (n, n)."""
+    return np.asarray(np.linalg.inv(one.precision + np.diag(1.0 / variance)))
+
+
+def _with_mean(one: Told, variance: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Variance of m + d_i given the variances t^2, (n,)."""
+    inner = _inner(one, variance)
+    left = inner / variance  # I - A H
+    return np.asarray(np.diag(inner) + np.sum((left @ covariance) * left, axis=1))
+
+
+def likeness(one: Told, mean: FloatArray, expected: FloatArray, freedom: FloatArray) -> Likeness:
+    """Compare a result with what others, learned without it, lead to expect.
+
+    Args:
+        one: What it tells.
+        mean: What is expected, (n,).
+        expected: Covariance of that, (n, n).
+        freedom: f of the module docstring, (n,).
+    """
+    pull = one.pull - one.precision @ mean
+    after = np.linalg.inv(np.linalg.inv(expected) + one.precision)
+    gained = np.diag(expected) - np.diag(after)
+    shown = gained > _SHOWN * np.diag(expected)
+    distances = np.where(shown, after @ pull / np.sqrt(np.where(shown, gained, 1.0)), np.nan)
+    p_values = 2.0 * scipy.special.stdtr(freedom, -np.abs(distances))
+    sizes, axes = np.linalg.eigh(one.precision)
+    kept = sizes > _NOTHING
+    root = axes[:, kept] * np.sqrt(sizes[kept])
+    ratios, turned = np.linalg.eigh(root.T @ expected @ root)
+    wide = 1.0 + ratios > _WIDER
+    if not np.any(wide) or not np.any(shown):
+        return Likeness(distances, p_values, np.nan, np.nan)
+    noise = turned.T @ (axes[:, kept].T @ pull / np.sqrt(sizes[kept]))
+    together = float(np.mean(noise[wide] ** 2 / (1.0 + ratios[wide])))
+    chance = float(scipy.special.fdtrc(np.sum(wide), np.median(freedom[shown]), together))
+    return Likeness(distances, p_values, float(np.sqrt(together)), chance)
+
+
+def _compared(one: Told, others: Hierarchy) -> Likeness:
+    return likeness(one, others.mean, np.diag(others.variance) + others.covariance, others.freedom)
+
+
+def learn_without_odd(
+    told: Sequence[Told], kinds: IntArray
+) -> tuple[Hierarchy, tuple[int, ...], tuple[Likeness | None, ...]]:
+    """Learn from all results that are not unlike the others.
+
+    Args:
+        told: What each result tells.
+        kinds: Kind of each parameter, (n,).
+
+    Returns:
+        What the others say; the results that are unlike them; how each compares with the others (of two: None).
+    """
+    odd: list[int] = []
+    every = range(len(told))
+    while True:
+        kept = [i for i in every if i not in odd]
+        whole = learn([told[i] for i in kept], kinds)
+        start = whole.variance * (whole.freedom - 2.0) / whole.freedom
+        compared: list[Likeness | None] = []
+        for i in every:
+            rest = [told[k] for k in kept if k != i]
+            compared.append(_compared(told[i], learn(rest, kinds, start)) if len(rest) > 1 else None)
+        p = np.array([np.nan if one is None else one.p_value() for one in compared])
+        p[odd] = np.nan
+        worst = int(np.nanargmin(p)) if np.any(np.isfinite(p)) else -1
+        if worst < 0 or p[worst] * len(told) >= CHANCE or len(odd) + 1 > (len(told) - 1) // 2:
+            return whole, tuple(sorted(odd)), tuple(compared)
+        odd.append(worst)

@@ -1,0 +1,314 @@
+"""A fleet: results of robots of one model, and what they say of the next one (`calib.numerics.hierarchy`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.base.errors import DataError, InputError, nearest
+from calib.base.files import write_files
+from calib.base.parameter import Parameter
+from calib.base.words import as_data, counted, listed, plain_text, text_table
+from calib.numerics.hierarchy import CHANCE, Hierarchy, Likeness, learn_without_odd
+from calib.reporting.result_differences import geometry, readings_of
+from calib.reporting.result_reading import load, load_uncertainty, read_result
+from calib.robots.description import description_yaml
+from calib.robots.fleet_prior import FleetSection
+from calib.robots.robot import Robot
+from calib.rows.fleets import section_of, shared_parameters, told_of, without_fleet
+
+_WIDTH = 118
+_CONFIRMED = 1.25  # ratio of found to stated noise, or its inverse, up to which a result confirms it
+_MOST_CONFIRMED = 60.0  # degrees of freedom: the next robot's instrument may be another one
+_NAMED = 3  # parameters of a robot that are named as unlike
+
+
+@dataclass(frozen=True)
+class Member:
+    """One robot of a fleet.
+
+    Attributes:
+        name: Of its result.
+        verdict, n_poses: Of its result.
+        odd: Whether it is unlike the others, which then learned nothing from it.
+        together: Root mean square of how far it is from what the others expect, 1 on average; NaN if not tested.
+        p_value: Chance of a robot so far off in anything, over all tests of this robot; NaN likewise.
+        unlike: Parameters in which an odd robot is further off than chance, the furthest first, with the distance in
+            standard deviations of what is expected.
+    """
+
+    name: str
+    verdict: str
+    n_poses: int
+    odd: bool
+    together: float
+    p_value: float
+    unlike: tuple[tuple[str, float], ...]
+
+    def said(self) -> str:
+        """Say whether it is like the others."""
+        if np.isnan(self.p_value):
+            return "not tested"
+        if not self.odd:
+            return "like the others"
+        words = listed([f"{name} ({away:+.0f} sigma)" for name, away in self.unlike[:_NAMED]])
+        return f"UNLIKE the others: {words or 'in many parameters a little'}"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fleet(ReadOnlyArrays):
+    """Robots of one model.
+
+    Attributes:
+        robot: The first one, nominal, with what the fleet says of one more robot in its description.
+        members: The robots.
+        parameters: What they share, with the sigmas of the description.
+        nominal: Nominal values, (n,) [SI].
+        mean, mean_std: Mean over the robots, and how sure it is, (n,) [SI].
+        spread: Standard deviation from robot to robot, (n,) [SI].
+        shown: By how many robots each parameter was shown, (n,).
+        values, stds: Of each robot, with what the others say of it, (n_robots, n) [SI]; an odd one's as it was found.
+        notes: What to know before believing it.
+    """
+
+    robot: Robot
+    members: tuple[Member, ...]
+    parameters: tuple[Parameter, ...]
+    nominal: FloatArray
+    mean: FloatArray
+    mean_std: FloatArray
+    spread: FloatArray
+    shown: FloatArray
+    values: FloatArray
+    stds: FloatArray
+    notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        odd = [one.name for one in self.members if one.odd]
+        said = f"; unlike the others: {listed(odd)}" if odd else ""
+        return f"<fleet of {len(self.members)} robots '{self.robot.name}', {len(self.parameters)} parameters{said}>"
+
+    def __str__(self) -> str:
+        return self.report()
+
+    def report(self) -> str:
+        """Return the fleet as text: the robots, then the parameters."""
+        robots = text_table(("robot", "verdict", "poses", "off", "p", "said"), ("robot", "verdict", "said"), plain=True)
+        for member in self.members:
+            off = "-" if np.isnan(member.together) else f"{member.together:.2f}"
+            chance = "-" if np.isnan(member.p_value) else f"{member.p_value:.2g}"
+            robots.add_row(member.name, member.verdict, str(member.n_poses), off, chance, member.said())
+        heads = ("parameter", "unit", "expected +-", "mean - nominal", "+-", "spread", "shown by")
+        table = text_table(heads, ("parameter", "unit"), plain=True)
+        for k, one in enumerate(self.parameters):
+            numbers = (self.mean[k] - self.nominal[k], self.mean_std[k], self.spread[k])
+            cells = [f"{round(float(number) * one.per_si, 4) + 0.0:.4f}" for number in numbers]
+            table.add_row(one.name, one.unit, f"{one.sigma:.4g}", *cells, f"{self.shown[k]:.1f}")
+        return plain_text([robots, "", table, "\n" + self.conclusion(), *self.notes], _WIDTH, wrap=True)
+
+    def conclusion(self) -> str:
+        """Return in a sentence what was learned."""
+        odd = [one.name for one in self.members if one.odd]
+        spread = np.median(self.spread / np.array([p.sigma_si for p in self.parameters]))
+        left = f" Left out as unlike the others: {listed(odd)}." if odd else ""
+        return (
+            f"{counted(len(self.members) - len(odd), 'robot')} say what one more is like: parameters differ from"
+            f" robot to robot by {spread:.2g} of what the description expects (median).{left}"
+        )
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the fleet for `--json`, in the units of tables; null where there is no number."""
+        rows = []
+        for k, one in enumerate(self.parameters):
+            numbers = {"nominal": self.nominal[k], "mean": self.mean[k], "mean_std": self.mean_std[k]}
+            numbers |= {"spread": self.spread[k]}
+            shown = {key: float(number) * one.per_si for key, number in numbers.items()}
+            values = {"values": list(self.values[:, k] * one.per_si), "stds": list(self.stds[:, k] * one.per_si)}
+            rows.append(
+                {"name": one.name, "unit": one.unit, "sigma": one.sigma, **shown, "shown": self.shown[k], **values}
+            )
+        members = [
+            {**vars(member), "unlike": [{"parameter": name, "distance": away} for name, away in member.unlike]}
+            for member in self.members
+        ]
+        return as_data({"robots": members, "parameters": rows, "chance": CHANCE, "notes": self.notes})
+
+    def save(self, path: Path | str, *, force: bool = False) -> None:
+        """Write the robot description with what the fleet says, and its URDF beside it under the same name.
+
+        Args:
+            path: YAML file to write.
+            force: Whether to replace files that this program did not write, or that were edited.
+
+        Raises:
+            InputError: A file cannot be written, or should not be replaced.
+        """
+        path, urdf = Path(path), urdf_beside(path)
+        text = description_yaml(self.robot.description.model_copy(update={"urdf": urdf.name}))
+        inputs = (self.robot.path, self.robot.urdf.path)
+        write_files({urdf: self.robot.urdf.source, path: text.encode()}, inputs=inputs, force=force)
+
+
+def urdf_beside(path: Path | str) -> Path:
+    """Return where the URDF of a description goes; a name that does not end in .yaml is an `InputError`."""
+    if Path(path).suffix.lower() not in (".yaml", ".yml"):
+        raise InputError(f"{path}: the name of a robot description ends in .yaml")
+    return Path(path).with_suffix(".urdf")
+
+
+def fleet(*results: Path | str) -> Fleet:
+    """Learn from results of robots of one model what one more is like.
+
+    Args:
+        results: Two or more result folders, of different robots with the same URDF and parameters.
+
+    Raises:
+        InputError: Fewer than two, or one twice.
+        DataError: A folder holds no result, or a damaged one, or one of another model, with other parameters, or of the
+            same readings.
+        ComputationError: A result failed, and was not forced.
+    """
+    if len(results) < 2:
+        raise InputError(f"{counted(len(results), 'result')} given; give those of two or more robots of one model")
+    if len({Path(one).resolve() for one in results}) < len(results):
+        raise InputError("a result folder is given twice; give each robot once")
+    folders = [Path(one) for one in results]
+    robots = [load(folder) for folder in folders]
+    shared = _shared(robots, folders)
+    _require_different(folders)
+    told = []
+    for folder, robot in zip(folders, robots, strict=True):
+        known, freedom = load_uncertainty(folder, robot), float(read_result(folder)["degrees_of_freedom"])
+        told.append(told_of(robot, known.free, known.covariance, freedom, shared))
+    learned, odd, compared = learn_without_odd(told, _kinds(shared))
+    like = [folder for k, folder in enumerate(folders) if k not in odd]
+    section = section_of(learned, len(like), shared, _confirmed(like))
+    scales, nominal = np.array([p.sigma_si for p in shared]), np.array([p.nominal_si for p in shared])
+    values, stds = _of_each(folders, robots, learned, odd, shared)
+    return Fleet(
+        _with_fleet(robots[0], section),
+        tuple(_member(folder, k in odd, compared[k], shared) for k, folder in enumerate(folders)),
+        shared,
+        nominal,
+        nominal + learned.mean * scales,
+        np.sqrt(np.diag(learned.covariance)) * scales,
+        np.sqrt(learned.variance) * scales,
+        learned.shown,
+        values,
+        stds,
+        tuple(_notes(folders, odd)),
+    )
+
+
+def _shared(robots: Sequence[Robot], folders: Sequence[Path]) -> tuple[Parameter, ...]:
+    """What the robots share; an error where they are not of one model, or were not fitted alike."""
+    first = shared_parameters(robots[0])
+    names = [p.name for p in first]
+    if not names:
+        raise DataError(f"{folders[0]}: has no free parameters that robots share (origins, joint terms); free some")
+    for robot, folder in zip(robots[1:], folders[1:], strict=True):
+        if geometry(robot) != geometry(robots[0]):
+            raise DataError(f"{folder}: is the result of another robot than {folders[0]}; their URDFs differ")
+        own = [p.name for p in shared_parameters(robot)]
+        for less, more, who, other in ((own, names, folder, folders[0]), (names, own, folders[0], folder)):
+            missing = next((name for name in more if name not in less), None)
+            if missing is not None:
+                raise DataError(
+                    f"{who}: has no free parameter '{missing}', which {other} has; fit all with the same"
+                    f" parametrisation and --terms{nearest(missing, less)}"
+                )
+    return first
+
+
+def _require_different(folders: Sequence[Path]) -> None:
+    """Raise `DataError` if two results used the same readings: then they are of one robot."""
+    used = [set(readings_of(folder / "residuals.csv").get("identification", {})) for folder in folders]
+    for k, own in enumerate(used):
+        for other in range(k):
+            if own & used[other]:
+                raise DataError(
+                    f"{folders[k]}: used {counted(len(own & used[other]), 'reading')} of {folders[other]}: both are of"
+                    " one robot; give each robot once"
+                )
+
+
+def _kinds(shared: Sequence[Parameter]) -> IntArray:
+    """Kind of each parameter: lengths and angles of origins, coefficients of each kind of term."""
+    words = [f"{p.dimension} {'' if p.nominal_si or _is_origin(p) else _term(p)}" for p in shared]
+    return np.array([list(dict.fromkeys(words)).index(word) for word in words], dtype=np.intp)
+
+
+def _is_origin(one: Parameter) -> bool:
+    return one.name.rpartition(".")[2] in ("x", "y", "z", "rx", "ry", "rz")
+
+
+def _term(one: Parameter) -> str:
+    return one.name.partition(".")[2].partition("_")[0]
+
+
+def _with_fleet(robot: Robot, section: FleetSection) -> Robot:
+    bare = without_fleet(robot).at_nominal()
+    return replace(bare, files={}, description=bare.description.model_copy(update={"fleet": section}))
+
+
+def _of_each(
+    folders: Sequence[Path],
+    robots: Sequence[Robot],
+    learned: Hierarchy,
+    odd: Sequence[int],
+    shared: Sequence[Parameter],
+) -> tuple[FloatArray, FloatArray]:
+    """Values and standard deviations of each robot, (n_robots, n) [SI]."""
+    names, scales = [p.name for p in shared], np.array([p.sigma_si for p in shared])
+    nominal = np.array([p.nominal_si for p in shared])
+    estimates = iter(zip(learned.estimates, learned.deviations, strict=True))
+    values, stds = [], []
+    for k, (folder, robot) in enumerate(zip(folders, robots, strict=True)):
+        if k in odd:
+            known = load_uncertainty(folder, robot)
+            free = [p.name for p, use in zip(robot.parameters, known.free, strict=True) if use]
+            own = [free.index(name) for name in names]
+            by_name = dict(zip((p.name for p in robot.parameters), robot.values, strict=True))
+            values.append(np.array([by_name[name] for name in names]))
+            stds.append(np.sqrt(np.diag(known.covariance)[own]))
+        else:
+            estimate, deviation = next(estimates)
+            values.append(nominal + scales * estimate)
+            stds.append(scales * deviation)
+    return np.array(values), np.array(stds)
+
+
+def _member(folder: Path, odd: bool, compared: Likeness | None, shared: Sequence[Parameter]) -> Member:
+    content = read_result(folder)
+    grade, n_poses = str(content["verdict"]["grade"]), int(content["n_poses"])
+    if compared is None:
+        return Member(str(folder), grade, n_poses, odd, np.nan, np.nan, ())
+    n = int(np.sum(np.isfinite(compared.p_values)))
+    order = np.argsort(-np.nan_to_num(np.abs(compared.distances)))
+    unlike = [(shared[k].name, float(compared.distances[k])) for k in order if n * compared.p_values[k] < CHANCE]
+    return Member(str(folder), grade, n_poses, odd, compared.together, compared.p_value(), tuple(unlike) if odd else ())
+
+
+def _confirmed(folders: Sequence[Path]) -> float:
+    """With how many degrees of freedom results confirm the noise that is stated; 0 where any contradicts it."""
+    found = [read_result(folder) for folder in folders]
+    stated = [one for one in found if one.get("sigma_stated") and one["sigma"] is not None]
+    if any(not 1 / _CONFIRMED < one["sigma"] / one["sigma_stated"] < _CONFIRMED for one in stated):
+        return 0.0
+    return round(min(sum(float(one["degrees_of_freedom"]) for one in stated), _MOST_CONFIRMED), 1)
+
+
+def _notes(folders: Sequence[Path], odd: Sequence[int]) -> list[str]:
+    notes = []
+    check = [str(one) for one in folders if read_result(one)["verdict"]["grade"] == "CHECK"]
+    if check:
+        notes.append(f"Verdict CHECK: {listed(check)}; what is systematic there counts as a property of the robot.")
+    if len(folders) - len(odd) < 5:
+        notes.append("Spreads of fewer than five robots are uncertain: what is expected of one more is wide for it.")
+    if len(folders) == 2:
+        notes.append("Of two robots none can be told to be unlike the other.")
+    return notes

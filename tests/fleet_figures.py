@@ -1,0 +1,133 @@
+"""What a fleet is worth, simulated: `python tests/fleet_figures.py [--robots 5] [--draws 10] [--spread 0.05]`.
+
+In each draw a model is made up: the mean of its robots is off from nominal by 0.7 of what the description expects of
+each parameter, and the robots scatter around it by `--spread` of that. The robots of the fleet are measured at 30
+poses each, with base and reflector elsewhere each time, and calibrated one by one. Then one more robot is measured at 5
+and at 20 poses, and calibrated with and without what the fleet says. Errors are of positions at 200 other poses. Cases:
+`plain`; `wrong`: one result of the fleet is of a robot ten times as far from the mean in everything; `unlike`: the new
+robot has been repaired, and its elbow is off by 20 spreads.
+"""
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+import calib
+
+ROBOT = Path(__file__).parents[1] / "docs" / "examples" / "arm.yaml"
+MEAN, SPREAD = 0.7, 0.05  # over what the description expects: of the mean from nominal, of robots from the mean
+REPAIRED = "joint_3.ry"
+
+
+def own(robot):
+    """Parameters that robots share, and those that are places."""
+    places = np.array([p.placement for p in robot.parameters])
+    return np.flatnonzero(~places), np.flatnonzero(places)
+
+
+def one_more(robot, mean, rng, spread=SPREAD):
+    """A robot of the model, whose base and reflector stand anywhere."""
+    sigma = np.array([p.sigma_si for p in robot.parameters])
+    shared, places = own(robot)
+    values = robot.values.copy()
+    values[shared] = mean[shared] + spread * sigma[shared] * rng.standard_normal(len(shared))
+    values[places] += np.array([0.3 if p.startswith("base") else 2e-3 for p in names(robot, places)]) * rng.uniform(
+        -1, 1, len(places)
+    )
+    return robot.with_parameters(values)
+
+
+def names(robot, which):
+    return [robot.parameters[int(k)].name for k in which]
+
+
+def made_up(robot, rng):
+    """Values of the mean of a model."""
+    sigma = np.array([p.sigma_si for p in robot.parameters])
+    mean = robot.values + MEAN * sigma * rng.standard_normal(len(sigma))
+    _, places = own(robot)
+    mean[places] = robot.values[places]
+    return mean
+
+
+def results_of(robot, folder, n, rng, mean, wrong=False, spread=SPREAD):
+    """Result folders of a fleet of n robots; the first is of another model where one is to be wrong."""
+    folders = []
+    for k in range(n):
+        truth = one_more(robot, mean, rng, (10.0 if wrong and k == 0 else 1.0) * spread)
+        data = calib.simulate(truth, robot.sample(30, rng), seed=rng)
+        folders.append(Path(folder) / f"robot_{k + 1}")
+        calib.fit(robot, data).save(folders[-1], force=True)
+    return folders
+
+
+def judged(fit, truth, q):
+    """Root mean square error of positions at poses q [mm], and parts of intervals that hold the truth."""
+    error = fit.robot.positions(q) - truth.positions(q)
+    found = fit.predict(q)
+    std = np.sqrt(np.diagonal(found.covariance, axis1=2, axis2=3))
+    held = np.abs(error) <= found.coverage_factor * std
+    shared, _ = own(fit.nominal)
+    rows = [fit.parameters[name] for name in names(fit.nominal, shared)]
+    inside = [one.low95_si <= truth.values[k] <= one.high95_si for k, one in zip(shared, rows, strict=True)]
+    return 1e3 * float(np.sqrt(np.mean(np.sum(error**2, axis=2)))), float(np.mean(held)), float(np.mean(inside))
+
+
+def draw(seed, n, case, spread=SPREAD):
+    """Errors and parts held by what was measured, and what was said of robots that are unlike."""
+    robot, rng = calib.load(ROBOT), np.random.default_rng(seed)
+    mean = made_up(robot, rng)
+    with tempfile.TemporaryDirectory() as folder:
+        fleet = calib.fleet(*results_of(robot, folder, n, rng, mean, case == "wrong", spread))
+        fleet.save(Path(folder) / "fleet.yaml")
+        known = calib.load(Path(folder) / "fleet.yaml")
+    truth = one_more(robot, mean, rng, spread)
+    if case == "unlike":
+        place = names(robot, range(len(robot.parameters))).index(REPAIRED)
+        off = 20 * spread * robot.parameters[place].sigma_si
+        truth = truth.with_parameters({REPAIRED: truth.values[place] + off})
+    q, few, many = robot.sample(200, rng), robot.sample(5, rng), robot.sample(20, rng)
+    figures, unlike = {}, ()
+    for name, start, poses in (
+        ("5 poses", robot, few),
+        ("5 poses with the fleet", known, few),
+        ("20 poses", robot, many),
+        ("20 poses with the fleet", known, many),
+    ):
+        data = calib.simulate(truth, poses, seed=rng.spawn(1)[0])
+        try:
+            fit = calib.fit(start, data)
+        except calib.NotIdentifiableError:
+            figures[name] = (np.nan,) * 3
+            continue
+        figures[name] = judged(fit, truth, q)
+        said = fit.nominal.description.fleet
+        unlike = said.unlike if said is not None else unlike
+    return figures, [one.name for one in fleet.members if one.odd], unlike
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robots", type=int, default=5)
+    parser.add_argument("--draws", type=int, default=10)
+    parser.add_argument("--case", choices=("plain", "wrong", "unlike"), default="plain")
+    parser.add_argument("--spread", type=float, default=SPREAD)
+    told = parser.parse_args()
+    drawn = [draw(seed, told.robots, told.case, told.spread) for seed in range(told.draws)]
+    print(f"{told.draws} simulated fleets of {told.robots} robots, spread {told.spread:g}, case '{told.case}'")
+    for name in drawn[0][0]:
+        error, held, inside = np.array([figures[name] for figures, _, _ in drawn]).T
+        if np.any(np.isnan(error)):
+            print(f"{name:24} no answer in {np.sum(np.isnan(error))} draws: no degree of freedom is left")
+            continue
+        print(
+            f"{name:24} {np.sqrt(np.mean(error**2)):.3f} mm RMS; 95 % intervals hold {100 * np.mean(held):.1f} % of"
+            f" coordinates, {100 * np.mean(inside):.1f} % of parameters"
+        )
+    print("named in the fleet:", [len(odd) for _, odd, _ in drawn], "named of the new robot:", [x for _, _, x in drawn])
+
+
+if __name__ == "__main__":
+    main()

@@ -226,7 +226,22 @@ def _solve_weighed(problem: Problem, plain: Solved) -> Solved | None:
 
 
 def _solve_with_noise(problem: Problem, start: Robot, exact: float) -> Solved:
-    """Solve with the stated noise; find what is not stated of it, and what residuals contradict."""
+    """Solve with the stated noise; find what is not stated of it, and what residuals contradict.
+
+    Too few readings to find any noise do not contradict what other robots have confirmed.
+    """
+    try:
+        return _solve_finding_noise(problem, start, exact)
+    except NotIdentifiableError:
+        problem.found = problem.unstated
+        if not np.any(problem.confirmed):
+            raise
+    groups = problem.whitening.start(problem.evaluate(start).residuals)
+    robot, solution = problem.solve(start, groups, tolerance=exact)
+    return Solved(robot, groups, solution)
+
+
+def _solve_finding_noise(problem: Problem, start: Robot, exact: float) -> Solved:
     evaluation = problem.evaluate(start)
     groups = problem.whitening.start(evaluation.residuals)
     unstated = problem.found = problem.unstated
@@ -261,13 +276,7 @@ def _contradicted(problem: Problem, evaluation: Evaluation, groups: FloatArray) 
     """Have the noise found of groups whose statement the linear model contradicts; return scales to start from."""
     unstated = problem.found
     problem.found = np.ones(len(groups), dtype=bool)
-    try:
-        scales, _ = problem.found_scales(evaluation, groups)
-    except NotIdentifiableError:
-        problem.found = unstated
-        if np.any(problem.confirmed):  # too few readings to contradict what others confirmed
-            return groups
-        raise
+    scales, _ = problem.found_scales(evaluation, groups)
     problem.found = unstated | problem.contradicted(scales)
     return np.where(problem.found & ~unstated, scales, groups)
 

@@ -232,10 +232,11 @@ def found_factors(
     """
     read = groups >= 0
     pulled = np.sum((jacobian @ known.root) ** 2, axis=1)
-    squares: FloatArray = np.bincount(groups[read], residuals[read] ** 2, n_groups)
+    squares: FloatArray = np.bincount(groups[read], residuals[read] ** 2, n_groups).astype(float)
     freedom: FloatArray = np.bincount(groups[read], 1.0 - pulled[read], n_groups).astype(float)
     if confirmed is not None:
-        squares, freedom = squares + confirmed, freedom + confirmed
+        squares = np.asarray(squares + confirmed)
+        freedom = freedom + confirmed
     require_freedom(float(np.sum(freedom)), int(np.sum(read)))
     total = float(np.sum(squares) / np.sum(freedom))
     factor = np.sqrt(np.where(freedom > _ENOUGH, squares / np.maximum(freedom, _ENOUGH), total))

@@ -22,7 +22,7 @@ from calib.robots.robot import Robot
 from calib.rows.fleets import section_of, shared_parameters, told_of, without_fleet
 
 _WIDTH = 118
-_CONFIRMED = 1.25  # ratio of found to stated noise, or its inverse, up to which a result confirms it
+_CONFIRMED = 1.25  # ratio of found to stated noise, or its inverse, up to which results confirm it
 _MOST_CONFIRMED = 60.0  # degrees of freedom: the next robot's instrument may be another one
 _NAMED = 3  # parameters of a robot that are named as unlike
 
@@ -294,12 +294,14 @@ def _member(folder: Path, odd: bool, compared: Likeness | None, shared: Sequence
 
 
 def _confirmed(folders: Sequence[Path]) -> float:
-    """With how many degrees of freedom results confirm the noise that is stated; 0 where any contradicts it."""
+    """With how many degrees of freedom results confirm the noise that is stated; 0 where they contradict it."""
     found = [read_result(folder) for folder in folders]
     stated = [one for one in found if one.get("sigma_stated") and one["sigma"] is not None]
-    if any(not 1 / _CONFIRMED < one["sigma"] / one["sigma_stated"] < _CONFIRMED for one in stated):
+    freedom = np.array([float(one["degrees_of_freedom"]) for one in stated])
+    squares = np.array([(one["sigma"] / one["sigma_stated"]) ** 2 for one in stated])
+    if not len(stated) or not 1 / _CONFIRMED < np.sqrt(freedom @ squares / np.sum(freedom)) < _CONFIRMED:
         return 0.0
-    return round(min(sum(float(one["degrees_of_freedom"]) for one in stated), _MOST_CONFIRMED), 1)
+    return round(min(float(np.sum(freedom)), _MOST_CONFIRMED), 1)
 
 
 def _notes(folders: Sequence[Path], odd: Sequence[int]) -> list[str]:

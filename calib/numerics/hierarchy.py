@@ -23,9 +23,11 @@ tails; a normal with their variance stands for them, t_k^2 f_k / (f_k - 2), whic
 
 Who is unlike the others is asked of the others: learned without result i, they expect u_i ~ N(m, D + V), D the diagonal
 of these variances. In the combinations in which that is wider than the noise of result i, scaled to variance 1, the
-mean square is tested by F with the typical f_k; each parameter alone by Student's t. The least likely is left out, and
-all is learned again, until nobody is unlike at a chance of one in a hundred for all tests together. So one wrong
-result changes nothing, and does not hide behind the spread that it makes.
+mean square is tested by F with the typical f_k. That one parameter alone has another value is tested by Student's t,
+as an added variable is: with B = (D + V)^-1 and S = (B + H_i)^-1, B S (h_i - H_i m) is its score and the diagonal of
+B - B S B its variance, so that a parameter of which only sums are known is tested by these. The least likely is left
+out, and all is learned again, until nobody is unlike at a chance of one in a hundred for all tests together. So one
+wrong result changes nothing, and does not hide behind the spread that it makes.
 
 When it fails. Half of the results wrong; two results alone, of which none can be told to be unlike; spreads that go
 together (all links of a robot longer): they are counted as independent, and combinations of them as narrower than they
@@ -52,7 +54,7 @@ _STANDS = 1e-4  # relative change of a variance
 _ROUNDS = 500
 _WIDER = 2.0  # variance of a combination, over that of noise, from which on it tells who is unlike
 _NOTHING = 1e-2  # information, over that of what is expected of single things, below which nothing was shown
-_SHOWN = 0.5  # part of a parameter's variance that data must take away for it to be tested
+_SHOWN = 0.1  # part of what is expected of a parameter, given the others, that data must show for it to be tested
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,8 +98,8 @@ class Likeness(ReadOnlyArrays):
     """How a result compares with what others lead to expect.
 
     Attributes:
-        distances: How far each parameter is from what is expected, in standard deviations of that, (n,); NaN where the
-            result does not show it.
+        distances: How far off the result is if each parameter alone is unlike, in standard deviations, (n,); NaN where
+            the result does not show it.
         p_values: Chance of each, (n,); NaN likewise.
         together: Root mean square over combinations, 1 on average; NaN where there are none.
         p_together: Its chance.
@@ -203,10 +205,11 @@ def likeness(one: Told, mean: FloatArray, expected: FloatArray, freedom: FloatAr
         freedom: f of the module docstring, (n,).
     """
     pull = one.pull - one.precision @ mean
-    after = np.linalg.inv(np.linalg.inv(expected) + one.precision)
-    gained = np.diag(expected) - np.diag(after)
-    shown = gained > _SHOWN * np.diag(expected)
-    distances = np.where(shown, after @ pull / np.sqrt(np.where(shown, gained, 1.0)), np.nan)
+    before = np.linalg.inv(expected)
+    score = np.linalg.inv(before + one.precision) @ pull
+    known = np.diag(before - before @ np.linalg.inv(before + one.precision) @ before)
+    shown = known > _SHOWN * np.diag(before)
+    distances = np.where(shown, before @ score / np.sqrt(np.where(shown, known, 1.0)), np.nan)
     p_values = 2.0 * scipy.special.stdtr(freedom, -np.abs(distances))
     sizes, axes = np.linalg.eigh(one.precision)
     kept = sizes > _NOTHING

@@ -94,5 +94,5 @@ class Prior(ReadOnlyArrays):
         return Prior(self.has[places], own, self.correlations[np.ix_(number, number)])
 
     def cost(self, u: FloatArray) -> float:
-        """Return |P u|^2."""
+        """Return |P u|^2, of u (n,)."""
         return float(np.sum(self.times(u) ** 2))

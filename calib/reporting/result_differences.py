@@ -169,7 +169,11 @@ def _read(result: Fit | Path | str, name: str) -> _Result:
 
 
 def readings_of(path: Path) -> dict[str, dict[tuple[str, ...], float]]:
-    """Return the readings of each set, by all that was told and read, with squared errors; NaN in another unit."""
+    """Return the readings of each set, by all that was told and read, with squared errors; NaN in another unit.
+
+    Raises:
+        DataError: There are no errors in the file, or text in their place.
+    """
     table = read_table(path)
     names = list(table.names)
     errors = [k for k, name in enumerate(names) if name.startswith("error_after_")]

@@ -33,7 +33,8 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
     " Denavit-Hartenberg table, standard or modified. ur-kinematics: for Universal Robots' ROS description."
     " joint-offsets: sign and zero of each joint. xacro: joint origins as properties. These five say which error"
     " they leave. joint-tables: a folder with what each joint really is when it is told a value, as CSV, Python, C, and"
-    " the URDF that goes with it. Each gets the robot that is best among those that it can hold. numpy, c, jax, torch,"
+    " the URDF that goes with it. klipper, marlin, duet: lines to paste into the settings of a delta"
+    " printer. Each gets the robot that is best among those that it can hold. numpy, c, jax, torch,"
     " casadi: the whole model as functions of the commands, in one file that needs nothing of this program.",
 )
 @click.option(

@@ -12,12 +12,15 @@ import yaml
 
 from calib.base.errors import DescriptionError, InputError
 from calib.base.files import write_files
-from calib.base.units import millimetres
+from calib.base.units import millimetres, quantity
+from calib.base.words import counted
 from calib.commands.common import Output, shared_options
 from calib.data.dh_files import read_dh
 from calib.data.measurement_columns import header
+from calib.data.printer_files import PrinterFile, expected_geometry, printer_table, read_printer
 from calib.data.tables import format_table
 from calib.robots.description import schema_text
+from calib.robots.linear_delta import linear_delta_description, linear_delta_plan, linear_delta_urdf
 from calib.robots.loading import describe, load
 from calib.robots.templates import MEASURES, TEMPLATES, Measure, description_text, loop_files, read_lengths
 from calib.robots.urdf.arm_chain import arm_chain
@@ -41,18 +44,25 @@ _LENGTHS = "; ".join(
 @click.option("--dh", metavar="FILE", help="Denavit-Hartenberg table (CSV) in place of a URDF, which is then written.")
 @click.option("--convention", type=click.Choice(CONVENTIONS), help="Of the table, if it does not say it itself.")
 @click.option("--template", type=click.Choice(tuple(TEMPLATES)), help="A robot with loops in place of a URDF.")
+@click.option("--klipper", metavar="FILE", help="Delta printer: its printer.cfg, with what the probe measured.")
+@click.option("--marlin", metavar="FILE", help="Delta printer: a file with Marlin's M665 and M666.")
+@click.option("--duet", metavar="FILE", help="Delta printer: a file with M665 and M666 of RepRapFirmware.")
 @click.option(
     "--length",
     "lengths",
     multiple=True,
     metavar="NAME=VALUE",
-    help=f"Of the template, such as rod=300mm; once for each. Names and defaults are: {_LENGTHS}.",
+    help=f"Of the template, such as rod=300mm; once for each. Names and defaults are: {_LENGTHS};"
+    " of a printer: arm, as designed or measured.",
 )
 @click.option(
     "--schema", is_flag=True, help="Write the JSON schema of robot descriptions instead, with which editors check them."
 )
 @click.option(
-    "--out", required=True, metavar="FILE", help="YAML file to write; the URDF of --dh or --template goes beside it."
+    "--out",
+    required=True,
+    metavar="FILE",
+    help="YAML file to write; the URDF of --dh, --template or a printer goes beside it, and its measurements (.csv).",
 )
 @shared_options()
 def command(
@@ -62,6 +72,9 @@ def command(
     dh: str | None,
     convention: str | None,
     template: str | None,
+    klipper: str | None,
+    marlin: str | None,
+    duet: str | None,
     lengths: tuple[str, ...],
     schema: bool,
     out: str,
@@ -72,27 +85,35 @@ def command(
     Without --target it describes the longest chain of joints with motors, without the fingers of a gripper, and says
     what it leaves out. With --dh it starts from a Denavit-Hartenberg table: columns theta, d, a, alpha (and beta), with
     units, one row for each joint. With --template it writes the URDF, cut open, and the
-    description of a robot with loops, which --length fits to yours.
+    description of a robot with loops, which --length fits to yours. With --klipper it makes both, and the measurements,
+    from what a delta printer has in its printer.cfg; with --marlin or --duet, both from the settings alone.
     """
+    printers = {name: file for name, file in (("klipper", klipper), ("marlin", marlin), ("duet", duet)) if file}
     if schema:
-        if urdf or dh or template:
+        if urdf or dh or template or printers:
             raise InputError("--schema is the same for all robots; give nothing but --out")
         output.check(out)
         write_files({Path(out): schema_text().encode()}, force=output.force)
         output.say(f"{out} written; first line of a description: # yaml-language-server: $schema={Path(out).name}")
         return
-    if sum(given is not None for given in (urdf, dh, template)) != 1:
-        raise InputError("give a URDF, or a Denavit-Hartenberg table with --dh, or a --template; one of the three")
+    if sum(given is not None for given in (urdf, dh, template, *printers.values())) != 1:
+        raise InputError(
+            "give a URDF, or a Denavit-Hartenberg table with --dh, or a --template, or a printer with --klipper,"
+            " --marlin or --duet; one of them"
+        )
     if template and target:
         raise InputError("--target is for a URDF or a table; a template has its own targets")
-    if template and measure:
-        raise InputError("--measure is for a URDF or a table; a template has its own targets")
-    if lengths and not template:
-        raise InputError("--length is for a robot of --template")
+    if (template or printers) and measure:
+        raise InputError("--measure is for a URDF or a table; a template has its own targets, a printer its nozzle")
+    if lengths and not (template or printers):
+        raise InputError("--length is for a robot of --template, or a printer")
     if convention and not dh:
         raise InputError("--convention is for a table given with --dh")
     if Path(out).suffix.lower() not in (".yaml", ".yml"):
         raise InputError(f"{out}: the name of a robot description ends in .yaml")
+    for firmware, file in printers.items():
+        _write_printer(read_printer(file, firmware), target, lengths, Path(out), output)
+        return
     beside = Path(out).with_suffix(".urdf") if dh or template else None
     if template and beside:
         output.check(out, str(beside))
@@ -147,3 +168,31 @@ def _write_template(name: str, given: Sequence[str], urdf: Path, description: Pa
             what = str(error).replace(f"{Path(folder) / description.name}: ", "")
             raise InputError(f"template {name}: with these lengths, {what}") from None
     write_files({file: text.encode() for file, text in texts.items()}, force=output.force)
+
+
+def _write_printer(printer: PrinterFile, target: str | None, given: Sequence[str], out: Path, output: Output) -> None:
+    """Write the description, the URDF and the measurements of a printer."""
+    if target:
+        raise InputError("--target is for a URDF or a table; a printer has its nozzle")
+    arm = None
+    for text in given:
+        key, equals, value = (part.strip() for part in text.partition("="))
+        if not equals or key != "arm" or arm is not None:
+            raise InputError(f"--length {text}: of a printer give arm=VALUE once, such as arm=288mm")
+        arm = quantity(value, "length", "--length arm")
+    geometry = expected_geometry(printer, arm)
+    heights = sorted({row.value for row in printer.rows if len(row.places) == 1})
+    plan = linear_delta_plan(geometry, 2 if any(len(row.places) == 2 for row in printer.rows) else 1)
+    urdf, title = out.with_suffix(".urdf"), " ".join(Path(printer.path).name.replace("--", "-").split())
+    files = {
+        urdf: linear_delta_urdf(plan, f"linear delta, cut open: {title}"),
+        out: linear_delta_description(plan, title, urdf.name, heights, len(printer.rows)),
+        **({out.with_suffix(".csv"): printer_table(printer)} if printer.rows else {}),
+    }
+    output.check(*map(str, files))
+    write_files({file: text.encode() for file, text in files.items()}, force=output.force)
+    spans = len(printer.rows) - sum(len(row.places) == 1 for row in printer.rows)
+    rows = f", with {counted(len(printer.rows) - spans, 'height')} and {counted(spans, 'distance')}"
+    output.say(f"{', '.join(map(str, files))} written{rows if printer.rows else ''}")
+    if printer.rows:
+        output.say(f"next: calib fit {out} {out.with_suffix('.csv')} --out out/{out.stem}")

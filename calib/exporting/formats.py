@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 from calib.base.errors import InputError, nearest
@@ -12,14 +13,20 @@ from calib.exporting.closed_model import closed_model
 from calib.exporting.controllers import ControllerFile, dh_file, joint_offsets, ur_kinematics, xacro_origins
 from calib.exporting.drake import drake_bytes
 from calib.exporting.gap import Gap, loop_gaps
-from calib.exporting.held_formats import HELD, held_of, loses, robot_for, said_of
+from calib.exporting.held_formats import FIRMWARES, HELD, held_of, loses, robot_for, said_of
 from calib.exporting.joint_tables import beside_tables, joint_table_files, require_own_terms
 from calib.exporting.mjcf import mjcf
+from calib.exporting.printers import PRINTER_COMMENTS, printer_lines
 from calib.exporting.toolbox import toolbox_yaml
 from calib.exporting.urdf import urdf_bytes, with_mesh_prefix
 from calib.functions.functions import COMMENTS, LANGUAGES, function_file
 from calib.robots.loading import RobotLike, as_robot
 from calib.robots.robot import Robot
+
+
+def _printer(firmware: str, robot: Robot, lines: Sequence[str]) -> ControllerFile:
+    return printer_lines(robot, firmware, lines)
+
 
 CONTROLLERS: dict[str, Callable[[Robot, Sequence[str]], ControllerFile]] = {
     "dh": lambda robot, lines: dh_file(robot, "standard", lines),
@@ -27,6 +34,7 @@ CONTROLLERS: dict[str, Callable[[Robot, Sequence[str]], ControllerFile]] = {
     "ur-kinematics": ur_kinematics,
     "joint-offsets": joint_offsets,
     "xacro": xacro_origins,
+    **{name: partial(_printer, name) for name in FIRMWARES},
 }
 """Formats for controllers and ROS, of which each says what it holds and which error it leaves."""
 _WITH_URDF = ("urdf", "drake", "toolbox")
@@ -70,8 +78,9 @@ def export(
             the URDF beside it under the same name. `dh`, `mdh`: Denavit-Hartenberg tables, standard and modified.
             `ur-kinematics`: for Universal Robots' ROS description. `joint-offsets`: a sign and a zero for each joint.
             `xacro`: joint origins as properties. `joint-tables`: a folder of tables of what joints really are when
-            told a value, with the code that applies them (see `calib.exporting.joint_tables`). `numpy`, `c`, `jax`,
-            `torch`, `casadi`: the whole model as functions in that language (see `calib.functions`).
+            told a value, with the code that applies them (see `calib.exporting.joint_tables`). `klipper`, `marlin`,
+            `duet`: lines to paste into the settings of a delta printer (see `calib.exporting.printers`). `numpy`, `c`,
+            `jax`, `torch`, `casadi`: the whole model as functions in that language (see `calib.functions`).
         path: File to write, or folder of `joint-tables`.
         free_slide: Formats `mjcf` and `drake`: a free joint for each direction that a closure leaves free.
         meshes: Formats that hold a URDF (`urdf`, `drake`, `toolbox`): what to put before relative mesh paths, such as
@@ -121,7 +130,7 @@ def export(
     files = _contents(held, file_format, path, free_slide, lines, note, force=force)
     if meshes:
         files[urdf] = with_mesh_prefix(files[urdf], meshes)
-    write_files(files, comment=COMMENTS.get(file_format, ""), inputs=sources, force=force)
+    write_files(files, comment={**COMMENTS, **PRINTER_COMMENTS}.get(file_format, ""), inputs=sources, force=force)
     return () if free_slide or file_format in (*CONTROLLERS, *LANGUAGES) else loop_gaps(held)
 
 

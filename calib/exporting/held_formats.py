@@ -9,8 +9,11 @@ from calib.base.errors import ComputationError
 from calib.base.words import listed
 from calib.functions.functions import LANGUAGES
 from calib.robots.held import Holds
+from calib.robots.linear_delta import is_linear_delta
 from calib.robots.robot import Robot
 
+FIRMWARES = ("klipper", "marlin", "duet")
+"""Formats for delta printers."""
 HELD: dict[str, Holds] = {
     "urdf": Holds.ORIGINS,
     "mjcf": Holds.ORIGINS,
@@ -21,6 +24,7 @@ HELD: dict[str, Holds] = {
     "ur-kinematics": Holds.TO_LAST_AXIS,
     "joint-offsets": Holds.ZEROS,
     "xacro": Holds.ORIGINS,
+    **dict.fromkeys(FIRMWARES, Holds.ORIGINS),
     "joint-tables": Holds.TABLES,
     **dict.fromkeys(LANGUAGES, Holds.EVERYTHING),
 }
@@ -32,7 +36,8 @@ WHOLE = "the terms are in parameters.csv of the result folder, and calib predict
 
 def formats_that_hold(holds: Holds, robot: Robot) -> list[str]:
     """Return the formats that hold so much of a robot, and can hold one with its loops at all."""
-    no_place = _CHAINS if robot.mechanism.loops else ()
+    no_place = (*(_CHAINS if robot.mechanism.loops else ()),)
+    no_place += () if is_linear_delta(robot.description) else FIRMWARES
     return [name for name, own in HELD.items() if own is holds and name not in no_place]
 
 

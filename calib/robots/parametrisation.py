@@ -17,12 +17,14 @@ from calib.base.parameter import Parameter
 from calib.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component
 from calib.base.units import DISPLAY_UNIT, error_scale, millimetres, per_si, quantity
 from calib.instruments.kind import Place
+from calib.robots import linear_delta
 from calib.robots.description import Description, OriginSection
 from calib.robots.mechanism import Mechanism
 from calib.robots.parameters import Origin, OriginComponents, Parametrisation, Stacked
 from calib.robots.urdf.text import UrdfText
 
 ENTRY_POINTS = "calib.parametrisations"
+_OWN: dict[str, Callable[[Mapping[str, Origin]], Parametrisation]] = {linear_delta.NAME: linear_delta.LinearDelta}
 DEFAULT_LENGTH_SIGMA = 2e-3
 """Expected error of an origin's coordinate where nothing is stated [m]."""
 DEFAULT_ANGLE_SIGMA = 5e-3
@@ -154,10 +156,12 @@ def _component_parameter(
 
 def _from_plugin(name: str, origins: Mapping[str, Origin], mechanism: Mechanism, where: str) -> Parametrisation:
     plugins = {entry.name: entry for entry in entry_points(group=ENTRY_POINTS)}
-    if name not in plugins:
-        raise DescriptionError(f"{where}: no parametrisation '{name}' is installed{nearest(name, plugins)}")
+    if name not in plugins and name not in _OWN:
+        known = (*plugins, *_OWN)
+        raise DescriptionError(f"{where}: no parametrisation '{name}' is installed{nearest(name, known)}")
+    factory: Callable[[Mapping[str, Origin]], Parametrisation]
     try:
-        factory: Callable[[Mapping[str, Origin]], Parametrisation] = plugins[name].load()
+        factory = _OWN[name] if name in _OWN else plugins[name].load()
     except (ImportError, AttributeError) as error:
         raise DescriptionError(
             f"{where}: parametrisation '{name}' ({plugins[name].value}) cannot be loaded: {error}; install it again"

@@ -60,6 +60,10 @@ class Plan:
         self._add(name, "fixed", parent, child, xyz)
         self.free.append((name, free))
 
+    def place(self, name: str, parent: str, child: str, xyz: Iterable[float], turned: float = 0.0) -> None:
+        """A joint that only holds a place that no component of it alone makes free."""
+        self._add(name, "fixed", parent, child, xyz, turned)
+
     def hinge(
         self, name: str, parent: str, child: str, home: float, xyz: Iterable[float] = _HERE, *, axis: str = "0 0 1",
         turned: float = 0.0, motor: bool = False, limits: tuple[float, float] = _ROUND,

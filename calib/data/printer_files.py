@@ -1,0 +1,348 @@
+"""Settings of delta printers: Klipper's `printer.cfg` with what its probe measured; `M665`, `M666` of Marlin and Duet.
+
+Klipper keeps in `[delta_calibrate]` how far the motors had come down from the switches, in steps ("stable positions"),
+where the nozzle was at a known height (`height3`, `height3_pos`), and at both ends of a printed object that a caliper
+measured (`distance3`, `distance3_pos1`, `distance3_pos2`). What its command SAVE_CONFIG wrote, behind `#*#`, counts
+before the rest.
+
+Marlin: after homing, the nozzle is at the height H over the centre, when each carriage has come down by its (negative)
+M666. Duet: with all carriages equally high the nozzle would be at H, and those at the switches are higher by M666,
+whose mean is zero.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from calib.base.errors import DataError, InputError
+from calib.base.files import read_text
+from calib.base.units import PER_SI, millimetres
+from calib.data.tables import format_table
+from calib.robots.linear_delta import ANGLES, TOWERS, DeltaGeometry, height_name
+
+_MM, _DEG = 1 / PER_SI["length"]["mm"], 1 / PER_SI["angle"]["deg"]
+_SECTION = re.compile(r"\[([^\]]+)\]\s*$")
+_ENTRY = re.compile(r"([\w ]+?)\s*[:=]\s*(.*)$")
+_HEIGHT = re.compile(r"(manual_)?height(\d+)$")
+_DISTANCE = re.compile(r"distance(\d+)$")
+_WORD = re.compile(r"([A-Z])\s*(-?[\d.:]+)")
+_FITS = 2e-3  # what rows and saved settings are apart at most, where they belong together [m]
+_FACTORS = (1.0, 0.5, 2.0, 0.25, 4.0, 0.125, 8.0)
+_FAR, _TIMES = 0.5e-3, 6.0  # a row is far off beyond this [m], and beyond so many times the median
+
+
+@dataclass(frozen=True)
+class Row:
+    """A measured number: the height of a place, or the distance of two.
+
+    Attributes:
+        name: As the file calls it.
+        line: Where it stands.
+        value: What was measured [m].
+        places: How far the carriages had come down there, (3,) [m] each: one place, or two.
+    """
+
+    name: str
+    line: int
+    value: float
+    places: tuple[tuple[float, float, float], ...]
+
+
+@dataclass(frozen=True)
+class PrinterFile:
+    """A printer as its firmware has it.
+
+    Attributes:
+        path: The file.
+        geometry: Its numbers.
+        rows: What was measured, heights first.
+    """
+
+    path: str
+    geometry: DeltaGeometry
+    rows: tuple[Row, ...] = ()
+
+
+def read_klipper(path: Path | str) -> PrinterFile:
+    """Read a `printer.cfg`.
+
+    Raises:
+        DataError: The message names file and line: no delta, something missing, positions that do not fit the steps, or
+            a number that is far off from what all others say.
+    """
+    cfg = _Klipper(path)
+    if cfg.text("printer", "kinematics") != "delta":
+        raise DataError(f"{path}: [printer] kinematics is not 'delta'; this is for linear deltas")
+    steppers = [f"stepper_{tower}" for tower in TOWERS]
+
+    def three(key: str, default: tuple[float, ...] | None = None) -> tuple[float, float, float]:
+        first = None if default is not None else cfg.number(steppers[0], key)
+        found = [cfg.number(one, key, first if default is None else default[k]) for k, one in enumerate(steppers)]
+        return found[0], found[1], found[2]
+
+    angles = three("angle", tuple(math.degrees(angle) for angle in ANGLES))
+    geometry = DeltaGeometry(
+        cfg.number("printer", "delta_radius") * _MM,
+        (angles[0] * _DEG, angles[1] * _DEG, angles[2] * _DEG),
+        _times(three("arm_length"), _MM),
+        _times(three("position_endstop"), _MM),
+    )
+    turns, micro, full = three("rotation_distance"), three("microsteps"), three("full_steps_per_rotation", (200.0,) * 3)
+    gears = [cfg.ratio(one) for one in steppers]
+    if min(*turns, *micro, *full, *gears) <= 0:
+        raise DataError(f"{path}: rotation_distance, microsteps, full_steps_per_rotation must be positive")
+    step = [_MM * t / (m * f * g) for t, m, f, g in zip(turns, micro, full, gears, strict=True)]
+    rows = cfg.rows((step[0], step[1], step[2]))
+    printer = PrinterFile(str(path), geometry, rows)
+    if rows:
+        _require_steps(printer, micro)
+        _require_plausible(printer)
+    return printer
+
+
+def _times(values: tuple[float, float, float], unit: float) -> tuple[float, float, float]:
+    return values[0] * unit, values[1] * unit, values[2] * unit
+
+
+class _Klipper:
+    """Entries of a file by section and key, each with its line."""
+
+    def __init__(self, path: Path | str) -> None:
+        self.path, self.entries = str(path), dict[tuple[str, str], tuple[str, int]]()
+        section, included = "", False
+        for number, line in enumerate(read_text(path, "a printer.cfg of Klipper", DataError).split("\n"), 1):
+            plain = re.split(r"[#;]", line.removeprefix("#*#"))[0].strip()
+            start, entry = _SECTION.match(plain), _ENTRY.match(plain)
+            if start:
+                section = " ".join(start[1].split()).lower()
+                included |= section.startswith("include ")
+            elif entry and section:
+                self.entries[section, entry[1].strip().lower()] = entry[2].strip(), number
+        self.hint = "; it may be in a file that is included: give one file with all of it" if included else ""
+
+    def text(self, section: str, key: str) -> str:
+        if (section, key) not in self.entries:
+            raise DataError(f"{self.path}: [{section}] has no '{key}'{self.hint or '; is this the printer.cfg?'}")
+        return self.entries[section, key][0]
+
+    def number(self, section: str, key: str, default: float | None = None) -> float:
+        if (section, key) not in self.entries and default is not None:
+            return default
+        return self._numbers(section, key, self.text(section, key), 1)[0]
+
+    def _numbers(self, section: str, key: str, text: str, count: int) -> list[float]:
+        where = f"{self.path}, line {self.entries[section, key][1]}: {key}"
+        try:
+            values = [float(part) for part in text.split(",")]
+        except ValueError:
+            raise DataError(f"{where} '{text:.40}' is not {'a number' if count == 1 else 'three numbers'}") from None
+        if len(values) != count or not np.all(np.isfinite(values)) or np.max(np.abs(values)) > 1e8:
+            raise DataError(f"{where} '{text:.40}' is not {'a number' if count == 1 else 'three numbers'}; correct it")
+        return values
+
+    def ratio(self, section: str) -> float:
+        """Product of the gear ratios of a stepper."""
+        if (section, "gear_ratio") not in self.entries:
+            return 1.0
+        text, line = self.entries[section, "gear_ratio"]
+        try:
+            pairs = [[float(one) for one in part.split(":")] for part in text.split(",")]
+            return math.prod(driven / motor for driven, motor in pairs)
+        except (ValueError, ZeroDivisionError):
+            raise DataError(f"{self.path}, line {line}: gear_ratio '{text:.40}' is not such as 5:1") from None
+
+    def rows(self, step: tuple[float, float, float]) -> tuple[Row, ...]:
+        heights, spans, here = list[Row](), list[Row](), "delta_calibrate"
+        for (section, key), (text, line) in self.entries.items():
+            height, distance = _HEIGHT.match(key), _DISTANCE.match(key)
+            if section != here or not (height or distance):
+                continue
+            value = self._numbers(section, key, text, 1)[0] * _MM
+            ends = ("_pos",) if height else ("_pos1", "_pos2")
+            places = [self._numbers(here, key + end, self.text(here, key + end), 3) for end in ends]
+            down = tuple((p[0] * step[0], p[1] * step[1], p[2] * step[2]) for p in places)
+            if distance and value <= 0:
+                raise DataError(f"{self.path}, line {line}: {key} '{text:.40}' is no distance; correct it")
+            (heights if height else spans).append(Row(key, line, value, down))
+        if spans and not heights:
+            raise DataError(f"{self.path}: [{here}] has distances and no heights; probe the bed (DELTA_CALIBRATE)")
+        return (*heights, *spans)
+
+
+def misses(geometry: DeltaGeometry, rows: tuple[Row, ...]) -> np.ndarray:
+    """Return what a geometry says less what was measured, (n_rows,) [m]; NaN where arms do not meet."""
+    found = []
+    for row in rows:
+        points = geometry.nozzle(np.array(row.places))
+        found.append((points[0, 2] if len(points) == 1 else np.linalg.norm(points[0] - points[1])) - row.value)
+    return np.array(found)
+
+
+def _require_steps(printer: PrinterFile, micro: tuple[float, float, float]) -> None:
+    """Raise `DataError` where other microsteps than those of the file make its positions fit."""
+
+    def off(factors: tuple[float, ...]) -> float:
+        a, b, c = factors
+        scaled = tuple(
+            replace(row, places=tuple((p[0] * a, p[1] * b, p[2] * c) for p in row.places)) for row in printer.rows
+        )
+        values = np.abs(misses(printer.geometry, scaled))
+        return float(np.median(np.where(np.isnan(values), np.inf, values)))
+
+    as_said = off((1.0, 1.0, 1.0))
+    if as_said <= _FITS:
+        return
+    best = min(itertools.product(_FACTORS, repeat=3), key=off)
+    if off(best) <= _FITS:
+        wrong = ", ".join(
+            f"[stepper_{tower}] microsteps: {m / f:g} in place of {m:g}"
+            for tower, m, f in zip(TOWERS, micro, best, strict=True)
+            if f != 1
+        )
+        raise DataError(
+            f"{printer.path}: the probed positions are steps of other microsteps than the file has; they fit {wrong}:"
+            " write these into a copy of the file, or probe again"
+        )
+    shown = "reach nothing" if not np.isfinite(as_said) else f"are {millimetres(as_said):.1f} mm from what was measured"
+    raise DataError(
+        f"{printer.path}: with the settings of the file its probed positions {shown}; they were taken before"
+        " rotation_distance, microsteps or arms were changed: probe again"
+    )
+
+
+def _require_plausible(printer: PrinterFile) -> None:
+    """Raise `DataError` for a row that is far off from what all others say."""
+    probed = [row for row in printer.rows if row.name.startswith("height")]
+    values = [row.value for row in probed]
+    for row in probed:
+        others = {value for value in values if value != row.value}
+        if len(probed) > 3 and values.count(row.value) == 1 and len(others) == 1:
+            raise DataError(
+                f"{printer.path}, line {row.line}: {row.name} is {millimetres(row.value):g} mm, and all others are"
+                f" {millimetres(others.pop()):g} mm, the offset of the probe; correct it"
+            )
+    off = np.abs(misses(printer.geometry, printer.rows))
+    off = np.where(np.isnan(off), np.inf, off)
+    k = int(np.argmax(off))
+    if off[k] > max(_FAR, _TIMES * float(np.median(np.delete(off, k)))) and len(off) > 3:
+        row = printer.rows[k]
+        raise DataError(
+            f"{printer.path}, line {row.line}: {row.name} {millimetres(row.value):g} mm is"
+            f" {millimetres(float(off[k])):.2f} mm off what the other rows and the saved settings say; correct it or"
+            " its position, or remove both"
+        )
+
+
+def read_m665(path: Path | str, firmware: str) -> PrinterFile:
+    """Read the lines M665 and M666 of a file.
+
+    Args:
+        path: The file.
+        firmware: `marlin` or `duet`.
+
+    Raises:
+        DataError: A line is missing, or says what the firmware does not know.
+    """
+    words: dict[str, dict[str, tuple[float, ...]]] = {}
+    for number, line in enumerate(read_text(path, "a file with M665 and M666", DataError).split("\n"), 1):
+        code = line.split(";")[0].upper()
+        match = re.search(r"\b(M66[56])\b(.*)", code)
+        if match is None:
+            continue
+        try:
+            said = {key: tuple(map(float, text.split(":"))) for key, text in _WORD.findall(match[2])}
+        except ValueError:
+            raise DataError(f"{path}, line {number}: '{code.strip():.60}' has no numbers; correct it") from None
+        words.setdefault(match[1], {}).update(said)
+    settings, ends = words.get("M665", {}), words.get("M666", {})
+    for key, what in (("L", "the length of the rods"), ("R", "the radius"), ("H", "the height")):
+        if key not in settings:
+            raise DataError(f"{path}: no M665 with {key}, {what}; save the settings (M503 prints them) into a file")
+
+    def of(source: Mapping[str, tuple[float, ...]], key: str) -> float:
+        return source.get(key, (0.0,))[0]
+
+    rods = settings["L"]
+    if len(rods) not in (1, 3):
+        raise DataError(f"{path}: M665 L has {len(rods)} rods; give one length, or three with ':'")
+    trims = [of(settings, key) if firmware == "marlin" else 0.0 for key in "ABC"]
+    arms = [_MM * (rod + trim) for rod, trim in zip(rods if len(rods) == 3 else rods * 3, trims, strict=True)]
+    radius, height = of(settings, "R") * _MM, of(settings, "H") * _MM
+    angles = [angle + of(settings, key) * _DEG for angle, key in zip(ANGLES, "XYZ", strict=True)]
+    adjusted = [of(ends, key) * _MM for key in "XYZ"]
+    triple = (angles[0], angles[1], angles[2]), (arms[0], arms[1], arms[2])
+    if firmware == "marlin":
+        tops = [height - one for one in adjusted]
+    else:
+        level = DeltaGeometry(radius, *triple, (0.0, 0.0, 0.0))
+        start = np.array(level.carriages) - min(level.carriages)
+        lift = height - float(level.nozzle(start[None])[0, 2]) + min(level.carriages)
+        tops = [lift + up - carriage for up, carriage in zip(adjusted, level.carriages, strict=True)]
+    return PrinterFile(str(path), DeltaGeometry(radius, *triple, (tops[0], tops[1], tops[2])))
+
+
+def read_printer(path: Path | str, firmware: str) -> PrinterFile:
+    """Read a printer's settings; see `read_klipper` and `read_m665`.
+
+    Args:
+        path: The file.
+        firmware: `klipper`, `marlin` or `duet`.
+
+    Raises:
+        DataError: As these.
+        InputError: Arms that reach nothing.
+    """
+    try:
+        return read_klipper(path) if firmware == "klipper" else read_m665(path, firmware)
+    except InputError as error:
+        named = str(error).startswith(str(path))
+        raise type(error)(str(error) if named else f"{path}: {error}") from None
+
+
+def expected_geometry(printer: PrinterFile, arm: float | None = None) -> DeltaGeometry:
+    """Return what is expected of a printer before its rows are looked at.
+
+    A firmware's numbers come from these rows. Expected are angles as designed, a radius to the millimetre, endstops
+    that are alike; and where distances were measured, arms of the mean of the three to the millimetre. Without rows,
+    and of arms that no distance has changed, the file's numbers count.
+
+    Args:
+        printer: The printer.
+        arm: Length of the arms as designed or measured [m], if somebody says.
+    """
+    file = printer.geometry
+
+    def rounded(values: tuple[float, ...]) -> float:
+        return round(millimetres(sum(values) / len(values))) * _MM
+
+    if arm is None and any(len(row.places) == 2 for row in printer.rows):
+        arm = rounded(file.arms)
+    arms = file.arms if arm is None else (arm, arm, arm)
+    if not printer.rows:
+        return replace(file, arms=arms)
+    end = rounded(file.endstops)
+    return DeltaGeometry(rounded((file.radius,)), ANGLES, arms, (end, end, end))
+
+
+def printer_table(printer: PrinterFile) -> str:
+    """Return its rows as a file of measurements."""
+    twice = any(len(row.places) == 2 for row in printer.rows)
+    columns: list[tuple[str, list[object]]] = [("pose", [row.name for row in printer.rows])]
+    for copy, suffix in enumerate(("", "2")[: 2 if twice else 1]):
+        for k, tower in enumerate(TOWERS):
+            down = [round(millimetres(row.places[min(copy, len(row.places) - 1)][k]), 7) for row in printer.rows]
+            columns.append((f"{tower}{suffix} [mm]", [*down]))
+    columns.append(("probe", [height_name(r.value) if len(r.places) == 1 else "" for r in printer.rows]))
+    if twice:
+        read = [round(millimetres(r.value), 7) if len(r.places) == 2 else "" for r in printer.rows]
+        columns.append(("caliper_distance [mm]", [*read]))
+    return format_table(
+        columns, [f"from {printer.path}: carriages down from their switches, and what was measured there"]
+    )

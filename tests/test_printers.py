@@ -1,0 +1,230 @@
+"""Delta printers: read from their firmwares, calibrated from what they probe, and written back."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from klipper_files import nozzle
+
+import calib
+from calib.base.errors import CalibrationError
+from calib.cli import group
+from calib.data.printer_files import expected_geometry, read_printer
+from calib.exporting.printers import geometry_of
+from calib.robots.linear_delta import DeltaGeometry
+
+TRUE = np.array([103.3, 210.12, 329.85, 90.0, 208.25, 207.95, 208.1, 240.9, 241.6, 240.4])
+STEP = 32 / (200 * 16)
+
+
+def carriages(p, xyz):
+    """How far carriages come down so that the nozzle is at xyz, (3,) [mm], by hand."""
+    towers = p[0] * np.column_stack([np.cos(np.radians(p[1:4])), np.sin(np.radians(p[1:4]))])
+    across = np.sum((towers - xyz[:2]) ** 2, axis=1)
+    return p[7:10] + np.sqrt(p[4:7] ** 2 - p[0] ** 2) - (xyz[2] + np.sqrt(p[4:7] ** 2 - across))
+
+
+def printer_cfg(seed=0, noise=0.01, spans=True, behind=False):
+    """A printer.cfg as Klipper writes it, of a simulated printer; `behind`: saved by SAVE_CONFIG."""
+    rng = np.random.default_rng(seed)
+    lines = ["[printer]", "kinematics: delta", f"delta_radius: {TRUE[0]}", ""]
+    for k, tower in enumerate("abc"):
+        lines += [
+            f"[stepper_{tower}]  # tower",
+            f"position_endstop: {TRUE[7 + k]}",
+            f"arm_length: {TRUE[4 + k]}",
+            f"angle: {TRUE[1 + k]}",
+            "rotation_distance: 32",
+            "microsteps: 16",
+            "",
+        ]
+    body = ["[delta_calibrate]", "radius: 80"]
+
+    def steps(xyz):
+        return ",".join(f"{one:.3f}" for one in carriages(TRUE, xyz) / STEP)
+
+    for k in range(13):
+        angle, radius = np.radians(90 + 60 * k), 0 if k == 0 else (75 if k < 7 else 45)
+        place = np.array([radius * np.cos(angle), radius * np.sin(angle), 16.0 + noise * rng.standard_normal()])
+        body += [f"height{k}: 16.0", f"height{k}_pos: {steps(place)}"]
+    for k in range(12 if spans else 0):
+        turns = np.radians([60 * k, 60 * k + (0 if k < 6 else 60)])  # spokes, then the rim of a hexagon
+        radii = (5 if k < 6 else 68, 68)
+        ends = [np.array([r * np.cos(t), r * np.sin(t), 1.0]) for r, t in zip(radii, turns, strict=True)]
+        length = np.linalg.norm(ends[0] - ends[1]) + 2 * noise * rng.standard_normal()
+        body += [
+            f"distance{k}: {length:.3f}",
+            f"distance{k}_pos1: {steps(ends[0])}",
+            f"distance{k}_pos2: {steps(ends[1])}",
+        ]
+    return "\n".join([*lines, *(f"#*# {line}" if behind else line for line in body), ""])
+
+
+def run(*arguments):
+    return CliRunner().invoke(group, [str(one) for one in arguments])
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "printer.cfg").write_text(printer_cfg())
+    return tmp_path
+
+
+def test_the_robot_is_where_three_spheres_meet_and_its_derivatives_are_right(folder):
+    assert run("init", "--klipper", "printer.cfg", "--out", "p.yaml").exit_code == 0
+    robot = calib.load("p.yaml")
+    rng = np.random.default_rng(1)
+    scale = np.array([p.sigma_si for p in robot.parameters])
+    robot = robot.with_parameters(robot.values + scale * rng.standard_normal(len(scale)))
+    g = geometry_of(robot)
+    p = np.array([1e3 * g.radius, *np.degrees(g.angles), *(1e3 * np.array(g.arms)), *(1e3 * np.array(g.endstops))])
+    places = rng.uniform([-60, -60, 5], [60, 60, 80], (4, 3))
+    q = 1e-3 * np.array([[*carriages(p, place), *carriages(p, places[0])] for place in places])
+    assert np.allclose(1e3 * robot.positions(q)[:, 0], places, atol=1e-9)
+    assert np.allclose(1e3 * g.nozzle(q[:, :3]), places, atol=1e-9)
+    assert np.allclose([nozzle(p, 1e3 * one[:3]) for one in q], places, atol=1e-6)
+    plugin = robot.parametrisation
+    twists = plugin.twists(robot.values)
+    for k, size in enumerate(scale):
+        ends = [plugin.placements(robot.values + sign * 1e-3 * size * np.eye(9)[k]) for sign in (1, -1)]
+        for name, twist in twists.items():
+            moved = (ends[0][name].translation - ends[1][name].translation) / (2e-3 * size)
+            turned = plugin.placements(robot.values)[name].rotation
+            assert np.allclose(turned @ twist[:3, k], moved, atol=1e-6)
+
+
+def test_a_simulated_printer_is_found_from_its_printer_cfg_and_written_back(folder):
+    """Heights and distances with 0.01 and 0.02 mm of noise; the design is off by up to 0.7 mm and 0.15 deg."""
+    done = run("init", "--klipper", "printer.cfg", "--out", "p.yaml")
+    assert "with 13 heights and 12 distances" in done.output
+    done = run("fit", "p.yaml", "p.csv", "--out", "out", "--no-pages")
+    assert done.exit_code == 0, done.output
+    for firmware in ("klipper", "marlin", "duet"):
+        done = run("export", "out", "--format", firmware, "--out", f"{firmware}.txt")
+        assert done.exit_code == 0, done.output
+    places = np.random.default_rng(5).uniform([-60, -60, 1], [60, 60, 40], (50, 3))
+    down = 1e-3 * np.array([carriages(TRUE, place) for place in places])
+    found = geometry_of(calib.load("out")).nozzle(down)
+    assert np.abs(1e3 * found - places)[:, 2].max() < 0.04
+    # the three files hold the same machine, as somebody else would read them: endstops apart, carriages alike
+    (folder / "klipper.cfg").write_text(
+        (folder / "klipper.txt").read_text().replace("[printer]", "[printer]\nkinematics: delta")
+        + "[stepper_a]\nrotation_distance: 32\nmicrosteps: 16\n"
+    )
+    for firmware, file in (("klipper", "klipper.cfg"), ("marlin", "marlin.txt"), ("duet", "duet.txt")):
+        geometry = read_printer(file, firmware).geometry
+        assert np.abs(geometry.nozzle(down) - found).max() < 1e-6
+
+
+def test_what_probing_cannot_know_stays_as_designed(folder):
+    """Seven heights alone would give arms of any length: these are held, and angles stay near the design."""
+    text = printer_cfg(spans=False)
+    text = "\n".join(line for line in text.split("\n") if not any(f"height{k}" in line for k in range(7, 13)))
+    (folder / "printer.cfg").write_text(text)
+    assert run("init", "--klipper", "printer.cfg", "--out", "p.yaml").exit_code == 0
+    fit = calib.fit(calib.load("p.yaml"), calib.read_measurements("p.csv", calib.load("p.yaml")))
+    assert np.allclose(1e3 * np.array(geometry_of(fit.robot).arms), TRUE[4:7], atol=1e-6)
+    assert np.abs(np.degrees(geometry_of(fit.robot).angles) - [210, 330, 90]).max() < 0.6
+
+
+def test_saved_rows_count_and_included_files_are_named(folder):
+    (folder / "saved.cfg").write_text(printer_cfg(behind=True))
+    plain, saved = (read_printer(name, "klipper") for name in ("printer.cfg", "saved.cfg"))
+    assert [row.places for row in plain.rows] == [row.places for row in saved.rows]
+    (folder / "main.cfg").write_text("[include printer.cfg]\n")
+    with pytest.raises(CalibrationError, match="it may be in a file that is included"):
+        read_printer("main.cfg", "klipper")
+
+
+def test_the_design_is_expected_and_not_what_a_firmware_made_of_the_same_rows(folder):
+    expected = expected_geometry(read_printer("printer.cfg", "klipper"))
+    assert np.allclose(1e3 * np.array(expected.arms), 208)
+    assert np.allclose(np.degrees(expected.angles), [210, 330, 90])
+    assert np.allclose(1e3 * np.array(expected.endstops), 241)
+    assert np.allclose(expected_geometry(read_printer("printer.cfg", "klipper"), 0.2085).arms, 0.2085)
+
+
+GOOD = printer_cfg()
+BAD_KLIPPER = [
+    (GOOD, "", "[printer] has no 'kinematics'"),
+    ("kinematics: delta", "kinematics: corexy", "kinematics is not 'delta'"),
+    ("delta_radius: 103.3", "", "[printer] has no 'delta_radius'"),
+    ("delta_radius: 103.3", "delta_radius: wide", "line 3: delta_radius 'wide' is not a number"),
+    ("delta_radius: 103.3", "delta_radius: 303.3", "reach nothing; correct delta_radius or arm_length"),
+    ("delta_radius: 103.3", "delta_radius: -3", "reach nothing"),
+    ("delta_radius: 103.3", "delta_radius: nan", "delta_radius 'nan' is not a number"),
+    ("arm_length: 208.25", "", "[stepper_a] has no 'arm_length'"),
+    ("position_endstop: 240.9", "", "[stepper_a] has no 'position_endstop'"),
+    ("rotation_distance: 32", "", "[stepper_a] has no 'rotation_distance'"),
+    ("rotation_distance: 32", "rotation_distance: 0", "must be positive"),
+    ("rotation_distance: 32", "rotation_distance: 40", "probe again"),
+    ("microsteps: 16", "", "[stepper_a] has no 'microsteps'"),
+    ("microsteps: 16", "microsteps: 32", "they fit [stepper_a] microsteps: 16 in place of 32, [stepper_b]"),
+    (
+        "angle: 210.12\nrotation_distance: 32\nmicrosteps: 16",
+        "angle: 210.12\nrotation_distance: 32\nmicrosteps: 64",
+        "they fit [stepper_a] microsteps: 16 in place of 64: write",
+    ),
+    ("arm_length", "gear_ratio: 5 to 1\narm_length", "gear_ratio '5 to 1' is not such as 5:1"),
+    ("height3: 16.0", "height3: 61.0", "height3 is 61 mm, and all others are 16 mm, the offset of the probe"),
+    ("height3: 16.0", "height3: 16.6", "height3 is 16.6 mm, and all others are 16 mm"),
+    ("height3: 16.0", "height3: high", "height3 'high' is not a number"),
+    ("height3_pos: ", "height3_posn: ", "[delta_calibrate] has no 'height3_pos'"),
+    ("height3_pos: ", "height3_pos: 5,", "height3_pos '5,"),
+    ("height3_pos: ", "height3_pos: 1", "height3 16 mm is"),
+    ("distance4: 112", "distance4: 121", "distance4 121"),
+    ("distance4: 112", "distance4: -112", "is no distance"),
+    ("distance4_pos2: ", "distance4_pos3: ", "[delta_calibrate] has no 'distance4_pos2'"),
+    ("height", "depth", "has distances and no heights"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "said"), BAD_KLIPPER)
+def test_what_is_wrong_in_a_printer_cfg_is_named(folder, old, new, said):
+    assert old in GOOD
+    (folder / "bad.cfg").write_text(GOOD.replace(old, new))
+    with pytest.raises(CalibrationError) as error:
+        read_printer("bad.cfg", "klipper")
+    assert said in str(error.value)
+    assert "bad.cfg" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("firmware", "text", "said"),
+    [
+        ("marlin", "", "no M665 with L"),
+        ("marlin", "M665 L208", "no M665 with R, the radius"),
+        ("duet", "M665 L208 R103", "no M665 with H, the height"),
+        ("duet", "M665 L208:209 R103 H240", "M665 L has 2 rods"),
+        ("duet", "M665 L208 R1..5 H240", "line 1: 'M665 L208 R1..5 H240' has no numbers"),
+        ("marlin", "M665 L100 R103 H240", "reach nothing"),
+    ],
+)
+def test_what_is_wrong_in_settings_is_named(folder, firmware, text, said):
+    (folder / "config.g").write_text(text + "\n")
+    done = run("init", f"--{firmware}", "config.g", "--out", "p.yaml")
+    assert done.exit_code == 2
+    assert said in done.output
+    assert not (folder / "p.yaml").exists()
+
+
+def test_settings_alone_make_a_robot_and_others_are_no_printer(folder):
+    (folder / "config.g").write_text("M665 L208:208.2:208 R103.2 H240 X0.1 Y-0.2 Z0 ; delta\nM666 X0.2 Y-0.5 Z0.3\n")
+    done = run("init", "--duet", "config.g", "--out", "p.yaml")
+    assert done.exit_code == 0, done.output
+    robot = calib.load("p.yaml")
+    assert robot.joint_names == ("a", "b", "c")
+    level = DeltaGeometry(0.1032, geometry_of(robot).angles, (0.208, 0.2082, 0.208), (0.0, 0.0, 0.0))
+    even = np.array(geometry_of(robot).carriages) - 1e-3 * np.array([0.2, -0.5, 0.3])
+    assert np.ptp(even) < 1e-9  # carriages are alike where their switches are corrected
+    assert level.nozzle((np.array(level.carriages) - even)[None])[0, 2] == pytest.approx(0.24, abs=1e-9)
+    assert run("init", "--template", "delta", "--out", "d.yaml").exit_code == 0
+    done = run("export", "d.yaml", "--format", "klipper", "--out", "no.txt")
+    assert done.exit_code == 2
+    assert "is no delta printer" in done.output
+    for refused in (["--target", "x"], ["--length", "rod=3mm"], ["--template", "delta"]):
+        assert run("init", "--duet", "config.g", "--out", "n.yaml", *refused).exit_code == 2
+    assert json.dumps(sorted(one.name for one in folder.iterdir())).count("n.yaml") == 0

@@ -251,7 +251,7 @@ def test_bad_tables(old: str, new: str, words: str, tmp_path: Path) -> None:
     ("arguments", "words"),
     [
         (("--out", "x.yaml"), "give a URDF, or a Denavit-Hartenberg table"),
-        (("arm.urdf", "--dh", "good.csv", "--out", "x.yaml"), "one of the three"),
+        (("arm.urdf", "--dh", "good.csv", "--out", "x.yaml"), "one of them"),
         (("arm.urdf", "--convention", "modified", "--out", "x.yaml"), "is for a table given with --dh"),
         (("--dh", "good.csv", "--convention", "modified", "--out", "x.yaml"), "says 'convention: standard', but"),
         (("--dh", "good.csv", "--out", "x.urdf"), "ends in .yaml"),

@@ -174,8 +174,8 @@ BAD_KLIPPER = [
     ("height3_pos: ", "height3_posn: ", "[delta_calibrate] has no 'height3_pos'"),
     ("height3_pos: ", "height3_pos: 5,", "height3_pos '5,"),
     ("height3_pos: ", "height3_pos: 1", "height3 16 mm is"),
-    ("distance4: 112", "distance4: 121", "distance4 121"),
-    ("distance4: 112", "distance4: -112", "is no distance"),
+    ("distance4: 62", "distance4: 26", "distance4 26"),
+    ("distance4: 62", "distance4: -62", "is no distance"),
     ("distance4_pos2: ", "distance4_pos3: ", "[delta_calibrate] has no 'distance4_pos2'"),
     ("height", "depth", "has distances and no heights"),
 ]

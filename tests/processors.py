@@ -1,10 +1,11 @@
-"""Run the numerical tests with the sums of several processors: `make test-processors`.
+"""Run the numerical tests with the sums of other processors: `make test-processors`.
 
 OpenBLAS, below numpy and scipy, has kernels for each family of processors. They add in different orders, so results
 differ in the last digit; a decision that hangs on that digit is wrong on some machine. OPENBLAS_CORETYPE chooses the
 kernels of another processor. numpy's own sums depend on the processor as well: NPY_DISABLE_CPU_FEATURES makes it add as
-one without AVX512, or without AVX2, would. What this processor cannot run is skipped, and so are its own sums, with
-which `make test` runs everything. Tests on real data are among them where these lie beside the project.
+one without AVX512, or without AVX2, would. The tests run twice: as on an old processor (without AVX2, in both), and as
+on another new one. `make test` runs them with the sums of this one. Tests on real data are among them where these lie
+beside the project.
 """
 
 from __future__ import annotations
@@ -16,17 +17,16 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-CORE_TYPES = {
-    "Prescott": {"pni"},
+OLD = "Prescott"
+"""Kernels without AVX2, a name of OpenBLAS."""
+NEW = {
     "Haswell": {"avx2", "fma"},
     "Zen": {"avx2", "fma"},
     "SkylakeX": {"avx512f", "avx512dq", "avx512bw", "avx512vl"},
 }
-"""Names of OpenBLAS, and what the processor must be able to do, in the words of /proc/cpuinfo."""
-WITHOUT = {
-    "AVX512": ("X86_V4", "AVX512"),
-    "AVX2": ("X86_V4", "AVX512", "X86_V3", "AVX2", "FMA3"),
-}
+"""Kernels of newer processors, and what a processor must be able to do, in the words of /proc/cpuinfo."""
+AVX512 = ("X86_V4", "AVX512")
+AVX2 = ("X86_V3", "AVX2", "FMA3")
 """Beginnings of the names of what numpy is told to do without, in the words of several of its versions."""
 NOT_NUMERICAL = (
     *("bad_input", "bad_kinds", "common_options", "files", "floors", "init_command", "many_calibrations", "next_steps"),
@@ -45,38 +45,20 @@ _ARCHITECTURES = (
 
 
 def main() -> int:
-    """Run the tests once for each kind of kernels; return 1 if any failed."""
+    """Run the tests once for each processor; return 1 if any failed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-n", dest="jobs", default="2", help="processes of pytest")
     jobs = parser.parse_args().jobs
     cpuinfo = Path("/proc/cpuinfo")
     able = set(cpuinfo.read_text(encoding="utf-8").split()) if cpuinfo.is_file() else set()
     files = [str(path) for path in sorted((ROOT / "tests").glob("test_*.py")) if _numerical(path.stem)]
-    seen = {_output([sys.executable, "-c", _ARCHITECTURES], dict(os.environ)): "this processor, for `make test`"}
-    failed = []
-    for name, needed in CORE_TYPES.items():
-        if missing := needed - able:
-            print(f"{name}: skipped, this processor has no {', '.join(sorted(missing))}", flush=True)
-            continue
-        environment = os.environ | {"OPENBLAS_CORETYPE": name, "OPENBLAS_NUM_THREADS": "1"}
-        kernels = _output([sys.executable, "-c", _ARCHITECTURES], environment)
-        if kernels in seen:
-            print(f"{name}: skipped, the same kernels as those of {seen[kernels]}", flush=True)
-            continue
-        seen[kernels] = name
-        if not _passes(name, environment, files, jobs):
-            failed.append(name)
-    kernels = _output([sys.executable, "-c", _DISPATCHED], dict(os.environ)).split()
-    left_out = set[str]()
-    for name, beginnings in WITHOUT.items():
-        off = {kernel for kernel in kernels if kernel.startswith(beginnings)}
-        if off == left_out:
-            print(f"numpy without {name}: skipped, the same sums as before", flush=True)
-            continue
-        left_out = off
-        environment = os.environ | {"NPY_DISABLE_CPU_FEATURES": " ".join(sorted(off))}
-        if not _passes(f"numpy without {name}", environment, files, jobs):
-            failed.append(f"numpy without {name}")
+    own = _kernels(None)
+    others = [name for name, needed in NEW.items() if needed <= able and _kernels(name) != own]
+    processors = [(OLD, (*AVX512, *AVX2)), *((name, AVX512) for name in others[:1])]
+    if _kernels(OLD) == own:
+        print(f"OpenBLAS has no other kernels here than those of {own}")
+        processors = processors[1:]
+    failed = [kernels for kernels, without in processors if not _passes(kernels, without, files, jobs)]
     print(f"failed with the sums of {', '.join(failed)}" if failed else "passed with all that could be run")
     return int(bool(failed))
 
@@ -86,14 +68,26 @@ def _numerical(name: str) -> bool:
     return "viz" not in name and name.removeprefix("test_") not in NOT_NUMERICAL
 
 
-def _passes(name: str, environment: dict[str, str], files: list[str], jobs: str) -> bool:
-    """Whether the tests pass there."""
-    print(f"{name}:", flush=True)
+def _passes(kernels: str, without: tuple[str, ...], files: list[str], jobs: str) -> bool:
+    """Whether the tests pass with these kernels of OpenBLAS, and numpy without these abilities."""
+    off = sorted(name for name in _output(_DISPATCHED, dict(os.environ)).split() if name.startswith(without))
+    print(f"kernels of {kernels}, numpy without {', '.join(off) or 'nothing'}:", flush=True)
+    environment = os.environ | _with_kernels(kernels) | {"NPY_DISABLE_CPU_FEATURES": " ".join(off)}
     command = [sys.executable, "-m", "pytest", "-n", jobs, "-p", "no:cacheprovider", *files]
     return subprocess.run(command, env=environment, cwd=ROOT, check=False).returncode == 0
 
 
-def _output(command: list[str], environment: dict[str, str]) -> str:
+def _with_kernels(name: str) -> dict[str, str]:
+    return {"OPENBLAS_CORETYPE": name, "OPENBLAS_NUM_THREADS": "1"}
+
+
+def _kernels(name: str | None) -> str:
+    """What OpenBLAS says that it uses when it is told to use these; None: by itself."""
+    return _output(_ARCHITECTURES, os.environ | ({} if name is None else _with_kernels(name)))
+
+
+def _output(program: str, environment: dict[str, str]) -> str:
+    command = [sys.executable, "-c", program]
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip()
 
 

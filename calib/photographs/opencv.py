@@ -1,6 +1,6 @@
 """OpenCV: it finds boards in images and reads and writes image files. Nothing else of it is used.
 
-It is an extra (`pip install medrue[camera]`); whatever needs it says so.
+It is the extra `camera`; whatever needs it says so.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from calib.base.errors import DataError, DescriptionError, InputError, nearest
 from calib.base.files import read_bytes
+from calib.base.version import DISTRIBUTION
 
 GreyImage = NDArray[np.uint8]
 """(height, width)."""
@@ -30,7 +31,7 @@ def opencv() -> Any:
     except ImportError:
         raise InputError(
             "OpenCV, which finds boards in images, is not installed: pip install opencv-python-headless (or"
-            " medrue[camera])"
+            f" {DISTRIBUTION}[camera])"
         ) from None
     if tuple(map(int, cv2.__version__.split(".")[:2])) < (4, 14) or not hasattr(cv2, "aruco"):
         raise InputError(

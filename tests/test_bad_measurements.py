@@ -10,6 +10,7 @@ from small_robots import write_arm
 
 import calib
 from calib.exporting.formats import FORMATS
+from calib.exporting.held_formats import FIRMWARES
 from medrue.closed_form import forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
@@ -173,7 +174,7 @@ def test_a_forced_export_says_so_in_every_format(folder, fit_file, run_calib):
     assert run.code == 0
     assert result["verdict"]["forced"] is True
     assert "verdict: FAIL, not to be used" in (folder / "out" / "parameters.csv").read_text()
-    for file_format in (one for one in FORMATS if one != "ur-kinematics"):  # which holds one make of robots
+    for file_format in (one for one in FORMATS if one not in ("ur-kinematics", *FIRMWARES)):  # of one make each
         target = folder / f"exported.{'yaml' if file_format == 'toolbox' else file_format}"
         run = run_calib(
             "export", folder / "arm.yaml", "--result", folder / "out", "--format", file_format, "--out", target

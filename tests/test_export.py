@@ -18,6 +18,7 @@ from calib.base.errors import InputError
 from calib.commands.export import command
 from calib.exporting.closed_model import closed_model, home_values, link_poses
 from calib.exporting.formats import FORMATS, export
+from calib.exporting.held_formats import FIRMWARES
 from calib.exporting.mjcf import mjcf
 from calib.exporting.urdf import urdf_bytes
 from calib.robots.urdf.text import parse_urdf
@@ -25,8 +26,8 @@ from medrue.closed_form import ACTUATED_JOINTS, PASSIVE_JOINTS, forward
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
 
-SERIAL_ONLY = ("dh", "mdh", "ur-kinematics")
-"""Formats that hold no closed loops."""
+NOT_OURS = ("dh", "mdh", "ur-kinematics", *FIRMWARES)
+"""Formats that hold no closed loops, or only those of delta printers."""
 REPOSITORY = Path(__file__).resolve().parents[1]
 ROBOT = REPOSITORY / "urdf" / "medrue.yaml"
 URDF = REPOSITORY / "urdf" / "medrue.urdf"
@@ -208,7 +209,7 @@ def test_link_poses_of_the_text_are_those_of_the_engine(calibrated: calib.Robot)
 
 def test_exporting_leaves_the_robot_as_it_was(calibrated: calib.Robot, tmp_path: Path) -> None:
     before = calibrated.positions(calibrated.home)
-    for file_format in (one for one in FORMATS if one not in SERIAL_ONLY):
+    for file_format in (one for one in FORMATS if one not in NOT_OURS):
         export(calibrated, file_format, tmp_path / f"out.{file_format}")
     assert np.array_equal(calibrated.positions(calibrated.home), before)
 
@@ -217,7 +218,7 @@ def test_exporting_leaves_the_robot_as_it_was(calibrated: calib.Robot, tmp_path:
 
 
 def test_command_writes_every_format(tmp_path: Path) -> None:
-    for file_format in (one for one in FORMATS if one not in SERIAL_ONLY):
+    for file_format in (one for one in FORMATS if one not in NOT_OURS):
         result = run(ROBOT, "--format", file_format, "--out", tmp_path / f"{file_format}.yaml")
         assert result.exit_code == 0, result.output
         assert (tmp_path / f"{file_format}.yaml").stat().st_size > 500

@@ -184,7 +184,7 @@ def test_a_file_with_an_encoder_is_fitted_and_reported_in_degrees(tmp_path, run_
     (tmp_path / "data.csv").write_text("\n".join(lines) + "\n")
     run = run_calib("fit", robot.path, tmp_path / "data.csv", "--out", tmp_path / "out")
     assert run.code == 0, run.err
-    assert "elbow.zero" in run.out
+    assert "\nelbow.zero,0.0,165.8" in (tmp_path / "out" / "parameters.csv").read_text()
     assert "mrad per axis (none was stated)" in run.out
 
 

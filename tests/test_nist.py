@@ -12,6 +12,7 @@ import pytest
 
 from calib.numerics.least_squares import minimise
 from calib.numerics.observability import information
+from calib.numerics.prior import Prior
 from calib.numerics.statistics import found_factors, statistics
 
 
@@ -101,7 +102,7 @@ def test_certified_values_and_standard_deviations_come_out_to_six_digits(strd, n
     n = len(table)
     known, one_group = information(found.jacobian), np.zeros(len(y), dtype=np.intp)
     factors = found_factors(found.residuals, found.jacobian, one_group, 1, known)
-    uncertainty = statistics(found.jacobian, one_group, known, factors, np.ones(n), np.zeros(n, dtype=bool))
+    uncertainty = statistics(found.jacobian, one_group, known, factors, np.ones(n), Prior(np.zeros(n, dtype=bool)))
     np.testing.assert_allclose(found.x, table[:, 2], rtol=1e-6)
     np.testing.assert_allclose(uncertainty.std, table[:, 3], rtol=1e-6)
 

@@ -97,7 +97,7 @@ class Products:
         return Products(gram, pull, square, count)
 
     def only(self, use: IntArray) -> Products:
-        """Return those of some columns."""
+        """Return those of some columns, by place (n_used,)."""
         return Products(self.gram[:, use[:, None], use], self.pull[:, use], self.square, self.count)
 
     def weighed(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -182,7 +182,7 @@ def test_a_file_with_an_encoder_is_fitted_and_reported_in_degrees(tmp_path, run_
     lines = ["left_motor [deg],right_motor [deg],elbow [deg]"]
     lines += [",".join(repr(float(np.degrees(x))) for x in (*row, angle)) for row, angle in zip(q, read, strict=True)]
     (tmp_path / "data.csv").write_text("\n".join(lines) + "\n")
-    run = run_calib("fit", robot.path, tmp_path / "data.csv", "--out", tmp_path / "out")
+    run = run_calib("fit", robot.path, tmp_path / "data.csv", "--out", tmp_path / "out", "--verbose")
     assert run.code == 0, run.err
     assert "\nelbow.zero,0.0,165.8" in (tmp_path / "out" / "parameters.csv").read_text()
     assert "mrad per axis (none was stated)" in run.out

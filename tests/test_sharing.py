@@ -48,7 +48,7 @@ def public_objects(robot, data, fitted, tmp_path_factory):
     poses = calib.read_poses(DATA, robot)
     folder = tmp_path_factory.mktemp("result") / "out"
     fitted.save(folder, pages=False)
-    calib.fit(robot, data[15:]).save(folder.with_name("other"), pages=False)
+    calib.fit(robot, calib.simulate(robot, poses, seed=2)).save(folder.with_name("other"), pages=False)
     watch = calib.Watch(robot, "0.1 mm", candidates=poses)
     errors = {name: getattr(calib, name)("what, where") for name in calib.__all__ if name.endswith("Error")}
     return errors | {

@@ -15,7 +15,7 @@ from calib.base.errors import InputError, nearest
 
 Lengths = TypeVar("Lengths", float, FloatArray)
 Number = TypeVar("Number")
-Dimension = Literal["length", "angle", "pixel", "time", "temperature", "mass", "number"]
+Dimension = Literal["length", "angle", "pixel", "time", "temperature", "mass", "acceleration", "number"]
 
 PER_SI: dict[Dimension, dict[str, float]] = {
     "length": {"m": 1.0, "mm": 1e3, "um": 1e6},
@@ -24,6 +24,7 @@ PER_SI: dict[Dimension, dict[str, float]] = {
     "time": {"s": 1.0, "min": 1.0 / 60.0, "h": 1.0 / 3600.0},
     "temperature": {"degC": 1.0},
     "mass": {"kg": 1.0},
+    "acceleration": {"m/s^2": 1.0},
     "number": {"1": 1.0},
 }
 _SIGNS = {"°": "deg", "°C": "degC", "\N{MICRO SIGN}m": "um", "\N{GREEK SMALL LETTER MU}m": "um"}
@@ -34,6 +35,7 @@ DISPLAY_UNIT: dict[Dimension, str] = {
     "time": "s",
     "temperature": "degC",
     "mass": "kg",
+    "acceleration": "m/s^2",
     "number": "1",
 }
 """Units of values in files and tables."""

@@ -25,6 +25,8 @@ from calib.data.on_demand import Numbered, Packed
 from calib.data.robot_tables import read_robot_table
 from calib.data.tables import Source, Table, format_table, is_columns
 from calib.instruments.kind import Instrument, Readings
+from calib.joint_terms.gravity import COLUMNS as GRAVITY_COLUMNS
+from calib.joint_terms.gravity import check_read
 from calib.robots.robot import Robot
 
 
@@ -153,16 +155,20 @@ def _joined(parts: Sequence[Poses]) -> Poses:
     """Put the visits of several files one after another.
 
     Raises:
-        DataError: One of them states directions of approach, and another one does not.
+        DataError: One of them states directions of approach, or of gravity, and another one does not.
     """
     if len(parts) == 1:
         return parts[0]
     keys = dict.fromkeys(key for part in parts for key in part.context)
+    for key in keys:
+        lacking = next((part.path for part in parts if key in GRAVITY_COLUMNS and key not in part.context), None)
+        if lacking is not None:
+            raise DataError(f"{lacking}: has no column '{key}', and another file has it; all need it, or none")
     setups = [part.setups for part in parts if part.setups is not None]
     approach = [part.approach for part in parts if part.approach is not None]
     if 0 < len(approach) < len(parts):
-        lacking = next(part.path for part in parts if part.approach is None)
-        raise DataError(f"{lacking}: states no directions of approach, and another file does; all need them, or none")
+        silent = next(part.path for part in parts if part.approach is None)
+        raise DataError(f"{silent}: states no directions of approach, and another file does; all need them, or none")
     return Poses(
         np.concatenate([part.joints for part in parts]),
         tuple(chain.from_iterable(part.labels for part in parts)),
@@ -183,13 +189,16 @@ def conditions_of_table(table: Table, robot: Robot) -> tuple[dict[str, FloatArra
     """Return under which conditions the robot is in each row of a table.
 
     Returns:
-        Columns of `CONTEXT`, (n,) [SI] by name, NaN where empty; directions of approach, 0 for joints without a column,
-        (n, n_actuated), None where no joint has one.
+        Columns of `CONTEXT`, those of gravity where the description speaks of it, (n,) [SI] by name, NaN where empty;
+        directions of approach, 0 for joints without a column, (n, n_actuated), None where no joint has one.
 
     Raises:
-        DataError: Cells that are no numbers, or a direction of approach of a joint whose name is misspelt.
+        DataError: Cells that are no numbers, columns that say no direction of gravity, or a direction of approach of a
+            joint whose name is misspelt.
     """
-    context = {key: table.column(key, CONTEXT[key], gaps=True) for key in CONTEXT if key in table.names}
+    keys = [key for key in CONTEXT if key not in GRAVITY_COLUMNS or robot.description.gravity is not None]
+    context = {key: table.column(key, CONTEXT[key], gaps=True) for key in keys if key in table.names}
+    check_read(context, table.path, table.lines)
     for name in table.names:
         joint = name.removeprefix(APPROACH)
         if joint != name and joint not in robot.joint_names and difflib.get_close_matches(joint, robot.joint_names):

@@ -156,7 +156,8 @@ class Poses(ReadOnlyArrays):
     @property
     def conditions(self) -> Context:
         """Under which conditions the robot is commanded, for its joint terms; from which side, where that is given."""
-        return Context.of(np.zeros_like(self.joints) if self.approach is None else self.approach, self.context)
+        approach = np.zeros_like(self.joints) if self.approach is None else self.approach
+        return Context.of(approach, self.context, self.setups)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -191,7 +192,7 @@ class Measurements(Poses):
     @property
     def conditions(self) -> Context:
         """Under which conditions the robot was commanded, for its joint terms; from which side, too."""
-        return Context.of(self.approach_directions, self.context)
+        return Context.of(self.approach_directions, self.context, self.setups)
 
     @property
     def places(self) -> IntArray:

@@ -152,7 +152,7 @@ class Problem:
         """
         evaluation = self.evaluate_if_closed(robot)
         if evaluation is None:
-            closed = robot.close(self.data.joints, columns=self._columns)
+            closed = robot.close(self.data.joints, columns=self._columns_of(robot))
             raise ComputationError(describe_open(robot, self.data.joints, closed, self.data.labels))
         return evaluation
 
@@ -166,12 +166,17 @@ class Problem:
         return self._recent[key]
 
     def _compute(self, robot: Robot) -> Evaluation | None:
-        closed = robot.close(self.data.joints, self._seed, self._columns)
+        columns = self._columns_of(robot)
+        closed = robot.close(self.data.joints, self._seed, columns)
         if not np.all(closed.ok):
             return None
         self._seed = closed.passive
-        configurations = robot.configurations(self.data.joints, closed, self._columns)
+        configurations = robot.configurations(self.data.joints, closed, columns)
         return Evaluation(robot, configurations, observe(robot, configurations, self.data.readings))
+
+    def _columns_of(self, robot: Robot) -> tuple[FloatArray, ...]:
+        """Phi of the joint terms, which changes with the parameters only where gravity's direction is found."""
+        return robot.term_columns(self.data.joints, self.data.conditions) if robot.turns_gravity else self._columns
 
     def rows(self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns | None = None) -> Rows:
         """Return the whitened rows.

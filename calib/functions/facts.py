@@ -17,8 +17,10 @@ from calib.base.arrays import FloatArray, ReadOnlyArrays
 from calib.base.errors import ComputationError, DataError, InputError
 from calib.functions.trees import Tree, tree_of
 from calib.joint_terms.formula import Proportional, Source
+from calib.joint_terms.term import Context
 from calib.robots import loops
-from calib.robots.joint_errors import driven_by, payload_frame, with_masses
+from calib.robots.gravity import accelerations, payload_frame, with_masses
+from calib.robots.joint_errors import driven_by
 from calib.robots.robot import Robot
 
 _STARTS = 64
@@ -171,6 +173,8 @@ def _errors(robot: Robot) -> tuple[tuple[Share, ...], tuple[Wave, ...]]:
     for term in robot.terms:
         values = robot.values[start : start + len(term.parameters)]
         start += len(term.parameters)
+        if not term.adds:
+            continue
         for driven in driven_by(term, robot.mechanism):
             formula = term.formula(driven)
             if formula is None:
@@ -210,9 +214,11 @@ def _gravity(robot: Robot, commands: FloatArray) -> Gravity:
         mass[frame.after] += body.mass
         moment[frame.after] += body.mass * (frame.placement[:3, :3] @ body.lever + frame.placement[:3, 3])
     hangs = tree.frames[len(bodies)]
-    return Gravity(
-        tree, mass[1:], moment[1:], (hangs.after, hangs.placement[:3, 3]), nominal.model.gravity.linear.copy()
-    )
+    turns = robot.values[robot.coefficients][-2:] if robot.turns_gravity else np.zeros(0)
+    nowhere, neutral = np.zeros((1, nominal.n_joints)), Context.neutral(1, len(robot.joint_names))
+    told = robot.description
+    acceleration, _ = accelerations(told.gravity, tuple(told.setups), nominal, nowhere, neutral, turns)
+    return Gravity(tree, mass[1:], moment[1:], (hangs.after, hangs.placement[:3, 3]), acceleration[0])
 
 
 def _base(robot: Robot) -> FloatArray | None:

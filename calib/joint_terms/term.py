@@ -29,6 +29,7 @@ from calib.base.parameter import Parameter
 from calib.base.sections import Quantity, Section
 from calib.base.units import Dimension
 from calib.joint_terms.formula import Formula, Source
+from calib.joint_terms.gravity import read_down
 
 
 class TermSection(Section):
@@ -89,6 +90,9 @@ class Context(ReadOnlyArrays):
         time: As the file counts it, (n,) [s]; 0 where not known.
         temperature: Above 20 degC, the reference of ISO 1, (n,) [K]; 0 where not known.
         load: Mass at the tool, (n,) [kg]; 0 where not known.
+        down: Direction of gravity as a sensor read it, unit vectors in its axes, (n, 3); NaN where it was not read;
+            None where it never was.
+        setups: Number of the setup, (n,); None: the first.
         torque: Torque or force of gravity that each driven joint holds (`calib.robots.mechanism`), (n, n_driven)
             [N m or N]; None where it is not known: what depends on it counts as nothing.
     """
@@ -97,6 +101,8 @@ class Context(ReadOnlyArrays):
     time: FloatArray
     temperature: FloatArray
     load: FloatArray
+    down: FloatArray | None = None
+    setups: IntArray | None = None
     torque: FloatArray | None = None
 
     def known(self, q: FloatArray) -> dict[Source, FloatArray]:
@@ -122,12 +128,14 @@ class Context(ReadOnlyArrays):
         return Context(**{key: value[which] for key, value in known.items()})
 
     @staticmethod
-    def of(approach: FloatArray, conditions: Mapping[str, FloatArray]) -> Context:
+    def of(approach: FloatArray, conditions: Mapping[str, FloatArray], setups: IntArray | None = None) -> Context:
         """Return the context of visits.
 
         Args:
             approach: Direction of approach, (n, n_actuated).
-            conditions: Columns `time` [s], `temperature` [degC], `load` [kg] as far as they are known, (n,).
+            conditions: Columns `time` [s], `temperature` [degC], `load` [kg], and those of `calib.joint_terms.gravity`,
+                as far as they are known, (n,).
+            setups: Number of the setup, (n,); None: the first.
         """
         n = len(approach)
 
@@ -135,7 +143,7 @@ class Context(ReadOnlyArrays):
             return np.nan_to_num(conditions.get(name, np.zeros(n)))
 
         warmer = np.nan_to_num(conditions.get("temperature", np.full(n, np.nan)) - REFERENCE_TEMPERATURE)
-        return Context(approach, known("time"), warmer, known("load"))
+        return Context(approach, known("time"), warmer, known("load"), read_down(conditions), setups)
 
 
 class JointTerm(ABC):
@@ -147,6 +155,8 @@ class JointTerm(ABC):
         parameters: Its coefficients.
         needs_torque: Whether it asks for `Context.torque` (class attribute).
         tilts: Whether it tilts the link behind its joint, in place of moving the joint (class attribute).
+        adds: Whether its columns times its coefficients are errors of joints; if not, it acts on those of other terms,
+            and its columns are the derivative of these by its coefficients (class attribute).
         cause: Under which name an error budget counts it (class attribute).
         depends_on: Conditions that its columns change with (class attribute). With the direction of approach, columns
             change their sign.
@@ -159,6 +169,7 @@ class JointTerm(ABC):
     section: ClassVar[type[TermSection]] = TermSection
     needs_torque: ClassVar[bool] = False
     tilts: ClassVar[bool] = False
+    adds: ClassVar[bool] = True
     cause: ClassVar[str] = "other joint terms"
     depends_on: ClassVar[tuple[Condition, ...]] = ()
     per: ClassVar[str] = ""
@@ -201,6 +212,14 @@ class JointTerm(ABC):
     def answers(self, section: TermSection) -> bool:
         """Whether a robot that has this term needs no other one for an entry of the same term."""
         return section.joint in ("all", self.joint)
+
+    def moved(self, dimensions: Mapping[str, Dimension]) -> tuple[str, ...]:
+        """Return the names of the driven joints whose errors depend on it.
+
+        Args:
+            dimensions: Of the actuated joints, by name.
+        """
+        return tilts_of(self.joint, dimensions[self.joint]) if self.tilts else (self.joint,)
 
     def followed(self, actuated: tuple[str, ...]) -> str:
         """Return the joint whose command it follows, of the actuated ones."""

@@ -31,6 +31,7 @@ from calib.base.sections import (
 from calib.base.units import Dimension
 from calib.instruments.kinds import KINDS, AnyInstrument
 from calib.instruments.noise import PositionSigma
+from calib.joint_terms.gravity import GravitySection
 from calib.joint_terms.term import TermSection
 from calib.joint_terms.terms import TERMS, AnyTerm
 from calib.robots.fleet_prior import FleetSection
@@ -102,7 +103,7 @@ class Description(Section):
     `instruments` says what is measured, by which kind of measurement; without it, the position of every target.
     `setups` names the setups of a measurement and what had been moved or remounted before each but the first.
     `joint_terms` are terms of the joints' errors, which a list in `parametrisation` may hold too; `payload` is the
-    frame that carries the mass of a column `load`.
+    frame that carries the mass of a column `load`. `gravity` says where down is, if not along -z of the root link.
     `fleet` is what other robots of the model are like (`calib fleet` writes it).
     `elimination_order` names parameters in the order in which `calib check` proposes to hold them, where it can choose.
     """
@@ -133,6 +134,7 @@ class Description(Section):
     ]
     joint_terms: tuple[AnyTerm, ...] = ()
     payload: str | None = None
+    gravity: GravitySection | None = None
     held: tuple[str, ...] = ()
     elimination_order: tuple[str, ...] = ()
     fleet: FleetSection | None = None
@@ -309,6 +311,7 @@ def _valid_keys(location: list[int | str], content: Mapping[str, Any]) -> list[s
             "base": BaseSection,
             "targets": TargetSection,
             "parametrisation": OriginSection,
+            "gravity": GravitySection,
         }
         section = sections.get(first, Description)
     if first in ("instruments", "parametrisation", "joint_terms"):

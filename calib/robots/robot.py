@@ -39,8 +39,9 @@ from calib.robots.acceleration import compiled_for
 from calib.robots.closure import AssemblyMode, actuated_jacobian, singular_values
 from calib.robots.described_instruments import pair_names, places_of
 from calib.robots.description import Description, description_yaml
+from calib.robots.gravity import accelerations, gravity_torque, turn_columns
 from calib.robots.held import FileRobot, Holds
-from calib.robots.joint_errors import build_terms, gravity_torque, joint_errors, term_columns
+from calib.robots.joint_errors import build_terms, joint_errors, term_columns
 from calib.robots.joint_sampling import TRIES, Ranges, checked_ranges, joint_box, spread
 from calib.robots.loops import why_open
 from calib.robots.mechanism import Mechanism, RelativeFrame, view
@@ -212,15 +213,31 @@ class Robot(ReadOnlyArrays):
         if not self.terms:
             return ()
         context = Context.neutral(len(q), len(self.joint_names)) if context is None else context
-        if any(term.needs_torque for term in self.terms):
-            driven = self.nominal.untilted(q)
-            closed = loops.close(self.nominal, self.mode, driven)
-            passive = np.where(np.isfinite(closed.passive), closed.passive, 0.0)
-            slope = np.where(closed.ok[:, None, None], closed.slope, np.eye(passive.shape[1]))
-            load, payload = context.load, self.description.payload
-            torque = gravity_torque(self.urdf, self.nominal, driven, passive, slope, load, payload, self.path)
-            context = replace(context, torque=torque)
-        return term_columns(self.terms, self.mechanism, q, context)
+        if not any(term.needs_torque for term in self.terms):
+            return term_columns(self.terms, self.mechanism, q, context)
+        driven = self.nominal.untilted(q)
+        closed = loops.close(self.nominal, self.mode, driven)
+        passive = np.where(np.isfinite(closed.passive), closed.passive, 0.0)
+        slope = np.where(closed.ok[:, None, None], closed.slope, np.eye(passive.shape[1]))
+        joints, told, load = self.nominal.all_joints(driven, passive), self.description, context.load
+        turns = self.values[self.coefficients][-2:] if self.turns_gravity else np.zeros(0)
+        acceleration, slopes = accelerations(told.gravity, tuple(told.setups), self.nominal, joints, context, turns)
+
+        def torque(of: FloatArray) -> FloatArray:
+            at = (self.nominal, driven, passive, slope)
+            return gravity_torque(self.urdf, *at, load, told.payload, of, self.path)
+
+        context = replace(context, torque=torque(acceleration))
+        columns = term_columns(self.terms, self.mechanism, q, context)
+        if not slopes:
+            return columns
+        by_turn, values = tuple(torque(one) for one in slopes), self.values[self.coefficients]
+        return (*columns[:-1], turn_columns(self.terms, self.mechanism, q, context, by_turn, values))
+
+    @property
+    def turns_gravity(self) -> bool:
+        """Whether gravity's direction is found: two coefficients, the last ones, with which all `term_columns` vary."""
+        return any(not term.adds for term in self.terms)
 
     def actual(self, q: FloatArray, columns: tuple[FloatArray, ...]) -> FloatArray:
         """Return what the driven joints are, (n, n_driven), when the actuated ones are told q (n, n_actuated).

@@ -254,7 +254,8 @@ def _gaps(
 
 def _context(poses: Poses, commands: FloatArray) -> Context:
     """Conditions of commands (n, n_actuated); from which side, in their order where the poses do not say."""
-    return Context.of(directions_of_motion(commands) if poses.approach is None else poses.approach, poses.context)
+    approach = directions_of_motion(commands) if poses.approach is None else poses.approach
+    return Context.of(approach, poses.context, poses.setups)
 
 
 def _assembled(robot: Robot, poses: Poses, commands: FloatArray, off: FloatArray) -> Configurations:

@@ -1,0 +1,262 @@
+"""The torque of gravity that joints hold, and the direction of gravity where that is found from the measurements.
+
+Torques are linear in the acceleration a by gravity, seen from the root link, so their derivative by its direction is
+the torque of another acceleration: with a = 9.81 m/s^2 R_a(t_a) R_b(t_b) d,
+
+    d tau / d t = tau(d a / d t),      d a / d t_a = e_a x a,      d a / d t_b = R_a(t_a) (e_b x R_b(t_b) 9.81 d)
+
+and a joint that gives way by c tau moves by c d tau / d t (`calib.joint_terms.gravity` has the turns t).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from calib.base.arrays import FloatArray
+from calib.base.errors import DescriptionError, nearest
+from calib.base.parameter import Parameter
+from calib.base.units import Dimension
+from calib.joint_terms.gravity import STANDARD, GravitySection
+from calib.joint_terms.term import Condition, Context, Joint, JointTerm
+from calib.robots import kinematics
+from calib.robots.description import Description
+from calib.robots.mechanism import Mechanism
+from calib.robots.urdf.text import UrdfText
+
+
+@dataclass(frozen=True)
+class GravityTurn(JointTerm):
+    """Two turns of gravity's direction. They move every joint that gives way under it, by what it gives way.
+
+    Attributes:
+        driven: Names of the driven joints that give way.
+    """
+
+    adds = False
+    cause = "load (compliance)"
+    depends_on = (Condition.LOAD,)
+    follows_command = False
+    joint: str
+    parameters: tuple[Parameter, ...]
+    driven: tuple[str, ...]
+
+    @classmethod
+    def of(cls, joint: Joint, section: Any, sigma: float | None) -> JointTerm:
+        """Raise `ValueError`: it comes with a description's `gravity`, and has no entry of its own."""
+        raise ValueError("gravity's direction is found where the description's `gravity` has a sigma")
+
+    def moved(self, dimensions: Mapping[str, Dimension]) -> tuple[str, ...]:
+        """Return the names of the driven joints that give way."""
+        return self.driven
+
+
+def gravity_turn(description: Description, terms: list[JointTerm], mechanism: Mechanism) -> tuple[JointTerm, ...]:
+    """Return the turns of gravity's direction, if it is found and any of the terms depends on it."""
+    section, bending = description.gravity, [term for term in terms if term.needs_torque]
+    if section is None or section.sigma is None or not bending:
+        return ()
+    driven = dict.fromkeys(name for term in bending for name in term.moved(mechanism.dimensions))
+    parameters = tuple(Parameter(f"gravity.r{'xyz'[k]}", "angle", 0.0, section.sigma, "deg") for k in section.axes)
+    return (GravityTurn("gravity", parameters, tuple(driven)),)
+
+
+def check_gravity(description: Description, mechanism: Mechanism, where: str) -> None:
+    """Raise `DescriptionError` where `gravity` names a link or a setup that there is not."""
+    section = description.gravity
+    if section is None:
+        return
+    if section.frame is not None and section.frame not in mechanism.frames:
+        close = nearest(section.frame, mechanism.frames)
+        raise DescriptionError(f"{where}: gravity.frame: no link or joint '{section.frame}'{close}")
+    for name in section.setups:
+        if name not in description.setups:
+            raise DescriptionError(f"{where}: gravity.setups: no setup '{name}'{nearest(name, description.setups)}")
+
+
+def accelerations(
+    section: GravitySection | None,
+    setups: tuple[str, ...],
+    mechanism: Mechanism,
+    joints: FloatArray,
+    context: Context,
+    turns: FloatArray,
+) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+    """Return the acceleration by gravity at each visit in the root link's axes, and its derivative by each turn.
+
+    Args:
+        section: What a description says.
+        setups: Names of the setups.
+        mechanism: The nominal mechanism.
+        joints: All joints, (n, n_joints) [m or rad].
+        context: What sensors read, and in which setup.
+        turns: As they are found, (2,) [rad], or none, (0,).
+
+    Returns:
+        (n, 3) [m/s^2], and as many for each turn [m/s^2 per rad].
+    """
+    section = GravitySection() if section is None else section
+    setup = np.zeros(len(joints), dtype=np.intp) if context.setups is None else context.setups
+    down = section.stated(setups)[setup]
+    if context.down is not None:
+        read = context.down
+        if section.frame is not None:
+            read = np.einsum("nab,nb->na", _rotations(mechanism, section.frame, joints), read)
+        down = np.where(np.isnan(read), down, read)
+    if len(turns) == 0:
+        return STANDARD * down, ()
+    (first, of_first), (second, of_second) = (_turn(k, t) for k, t in zip(section.axes, turns, strict=True))
+    turned = STANDARD * down @ second.T
+    return turned @ first.T, (turned @ of_first.T, STANDARD * down @ of_second.T @ first.T)
+
+
+def _turn(axis: int, angle: float) -> tuple[FloatArray, FloatArray]:
+    """The turn about an axis x, y or z (0, 1, 2), and its derivative, (3, 3) each."""
+    cross = np.cross(np.eye(3)[axis], np.eye(3)).T
+    rotation = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+    return rotation, cross @ rotation
+
+
+def _rotations(mechanism: Mechanism, frame: str, joints: FloatArray) -> FloatArray:
+    """How a link is turned in the root link, (n, 3, 3)."""
+    index, model = mechanism.joint(frame), mechanism.model
+    data, rotations = model.createData(), np.empty((len(joints), 3, 3))
+    for k, row in enumerate(joints):
+        pin.forwardKinematics(model, data, row)
+        rotations[k] = data.oMi[index].rotation
+    return rotations
+
+
+def turn_columns(
+    terms: tuple[JointTerm, ...],
+    mechanism: Mechanism,
+    q: FloatArray,
+    context: Context,
+    slopes: tuple[FloatArray, ...],
+    values: FloatArray,
+) -> FloatArray:
+    """Return the derivative of the errors of the joints that give way by the turns, (n, n_giving_way, n_turns).
+
+    Args:
+        terms: All terms, the turns last. Those that depend on the torque are linear in it.
+        mechanism: The robot.
+        q: Commands, (n, n_actuated) [m or rad].
+        context: Their conditions.
+        slopes: Derivative of the torque by each turn, (n, n_driven) each.
+        values: Coefficients of all terms, (n_coefficients,).
+    """
+    moved = terms[-1].moved(mechanism.dimensions)
+    result, start = np.zeros((len(q), len(moved), len(slopes))), 0
+    for term in terms:
+        own = values[start : (start := start + len(term.parameters))]
+        if not term.needs_torque:
+            continue
+        for name in term.moved(mechanism.dimensions):
+            for k, slope in enumerate(slopes):
+                phi = term.columns(q, mechanism.driven.index(name), replace(context, torque=slope))
+                result[:, moved.index(name), k] += phi @ own
+    return result
+
+
+def gravity_torque(
+    urdf: UrdfText,
+    mechanism: Mechanism,
+    q: FloatArray,
+    passive: FloatArray,
+    slope: FloatArray,
+    load: FloatArray,
+    payload: str | None,
+    acceleration: FloatArray,
+    where: str,
+) -> FloatArray:
+    """Return the torque of gravity that each driven joint holds, loops closed, (n, n_driven) [N m or N].
+
+    With the generalized gravity g of the tree, of its masses and of the payload m at the point x, and dp/da of the
+    passive joints, virtual work gives
+
+        tau_a = E_a^T g + (dp/da)^T E_p^T g,      g = g(masses) - m J_x^T gravity,      dp/da = -C_p^-1 C_a
+
+    Args:
+        urdf: The URDF with its masses.
+        mechanism: The nominal mechanism.
+        q: Driven joints, (n, n_driven).
+        passive: Passive joints there, (n, n_passive).
+        slope: C_p there, (n, n_passive, n_passive).
+        load: Mass of the payload, (n,) [kg].
+        payload: Frame at whose origin it hangs; None: that of the first target that motors move.
+        acceleration: By gravity in the root link's axes, (n, 3) [m/s^2].
+        where: What to call the robot in messages.
+
+    Raises:
+        DescriptionError: The URDF has no masses, and nobody says that a payload alone loads the joints.
+    """
+    joints = mechanism.all_joints(q, passive)
+    gravity = np.zeros_like(joints)
+    masses = with_masses(urdf, mechanism)
+    if masses is not None:
+        gravity += _gravity(masses, joints, acceleration)
+    elif payload is None:
+        raise DescriptionError(
+            f"{where}: what gravity bends needs masses, and the URDF has none; add <inertial> to its"
+            " links, or say with `payload` which frame carries the masses of a column 'load', or leave the term out"
+        )
+    if np.any(load):
+        gravity += load[:, None] * _gravity(_with_one_kilogram(mechanism, payload), joints, acceleration)
+    torque: FloatArray = gravity @ mechanism.select_actuated
+    if mechanism.loops and len(q):
+        by_actuated = _closure_by_actuated(mechanism, joints)
+        rate = -np.linalg.solve(slope, by_actuated)
+        torque = torque + np.einsum("npa,np->na", rate, gravity @ mechanism.select_passive)
+    return torque
+
+
+def _gravity(model: pin.Model, joints: FloatArray, acceleration: FloatArray) -> FloatArray:
+    """The generalized gravity of every joint of the tree, (n, n_joints)."""
+    data, result = model.createData(), np.empty(joints.shape)
+    for k, row in enumerate(joints):
+        model.gravity.linear = acceleration[k]
+        result[k] = pin.computeGeneralizedGravity(model, data, row)
+    return result
+
+
+def _closure_by_actuated(mechanism: Mechanism, joints: FloatArray) -> FloatArray:
+    """C_a, (n, n_passive, n_driven)."""
+    swept = kinematics.sweep(mechanism, joints, mechanism.loops)
+    parts = []
+    for loop in mechanism.loops:
+        columns = mechanism.between(loop)[:, None] * mechanism.select_actuated
+        parts.append(kinematics.joint_derivative(swept, kinematics.twist_map(swept, loop), columns))
+    return np.concatenate(parts, axis=1)
+
+
+def with_masses(urdf: UrdfText, mechanism: Mechanism) -> pin.Model | None:
+    """Return the model with the masses of the URDF, if it has any.
+
+    What hangs on fixed joints is part of the link before.
+    """
+    whole = pin.buildModelFromXML(urdf.source.decode())
+    inertias = {name: inertia for name, inertia in zip(whole.names, whole.inertias, strict=True) if inertia.mass > 0}
+    if not inertias.keys() & {*mechanism.origin_names}:
+        return None
+    model = mechanism.model.copy()
+    for joint in urdf.joints:
+        if joint.name in inertias:
+            model.inertias[mechanism.frames[joint.child]] = inertias[joint.name]
+    return model
+
+
+def payload_frame(mechanism: Mechanism, payload: str | None) -> int:
+    """Return the joint index of the frame that a payload hangs at; None: of the first target that motors move."""
+    tool = (*mechanism.moved_targets, mechanism.targets[0])[0]
+    return tool.b if payload is None else mechanism.joint(payload)
+
+
+def _with_one_kilogram(mechanism: Mechanism, payload: str | None) -> pin.Model:
+    """The mechanism's model with one kilogram at a frame's origin and no other mass."""
+    model = mechanism.model.copy()
+    model.inertias[payload_frame(mechanism, payload)] = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
+    return model

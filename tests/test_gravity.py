@@ -1,0 +1,243 @@
+"""Gravity's direction: known, per setup, read at each visit, found; torques against potential energy by other code."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from function_robots import exported
+from test_compliance import ARM_YAML, HEADER, STEP, G, arm, poses
+
+import calib
+from calib.joint_terms.term import Context
+from calib.rows.jacobian import linearise
+
+DOWN = np.array([0.3, -0.5, 0.6])
+TURN = """\
+  - {joint: bend, term: bending}
+"""
+
+
+def centres(q):
+    """Masses of the arm that move and where they are, and where the ball is, by trigonometry alone, (4, 3)."""
+    turn, lift, bend = q
+
+    def along(angle, x, z):
+        return np.array([np.cos(angle) * x + np.sin(angle) * z, -np.sin(angle) * x + np.cos(angle) * z])
+
+    shoulder = np.array([0.1, 0.5])
+    elbow = shoulder + along(lift, 0.5, 0)
+    tool = elbow + along(lift + bend, 0.4, 0)
+    flat = [[0.05, 0.4], shoulder + along(lift, 0.2, 0.03), elbow + along(lift + bend, 0.25, 0)]
+    flat += [tool + along(lift + bend, 0, 0.1), tool + along(lift + bend, 0, 0.15)]
+    return np.array([[np.cos(turn) * x, np.sin(turn) * x, z] for x, z in flat])
+
+
+def torques(q, down):
+    """Slope of the potential energy -m g d.p, by central differences, (n, 3)."""
+    masses = np.array([8.0, 6.0, 3.0, 2.0])
+    down = np.broadcast_to(down, (len(q), 3))
+
+    def energy(row, d):
+        return -G * masses @ centres(row)[:4] @ d
+
+    steps = STEP * np.eye(3)
+    return np.array(
+        [
+            [(energy(row + e, d) - energy(row - e, d)) / (2 * STEP) for e in steps]
+            for row, d in zip(q, down, strict=True)
+        ]
+    )
+
+
+def columns(robot, q, context=None):
+    return np.concatenate(robot.term_columns(q, context), axis=2)[:, 0]
+
+
+def described(folder, gravity, *more):
+    arm(folder)
+    (folder / "arm.yaml").write_text("".join([ARM_YAML, *more, f"gravity: {gravity}\n"]))
+    return calib.load(folder / "arm.yaml")
+
+
+def unit(vectors):
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def sensor_axes(q):
+    """How the link `upper` is turned in the base, (n, 3, 3): about z, then y."""
+    c, s = np.cos(q), np.sin(q)
+    zero, one = np.zeros(len(q)), np.ones(len(q))
+    turn = np.array([[c[:, 0], -s[:, 0], zero], [s[:, 0], c[:, 0], zero], [zero, zero, one]])
+    lift = np.array([[c[:, 1], zero, s[:, 1]], [zero, one, zero], [-s[:, 1], zero, c[:, 1]]])
+    return np.einsum("abn,bcn->nac", turn, lift)
+
+
+def some_directions(n, seed, tilt=0.5):
+    return unit(np.array([0.0, 0.0, -1.0]) + tilt * np.random.default_rng(seed).uniform(-1, 1, (n, 3)))
+
+
+def table(q, points, **more):
+    """A file's text: joints, where the ball was, and these columns."""
+    rows = np.column_stack([q, points, *more.values()])
+    return "\n".join([",".join([HEADER, *more]), *(",".join(f"{x:.17g}" for x in row) for row in rows)]) + "\n"
+
+
+def test_a_direction_that_is_known_loads_the_joints(tmp_path):
+    robot = described(tmp_path, f"{{down: {DOWN.tolist()}}}")
+    q = poses(robot, 12, 0)
+    # differences of some 10 J by 1e-5 rad are good to 1e-9 N m, and their curvature to as much
+    assert np.allclose(columns(robot, q), torques(q, unit(DOWN)), rtol=0, atol=1e-6)
+    assert np.abs(columns(robot, q)[:, 0]).min() > 0.1  # a joint with a vertical axis would hold nothing
+
+
+def test_every_setup_has_its_direction(tmp_path):
+    setups = "base: {frame: base, pose: unknown}\nsetups: {floor: [], wall: [base], ramp: [base]}\n"
+    text = ARM_YAML.replace("base: {frame: base}\n", setups)
+    arm(tmp_path)
+    (tmp_path / "arm.yaml").write_text(text + "gravity: {setups: {wall: [2, 0, 0], ramp: [0, 0.5, -1]}}\n")
+    robot = calib.load(tmp_path / "arm.yaml")
+    q = poses(robot, 6, 1)
+    names = ["floor", "wall", "ramp", "wall", "floor", "ramp"]
+    head, *rows = table(q, np.zeros((6, 3))).splitlines()
+    lines = [f"{head},setup", *(f"{row},{name}" for row, name in zip(rows, names, strict=True))]
+    (tmp_path / "data.csv").write_text("\n".join(lines))
+    data = calib.read_measurements(tmp_path / "data.csv", robot)
+    stated = {"floor": [0, 0, -1], "wall": [1, 0, 0], "ramp": unit(np.array([0, 0.5, -1]))}
+    down = np.array([stated[name] for name in names])
+    assert np.allclose(columns(robot, data.joints, data.conditions), torques(q, down), rtol=0, atol=1e-6)
+    last = data[np.array([5, 1])]
+    assert np.allclose(columns(robot, last.joints, last.conditions), torques(q, down)[[5, 1]], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("sensor", ["gravity", "accelerometer", "tilts"])
+def test_a_sensor_on_a_link_that_moves_reads_the_direction_at_each_visit(tmp_path, sensor):
+    robot = described(tmp_path, "{frame: upper}")
+    q = poses(robot, 10, 2)
+    down = some_directions(10, 3)
+    read = np.einsum("nab,na->nb", sensor_axes(q), down)
+    more = {f"{sensor}_{axis} [m/s^2]": G * x for axis, x in zip("xyz", read.T, strict=True)}
+    if sensor == "accelerometer":  # at rest it is held up against gravity
+        more = {name: -x for name, x in more.items()}
+    if sensor == "tilts":
+        more = {
+            "gravity_tilt_x [deg]": np.degrees(np.arctan2(-read[:, 1], -read[:, 2])),
+            "gravity_tilt_y [deg]": np.degrees(np.arctan2(read[:, 0], -read[:, 2])),
+        }
+    (tmp_path / "data.csv").write_text(table(q, np.zeros((10, 3)), **more))
+    data = calib.read_measurements(tmp_path / "data.csv", robot)
+    assert not data.ignored
+    assert np.allclose(columns(robot, data.joints, data.conditions), torques(q, down), rtol=0, atol=1e-6)
+    (tmp_path / "again.csv").write_text(calib.data.measurement_files.format_measurements(robot, data))
+    again = calib.read_measurements(tmp_path / "again.csv", robot)
+    assert np.allclose(columns(robot, q, again.conditions), torques(q, down), rtol=0, atol=1e-6)
+
+
+def test_columns_count_only_where_the_description_speaks_of_gravity(tmp_path):
+    robot, _ = arm(tmp_path)
+    (tmp_path / "data.csv").write_text(table(np.zeros((2, 3)), np.zeros((2, 3)), gravity_x=np.ones(2)))
+    assert calib.read_measurements(tmp_path / "data.csv", robot).ignored == ("gravity_x",)
+
+
+def test_derivatives_by_the_direction_agree_with_central_differences(tmp_path):
+    robot = described(tmp_path, f"{{down: {DOWN.tolist()}, frame: fore, sigma: 10 deg}}", TURN)
+    assert [p.name for p in robot.parameters][-2:] == ["gravity.rx", "gravity.ry"]
+    q = poses(robot, 6, 4)
+    values = robot.values.copy()
+    values[robot.coefficients] = [2e-4, 3e-4, 4e-4, 5e-4, 0.15, -0.2]
+    bent = robot.with_parameters(values)
+    read = replace(Context.neutral(6, 3), down=some_directions(6, 5))
+    for context in (None, read):
+        jacobian = linearise(bent, bent.assemble(q, context=context)).jacobian
+        assert np.abs(jacobian[..., -2:]).max(axis=(0, 1, 2)).min() > 1e-3
+        for k in range(*robot.coefficients.indices(len(values))):
+            change = np.zeros_like(values)
+            change[k] = STEP
+            more, less = (bent.with_parameters(values + s * change).positions(q, context) for s in (1, -1))
+            difference = (more - less) / (2 * STEP)
+            assert np.allclose(jacobian[..., k], difference, rtol=0, atol=1e-6 * max(1.0, np.abs(difference).max()))
+
+
+def test_a_direction_is_found_from_data_of_other_code(tmp_path):
+    robot = described(tmp_path, "{sigma: 15 deg}", "sigma: 0.01 mm\n")
+    down = unit(np.array([0.12, -0.2, -1.0]))  # 13 deg off
+    rng = np.random.default_rng(6)
+    q = rng.uniform(-1.2, 1.2, (80, 3))
+    given = np.array([8e-5, 6e-5, 9e-5])
+    measured = np.array([centres(row)[4] for row in q + given * torques(q, down)])
+    measured += 1e-5 * rng.standard_normal(measured.shape)
+    data = calib.as_measurements(robot, q, measured)
+    fit = calib.fit(robot, data)
+    assert fit.converged
+    known = dict(zip(fit.free_names, fit.statistics.std, strict=True))
+    (x, y), std = fit.robot.values[-2:], np.array([known["gravity.rx"], known["gravity.ry"]])
+    found = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]]) @ [-np.sin(y), 0, -np.cos(y)]
+    assert np.linalg.norm(found - down) < 4 * np.linalg.norm(std) < 0.05
+    assert fit.robot.values[robot.coefficients][:3] == pytest.approx(given, rel=0.1)
+    fit.save(tmp_path / "out")
+    again = calib.load(tmp_path / "out")
+    assert np.allclose(again.positions(q[:5]), fit.robot.positions(q[:5]), rtol=0, atol=1e-12)
+    assert calib.fit(described(tmp_path, "{}", "sigma: 0.01 mm\n"), data).sigma > 2 * fit.sigma
+
+
+def test_functions_in_other_languages_have_the_direction(tmp_path):
+    robot = described(tmp_path, f"{{down: {DOWN.tolist()}, sigma: 10 deg}}")
+    values = robot.values.copy()
+    values[robot.coefficients] = [1e-3, 2e-3, 3e-3, 0.1, -0.2]
+    bent = robot.with_parameters(values)
+    made = exported(bent, "numpy", tmp_path)
+    q = poses(robot, 5, 7)
+    assert np.allclose(made.forward(q)[:, :3, 3], bent.positions(q)[:, 0], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("gravity", "message"),
+    [
+        ("{down: [0, 0, 0]}", "gravity.down: a direction of gravity needs a length"),
+        ("{down: [0, 0]}", r"gravity.down.*missing"),
+        ("{down: [0, 0, .nan]}", r"gravity.down\[2\]: should be a finite number"),
+        ("{down: up}", "gravity.down: should be a list"),
+        ("{donw: [0, 0, -1]}", "unknown key 'gravity.donw'; did you mean 'down'"),
+        ("{frame: uper}", "gravity.frame: no link or joint 'uper'; did you mean 'upper'"),
+        ("{setups: {wall: [1, 0, 0]}}", "gravity.setups: no setup 'wall'"),
+        ("{sigma: 0 deg}", "gravity.sigma: should be greater than 0"),
+        ("{sigma: 3 mm}", "gravity.sigma: unit 'mm' is for a length"),
+        ("down", "gravity: should be keys and values"),
+    ],
+)
+def test_a_description_that_says_no_direction_is_refused(tmp_path, gravity, message):
+    with pytest.raises(calib.DescriptionError, match=message):
+        described(tmp_path, gravity)
+
+
+@pytest.mark.parametrize(
+    ("head", "cells", "message"),
+    [
+        ("gravity_x,gravity_y", ("0,0", "0,0"), "no column 'gravity_z'; gravity's direction needs gravity_x"),
+        ("gravity_x,gravity_y,gravity_z", ("0,0,-1", ",,"), "line 3: says nothing in gravity_x"),
+        ("gravity_x,gravity_y,gravity_z", ("0,0,0", "0,0,0"), "line 2: gravity is 0 long"),
+        ("gravity_x,gravity_y,gravity_z", ("0,0,-9.8", "0,0,-0.98"), "line [23]: gravity is"),
+        ("gravity_x,gravity_y,gravity_z", ("0,0,-9.8", "0,0,down"), "line 3, column 'gravity_z'"),
+        ("gravity_x [kg],gravity_y,gravity_z", ("0,0,-1", "0,0,-1"), "unit 'kg' is for a mass; an acceleration is"),
+        ("gravity_tilt_x [deg],gravity_tilt_y [deg]", ("0,0", "0,88"), "line 3: gravity_tilt is a tilt beyond 85 deg"),
+        (
+            "gravity_tilt_x,gravity_tilt_y,accelerometer_x,accelerometer_y,accelerometer_z",
+            ("0,0,0,0,1", "0,0,0,0,1"),
+            "columns 'accelerometer_x' and 'gravity_tilt_x' both say where gravity points",
+        ),
+    ],
+)
+def test_a_file_that_says_no_direction_is_refused(tmp_path, head, cells, message):
+    robot = described(tmp_path, "{}")
+    rows = [f"0,0,{0.1 * k},0.9,0,0.5,{cell}" for k, cell in enumerate(cells)]
+    (tmp_path / "data.csv").write_text("\n".join([f"{HEADER},{head}", *rows]))
+    with pytest.raises(calib.DataError, match=message):
+        calib.read_measurements(tmp_path / "data.csv", robot)
+
+
+def test_of_two_files_both_say_where_gravity_points_or_none(tmp_path):
+    robot = described(tmp_path, "{}")
+    with_it = table(np.zeros((2, 3)), np.zeros((2, 3)), gravity_x=[0, 0], gravity_y=[0, 0], gravity_z=[-1, -1])
+    (tmp_path / "one.csv").write_text(with_it)
+    (tmp_path / "two.csv").write_text(table(np.zeros((2, 3)), np.zeros((2, 3))))
+    with pytest.raises(calib.DataError, match=r"two\.csv: has no column 'gravity_x', and another file has it"):
+        calib.read_measurements([tmp_path / "one.csv", tmp_path / "two.csv"], robot)

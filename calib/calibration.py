@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Literal, cast
 
@@ -22,7 +21,7 @@ from calib.calibrating.file_robots import with_files
 from calib.data.in_memory import MeasurementsLike, as_measurements, with_sigma
 from calib.exporting.formats import export, format_of
 from calib.fitting.error_sets import Folds, error_table
-from calib.fitting.fit import fit_data
+from calib.fitting.fit import of_a_part
 from calib.fitting.settings import Settings
 from calib.fitting.validation import cross_validate, n_folds
 from calib.joint_terms.terms import terms_text
@@ -113,7 +112,7 @@ class Calibration(JudgedFit):
             CalibrationError: What `fit` raises, with fewer poses.
         """
         data = self.identification.data
-        fold = partial(fit_data, self.nominal, Settings(self.sigma_given, self.loss, seed=seed))
+        fold = of_a_part(self, Settings(self.sigma_given, self.loss, seed=seed))
         with Workers(executor, n_folds(data, folds)) as workers:
             return cross_validate(data, folds, seed, fold, workers, progress)
 

@@ -2,25 +2,31 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from click.testing import CliRunner
+from medrue_folders import check_folder
 
-from calib import load
+from calib import load, read_measurements
 from calib.planning.selection import select
 from calib.robots.robot import Robot
 from medrue import robot_file
-from medrue.both_sides import run_both_sides
+from medrue.both_sides import QUICK_COUNTS, run_both_sides
+from medrue.cli import group
 from medrue.closed_form import forward
 from medrue.draws import PoseSet
-from medrue.experiment import Experiment, ExperimentTask, experiment_draw
+from medrue.experiment import QUICK_DRAWS, Experiment, ExperimentTask, experiment_draw
 from medrue.experiment_tables import cause_rms, experiment_findings, experiment_tables
 from medrue.imperfections import TILTED_JOINTS, Imperfections, ImperfectRobot, approach_in_order, imperfect_robot
 from medrue.paper_tables import error_table, table3
 from medrue.progress import Silent
 from medrue.tracker import NESTS, PLACE, measure
 from medrue.workspace import target_workspace
+
+pytestmark = pytest.mark.xdist_group("experiment")  # one process makes what they share
 
 NONE = Imperfections(0.0, 0.0, 0.0)
 
@@ -217,3 +223,32 @@ def test_the_same_seed_gives_the_same_experiment(experiment: Experiment) -> None
         experiment.robot, experiment.both_sides.extended, experiment.joints, experiment.sets[:1], other, seed
     )
     assert not np.array_equal(experiment_draw(task).after[0], again.after[0])
+
+
+def test_the_command_writes_every_table_and_figure_and_one_page(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    asked = []
+
+    def known(_robot, _extended, draws, seed, _executor, _progress, imperfections, counts):
+        asked.append((draws, seed, imperfections.backlash, counts))
+        return experiment
+
+    monkeypatch.setattr("medrue.experiment.run_experiment", known)
+    out = tmp_path / "experiment"
+    arguments = ("experiment", "--quick", "--jobs", "1", "--out", str(out), "--seed", "5", "--backlash-mm", "0.8")
+    run = CliRunner().invoke(group, arguments)
+    assert run.exit_code == 0, run.output
+    assert asked == [(QUICK_DRAWS, 5, pytest.approx(0.8e-3), QUICK_COUNTS)]
+    assert "Table IV" in run.output
+    assert "mostly along x" in run.output
+    tables = {"table3", "table4", "ranking", "table5", "causes", "pose_count", "extended"}
+    check_folder(out, tables, {"figure3", "figure7", "figure8", "causes", "pose_count"}, ("both_sides.csv",))
+    page = (out / "index.html").read_text()
+    assert "backlash of the rail of 0.8 mm" in page
+    assert "@media print" in page
+    extended = load(robot_file("medrue_extended"))
+    data = read_measurements(out / "both_sides.csv", extended)
+    assert len(data) == len(set(data.names)) == 840
+    assert np.abs(data.approach_directions.sum(axis=0)).tolist() == [0.0] * 6  # each pose from both sides
+    assert np.all(np.abs(data.approach_directions[:, 0]) == 1.0)

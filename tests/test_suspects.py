@@ -157,7 +157,7 @@ def motoman(shared_data, tmp_path_factory):
 def test_a_healthy_real_arm_shows_no_mistake(motoman):
     robot, data = motoman
     generator = np.random.default_rng(1)
-    for _ in range(5):
+    for _ in range(2):
         assert likely_mistake(robot, data.subset(np.sort(generator.permutation(len(data))[:100]))) == ""
 
 

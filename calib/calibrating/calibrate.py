@@ -26,7 +26,7 @@ from calib.base.threads import one_blas_thread
 from calib.base.workers import Progress, Steps, Workers
 from calib.calibrating.fleet_contradicted import without_contradicted_fleet
 from calib.data.measurements import Measurements
-from calib.fitting.fit import fit_data
+from calib.fitting.fit import fit_data, of_a_part
 from calib.fitting.fitted import Fit
 from calib.fitting.outliers import Outlier
 from calib.fitting.pose_checks import likely_mistake
@@ -112,8 +112,9 @@ def _calibrated(
             robust=lambda: fit_again(data, replace(plain, loss="tukey")),
             again=lambda kept: fit_again(kept, settings),
         )
-    fold = partial(fit_data, robot, plain)
-    leave_out = partial(cross_validate, fit.identification.data, seed=settings.seed, fit=fold, executor=workers)
+    leave_out = partial(
+        cross_validate, fit.identification.data, seed=settings.seed, fit=of_a_part(fit, plain), executor=workers
+    )
     if settings.folds:
         fit = replace(fit, folds=leave_out(settings.folds, progress=steps.done))
     elif unproven(fit):

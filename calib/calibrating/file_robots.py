@@ -19,7 +19,6 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -28,7 +27,7 @@ from calib.base.errors import CalibrationError
 from calib.base.threads import one_blas_thread
 from calib.base.workers import Workers
 from calib.calibrating.calibrate import PROVING
-from calib.fitting.fit import fit_data
+from calib.fitting.fit import fit_data, of_a_part
 from calib.fitting.fitted import COMPUTED, Fit
 from calib.fitting.settings import Settings
 from calib.fitting.unseen_errors import accuracy
@@ -87,9 +86,8 @@ def _fitted_again(
     again = fit_data(robot, settings, data, validation, workers)
     if fit.folds is None:
         return again
-    fold = partial(fit_data, robot, replace(settings, starts=1))
     count = settings.folds or PROVING
-    return replace(again, folds=cross_validate(data, count, settings.seed, fold, workers))
+    return replace(again, folds=cross_validate(data, count, settings.seed, of_a_part(again, settings), workers))
 
 
 class FitFiles(Mapping[Holds, FileRobot]):

@@ -20,7 +20,10 @@ When it fails. Fewer coordinates than unknowns, or columns that the poses cannot
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import Executor
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -47,6 +50,7 @@ def fit_data(
     validation: Measurements | None = None,
     workers: Executor | None = None,
     steps: Steps | None = None,
+    beyond_linear: FloatArray | None = None,
 ) -> Fit:
     """Fit a robot to measurements, once.
 
@@ -57,6 +61,8 @@ def fit_data(
         validation: Measurements to judge the result with, or None.
         workers: Who does the fits of other starts; this process if not given.
         steps: Told of each step that is done; of nothing if not given.
+        beyond_linear: How far parameters are off beyond the linear model by a fit of more measurements, as `of_a_part`
+            gives it; found here if not given.
 
     Raises:
         UnreachablePoseError, DataError, NotIdentifiableError, NotConvergedError: See
@@ -76,7 +82,9 @@ def fit_data(
     steps.done()
     final = problem.evaluate(solved.robot)
     require_identifiable(problem, final)
-    rows, scales, uncertainty = uncertainty_at(problem, final, solved, settings)
+    bent = None if beyond_linear is None else beyond_linear[problem.unknowns.index]
+    bent = None if bent is None or np.any(np.isnan(bent)) else bent
+    rows, scales, uncertainty = uncertainty_at(problem, final, solved, settings, bent)
     calibrated = solved.robot
     if validation is not None and later:
         placed, calibrated = (placed_by(validation, one.free(*later), later) for one in (placed, calibrated))
@@ -113,6 +121,18 @@ def fit_data(
     )
     steps.done()
     return fit
+
+
+def of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measurements], Fit]:
+    """Return what fits a part of the measurements of a fit and predicts the rest; from one start.
+
+    Args:
+        fit: The fit of all of them.
+        settings: How it was done.
+    """
+    beyond_linear = np.full(len(fit.nominal.parameters), np.nan)
+    beyond_linear[fit.unknowns.index] = fit.statistics.beyond_linear
+    return partial(fit_data, fit.nominal, replace(settings, starts=1), beyond_linear=beyond_linear)
 
 
 def _observability(problem: Problem, final: Evaluation, rank: int) -> dict[str, float]:

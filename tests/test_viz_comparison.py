@@ -58,7 +58,7 @@ def test_real_differences_are_marked_and_others_are_not(found):
     assert "*" not in rows["wrist.x"]
     assert "held" in rows["held.x"]
     assert "–" in rows["held.x"]
-    assert "out/&lt;b&gt;first&lt;/b&gt; and out/second: 1 parameter of the robot differs (elbow.x), all" in html
+    assert "out/&lt;b&gt;first&lt;/b&gt; and out/second: 1 parameter of the robot differs, elbow.x (all" in html
     assert "noise is independent" in html
 
 

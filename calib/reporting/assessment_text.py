@@ -29,10 +29,10 @@ def text_report(assessment: Assessment, source: str, width: int = 110, *, verbos
         verbose: All groups, and a table of all parameters; otherwise the answer on one screen.
     """
     groups = _groups(assessment, None if verbose else _GROUPS)
-    parts: list[str | Table] = [*_heading(assessment, source), "", *_verdict(assessment), "", *groups, ""]
+    parts: list[str | Table] = [_heading(assessment, source), *_verdict(assessment), *_accuracy(assessment), ""]
+    parts += [_counts(assessment), *assessment.determination.lines(), "", *groups, ""]
     parts += [_observability(assessment), _parameters(assessment)] if verbose else []
-    parts += [*_doubts(assessment), "", _counts(assessment)]
-    return plain_text([*parts, *_accuracy(assessment)], width).rstrip()
+    return plain_text([*parts, *_doubts(assessment)], width).rstrip()
 
 
 def to_dict(assessment: Assessment) -> dict[str, object]:
@@ -74,13 +74,10 @@ def to_dict(assessment: Assessment) -> dict[str, object]:
     )
 
 
-def _heading(a: Assessment, source: str) -> list[str]:
+def _heading(a: Assessment, source: str) -> str:
     noise = "" if a.sigma == WHITENED else f"; noise {millimetres(a.sigma):g} mm per axis"
     noise += " (assumed: state it with --sigma-mm or in the description)" if a.sigma_assumed else ""
-    return [
-        f"{counted(a.n_poses, 'pose')} ({source}), {a.n_rows} coordinates{noise}",
-        *a.determination.lines(),
-    ]
+    return f"{counted(a.n_poses, 'pose')} ({source}), {a.n_rows} coordinates{noise}"
 
 
 def _verdict(a: Assessment) -> list[str]:
@@ -165,8 +162,8 @@ def _counts(a: Assessment) -> Table:
 def _accuracy(a: Assessment) -> list[str]:
     rms, largest = _pair(a.accuracy)
     return [
-        f"With all {a.n_poses}: rms {rms} mm, largest {largest} mm. From measurement noise alone: what the model"
-        " leaves out (backlash, bending) comes on top, and more poses do not remove it."
+        f"With all {a.n_poses}: position error {rms} mm rms, {largest} mm at worst, from measurement noise alone."
+        " What the model leaves out (backlash, bending) comes on top, and more poses do not remove it."
     ] + ([f"Not counted: {listed(a.left_out)}, read from unknown places only."] if a.left_out else [])
 
 

@@ -16,6 +16,7 @@ from calib.base.words import as_data, counted, listed, plain_text, text_table
 CHANCE = 0.05
 """Chance that anything is called real that is not."""
 _SHOWN = 20
+_LIKELIEST = 5  # parameters to show where none differs
 _WIDTH = 118
 
 
@@ -60,10 +61,15 @@ class Pair:
         """Say what differs."""
         if np.isnan(self.together):
             return f"{' and '.join(self.names)}: not tested."
-        found = counted(len(self.real), "parameter of the robot differs", "parameters of the robot differ")
-        names = f" ({listed(self.real)})" if self.real else ""
-        places = f"; what was put elsewhere: {listed(self.moved)}" if self.moved else ""
-        return f"{' and '.join(self.names)}: {found}{names}, all together p {p_text(self.together)}{places}."
+        if self.real:
+            found = f"{counted(len(self.real), 'parameter')} of the robot differ{'s' * (len(self.real) == 1)}"
+            found += f", {listed(self.real)}"
+        elif self.together < CHANCE:
+            found = "the robot differs, and no single parameter is proven to"
+        else:
+            found = "no parameter of the robot differs"
+        places = f"; put elsewhere: {listed(self.moved)}" if self.moved else ""
+        return f"{' and '.join(self.names)}: {found} (all together p {p_text(self.together)}){places}."
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -107,7 +113,7 @@ class ResultComparison:
         return self.report()
 
     def report(self) -> str:
-        """Return the comparison as text: one table, the surest differences first."""
+        """Return the comparison as text: what differs, then a table of it, the surest differences first."""
         heads = [
             f"{name}: {verdict}, {poses} poses, {error:.4g} {self.unit} RMS on {where}"
             for name, verdict, poses, error, where in zip(
@@ -118,21 +124,26 @@ class ResultComparison:
         table = text_table(("parameter", "unit", *self.names, "p"), ("parameter", "unit"), plain=True)
         for column in table.columns:
             column.overflow = "fold"
-        for one in ranked[:_SHOWN]:
+        real = sum(any(one.real) for one in ranked)
+        shown = ranked[: min(real, _SHOWN) or _LIKELIEST]
+        for one in shown:
             marks = (False, *one.real)
             cells = [_cell(row, mark) for row, mark in zip(one.rows, marks, strict=True)]
             unit = next(str(row["unit"]) for row in one.rows if row is not None)
             table.add_row(one.name, unit, *cells, ", ".join(p_text(p) for p in one.p_values))
-        more = len(self.differences) - len(ranked[:_SHOWN])
-        lines = [f"... and {counted(more, 'parameter')} with less certain differences, or none to test"] if more else []
-        return plain_text(
-            ["\n".join(heads) + "\n", table, *lines, "\n" + self.conclusion(), *self.notes], _WIDTH, wrap=True
-        )
+        more = len(self.differences) - len(shown)
+        kinds = "with less certain differences, or none to test" if real else "that are more alike, or have no test"
+        lines = [f"... and {counted(more, 'parameter')} {kinds}"] if more else []
+        answer = [*(pair.sentence() for pair in self.pairs), *self.notes]
+        key = f"values +- 95 %; * differs from {self.names[0]}; p is corrected for the number of tests"
+        return plain_text(["\n".join([*answer, "", *heads]) + "\n", table, *lines, key], _WIDTH, wrap=True)
 
     def ranked(self) -> list[Difference]:
-        """Return the differences that were tested (all, if none was), the surest first."""
+        """Return the differences that were tested, the surest first; if none was, all, the least alike first."""
         tested = [one for one in self.differences if np.any(np.isfinite(one.p_values))]
-        return sorted(tested or self.differences, key=lambda one: np.nanmin([*one.p_values, 2.0]))
+        if not tested:
+            return sorted(self.differences, key=lambda one: -_apart(one))
+        return sorted(tested, key=lambda one: np.nanmin([*one.p_values, 2.0]))
 
     def conclusion(self) -> str:
         """Return in a sentence for each two results which differences are real."""
@@ -168,6 +179,17 @@ class ResultComparison:
                 "notes": self.notes,
             }
         )
+
+
+def _apart(one: Difference) -> float:
+    """Return the largest distance to the first result in half widths of both intervals; 0 where one has none."""
+    first, *others = one.rows
+    known = [row for row in others if row is not None and row["high95"] is not None]
+    if first is None or first["high95"] is None or not known:
+        return 0.0
+    widths = [first["high95"] - first["value"] + row["high95"] - row["value"] for row in known]
+    pairs = zip(known, widths, strict=True)
+    return max(abs(row["value"] - first["value"]) / width if width > 0 else 0.0 for row, width in pairs)
 
 
 def _cell(row: dict[str, Any] | None, real: bool) -> str:

@@ -24,7 +24,7 @@ from calib.robots.urdf.text import HELD_TYPES, UrdfJoint, UrdfText
 
 _SOBOL = 12  # so many doublings: 4096 poses show an RMS error to 0.1 %
 _WITH_LOOPS = 256
-_EXACT = 1e-9  # [m], [rad]
+_SAME_PLACE = 1e-9  # [m], [rad]
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class Remainder:
     @property
     def exact(self) -> bool:
         """Whether nothing is left that anyone could measure."""
-        return self.largest < _EXACT and not self.angle >= _EXACT
+        return self.largest < _SAME_PLACE and not self.angle >= _SAME_PLACE
 
     def text(self) -> str:
         """Return one clause, in mm and mrad."""

@@ -26,6 +26,7 @@ from calib.numerics.clusters import foretold
 from calib.numerics.least_squares import TOLERANCE, Solution, minimise
 from calib.numerics.prior_sizes import FamilyModel, found_with_families
 from calib.numerics.variance_components import (
+    UNLIKELY,
     LinearModel,
     found_components,
     found_scales,
@@ -37,7 +38,6 @@ from calib.rows.unknowns import Unknowns
 from calib.rows.whitening import Whitening
 
 _ROUNDING = 1e-14  # a parameter that moves by less stays nominal, to the last digit [m or rad]
-_UNLIKELY = 1e-3  # chance of a noise as found, if what is stated holds, below which it does not
 _LEAST_FREEDOM = 0.1  # degrees of freedom of each row, where priors hold more parameters than there are rows
 _REMEMBERED = 3  # evaluations: the start, where the solver is, and its trial step
 
@@ -105,7 +105,7 @@ class Problem:
         left = max(1.0 - len(self.unknowns) / max(int(np.sum(counts)), 1), _LEAST_FREEDOM)
         freedom = np.maximum(efficiency * left * counts, 1e-3)
         chance = scipy.special.chdtrc(freedom, freedom * scales**2)
-        return np.asarray(~self.unstated & (scales > 1.0) & (chance < _UNLIKELY))
+        return np.asarray(~self.unstated & (scales > 1.0) & (chance < UNLIKELY))
 
     @property
     def confirmed(self) -> FloatArray:

@@ -21,12 +21,12 @@ from calib.data.grouping import boxes
 from calib.data.measurements import Measurements
 from calib.numerics.clusters import Scatter, scatter
 from calib.numerics.statistics import Statistics
+from calib.numerics.variance_components import UNLIKELY
 from calib.rows.rows import Rows
 
 BLOCKS = 8
 """Number of boxes of joint space that are left out in turn."""
 _HARDLY = 0.05  # chance, shared by all ways of cutting, below which what parameters move by counts
-_UNLIKELY = 1e-3  # likewise, below which it is no chance
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def disagreeing(data: Measurements, rows: Rows, found: Statistics) -> Regions | 
         cuts["whole setups"] = data.setups
     ratios = {name: left_out(rows, found, blocks) for name, blocks in cuts.items()}
     apart = [
-        Regions(name, ratio, chance < _UNLIKELY / len(cuts))
+        Regions(name, ratio, chance < UNLIKELY / len(cuts))
         for name, (ratio, chance) in ratios.items()
         if chance < _HARDLY / len(cuts) and ratio > 1.0
     ]

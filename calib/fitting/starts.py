@@ -27,7 +27,7 @@ from calib.robots.robot import Robot
 
 _HALVINGS = 5
 _SAME = 0.1  # root mean square difference of predictions, over the smaller residuals, within one minimum
-_EXACT = 1e-7  # residuals below this are rounding [m]
+_ROUNDING = 1e-7  # residuals below this are rounding [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +130,7 @@ def _add(
     robot, solution = end
     residuals = problem.evaluate(robot).residuals
     whitened = problem.whitening.flatten(residuals) / problem.whitening.row_scale(groups)
-    smallest = _EXACT / float(np.min(groups * [group.typical for group in problem.whitening.groups]))
+    smallest = _ROUNDING / float(np.min(groups * [group.typical for group in problem.whitening.groups]))
     size = _size(whitened)
     for k, (minimum, known) in enumerate(distinct):
         if _size(whitened - known) <= _SAME * max(min(size, _size(known)), smallest):

@@ -38,9 +38,8 @@ from calib.base.arrays import FloatArray, IntArray
 from calib.base.units import ERROR_UNIT, Dimension, error_scale
 from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
+from calib.numerics.variance_components import UNLIKELY
 
-CHANCE = 1e-3
-"""Chance that a calibration that changes nothing is called better, or worse."""
 HARM = 1.25
 """Errors after over errors before from which a fit harms. With twice as many rows as parameters, the least that is
 enough, the noise of a fit makes errors of a robot that needs no correction sqrt(1 + 1/2) = 1.22 times as large."""
@@ -115,11 +114,11 @@ def _grown(pose: IntArray, before: FloatArray, after: FloatArray) -> bool:
     if n < _FEWEST or not np.sum(squares[1]) > HARM**2 * np.sum(squares[0]):
         return False
     t = float(np.mean(change) / (np.std(change, ddof=1) / np.sqrt(n)))
-    return bool(scipy.special.stdtr(n - 1, -t) < CHANCE)
+    return bool(scipy.special.stdtr(n - 1, -t) < UNLIKELY)
 
 
 def _spread(product: FloatArray, mixed: float) -> float:
-    """Return how far above its mean T goes with `CHANCE`.
+    """Return how far above its mean T goes with `UNLIKELY`.
 
     Args:
         product: GC, (n_free, n_free).
@@ -128,5 +127,5 @@ def _spread(product: FloatArray, mixed: float) -> float:
     mean, squares = float(np.trace(product)), float(np.sum(product * product.T))
     if mean <= 0:
         return 0.0
-    quadratic = squares / mean * float(scipy.special.chdtri(mean**2 / squares, CHANCE)) - mean
-    return float(np.hypot(quadratic, -2.0 * float(scipy.special.ndtri(CHANCE)) * np.sqrt(mixed)))
+    quadratic = squares / mean * float(scipy.special.chdtri(mean**2 / squares, UNLIKELY)) - mean
+    return float(np.hypot(quadratic, -2.0 * float(scipy.special.ndtri(UNLIKELY)) * np.sqrt(mixed)))

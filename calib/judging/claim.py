@@ -30,7 +30,8 @@ from calib.base.words import listed
 from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
 from calib.fitting.unseen_errors import left_out_one_by_one, of_errors
-from calib.judging.better_or_worse import CHANCE, comparisons
+from calib.judging.better_or_worse import comparisons
+from calib.numerics.variance_components import UNLIKELY
 from calib.robots.held import Accuracy, SeenAt
 
 MORE = 1.25
@@ -149,7 +150,7 @@ def _gain(fit: Fit, foretold: ErrorSet) -> Gain:
     spread = float(np.std(change, ddof=1)) / np.sqrt(len(change))
     t = float(np.mean(change)) / spread if spread > 0 else 0.0
     chance = scipy.special.stdtr(len(change) - 1, np.array([t, -t]))
-    return Gain.BETTER if chance[0] < CHANCE else Gain.WORSE if chance[1] < CHANCE else Gain.NONE
+    return Gain.BETTER if chance[0] < UNLIKELY else Gain.WORSE if chance[1] < UNLIKELY else Gain.NONE
 
 
 def _narrow(fit: Fit) -> tuple[str, ...]:

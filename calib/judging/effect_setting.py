@@ -19,7 +19,7 @@ from calib.rows.whitening import Whitening
 
 
 @dataclass(frozen=True, eq=False)
-class Setting:
+class EffectSetting:
     """What effects are made of.
 
     Attributes:

@@ -33,7 +33,7 @@ from calib.base.arrays import FloatArray, IntArray
 from calib.fitting.pose_checks import unmoved_joints
 from calib.instruments.kind import FrameInstrument, Instrument
 from calib.joint_terms.periodic import TURN
-from calib.judging.effect_setting import Setting
+from calib.judging.effect_setting import EffectSetting
 from calib.robots import kinematics
 
 Kind = Literal[
@@ -105,19 +105,19 @@ class Waves:
         return Effect("wave", self.name, columns, f"{order} {self.words}")
 
 
-def effects(setting: Setting) -> Iterator[Effect | Waves]:
+def effects(setting: EffectSetting) -> Iterator[Effect | Waves]:
     """Yield every effect."""
     yield from _of_frames(setting)
     yield from _of_targets(setting)
     yield from _of_joints(setting)
 
 
-def scale(setting: Setting) -> FloatArray:
+def scale(setting: EffectSetting) -> FloatArray:
     """Return what the rows gain if every length is read too long, (n_rows, 1) for a part of 1."""
     return setting.whitened({name: -lengths for name, lengths in _lengths(setting).items()})
 
 
-def _of_frames(setting: Setting) -> Iterator[Effect]:
+def _of_frames(setting: EffectSetting) -> Iterator[Effect]:
     shifts, turns = setting.whitened(_shifts(setting)), setting.whitened(_turns(setting))
     lengths = scale(setting)
     for axis, name in enumerate("xyz"):
@@ -130,7 +130,7 @@ def _of_frames(setting: Setting) -> Iterator[Effect]:
         yield Effect(kind, "xyz", (columns[:, :, None] * in_course[:, None, :]).reshape(len(columns), -1))
 
 
-def _of_targets(setting: Setting) -> Iterator[Effect]:
+def _of_targets(setting: EffectSetting) -> Iterator[Effect]:
     """Targets that slip, at places that part the visits evenly."""
     order = np.argsort(setting.course, kind="stable")
     rank = np.empty(len(order), dtype=np.intp)
@@ -143,7 +143,7 @@ def _of_targets(setting: Setting) -> Iterator[Effect]:
             yield Effect("slip", target, moved * late, f"from {setting.data.labels[order[first]]} on")
 
 
-def _of_joints(setting: Setting) -> Iterator[Effect | Waves]:
+def _of_joints(setting: EffectSetting) -> Iterator[Effect | Waves]:
     robot, data = setting.robot, setting.data
     by_joint = setting.whitened({name: observed.by_joint for name, observed in setting.observed.items()})
     in_course = setting.per_visit(_curves(setting.course))
@@ -169,7 +169,7 @@ def _position_rows(one: Instrument) -> list[int]:
     return [k for k, part in enumerate(one.part_of_row) if one.parts[part].is_position]
 
 
-def _shifts(setting: Setting) -> dict[str, FloatArray]:
+def _shifts(setting: EffectSetting) -> dict[str, FloatArray]:
     """What shifts of the measurement frame along x, y and z do to readings, (n, n_rows, 3) each."""
     result: dict[str, FloatArray] = {}
     for name, readings in setting.data.readings.items():
@@ -181,7 +181,7 @@ def _shifts(setting: Setting) -> dict[str, FloatArray]:
     return result
 
 
-def _turns(setting: Setting) -> dict[str, FloatArray]:
+def _turns(setting: EffectSetting) -> dict[str, FloatArray]:
     """What turns of the measurement frame about x, y and z do to readings, (n, n_rows, 3) [m per rad] each."""
     result, points = _shifts(setting), _points(setting)
     for name, arms in points.items():
@@ -191,7 +191,7 @@ def _turns(setting: Setting) -> dict[str, FloatArray]:
     return result
 
 
-def _lengths(setting: Setting) -> dict[str, FloatArray]:
+def _lengths(setting: EffectSetting) -> dict[str, FloatArray]:
     """The lengths that were read, (n, n_rows, 1) [m]: distances, and positions from the middle of the points."""
     points = _points(setting)
     result: dict[str, FloatArray] = {}
@@ -205,7 +205,7 @@ def _lengths(setting: Setting) -> dict[str, FloatArray]:
     return result
 
 
-def _points(setting: Setting) -> dict[str, FloatArray]:
+def _points(setting: EffectSetting) -> dict[str, FloatArray]:
     """Points that were read, from the middle of all, (n, 3) [m] of each instrument that measures positions."""
     result = {}
     for name, readings in setting.data.readings.items():
@@ -218,7 +218,7 @@ def _points(setting: Setting) -> dict[str, FloatArray]:
     return {name: np.nan_to_num(points - middle) for name, points in result.items()}
 
 
-def _moved_targets(setting: Setting) -> dict[str, dict[str, FloatArray]]:
+def _moved_targets(setting: EffectSetting) -> dict[str, dict[str, FloatArray]]:
     """What moving each target along the axes of its link does to all readings, (n, n_rows, 3) each."""
     robot, readings = setting.robot, setting.data.readings
     none = {name: np.zeros((len(own), robot.instrument(name).n_rows, 3)) for name, own in readings.items()}

@@ -15,7 +15,7 @@ from calib.base.threads import one_blas_thread
 from calib.fitting.fitted import Fit
 from calib.fitting.outliers import Outlier, blocks, outliers_of
 from calib.judging import systematic
-from calib.judging.effect_setting import Setting
+from calib.judging.effect_setting import EffectSetting
 from calib.judging.error_budget import ErrorBudget, error_budget
 from calib.judging.systematic import Pattern, Residuals
 from calib.numerics import losses
@@ -70,11 +70,11 @@ def validation_outliers(fit: Fit) -> tuple[Outlier, ...]:
 
 
 @remembered
-def setting(fit: Fit) -> Setting:
+def setting(fit: Fit) -> EffectSetting:
     """Return what effects that the model may leave out are made of."""
     data = fit.identification.data
     observed = observe(fit.robot, fit.configurations, data.readings, joints=True)
-    return Setting(fit.robot, data, fit.configurations, observed, fit.whitening, fit.scales, fit.weights)
+    return EffectSetting(fit.robot, data, fit.configurations, observed, fit.whitening, fit.scales, fit.weights)
 
 
 @remembered

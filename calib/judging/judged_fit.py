@@ -8,7 +8,7 @@ from typing import Self
 from calib.fitting.fitted import Fit
 from calib.fitting.outliers import Outlier
 from calib.judging import findings
-from calib.judging.effect_setting import Setting
+from calib.judging.effect_setting import EffectSetting
 from calib.judging.error_budget import ErrorBudget
 from calib.judging.reasons import NOTHING_TO_CORRECT, Verdict
 from calib.judging.systematic import Pattern, Residuals
@@ -75,7 +75,7 @@ class JudgedFit(Fit):
         return findings.budget(self)
 
     @property
-    def setting(self) -> Setting:
+    def setting(self) -> EffectSetting:
         """What effects that the model may leave out are made of."""
         return findings.setting(self)
 

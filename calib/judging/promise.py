@@ -91,7 +91,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class Changeable:
     """What can change.
 
     Attributes:
@@ -109,17 +109,17 @@ class Candidate:
     scale: float
 
 
-def candidates(robot: Robot) -> list[Candidate]:
+def candidates(robot: Robot) -> list[Changeable]:
     """Return what can change: parameters of the robot's origins, and zeros of its joints."""
     free = np.flatnonzero(robot.is_free)
     parameters = [
-        Candidate(p.name, p.dimension, k, False, p.sigma_si)
+        Changeable(p.name, p.dimension, k, False, p.sigma_si)
         for k, p in enumerate(robot.parameters[i] for i in free)
         if not p.placement and not p.family and free[k] < robot.n_origin_parameters
     ]
     mechanism = robot.mechanism
     return parameters + [
-        Candidate(f"zero of {name}", mechanism.dimensions[name], j, True, _JOINT_STEP * float(scale))
+        Changeable(f"zero of {name}", mechanism.dimensions[name], j, True, _JOINT_STEP * float(scale))
         for j, (name, scale) in enumerate(zip(robot.joint_names, mechanism.joint_scale, strict=True))
     ]
 

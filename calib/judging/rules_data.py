@@ -20,6 +20,7 @@ from calib.judging.reasons import Reason
 from calib.judging.repeatability import beyond_repeatability
 from calib.judging.rounded_joint_values import rounding
 from calib.numerics.losses import FALSE_ALARM, HIGH_LEVERAGE, studentised
+from calib.numerics.variance_components import UNLIKELY
 from calib.rows.rows import Rows
 
 FEW = 10.0 - 1e-6  # ten, also where rounding took a little
@@ -34,8 +35,6 @@ EXCLUDED = 0.1
 """Part of the poses that may be outliers."""
 BEYOND_REPEATS = 1.5
 """Found noise over the scatter of repeats from which something systematic is left."""
-UNLIKELY = 1e-3
-"""Chance below which a test against noise counts."""
 ROUNDED = 0.2
 """Part of the noise, squared, that steps of the joint values must be able to make to be named."""
 ALL_ROUNDED = 2.0

@@ -15,15 +15,14 @@ from calib.base.words import counted, listed
 from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
 from calib.judging import findings
-from calib.judging.better_or_worse import CHANCE, HARM, comparisons
+from calib.judging.better_or_worse import HARM, comparisons
 from calib.judging.claim import Claim, Gain
 from calib.judging.effects import IN_COURSE
 from calib.judging.reasons import Reason
-from calib.judging.rules_data import UNLIKELY
 from calib.judging.rules_noise import in_words
 from calib.judging.systematic import describe
 from calib.numerics.rigid import best_transform
-from calib.numerics.variance_components import EXACT
+from calib.numerics.variance_components import EXACT, UNLIKELY
 from calib.robots.held import Holds
 from calib.rows.registration import registration
 
@@ -79,8 +78,8 @@ def worse_on_validation(fit: Fit) -> Iterator[Reason]:
                 "FAIL",
                 "worse_on_validation",
                 f"the calibration makes the robot worse on {comparison.name}: {comparison.words} (chance below"
-                f" {100 * CHANCE:g} %). The fit follows its own measurements, not the robot. Measure more poses, spread"
-                " over the space where the robot will work",
+                f" {100 * UNLIKELY:g} %). The fit follows its own measurements, not the robot. Measure more poses,"
+                " spread over the space where the robot will work",
             )
 
 

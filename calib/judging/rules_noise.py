@@ -11,8 +11,8 @@ from calib.fitting.fitted import Fit, FoundNoise
 from calib.judging.better_or_worse import comparisons
 from calib.judging.other_meanings import other_meaning
 from calib.judging.reasons import Reason
-from calib.judging.rules_data import UNLIKELY
 from calib.numerics.statistics import chi_square
+from calib.numerics.variance_components import UNLIKELY
 
 NOISE_RATIO = 3.0
 """Found over stated noise from which the statement, or the model, is wrong."""

@@ -28,7 +28,7 @@ LESS_KNOWN = 3.0
 WIDENED = np.sqrt(2.0)
 """Uncertainty of positions with joint terms over that without them, from which most of it is theirs."""
 _TRIED = 50  # poses at which a joint is moved through its limits in the model
-_EXACT = 1e-9  # of a variance, nothing
+_NO_VARIANCE = 1e-9  # of a variance, nothing
 _SAMPLED = 200  # poses at which uncertainties are looked at
 
 
@@ -249,7 +249,7 @@ def _given(covariance: FloatArray, known: BoolArray) -> FloatArray:
     size = np.sqrt(np.diag(covariance))
     size = np.where(size > 0, size, 1.0)
     left, correlation = ~known, covariance / np.outer(size, size)
-    own = correlation[np.ix_(known, known)] + _EXACT * np.eye(int(np.sum(known)))  # some may not be determined
+    own = correlation[np.ix_(known, known)] + _NO_VARIANCE * np.eye(int(np.sum(known)))  # some may not be determined
     across = correlation[np.ix_(left, known)]
     result = np.zeros_like(covariance)
     result[np.ix_(left, left)] = correlation[np.ix_(left, left)] - across @ np.linalg.solve(own, across.T)

@@ -41,7 +41,7 @@ import scipy
 
 from calib.base.arrays import FloatArray
 from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale, millimetres
-from calib.judging.effect_setting import Setting
+from calib.judging.effect_setting import EffectSetting
 from calib.judging.effects import FAMILIES, ORDERS, Effect, Kind, Waves, effects
 from calib.numerics.variance_components import EXACT
 from calib.rows.rows import Rows
@@ -150,7 +150,7 @@ class _Tested:
     coefficients: FloatArray
 
 
-def patterns(residuals: Residuals, setting: Setting) -> tuple[Pattern, ...]:
+def patterns(residuals: Residuals, setting: EffectSetting) -> tuple[Pattern, ...]:
     """Test all effects.
 
     Args:
@@ -182,7 +182,7 @@ def patterns(residuals: Residuals, setting: Setting) -> tuple[Pattern, ...]:
     return tuple(sorted(result, key=lambda pattern: (pattern.p_value, -pattern.size)))
 
 
-def _columns_of(setting: Setting, kept: Container[tuple[str, str, str]]) -> Iterator[Effect]:
+def _columns_of(setting: EffectSetting, kept: Container[tuple[str, str, str]]) -> Iterator[Effect]:
     """Yield the effects with these kinds, names and details, with their columns."""
     for effect in effects(setting):
         every = [effect] if isinstance(effect, Effect) else map(effect.effect, effect.orders)

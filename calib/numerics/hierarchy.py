@@ -46,7 +46,7 @@ import scipy
 
 from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 
-CHANCE = 0.01
+UNLIKE_BELOW = 0.01
 """Chance that any result of a fleet is called unlike the others that is not."""
 _WEIGHT = 4.0  # nu of the module docstring
 _SMALLEST = 1e-3  # typical size r of spreads, over what is expected of single things
@@ -253,6 +253,6 @@ def learn_without_odd(
         p = np.array([np.nan if one is None else one.p_value() for one in compared])
         p[odd] = np.nan
         worst = int(np.nanargmin(p)) if np.any(np.isfinite(p)) else -1
-        if worst < 0 or p[worst] * len(told) >= CHANCE or len(odd) + 1 > (len(told) - 1) // 2:
+        if worst < 0 or p[worst] * len(told) >= UNLIKE_BELOW or len(odd) + 1 > (len(told) - 1) // 2:
             return whole, tuple(sorted(odd)), tuple(compared)
         odd.append(worst)

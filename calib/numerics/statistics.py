@@ -50,7 +50,7 @@ from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.numerics.clusters import Scatter
 from calib.numerics.observability import Information
 from calib.numerics.prior import Prior
-from calib.numerics.variance_components import CHANCE, require_freedom
+from calib.numerics.variance_components import UNLIKELY, require_freedom
 
 DECIDED_BY_DATA = 0.9
 """Share of a parameter's expected variance that the data must remove for `identified`; up to 1 - this, `prior`."""
@@ -139,7 +139,7 @@ class Statistics(ReadOnlyArrays):
 
 
 def _beyond_chance(poses: Scatter | None) -> Scatter | None:
-    return poses if poses is not None and poses.ratio > 1.0 and poses.chance < CHANCE else None
+    return poses if poses is not None and poses.ratio > 1.0 and poses.chance < UNLIKELY else None
 
 
 def status(data_share: float, relative_std: float, *, prior: bool, placement: bool) -> Status:

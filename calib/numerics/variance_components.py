@@ -37,8 +37,8 @@ from calib.numerics.identifiability import reduced
 from calib.numerics.observability import Information, information
 from calib.numerics.prior import Prior
 
-CHANCE = 1e-3
-"""Chance that errors shared by the readings of a pose are found where there are none."""
+UNLIKELY = 1e-3
+"""Chance below which what is found is no accident: shared errors, noise other than stated, a gain."""
 EXACT = 1e-9
 """Noise below this [SI] is rounding: the data were computed, not measured."""
 _ROUNDS = 60
@@ -229,7 +229,7 @@ def found_components(
     sizes = np.sqrt(np.mean(columns[read] ** 2, axis=0))
     level = float(np.sqrt(np.mean(model.residuals[read] ** 2)))
     new = (sizes > 0) & (known == 0)
-    needed = float(scipy.special.chdtri(max(int(np.sum(new)), 1), CHANCE))
+    needed = float(scipy.special.chdtri(max(int(np.sum(new)), 1), UNLIKELY))
     if not np.any(new) or level == 0 or _rise(model, without, columns, new, block) < 0.5 * needed:
         return without
     guess = 0.5 * level / np.maximum(sizes, 1e-300) / np.sqrt(np.sum(new))

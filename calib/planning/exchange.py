@@ -21,7 +21,7 @@ import scipy
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.base.errors import NotIdentifiableError
-from calib.planning.selection_problem import TASK, Problem
+from calib.planning.selection_problem import TASK, SelectionProblem
 from calib.planning.selection_scores import Scores, scores
 
 _RISE = 1e-10
@@ -120,7 +120,7 @@ def uniform_start(usable: IntArray, count: int) -> IntArray:
     return result
 
 
-def exchange(problem: Problem, index: str, start: IntArray, spacing: Spacing) -> Exchange:
+def exchange(problem: SelectionProblem, index: str, start: IntArray, spacing: Spacing) -> Exchange:
     """Run the paper's exchange from a start.
 
     Args:

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.base.arrays import BoolArray, FloatArray
-from calib.planning.selection_problem import Problem, Sparing
+from calib.planning.selection_problem import SelectionProblem, Sparing
 
 _REFRESH = 32  # moves after which the determinant's small matrices are computed anew, against rounding
 _UPDATED = 1e-6  # least det(I - G) for an update; where a direction nearly goes it would lose its digits
@@ -34,14 +34,14 @@ class Determinant:
         age: Moves since `seen` was computed anew.
     """
 
-    problem: Problem
+    problem: SelectionProblem
     gathered: FloatArray
     inverse: FloatArray
     seen: FloatArray
     age: int
 
     @classmethod
-    def of(cls, problem: Problem, gathered: FloatArray) -> Determinant:
+    def of(cls, problem: SelectionProblem, gathered: FloatArray) -> Determinant:
         """Return the scores of a choice with this K, (r, r)."""
         inverse = np.linalg.inv(gathered)
         root = _products(problem.rows, _root(inverse))
@@ -122,7 +122,7 @@ class Task:
         gathered: K, (r, r).
     """
 
-    problem: Problem
+    problem: SelectionProblem
     gathered: FloatArray
 
     @cached_property

@@ -30,7 +30,7 @@ from calib.base.threads import one_blas_thread
 from calib.base.workers import Progress, in_order
 from calib.joint_terms.term import Context
 from calib.planning.region import Region
-from calib.planning.selection_problem import Problem
+from calib.planning.selection_problem import SelectionProblem
 from calib.planning.selection_scores import Scores, scores_of
 from calib.robots.closure import residual
 from calib.robots.continuation import closing_tolerance
@@ -67,7 +67,7 @@ class Refined(ReadOnlyArrays):
 
 def refine(
     robot: Robot,
-    problem: Problem,
+    problem: SelectionProblem,
     index: str,
     joints: FloatArray,
     conditions: Context,
@@ -212,7 +212,7 @@ def _followed(robot: Robot, q: FloatArray, seed: FloatArray) -> FloatArray:
 
 
 def _better(
-    problem: Problem, index: str, rest: FloatArray, present: FloatArray, trials: FloatArray, free: BoolArray
+    problem: SelectionProblem, index: str, rest: FloatArray, present: FloatArray, trials: FloatArray, free: BoolArray
 ) -> int | None:
     """Return the free trial that raises the index most above the present pose, or None."""
     if not np.any(free):

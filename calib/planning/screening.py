@@ -22,7 +22,7 @@ import numpy as np
 from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.planning.exchange import Exchange
 from calib.planning.selection_bound import CERTIFIED, Relaxation, slopes
-from calib.planning.selection_setting import Setting
+from calib.planning.selection_setting import SelectionSetting
 
 SCREENED = 20_000
 """More candidates than this are screened, where there is a bound and poses need no distance from each other."""
@@ -40,9 +40,9 @@ class Searched:
         setting: The same setting with these alone.
     """
 
-    whole: Setting
+    whole: SelectionSetting
     index: IntArray
-    setting: Setting
+    setting: SelectionSetting
 
     @property
     def is_part(self) -> bool:
@@ -64,7 +64,7 @@ class Searched:
         return replace(result, chosen=chosen, history=history)
 
 
-def before_any_choice(setting: Setting, starts: IntArray) -> Searched:
+def before_any_choice(setting: SelectionSetting, starts: IntArray) -> Searched:
     """Return what to look at when nothing is known: the best where all candidates weigh alike, and the starts (n,)."""
     if not _is_screened(setting):
         return Searched(setting, np.arange(len(setting.problem)), setting)
@@ -74,7 +74,7 @@ def before_any_choice(setting: Setting, starts: IntArray) -> Searched:
     return _narrowed(setting, slopes(problem, setting.wanted.index, alike), starts)
 
 
-def after_relaxation(setting: Setting, relaxation: Relaxation, chosen: BoolArray) -> Searched:
+def after_relaxation(setting: SelectionSetting, relaxation: Relaxation, chosen: BoolArray) -> Searched:
     """Return what to look at when the weights of the relaxation are known, and a choice (n_candidates,)."""
     if not _is_screened(setting):
         return Searched(setting, np.arange(len(setting.problem)), setting)
@@ -83,12 +83,12 @@ def after_relaxation(setting: Setting, relaxation: Relaxation, chosen: BoolArray
     return _narrowed(setting, slope, np.flatnonzero(chosen | (relaxation.weights > 0)))
 
 
-def _is_screened(setting: Setting) -> bool:
+def _is_screened(setting: SelectionSetting) -> bool:
     wanted = setting.wanted
     return wanted.index in CERTIFIED and wanted.minimum_distance == 0 and len(setting.problem) > SCREENED
 
 
-def _narrowed(setting: Setting, slope: FloatArray, kept: IntArray) -> Searched:
+def _narrowed(setting: SelectionSetting, slope: FloatArray, kept: IntArray) -> Searched:
     """The candidates with the largest slope (n_candidates,), and those to keep in any case (n,)."""
     counts = setting.counts
     ranked = np.where(setting.space.usable, slope, -np.inf)

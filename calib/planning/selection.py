@@ -39,10 +39,10 @@ from calib.planning.refinement import refine
 from calib.planning.region import region_of
 from calib.planning.screening import Searched, after_relaxation, before_any_choice
 from calib.planning.selection_bound import CERTIFIED, log_phi, relax
-from calib.planning.selection_problem import TASK, Problem
+from calib.planning.selection_problem import TASK, SelectionProblem
 from calib.planning.selection_result import Run, Selection
 from calib.planning.selection_scores import index_of_score, index_values, values_of_rows
-from calib.planning.selection_setting import Setting, Wanted, prepare, require_count
+from calib.planning.selection_setting import SelectionSetting, Wanted, prepare, require_count
 from calib.robots.loading import RobotLike, as_robot
 from calib.rows.candidates import WHITENED
 
@@ -164,7 +164,7 @@ class _Poses:
 
 
 def _run_all(
-    setting: Setting,
+    setting: SelectionSetting,
     kinds: Sequence[str],
     rng: np.random.Generator,
     workers: Executor | None,
@@ -203,13 +203,15 @@ def _run(
 
 
 @one_blas_thread
-def _search(problem: Problem, index: str, space: Spacing, start: IntArray) -> tuple[Exchange, int]:
+def _search(problem: SelectionProblem, index: str, space: Spacing, start: IntArray) -> tuple[Exchange, int]:
     """The exchange and the swaps after it, from one start; how many exchanges there were before the swaps."""
     paper = exchange(problem, index, start, space)
     return swap(paper, space), len(paper.values) - 1
 
 
-def _certify(setting: Setting, runs: tuple[Run, ...], best: Exchange) -> tuple[tuple[Run, ...], Exchange, float, float]:
+def _certify(
+    setting: SelectionSetting, runs: tuple[Run, ...], best: Exchange
+) -> tuple[tuple[Run, ...], Exchange, float, float]:
     """Bound all choices, start once more from the relaxed weights, and compare the best choice with the bound."""
     problem, index, usable = setting.problem, setting.wanted.index, setting.space.usable
     relaxation = relax(problem, index, best.chosen, usable, setting.space.kind)
@@ -231,7 +233,7 @@ def _certify(setting: Setting, runs: tuple[Run, ...], best: Exchange) -> tuple[t
 
 
 def _poses(
-    setting: Setting,
+    setting: SelectionSetting,
     best: Exchange,
     on_grid: dict[str, float],
     rng: np.random.Generator,
@@ -264,14 +266,14 @@ def _poses(
     return _Poses(chosen, moved.joints, moved.positions, moved.rows, values, distance)
 
 
-def _blocks(setting: Setting, chosen: IntArray) -> IntArray:
+def _blocks(setting: SelectionSetting, chosen: IntArray) -> IntArray:
     """What is measured in one go: candidates of one setup, and in it those of one group of instruments, (n,)."""
     setups = setting.poses.setups
     pose, group = setting.pairs.pose[chosen], setting.pairs.group[chosen]
     return group if setups is None else setups[pose] * len(setting.wanted.groups.members) + group
 
 
-def _raw(setting: Setting, rows: FloatArray) -> dict[str, float]:
+def _raw(setting: SelectionSetting, rows: FloatArray) -> dict[str, float]:
     """O1 to O5 of whitened rows, (n_poses, 3 n_targets, r), on raw columns."""
     known, robot = setting.problem.known, setting.robot
     scaled = setting.sigma * (rows * known.strengths) @ known.directions.T
@@ -279,7 +281,7 @@ def _raw(setting: Setting, rows: FloatArray) -> dict[str, float]:
     return observability_of(scaled, kept, len(rows), lengths=setting.sigma != WHITENED)[1]
 
 
-def _measured_only(setting: Setting) -> dict[str, float] | None:
+def _measured_only(setting: SelectionSetting) -> dict[str, float] | None:
     if setting.problem.n_before == 0:
         return None
     return index_values(setting.problem, np.zeros(len(setting.problem), dtype=bool), setting.sigma)

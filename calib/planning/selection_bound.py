@@ -34,7 +34,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from calib.planning.selection_problem import TASK, Problem
+from calib.planning.selection_problem import TASK, SelectionProblem
 
 CERTIFIED = ("O1", TASK)
 """Indices for which a bound is computed."""
@@ -65,7 +65,7 @@ class Relaxation(ReadOnlyArrays):
 
 
 def relax(
-    problem: Problem, index: str, chosen: BoolArray, usable: BoolArray, kind: IntArray | None = None
+    problem: SelectionProblem, index: str, chosen: BoolArray, usable: BoolArray, kind: IntArray | None = None
 ) -> Relaxation:
     """Bound what any choice of as many poses, and as many of each kind, can reach.
 
@@ -114,7 +114,7 @@ def kinds_of(kind: IntArray | None, n: int) -> IntArray:
     return np.broadcast_to(np.intp(0), n) if kind is None else kind
 
 
-def log_phi(problem: Problem, index: str, gathered: FloatArray) -> float:
+def log_phi(problem: SelectionProblem, index: str, gathered: FloatArray) -> float:
     """Return log phi of the module docstring.
 
     Args:
@@ -127,7 +127,7 @@ def log_phi(problem: Problem, index: str, gathered: FloatArray) -> float:
     return float(np.linalg.slogdet(gathered)[1]) / len(gathered)
 
 
-def slopes(problem: Problem, index: str, gathered: FloatArray) -> FloatArray:
+def slopes(problem: SelectionProblem, index: str, gathered: FloatArray) -> FloatArray:
     """Return g_k of all candidates, (n_candidates,).
 
     Args:
@@ -163,7 +163,7 @@ def _unclear(slope: FloatArray, weights: FloatArray, kinds: IntArray, counts: In
 
 
 def _interior_point(
-    problem: Problem, index: str, unclear: IntArray, fixed: FloatArray, kinds: IntArray, totals: FloatArray
+    problem: SelectionProblem, index: str, unclear: IntArray, fixed: FloatArray, kinds: IntArray, totals: FloatArray
 ) -> FloatArray:
     """Maximise log phi over weights of the unclear candidates, as `_inner_weights`.
 
@@ -182,7 +182,7 @@ def _interior_point(
 
 
 def _inner_weights(
-    problem: Problem, index: str, rows: FloatArray, fixed: FloatArray, own: IntArray, totals: FloatArray
+    problem: SelectionProblem, index: str, rows: FloatArray, fixed: FloatArray, own: IntArray, totals: FloatArray
 ) -> FloatArray:
     """Maximise log phi over weights in [0, 1] of candidates with these rows (n, k, r), with a given sum of each kind.
 
@@ -219,7 +219,7 @@ def _inner_weights(
 
 
 def _derivatives(
-    problem: Problem, index: str, rows: FloatArray, fixed: FloatArray, w: FloatArray
+    problem: SelectionProblem, index: str, rows: FloatArray, fixed: FloatArray, w: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Slope of log phi by the weights, and minus its second derivative, (n,), (n, n)."""
     n, k, r = rows.shape

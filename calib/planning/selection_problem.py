@@ -50,7 +50,7 @@ DETERMINED = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class SelectionProblem:
     """Candidates in whitened coordinates; see the module docstring.
 
     Attributes:
@@ -105,7 +105,7 @@ def build_problem(
     n_before: int = 0,
     task_rows: FloatArray | None = None,
     n_task: int | None = None,
-) -> Problem:
+) -> SelectionProblem:
     """Whiten candidates.
 
     Args:
@@ -129,7 +129,7 @@ def build_problem(
     prior_part = priors @ clear / strengths
     everything = information(np.vstack([reduced(rows.reshape(-1, width)), measured]), priors).rank
     task, floor = _task(task_rows, n_task, clear / strengths, others, held)
-    return Problem(
+    return SelectionProblem(
         rows=_whitened(rows, whiten),
         before=before.T @ before + prior_part.T @ prior_part,
         strengths=strengths,

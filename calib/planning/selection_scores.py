@@ -15,7 +15,7 @@ from calib.base.arrays import BoolArray, FloatArray
 from calib.base.errors import InputError, nearest
 from calib.numerics.observability import observability
 from calib.planning.rank_three_scores import Determinant, Task
-from calib.planning.selection_problem import DETERMINED, TASK, Problem
+from calib.planning.selection_problem import DETERMINED, TASK, SelectionProblem
 from calib.planning.spectral_scores import Spectrum
 
 CHOICES = ("O1", "O2", "O3", "O4", "O5", TASK)
@@ -38,7 +38,7 @@ class Scores(Protocol):
         """Return whether every direction stays determined when this chosen candidate is removed."""
 
 
-def scores(problem: Problem, index: str, chosen: BoolArray, ridge: float = 0.0) -> Scores:
+def scores(problem: SelectionProblem, index: str, chosen: BoolArray, ridge: float = 0.0) -> Scores:
     """Return the scores of a choice.
 
     Args:
@@ -53,7 +53,7 @@ def scores(problem: Problem, index: str, chosen: BoolArray, ridge: float = 0.0) 
     return scores_of(problem, index, problem.gathered(chosen.astype(float)) + ridge * np.eye(len(problem.strengths)))
 
 
-def scores_of(problem: Problem, index: str, gathered: FloatArray) -> Scores:
+def scores_of(problem: SelectionProblem, index: str, gathered: FloatArray) -> Scores:
     """Return the scores of a choice whose K is known.
 
     Args:
@@ -73,7 +73,7 @@ def scores_of(problem: Problem, index: str, gathered: FloatArray) -> Scores:
     return Spectrum(problem, problem.strengths[:, None] * gathered * problem.strengths, index)
 
 
-def index_values(problem: Problem, chosen: BoolArray, unit: float) -> dict[str, float]:
+def index_values(problem: SelectionProblem, chosen: BoolArray, unit: float) -> dict[str, float]:
     """Return O1 to O5 and, where a task is given, the task index [m] of a choice.
 
     Args:
@@ -84,7 +84,7 @@ def index_values(problem: Problem, chosen: BoolArray, unit: float) -> dict[str, 
     return values_of_rows(problem, problem.rows[chosen], unit)
 
 
-def values_of_rows(problem: Problem, rows: FloatArray, unit: float) -> dict[str, float]:
+def values_of_rows(problem: SelectionProblem, rows: FloatArray, unit: float) -> dict[str, float]:
     """Return the indices of whitened rows, (n_poses, n_rows_per_pose, r), with what is known before."""
     flat = rows.reshape(-1, rows.shape[2])
     gathered = flat.T @ flat + problem.before
@@ -102,7 +102,7 @@ def values_of_rows(problem: Problem, rows: FloatArray, unit: float) -> dict[str,
     return values
 
 
-def index_of_score(problem: Problem, index: str, score: float, count: int, unit: float) -> float:
+def index_of_score(problem: SelectionProblem, index: str, score: float, count: int, unit: float) -> float:
     """Return the index that a score of `count` chosen poses stands for; the task index in m.
 
     Args:

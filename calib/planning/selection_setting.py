@@ -19,7 +19,7 @@ from calib.data.measurements import Poses
 from calib.planning.exchange import Spacing, uniform_start
 from calib.planning.instrument_choice import Groups, Pairs, already_read, pairs_of, require_touches_said
 from calib.planning.selection_bound import CERTIFIED, kinds_of, largest
-from calib.planning.selection_problem import TASK, Problem, build_problem
+from calib.planning.selection_problem import TASK, SelectionProblem, build_problem
 from calib.planning.selection_scores import CHOICES
 from calib.robots.robot import Robot
 from calib.rows.candidates import (
@@ -54,7 +54,7 @@ class Wanted:
 
 
 @dataclass(frozen=True, eq=False)
-class Setting:
+class SelectionSetting:
     """Everything that is known before the first choice.
 
     Attributes:
@@ -77,7 +77,7 @@ class Setting:
     poses: Poses
     found: Candidates
     pairs: Pairs
-    problem: Problem
+    problem: SelectionProblem
     space: Spacing
     measured_points: FloatArray
     sigma: float
@@ -121,7 +121,7 @@ def prepare(
     exclude: Sequence[int],
     skip_unreachable: bool,
     sigma: float | None,
-) -> Setting:
+) -> SelectionSetting:
     """Assemble and linearise everything, and check that the question has an answer.
 
     Args:
@@ -187,7 +187,9 @@ def prepare(
     _require_answer(problem, wanted)
     kind = None if wanted.groups.counts is None else pairs.group
     space = Spacing(pose_points[pairs.pose], wanted.minimum_distance, usable, pairs.pose, kind)
-    return Setting(robot, wanted, poses, assembled, pairs, problem, space, points, noise, assumed, again, sigma)
+    return SelectionSetting(
+        robot, wanted, poses, assembled, pairs, problem, space, points, noise, assumed, again, sigma
+    )
 
 
 def _require_on_grid(robot: Robot, wanted: Wanted, poses: Poses) -> None:
@@ -219,7 +221,7 @@ def _excluded(exclude: Sequence[int], n: int) -> BoolArray:
     return result
 
 
-def require_count(setting: Setting) -> None:
+def require_count(setting: SelectionSetting) -> None:
     """Raise `InputError` where more is wanted than there are candidates, of each kind, or too little to answer."""
     wanted, pairs, usable = setting.wanted, setting.pairs, setting.space.usable
     _require_candidates(wanted, usable, pairs)
@@ -253,7 +255,7 @@ def _require_candidates(wanted: Wanted, usable: BoolArray, pairs: Pairs) -> None
             )
 
 
-def _require_answer(problem: Problem, wanted: Wanted) -> None:
+def _require_answer(problem: SelectionProblem, wanted: Wanted) -> None:
     if problem.known.rank.rank == 0:
         raise NotIdentifiableError(
             "the candidates determine no parameter at all; the targets do not depend on any free one"

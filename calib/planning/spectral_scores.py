@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.base.arrays import BoolArray, FloatArray
-from calib.planning.selection_problem import Problem, Sparing
+from calib.planning.selection_problem import SelectionProblem, Sparing
 
 _PINCHED = 4  # smallest eigenvectors that are kept as a block
 _BATCH = 16  # candidates whose eigenvalues are computed together
@@ -33,7 +33,7 @@ class Spectrum:
         index: O2, O3, O4 or O5.
     """
 
-    problem: Problem
+    problem: SelectionProblem
     matrix: FloatArray
     index: str
 

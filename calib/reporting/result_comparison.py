@@ -13,7 +13,7 @@ import numpy as np
 from calib.base.arrays import FloatArray
 from calib.base.words import as_data, counted, listed, plain_text, text_table
 
-CHANCE = 0.05
+REAL_BELOW = 0.05
 """Chance that anything is called real that is not."""
 _SHOWN = 20
 _LIKELIEST = 5  # parameters to show where none differs
@@ -38,7 +38,7 @@ class Difference:
     @property
     def real(self) -> tuple[bool, ...]:
         """Whether each of the other results differs from the first."""
-        return tuple(p < CHANCE for p in self.p_values)
+        return tuple(p < REAL_BELOW for p in self.p_values)
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,9 @@ class ResultComparison:
     def conclusion(self) -> str:
         """Return in a sentence for each two results which differences are real."""
         told = " ".join(pair.sentence() for pair in self.pairs)
-        return f"{told} (Marked *: differs from {self.names[0]}; values +- 95 %; p corrected, real below {CHANCE:g}.)"
+        return (
+            f"{told} (Marked *: differs from {self.names[0]}; values +- 95 %; p corrected, real below {REAL_BELOW:g}.)"
+        )
 
     def to_dict(self) -> dict[str, object]:
         """Return the comparison for `--json`, in the units of tables; null where there is no test."""
@@ -175,7 +177,7 @@ class ResultComparison:
                     {"results": pair.names, "real": pair.real, "moved": pair.moved, "p_together": pair.together}
                     for pair in self.pairs
                 ],
-                "chance": CHANCE,
+                "chance": REAL_BELOW,
                 "notes": self.notes,
             }
         )

@@ -41,7 +41,7 @@ from calib.base.parameter import Parameter, index_of
 from calib.base.words import counted
 from calib.data.tables import read_table
 from calib.fitting.fitted import Fit
-from calib.reporting.result_comparison import CHANCE, Difference, Pair, ResultComparison
+from calib.reporting.result_comparison import REAL_BELOW, Difference, Pair, ResultComparison
 from calib.reporting.result_reading import load_calibrated, load_uncertainty, read_result
 from calib.reporting.results import save
 from calib.robots import loading
@@ -107,7 +107,7 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
     raw = np.array([[found.get(name, np.nan) for name in names] for found, _ in tested])
     corrected = holm(raw.ravel()).reshape(raw.shape)
     places = {p.name for one in read for p in one.robot.parameters if p.placement}
-    real = [{name for name, p in zip(names, found, strict=True) if p < CHANCE} for found in corrected]
+    real = [{name for name, p in zip(names, found, strict=True) if p < REAL_BELOW} for found in corrected]
     rows = [{row["name"]: row for row in one.content["parameters"]} for one in read]
     errors, unit, where, sizes = _errors(read)
     return ResultComparison(

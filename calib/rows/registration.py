@@ -27,7 +27,7 @@ from calib.robots.mechanism import RelativeFrame
 from calib.robots.robot import Robot
 from calib.rows.observed import observe, seen_by
 
-_EXACT = 1e-30  # squares below are rounding
+_SQUARED_ROUNDING = 1e-30  # squares below are rounding
 
 
 def register(robot: Robot, data: Measurements) -> Robot:
@@ -182,7 +182,10 @@ def _guessed(robot: Robot, data: Measurements, one: FrameInstrument, placed: lis
 
     def miss(candidate: Robot) -> float:
         observed = observe(candidate, configurations, {name: data.readings[name] for name in placed})
-        return sum(len(each.residuals) * np.log(np.nanmean(each.residuals**2) + _EXACT) for each in observed.values())
+        return sum(
+            len(each.residuals) * np.log(np.nanmean(each.residuals**2) + _SQUARED_ROUNDING)
+            for each in observed.values()
+        )
 
     return min(tried, key=miss)
 

@@ -53,7 +53,7 @@ from calib.fitting.terms.term_trials import BLOCKS, Trial, Trials
 from calib.fitting.validation import stretches
 from calib.joint_terms.term import TermSection
 
-CHANCE = 0.02
+ADDED_BY_CHANCE = 0.02
 """Chance that some term rises in evidence by as much as is asked where there is none."""
 TELLS = 3.0
 """Difference in log marginal likelihood from which data tell terms apart: odds of 20 to 1 (kass1995)."""
@@ -161,7 +161,7 @@ class _Search:
 
     def beyond_chance(self, without: Trial, trial: Trial) -> float:
         """Return by how much more twice the log evidence rises than chance makes it rise."""
-        share, n_sizes = CHANCE / len(self.tried), trial.n_sizes - without.n_sizes
+        share, n_sizes = ADDED_BY_CHANCE / len(self.tried), trial.n_sizes - without.n_sizes
         return float(2.0 * (trial.evidence - without.evidence) - scipy.special.chdtri(n_sizes, share))
 
     def failed(self, without: Trial, trial: Trial) -> str:

@@ -61,8 +61,8 @@ def fit_data(
         validation: Measurements to judge the result with, or None.
         workers: Who does the fits of other starts; this process if not given.
         steps: Told of each step that is done; of nothing if not given.
-        beyond_linear: How far parameters are off beyond the linear model by a fit of more measurements, as `of_a_part`
-            gives it; found here if not given.
+        beyond_linear: `Statistics.beyond_linear` of all parameters by a fit of more measurements, as `of_a_part` gives
+            it, NaN where unknown, (n_parameters,); found here if not given.
 
     Raises:
         UnreachablePoseError, DataError, NotIdentifiableError, NotConvergedError: See

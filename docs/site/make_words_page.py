@@ -12,8 +12,8 @@ from calib.base.other_words import tables
 PAGE = Path(__file__).resolve().parents[1] / "howto" / "other_words.md"
 _INTRODUCTION = """# Words of other packages
 
-There is one word for each thing here. Who types the word of another package is told the one that is meant: `fit.params`
-or `calib fit ... --robust` end in an error that says what to write. This page is made of the same table.
+For whoever types the words of another package: at the end you know the word that is used here. There is one for each thing.
+`fit.params` or `calib fit ... --robust` end in an error that says what to write; this page comes from the same table.
 """
 
 

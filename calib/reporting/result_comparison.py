@@ -64,7 +64,7 @@ class Pair:
         if self.real:
             found = f"{counted(len(self.real), 'parameter')} of the robot differ{'s' * (len(self.real) == 1)}"
             found += f", {listed(self.real)}"
-        elif self.together < CHANCE:
+        elif self.together < REAL_BELOW:
             found = "the robot differs, and no single parameter is proven to"
         else:
             found = "no parameter of the robot differs"

@@ -132,6 +132,11 @@ class FamilyModel:
         products = Products.of(model.jacobian, model.residuals, model.group, len(model.unstated))
         return FamilyModel(products, model.prior, model.deviations, model.unstated, model.family, model.n_families)
 
+    def freedom(self, solved: SizedModel) -> float:
+        """Return how many degrees of freedom are left for noise."""
+        used = len(self.deviations) - float(np.sum(self.prior.times(solved.root) ** 2))
+        return float(np.sum(self.products.count)) - used
+
     def solved(self, scales: FloatArray, sizes: FloatArray) -> SizedModel:
         """Solve it with these scales of the groups (n_groups,) and sizes of the families (n_families,)."""
         factor = np.append(sizes, 1.0)[self.family]

@@ -226,9 +226,9 @@ class Trials:
             len(names),
         )
         scales, sizes = found_with_families(model, self.fit.scales.groups * self.fit.statistics.factors.found)
-        if np.any(scales <= EXACT):
-            return self._explaining_all(terms, len(names))
         solved = model.solved(scales, sizes)
+        if np.any(scales <= EXACT) or model.freedom(solved) < 1.0:
+            return self._explaining_all(terms, len(names))
         left_out = [self._left_out(solved, model.prior, scales, use, parts) for parts in self._partitions]
         elsewhere = self._elsewhere[:, use] * solved.factor
         variances = np.sum((elsewhere @ solved.root) ** 2, axis=1)

@@ -254,3 +254,56 @@ def test_the_schema_takes_what_descriptions_say_and_refuses_a_misspelt_key(tmp_p
         assert list(validator.iter_errors(said | {"name_motor": []}))
         assert list(validator.iter_errors(said | {"priors": "perhaps"}))
     assert run_calib("init", "arm.urdf", "--schema", "--out", "x.json", cwd=tmp_path).code == 2
+
+
+def test_a_camera_is_described_with_its_board_and_can_be_used_at_once(tmp_path, run_calib):
+    example = Path(__file__).parents[1] / "docs" / "examples" / "arm.urdf"
+    (tmp_path / "arm.urdf").write_bytes(example.read_bytes())
+    (tmp_path / "truth.csv").write_text(
+        "parameter,value,unit\njoint_2.rx,0.2,deg\njoint_3.z,441.5,mm\ncamera.x,20,mm\ncamera.z,40,mm\ncamera.fx,1020,px\n"
+    )
+    run = run_calib("init", "arm.urdf", "--measure", "camera", "--out", "r.yaml", cwd=tmp_path)
+    assert run.code == 0, run.err
+    assert "r_board.yaml written, the board" in run.out
+    (tmp_path / "r.yaml").write_text((tmp_path / "r.yaml").read_text().replace("# sigma: 0.2 ", "sigma: 0.2 "))
+    for command in (
+        "sample r.yaml --count 40 --out poses.csv",
+        "simulate r.yaml poses.csv --parameters truth.csv --seed 1 --out measured.csv",
+        "fit r.yaml measured.csv --no-pages --out result",
+        "predict r.yaml poses.csv --result result --out predicted.csv",
+        "predict r.yaml poses.csv --parameters truth.csv --out true.csv",
+    ):
+        run = run_calib(*command.split(), cwd=tmp_path)
+        assert run.code == 0, (command, run.err)
+        assert "few of these poses" not in run.err
+    tool, truth = (
+        1e-3 * np.loadtxt(tmp_path / name, delimiter=",", skiprows=2, usecols=(7, 8, 9))
+        for name in ("predicted.csv", "true.csv")
+    )
+    # the board tells no place of the base: compared after the rigid motion that lays one on the other
+    moved = (tool - tool.mean(axis=0)).T @ (truth - truth.mean(axis=0))
+    u, _, vt = np.linalg.svd(moved)
+    turn = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+    off = (tool - tool.mean(axis=0)) @ turn - (truth - truth.mean(axis=0))
+    assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 0.15e-3  # 1.5 mm and 0.2 deg before
+
+
+def test_a_cameras_board_and_lens_may_be_given(tmp_path, run_calib):
+    (tmp_path / "arm.urdf").write_text(ARM_URDF)
+    (tmp_path / "mine.yaml").write_text("kind: chessboard\ncolumns: 9\nrows: 6\nsquare: 25 mm\n")
+    (tmp_path / "lens.yaml").write_text("fx: 800\nfy: 801\ncx: 320\ncy: 240\nk1: -0.1\nimage: [640, 480]\n")
+    given = ("--board", "mine.yaml", "--camera", "lens.yaml")
+    run = run_calib("init", "arm.urdf", "--measure", "camera", *given, "--out", "r.yaml", cwd=tmp_path)
+    assert run.code == 0, run.err
+    assert not (tmp_path / "r_board.yaml").exists()
+    camera = calib.load(tmp_path / "r.yaml").instrument("camera")
+    assert len(camera.points_of_body) == 40
+    assert camera.intrinsics[:5] == (800, 801, 320, 240, -0.1)
+    assert camera.image == (640, 480)
+    assert (tmp_path / "r_measurements.csv").read_text().count("camera_u") == 0
+    for wrong in (("--board", "mine.yaml"), ("--camera", "lens.yaml")):
+        run = run_calib("init", "arm.urdf", "--measure", "tracker", *wrong, "--out", "t.yaml", cwd=tmp_path)
+        assert (run.code, run.err) == (2, "calib: --board and --camera are for --measure camera\n")
+    run = run_calib("init", "arm.urdf", "--measure", "camera", "--board", "chess", "--out", "t.yaml", cwd=tmp_path)
+    assert run.code == 2
+    assert "is neither a YAML file nor a kind" in run.err

@@ -430,3 +430,68 @@ def test_an_image_that_was_turned_against_its_intrinsics_is_named(arm):
     assert said.startswith("camera 'eye': ")
     assert "outside an image of 2000 x 1600 px" in said
     assert "turned by 90 degrees" in said
+
+
+BOARDS = {
+    "chessboard": "{kind: chessboard, columns: 9, rows: 6, square: 25 mm}",
+    "charuco": "{kind: charuco, columns: 9, rows: 6, square: 25 mm, marker: 18 mm, dictionary: DICT_5X5_100}",
+}
+
+
+@pytest.mark.parametrize("kind", ["chessboard", "charuco"])
+def test_readings_of_a_board_are_predicted_where_a_photograph_shows_it(tmp_path, kind):
+    yaml = YAML.replace(f"points: {POINTS}", f"board: {BOARDS[kind]}, focus: [300 mm, 900 mm]")
+    eye = calib.load(write_six_axis(tmp_path, yaml)).instrument("eye")
+    n = len(eye.points_of_body)
+
+    def seen(xyz, rpy=(0, 0, 0)):  # of the middle of the board in the camera
+        turn = Rotation.from_euler("xyz", rpy, degrees=True).as_matrix()
+        at = np.array(xyz) - turn @ [0.1125, 0.075, 0.0]
+        view = View(np.tile(turn, (n, 1, 1)), np.tile(at, (n, 1)))
+        values = eye.predict(view, np.array([]), np.arange(n)[:, None].astype(float))
+        return int(np.sum(np.isfinite(values).all(axis=1)))
+
+    assert seen((0, 0, 0.6)) == n
+    assert seen((0, 0, 0.6), (55, 0, 0)) == n
+    assert seen((0, 0, 0.6), (70, 0, 0)) == 0  # nearly from the side
+    assert seen((0, 0, 0.6), (180, 0, 0)) == 0  # from behind: through the paper
+    assert seen((0, 0, 1.0)) == 0  # not sharp
+    assert seen((0, 0, -0.6)) == 0
+    part = seen((0.22, 0, 0.6))  # the image less its margin ends 0.244 m from its axis there: 5 columns of 8
+    assert part == (0 if kind == "chessboard" else 25)
+    assert seen((0.33, 0, 0.6)) == 0
+
+
+def test_what_distortion_folds_back_into_the_image_is_not_seen(tmp_path):
+    yaml = YAML.replace("k1: -0.1, k2: 0.05, p1: 0.001, p2: -0.0005, k3: 0.01", "k1: -0.3")
+    eye = calib.load(write_six_axis(tmp_path, yaml)).instrument("eye")
+    away = np.tan(np.deg2rad(61.0))  # r - 0.3 r^3 falls beyond r = 1.05, and is 0.05 here
+    view = View(np.eye(3)[None], np.array([[away, 0.0, 1.0]]) - BODY[0])
+    assert 0 < 2400 * (away - 0.3 * away**3) < 1000
+    assert np.all(np.isnan(eye.predict(view, np.array([]), np.zeros((1, 1)))))
+
+
+def test_poses_are_sampled_at_which_a_camera_sees_its_board(tmp_path, run_calib):
+    yaml = YAML.replace(f"points: {POINTS}", f"board: {BOARDS['charuco']}").replace(
+        "fx: 2400, fy: 2410", "fx: 1800, fy: 1800"
+    )
+    yaml = yaml.replace("camera: {frame: l0}", "camera: {frame: l6, rpy: [0, 90 deg, 0]}")
+    yaml = yaml.replace("body: {frame: l6, ", "body: {frame: l0, xyz: [0.9, -0.1, 0.4], rpy: [0, 100 deg, 0], ")
+    path = write_six_axis(tmp_path, yaml)
+    robot = calib.load(path)
+    poses = calib.sample(robot, 15, 3)
+    assert len(np.unique(calib.simulate(robot, poses, 0.0).readings["eye"].visits)) == 15
+    run = run_calib("sample", path, "--count", 15, "--seed", 3, "--out", "good.csv", cwd=tmp_path)
+    assert (run.code, run.err) == (0, "")
+    tried = robot.sample(40, 4)
+    blind = tried[np.setdiff1d(np.arange(40), calib.simulate(robot, tried, 0.0).readings["eye"].visits)]
+    (tmp_path / "blind.csv").write_text(
+        "j1,j2,j3,j4,j5,j6\n" + "".join(",".join(map(repr, row.tolist())) + "\n" for row in [*blind, *poses.joints])
+    )
+    run = run_calib("select", path, "blind.csv", "--count", 12, "--out", "chosen.csv", cwd=tmp_path)
+    assert run.code == 0, run.err
+    assert f"few of these poses see what is to be measured: eye at 15 of {len(blind) + 15};" in run.err
+    away = write_six_axis(tmp_path, yaml.replace("[0.9, -0.1, 0.4]", "[40, 0, 0]"))
+    run = run_calib("sample", away, "--count", 15, "--out", "none.csv", cwd=tmp_path)
+    assert run.code == 0
+    assert "few of these poses see what is to be measured: eye at 0 of 15; check `xyz` and `rpy`" in run.err

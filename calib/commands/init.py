@@ -2,31 +2,46 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import click
+import numpy as np
+import scipy
 import yaml
 
+from calib.base.arrays import FloatArray
 from calib.base.errors import DescriptionError, InputError
 from calib.base.files import write_files
 from calib.base.units import millimetres, quantity
 from calib.base.words import counted
+from calib.commands.boards import given_board
 from calib.commands.common import Output, shared_options
 from calib.data.dh_files import read_dh
 from calib.data.measurement_columns import header
 from calib.data.printer_files import PrinterFile, expected_geometry, printer_table, read_printer
 from calib.data.tables import format_table
+from calib.instruments.camera import NAMES
+from calib.photographs.camera_files import read_camera
 from calib.robots.description import schema_text
+from calib.robots.first_description import MEASURES, Measure, description_text
 from calib.robots.linear_delta import linear_delta_description, linear_delta_plan, linear_delta_urdf
 from calib.robots.loading import describe, load
-from calib.robots.templates import MEASURES, TEMPLATES, Measure, description_text, loop_files, read_lengths
+from calib.robots.robot import Robot
+from calib.robots.templates import TEMPLATES, loop_files, read_lengths
 from calib.robots.urdf.arm_chain import arm_chain
 from calib.robots.urdf.denavit_hartenberg import CONVENTIONS, LAST_LINK, urdf_text
 from calib.robots.urdf.text import UrdfText, parse_urdf, read_urdf
 
+_BOARD = "charuco:7x5:30mm:22mm:DICT_5X5_100"
+_IMAGE, _FOCAL = (1280, 960), 1000.0  # px, where no file says them
+_OFF_GUESSED, _OFF_GIVEN = 0.1, 0.01  # of the focal length
+_AWAY = 1.8  # diagonals of the board between it and the camera
+_TRIED, _PLACES = 600, 60  # poses; those before which a board may be
+_AHEAD, _FACING = 0.93, 0.6  # cosines to the camera's axis, and to that of the board
 _LENGTHS = "; ".join(
     f"{name}: " + ", ".join(f"{key} {millimetres(value):g} mm" for key, value in template.lengths.items())
     for name, template in TEMPLATES.items()
@@ -40,6 +55,12 @@ _LENGTHS = "; ".join(
     "--measure",
     type=click.Choice(tuple(MEASURES)),
     help="How you measure: writes the instrument into the description, and beside it the file to fill in.",
+)
+@click.option(
+    "--board", metavar="FILE|TEXT", help="With --measure camera: the board, as of calib board; an example if not given."
+)
+@click.option(
+    "--camera", metavar="FILE", help="With --measure camera: its intrinsics, YAML of OpenCV or camera_info of ROS."
 )
 @click.option("--dh", metavar="FILE", help="Denavit-Hartenberg table (CSV) in place of a URDF, which is then written.")
 @click.option("--convention", type=click.Choice(CONVENTIONS), help="Of the table, if it does not say it itself.")
@@ -69,6 +90,8 @@ def command(
     urdf: str | None,
     target: str | None,
     measure: str | None,
+    board: str | None,
+    camera: str | None,
     dh: str | None,
     convention: str | None,
     template: str | None,
@@ -105,6 +128,8 @@ def command(
         raise InputError("--target is for a URDF or a table; a template has its own targets")
     if (template or printers) and measure:
         raise InputError("--measure is for a URDF or a table; a template has its own targets, a printer its nozzle")
+    if (board or camera) and measure != "camera":
+        raise InputError("--board and --camera are for --measure camera")
     if lengths and not (template or printers):
         raise InputError("--length is for a robot of --template, or a printer")
     if convention and not dh:
@@ -126,34 +151,112 @@ def command(
         text = read_urdf(str(urdf))
     how = MEASURES[measure] if measure else None
     sheet = Path(out).with_name(f"{Path(out).stem}_measurements.csv") if how and how.comments else None
-    output.check(out, *(str(file) for file in (beside, sheet) if file is not None))
+    to_print = (
+        Path(out).with_name(f"{Path(out).stem}_board.yaml") if measure == "camera" and not _is_file(board) else None
+    )
+    output.check(out, *(str(file) for file in (beside, sheet, to_print) if file is not None))
     relative = os.path.relpath(Path(text.path).resolve(), Path(out).resolve().parent)
     chain = arm_chain(text, target or (LAST_LINK if dh else None))
-    description = description_text(text, describe(chain, relative), chain.remark, measure).encode()
-    files = {beside: text.source, Path(out): description} if beside else {Path(out): description}
+    files, words = {beside: text.source} if beside else {}, None
+    if measure == "camera":
+        plain = _loaded(text, description_text(text, describe(chain, relative)))
+        boards, words = _camera_words(plain, board, camera, to_print, Path(out))
+        files |= boards
+    description = description_text(text, describe(chain, relative), chain.remark, measure, words).encode()
+    files[Path(out)] = description
     if sheet and how:
-        files[sheet] = _empty_sheet(text, description.decode(), how).encode()
+        filled = plain if how.read_apart else _loaded(text, description.decode())
+        files[sheet] = _empty_sheet(filled, how).encode()
     write_files(files, force=output.force)
     if beside:
         output.say(f"{beside} written, from the table")
     output.say(f"{out} written; it works as it is, and its comments say what to change")
-    if sheet is not None:
-        output.say(f"{sheet} written, with the header for your measurements; then: calib check {out} {sheet}")
+    if to_print is not None:
+        output.say(f"{to_print} written, the board: make it yours, then print it: calib board --board {to_print}")
+    if sheet is not None and how is not None:
+        then = "; pixels come from calib detect" if how.read_apart else f"; then: calib check {out} {sheet}"
+        output.say(f"{sheet} written, with the header for your measurements{then}")
     if chain.remark:
         output.say(chain.remark)
 
 
-def _empty_sheet(urdf: UrdfText, description: str, measure: Measure) -> str:
+def _empty_sheet(robot: Robot, measure: Measure) -> str:
     """The header of the measurements of a robot, with what to know while they are taken above it."""
-    with TemporaryDirectory() as folder:  # only a loaded robot knows its columns
+    columns = ["pose", *(header(name, robot.mechanism.dimensions[name]) for name in robot.joint_names)]
+    for one in () if measure.read_apart else robot.instruments:
+        columns += [*(header(column.name, column.dimension) for column in one.columns()), *one.text_columns()]
+    return format_table([(column, ()) for column in dict.fromkeys(columns)], measure.comments)
+
+
+def _loaded(urdf: UrdfText, description: str) -> Robot:
+    """The robot of a description that is not written yet; only a loaded one knows its columns and where it reaches."""
+    with TemporaryDirectory() as folder:
         (Path(folder) / "robot.urdf").write_bytes(urdf.source)
         said = yaml.safe_load(description) | {"urdf": "robot.urdf"}
         (Path(folder) / "robot.yaml").write_text(yaml.safe_dump(said), encoding="utf-8")
-        robot = load(Path(folder) / "robot.yaml")
-    columns = ["pose", *(header(name, robot.mechanism.dimensions[name]) for name in robot.joint_names)]
-    for one in robot.instruments:
-        columns += [*(header(column.name, column.dimension) for column in one.columns()), *one.text_columns()]
-    return format_table([(column, ()) for column in dict.fromkeys(columns)], measure.comments)
+        return load(Path(folder) / "robot.yaml")
+
+
+def _is_file(board: str | None) -> bool:
+    return board is not None and Path(board).suffix.lower() in (".yaml", ".yml")
+
+
+def _camera_words(
+    robot: Robot, board: str | None, camera: str | None, to_print: Path | None, out: Path
+) -> tuple[dict[Path, bytes], dict[str, str]]:
+    """The file of the board, if it is not there yet, and what the description says of board and camera."""
+    described = given_board(_BOARD if board is None else board)
+    given = None if camera is None else read_camera(camera)
+    image = _IMAGE if given is None or given.image is None else given.image
+    if given is None:
+        intrinsics = np.array([_FOCAL, _FOCAL, (image[0] - 1) / 2, (image[1] - 1) / 2, 0, 0, 0, 0, 0])
+    else:
+        intrinsics = given.intrinsics
+    off = (_OFF_GUESSED if given is None else _OFF_GIVEN) * intrinsics[0]
+    numbers = {name: float(f"{value:.8g}") for name, value in zip(NAMES, intrinsics, strict=True)}
+    free = {name: float(f"{off:.2g}") for name in NAMES[:4]} | dict.fromkeys(NAMES[4:6], 0.1)
+    middle = np.array([*described.size, 0.0]) / 2
+    away = _AWAY * float(np.hypot(*described.size)) * max(1.0, intrinsics[0] / max(image))
+    xyz, rpy = _about_seen(robot, middle, away)
+    path = to_print if to_print is not None else Path(str(board))
+    words = {
+        "board_file": json.dumps(os.path.relpath(path.resolve(), out.resolve().parent), ensure_ascii=False),
+        "board_text": str(described),
+        "board_xyz": f"[{', '.join(f'{millimetres(value):.0f} mm' for value in xyz)}]",
+        "board_rpy": f"[{', '.join(f'{value:.0f} deg' for value in np.rad2deg(rpy))}]",
+        "image": str(list(image)),
+        "intrinsics": _yaml(numbers),
+        "unknown_intrinsics": _yaml(free),
+    }
+    if to_print is None:
+        return {}, words
+    values = described.model_dump(exclude_none=True, exclude_defaults=True)
+    lines = [
+        f"{key}: {millimetres(value):.9g} mm" if isinstance(value, float) else f"{key}: {value}"
+        for key, value in values.items()
+    ]
+    comment = "# A printed board: measure what you have, or print this one (calib board).\n"
+    return {to_print: (comment + "\n".join(lines) + "\n").encode()}, words
+
+
+def _yaml(values: Mapping[str, float]) -> str:
+    return "{" + ", ".join(f"{name}: {value:.10g}" for name, value in values.items()) + "}"
+
+
+def _about_seen(robot: Robot, middle: FloatArray, away: float) -> tuple[FloatArray, FloatArray]:
+    """Where a board is seen from most poses, by a camera that looks along z of the target: xyz [m], rpy [rad]."""
+    poses = robot.forward(robot.sample(_TRIED, 0))
+    boards = poses[:_PLACES].copy()
+    boards[:, :3, 3] += away * boards[:, :3, 2]
+    apart = boards[:, None, :3, 3] - poses[None, :, :3, 3]
+    distance = np.maximum(np.linalg.norm(apart, axis=2), 1e-9)
+    ahead = np.einsum("bka,ka->bk", apart, poses[:, :3, 2]) / distance
+    facing = np.einsum("bka,ba->bk", apart, boards[:, :3, 2]) / distance
+    seen = (ahead > _AHEAD) & (facing > _FACING) & (distance > 0.7 * away) & (distance < 1.6 * away)
+    best = boards[int(np.argmax(np.sum(seen, axis=1)))]
+    corner = np.round(best[:3, 3] - best[:3, :3] @ middle, 2) + 0.0
+    angles = scipy.spatial.transform.Rotation.from_matrix(best[:3, :3]).as_euler("xyz")
+    return corner, np.deg2rad(np.round(np.rad2deg(angles))) + 0.0
 
 
 def _write_template(name: str, given: Sequence[str], urdf: Path, description: Path, output: Output) -> None:

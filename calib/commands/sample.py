@@ -14,7 +14,7 @@ from calib.base.words import counted
 from calib.commands.common import Output, loaded, shared_options, with_values
 from calib.data.measurement_files import format_measurements, read_poses
 from calib.data.measurements import measurements
-from calib.planning.pose_sampling import sample
+from calib.planning.pose_sampling import little_seen, sample
 from calib.robots.robot import Robot
 
 _RANGE = re.compile(r"^(?P<name>[^=]+)=(?P<low>[^=]*?)\.\.(?P<high>[^=]*?)(?P<unit>[A-Za-z]*)$")
@@ -47,8 +47,9 @@ def command(
 ) -> None:
     """Write poses that ROBOT can take, spread at random over its joint limits, loops closed.
 
-    What it touches, it touches there. Whether cables, walls or the robot itself are in the way, it does not know: look
-    at the poses before sending them (calib view ROBOT --data FILE).
+    What it touches, it touches there, and where only cameras measure, they see what they measure. Whether cables, walls
+    or the robot itself are in the way, it does not know: look at the poses before sending them (calib view ROBOT --data
+    FILE).
     """
     model = with_values(loaded(robot, output), parameters, result)
     ranges: dict[str, tuple[float, float]] = {}
@@ -62,6 +63,8 @@ def command(
     comments = (f"poses of {model.name}, sampled with seed {seed}", *(f"within {text}" for text in within))
     output.write(out, format_measurements(model, measurements(found, found.wanted), comments))
     output.say(f"{counted(len(found), 'pose')} written to {out}, seed {seed}")
+    if (few := little_seen(model, found)) is not None:
+        output.note(f"note: {few}")
 
 
 def _ranges(text: str, robot: Robot) -> dict[str, tuple[float, float]]:

@@ -26,6 +26,7 @@ from calib.data.plan_files import plan_of_table, read_pose_files
 from calib.data.robot_tables import read_robot_table
 from calib.pictures import figures
 from calib.planning.instrument_choice import ALL, EACH
+from calib.planning.pose_sampling import little_seen
 from calib.planning.selection import select
 from calib.planning.selection_scores import CHOICES
 from calib.reporting.selection_text import format_poses, text_report, to_dict
@@ -129,6 +130,8 @@ def command(
         model = placed(model, done, poses)
     poses = different_poses(plan_of_table(table, model) if isinstance(poses, Measurements) else poses)
     output.check(out, folders=(plots,))
+    if (few := little_seen(model, poses)) is not None:
+        output.note(f"note: {few}")
     with output.working(f"choosing from {len(poses)} poses") as progress:
         selection = select(
             model,

@@ -108,6 +108,11 @@ class Board(Section):
         pitch, gap = (self.marker or 0.0) + (self.gap or 0.0), self.gap or 0.0
         return self.columns * pitch - gap, self.rows * pitch - gap
 
+    @property
+    def smallest(self) -> float:
+        """Side of what a camera must tell apart: a marker, a square, or the way between dots [m]."""
+        return self.marker or self.square or self.spacing or 0.0
+
     def points(self) -> dict[str, tuple[float, float, float]]:
         """Return where each point is in the board's frame, by name [m]."""
         if self.kind in ("charuco", "chessboard"):

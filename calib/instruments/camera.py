@@ -74,6 +74,14 @@ def in_front(points: FloatArray) -> BoolArray:
     return points[:, 2] > _GRAZING * np.linalg.norm(points, axis=1)
 
 
+def in_lens(points: FloatArray, intrinsics: FloatArray) -> BoolArray:
+    """Return which points (n, 3) [m] lie where the distortion grows outwards: further out, it folds the image back."""
+    k1, k2, k3 = intrinsics[[4, 5, 8]]
+    turns = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])  # r^2 where d(r + k1 r^3 + k2 r^5 + k3 r^7) / dr = 0
+    real = turns.real[(np.abs(turns.imag) < 1e-12) & (turns.real > 0)]
+    return np.sum(_on_plane(points)[0] ** 2, axis=1) < np.min(real, initial=np.inf)
+
+
 def rays(pixels: FloatArray, intrinsics: FloatArray) -> FloatArray:
     """Return m of the module docstring, without distortion, for pixels (n, 2): (n, 2)."""
     distorted = (pixels - intrinsics[2:4]) / intrinsics[:2]

@@ -201,6 +201,8 @@ class Instrument(ABC):
             one may share their columns of numbers; a file may leave it out where they do not. None: there is none
             (class attribute).
         touches: Whether a reading has no numbers: to be there is all that it says (class attribute).
+        may_see_nothing: Whether there are poses at which it reads nothing, such as those at which a camera does not see
+            the board; then predictions are NaN (class attribute).
         name: Its name in the description, and the beginning of its columns.
         noise: What is stated of its noise.
         unknowns: Unknown numbers of its own.
@@ -209,6 +211,7 @@ class Instrument(ABC):
     section: ClassVar[type[InstrumentSection]]
     label_column: ClassVar[str | None] = None
     touches: ClassVar[bool] = False
+    may_see_nothing: ClassVar[bool] = False
     name: str
     noise: Noise = field(kw_only=True)
     unknowns: tuple[Parameter, ...] = field(default=(), kw_only=True)

@@ -4,6 +4,11 @@ The camera (frame a: an own place, fixed to a link beside the robot or on it) lo
 
     p = R_ab X + p_ab          (u, v) = image of p (`calib.instruments.camera`)          dp = dp_ab - [R_ab X]x dw
 
+Of a printed board, readings are predicted where it would be found in a photograph: its printed side is turned to the
+camera, by less than 65 degrees; what is read lies in the image with a margin of 2 %; a chessboard and circles are seen
+whole, of markers six points or more; a marker or square has 16 px or more. What the camera does not see sharply
+(`focus`) is not seen.
+
 Points have names; which one a row of a file is about says its column `point`. Where several cameras share columns, the
 column `camera` says which one saw it. A point that the camera cannot see is NaN when predicted, and no reading.
 """
@@ -15,12 +20,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.base.arrays import FloatArray, IntArray
+from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.base.errors import DataError, nearest
 from calib.base.parameter import Parameter
 from calib.base.sections import COMPONENTS, Component
 from calib.base.units import DISPLAY_UNIT, Dimension
-from calib.instruments.camera import NAMES, in_front, project, rays
+from calib.instruments.board import Board
+from calib.instruments.camera import NAMES, in_front, in_lens, project, rays
 from calib.instruments.camera_places import Sightings, guesses, seen_points
 from calib.instruments.kind import (
     Column,
@@ -38,6 +44,10 @@ from calib.instruments.pixel_section import PixelSection
 from calib.numerics.rigid import cross_matrices
 
 PIXEL = Part("pixel", ("u", "v"), "pixel", usual=2.0)
+_STEEPEST = np.cos(np.deg2rad(65.0))
+_MARGIN = 0.02  # of the larger side of the image
+_LEAST_SEEN = 6  # points
+_SMALLEST = 16.0  # side of a marker, square or spacing of dots [px]
 _WIDER = 1.1  # how far beyond its edge an image may reach whose middle is only guessed, in half widths
 _FEW_AWAY = 0.02  # part of the readings that may lie outside: mistakes
 _MOSTLY = 0.5  # part of the sightings that must not lie behind the camera
@@ -50,11 +60,14 @@ class Pixel(FrameInstrument):
     section = PixelSection
     parts = (PIXEL,)
     label_column = "camera"
+    may_see_nothing = True
     place: Place
     intrinsics: tuple[float, ...]
     points_of_body: Mapping[str, tuple[float, float, float]]
     image: tuple[float, float] | None = None
     prefix: str = ""
+    board: Board | None = None
+    focus: tuple[float, float] | None = None
 
     @classmethod
     def of(cls, name: str, section: PixelSection) -> Pixel:
@@ -71,9 +84,11 @@ class Pixel(FrameInstrument):
             section.target,
             place,
             tuple(numbers[key] for key in NAMES),
-            dict(section.points),
+            dict(section.points) if section.board is None else section.board.points(),
             section.image,
             section.columns or name,
+            section.board,
+            section.focus,
             noise=Noise((PartNoise.of(section.sigma, 2),)),
             unknowns=unknowns,
         )
@@ -120,12 +135,38 @@ class Pixel(FrameInstrument):
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return pixels, (n, 2); NaN for points that have no image."""
-        points = _in_camera(view, self._body(details))
-        pixels = project(points, self._numbers(unknowns))[0]
-        in_image = in_front(points)
+        points, numbers = _in_camera(view, self._body(details)), self._numbers(unknowns)
+        pixels, seen = self._seen(points, numbers)
+        if self.board is not None:
+            seen &= self._found(self.board, view, numbers)
+        return np.where(seen[:, None], pixels, np.nan)
+
+    def _seen(self, points: FloatArray, numbers: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Pixels of points in the camera's frame, (n, 2), and which of them are sharp and in the image, (n,)."""
+        pixels = project(points, numbers)[0]
+        seen = in_front(points) & in_lens(points, numbers)
         if self.image is not None:
-            in_image &= np.all((pixels >= -0.5) & (pixels <= np.array(self.image) - 0.5), axis=1)
-        return np.where(in_image[:, None], pixels, np.nan)
+            margin = 0.0 if self.board is None else _MARGIN * max(self.image)
+            seen &= np.all((pixels >= margin - 0.5) & (pixels <= np.array(self.image) - 0.5 - margin), axis=1)
+        if self.focus is not None:
+            seen &= (points[:, 2] >= self.focus[0]) & (points[:, 2] <= self.focus[1])
+        return pixels, seen
+
+    def _found(self, board: Board, view: View, numbers: FloatArray) -> BoolArray:
+        """Whether a board would be found in the photograph of each reading, (n,)."""
+        if len(view.translation) == 0:
+            return np.zeros(0, dtype=bool)
+        flat = np.concatenate([view.rotation.reshape(-1, 9), view.translation], axis=1)
+        first = np.concatenate([[True], np.any(np.diff(flat, axis=0) != 0, axis=1)])  # readings of one view follow
+        rotation, translation = view.rotation[first], view.translation[first]
+        every = np.array(list(self.points_of_body.values()))
+        points = np.einsum("kab,jb->kja", rotation, every) + translation[:, None]
+        seen = self._seen(points.reshape(-1, 3), numbers)[1].reshape(points.shape[:2])
+        middle = points.mean(axis=1)
+        facing = np.einsum("ka,ka->k", rotation[:, :, 2], middle) > _STEEPEST * np.linalg.norm(middle, axis=1)
+        large = np.min(numbers[:2]) * board.smallest >= _SMALLEST * middle[:, 2]
+        least = len(every) if board.dictionary is None else min(_LEAST_SEEN, len(every))
+        return (facing & large & (np.sum(seen, axis=1) >= least))[np.cumsum(first) - 1]
 
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
         """Return errors in the image, and how the twist and unknown intrinsics move them."""

@@ -14,7 +14,7 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from calib.base.errors import DescriptionError, InputError
 from calib.base.files import read_text
-from calib.base.sections import Length, PosedSection, Section, read_yaml
+from calib.base.sections import Length, PosedSection, PositiveLength, Section, read_yaml
 from calib.base.units import per_si, split_column
 from calib.instruments.board import Board, checked_board
 from calib.instruments.kind import InstrumentSection
@@ -72,6 +72,7 @@ class PixelSection(InstrumentSection):
         board: A printed board (`calib.instruments.board`), or the YAML file that describes it, in place of points; the
             target frame is then the board's.
         image: Width and height [px]; points outside are not seen. Only predictions need it.
+        focus: From which to which distance along its axis the camera sees sharply [m]. Only predictions need it.
         columns: How the columns begin: `<columns>_u`, `<columns>_v`; the instrument's name if left out.
         sigma: Noise of a coordinate [px].
     """
@@ -84,6 +85,7 @@ class PixelSection(InstrumentSection):
     points_file: str | None = None
     board: Board | None = None
     image: tuple[_Positive, _Positive] | None = None
+    focus: tuple[PositiveLength, PositiveLength] | None = None
     columns: str | None = None
     sigma: _Positive | None = None
 
@@ -100,7 +102,7 @@ class PixelSection(InstrumentSection):
         try:
             if value.get("board"):
                 board = _board(value["board"], folder)
-                return {**{key: entry for key, entry in value.items() if key != "board"}, "points": board.points()}
+                return {**value, "board": board.model_dump(exclude_none=True)}
             file = value.get("points_file")
             if not isinstance(file, str):
                 return value
@@ -111,8 +113,10 @@ class PixelSection(InstrumentSection):
 
     @model_validator(mode="after")
     def _some_points(self) -> PixelSection:
-        if not self.points:
+        if not self.points and self.board is None:
             raise ValueError("needs points (name: [x, y, z]), points_file or board")
+        if self.focus is not None and not self.focus[0] < self.focus[1]:
+            raise ValueError("focus: needs the smaller distance first, such as [250 mm, 900 mm]")
         return self
 
 

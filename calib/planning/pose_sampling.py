@@ -3,6 +3,9 @@
 Touches tell less than positions would: of one socket, the size of the robot stays open, because the ball is in the same
 place every time. So poses of a robot that touches are brought to what it touches, one thing after the other, where that
 is found from where they are.
+
+A camera sees its board from few of the poses that a robot can take. Where nothing but cameras reads, poses are tried
+until enough see something (`calib.instruments.pixel` says when that is).
 """
 
 from __future__ import annotations
@@ -12,17 +15,22 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.base.arrays import FloatArray
+from calib.base.arrays import BoolArray, FloatArray, random_numbers
 from calib.base.memory import require_memory
 from calib.base.other_words import worded
-from calib.base.words import counted
+from calib.base.words import counted, listed
 from calib.data.measurements import Poses, of_visits
 from calib.instruments.kind import Readings
 from calib.robots.joint_sampling import TRIES, Ranges
 from calib.robots.loading import RobotLike, as_robot
 from calib.robots.robot import Robot
+from calib.rows.candidates import configurations_at
+from calib.rows.observed import looks_at, predicted_readings
 from calib.rows.simulate import MET, at_contact
 
+_TRIED_OF_EACH, _LEAST_TRIED, _MOST_TRIED = 200, 5_000, 40_000  # poses, for one that sees something
+_AT_ONCE = 1_000
+_FEW_SEE = 0.5  # of the poses
 _NUMBERS_OF_EACH = 120  # of 8 bytes, for joint values, names and the text of a file: 700 to 850 bytes were measured
 
 
@@ -37,7 +45,8 @@ def sample(
     """Return `count` poses that the robot can take, named by their number; at contact where it touches something.
 
     Where too few poses touch anything, as the description places it, they are all left as they are, and say nothing of
-    touches (`calib.rows.observed.unsaid_touches`).
+    touches (`calib.rows.observed.unsaid_touches`). Where too few are found at which a camera sees anything, the rest
+    see nothing (`seen_at` tells which).
 
     Args:
         robot: The robot at its present values.
@@ -55,7 +64,10 @@ def sample(
     spanned = within.joints if isinstance(within, Poses) else within
     total = TRIES * count if touches and count > 0 else count
     require_memory(_NUMBERS_OF_EACH * max(total, 0), f"sampling {counted(count, 'pose')}", "sample fewer")
-    tried = _poses(robot, robot.sample(total, seed, within=spanned))
+    generator = random_numbers(seed)
+    tried = _poses(robot, robot.sample(total, generator, within=spanned))
+    if all(one.may_see_nothing for one in robot.instruments):
+        return _seeing(robot, tried, generator, spanned)
     if not touches:
         return tried
     looks = [(one, pair, detail) for one in touches for pair, detail in zip(*one.looks(), strict=True)]
@@ -73,6 +85,57 @@ def sample(
         name: Readings(one.visits, one.pairs, np.zeros((len(one), 0)), None, one.details) for name, one in found.items()
     }
     return replace(_poses(robot, commands[there[:count]]), wanted=said)
+
+
+def seen_at(robot: Robot, poses: Poses) -> dict[str, BoolArray]:
+    """Return at which poses instruments that may see nothing would read something, by name, (n,).
+
+    Args:
+        robot: The robot at its present values.
+        poses: The poses; at those that cannot be assembled nothing is read.
+    """
+    result = {one.name: np.zeros(len(poses), dtype=bool) for one in robot.instruments if one.may_see_nothing}
+    for start in range(0, len(poses) if result else 0, _AT_ONCE):
+        part = poses.subset(np.arange(start, min(start + _AT_ONCE, len(poses))))
+        columns = robot.term_columns(part.joints, part.conditions)
+        closed = robot.close(part.joints, columns=columns)
+        good = np.flatnonzero(closed.ok)
+        there = configurations_at(robot, part.joints, closed, columns, good)
+        looks = looks_at(robot, part.subset(good))
+        for name, readings in predicted_readings(robot, there, {name: looks[name] for name in result}).items():
+            seen = np.isfinite(readings.values).any(axis=1)
+            result[name][start + good[readings.visits[seen]]] = True
+    return result
+
+
+def little_seen(robot: Robot, poses: Poses) -> str | None:
+    """Return what to say where instruments see something at few of the poses; None where they do at most."""
+    few = [
+        f"{name} at {int(np.sum(seen))} of {len(poses)}"
+        for name, seen in seen_at(robot, poses).items()
+        if np.mean(seen) < _FEW_SEE
+    ]
+    if not few:
+        return None
+    return (
+        f"few of these poses see what is to be measured: {listed(few)}; check `xyz` and `rpy` of the camera and of what"
+        " it sees, `image` and `focus`, or keep to poses near those that see it (--within)"
+    )
+
+
+def _seeing(robot: Robot, first: Poses, generator: np.random.Generator, within: Ranges | ArrayLike | None) -> Poses:
+    """As many poses as the first ones, at all of which something is seen if they are found."""
+    count = len(first)
+    tries = int(np.clip(_TRIED_OF_EACH * count, _LEAST_TRIED, _MOST_TRIED))
+    found, tried = np.zeros((0, first.joints.shape[1])), first.joints
+    while True:
+        sees = np.any(list(seen_at(robot, _poses(robot, tried)).values()), axis=0)
+        found, tries = np.vstack([found, tried[sees]]), tries - len(tried)
+        if len(found) >= count or tries <= 0:
+            break
+        tried = robot.sample(min(_AT_ONCE, tries), generator, within=within)
+    blind = first.joints[~np.any(list(seen_at(robot, first).values()), axis=0)]
+    return _poses(robot, np.vstack([found, blind])[:count])
 
 
 def _poses(robot: Robot, joints: FloatArray) -> Poses:

@@ -18,6 +18,7 @@ take the rest, and no reading has changed (N alone would see to that in the firs
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -49,9 +50,12 @@ def nearest_to_nominal(robot: Robot) -> Robot:
     sigma = np.array([parameters[k].sigma_si for k in free])
     expected = np.array([parameters[k].expected_si for k in free])
     q = around_home(robot)
-    readings = predicted_readings(robot, robot.assemble(q))
+    predicted = predicted_readings(robot, robot.assemble(q))  # NaN beside an image: as if the image went on
+    readings = {name: replace(one, values=np.nan_to_num(one.values)) for name, one in predicted.items()}
+    before, _ = _stacked(observe(robot, robot.assemble(q), readings))
     for _ in range(_ROUNDS):
-        changed, jacobian = _stacked(observe(robot, robot.assemble(q), readings))
+        now, jacobian = _stacked(observe(robot, robot.assemble(q), readings))
+        changed = now - before
         seen, unseen = _split(jacobian[:, free] * sigma)
         back = -seen @ np.linalg.lstsq(jacobian[:, free] * sigma @ seen, changed, rcond=None)[0]
         start = (robot.values[free] - expected) / sigma + back

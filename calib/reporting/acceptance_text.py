@@ -17,7 +17,7 @@ from calib.judging.repeatability import CONDITIONS, IsoFigure, conditions
 _SHOWN, _WIDTH = 8, 110  # changes; characters of a table
 _SAID = {
     "agrees": "AGREES: the robot is as accurate as its calibration promised",
-    "drifted": "DRIFTED: one change explains what the readings are off",
+    "drifted": "DRIFTED: one change of the robot explains the readings",
     "noisier": "NOISIER: readings of one pose scatter more than promised, which no calibration cures",
     "calibrate again": "CALIBRATE AGAIN: the readings are off, and no single change explains it",
 }

@@ -241,3 +241,137 @@ def test_of_two_files_both_say_where_gravity_points_or_none(tmp_path):
     (tmp_path / "two.csv").write_text(table(np.zeros((2, 3)), np.zeros((2, 3))))
     with pytest.raises(calib.DataError, match=r"two\.csv: has no column 'gravity_x', and another file has it"):
         calib.read_measurements([tmp_path / "one.csv", tmp_path / "two.csv"], robot)
+
+
+MAST = """\
+<robot name="mast">
+  <link name="ground"/><link name="ground_x"/><link name="tracks"/><link name="carriage"/><link name="carriage_x"/>
+  <link name="head"/><link name="tool"/>
+  <joint name="tip_x" type="revolute"><parent link="ground"/><child link="ground_x"/><axis xyz="1 0 0"/>
+    <limit lower="-0.2" upper="0.2" effort="1" velocity="1"/></joint>
+  <joint name="tip_y" type="revolute"><parent link="ground_x"/><child link="tracks"/><axis xyz="0 1 0"/>
+    <limit lower="-0.2" upper="0.2" effort="1" velocity="1"/></joint>
+  <joint name="lift" type="prismatic"><parent link="tracks"/><child link="carriage"/><origin xyz="0.5 0 0.2"/>
+    <axis xyz="0 0 1"/><limit lower="0" upper="3" effort="1" velocity="1"/></joint>
+  <joint name="lean_x" type="revolute"><parent link="carriage"/><child link="carriage_x"/><axis xyz="1 0 0"/>
+    <limit lower="-0.2" upper="0.2" effort="1" velocity="1"/></joint>
+  <joint name="lean_y" type="revolute"><parent link="carriage_x"/><child link="head"/><axis xyz="0 1 0"/>
+    <limit lower="-0.2" upper="0.2" effort="1" velocity="1"/></joint>
+  <joint name="turn" type="revolute"><parent link="head"/><child link="tool"/><axis xyz="0 0 1"/>
+    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+</robot>
+"""
+MAST_YAML = """\
+urdf: mast.urdf
+name_mot: [tip_x, tip_y, lift, lean_x, lean_y, turn]
+base: {frame: ground}
+targets: {ball: {frame: tool, xyz: [0.8, 0, 0]}}
+parametrisation:
+  - {origin: turn, components: [x, y], sigma: 1 mm}
+"""
+SENSORS = """\
+inclinometers:
+  low: {frame: tracks, joints: [tip_x, tip_y]}
+  high: {frame: head, joints: [lean_x, lean_y]}
+"""
+TOLD = "lift [m],turn [rad],ball_x [m],ball_y [m],ball_z [m]"
+
+
+def mast(folder, more=SENSORS, urdf=MAST):
+    (folder / "mast.urdf").write_text(urdf)
+    (folder / "mast.yaml").write_text(MAST_YAML + more)
+    return calib.load(folder / "mast.yaml")
+
+
+def about(axis, angle):
+    c, s = np.cos(angle), np.sin(angle)
+    rows = {"x": [[1, 0, 0], [0, c, -s], [0, s, c]], "y": [[c, 0, s], [0, 1, 0], [-s, 0, c]]}
+    return np.array(rows.get(axis, [[c, -s, 0], [s, c, 0], [0, 0, 1]]))
+
+
+def leaning(n, seed):
+    """Joints of the mast, where its ball is and what its accelerometers read, by rotations written out."""
+    rng = np.random.default_rng(seed)
+    q = rng.uniform([-0.1, -0.1, 0, -0.1, -0.1, -3], [0.1, 0.1, 3, 0.1, 0.1, 3], (n, 6))
+    points, low, high = [], [], []
+    for tip_x, tip_y, lift, lean_x, lean_y, turn in q:
+        tracks = about("x", tip_x) @ about("y", tip_y)
+        head = tracks @ about("x", lean_x) @ about("y", lean_y)
+        points.append(tracks @ [0.5, 0, 0.2 + lift] + head @ about("z", turn) @ [0.8, 0, 0])
+        low.append(G * tracks[2])
+        high.append(G * head[2])
+    return q, np.array(points), np.array(low), np.array(high)
+
+
+@pytest.mark.parametrize("way", ["accelerometer", "gravity_tilt"])
+def test_joints_that_nobody_commands_are_read_by_inclinometers(tmp_path, way):
+    robot = mast(tmp_path)
+    q, points, low, high = leaning(8, 8)
+    head, cells = TOLD, [q[:, 2], q[:, 5], *points.T]
+    for name, read in (("low", low), ("high", high)):
+        head += "".join(f",{name}_{way}_{axis}" for axis in "xyz"[: 3 if way == "accelerometer" else 2])
+        tilts = [np.arctan2(read[:, 1], read[:, 2]), np.arctan2(-read[:, 0], read[:, 2])]
+        cells += list(read.T) if way == "accelerometer" else tilts
+    np.savetxt(tmp_path / "data.csv", np.column_stack(cells), "%.17g", ",", header=head, comments="")
+    data = calib.read_measurements(tmp_path / "data.csv", robot)
+    assert not data.ignored
+    assert np.allclose(data.joints, q, rtol=0, atol=1e-10)
+    assert np.allclose(robot.positions(data.joints)[:, 0], points, rtol=0, atol=1e-9)
+    (tmp_path / "again.csv").write_text(calib.data.measurement_files.format_measurements(robot, data))
+    again = calib.read_measurements(tmp_path / "again.csv", robot)  # joint values stand in that file
+    assert np.allclose(again.joints, q, rtol=0, atol=1e-10)
+
+
+def test_foreign_columns_may_be_what_an_inclinometer_reads(tmp_path):
+    columns = "columns: {imu_x: low_accelerometer_x, imu_y: low_accelerometer_y, imu_z: low_accelerometer_z}\n"
+    robot = mast(tmp_path, SENSORS.replace("  high: {frame: head, joints: [lean_x, lean_y]}\n", columns))
+    (tmp_path / "data.csv").write_text(f"{TOLD},lean_x,lean_y,imu_x,imu_y,imu_z\n1,0,1,0,1,0,0,0,0,9.8\n")
+    assert np.allclose(calib.read_measurements(tmp_path / "data.csv", robot).joints, [[0, 0, 1, 0, 0, 0]])
+
+
+def test_nobody_can_command_what_inclinometers_read(tmp_path):
+    with pytest.raises(calib.InputError, match=r"inclinometers read tip_x, .*, which nobody commands"):
+        calib.solve(mast(tmp_path), np.array([[1.0, 0.0, 1.0]]))
+
+
+@pytest.mark.parametrize(
+    ("low", "message"),
+    [
+        ("{frame: track, joints: [tip_x, tip_y]}", "inclinometers.low.frame: no link or joint 'track'; did you mean"),
+        ("{frame: tracks, joints: [tip_x, tip_z]}", "inclinometers.low.joints: no joint 'tip_z' in name_mot"),
+        ("{frame: tracks, joints: [tip_x, tip_x]}", "'tip_x' is read by 'low' already"),
+        ("{frame: carriage, joints: [tip_x, lift]}", "'lift' slides, and tilts nothing"),
+        ("{frame: tracks, joints: [tip_x, turn]}", "'turn' does not move tracks"),
+        ("{frame: tracks, joints: [tip_x]}", "inclinometers.low.joints.*missing"),
+        ("{frame: tracks, joints: [tip_x, tip_y], axis: z}", "unknown key 'inclinometers.low.axis'"),
+        ("{frame: tool, joints: [tip_x, tip_y]}", "list 'high' before 'low', which it moves"),
+    ],
+)
+def test_an_inclinometer_that_says_nothing_of_its_joints_is_refused(tmp_path, low, message):
+    with pytest.raises(calib.DescriptionError, match=message):
+        mast(tmp_path, SENSORS.replace("{frame: tracks, joints: [tip_x, tip_y]}", low))
+
+
+@pytest.mark.parametrize(
+    ("head", "cells", "message"),
+    [
+        ("", "", "no column 'tip_x', and none of inclinometer 'low', which reads it: expected low_accelerometer_x"),
+        (",tip_x,low_gravity_tilt_x", ",0,0", "has a column 'tip_x', and inclinometer 'low' reads it"),
+        (",tip_x,tip_y,high_gravity_tilt_x", ",0,0,0", "no column 'high_gravity_tilt_y'"),
+        (",tip_x,tip_y,high_gravity_tilt_x,high_gravity_tilt_y", ",0,0,0,", "line 2: says nothing in high_gravity_t"),
+        (",tip_x,tip_y,high_gravity_tilt_x,high_gravity_tilt_y", ",0,0,0,1.54", "high_gravity_tilt is a tilt beyond"),
+    ],
+)
+def test_a_file_in_which_inclinometers_say_too_little_is_refused(tmp_path, head, cells, message):
+    robot = mast(tmp_path)
+    (tmp_path / "data.csv").write_text(f"{TOLD}{head}\n1,0,1,0,1{cells}\n")
+    with pytest.raises(calib.DataError, match=message):
+        calib.read_measurements(tmp_path / "data.csv", robot)
+
+
+def test_two_joints_about_one_axis_cannot_be_told_apart(tmp_path):
+    robot = mast(tmp_path, urdf=MAST.replace("0 1 0", "1 0 0", 1))
+    head = f"{TOLD},lean_x,lean_y,low_accelerometer_x,low_accelerometer_y,low_accelerometer_z"
+    (tmp_path / "data.csv").write_text(f"{head}\n1,0,1,0,1,0,0,1,0,9.8\n")
+    with pytest.raises(calib.DataError, match="line 2: tip_x and tip_y cannot be turned so that 'low' sees gravity"):
+        calib.read_measurements(tmp_path / "data.csv", robot)

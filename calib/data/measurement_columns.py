@@ -14,11 +14,9 @@ from calib.base.arrays import FloatArray, IntArray
 from calib.base.errors import DataError
 from calib.base.units import DISPLAY_UNIT, Dimension, display_scale
 from calib.instruments.kind import Readings
-from calib.joint_terms.gravity import COLUMNS as GRAVITY_COLUMNS
+from calib.joint_terms.term import CONTEXT
 from calib.robots.robot import Robot
 
-CONTEXT: dict[str, Dimension] = {"time": "time", "temperature": "temperature", "load": "mass", **GRAVITY_COLUMNS}
-"""Columns that say under which conditions a visit was made, and what they measure."""
 APPROACH = "approach_"
 """Start of the names of columns that say from which side a joint came."""
 

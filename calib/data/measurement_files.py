@@ -19,14 +19,16 @@ import numpy as np
 from calib.base.arrays import FloatArray, IntArray
 from calib.base.errors import DataError, InputError, nearest
 from calib.data.instrument_cells import columns_in, concatenated, named_columns, readings_in, setups_of
-from calib.data.measurement_columns import APPROACH, CONTEXT, header, shown
+from calib.data.measurement_columns import APPROACH, header, shown
 from calib.data.measurements import Measurements, Poses, check_repeats, measurements
 from calib.data.on_demand import Numbered, Packed
 from calib.data.robot_tables import read_robot_table
 from calib.data.tables import Source, Table, format_table, is_columns
 from calib.instruments.kind import Instrument, Readings
 from calib.joint_terms.gravity import COLUMNS as GRAVITY_COLUMNS
-from calib.joint_terms.gravity import check_read
+from calib.joint_terms.gravity import GravitySection, check_read, columns_of, read_down
+from calib.joint_terms.term import CONTEXT
+from calib.robots.gravity import turned_joints
 from calib.robots.robot import Robot
 
 
@@ -60,9 +62,9 @@ def read_measurements(
         if files[k] is not None and files[k] in files[:k]:
             raise DataError(f"{again}: is given twice, so that every reading would count as two; give it once")
     tables = [read_robot_table(one, robot, growing=growing) for one in paths]
-    with_joints = [table for table in tables if len(tables) == 1 or set(robot.joint_names) <= set(table.names)]
+    with_joints = [table for table in tables if len(tables) == 1 or set(robot.commanded_names) <= set(table.names)]
     if not with_joints:
-        joints = ", ".join(robot.joint_names)
+        joints = ", ".join(robot.commanded_names)
         raise DataError(f"{tables[0].path}: none of the files has a column for every joint ({joints})")
     used = {column for table in tables for one in _seen_in(robot, table) for column in columns_in(one, table)}
     firsts = np.cumsum([0, *(len(table.rows) for table in with_joints)])
@@ -116,15 +118,8 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
     Raises:
         DataError: The message names file, line and column.
     """
-    for name in robot.joint_names:
-        if name not in table.names:
-            raise DataError(
-                f"{table.path}: no column '{name}'{nearest(name, table.names)}; under 'columns' a robot description"
-                " says what files call it"
-            )
-    joints = np.empty((len(table.rows), len(robot.joint_names)))
-    for j, name in enumerate(robot.joint_names):
-        joints[:, j] = table.column(name, robot.mechanism.dimensions[name])
+    setups = setups_of(robot, table) if robot.description.setups and "setup" in table.names else None
+    joints, sensed = _joints_of_table(table, robot, setups)
     joints.flags.writeable = False  # who holds it needs no copy
     called = Packed(table.texts("pose")) if "pose" in table.names else None
     if called is not None and "" in called:
@@ -134,9 +129,8 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
     names = Numbered("", range(first + 1, first + 1 + len(labels))) if called is None else called
     context, approach = conditions_of_table(table, robot)
     directions = {f"{APPROACH}{name}" for name in robot.joint_names}
-    used = used | set(robot.joint_names) | {"pose", "setup", "instrument"} | set(context) | directions
+    used = used | sensed | set(robot.joint_names) | {"pose", "setup", "instrument"} | set(context) | directions
     ignored = tuple(name for name in table.names if name not in used)
-    setups = setups_of(robot, table) if robot.description.setups and "setup" in table.names else None
     return Poses(
         joints,
         labels,
@@ -149,6 +143,47 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
         setups=setups,
         robot=robot,
     )
+
+
+def _joints_of_table(table: Table, robot: Robot, setups: IntArray | None) -> tuple[FloatArray, set[str]]:
+    """The joint values of a table, (n, n_actuated), with those that inclinometers read, and the columns of these."""
+    sensors = robot.description.inclinometers
+    sensed = {joint: name for name, section in sensors.items() for joint in section.joints}
+    reading = [name for name in sensors if not columns_of(name).keys().isdisjoint(table.names)]
+    joints = np.zeros((len(table.rows), len(robot.joint_names)))
+    for j, name in enumerate(robot.joint_names):
+        sensor = sensed.get(name)
+        if sensor in reading and name in table.names:
+            raise DataError(f"{table.path}: has a column '{name}', and inclinometer '{sensor}' reads it; leave one out")
+        if name not in table.names and sensor is None:
+            raise DataError(
+                f"{table.path}: no column '{name}'{nearest(name, table.names)}; under 'columns' a robot description"
+                " says what files call it"
+            )
+        if name not in table.names and sensor not in reading:
+            raise DataError(
+                f"{table.path}: no column '{name}', and none of inclinometer '{sensor}', which reads it: expected"
+                f" {sensor}_accelerometer_x, ..., or {sensor}_gravity_x, ..., or {sensor}_gravity_tilt_x, ..."
+            )
+        if name in table.names:
+            joints[:, j] = table.column(name, robot.mechanism.dimensions[name])
+    stated = (robot.description.gravity or GravitySection()).stated(tuple(robot.description.setups))
+    down = stated[np.zeros(len(joints), dtype=np.intp) if setups is None else setups]
+    for name in reading:
+        known = {column: dimension for column, dimension in columns_of(name).items() if column in table.names}
+        read = {column.removeprefix(f"{name}_"): table.column(column, known[column], gaps=True) for column in known}
+        check_read(read, table.path, table.lines, f"{name}_")
+        seen = read_down(read)
+        assert seen is not None  # or it is an error by now
+        own = [robot.joint_names.index(joint) for joint in sensors[name].joints]
+        joints[:, own] = turned_joints(robot.nominal, sensors[name], joints, seen, down)
+        lost = np.flatnonzero(np.isnan(joints[:, own]).any(axis=1))
+        if len(lost):
+            raise DataError(
+                f"{table.path}, line {table.lines[lost[0]]}: {' and '.join(sensors[name].joints)} cannot be turned so"
+                f" that '{name}' sees gravity as it read it; check the axes of {sensors[name].frame}, and its signs"
+            )
+    return joints, {column for name in reading for column in columns_of(name)}
 
 
 def _joined(parts: Sequence[Poses]) -> Poses:
@@ -233,7 +268,7 @@ def _seen_in(robot: Robot, table: Table) -> list[Instrument]:
     if not robot.description.instruments:
         return list(robot.instruments)
     instruments = [one for one in robot.instruments if any(name in table.names for name in named_columns(one))]
-    if not instruments and set(robot.joint_names) <= set(table.names):
+    if not instruments and set(robot.commanded_names) <= set(table.names):
         return []
     if not instruments:
         raise DataError(f"{table.path}: has no column of any instrument; expected: {_expected(robot)}")

@@ -4,6 +4,9 @@ Compliance and bending need the direction of gravity in the root link of the URD
 says otherwise: of an arm that hangs from a ceiling, stands on a ramp, or is mounted differently in each setup. A sensor
 on any link reads it at each visit: an inclinometer, or an accelerometer at rest, which reads upwards.
 
+Sensors also say how far links are tilted: two joints that nobody commands, such as those between the ground and a base
+on tracks, or in a column that bends, take their values from what an inclinometer on the link behind them reads.
+
 A direction d that nobody knows well is found: it is R_a(t_a) R_b(t_b) d, with turns t about two axes of the root link,
 the two that are most nearly across what the description says. A turn about gravity itself would change nothing.
 """
@@ -16,7 +19,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, field_validator
 
-from calib.base.arrays import FloatArray
+from calib.base.arrays import BoolArray, FloatArray
 from calib.base.errors import DataError
 from calib.base.sections import PositiveAngle, Section
 from calib.base.units import Dimension
@@ -26,7 +29,7 @@ STANDARD = 9.81
 _VECTOR = ("gravity_x", "gravity_y", "gravity_z")
 _ACCELEROMETER = ("accelerometer_x", "accelerometer_y", "accelerometer_z")
 _TILTS = ("gravity_tilt_x", "gravity_tilt_y")
-_SETS = (_VECTOR, _ACCELEROMETER, _TILTS)
+_WAYS = (_VECTOR, _ACCELEROMETER, _TILTS)
 COLUMNS: dict[str, Dimension] = {
     **dict.fromkeys((*_VECTOR, *_ACCELEROMETER), "acceleration"),
     **dict.fromkeys(_TILTS, "angle"),
@@ -76,16 +79,33 @@ class GravitySection(Section):
         return first, second
 
 
+class InclinometerSection(Section):
+    """A sensor that reads where gravity points, which says how far two joints are turned that nobody commands.
+
+    Attributes:
+        frame: The link that it is on, in whose axes it reads.
+        joints: Two joints that turn this link, about axes that are not vertical.
+    """
+
+    frame: str
+    joints: tuple[str, str]
+
+
+def columns_of(sensor: str) -> dict[str, Dimension]:
+    """Return the columns that an inclinometer of this name may have, and what they measure."""
+    return {f"{sensor}_{name}": dimension for name, dimension in COLUMNS.items()}
+
+
 def read_down(conditions: Mapping[str, FloatArray]) -> FloatArray | None:
     """Return where sensors saw down, unit vectors in their axes, (n, 3); NaN where not, None where never.
 
     Tilts are those of `calib.instruments.orientation`: 0 where the sensor is level, growing by the right hand.
 
     Args:
-        conditions: Columns by name, (n,) each [SI].
+        conditions: `COLUMNS` by name, (n,) each [SI].
     """
     down: FloatArray | None = None
-    for names in _SETS:
+    for names in _WAYS:
         if not all(name in conditions for name in names):
             continue
         read = np.stack([conditions[name] for name in names], axis=1)
@@ -100,42 +120,49 @@ def read_down(conditions: Mapping[str, FloatArray]) -> FloatArray | None:
     return down
 
 
-def check_read(conditions: Mapping[str, FloatArray], path: str, lines: Sequence[int]) -> None:
+def check_read(conditions: Mapping[str, FloatArray], path: str, lines: Sequence[int], sensor: str = "") -> None:
     """Raise `DataError` where columns do not say where gravity points.
 
     Args:
-        conditions: Columns by name, (n,) each [SI].
+        conditions: `COLUMNS` by name, (n,) each [SI].
         path: Of the file.
         lines: Of each row in it.
+        sensor: What the file has before these names.
     """
-    having = [names for names in _SETS if any(name in conditions for name in names)]
+    having = [names for names in _WAYS if any(name in conditions for name in names)]
     if len(having) > 1:
-        both = [next(name for name in names if name in conditions) for names in having]
-        raise DataError(f"{path}: columns '{both[0]}' and '{both[1]}' both say where gravity points; leave one out")
+        one, other = (sensor + next(name for name in names if name in conditions) for names in having[:2])
+        raise DataError(f"{path}: columns '{one}' and '{other}' both say where gravity points; leave one out")
     for names in having:
         missing = next((name for name in names if name not in conditions), None)
+        every = [sensor + name for name in names]
         if missing is not None:
-            raise DataError(f"{path}: no column '{missing}'; gravity's direction needs {', '.join(names)}")
-        _check_rows(np.stack([conditions[name] for name in names], axis=1), names, path, lines)
+            raise DataError(f"{path}: no column '{sensor}{missing}'; gravity's direction needs {', '.join(every)}")
+        read = np.stack([conditions[name] for name in names], axis=1)
+        empty = np.isnan(read).any(axis=1)
+        if np.any(empty):
+            raise DataError(
+                f"{path}, line {lines[int(np.argmax(empty))]}: says nothing in {', '.join(every)}, where other rows say"
+                " where gravity points; fill it in, or leave the row out"
+            )
+        wrong, why = _no_tilts(read) if names is _TILTS else _no_gravity(read)
+        if np.any(wrong):
+            raise DataError(f"{path}, line {lines[int(np.argmax(wrong))]}: {every[0][:-2]} {why}")
 
 
-def _check_rows(read: FloatArray, names: Sequence[str], path: str, lines: Sequence[int]) -> None:
-    """Raise `DataError` at the first row of numbers (n, 2 or 3) that is empty, or no direction."""
-    empty = np.isnan(read).any(axis=1)
-    if np.any(empty):
-        raise DataError(
-            f"{path}, line {lines[int(np.argmax(empty))]}: says nothing in {', '.join(names)}, where other rows say"
-            " where gravity points; fill it in, or leave the row out"
-        )
-    if names is _TILTS:
-        wrong = np.any(np.abs(read) > _TILTS_END, axis=1)
-        why = "is a tilt beyond 85 deg, where two tilts tell no direction; give gravity_x, gravity_y, gravity_z"
-    else:
-        lengths = np.linalg.norm(read, axis=1)
-        wrong = ~(np.abs(lengths - np.median(lengths)) <= _LENGTHS_AGREE * np.median(lengths)) | (lengths == 0)
-        why = (
-            f"is {lengths[int(np.argmax(wrong))]:.4g} long, and the others {np.median(lengths):.4g}: gravity is the"
-            " same at every visit; the sensor moved, or a number is wrong"
-        )
-    if np.any(wrong):
-        raise DataError(f"{path}, line {lines[int(np.argmax(wrong))]}: {names[0][:-2]} {why}")
+def _no_tilts(read: FloatArray) -> tuple[BoolArray, str]:
+    """Which rows of tilts (n, 2) tell no direction, and why."""
+    why = "is a tilt beyond 85 deg, where two tilts tell no direction; give gravity_x, gravity_y, gravity_z"
+    return np.any(np.abs(read) > _TILTS_END, axis=1), why
+
+
+def _no_gravity(read: FloatArray) -> tuple[BoolArray, str]:
+    """Which rows of vectors (n, 3) cannot be gravity, and why."""
+    lengths = np.linalg.norm(read, axis=1)
+    usual = float(np.median(lengths))
+    wrong = ~(np.abs(lengths - usual) <= _LENGTHS_AGREE * usual) | (lengths == 0)
+    why = (
+        f"is {lengths[int(np.argmax(wrong))]:.4g} long, and the others {usual:.4g}: gravity is the same at every visit;"
+        " the sensor moved, or a number is wrong"
+    )
+    return wrong, why

@@ -29,6 +29,7 @@ from calib.base.parameter import Parameter
 from calib.base.sections import Quantity, Section
 from calib.base.units import Dimension
 from calib.joint_terms.formula import Formula, Source
+from calib.joint_terms.gravity import COLUMNS as GRAVITY
 from calib.joint_terms.gravity import read_down
 
 
@@ -62,6 +63,8 @@ class Condition(Enum):
 
 COLUMNS = {Condition.TIME: "time", Condition.TEMPERATURE: "temperature", Condition.LOAD: "load"}
 """Columns of a file that say under which conditions a command was given; the direction of approach has one a joint."""
+CONTEXT: dict[str, Dimension] = {"time": "time", "temperature": "temperature", "load": "mass", **GRAVITY}
+"""Columns that say under which conditions a visit was made, and what they measure."""
 REFERENCE_TEMPERATURE = 20.0
 """At which lengths hold [degC]: a fixed one, so that a coefficient means the same for every file."""
 

@@ -31,7 +31,7 @@ from calib.base.sections import (
 from calib.base.units import Dimension
 from calib.instruments.kinds import KINDS, AnyInstrument
 from calib.instruments.noise import PositionSigma
-from calib.joint_terms.gravity import GravitySection
+from calib.joint_terms.gravity import GravitySection, InclinometerSection
 from calib.joint_terms.term import TermSection
 from calib.joint_terms.terms import TERMS, AnyTerm
 from calib.robots.fleet_prior import FleetSection
@@ -103,7 +103,8 @@ class Description(Section):
     `instruments` says what is measured, by which kind of measurement; without it, the position of every target.
     `setups` names the setups of a measurement and what had been moved or remounted before each but the first.
     `joint_terms` are terms of the joints' errors, which a list in `parametrisation` may hold too; `payload` is the
-    frame that carries the mass of a column `load`. `gravity` says where down is, if not along -z of the root link.
+    frame that carries the mass of a column `load`. `gravity` says where down is, if not along -z of the root link;
+    `inclinometers` are sensors that say how far joints are turned that nobody commands.
     `fleet` is what other robots of the model are like (`calib fleet` writes it).
     `elimination_order` names parameters in the order in which `calib check` proposes to hold them, where it can choose.
     """
@@ -135,6 +136,7 @@ class Description(Section):
     joint_terms: tuple[AnyTerm, ...] = ()
     payload: str | None = None
     gravity: GravitySection | None = None
+    inclinometers: dict[str, InclinometerSection] = Field(default_factory=dict)
     held: tuple[str, ...] = ()
     elimination_order: tuple[str, ...] = ()
     fleet: FleetSection | None = None
@@ -314,6 +316,8 @@ def _valid_keys(location: list[int | str], content: Mapping[str, Any]) -> list[s
             "gravity": GravitySection,
         }
         section = sections.get(first, Description)
+    if first == "inclinometers":
+        return list(InclinometerSection.model_fields)
     if first in ("instruments", "parametrisation", "joint_terms"):
         entry = content[first][location[1]]
         named = "kind" if first == "instruments" else "term"

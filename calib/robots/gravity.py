@@ -21,12 +21,17 @@ from calib.base.arrays import FloatArray
 from calib.base.errors import DescriptionError, nearest
 from calib.base.parameter import Parameter
 from calib.base.units import Dimension
-from calib.joint_terms.gravity import STANDARD, GravitySection
+from calib.joint_terms.gravity import STANDARD, GravitySection, InclinometerSection
 from calib.joint_terms.term import Condition, Context, Joint, JointTerm
 from calib.robots import kinematics
 from calib.robots.description import Description
 from calib.robots.mechanism import Mechanism
 from calib.robots.urdf.text import UrdfText
+
+_ROUNDS = 30  # of Newton's method
+_SETTLED = 1e-12  # [rad]
+_MISSED = 1e-9  # how far a direction may end beside what was read
+_SAME_AXIS = 1e-3  # of two axes, seen across gravity, that turn a link alike
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,73 @@ def check_gravity(description: Description, mechanism: Mechanism, where: str) ->
     for name in section.setups:
         if name not in description.setups:
             raise DescriptionError(f"{where}: gravity.setups: no setup '{name}'{nearest(name, description.setups)}")
+
+
+def check_inclinometers(description: Description, mechanism: Mechanism, where: str) -> None:
+    """Raise `DescriptionError` where `inclinometers` cannot say how far their joints are turned."""
+    taken: dict[str, str] = {}
+    for sensor, section in description.inclinometers.items():
+        place = f"{where}: inclinometers.{sensor}"
+        if section.frame not in mechanism.frames:
+            close = nearest(section.frame, mechanism.frames)
+            raise DescriptionError(f"{place}.frame: no link or joint '{section.frame}'{close}")
+        support = mechanism.support[mechanism.frames[section.frame]]
+        for name in section.joints:
+            if name not in mechanism.actuated:
+                close = nearest(name, mechanism.actuated)
+                raise DescriptionError(f"{place}.joints: no joint '{name}' in name_mot{close}")
+            if name in taken:
+                raise DescriptionError(f"{place}.joints: '{name}' is read by '{taken[name]}' already")
+            if mechanism.dimensions[name] != "angle":
+                raise DescriptionError(f"{place}.joints: '{name}' slides, and tilts nothing; name a joint that turns")
+            if not support[mechanism.origin_names.index(name)]:
+                raise DescriptionError(f"{place}.joints: '{name}' does not move {section.frame}; name one before it")
+            taken[name] = sensor
+        if np.any(support @ mechanism.select_passive):
+            raise DescriptionError(f"{place}.frame: {section.frame} hangs in a loop; name a link before the loop")
+    for sensor, section in description.inclinometers.items():
+        later = list(description.inclinometers)[list(description.inclinometers).index(sensor) + 1 :]
+        support = mechanism.support[mechanism.frames[section.frame]]
+        for name, of in taken.items():
+            if of in later and support[mechanism.origin_names.index(name)]:
+                raise DescriptionError(f"{where}: inclinometers: list '{of}' before '{sensor}', which it moves")
+
+
+def turned_joints(
+    mechanism: Mechanism, section: InclinometerSection, q: FloatArray, read: FloatArray, down: FloatArray
+) -> FloatArray:
+    """Return how far two joints are turned if a sensor sees gravity as it read it, (n, 2) [rad]; NaN if they cannot.
+
+    Newton's method from where they are: with g as read, R of the sensor's link and axes e of the joints in the root
+    link, R g = d, and its derivative by a joint is e x R g. Of three equations, two count: all vectors have length 1.
+
+    Args:
+        mechanism: The nominal mechanism.
+        section: The sensor.
+        q: Actuated joints, (n, n_actuated); the two are where to start.
+        read: What it read, (n, 3).
+        down: Direction of gravity in the root link, (n, 3).
+    """
+    model, index = mechanism.model, mechanism.joint(section.frame)
+    data, own = model.createData(), [mechanism.actuated.index(name) for name in section.joints]
+    places = [mechanism.origin_names.index(name) for name in section.joints]
+    result = np.full((len(q), 2), np.nan)
+    every = mechanism.all_joints(mechanism.untilted(q), np.zeros((len(q), len(mechanism.passive))))
+    for k, row in enumerate(every):
+        value = q[k, own]
+        for _ in range(_ROUNDS):
+            row = row + mechanism.select_actuated[:, own] @ (value - row[places])
+            pin.forwardKinematics(model, data, row)
+            seen = data.oMi[index].rotation @ read[k]
+            slope = np.stack([np.cross(data.oMi[i + 1].rotation @ mechanism.axes[i, 3:], seen) for i in places], axis=1)
+            step, _, rank, _ = np.linalg.lstsq(slope, down[k] - seen, rcond=_SAME_AXIS)
+            if rank < 2:
+                break
+            value = value + step
+            if np.max(np.abs(step)) < _SETTLED:
+                result[k] = value if np.linalg.norm(down[k] - seen) < _MISSED else np.nan
+                break
+    return result
 
 
 def accelerations(

@@ -13,8 +13,11 @@ from calib.base.errors import DescriptionError, InputError, nearest
 from calib.base.parameter import index_of
 from calib.base.units import Dimension, per_si, split_column
 from calib.instruments.kind import Instrument, JointInstrument
+from calib.joint_terms.gravity import columns_of
+from calib.joint_terms.term import CONTEXT
 from calib.robots.described_instruments import instruments_of, places_of
 from calib.robots.description import BaseSection, Description, TargetSection, checked_description, read_description
+from calib.robots.gravity import check_inclinometers
 from calib.robots.joint_errors import build_terms
 from calib.robots.loops import closed_home
 from calib.robots.mechanism import Mechanism
@@ -125,6 +128,7 @@ def _built(description: Description, urdf: UrdfText, where: str) -> Robot:
     instruments = instruments_of(description, where)
     places = places_of(description, instruments, where)
     nominal = build_mechanism(urdf, description, instruments, where)
+    check_inclinometers(description, nominal, where)
     _check_columns(description, nominal, instruments, where)
     _check_joints(nominal, instruments, where)
     home = home_values(urdf, description, where)
@@ -148,6 +152,9 @@ def _check_columns(
     """Raise `DescriptionError` if a foreign column stands for something that is not read."""
     dimensions: dict[str, Dimension | None] = {name: mechanism.dimensions[name] for name in mechanism.actuated}
     dimensions |= {column.name: column.dimension for one in instruments for column in one.columns()}
+    dimensions |= CONTEXT
+    for sensor in description.inclinometers:
+        dimensions |= columns_of(sensor)
     texts = {name for one in instruments for name in (*one.text_columns(), one.label_column) if name is not None}
     texts |= {"pose", "setup"}
     taken: dict[str, str] = {}

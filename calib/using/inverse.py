@@ -150,7 +150,13 @@ def _searched(robot: Robot, reach: Reach, near: FloatArray, conditions: Context)
 
 
 def problem(robot: Robot, goals: Goals) -> Reach:
-    """Return goals of a robot with the limits of its joints; a target that it does not have is a `DataError`."""
+    """Return goals of a robot with the limits of its joints.
+
+    Raises:
+        DataError: A target that it does not have.
+        InputError: It has joints that nobody commands.
+    """
+    robot.require_commands("the way back from positions")
     target = robot.mechanism.targets[0]
     if goals.target:
         named = {pair.name: pair for pair in robot.mechanism.targets}

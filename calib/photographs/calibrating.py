@@ -119,12 +119,20 @@ class HandEye(ReadOnlyArrays):
     def limit(self) -> float:
         """RMS error on the board that new images like these stay below with a chance of 95 % [m].
 
-        From the mean squares of images left out: their mean, and Student's t for how well so few tell it.
+        From the mean of the mean squares of images left out, which has as many degrees of freedom as their spread says
+        (Satterthwaite), but no more than there are errors: the points of an image share the robot's, which on the board
+        is a shift, two numbers; the rest, which the camera alone leaves, is each point's own.
+
+        Reference: satterthwaite1946.
         """
         squares = self.by_image(self.left.board) ** 2
-        n = len(squares)
-        margin = scipy.special.stdtrit(n - 1, 0.95) * np.std(squares, ddof=1) / np.sqrt(n)
-        return float(np.sqrt(np.mean(squares) + margin))
+        n, mean = len(squares), float(np.mean(squares))
+        ratio = rms(self.alone) / rms(self.left.pixels)
+        own = min(ratio**2, 1.0) if np.isfinite(ratio) else 0.0  # part of the squares
+        most = 1.0 / ((1.0 - own) ** 2 / (2 * n) + own**2 / (2 * len(self.scene.pixels)))
+        spread = float(np.var(squares, ddof=1)) / n
+        freedom = min(most, 2 * mean**2 / spread) if spread > 0 else most
+        return float(np.sqrt(mean * freedom / scipy.special.chdtri(freedom, 0.95)))
 
     def uncertainty(self) -> dict[str, tuple[float, float]]:
         """Return half widths of 95 % intervals of camera and board: along the worst axis, and about it [m], [rad]."""

@@ -1,0 +1,86 @@
+"""What every code reads and answers: a folder with one problem, and one file. NumPy and SciPy alone.
+
+robot.urdf, and robot_mdh.csv where the nominal arm has modified Denavit-Hartenberg parameters (of `calib export mdh`);
+problem.json: joints, base and link (names of the URDF), point (nominal place of what is read on the link [m]),
+point_sigma (how far it may be off [m], null: anywhere), length_sigma and angle_sigma (how far origins may be off
+[m, rad]), spacing (of two sockets [m], null where positions were read), and a start: T_measured_base (4 x 4) and
+p_link_point [m];
+train.csv: the joints [rad], then x, y, z [m] as read, or the numbers of the place and of the socket;
+unseen.csv: the joints of poses to predict, whose readings no code gets.
+"""
+
+import json
+import resource
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+@dataclass
+class Answer:
+    """What a code found.
+
+    Attributes:
+        points: Predicted points of the unseen poses, (n, 3) [m], in the frame of the readings, or the base (sockets).
+        claimed_rms: The error that it states for the calibrated robot, root mean square [m].
+        own_claim: Whether that is a claim about new poses; otherwise it is what its residuals are.
+        verdict: Its judgement of the result, if it has one.
+        package: Name and version of what was run.
+    """
+
+    points: np.ndarray
+    claimed_rms: float | None = None
+    own_claim: bool = False
+    verdict: str | None = None
+    package: str = ""
+
+
+class Problem:
+    """One problem, as a code reads it."""
+
+    def __init__(self, folder: Path) -> None:
+        told: dict[str, Any] = json.loads((folder / "problem.json").read_text())
+        self.folder = folder
+        self.joints: list[str] = told["joints"]
+        self.base, self.link = told["base"], told["link"]
+        self.point, self.point_sigma = np.array(told["point"]), told["point_sigma"]
+        self.length_sigma, self.angle_sigma = told["length_sigma"], told["angle_sigma"]
+        self.spacing = told["spacing"]
+        self.T_measured_base, self.p_link_point = np.array(told["T_measured_base"]), np.array(told["p_link_point"])
+        train = np.loadtxt(folder / "train.csv", delimiter=",", skiprows=1, ndmin=2)
+        self.q, self.read = train[:, : len(self.joints)], train[:, len(self.joints) :]
+        self.unseen = np.loadtxt(folder / "unseen.csv", delimiter=",", skiprows=1, ndmin=2)
+
+
+_seconds = 0.0
+
+
+@contextmanager
+def fit_time() -> Iterator[None]:
+    """What runs inside is the fit; its processor time is added up."""
+    global _seconds
+    started = time.process_time()
+    yield
+    _seconds += time.process_time() - started
+
+
+def main(solve: Any) -> None:
+    """Read the folder that the command line names, solve it, write the answer where it says."""
+    folder, path, *options = sys.argv[1:]
+    found: Answer = solve(Problem(Path(folder)), *options)
+    told = vars(found) | {"points": np.asarray(found.points).tolist(), "fit_seconds": _seconds}
+    told["memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    Path(path).write_text(json.dumps(told))
+
+
+def moved(turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """Return poses (..., 4, 4) of rotation matrices (..., 3, 3) and shifts (..., 3)."""
+    result = np.zeros((*turn.shape[:-2], 4, 4))
+    result[..., :3, :3], result[..., :3, 3], result[..., 3, 3] = turn, shift, 1.0
+    return result

@@ -1,0 +1,123 @@
+"""What a data set says of itself, and one problem of it: rows to fit, and rows that no code sees."""
+
+from __future__ import annotations
+
+import hashlib
+import urllib.request
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+
+class MissingDataError(Exception):
+    """Files are not there, or not those that were published."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Joints (n, n_joints) [m or rad]; and points (n, 3) [m], or the place and the socket (n, 2) that were touched."""
+
+    q: np.ndarray
+    read: np.ndarray
+
+    def __getitem__(self, index: np.ndarray) -> Rows:
+        return Rows(self.q[index], self.read[index])
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+
+@dataclass(frozen=True)
+class Split:
+    """One way to part the rows; `kind` is `owners`, `random`, `stretches` or `places`."""
+
+    kind: str
+    words: str
+    train: Rows
+    unseen: Rows
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """Measurements by others.
+
+    Attributes:
+        name: What the page calls it.
+        robot, instrument: What was measured, and how.
+        origin: Its address and what to cite.
+        licence: Under which others may use it.
+        columns: What its files hold, in words, for whoever fetches it by hand.
+        folder: Its folder in the folder of all data.
+        files: SHA-256 of each file, by its name in the folder.
+        addresses: Where files can be fetched unchanged, by the same name.
+        urdf: Which of the files is the nominal robot.
+        joints, base, link: Names in it.
+        splits: Makes the splits, of the folder.
+        owners: What its owners, or others before, report.
+        point: Nominal place of what is read on the link [m].
+        point_sigma: How far off that may be [m]; None: anywhere.
+        length_sigma, angle_sigma: How far origins may be off [m, rad].
+        spacing: Of two sockets [m], where sockets were touched.
+        reasons: Why this project is behind, by the words of a split; told where it is.
+    """
+
+    name: str
+    robot: str
+    instrument: str
+    origin: str
+    licence: str
+    columns: str
+    folder: str
+    files: Mapping[str, str]
+    urdf: str
+    joints: tuple[str, ...]
+    base: str
+    link: str
+    splits: Callable[[Path], Iterable[Split]]
+    owners: str = ""
+    addresses: Mapping[str, str] = field(default_factory=dict)
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    point_sigma: float | None = None
+    length_sigma: float = 1e-3
+    angle_sigma: float = 3e-3
+    spacing: float | None = None
+    reasons: Mapping[str, str] = field(default_factory=dict)
+
+    def checked(self, folder: Path, *, fetch: bool = False) -> Path:
+        """Return the folder of its files, which are those that were published.
+
+        Raises:
+            MissingDataError: A file is missing, or another one.
+        """
+        here = folder / self.folder
+        for name, digest in self.files.items():
+            path = here / name
+            if not path.is_file() and fetch and name in self.addresses:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                try:
+                    with urllib.request.urlopen(self.addresses[name], timeout=30) as stream:
+                        path.write_bytes(stream.read())
+                except OSError as error:
+                    raise MissingDataError(f"{self.addresses[name]}: {error}; put the file at {path}") from error
+            if not path.is_file():
+                where = self.addresses.get(name, f"{self.origin}, and write {self.columns}")
+                raise MissingDataError(f"{path} is missing; take it from {where}")
+            found = hashlib.sha256(path.read_bytes()).hexdigest()
+            if found != digest:
+                raise MissingDataError(
+                    f"{path} has SHA-256 {found[:12]}..., not {digest[:12]}...: other data than here"
+                )
+        return here
+
+
+def drawn(rows: Rows, seed: int, n_train: int, n_unseen: int) -> tuple[Rows, Rows]:
+    """Return as many rows at random, in their order, and others."""
+    order = np.random.default_rng(seed).permutation(len(rows))
+    return rows[np.sort(order[:n_train])], rows[np.sort(order[n_train : n_train + n_unseen])]
+
+
+def some(rows: Rows, seed: int, n: int) -> Rows:
+    """Return at most as many rows, drawn at random, in their order."""
+    return rows[np.sort(np.random.default_rng(seed).permutation(len(rows))[:n])]

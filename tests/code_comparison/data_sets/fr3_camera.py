@@ -1,0 +1,39 @@
+"""Franka arm, a point on its flange by a camera system."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from ..data_set import DataSet, Rows, Split, drawn
+
+
+def _splits(folder: Path) -> Iterator[Split]:
+    tables = [np.loadtxt(folder / name, delimiter=",", skiprows=1) for name in ("train.csv", "test.csv")]
+    table = np.vstack(tables)
+    rows = Rows(table[:, 1:8], table[:, 8:11])
+    for seed in (0, 1):
+        yield Split("random", f"80 at random, seed {seed}", *drawn(rows, seed, 80, 35))
+
+
+DATA = DataSet(
+    name="Franka",
+    robot="Franka Research 3, URDF of the Panda",
+    instrument="camera on the flange",
+    origin="https://github.com/PhilNad/robot-arm-kinematic-calibration (Examples/calib_data.pickle)",
+    licence="MIT",
+    columns="train.csv and test.csv: pose, seven joints [rad], x y z [m] and the rotation matrix of the camera's pose",
+    folder="fr3_camera_poses",
+    files={
+        "train.csv": "a9a1de482872ed50ce06b29e2960ded095f10423987687a8bf7df844573b9c53",
+        "test.csv": "34ba8c4a8a746d73bc1888836d5858a2d97a179af13466e62713d42a3baf2278",
+        "robot.urdf": "63792d2679f22c4e41cda2c4d9d903644e628970ad0656b9eec8485113941555",
+    },
+    urdf="robot.urdf",
+    joints=tuple(f"panda_joint{k}" for k in range(1, 8)),
+    base="panda_link0",
+    link="panda_link8",
+    length_sigma=2e-3,
+    angle_sigma=5e-3,
+    splits=_splits,
+)

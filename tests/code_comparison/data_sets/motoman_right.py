@@ -1,0 +1,46 @@
+"""Right arm of a Motoman, a reflector on the flange."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from ..data_set import DataSet, Rows, Split, drawn
+
+JOINTS = ("E", "S", "L", "U", "R", "B", "T")
+
+
+def _splits(folder: Path) -> Iterator[Split]:
+    tables = [np.loadtxt(folder / name, delimiter=",", skiprows=1) for name in ("train.csv", "test.csv")]
+    train, test = (Rows(table[:, 3:], table[:, :3]) for table in tables)
+    yield Split("owners", "the owners' file for testing unseen", train, test)
+    rows = Rows(np.vstack([train.q, test.q]), np.vstack([train.read, test.read]))
+    yield Split("random", "half at random", *drawn(rows, 0, 106, 106))
+    half = len(train) // 2
+    yield Split("stretches", "second half of a file unseen", train[np.arange(half)], train[np.arange(half, len(train))])
+    low = rows.q[:, 3] < np.median(rows.q[:, 3])
+    yield Split("places", "low half of joint U fitted", rows[low], rows[~low])
+
+
+DATA = DataSet(
+    name="Motoman",
+    robot="right arm of a dual-arm Motoman",
+    instrument="laser tracker",
+    origin="https://github.com/ctu-vras/multirobot-calibration (leica_dataset; Stepanova et al., RCIM 73:102250, 2022)",
+    licence="public, as the paper says; no licence file",
+    columns="train.csv and test.csv: x1 y1 z1 [m], joints E S L U R B T [rad]; the owners' Denavit-Hartenberg table as"
+    " robot.urdf",
+    folder="motoman_right",
+    files={
+        "train.csv": "f1fbe66f7ec39cc966b9de431797cbeff7cda1c4276ea666ee4ea86db40291dc",
+        "test.csv": "dfb15d84782c4c8cf7e526fa867f1a33b4cf92687dd0cecdb92c37a491305bf7",
+        "robot.urdf": "385470d08c1ee9e690c6bc09904443bf46da12370784b7a9499ec792aab17969",
+    },
+    urdf="robot.urdf",
+    joints=JOINTS,
+    base="l0",
+    link="flange",
+    point=(0.045, 0.0, 0.245),
+    point_sigma=0.01,
+    splits=_splits,
+)

@@ -1,0 +1,39 @@
+"""Positioner of two axes, its table by a camera system."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from ..data_set import DataSet, Rows, Split, drawn
+
+
+def _splits(folder: Path) -> Iterator[Split]:
+    table = np.loadtxt(folder / "positions.csv", delimiter=",", skiprows=1)
+    rows, half = Rows(table[:, 1:3], table[:, 3:6]), len(table) // 2
+    yield Split("random", "half at random", *drawn(rows, 0, 100, 105))
+    first, second = rows[np.arange(half)], rows[np.arange(half, len(table))]
+    yield Split("stretches", "second half unseen", first, second)
+    yield Split("stretches", "first half unseen", second, first)
+
+
+DATA = DataSet(
+    name="Positioner",
+    robot="positioner of two axes",
+    instrument="camera system",
+    origin="https://github.com/ros-industrial/industrial_calibration (examples/data/kinematic_calibration)",
+    licence="Apache-2.0",
+    columns="positions.csv: pose, two joints [rad], x y z [m] of the table; the geometry of the example as robot.urdf",
+    folder="positioner",
+    files={
+        "positions.csv": "b71cb7fe06414bae6abf6cf1a60efae24de9f5b3ddaa0f440240b7e7d4bd18b2",
+        "robot.urdf": "0d9d35832b9dee28197c77486daece73a5d477d36aedeba3dfb63ca5ead67ebd",
+    },
+    urdf="robot.urdf",
+    joints=("j1", "j2"),
+    base="world",
+    link="table",
+    length_sigma=2e-3,
+    angle_sigma=5e-3,
+    splits=_splits,
+)

@@ -1,0 +1,191 @@
+"""The page and its plot, written from results alone."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from .codes import CODES, OURS, PLACED
+from .data_set import DataSet
+
+BEHIND = 1.03  # RMS of this project over the best, up to which the page calls it even
+_PLACE = re.compile(r"(<!-- begin results -->\n).*?(<!-- end results -->)", re.DOTALL)
+_MARK = {"better": "", "worse": " ▲", "tie": " ="}
+_STYLE = {"svg.fonttype": "none", "svg.hashsalt": "comparison", "font.size": 9}
+_COLOURS = ("#7F7F7F", "#56B4E9", "#0072B2", "#009E73", "#E69F00", "#D55E00", "#CC79A7", "#000000")
+Row = dict[str, Any]
+
+
+def written(page: Path, told: dict[str, Any], sets: Sequence[DataSet]) -> None:
+    """Write results into the page, between its marks, and the plot into `figures` beside it."""
+    rows = told["rows"]
+    plot = page.parent / "figures" / f"{page.stem}.svg"
+    plot.parent.mkdir(exist_ok=True)
+    plot.write_text(drawing(rows), encoding="utf-8")
+    parts = [
+        _standing(rows),
+        f"![Errors of all codes over those of this project](figures/{plot.name})",
+        _accuracy(rows),
+        "▲: better than this project with `--terms auto` on the same rows; =: a tie; bold: the least of a line."
+        " Differences are tested row by row (paired t of squared errors, 1 in 1000, and at least 1 % of the RMS).",
+        _behind(rows, sets),
+        "## What it takes",
+        _costs(rows),
+        _missing(rows),
+        "## The data",
+        _origins(sets, rows),
+        "## Where it ran",
+        f"{told['machine']}. " + "; ".join(told["versions"]) + ".",
+    ]
+    text = page.read_text(encoding="utf-8")
+    body = "\n\n".join(part for part in parts if part)
+    page.write_text(_PLACE.sub(lambda match: f"{match[1]}\n{body}\n\n{match[2]}", text), encoding="utf-8")
+
+
+def _splits(rows: Sequence[Row]) -> list[tuple[Row, dict[str, Row]]]:
+    """One row of each split, and the rows of all codes that answered, by their names."""
+    kept: dict[tuple[str, str], dict[str, Row]] = {}
+    for row in rows:
+        kept.setdefault((row["data"], row["split"]), {})[row["code"]] = row
+    return [
+        (next(iter(one.values())), {name: row for name, row in one.items() if "rms" in row}) for one in kept.values()
+    ]
+
+
+def _names(rows: Sequence[Row]) -> list[str]:
+    answered = {row["code"] for row in rows if "rms" in row}
+    return [code.name for code in CODES if code.name in answered]
+
+
+def _best(own: dict[str, Row]) -> Row:
+    return min((row for name, row in own.items() if name != PLACED), key=lambda row: row["rms"])
+
+
+def _standing(rows: Sequence[Row]) -> str:
+    judged = [own for _, own in _splits(rows) if OURS in own and len(own) > 1]
+    least = [_best(own) for own in judged]
+    even = sum(best["code"] == OURS or best.get("compared") == "tie" for best in least)
+    worst = max(own[OURS]["rms"] / best["rms"] for own, best in zip(judged, least, strict=True)) - 1
+    behind = sum(own[OURS]["rms"] > BEHIND * best["rms"] for own, best in zip(judged, least, strict=True))
+    return (
+        f"On {even} of {len(judged)} splits nothing else predicts unseen rows better than this project with"
+        f" `--terms auto`. On {behind} it is more than 3 % behind the best, by up to {100 * worst:.0f} %."
+    )
+
+
+def _accuracy(rows: Sequence[Row]) -> str:
+    names = _names(rows)
+    lines = [
+        "| RMS of unseen rows [mm] (largest) | rows: fitted, unseen | " + " | ".join(names) + " |",
+        "|---|---|" + "---:|" * len(names),
+    ]
+    for told, own in _splits(rows):
+        least = min(row["rms"] for row in own.values())
+        cells = []
+        for name in names:
+            if name not in own:
+                cells.append("")
+                continue
+            row = own[name]
+            number = f"{1e3 * row['rms']:.3f}"
+            number = f"**{number}**" if row["rms"] == least else number
+            cells.append(f"{number}{_MARK[row['compared']] if 'compared' in row else ''} ({1e3 * row['max']:.2f})")
+        words = f"{told['data']}: {told['split']}"
+        lines.append(f"| {words} | {told['n_train']}, {told['n_unseen']} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _behind(rows: Sequence[Row], sets: Sequence[DataSet]) -> str:
+    reasons = {data.name: data.reasons for data in sets}
+    lines = []
+    for told, own in _splits(rows):
+        if OURS not in own:
+            continue
+        best = _best(own)
+        if own[OURS]["rms"] > BEHIND * best["rms"]:
+            why = reasons.get(told["data"], {}).get(told["split"], "the reason is not known")
+            by = 100 * (own[OURS]["rms"] / best["rms"] - 1)
+            lines.append(f"| {told['data']}: {told['split']} | {by:.0f} % | {best['code']} | {why} |")
+    if not lines:
+        return ""
+    head = "**Where this project, with `--terms auto`, is more than 3 % behind:**\n\n"
+    return head + "| | by | best | why |\n|---|---:|---|---|\n" + "\n".join(lines)
+
+
+def _costs(rows: Sequence[Row]) -> str:
+    lines = [
+        "| code | claimed / true error: median (range) | verdict right | fit [s] | command [s] | memory [MB] | lines |",
+        "|---|---:|---:|---:|---:|---:|---:|",
+    ]
+    for code in CODES:
+        own = [row for row in rows if row["code"] == code.name and "rms" in row]
+        if not own or code.name == PLACED:
+            continue
+        ratios = sorted(row["claimed_rms"] / row["rms"] for row in own if row["claimed_rms"])
+        claim = f"{median(ratios):.2f} ({ratios[0]:.2f} to {ratios[-1]:.2f})" if ratios else "none"
+        claim += "" if not ratios or all(row["own_claim"] for row in own if row["claimed_rms"]) else " \\*"
+        judged = [row["verdict_right"] for row in own if "verdict_right" in row]
+        verdict = f"{sum(judged)} of {len(judged)}" if judged else "none"
+        cost = [median(row[key] for row in own) for key in ("fit_seconds", "command_seconds", "memory_mb")]
+        lines.append(
+            f"| {code.name} | {claim} | {verdict} | {cost[0]:.2f} | {cost[1]:.1f} | {cost[2]:.0f} | {code.lines} |"
+        )
+    return (
+        "\n".join(lines)
+        + "\n\n\\*: it claims nothing of new poses; this is the RMS of its own residuals. A verdict is right if PASS"
+        " goes with errors that are at most 1.25 times those claimed and less than those of the nominal robot, and"
+        " anything else with others. Times are processor time, of the fit and of the whole process, medians over the"
+        " splits; lines are those that a user writes for one problem."
+    )
+
+
+def _missing(rows: Sequence[Row]) -> str:
+    failed: dict[tuple[str, str], list[str]] = {}
+    for row in rows:
+        if "failed" in row:
+            failed.setdefault((row["code"], row["failed"].replace("|", "/")[:200]), []).append(row["data"])
+    lines = [
+        f"| {code} | {', '.join(dict.fromkeys(data))} ({len(data)} splits) | {why} |"
+        for (code, why), data in failed.items()
+    ]
+    return "\n".join(["| no answer by | on | why |", "|---|---|---|", *lines]) if lines else ""
+
+
+def _origins(sets: Sequence[DataSet], rows: Sequence[Row]) -> str:
+    used = {row["data"] for row in rows}
+    lines = ["| data | robot, instrument | origin | licence |", "|---|---|---|---|"]
+    for data in sets:
+        if data.name in used:
+            origin = re.sub(r"(https://\S+)", r"<\1>", data.origin) + (f"; {data.owners}" if data.owners else "")
+            lines.append(f"| {data.name} | {data.robot}; {data.instrument} | {origin} | {data.licence} |")
+    return "\n".join(lines)
+
+
+def drawing(rows: Sequence[Row]) -> str:
+    """Every split a line, every code a mark: its RMS over this project's, as SVG."""
+    splits = [(told, own) for told, own in _splits(rows) if OURS in own]
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(8.5, 1.2 + 0.24 * len(splits)), layout="constrained")
+        axes = figure.add_subplot()
+        for k, name in enumerate(_names(rows)):
+            at = [(own[name]["rms"] / own[OURS]["rms"], -i) for i, (_, own) in enumerate(splits) if name in own]
+            x, y = zip(*at, strict=True) if at else ((), ())
+            axes.plot(x, y, "osD^v<>P"[k % 8], color=_COLOURS[k % 8], label=name, markersize=5, alpha=0.8)
+        axes.set_yticks([-i for i in range(len(splits))], [f"{told['data']}: {told['split']}" for told, _ in splits])
+        axes.axvline(1.0, color=_COLOURS[2], linewidth=0.8)
+        axes.set_xscale("log")
+        ticks = [t for t in (0.5, 0.7, 1, 1.5, 2, 3, 5, 10, 20, 50) if axes.get_xlim()[0] < t < axes.get_xlim()[1]]
+        axes.set_xticks(ticks, [f"{t:g}" for t in ticks])
+        axes.set_xticks([], minor=True)
+        axes.set_xlabel("RMS of unseen rows, over that of this project with --terms auto")
+        figure.legend(loc="outside upper center", ncols=4, frameon=False)
+        stream = io.StringIO()
+        figure.savefig(stream, format="svg", metadata={"Date": None})
+    return "\n".join(line.rstrip() for line in stream.getvalue().splitlines()) + "\n"

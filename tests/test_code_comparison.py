@@ -1,0 +1,179 @@
+"""The comparison of codes, run whole on simulated stand-ins for the data of others."""
+
+import hashlib
+import json
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from code_comparison.__main__ import main
+from code_comparison.codes import CODES, OURS, PLACED
+from code_comparison.data_set import DataSet, MissingDataError, Rows, Split
+from code_comparison.data_sets import DATA_SETS
+from code_comparison.running import compared, errors_of
+from scipy.optimize import least_squares
+
+SHOWN = [code for code in CODES if code.name in (PLACED, OURS, "SciPy, priors", "robotkinecal")]
+NOISE, ORIGINS = 2e-5, [(0, 0, 0.3), (0, 0.05, 0.2), (0.4, 0, 0), (0.3, 0.1, 0), (0, 0, 0.2), (0, 0.1, 0.1)]
+TURNS = [(0, 0, 0), (np.pi / 2, 0, 0), (0, 0, 0), (0, np.pi / 2, 0), (np.pi / 2, 0, 0), (-np.pi / 2, 0, 0)]
+JOINT = """<joint name="j{0}" type="revolute"><parent link="l{0}"/><child link="l{1}"/><origin xyz="{2}" rpy="{3}"/>
+<axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint><link name="l{1}"/>"""
+POINT = np.array([0.0, 0.03, 0.1])
+
+
+def arm(errors):
+    """URDF of an arm of six joints whose origins are off by errors (6, 6) [m, rad]."""
+    turned = [
+        pin.rpy.matrixToRpy(pin.rpy.rpyToMatrix(*t) @ pin.exp3(e[3:])) for t, e in zip(TURNS, errors, strict=True)
+    ]
+    moved = np.array(ORIGINS) + errors[:, :3]
+    text = (" ".join(map(repr, map(float, row))) for pair in zip(moved, turned, strict=True) for row in pair)
+    joints = "".join(JOINT.format(k, k + 1, next(text), next(text)) for k in range(6))
+    return f'<robot name="arm"><link name="l0"/>{joints}</robot>'
+
+
+@pytest.fixture(scope="module")
+def stand_ins(tmp_path_factory):
+    """A folder with simulated measurements, and data sets that say what is in it."""
+    folder = tmp_path_factory.mktemp("data")
+    rng = np.random.default_rng(4)
+    (folder / "arm").mkdir()
+    nominal, true = (arm(size * rng.standard_normal((6, 6))) for size in (0.0, 1e-3))
+    (folder / "arm" / "arm.urdf").write_text(nominal)
+    model = pin.buildModelFromXML(true)
+    data = model.createData()
+
+    def tip(q):
+        pin.forwardKinematics(model, data, q)
+        return data.oMi[6].act(POINT)
+
+    q = rng.uniform(-2, 2, (140, 6))
+    base = pin.SE3(pin.rpy.rpyToMatrix(0.1, 0.2, 2.0), np.array([1.0, -2.0, 0.3]))
+    read = np.array([base.act(tip(one)) for one in q]) + NOISE * rng.standard_normal((140, 3))
+    points = Rows(q, read)
+    touched, sockets = [], []
+    for place, middle in enumerate(((0.6, 0.1, 0.5), (0.2, 0.6, 0.6), (0.1, -0.6, 0.4))):
+        for hole in (0, 1):
+            goal = np.array(middle) + (hole - 0.5) * 0.05 * np.array([0.6, 0.8, 0.0])
+            ends = (
+                least_squares(lambda x, goal=goal: tip(x) - goal, start) for start in rng.uniform(-1.5, 1.5, (25, 6))
+            )
+            touched += [end.x for end in ends if end.cost < 1e-12]
+            sockets += [[place, hole]] * (len(touched) - len(sockets))
+    balls = Rows(np.array(touched), np.array(sockets, float))
+    digest = hashlib.sha256((folder / "arm" / "arm.urdf").read_bytes()).hexdigest()
+    common = {
+        "robot": "simulated arm", "instrument": "simulated", "origin": "this test", "licence": "none",
+        "columns": "none", "folder": "arm", "files": {"arm.urdf": digest}, "urdf": "arm.urdf", "base": "l0",
+        "link": "l6", "joints": tuple(f"j{k}" for k in range(6)), "point": tuple(POINT), "point_sigma": 0.01,
+    }  # fmt: skip
+    rows = np.arange(140)
+    here = balls.read[:, 0] == 2
+    return folder, (
+        DataSet(
+            "points", splits=lambda _: [Split("random", "60 rows", points[rows < 60], points[rows >= 60])], **common
+        ),
+        DataSet(
+            "sockets",
+            splits=lambda _: [Split("places", "one place", balls[~here], balls[here])],
+            spacing=0.05,
+            **common,
+        ),
+    )
+
+
+@pytest.fixture(scope="module")
+def ran(stand_ins, tmp_path_factory):
+    folder, sets = stand_ins
+    out = tmp_path_factory.mktemp("out")
+    (out / "page.md").write_text("Own words.\n\n<!-- begin results -->\nold\n<!-- end results -->\n\nMore.\n")
+    given = [str(folder), "--results", str(out / "results.json"), "--page", str(out / "page.md")]
+    assert main(given, sets, SHOWN) == 0
+    rows = json.loads((out / "results.json").read_text())["rows"]
+    return out, {(row["data"], row["code"]): row for row in rows}
+
+
+def rms(row):
+    return float(np.sqrt(np.mean(np.square(row["errors"]))))
+
+
+def test_codes_find_the_simulated_robot_in_rows_that_they_never_saw(ran):
+    _, rows = ran
+    # beside noise: what 60 rows leave unknown of some 30 combinations, sqrt(1 + 30/180) times as much, up to half more
+    for code in (OURS, "SciPy, priors"):
+        assert NOISE < rms(rows["points", code]) / np.sqrt(3) < 1.5 * NOISE
+        assert rms(rows["points", code]) < rms(rows["points", PLACED]) / 20
+        assert rms(rows["sockets", code]) < rms(rows["sockets", PLACED]) / 3
+    # one least-squares problem, two programs that share no code
+    assert rms(rows["points", OURS]) == pytest.approx(rms(rows["points", "SciPy, priors"]), rel=0.05)
+
+
+def test_what_a_code_says_of_itself_and_costs_is_kept(ran):
+    _, rows = ran
+    ours, plain = rows["points", OURS], rows["points", "SciPy, priors"]
+    assert ours["own_claim"]
+    assert ours["verdict"] in ("PASS", "CHECK", "FAIL")
+    assert ours["claimed_rms"] == pytest.approx(rms(ours), rel=0.3)  # 60 and 80 rows
+    assert (plain["own_claim"], plain["verdict"]) == (False, None)
+    assert all(0 < row["fit_seconds"] < row["command_seconds"] for row in (ours, plain))
+    assert all(row["memory_mb"] > 20 for row in (ours, plain))
+
+
+def test_a_code_that_is_not_there_says_so_in_the_table(ran):
+    out, rows = ran
+    assert "robotkinecal==0.1.0" in rows["points", "robotkinecal"]["failed"]
+    assert "| robotkinecal | points, sockets (2 splits) | not installed" in (out / "page.md").read_text()
+
+
+def test_the_page_keeps_its_own_words_and_can_be_written_again_without_a_run(ran, stand_ins):
+    out, _ = ran
+    page = (out / "page.md").read_text()
+    assert page.startswith("Own words.\n")
+    assert page.endswith("\nMore.\n")
+    assert "\nold\n" not in page
+    assert "points: 60 rows" in page
+    assert (out / "figures" / "page.svg").read_text().count("<text") > 4
+    again = ["--results", str(out / "results.json"), "--page", str(out / "page.md")]
+    assert main(again, stand_ins[1], SHOWN) == 0
+    assert (out / "page.md").read_text() == page
+
+
+def test_other_files_than_those_published_are_refused(stand_ins, tmp_path, capsys):
+    _, (points, _) = stand_ins
+    with pytest.raises(MissingDataError, match=r"arm\.urdf is missing; take it from this test"):
+        points.checked(tmp_path)
+    (tmp_path / "arm").mkdir()
+    (tmp_path / "arm" / "arm.urdf").write_text("<robot/>")
+    with pytest.raises(MissingDataError, match="other data than here"):
+        points.checked(tmp_path)
+    assert main([str(tmp_path), "--results", str(tmp_path / "none.json")], [points], SHOWN) == 2
+    assert "other data than here" in capsys.readouterr().err
+
+
+def test_differences_are_ties_unless_they_are_sure_and_large():
+    rng = np.random.default_rng(0)
+    errors = np.abs(rng.standard_normal(400))
+    assert compared(errors, errors) == "tie"
+    assert compared(errors, 1.2 * errors) == "better"
+    assert compared(errors, errors / 1.2) == "worse"
+    assert compared(errors, 1.004 * errors) == "tie"  # sure, and of no weight
+    assert compared(errors, np.abs(rng.standard_normal(400))) == "tie"  # others of the same size
+
+
+def test_errors_of_sockets_are_what_no_place_of_the_artefact_explains(stand_ins):
+    _, (_, sockets) = stand_ins
+    line, off = np.array([0.0, 0.6, 0.8]), 1e-3 * np.array([[1.0, 0, 0], [-1, 0, 0]])
+    read = np.array([[0, 0], [0, 0], [0, 1], [0, 1]], float)
+    points = np.array([1.0, 2, 3]) + 0.05 * read[:, 1:] * line + np.vstack([off, off])
+    assert errors_of(sockets, Rows(np.zeros((4, 6)), read), points) == pytest.approx(1e-3, rel=1e-6)
+    apart = np.array([1.0, 2, 3]) + 0.052 * read[:, 1:] * line  # 2 mm too far apart: half at each
+    assert errors_of(sockets, Rows(np.zeros((4, 6)), read), apart) == pytest.approx(1e-3, rel=1e-6)
+
+
+def test_the_splits_of_all_data_sets_keep_fitted_and_unseen_rows_apart(shared_data):
+    for data in DATA_SETS:
+        for split in data.splits(data.checked(shared_data)):
+            fitted, unseen = ({row.tobytes() for row in np.hstack([r.q, r.read])} for r in (split.train, split.unseen))
+            assert len(fitted) > 20
+            assert len(unseen) > 20
+            assert not fitted & unseen, f"{data.name}: {split.words}"

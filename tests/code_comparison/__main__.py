@@ -54,10 +54,10 @@ def main(given: Sequence[str] | None = None, sets: Sequence[DataSet] = DATA_SETS
         if options.install and options.environments:
             _installed(chosen, options.environments)
         for data, here in there:
-            new = results([(data, here)], chosen, options.environments)
-            told = _joined(told, new, sets, codes)
-            options.results.parent.mkdir(parents=True, exist_ok=True)
-            options.results.write_text(json.dumps(told, indent=0) + "\n", encoding="utf-8")
+            for new in results(data, here, chosen, options.environments):
+                told = _joined(told, new, sets, codes)
+                options.results.parent.mkdir(parents=True, exist_ok=True)
+                options.results.write_text(json.dumps(told) + "\n", encoding="utf-8")
     if not told["rows"]:
         print(f"{options.results} has no results; name a folder of data", file=sys.stderr)
         return 2

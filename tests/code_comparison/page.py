@@ -36,12 +36,12 @@ def written(page: Path, told: dict[str, Any], sets: Sequence[DataSet]) -> None:
         "▲: better than this project with `--terms auto` on the same rows; =: a tie; bold: the least of a line."
         " Differences are tested row by row (paired t of squared errors, 1 in 1000, and at least 1 % of the RMS).",
         _behind(rows, sets),
-        "## What it takes",
+        "### What it takes",
         _costs(rows),
         _missing(rows),
-        "## The data",
+        "### The data",
         _origins(sets, rows),
-        "## Where it ran",
+        "### Where it ran",
         f"{told['machine']}. " + "; ".join(told["versions"]) + ".",
     ]
     text = page.read_text(encoding="utf-8")
@@ -74,9 +74,12 @@ def _standing(rows: Sequence[Row]) -> str:
     even = sum(best["code"] == OURS or best.get("compared") == "tie" for best in least)
     worst = max(own[OURS]["rms"] / best["rms"] for own, best in zip(judged, least, strict=True)) - 1
     behind = sum(own[OURS]["rms"] > BEHIND * best["rms"] for own, best in zip(judged, least, strict=True))
+    words = "It is nowhere more than 3 % behind the best."
+    if behind:
+        words = f"On {behind} it is more than 3 % behind the best, by up to {100 * worst:.0f} %."
     return (
         f"On {even} of {len(judged)} splits nothing else predicts unseen rows better than this project with"
-        f" `--terms auto`. On {behind} it is more than 3 % behind the best, by up to {100 * worst:.0f} %."
+        f" `--terms auto`. {words}"
     )
 
 
@@ -152,7 +155,7 @@ def _missing(rows: Sequence[Row]) -> str:
         if "failed" in row:
             failed.setdefault((row["code"], row["failed"].replace("|", "/")[:200]), []).append(row["data"])
     lines = [
-        f"| {code} | {', '.join(dict.fromkeys(data))} ({len(data)} splits) | {why} |"
+        f"| {code} | {', '.join(dict.fromkeys(data))} ({len(data)} split{'s' * (len(data) > 1)}) | {why} |"
         for (code, why), data in failed.items()
     ]
     return "\n".join(["| no answer by | on | why |", "|---|---|---|", *lines]) if lines else ""

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -107,24 +107,23 @@ def run(code: Code, folder: Path, environments: Path | None) -> dict[str, object
 
 
 def results(
-    sets: Sequence[tuple[DataSet, Path]], codes: Sequence[Code] = CODES, environments: Path | None = None, say=print
-) -> list[dict[str, object]]:
-    """Run all codes on all splits; a dictionary for each, with errors [m] of all unseen rows."""
-    found = []
-    for data, here in sets:
-        for split in data.splits(here):
-            with tempfile.TemporaryDirectory() as name:
-                written(data, here / data.urdf, split, Path(name))
-                for code in codes:
-                    one = run(code, Path(name), environments)
-                    one |= {"data": data.name, "kind": split.kind, "split": split.words, "code": code.name}
-                    one |= {"n_train": len(split.train), "n_unseen": len(split.unseen)}
-                    points = one.pop("points", None)
-                    if points is not None:
-                        one["errors"] = errors_of(data, split.unseen, np.array(points)).tolist()
-                    found.append(one)
-                    say(f"{data.name}, {split.words}, {code.name}: {_said(one)}")
-    return found
+    data: DataSet, here: Path, codes: Sequence[Code] = CODES, environments: Path | None = None
+) -> Iterator[list[dict[str, object]]]:
+    """Run codes on all splits; after each, yield a dictionary for each code, with errors [m] of all unseen rows."""
+    for split in data.splits(here):
+        found = []
+        with tempfile.TemporaryDirectory() as name:
+            written(data, here / data.urdf, split, Path(name))
+            for code in codes:
+                one = run(code, Path(name), environments)
+                one |= {"data": data.name, "kind": split.kind, "split": split.words, "code": code.name}
+                one |= {"n_train": len(split.train), "n_unseen": len(split.unseen)}
+                points = one.pop("points", None)
+                if points is not None:
+                    one["errors"] = errors_of(data, split.unseen, np.array(points)).tolist()
+                found.append(one)
+                print(f"{data.name}, {split.words}, {code.name}: {_said(one)}", flush=True)
+        yield found
 
 
 def _limited() -> None:

@@ -14,12 +14,14 @@ MOTOMAN = (EXAMPLES / "motoman_right.yaml").read_text().replace("2 mm}", "1 mm}"
 
 def test_the_page_has_what_a_fit_gives(shared_data):
     """The line of this project is found again, by another reading of the same files."""
-    robot = described(shared_data / "motoman_right" / "robot.urdf", MOTOMAN)
-    train, test = (calib.read_measurements(shared_data / "motoman_right" / f"{n}.csv", robot) for n in ("train", "test"))
+    folder = shared_data / "motoman_right"
+    robot = described(folder / "robot.urdf", MOTOMAN)
+    train, test = (calib.read_measurements(folder / f"{name}.csv", robot) for name in ("train", "test"))
     found = calib.fit(robot, train, validation=test).validation
     page = (DOCS / "comparison.md").read_text()
-    names, *lines = [line.split(" | ") for line in page.splitlines() if line.startswith(("| RMS of", "| Motoman: the owners"))]
-    row = dict(zip(names, lines[0], strict=True))
+    starts = ("| RMS of", "| Motoman: the owners")
+    names, cells = (next(line.split(" | ") for line in page.splitlines() if line.startswith(one)) for one in starts)
+    row = dict(zip(names, cells, strict=True))
     for column, state in (("nominal robot, placed", "before"), ("this project", "after")):
         rms, largest = re.match(r"[* ]*([\d.]+)[^(]*\(([\d.]+)\)", row[column]).groups()
         assert float(rms) == pytest.approx(1e3 * found.rms(state), abs=0.0011)  # printed to 0.001 mm

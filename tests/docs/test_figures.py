@@ -7,7 +7,7 @@ import pytest
 from snippets import DOCS, ROOT
 
 OF_OTHERS = {"watch_replay", "ur10", "ur10_dark", "comparison"}
-"""Drawn by docs/site/watch_replay.py, make_poster.py and tests/code_comparison from measurements that are not part of the project."""
+"""Drawn by docs/site/watch_replay.py, make_poster.py and tests/code_comparison from measurements of others."""
 
 
 def test_every_drawing_has_its_maker_and_every_picture_is_shown():

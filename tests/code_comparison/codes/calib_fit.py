@@ -2,6 +2,7 @@
 
 import csv
 import sys
+from pathlib import Path
 
 import numpy as np
 import yaml
@@ -12,46 +13,44 @@ from calib.base.errors import CalibrationError
 from calib.judging.claim import claim_of
 
 
+def write_table(problem: Problem, path: Path) -> None:
+    """Write the rows to fit as a table that the program reads."""
+    joints = [f"{name} [rad]" for name in problem.joints]
+    rows = [["setup", *joints, "tool"] if problem.spacing else [*joints, *(f"point_{axis} [m]" for axis in "xyz")]]
+    for q, read in zip(problem.q.tolist(), problem.read.tolist(), strict=True):
+        rows.append([f"place{int(read[0])}", *q, f"s{int(read[1])}"] if problem.spacing else [*q, *read])
+    with path.open("w", newline="") as stream:
+        csv.writer(stream).writerows(rows)
+
+
 def solve(problem: Problem, how: str) -> Answer:
+    write_table(problem, problem.folder / "measured.csv")
+    # -- what a user writes, as YAML, and one command
     point = {"frame": problem.link, "xyz": problem.point.tolist(), "position": "unknown"}
     point |= {"sigma": problem.point_sigma} if problem.point_sigma else {}
     described = {
         "urdf": "robot.urdf",
         "name_mot": problem.joints,
-        "base": {"frame": problem.base, "pose": "unknown"},
+        "base": {"frame": problem.base} if problem.spacing else {"frame": problem.base, "pose": "unknown"},
         "targets": {"point": point},
         "parametrisation": [
             {"origin": "all", "components": ["x", "y", "z"], "sigma": problem.length_sigma},
             {"origin": "all", "components": ["rx", "ry", "rz"], "sigma": problem.angle_sigma},
         ],
+        "priors": how != "no-priors",
     }
-    if how == "no-priors":
-        described["priors"] = False
-    rows = [["setup", *(f"{name} [rad]" for name in problem.joints), "point_x [m]", "point_y [m]", "point_z [m]"]]
     if problem.spacing:
-        del described["base"]["pose"]
-        places = np.unique(problem.read[:, 0]).astype(int)
-        artefact = {
-            "frame": problem.base,
-            "pose": "unknown",
-            "points": {"s0": [0, 0, 0], "s1": [problem.spacing, 0, 0]},
-        }
+        places = [f"place{int(k)}" for k in np.unique(problem.read[:, 0])]
+        sockets = {"s0": [0, 0, 0], "s1": [problem.spacing, 0, 0]}
+        artefact = {"frame": problem.base, "pose": "unknown", "points": sockets}
         described["instruments"] = {"tool": {"kind": "touch", "target": "point", "artefact": artefact}}
-        described["setups"] = {f"place{k}": ["tool_artefact"] if i else [] for i, k in enumerate(places)}
-        rows = [["setup", *(f"{name} [rad]" for name in problem.joints), "tool"]]
-    for q, read in zip(problem.q, problem.read, strict=True):
-        told = [f"s{int(read[1])}"] if problem.spacing else map(repr, read.tolist())
-        rows.append([f"place{int(read[0])}" if problem.spacing else "", *map(repr, q.tolist()), *told])
-    if not problem.spacing:
-        rows = [row[1:] for row in rows]
-    with (problem.folder / "measured.csv").open("w", newline="") as stream:
-        csv.writer(stream).writerows(rows)
+        described["setups"] = {place: ["tool_artefact"] if place != places[0] else [] for place in places}
     (problem.folder / "robot.yaml").write_text(yaml.safe_dump(described))
-
     robot = calib.load(problem.folder / "robot.yaml")
     try:
         with fit_time():
             fit = calib.fit(robot, problem.folder / "measured.csv", terms="auto" if how == "auto" else None)
+        # -- end
     except CalibrationError as error:
         raise SystemExit(str(error).partition("; not separable")[0]) from error
     try:

@@ -57,6 +57,7 @@ def solve(problem: Problem) -> Answer:
             optimize_accuracy,
             handler.generate_optimization_vector(),
             args=(handler, sign * problem.q, problem.read),
+            ftol=1e-6,
             max_nfev=40,
         )
         handler.apply_optimization_vector(result.x)

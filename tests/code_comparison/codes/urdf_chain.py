@@ -24,7 +24,7 @@ class Chain:
             xyz, rpy = (np.array(told.get(key, "0 0 0").split(), float) for key in ("xyz", "rpy"))
             self.origins.insert(0, moved(Rotation.from_euler("xyz", rpy).as_matrix(), xyz))
             direction = np.array([1.0, 0, 0] if axis is None else axis.get("xyz").split(), float)
-            self.axes.insert(0, direction / np.linalg.norm(direction))
+            self.axes.insert(0, direction / (np.linalg.norm(direction) or 1.0))
             name = joint.get("name")
             self.columns.insert(0, names.index(name) if name in names else None)
             self.slides.insert(0, joint.get("type") == "prismatic")

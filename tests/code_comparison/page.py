@@ -78,8 +78,8 @@ def _standing(rows: Sequence[Row]) -> str:
     if behind:
         words = f"On {behind} it is more than 3 % behind the best, by up to {100 * worst:.0f} %."
     return (
-        f"On {even} of {len(judged)} splits nothing else predicts unseen rows better than this project with"
-        f" `--terms auto`. {words}"
+        f"On {even} of {len(judged)} splits this project, with `--terms auto`, predicts unseen rows best, or in"
+        f" a tie with the best. {words}"
     )
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import calib
 from calib.commands.next_steps import after_check, after_fit, after_select
-from calib.judging.reasons import Reason, Verdict
+from calib.judging.reasons import Code, Verdict
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 
@@ -32,7 +32,7 @@ def say(monkeypatch):
     """Let the verdict on any fit be this grade, for these reasons."""
 
     def verdict(grade, *codes):
-        reasons = tuple(Reason(grade, code, "") for code in codes)
+        reasons = tuple(Code(code).says("", grade=grade) for code in codes)
         monkeypatch.setattr("calib.commands.next_steps.judge", lambda fit: Verdict(grade, reasons))
 
     return verdict

@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from calib.judging.reasons import Verdict
-
-_NOTHING = "nothing_to_correct"
+from calib.judging.reasons import Code, Verdict
 
 
 @dataclass(frozen=True)
@@ -32,7 +30,7 @@ class Judgement:
 def of_verdict(verdict: Verdict) -> Judgement:
     """Return the verdict of a fit."""
     reasons = tuple((reason.grade, reason.text) for reason in verdict.reasons)
-    return Judgement(verdict.grade, reasons, any(reason.code == _NOTHING for reason in verdict.reasons))
+    return Judgement(verdict.grade, reasons, verdict.nothing_to_correct)
 
 
 def of_result(entry: dict[str, Any]) -> Judgement:
@@ -44,4 +42,4 @@ def of_result(entry: dict[str, Any]) -> Judgement:
     texts = entry["reasons"]
     certain = [entry["grade"] if entry["grade"] == "CHECK" or k == 0 else "" for k in range(len(texts))]
     reasons = tuple(zip(entry.get("grades", certain), texts, strict=True))
-    return Judgement(entry["grade"], reasons, _NOTHING in entry.get("codes", ()))
+    return Judgement(entry["grade"], reasons, Code.NOTHING_TO_CORRECT in entry.get("codes", ()))

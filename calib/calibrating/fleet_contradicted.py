@@ -25,7 +25,8 @@ from calib.data.measurements import Measurements
 from calib.fitting.fit import fit_data
 from calib.fitting.fitted import Fit
 from calib.fitting.settings import Settings
-from calib.numerics.hierarchy import UNLIKE_BELOW, likeness
+from calib.numerics.chances import FALSE_ALARM
+from calib.numerics.hierarchy import likeness
 from calib.robots.fleet_prior import FleetSection
 from calib.robots.robot import Robot
 from calib.rows.fleets import expected_by, shared_parameters, told_of, without_fleet
@@ -56,7 +57,7 @@ def without_contradicted_fleet(robot: Robot, data: Measurements, settings: Setti
         told = told_of(alone.robot, alone.free, alone.statistics.covariance, freedom, shared)
         mean, expected = expected_by(fleet, robot, shared)
         found = likeness(told, mean, expected, np.full(len(shared), fleet.robots + _EXTRA))
-        if not found.p_value() < UNLIKE_BELOW:
+        if not found.p_value() < FALSE_ALARM:
             break
         if len(unlike) + 1 > _MOST * len(fleet.parameters) or not np.any(np.isfinite(found.distances)):
             unlike = list(fleet.parameters)

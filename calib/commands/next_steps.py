@@ -10,6 +10,7 @@ import click
 
 from calib.data.measurements import Measurements
 from calib.fitting.fitted import Fit
+from calib.judging.reasons import Answer
 from calib.judging.rules_model import why_no_origins
 from calib.judging.verdict import judge
 
@@ -21,24 +22,9 @@ _MEANINGS = {
     "CHECK": ("yellow", "to be used by someone who has read the reasons above; intervals may be too narrow"),
     "FAIL": ("red", "do not use these numbers; the reasons above say what to look for"),
 }
-_ANSWERS = (
-    ("--exclude-outliers", ("outliers", "doubtful_readings", "many_excluded", "leverage")),
-    ("--terms auto", ("systematic", "blocks_disagree", "noise", "worse_on_validation")),
-    ("--starts 5", ("other_minimum", "not_converged", "not_linear")),
-)
-"""Options of `calib fit` that answer reasons, by the codes of these; the first that answers any is offered. Outliers
-come first: what they do to a fit looks like noise, and like joint terms."""
-_POSES = (
-    "joint_never_moved",
-    "joints_move_together",
-    "one_corner",
-    "too_few_poses",
-    "poses_equal",
-    "beyond_curves",
-    "terms_untested",
-    "noise_as_large_as_robot",
-)
-"""Codes of reasons that other poses answer."""
+_OPTIONS = (Answer.LEAVE_OUT, Answer.ADD_TERMS, Answer.TRY_STARTS)
+"""Answers that are options of `calib fit`; the first that answers any reason is offered. Outliers come first: what they
+do to a fit looks like noise, and like joint terms."""
 
 
 def after_fit(fit: Fit, robot: str, data: Sequence[str], out: str) -> list[str]:
@@ -55,15 +41,15 @@ def after_fit(fit: Fit, robot: str, data: Sequence[str], out: str) -> list[str]:
     colour, meaning = _MEANINGS[grade]
     lines = [f"{click.style(grade, fg=colour, bold=True)}: {meaning}"]
     again = typed("calib", "fit", robot, *data)
-    codes = [reason.code for reason in verdict.reasons if reason.grade != "PASS"]
-    answers = [option for option, answered in _ANSWERS if set(codes) & set(answered)]
-    if answers[:1] == ["--exclude-outliers"] or (answers and codes[0] not in _POSES):
-        return [*lines, f"Next: {again} {answers[0]} --out {shlex.quote(f'{out}-2')}"]
-    if set(codes) & set(_POSES):
+    answers = [reason.answer for reason in verdict.reasons if reason.grade != "PASS"]
+    options = [option for option in _OPTIONS if option in answers]
+    if Answer.LEAVE_OUT in answers or (options and answers[0] is not Answer.OTHER_POSES):
+        return [*lines, f"Next: {again} {options[0].value} --out {shlex.quote(f'{out}-2')}"]
+    if Answer.OTHER_POSES in answers:
         return [*lines, f"Next: {typed('calib', 'check', robot, *data)}    (what these poses do not tell)"]
     if grade != "FAIL" and fit.validation is None and fit.folds is None:
         return [*lines, f"Next: {again} --validate 0.25 --out {shlex.quote(out)}    (how good it is on other poses)"]
-    if codes:
+    if answers:
         return [*lines, f"Next: {typed('calib', 'view', robot, '--result', out)}    (where the errors are)"]
     if why_no_origins(fit):
         program = typed("calib", "compensate", out, "program.csv", "--out", "compensated.csv")

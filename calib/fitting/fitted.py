@@ -18,10 +18,10 @@ from calib.fitting.regions import Regions, disagreeing
 from calib.fitting.starts import Starts
 from calib.fitting.terms.candidate_terms import TermChoice
 from calib.joint_terms.term import Context
+from calib.numerics.chances import EXACT
 from calib.numerics.identifiability import Rank
 from calib.numerics.losses import Loss
 from calib.numerics.statistics import ChiSquare, Statistics, chi_square
-from calib.numerics.variance_components import EXACT
 from calib.robots.held import Holds
 from calib.robots.robot import Configurations, Robot
 from calib.rows.determination import Determination

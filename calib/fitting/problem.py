@@ -22,15 +22,11 @@ import scipy
 from calib.base.arrays import BoolArray, FloatArray
 from calib.base.errors import ComputationError
 from calib.data.measurements import Measurements
+from calib.numerics.chances import UNLIKELY
 from calib.numerics.clusters import foretold
 from calib.numerics.least_squares import TOLERANCE, Solution, minimise
 from calib.numerics.prior_sizes import FamilyModel, found_with_families
-from calib.numerics.variance_components import (
-    UNLIKELY,
-    LinearModel,
-    found_components,
-    found_scales,
-)
+from calib.numerics.variance_components import LinearModel, found_components, found_scales
 from calib.robots.robot import Configurations, Robot, describe_open
 from calib.rows.observed import Observed, observe
 from calib.rows.rows import Rows

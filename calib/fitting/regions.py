@@ -19,9 +19,9 @@ import numpy as np
 from calib.base.arrays import IntArray
 from calib.data.grouping import boxes
 from calib.data.measurements import Measurements
+from calib.numerics.chances import UNLIKELY
 from calib.numerics.clusters import Scatter, scatter
 from calib.numerics.statistics import Statistics
-from calib.numerics.variance_components import UNLIKELY
 from calib.rows.rows import Rows
 
 BLOCKS = 8

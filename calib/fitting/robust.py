@@ -25,11 +25,11 @@ import scipy
 from calib.base.arrays import BoolArray, FloatArray
 from calib.base.errors import ComputationError, NotIdentifiableError
 from calib.fitting.problem import Evaluation, Problem
+from calib.numerics.chances import EXACT
 from calib.numerics.least_squares import Solution
 from calib.numerics.losses import Loss, median_length, robust_factors, scale_of, weights_of
 from calib.numerics.observability import information
 from calib.numerics.statistics import Factors, effective_parameters
-from calib.numerics.variance_components import EXACT
 from calib.robots.robot import Robot
 from calib.rows.rows import Rows
 

@@ -36,12 +36,12 @@ from calib.fitting.problem import Evaluation, Problem
 from calib.fitting.robust import solve_robust
 from calib.fitting.settings import Settings
 from calib.fitting.starts import Starts, explore
+from calib.numerics.chances import EXACT
 from calib.numerics.clusters import Scatter, scatter
 from calib.numerics.least_squares import TOLERANCE, Solution
 from calib.numerics.observability import Information
 from calib.numerics.prior_sizes import variance_by_sizes
 from calib.numerics.statistics import Factors, Statistics, found_factors, statistics
-from calib.numerics.variance_components import EXACT
 from calib.robots.robot import Robot
 from calib.rows.registration import register
 from calib.rows.rows import Rows, Scales

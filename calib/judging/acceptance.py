@@ -47,16 +47,9 @@ from calib.data.in_memory import as_poses
 from calib.data.measurements import Measurements, Poses
 from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
-from calib.judging.promise import (
-    FALSE_ALARM,
-    Change,
-    Promise,
-    System,
-    candidates,
-    six_digits,
-    without_outliers,
-)
+from calib.judging.promise import Change, Promise, System, candidates, six_digits, without_outliers
 from calib.judging.repeatability import repeatability
+from calib.numerics.chances import FALSE_ALARM
 from calib.rows.simulate import simulate
 
 _SUPPORT = 3.84  # 95 % point of chi-square with one degree of freedom

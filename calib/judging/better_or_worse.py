@@ -38,12 +38,11 @@ from calib.base.arrays import FloatArray, IntArray
 from calib.base.units import ERROR_UNIT, Dimension, error_scale
 from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
-from calib.numerics.variance_components import UNLIKELY
+from calib.numerics.chances import FEWEST, UNLIKELY
 
 HARM = 1.25
 """Errors after over errors before from which a fit harms. With twice as many rows as parameters, the least that is
 enough, the noise of a fit makes errors of a robot that needs no correction sqrt(1 + 1/2) = 1.22 times as large."""
-_FEWEST = 5  # poses from which Student's t says anything
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,7 @@ def _grown(pose: IntArray, before: FloatArray, after: FloatArray) -> bool:
     """Whether errors of rows (n_rows,), pose by pose, have grown by more than `HARM`, beyond chance."""
     squares = [np.bincount(pose, errors**2) for errors in (before, after)]
     n, change = len(squares[0]), squares[1] - squares[0]
-    if n < _FEWEST or not np.sum(squares[1]) > HARM**2 * np.sum(squares[0]):
+    if n < FEWEST or not np.sum(squares[1]) > HARM**2 * np.sum(squares[0]):
         return False
     t = float(np.mean(change) / (np.std(change, ddof=1) / np.sqrt(n)))
     return bool(scipy.special.stdtr(n - 1, -t) < UNLIKELY)

@@ -31,13 +31,11 @@ from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
 from calib.fitting.unseen_errors import left_out_one_by_one, of_errors
 from calib.judging.better_or_worse import comparisons
-from calib.numerics.variance_components import UNLIKELY
+from calib.numerics.chances import FEWEST, UNLIKELY
 from calib.robots.held import Accuracy, SeenAt
 
 MORE = 1.25
 """Errors at poses that were not used, over those claimed, up to which a claim holds."""
-_UNLUCKY = 1e-3  # chance that a claim that holds is called broken where poses are few
-_FEWEST = 5  # poses from which Student's t says anything
 _HALF = 0.5  # part of what a joint's limits allow, below which its reach is told
 
 
@@ -128,7 +126,7 @@ def claim_of(fit: Fit) -> Claim | None:
 def _most(fit: Fit, told: Accuracy, seen: Accuracy) -> float:
     """Return how many times the error claimed another one may be."""
     coordinates = 1 if fit.statistics.shared is not None else len(fit.identification.main_part.axes)
-    bound = scipy.special.fdtri(coordinates * seen.n_poses, coordinates * told.n_poses, 1.0 - _UNLUCKY)
+    bound = scipy.special.fdtri(coordinates * seen.n_poses, coordinates * told.n_poses, 1.0 - UNLIKELY)
     return max(MORE, float(np.sqrt(bound)))
 
 
@@ -145,7 +143,7 @@ def _gain(fit: Fit, foretold: ErrorSet) -> Gain:
     if compared:
         return Gain.BETTER if any(one.better for one in compared) else Gain.NONE
     change = _squares(foretold, "after") - _squares(foretold, "before")
-    if len(change) < _FEWEST:
+    if len(change) < FEWEST:
         return Gain.NONE
     spread = float(np.std(change, ddof=1)) / np.sqrt(len(change))
     t = float(np.mean(change)) / spread if spread > 0 else 0.0

@@ -10,7 +10,7 @@ from calib.fitting.outliers import Outlier
 from calib.judging import findings
 from calib.judging.effect_setting import EffectSetting
 from calib.judging.error_budget import ErrorBudget
-from calib.judging.reasons import NOTHING_TO_CORRECT, Verdict
+from calib.judging.reasons import Verdict
 from calib.judging.systematic import Pattern, Residuals
 from calib.judging.verdict import judge
 from calib.numerics.losses import Studentised
@@ -87,5 +87,5 @@ class JudgedFit(Fit):
     @property
     def known(self) -> KnownRobot:
         """The calibrated robot, with how well it is known and where it was measured."""
-        nothing_to_correct = any(reason.code == NOTHING_TO_CORRECT for reason in self.verdict.reasons)
-        return KnownRobot(self.robot, self.uncertainty, self.identification.data.joints, nothing_to_correct)
+        joints, needless = self.identification.data.joints, self.verdict.nothing_to_correct
+        return KnownRobot(self.robot, self.uncertainty, joints, needless)

@@ -20,14 +20,13 @@ from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
 from calib.fitting.problem import Problem
 from calib.fitting.solving import place
+from calib.numerics.chances import FALSE_ALARM
 from calib.numerics.identifiability import RANK_TOLERANCE, unit_columns
 from calib.robots.robot import Robot
 from calib.rows.observed import Observed, observe
 from calib.rows.unknowns import Unknowns
 from calib.rows.whitening import Whitening
 
-FALSE_ALARM = 0.01
-"""Chance that a robot that is as promised is not found so."""
 POWER = 0.9
 """Chance with which a change is to be seen."""
 _OUTLIERS = 0.05  # largest part of the readings that is left out

@@ -1,15 +1,28 @@
-"""What a verdict is made of: a grade, and reasons in words that say what to do."""
+"""What a verdict is made of: a grade, and reasons in words that say what to do.
+
+`Code` is the table of all reasons. What makes a reason true, its limit and its sentence stand together, in one function
+of `calib.judging.rules_...`; `calib.judging.verdict` asks these functions in order.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from enum import Enum, StrEnum
+from typing import Literal, Self
 
 from calib.judging.claim import Claim
 
 Grade = Literal["PASS", "CHECK", "FAIL"]
-NOTHING_TO_CORRECT = "nothing_to_correct"
-"""Code of the reason that the nominal values are as good as any."""
+
+
+class Answer(Enum):
+    """What answers a reason: an option of `calib fit`, or something else."""
+
+    LEAVE_OUT = "--exclude-outliers"
+    ADD_TERMS = "--terms auto"
+    TRY_STARTS = "--starts 5"
+    OTHER_POSES = "other poses"
+    LOOK = "look at it"
 
 
 @dataclass(frozen=True)
@@ -22,12 +35,99 @@ class Reason:
         text: What was found, and what to do.
         counted: Whether errors at poses that were not used count what was found: where these are as claimed, and the
             robot gets better, it is no doubt, and its grade becomes PASS.
+        answer: What the next command has to do about it.
     """
 
     grade: Grade
     code: str
     text: str
     counted: bool = False
+    answer: Answer = Answer.LOOK
+
+
+class Code(StrEnum):
+    """Every reason: its code, its grade, whether it is counted, and its answer (see `Reason`).
+
+    Where grade or count depend on more, the rule says so.
+    """
+
+    # the fit as a whole
+    BASE_ELSEWHERE = "base_elsewhere", "CHECK"
+    LIKELY_MISTAKE = "likely_mistake", "FAIL"
+    NOT_CONVERGED = "not_converged", "FAIL", False, Answer.TRY_STARTS
+    NOT_ASSEMBLED = "not_assembled", "FAIL"
+    WORSE_ON_VALIDATION = "worse_on_validation", "FAIL", False, Answer.ADD_TERMS
+    VALIDATION = "validation", "CHECK"
+    RESIDUALS_GREW = "residuals_grew", "FAIL"
+    INSTRUMENTS_DISAGREE = "instruments_disagree", "CHECK"
+    FRAME_MOVED = "frame_moved", "CHECK"
+    NOTHING_TO_CORRECT = "nothing_to_correct", "PASS"
+    NO_GAIN = "no_gain", "CHECK"
+    FILE_WITHHELD = "file_withheld", "PASS"
+    FILE_HOLDS_LESS = "file_holds_less", "PASS"
+    SYSTEMATIC = "systematic", "CHECK", True, Answer.ADD_TERMS
+    OTHER_MINIMUM = "other_minimum", "CHECK", False, Answer.TRY_STARTS
+    # noise
+    NOISE_AS_LARGE_AS_ROBOT = "noise_as_large_as_robot", "FAIL", False, Answer.OTHER_POSES
+    NO_NOISE = "no_noise", "CHECK"
+    NOISE = "noise", "CHECK", True, Answer.ADD_TERMS
+    MISREAD = "misread", "FAIL"
+    # measurements
+    POSES_EQUAL = "poses_equal", "FAIL", False, Answer.OTHER_POSES
+    JOINT_NEVER_MOVED = "joint_never_moved", "CHECK", True, Answer.OTHER_POSES
+    JOINTS_MOVE_TOGETHER = "joints_move_together", "CHECK", True, Answer.OTHER_POSES
+    NEAR_SINGULAR = "near_singular", "CHECK", True
+    TOO_FEW_POSES = "too_few_poses", "CHECK", False, Answer.OTHER_POSES
+    MOVES_AS_ONE = "moves_as_one", "PASS"
+    OUTLIERS = "outliers", "CHECK", True, Answer.LEAVE_OUT
+    MANY_EXCLUDED = "many_excluded", "CHECK", False, Answer.LEAVE_OUT
+    USED_FOR_BOTH = "used_for_both", "CHECK"
+    DOUBTFUL_READINGS = "doubtful_readings", "CHECK", False, Answer.LEAVE_OUT
+    COPIED = "copied", "CHECK"
+    ZERO_READINGS = "zero_readings", "FAIL"
+    EQUAL_COLUMNS = "equal_columns", "FAIL"
+    REPEATABILITY = "repeatability", "CHECK", True
+    ROUNDED = "rounded", "CHECK", True
+    LEVERAGE = "leverage", "CHECK", True, Answer.LEAVE_OUT
+    # parameters
+    FAR_FROM_NOMINAL = "far_from_nominal", "FAIL"
+    AT_BOUNDS = "at_bounds", "CHECK", True
+    LENGTHS_SCALED = "lengths_scaled", "FAIL"
+    LARGE_TERMS = "large_terms", "CHECK", True
+    UNLIKE_FLEET = "unlike_fleet", "CHECK"
+    RANK_UNCLEAR = "rank_unclear", "CHECK"
+    NOT_LINEAR = "not_linear", "CHECK", False, Answer.TRY_STARTS
+    # where the calibration holds
+    ONE_CORNER = "one_corner", "CHECK", True, Answer.OTHER_POSES
+    JOINT_MOVED_LITTLE = "joint_moved_little", "CHECK", True
+    VALIDATED_ELSEWHERE = "validated_elsewhere", "CHECK", True
+    BEYOND_JOINT_LIMITS = "beyond_joint_limits", "CHECK", True
+    TURNS_NOT_COUNTED = "turns_not_counted", "CHECK"
+    BEYOND_CURVES = "beyond_curves", "CHECK", True, Answer.OTHER_POSES
+    BLOCKS_DISAGREE = "blocks_disagree", "CHECK", True, Answer.ADD_TERMS
+    TERMS_UNTESTED = "terms_untested", "CHECK", True, Answer.OTHER_POSES
+
+    grade: Grade
+    counted: bool
+    answer: Answer
+
+    def __new__(cls, code: str, grade: Grade, counted: bool = False, answer: Answer = Answer.LOOK) -> Self:
+        """Return a row of the table."""
+        row = str.__new__(cls, code)
+        row._value_, row.grade, row.counted, row.answer = code, grade, counted, answer
+        return row
+
+    def says(self, text: str, *, grade: Grade | None = None, counted: bool | None = None) -> Reason:
+        """Return the reason in words.
+
+        Args:
+            text: What was found, and what to do.
+            grade: Where it is not that of the table; a FAIL is never counted.
+            counted: Where it is not that of the table.
+        """
+        grade = grade or self.grade
+        counts = self.counted if counted is None else counted
+        return Reason(grade, self.value, text, counts and grade != "FAIL", self.answer)
 
 
 @dataclass(frozen=True)
@@ -45,6 +145,11 @@ class Verdict:
     reasons: tuple[Reason, ...]
     not_covered: tuple[str, ...] = ()
     claim: Claim | None = None
+
+    @property
+    def nothing_to_correct(self) -> bool:
+        """Whether the nominal values are as good as any."""
+        return any(reason.code == Code.NOTHING_TO_CORRECT for reason in self.reasons)
 
     def to_dict(self, *, forced: bool = False) -> dict[str, object]:
         """Return the entry of `result.json`.

@@ -16,11 +16,11 @@ from calib.fitting.fitted import Fit
 from calib.fitting.outliers import Outlier, blocks
 from calib.fitting.pose_checks import directions_moved, equal_columns, unmoved_joints, zero_visits
 from calib.judging import findings
-from calib.judging.reasons import Reason
+from calib.judging.reasons import Code, Reason
 from calib.judging.repeatability import beyond_repeatability
 from calib.judging.rounded_joint_values import rounding
-from calib.numerics.losses import FALSE_ALARM, HIGH_LEVERAGE, studentised
-from calib.numerics.variance_components import UNLIKELY
+from calib.numerics.chances import FALSE_ALARM, UNLIKELY
+from calib.numerics.losses import HIGH_LEVERAGE, studentised
 from calib.rows.rows import Rows
 
 FEW = 10.0 - 1e-6  # ten, also where rounding took a little
@@ -39,8 +39,6 @@ ROUNDED = 0.2
 """Part of the noise, squared, that steps of the joint values must be able to make to be named."""
 ALL_ROUNDED = 2.0
 """The same, beyond which the joints really stood at these round values: rounding would have made more noise."""
-DIGITS = 0.01
-"""Chance below which residuals that scatter along the joints do so because these are rounded."""
 COPIED = 0.1
 """Part of the readings that may equal another one; coarse readings may do so by chance."""
 FAR = 3.0
@@ -56,36 +54,25 @@ def poses_that_say_little(fit: Fit) -> Iterator[Reason]:
     data = fit.identification.data
     still = unmoved_joints(fit.nominal, data.joints)
     if len(still) == len(fit.nominal.joint_names):
-        yield Reason(
-            "FAIL", "poses_equal", "all poses are the same: the parameters rest on their priors; move the robot"
-        )
+        yield Code.POSES_EQUAL.says("all poses are the same: the parameters rest on their priors; move the robot")
     elif still:
-        yield Reason(
-            "CHECK",
-            "joint_never_moved",
+        yield Code.JOINT_NEVER_MOVED.says(
             f"{'joint' if len(still) == 1 else 'joints'} {', '.join(still)} never moved: poses that move"
-            f" {'it' if len(still) == 1 else 'them'} are not calibrated",
-            counted=True,
+            f" {'it' if len(still) == 1 else 'them'} are not calibrated"
         )
     n_moved = len(fit.nominal.joint_names) - len(still)
     directions = directions_moved(data.joints)
     if directions < min(n_moved, len(data) - 1):
-        yield Reason(
-            "CHECK",
-            "joints_move_together",
+        yield Code.JOINTS_MOVE_TOGETHER.says(
             f"{n_moved} joints moved, but only together, along {counted(directions, 'direction')} of joint space:"
-            " errors of single joints rest on priors. Move each joint by itself",
-            counted=True,
+            " errors of single joints rest on priors. Move each joint by itself"
         )
     limit = fit.nominal.description.singularity_limit
     near = [data.labels[k] for k in np.flatnonzero(fit.identification.singular_value < limit)]
     if near:
-        yield Reason(
-            "CHECK",
-            "near_singular",
+        yield Code.NEAR_SINGULAR.says(
             f"{counted(len(near), 'pose is', 'poses are')} near a singularity of the loops (smallest singular value"
-            f" below {limit:g}): {listed(near)}; leave {'it' if len(near) == 1 else 'them'} out",
-            counted=True,
+            f" below {limit:g}): {listed(near)}; leave {'it' if len(near) == 1 else 'them'} out"
         )
 
 
@@ -93,9 +80,7 @@ def too_few_poses(fit: Fit) -> Iterator[Reason]:
     """Count degrees of freedom."""
     rows, used = fit.rows.layout.n_read, fit.statistics.effective_parameters
     if fit.statistics.freedom < FEW or rows < 2 * used - 1e-6:
-        yield Reason(
-            "CHECK",
-            "too_few_poses",
+        yield Code.TOO_FEW_POSES.says(
             f"too few poses: {rows} measured coordinates decide {used:.1f} parameters and leave"
             f" {fit.statistics.freedom:.1f} degrees of freedom; measure several times as many",
             counted=fit.statistics.freedom >= FEW,
@@ -106,11 +91,9 @@ def few_shared(fit: Fit) -> Iterator[Reason]:
     """Count poses whose readings share errors."""
     found = fit.statistics
     if found.shared is not None and found.interval_freedom < FEW_SHARED:
-        yield Reason(
-            "CHECK",
-            "too_few_poses",
+        yield Code.TOO_FEW_POSES.says(
             f"too few poses: the readings of a pose share errors, and intervals rest on {found.interval_freedom:.1f}"
-            " independent errors. Measure several times as many poses, not more readings of each",
+            " independent errors. Measure several times as many poses, not more readings of each"
         )
 
 
@@ -127,12 +110,10 @@ def moves_as_one(fit: Fit) -> Iterator[Reason]:
         if len(distances) >= FEW_SHARED and np.std(distances) < RIGID < fit.sigma:
             rigid |= {names[a], names[b]}
     if rigid:
-        yield Reason(
-            "PASS",
-            "moves_as_one",
+        yield Code.MOVES_AS_ONE.says(
             f"targets {listed([name for name in names if name in rigid])} keep their distances to {1e6 * RIGID:g} um,"
             f" while readings are off by {millimetres(fit.sigma):.3g} mm per axis: they were computed from one pose."
-            " Intervals count each pose once; an instrument of kind pose reads it as what it is",
+            " Intervals count each pose once; an instrument of kind pose reads it as what it is"
         )
 
 
@@ -144,9 +125,7 @@ def outliers(fit: Fit) -> Iterator[Reason]:
     ):
         if outlying:
             words = listed([str(outlier) for outlier in outlying], "; ")
-            yield Reason(
-                "CHECK",
-                "outliers",
+            yield Code.OUTLIERS.says(
                 f"{counted(len(outlying), 'outlier')}{where} (chance below {100 * FALSE_ALARM:g} %): {words};"
                 f" look at {'this measurement' if len(outlying) == 1 else 'these measurements'}"
                 + ("" if where else f"; --exclude-outliers fits without {'it' if len(outlying) == 1 else 'them'}"),
@@ -156,11 +135,9 @@ def outliers(fit: Fit) -> Iterator[Reason]:
         total = len(fit.with_all.identification.data)
         poses = total - len(fit.identification.data)
         if poses > EXCLUDED * total:
-            yield Reason(
-                "CHECK",
-                "many_excluded",
+            yield Code.MANY_EXCLUDED.says(
                 f"{poses} of {total} poses were excluded: so many are no outliers; the model or the measurements are"
-                " wrong",
+                " wrong"
             )
 
 
@@ -175,11 +152,9 @@ def used_for_both(fit: Fit) -> Iterator[Reason]:
     same_reading = [bool(keys & known) for keys, same in zip(_reading_keys(other), same_pose, strict=True) if same]
     if any(same_reading) or np.sum(same_pose) > USED_FOR_BOTH * len(other):
         what = "are measurements that the fit has used" if any(same_reading) else "were measured at poses of the fit"
-        yield Reason(
-            "CHECK",
-            "used_for_both",
+        yield Code.USED_FOR_BOTH.says(
             f"{sum(same_reading) or np.sum(same_pose)} of {counted(len(other), 'validation pose')} {what}: they prove"
-            " less than they seem to; validate with poses of their own",
+            " less than they seem to; validate with poses of their own"
         )
 
 
@@ -187,7 +162,7 @@ def doubtful_readings(fit: Fit) -> Iterator[Reason]:
     """Ask the instruments what looks wrong about their readings."""
     for name, readings in fit.identification.data.readings.items():
         for text in fit.nominal.instrument(name).doubts(readings):
-            yield Reason("CHECK", "doubtful_readings", text)
+            yield Code.DOUBTFUL_READINGS.says(text)
 
 
 def _share(outlying: Sequence[Outlier], rows: Rows | None) -> float:
@@ -206,11 +181,9 @@ def copied(fit: Fit) -> Iterator[Reason]:
     rows = [(joints.tobytes(), frozenset(keys)) for joints, keys in zip(data.joints, _reading_keys(data), strict=True)]
     copies = len(rows) - len(set(rows))
     if copies > COPIED * len(rows):
-        yield Reason(
-            "CHECK",
-            "copied",
+        yield Code.COPIED.says(
             f"{copies} of {counted(len(rows), 'reading')} are copies of others to the last digit, so intervals are too"
-            " narrow. Leave the copies out",
+            " narrow. Leave the copies out"
         )
 
 
@@ -240,18 +213,14 @@ def dead_readings(fit: Fit) -> Iterator[Reason]:
     left = np.zeros(len(data))
     np.maximum.at(left, fit.rows.layout.visit, fit.rows.distances())
     if len(zeros) > 1 or np.any(left[zeros] > FAR * np.median(left)):  # one may be the origin of the frame
-        yield Reason(
-            "FAIL",
-            "zero_readings",
+        yield Code.ZERO_READINGS.says(
             f"{counted(len(zeros), 'pose was', 'poses were')} read at exactly 0, 0, 0, as some programs write where"
             f" they saw nothing: {listed([data.labels[k] for k in zeros])};"
-            f" leave {'it' if len(zeros) == 1 else 'them'} out",
+            f" leave {'it' if len(zeros) == 1 else 'them'} out"
         )
     for first, second in equal_columns(data, fit.nominal):
-        yield Reason(
-            "FAIL",
-            "equal_columns",
-            f"columns {first} and {second} are equal in every row: one is a copy of the other; export the file again",
+        yield Code.EQUAL_COLUMNS.says(
+            f"columns {first} and {second} are equal in every row: one is a copy of the other; export the file again"
         )
 
 
@@ -259,27 +228,21 @@ def repeats(fit: Fit) -> Iterator[Reason]:
     """Compare residuals with the scatter of repeats."""
     ratio, p_value = beyond_repeatability(fit.identification, fit.statistics.effective_parameters)
     if ratio > BEYOND_REPEATS and p_value < UNLIKELY:
-        yield Reason(
-            "CHECK",
-            "repeatability",
+        yield Code.REPEATABILITY.says(
             f"residuals are {ratio:.1f} times what repeats of a pose scatter: the model leaves something out, or the"
-            " repeats were read without moving the robot",
-            counted=True,
+            " repeats were read without moving the robot"
         )
 
 
 def rounded(fit: Fit) -> Iterator[Reason]:
     """See whether joint values were rounded to so few digits that this makes much of the noise."""
     found = None if fit.computed else rounding(fit)
-    if found is not None and ROUNDED < found.part < ALL_ROUNDED and found.chance < DIGITS:
+    if found is not None and ROUNDED < found.part < ALL_ROUNDED and found.chance < FALSE_ALARM:
         one = fit.first_noise
         size = error_scale(one.group.dimension) * one.sigma * float(np.sqrt(min(found.part, 1.0)))
-        yield Reason(
-            "CHECK",
-            "rounded",
+        yield Code.ROUNDED.says(
             f"joint values were rounded to steps of {found.steps}, which makes about {size:.2g}"
-            f" {ERROR_UNIT[one.group.dimension]} of noise. Export all digits of the controller",
-            counted=True,
+            f" {ERROR_UNIT[one.group.dimension]} of noise. Export all digits of the controller"
         )
 
 
@@ -298,12 +261,9 @@ def leverage(fit: Fit) -> Iterator[Reason]:
         )
     high = _visits(fit, np.flatnonzero(deciding))
     if high and fit.statistics.freedom >= FEW:
-        yield Reason(
-            "CHECK",
-            "leverage",
+        yield Code.LEVERAGE.says(
             f"{counted(len(high), 'pose decides its', 'poses decide their')} own prediction, so that an error there"
-            f" would not show: {listed(high)}; measure more poses near {'it' if len(high) == 1 else 'them'}",
-            counted=True,
+            f" would not show: {listed(high)}; measure more poses near {'it' if len(high) == 1 else 'them'}"
         )
 
 

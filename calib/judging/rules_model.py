@@ -18,11 +18,11 @@ from calib.judging import findings
 from calib.judging.better_or_worse import HARM, comparisons
 from calib.judging.claim import Claim, Gain
 from calib.judging.effects import IN_COURSE
-from calib.judging.reasons import Reason
+from calib.judging.reasons import Code, Reason
 from calib.judging.rules_noise import in_words
 from calib.judging.systematic import describe
+from calib.numerics.chances import EXACT, UNLIKELY
 from calib.numerics.rigid import best_transform
-from calib.numerics.variance_components import EXACT, UNLIKELY
 from calib.robots.held import Holds
 from calib.rows.registration import registration
 
@@ -56,17 +56,15 @@ def not_converged(fit: Fit) -> Iterator[Reason]:
         text = f"not converged: parameter {end.parameter} would still move by {end.step_left:.2g} standard deviations"
     else:
         text = f"not converged: {end.message}"
-    yield Reason("FAIL", "not_converged", f"{text}; {advice}")
+    yield Code.NOT_CONVERGED.says(f"{text}; {advice}")
 
 
 def not_assembled(fit: Fit) -> Iterator[Reason]:
     """Assemble the calibrated robot afresh."""
     if not fit.assembles:
-        yield Reason(
-            "FAIL",
-            "not_assembled",
+        yield Code.NOT_ASSEMBLED.says(
             "with the parameters found, the robot cannot be assembled from its home configuration: they are not those"
-            " of this robot; check units, joint order and signs",
+            " of this robot; check units, joint order and signs"
         )
 
 
@@ -74,12 +72,10 @@ def worse_on_validation(fit: Fit) -> Iterator[Reason]:
     """Compare errors on unused poses before and after."""
     for comparison in comparisons(fit):
         if comparison.worse:
-            yield Reason(
-                "FAIL",
-                "worse_on_validation",
+            yield Code.WORSE_ON_VALIDATION.says(
                 f"the calibration makes the robot worse on {comparison.name}: {comparison.words} (chance below"
                 f" {100 * UNLIKELY:g} %). The fit follows its own measurements, not the robot. Measure more poses,"
-                " spread over the space where the robot will work",
+                " spread over the space where the robot will work"
             )
 
 
@@ -95,12 +91,10 @@ def residuals_grew(fit: Fit) -> Iterator[Reason]:
     squares = [np.bincount(layout.reading, errors**2, layout.n_readings) for errors in (before, rows.residuals)]
     sums = [float(np.sum(one[believed])) for one in squares]
     if sums[1] > HARM**2 * sums[0]:
-        yield Reason(
-            "FAIL",
-            "residuals_grew",
+        yield Code.RESIDUALS_GREW.says(
             f"the poses used are explained {np.sqrt(sums[1] / sums[0]):.2f} times as badly as by the nominal robot with"
             " base and targets placed: the fit believes priors or weights more than the measurements; check the stated"
-            " noise and the sigmas of the description",
+            " noise and the sigmas of the description"
         )
         return
     for one, part, of_part in fit.identification.parts():
@@ -112,12 +106,10 @@ def residuals_grew(fit: Fit) -> Iterator[Reason]:
         if sizes[1] > HARM**2 * sizes[0]:
             scale, unit = error_scale(part.dimension), ERROR_UNIT[part.dimension]
             before_rms, after_rms = (scale * float(np.sqrt(size * len(part.axes))) for size in sizes)
-            yield Reason(
-                "CHECK",
-                "instruments_disagree",
+            yield Code.INSTRUMENTS_DISAGREE.says(
                 f"readings of {one.name}, {part.name}, are explained worse than before ({after_rms:.4g} {unit} RMS,"
                 f" {before_rms:.4g} before), so that others are explained better: the instruments contradict each"
-                " other; check how each is described, and the noise that is stated",
+                " other; check how each is described, and the noise that is stated"
             )
 
 
@@ -131,21 +123,17 @@ def claim_broken(made: Claim, *, needless: bool) -> Iterator[Reason]:
     for one in made.broken:
         times, told = one.rms / made.told.rms, made.told
         if one.rms > one.before and made.gain is not Gain.BETTER and not needless:
-            yield Reason(
-                "FAIL",
-                "worse_on_validation",
+            yield Code.WORSE_ON_VALIDATION.says(
                 f"the calibration makes the robot worse at {one.where}: {one.shown(one.rms)} RMS after,"
                 f" {one.shown(one.before)} before, and {times:.1f} times what it claims ({told.shown(told.rms)}). The"
                 " fit follows its own measurements, not the robot. Measure more poses, spread over the space where the"
-                " robot will work",
+                " robot will work"
             )
         else:
-            yield Reason(
-                "CHECK",
-                "validation",
+            yield Code.VALIDATION.says(
                 f"{one.where} are {times:.1f} times as far off as claimed ({one.shown(one.rms)} RMS where poses like"
                 f" those used have {told.shown(told.rms)}). The robot does something there that the poses used do not"
-                " show. Measure there too",
+                " show. Measure there too"
             )
 
 
@@ -185,12 +173,10 @@ def frame_moved(fit: Fit) -> Iterator[Reason]:
         centre = measured.mean(axis=0)
         shift = millimetres(float(np.linalg.norm(rotation @ centre + translation - centre)))
         angle = float(np.degrees(np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0))))
-        yield Reason(
-            "CHECK",
-            "frame_moved",
+        yield Code.FRAME_MOVED.says(
             f"the validation poses look as if the tracker, the base or its frame had moved between the two files, by"
             f" {shift:.3g} mm and {angle:.2g} deg: that explains all but {millimetres(left):.3g} mm RMS; measure both"
-            " from one place, or hold out poses of one file (--validate 0.2)",
+            " from one place, or hold out poses of one file (--validate 0.2)"
         )
 
 
@@ -205,18 +191,14 @@ def nothing_to_correct(fit: Fit) -> Iterator[Reason]:
     said = "; ".join(f"on {entry.name} {entry.words}, no gain beyond the uncertainty" for entry in entries)
     if chance > UNLIKELY:
         said += f"{'; ' if said else ''}on the poses used, no more than chance gives (p = {chance:.2g})"
-        yield Reason(
-            "PASS",
-            "nothing_to_correct",
+        yield Code.NOTHING_TO_CORRECT.says(
             f"nothing to correct: {said}. Measurements with {in_words(fit.first_noise, fit.sigma)} of noise show no"
-            " error of the nominal robot",
+            " error of the nominal robot"
         )
     elif entries and all(entry.after >= entry.before for entry in entries):
-        yield Reason(
-            "CHECK",
-            "no_gain",
+        yield Code.NO_GAIN.says(
             f"poses that were not used get no better: {said}. Only the poses used do: the fit follows what is special"
-            " to them. Measure more poses, spread over the space where the robot will work",
+            " to them. Measure more poses, spread over the space where the robot will work"
         )
 
 
@@ -238,18 +220,14 @@ def files_hold_less(fit: Fit) -> Iterator[Reason]:
     why = why_no_origins(fit)
     if why:
         others = "calib's own commands have the terms" if fit.robot.terms else "the nominal robot is as good as any"
-        yield Reason(
-            "PASS",
-            "file_withheld",
-            f"calibrated.urdf and other files of joint origins are not written: {why}; {others}. --force writes them",
+        yield Code.FILE_WITHHELD.says(
+            f"calibrated.urdf and other files of joint origins are not written: {why}; {others}. --force writes them"
         )
     elif fit.robot.lost_by(Holds.ORIGINS):
         judged, whole = (fit.robot.files[holds].accuracy for holds in (Holds.ORIGINS, Holds.EVERYTHING))
-        yield Reason(
-            "PASS",
-            "file_holds_less",
+        yield Code.FILE_HOLDS_LESS.says(
             f"a URDF cannot hold joint terms. The origins in calibrated.urdf are those that fit best without them:"
-            f" {judged.words}. Nominal robot: {judged.shown(judged.before)}; whole model: {whole.shown(whole.rms)}",
+            f" {judged.words}. Nominal robot: {judged.shown(judged.before)}; whole model: {whole.shown(whole.rms)}"
         )
 
 
@@ -270,9 +248,7 @@ def systematic(fit: Fit) -> Iterator[Reason]:
         if kinds:
             largest = max(pattern.size for pattern in kinds)
             words = [describe(pattern, fit.nominal.mechanism.dimensions) for pattern in kinds]
-            yield Reason(
-                "CHECK",
-                "systematic",
+            yield Code.SYSTEMATIC.says(
                 f"residuals are not only noise: {listed(words, '; ', _MOST_PATTERNS)}. The model leaves this out, and"
                 " intervals do not count it",
                 counted=kinds is not changing or largest < LASTING * left,
@@ -289,12 +265,10 @@ def other_minima(fit: Fit) -> Iterator[Reason]:
     unit = 1.0 if fit.noise[0].stated is not None else (max(fit.noise[0].sigma, EXACT) / started) ** 2
     near = [other for other in others if other.cost - best.cost < OTHER_MINIMUM * unit]
     if near:
-        yield Reason(
-            "CHECK",
-            "other_minimum",
+        yield Code.OTHER_MINIMUM.says(
             f"{counted(len(near), 'other minimum explains', 'other minima explain')} the data as well (RMS"
             f" {millimetres(near[0].rms):.4g} mm against {millimetres(best.rms):.4g} mm): the data do not say which is"
-            " the robot; measure more different poses",
+            " the robot; measure more different poses"
         )
 
 

@@ -10,9 +10,9 @@ from calib.base.units import ERROR_UNIT, error_scale, millimetres
 from calib.fitting.fitted import Fit, FoundNoise
 from calib.judging.better_or_worse import comparisons
 from calib.judging.other_meanings import other_meaning
-from calib.judging.reasons import Reason
+from calib.judging.reasons import Code, Reason
+from calib.numerics.chances import UNLIKELY
 from calib.numerics.statistics import chi_square
-from calib.numerics.variance_components import UNLIKELY
 
 NOISE_RATIO = 3.0
 """Found over stated noise from which the statement, or the model, is wrong."""
@@ -30,19 +30,15 @@ def noise(fit: Fit) -> Iterator[Reason]:
     """Compare the noise found with the positions, with the stated noise, and with what such instruments have."""
     sigma, spread = fit.sigma, _spread(fit)
     if sigma > LARGE_NOISE * spread:
-        yield Reason(
-            "FAIL",
-            "noise_as_large_as_robot",
+        yield Code.NOISE_AS_LARGE_AS_ROBOT.says(
             f"noise found: {millimetres(sigma):.4g} mm per axis, for positions that spread over"
             f" {millimetres(spread):.4g} mm; nothing fits: check units, axes, joint order and signs, and that joints"
-            " and positions belong together",
+            " and positions belong together"
         )
     elif fit.computed:
-        yield Reason(
-            "CHECK",
-            "no_noise",
+        yield Code.NO_NOISE.says(
             f"noise found: {in_words(fit.first_noise, sigma, 1)}, less than any sensor has; these data were computed,"
-            " not measured, and the intervals say nothing about a real robot",
+            " not measured, and the intervals say nothing about a real robot"
         )
     else:
         for one in fit.noise:
@@ -61,11 +57,9 @@ def misread(fit: Fit) -> Iterator[Reason]:
         if one.sigma > one.group.largest:
             beyond = f", more than any such instrument has ({in_words(one, one.group.largest)})"
         if meaning or beyond:
-            yield Reason(
-                "FAIL",
-                "misread",
+            yield Code.MISREAD.says(
                 f"noise found of {one.group.name}, {one.group.part}, is {in_words(one, one.sigma)} per axis{beyond}:"
-                f" the numbers mean something else; {meaning or 'look at their order, form, unit and frame'}",
+                f" the numbers mean something else; {meaning or 'look at their order, form, unit and frame'}"
             )
 
 
@@ -82,13 +76,13 @@ def _against_usual(fit: Fit, one: FoundNoise) -> Iterator[Reason]:
     usual = one.group.usual
     if one.sigma > usual:
         none_fits = all(other.stated is None and other.sigma > GROSS * other.group.usual for other in fit.noise)
-        yield Reason(
-            "FAIL" if none_fits and not _proven_by_another(fit) else "CHECK",
-            "noise",
+        yield Code.NOISE.says(
             f"noise found{_of(fit, one)} is {in_words(one, one.sigma)} per axis, more than such an instrument has"
             f" ({in_words(one, usual)} at most): the model does not explain the measurements, and what is left may"
             " have moved the parameters; look for what is missing or wrong in the description of the instrument, and"
             " prove the result by another instrument",
+            grade="FAIL" if none_fits and not _proven_by_another(fit) else "CHECK",
+            counted=False,
         )
 
 
@@ -132,16 +126,11 @@ def _against_statement(fit: Fit, one: FoundNoise) -> Iterator[Reason]:
         yield _beyond(fit, one, f"noise found{of} is {ratio:.1f} times what was stated ({numbers})")
     elif chi.p_larger < UNLIKELY:
         text = f"noise found{of} is {ratio:.2f} times what was stated ({numbers}), more than chance explains"
-        yield Reason(
-            "CHECK",
-            "noise",
-            f"{text}: state the noise of robot and sensor together, or look for what is missing",
-            counted=True,
-        )
+        yield Code.NOISE.says(f"{text}: state the noise of robot and sensor together, or look for what is missing")
     elif chi.p_smaller < UNLIKELY:
         text = f"noise found{of} is only {ratio:.2g} times what was stated ({numbers}), less than chance explains"
         advice = "state it anew; the same reading may have been used more than once"
-        yield Reason("CHECK", "noise", f"{text}: {advice}", counted=True)
+        yield Code.NOISE.says(f"{text}: {advice}")
 
 
 def _beyond(fit: Fit, one: FoundNoise, text: str) -> Reason:
@@ -157,19 +146,19 @@ def _beyond(fit: Fit, one: FoundNoise, text: str) -> Reason:
             f" ({millimetres(_spread(fit)):.4g} mm): look at units, joint order and signs, and outliers; if it is all"
             " noise, state that (--sigma-mm)"
         )
-        return Reason("FAIL", "noise", text)
+        return Code.NOISE.says(text, grade="FAIL")
     if better or no_worse:
         told = "get better beyond chance" if better else "get neither better nor worse"
         text += (
             f" poses that were not used {told}. The rest is what the model leaves out, or outliers; intervals do not"
             " count it. State the noise of robot and sensor together (--sigma-mm)"
         )
-        return Reason("CHECK", "noise", text, counted=True)
+        return Code.NOISE.says(text)
     text += (
         " look at outliers and units, state the noise of robot and sensor together (--sigma-mm), or prove the result on"
         " other poses (--validate, --folds)"
     )
-    return Reason("FAIL", "noise", text)
+    return Code.NOISE.says(text, grade="FAIL")
 
 
 def _spread(fit: Fit) -> float:

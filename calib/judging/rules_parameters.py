@@ -12,7 +12,7 @@ from calib.base.words import listed
 from calib.fitting.fitted import Fit
 from calib.judging import findings
 from calib.judging.effects import scale
-from calib.judging.reasons import Reason
+from calib.judging.reasons import Code, Reason
 from calib.numerics.identifiability import reduced
 
 PLAUSIBLE = 4.0
@@ -53,22 +53,17 @@ def far_from_nominal(fit: Fit) -> Iterator[Reason]:
     if impossible:
         impossible.sort(key=lambda entry: -entry[0])
         words = listed([f"{parameter.name} ({away:.0f} sigma)" for away, parameter in impossible])
-        yield Reason(
-            "FAIL",
-            "far_from_nominal",
+        yield Code.FAR_FROM_NOMINAL.says(
             f"parameters further from nominal than {IMPOSSIBLE:g} times what their stated sigma allows: {words};"
             " no error of that size explains it: check signs, zeros and order of the joint columns, and units; if it is"
-            " possible, state a larger sigma in the description",
+            " possible, state a larger sigma in the description"
         )
     elif far:
         far.sort(key=lambda entry: -entry[0])
         words = listed([f"{parameter.name} ({away:.1f} sigma)" for away, parameter in far])
-        yield Reason(
-            "CHECK",
-            "at_bounds",
+        yield Code.AT_BOUNDS.says(
             f"parameters further from nominal than {PLAUSIBLE:g} times what their stated sigma allows: {words};"
-            " check zero positions and units, or, if that is possible, state a larger sigma in the description",
-            counted=True,
+            " check zero positions and units, or, if that is possible, state a larger sigma in the description"
         )
 
 
@@ -98,12 +93,10 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
         costs.append(float(np.sum(squares[: len(measured)]) / noise + np.sum(squares[len(measured) :])))
     gain = costs[0] - costs[1]
     if abs(part) > SCALED and gain > max(SCALED_SIGMAS**2, MOST * costs[0]):
-        yield Reason(
-            "FAIL",
-            "lengths_scaled",
+        yield Code.LENGTHS_SCALED.says(
             f"all lengths are measured {100 * abs(part):.2g} % {'shorter' if part > 0 else 'longer'} than the robot is"
             " by its description: no robot is built so. Look at the unit of the measurements, the scale of the"
-            " instrument and the size of the artefact",
+            " instrument and the size of the artefact"
         )
 
 
@@ -112,12 +105,9 @@ def large_terms(fit: Fit) -> Iterator[Reason]:
     tried = () if fit.terms is None else fit.terms.tried
     words = listed([f"{one.term} ({one.size:.0f} times)" for one in tried if one.added and one.size > UNUSUAL])
     if words:
-        yield Reason(
-            "CHECK",
-            "large_terms",
+        yield Code.LARGE_TERMS.says(
             f"joint terms that were added are more than {UNUSUAL:g} times as large as is usual: {words}; look for a"
-            " ratio, unit, mass or load that is wrong in the description or the data",
-            counted=True,
+            " ratio, unit, mass or load that is wrong in the description or the data"
         )
 
 
@@ -127,11 +117,9 @@ def unlike_fleet(fit: Fit) -> Iterator[Reason]:
     if fleet is not None and fleet.unlike:
         whole = len(fleet.unlike) == len(fleet.parameters)
         what = "altogether" if whole else f"in {listed(fleet.unlike)}"
-        yield Reason(
-            "CHECK",
-            "unlike_fleet",
+        yield Code.UNLIKE_FLEET.says(
             f"this robot is unlike the {fleet.robots} of its fleet {what}: what they say of that was left out, so that"
-            " it takes more poses; look for a repair, a crash, another model or another convention",
+            " it takes more poses; look for a repair, a crash, another model or another convention"
         )
 
 
@@ -155,11 +143,9 @@ def unclear_rank(fit: Fit) -> Iterator[Reason]:
     """See whether all that is free counts as determined only because of where the threshold lies."""
     rank = fit.determination.together
     if rank.unclear:
-        yield Reason(
-            "CHECK",
-            "rank_unclear",
+        yield Code.RANK_UNCLEAR.says(
             f"{rank.doubt}: one combination of parameters is hardly determined. Hold one more parameter (`calib check`"
-            " names it), or measure other poses",
+            " names it), or measure other poses"
         )
 
 
@@ -172,9 +158,7 @@ def loose(fit: Fit) -> Iterator[Reason]:
         if p.dimension == "angle" and std > LOOSE_ANGLE
     ]
     if loose:
-        yield Reason(
-            "CHECK",
-            "not_linear",
+        yield Code.NOT_LINEAR.says(
             f"hardly determined angles: {listed(loose)}. The model is not linear over such a range, so their intervals"
-            " mean nothing. Measure poses that differ more, or hold these parameters",
+            " mean nothing. Measure poses that differ more, or hold these parameters"
         )

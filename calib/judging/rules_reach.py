@@ -13,7 +13,7 @@ from calib.fitting.fitted import Fit
 from calib.fitting.joint_conventions import wrapped_terms
 from calib.fitting.pose_checks import unmoved_joints
 from calib.fitting.terms.joint_curves import beyond_learned
-from calib.judging.reasons import Reason
+from calib.judging.reasons import Code, Reason
 from calib.numerics.halton import halton
 from calib.robots.robot import Configurations, Robot
 from calib.rows.jacobian import linearise
@@ -39,12 +39,9 @@ def one_corner(fit: Fit) -> Iterator[Reason]:
     known = np.isfinite(allowed) & (allowed > 0)
     part = np.max(reach[known] / allowed[known], initial=0.0)
     if np.all(known) and 0 < part < CORNER:
-        yield Reason(
-            "CHECK",
-            "one_corner",
+        yield Code.ONE_CORNER.says(
             f"all poses lie in one corner: no joint moved through more than {100 * part:.2g} % of its limits, and"
-            " elsewhere the robot is not calibrated: measure poses all over the space where it will work",
-            counted=True,
+            " elsewhere the robot is not calibrated: measure poses all over the space where it will work"
         )
 
 
@@ -64,13 +61,10 @@ def moved_little(fit: Fit) -> Iterator[Reason]:
             name = robot.joint_names[j]
             dimension = robot.mechanism.dimensions[name]
             unit, reach = DISPLAY_UNIT[dimension], np.ptp(data.joints[:, j]) * display_scale(dimension)
-            yield Reason(
-                "CHECK",
-                "joint_moved_little",
+            yield Code.JOINT_MOVED_LITTLE.says(
                 f"joint {name} moved through {reach:.2g} {unit} only. Positions are known to {millimetres(here):.2g} mm"
                 f" at the poses used, but to {millimetres(there):.2g} mm RMS where it moves further. Measure poses that"
-                " move it through its range",
-                counted=True,
+                " move it through its range"
             )
 
 
@@ -81,13 +75,10 @@ def far_validation(fit: Fit) -> Iterator[Reason]:
     here = _rms(fit.identification_uncertainty.located)
     there = float(np.median(fit.validation_uncertainty.located))
     if there > _well_known(fit, here):
-        yield Reason(
-            "CHECK",
-            "validated_elsewhere",
+        yield Code.VALIDATED_ELSEWHERE.says(
             f"validation poses lie far from the poses used: positions are known to {millimetres(there):.2g} mm there,"
             f" but to {millimetres(here):.2g} mm RMS at the poses used. Measure there too, and validate among the poses"
-            " used",
-            counted=True,
+            " used"
         )
 
 
@@ -127,21 +118,18 @@ def beyond_joint_limits(fit: Fit) -> Iterator[Reason]:
     beyond = np.flatnonzero(np.max(excess, axis=1) > BEYOND_LIMIT)
     if len(beyond):
         joints = [robot.joint_names[j] for j in np.flatnonzero(np.max(excess, axis=0) > BEYOND_LIMIT)]
-        yield Reason(
-            "CHECK",
-            "beyond_joint_limits",
+        yield Code.BEYOND_JOINT_LIMITS.says(
             f"{counted(len(beyond), 'pose lies', 'poses lie')} beyond the URDF's limits of"
             f" {'joint' if len(joints) == 1 else 'joints'} {listed(joints)}:"
             f" {listed([data.labels[k] for k in beyond])}; check the joint's sign, zero, unit and column, or the"
-            " limits",
-            counted=True,
+            " limits"
         )
 
 
 def turns_not_counted(fit: Fit) -> Iterator[Reason]:
     """Look for joint terms that count turns of a joint whose values may be wrapped."""
     for words in wrapped_terms(fit.nominal, fit.identification.data.joints):
-        yield Reason("CHECK", "turns_not_counted", words)
+        yield Code.TURNS_NOT_COUNTED.says(words)
 
 
 def _allowed(robot: Robot) -> FloatArray:
@@ -162,14 +150,11 @@ def beyond_curves(fit: Fit) -> Iterator[Reason]:
     poses = np.flatnonzero(np.any(outside, axis=1))
     if len(poses):
         joints = [fit.robot.joint_names[j] for j in np.flatnonzero(np.any(outside, axis=0))]
-        yield Reason(
-            "CHECK",
-            "beyond_curves",
+        yield Code.BEYOND_CURVES.says(
             f"{counted(len(poses), 'validation pose lies', 'validation poses lie')} where no error curve of"
             f" {'joint' if len(joints) == 1 else 'joints'} {listed(joints)} was learned:"
             f" {listed([fit.validation.data.labels[k] for k in poses])}. The curve is unknown there: measure there too"
-            " before you rely on it",
-            counted=True,
+            " before you rely on it"
         )
 
 
@@ -177,13 +162,10 @@ def blocks_disagree(fit: Fit) -> Iterator[Reason]:
     """See whether the parameters stand where boxes of joint space, or whole setups, are left out in turn."""
     apart = fit.regions
     if apart is not None and apart.surely:
-        yield Reason(
-            "CHECK",
-            "blocks_disagree",
+        yield Code.BLOCKS_DISAGREE.says(
             f"with {apart.cut} left out in turn, parameters move {apart.ratio:.2g} times as much as noise explains: the"
             " model leaves out something that differs from place to place. Intervals, and what positions are known to,"
-            " count it; places unlike those measured may be further off",
-            counted=True,
+            " count it; places unlike those measured may be further off"
         )
 
 
@@ -191,13 +173,10 @@ def terms_untested(fit: Fit) -> Iterator[Reason]:
     """Look for joint terms that leave positions uncertain where no joint leaves the values measured."""
     found = _widened(fit, other_combinations(fit.identification.data.joints, _SAMPLED))
     if found:
-        yield Reason(
-            "CHECK",
-            "terms_untested",
+        yield Code.TERMS_UNTESTED.says(
             f"the poses used hardly determine the joint terms at other combinations of the same joint values: positions"
             f" are known to {found}. Measure poses that combine joint values in other ways, or validate on such poses"
-            " (--validate)",
-            counted=True,
+            " (--validate)"
         )
 
 

@@ -43,11 +43,9 @@ from calib.base.arrays import FloatArray
 from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale, millimetres
 from calib.judging.effect_setting import EffectSetting
 from calib.judging.effects import FAMILIES, ORDERS, Effect, Kind, Waves, effects
-from calib.numerics.variance_components import EXACT
+from calib.numerics.chances import EXACT, FALSE_ALARM
 from calib.rows.rows import Rows
 
-FALSE_ALARM = 0.01
-"""Chance that good residuals show a pattern."""
 SMALLEST_EFFECT = 0.1
 """Least root mean square of an effect, over that of the noise, that is worth a finding."""
 PARTS_PER_MILLION = 1e6

@@ -20,7 +20,7 @@ from calib.fitting.pose_checks import likely_mistake
 from calib.judging import rules_data, rules_model, rules_noise, rules_parameters, rules_reach
 from calib.judging.blind_spots import not_covered
 from calib.judging.claim import Gain, claim_of
-from calib.judging.reasons import NOTHING_TO_CORRECT, Reason, Verdict
+from calib.judging.reasons import Code, Reason, Verdict
 
 _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_model.worse_on_validation,
@@ -62,31 +62,30 @@ _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_data.leverage,
 )
 _ORDER = ("FAIL", "CHECK", "PASS")
-_IN_MISTAKE = ("zero_readings", "equal_columns")
+_IN_MISTAKE = {Code.ZERO_READINGS, Code.EQUAL_COLUMNS}
 """Reasons that the likely mistake says already."""
-_NOTHING_FITS = ("not_converged", "not_assembled", "noise_as_large_as_robot", "far_from_nominal")
-_MOVED = ("at_bounds",)  # what a base that stands a little elsewhere does
+_NOTHING_FITS = {Code.NOT_CONVERGED, Code.NOT_ASSEMBLED, Code.NOISE_AS_LARGE_AS_ROBOT, Code.FAR_FROM_NOMINAL}
+_MOVED = {Code.AT_BOUNDS}  # what a base that stands a little elsewhere does
 
 
 @remembered
 def judge(fit: Fit) -> Verdict:
     """Return the verdict on a fit: the worst of the reasons found, FAIL before CHECK."""
     reasons = [reason for rule in _RULES for reason in rule(fit)]
-    made = claim_of(fit)
-    if made is not None and not any(reason.code == "worse_on_validation" for reason in reasons):
-        needless = NOTHING_TO_CORRECT in {reason.code for reason in reasons}
+    codes, made = {reason.code for reason in reasons}, claim_of(fit)
+    needless = Code.NOTHING_TO_CORRECT in codes
+    if made is not None and Code.WORSE_ON_VALIDATION not in codes:
         reasons = [*rules_model.claim_broken(made, needless=needless), *reasons]
-    codes = {reason.code for reason in reasons}
-    elsewhere = rules_model.base_elsewhere(fit) if codes & {*_NOTHING_FITS, *_MOVED} else ""
+    elsewhere = rules_model.base_elsewhere(fit) if codes & (_NOTHING_FITS | _MOVED) else ""
     if elsewhere:
-        reasons.insert(0, Reason("FAIL" if codes & set(_NOTHING_FITS) else "CHECK", "base_elsewhere", elsewhere))
-    elif codes & set(_NOTHING_FITS):
+        reasons.insert(0, Code.BASE_ELSEWHERE.says(elsewhere, grade="FAIL" if codes & _NOTHING_FITS else "CHECK"))
+    elif codes & _NOTHING_FITS:
         mistake = likely_mistake(fit.nominal, fit.identification.data)
         if mistake:
             text = f"{mistake}; correct the data, or the description where that is wrong"
             reasons = [reason for reason in reasons if reason.code not in _IN_MISTAKE]
-            reasons.insert(0, Reason("FAIL", "likely_mistake", text))
-    if made is not None and made.holds and (made.gain is Gain.BETTER or NOTHING_TO_CORRECT in codes):
+            reasons.insert(0, Code.LIKELY_MISTAKE.says(text))
+    if made is not None and made.holds and (made.gain is Gain.BETTER or needless):
         reasons = [replace(reason, grade="PASS") if reason.counted else reason for reason in reasons]
     reasons.sort(key=lambda reason: (_ORDER.index(reason.grade), reason.counted))
     grade = reasons[0].grade if reasons else "PASS"

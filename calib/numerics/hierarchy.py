@@ -45,9 +45,8 @@ import numpy as np
 import scipy
 
 from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.numerics.chances import FALSE_ALARM
 
-UNLIKE_BELOW = 0.01
-"""Chance that any result of a fleet is called unlike the others that is not."""
 _WEIGHT = 4.0  # nu of the module docstring
 _SMALLEST = 1e-3  # typical size r of spreads, over what is expected of single things
 _STANDS = 1e-4  # relative change of a variance
@@ -253,6 +252,6 @@ def learn_without_odd(
         p = np.array([np.nan if one is None else one.p_value() for one in compared])
         p[odd] = np.nan
         worst = int(np.nanargmin(p)) if np.any(np.isfinite(p)) else -1
-        if worst < 0 or p[worst] * len(told) >= UNLIKE_BELOW or len(odd) + 1 > (len(told) - 1) // 2:
+        if worst < 0 or p[worst] * len(told) >= FALSE_ALARM or len(odd) + 1 > (len(told) - 1) // 2:
             return whole, tuple(sorted(odd)), tuple(compared)
         odd.append(worst)

@@ -63,6 +63,7 @@ import scipy
 
 from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.base.errors import InputError, nearest
+from calib.numerics.chances import FALSE_ALARM
 from calib.numerics.statistics import Factors
 from calib.numerics.variance_components import require_freedom
 
@@ -71,8 +72,6 @@ LOSSES: tuple[Loss, ...] = get_args(Loss)
 EFFICIENCY = 0.95
 """Part of the information of normal data that a robust loss keeps."""
 _BRACKET = (0.05, 60.0)
-FALSE_ALARM = 0.01
-"""Chance that a set of good measurements shows an outlier."""
 HIGH_LEVERAGE = 0.9
 """Largest leverage along any direction, above which a reading decides its own prediction and cannot be judged."""
 _SMALLEST = 1e-6  # eigenvalue of V below which a direction has no residual left

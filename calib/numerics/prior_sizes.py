@@ -33,8 +33,9 @@ import numpy as np
 import scipy
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray
+from calib.numerics.chances import EXACT
 from calib.numerics.prior import Prior
-from calib.numerics.variance_components import EXACT, LinearModel
+from calib.numerics.variance_components import LinearModel
 
 _ROUNDS = 100
 _STANDS = 0.01  # relative change of a size at which it is found

@@ -47,10 +47,11 @@ import numpy as np
 import scipy
 
 from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.numerics.chances import UNLIKELY
 from calib.numerics.clusters import Scatter
 from calib.numerics.observability import Information
 from calib.numerics.prior import Prior
-from calib.numerics.variance_components import UNLIKELY, require_freedom
+from calib.numerics.variance_components import require_freedom
 
 DECIDED_BY_DATA = 0.9
 """Share of a parameter's expected variance that the data must remove for `identified`; up to 1 - this, `prior`."""

@@ -33,14 +33,11 @@ import scipy
 
 from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.base.errors import NotIdentifiableError
+from calib.numerics.chances import EXACT, UNLIKELY
 from calib.numerics.identifiability import reduced
 from calib.numerics.observability import Information, information
 from calib.numerics.prior import Prior
 
-UNLIKELY = 1e-3
-"""Chance below which what is found is no accident: shared errors, noise other than stated, a gain."""
-EXACT = 1e-9
-"""Noise below this [SI] is rounding: the data were computed, not measured."""
 _ROUNDS = 60
 _SETTLED = 1e-4
 _GONE = 0.03  # size of a shared error beside the scales below which one that falls is none

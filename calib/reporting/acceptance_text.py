@@ -11,8 +11,9 @@ from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale,
 from calib.base.words import as_data, counted, listed, plain_text, text_table
 from calib.fitting.error_sets import error_table
 from calib.judging.acceptance import Acceptance
-from calib.judging.promise import FALSE_ALARM, POWER, Change
+from calib.judging.promise import POWER, Change
 from calib.judging.repeatability import CONDITIONS, IsoFigure, conditions
+from calib.numerics.chances import FALSE_ALARM
 
 _SHOWN, _WIDTH = 8, 110  # changes; characters of a table
 _SAID = {

@@ -13,7 +13,8 @@ from calib.base.errors import DataError, InputError, nearest
 from calib.base.files import write_files
 from calib.base.parameter import Parameter
 from calib.base.words import as_data, counted, listed, plain_text, text_table
-from calib.numerics.hierarchy import UNLIKE_BELOW, Hierarchy, Likeness, learn_without_odd
+from calib.numerics.chances import FALSE_ALARM
+from calib.numerics.hierarchy import Hierarchy, Likeness, learn_without_odd
 from calib.reporting.result_differences import geometry, readings_of
 from calib.reporting.result_reading import load, load_uncertainty, read_result
 from calib.robots.description import description_yaml
@@ -135,7 +136,7 @@ class Fleet(ReadOnlyArrays):
             {**vars(member), "unlike": [{"parameter": name, "distance": away} for name, away in member.unlike]}
             for member in self.members
         ]
-        return as_data({"robots": members, "parameters": rows, "chance": UNLIKE_BELOW, "notes": self.notes})
+        return as_data({"robots": members, "parameters": rows, "chance": FALSE_ALARM, "notes": self.notes})
 
     def save(self, path: Path | str, *, force: bool = False) -> None:
         """Write the robot description with what the fleet says, and its URDF beside it under the same name.
@@ -289,7 +290,7 @@ def _member(folder: Path, odd: bool, compared: Likeness | None, shared: Sequence
         return Member(str(folder), grade, n_poses, odd, np.nan, np.nan, ())
     n = int(np.sum(np.isfinite(compared.p_values)))
     order = np.argsort(-np.nan_to_num(np.abs(compared.distances)))
-    unlike = [(shared[k].name, float(compared.distances[k])) for k in order if n * compared.p_values[k] < UNLIKE_BELOW]
+    unlike = [(shared[k].name, float(compared.distances[k])) for k in order if n * compared.p_values[k] < FALSE_ALARM]
     return Member(str(folder), grade, n_poses, odd, compared.together, compared.p_value(), tuple(unlike) if odd else ())
 
 

@@ -14,7 +14,7 @@ from calib.data.in_memory import PosesLike, as_poses
 from calib.fitting.estimates import NUMBERS, Correlation, Covariance, Estimate, Estimates
 from calib.fitting.fitted import Fit
 from calib.joint_terms.term import Context
-from calib.judging.reasons import NOTHING_TO_CORRECT
+from calib.judging.reasons import Code
 from calib.reporting.result_reading import joints_used, load, load_uncertainty, read_result
 from calib.robots.held import Holds
 from calib.robots.robot import Robot
@@ -60,7 +60,7 @@ class LoadedResult(ReadOnlyArrays):
     def known(self) -> KnownRobot:
         """The robot, with how well it is known."""
         codes = self.content.get("verdict", {}).get("codes", ())
-        return KnownRobot(self.robot, self.uncertainty, self.joints, NOTHING_TO_CORRECT in codes)
+        return KnownRobot(self.robot, self.uncertainty, self.joints, Code.NOTHING_TO_CORRECT in codes)
 
     @property
     def free_names(self) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from calib.data.tables import read_table
 from calib.fitting.terms.joint_curves import beyond_learned
 from calib.joint_terms.terms import stored_terms
 from calib.judging.promise import Promise
-from calib.judging.reasons import NOTHING_TO_CORRECT
+from calib.judging.reasons import Code
 from calib.reporting.files_held import file_entry, stored_files
 from calib.reporting.result_content import FORMAT_VERSION, NOMINAL_URDF, NOMINAL_YAML
 from calib.reporting.result_format import damage
@@ -209,7 +209,7 @@ def load_known(folder: Path | str, robot: Robot) -> KnownRobot:
     calibrated = load_calibrated(folder, robot)
     codes = read_result(folder).get("verdict", {}).get("codes", ())
     return KnownRobot(
-        calibrated, load_uncertainty(folder, calibrated), joints_used(folder, robot), NOTHING_TO_CORRECT in codes
+        calibrated, load_uncertainty(folder, calibrated), joints_used(folder, robot), Code.NOTHING_TO_CORRECT in codes
     )
 
 

@@ -25,9 +25,9 @@ from calib.data.grouping import boxes
 from calib.fitting.fitted import Fit
 from calib.fitting.terms.candidate_terms import Candidate
 from calib.fitting.validation import stretches
+from calib.numerics.chances import EXACT
 from calib.numerics.prior import Prior
 from calib.numerics.prior_sizes import FamilyModel, Products, SizedModel, found_with_families, log_evidence
-from calib.numerics.variance_components import EXACT
 from calib.rows.jacobian import linearise
 from calib.rows.observed import observe
 from calib.rows.prediction import beside_common_motion, other_combinations

@@ -17,15 +17,22 @@ from calib import Fit, Robot
 from calib.base.version import PROGRAM
 from calib.base.words import sentence
 from calib.judging.verdict import judge
+from calib.reporting.accuracy import accuracy
 from calib.reporting.files_held import worth_of_files
 from calib.reporting.fit_notes import notes
-from calib.reporting.result_content import budget_table, outlier_rows, parameter_rows, position_uncertainty_table
+from calib.reporting.result_content import (
+    budget_table,
+    excluded_rows,
+    outlier_rows,
+    parameter_rows,
+    position_uncertainty_table,
+)
 from viz.part_plots import part_plots
 from viz.plots import all_plots, budget_bars
 from viz.pose_sources import from_fit
 from viz.remarks import fit_remarks, record, signatures
 from viz.rendering import picture_of
-from viz.report_tables import accuracy, extent, headline, judged_by, left_out, noise_lines, unsure, worst
+from viz.report_tables import extent, headline, judged_by, noise_lines, unsure, worst
 from viz.scene import Scene, joints_of, scene_of_fit
 from viz.viewer_page import Page
 
@@ -93,7 +100,7 @@ def report_page(
             parameters=[row for row in parameter_rows(fit) if not row["family"]],
             notes=notes(fit, brief=True),
             unsure=unsure(fit),
-            outliers=left_out(fit) + outlier_rows(fit),
+            outliers=[row | {"set": "left out"} for row in excluded_rows(fit)] + outlier_rows(fit),
             only_positions=all(part.is_position for one in fit.nominal.instruments for part in one.parts),
             reach=position_uncertainty_table(fit),
             reach_of="identification" if fit.validation is None else "validation",

@@ -1,49 +1,22 @@
-"""The numbers of a report: accuracy part by part, noise, outliers, and where the robot is worst."""
+"""The numbers of a report beside its tables: what counts, noise, and where the robot is worst."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from calib import Fit
 from calib.base.arrays import FloatArray
 from calib.base.units import ERROR_UNIT, error_scale
-from calib.fitting.error_sets import STATES, ErrorSet, error_table
-from calib.fitting.outliers import Outlier
+from calib.fitting.error_sets import ErrorSet
 from calib.instruments.kind import Part
-from calib.reporting.result_content import error_sets, parameter_rows
+from calib.reporting.accuracy import NAMES, Accuracy, AccuracyTable, error_sets
+from calib.reporting.result_content import parameter_rows
 from viz.pose_sources import of_errors
 from viz.poses import IDENTIFICATION, VALIDATION, PoseTable, averaged
 
-_NAMES = {"cross_validation": "left out in turns"}
 _JUDGED_BY = ("validation", "left out in turns", "identification")
-
-
-@dataclass(frozen=True)
-class Accuracy:
-    """One line of an accuracy table; numbers as `calib.fitting.error_sets.error_table` gives them."""
-
-    group: str
-    state: str
-    poses: int
-    errors: dict[str, Any]
-
-
-@dataclass(frozen=True)
-class AccuracyTable:
-    """Errors of one part of the readings, in its unit of errors.
-
-    Attributes:
-        part: The part.
-        unit: Unit of all numbers.
-        lines: Each set before and after calibration.
-    """
-
-    part: Part
-    unit: str
-    lines: tuple[Accuracy, ...]
 
 
 @dataclass(frozen=True)
@@ -68,7 +41,7 @@ def headline(tables: list[AccuracyTable], part: Part) -> tuple[AccuracyTable, Ac
 
 def judged_by(fit: Fit) -> ErrorSet:
     """Return the errors that count, as in `headline`."""
-    sets = {_NAMES.get(name, name): errors for name, errors in error_sets(fit)}
+    sets = {NAMES.get(name, name): errors for name, errors in error_sets(fit)}
     return next(sets[name] for name in _JUDGED_BY if name in sets)
 
 
@@ -126,25 +99,6 @@ def noise_lines(fit: Fit) -> list[NoiseLine]:
     return lines
 
 
-def accuracy(fit: Fit) -> list[AccuracyTable]:
-    """Return a table for each part that was read: each set before and after calibration."""
-    sets: list[tuple[str, ErrorSet, tuple[str, ...]]]
-    sets = [(_NAMES.get(name, name), error_set, STATES) for name, error_set in error_sets(fit)]
-    if fit.with_all is not None:
-        sets.append(("with outliers", fit.with_all.identification, STATES[1:]))
-    parts = dict.fromkeys(part for _, error_set, _ in sets for _, part, _ in error_set.parts())
-    tables = []
-    for part in parts:
-        lines = []
-        for group, error_set, states in sets:
-            for state in states:
-                errors = error_set.errors(state, part.name)
-                if len(errors):
-                    lines.append(Accuracy(group, state, error_set.data.n_poses, error_table(errors, part)))
-        tables.append(AccuracyTable(part, ERROR_UNIT[part.dimension], tuple(lines)))
-    return tables
-
-
 def unsure(fit: Fit) -> dict[str, list[str]]:
     """Return the names of parameters that the measurements do not decide, by status."""
     by_status: dict[str, list[str]] = {}
@@ -152,27 +106,3 @@ def unsure(fit: Fit) -> dict[str, list[str]]:
         if row["status"] not in ("identified", "placed") and not row["family"]:
             by_status.setdefault(str(row["status"]), []).append(str(row["name"]))
     return by_status
-
-
-def left_out(fit: Fit) -> list[dict[str, Any]]:
-    """Return the outliers that were left out of the fit, in the form of `outlier_rows`."""
-    if fit.with_all is None:
-        return []
-    errors = fit.with_all.identification
-    return [
-        {
-            "set": "left out",
-            "pose": errors.data.names[outlier.pose],
-            "target": outlier.target,
-            "distance": _distance(errors, outlier),
-            "size": outlier.size,
-            "over_noise": outlier.studentised,
-            "leverage": outlier.leverage,
-        }
-        for outlier in fit.excluded
-    ]
-
-
-def _distance(errors: ErrorSet, outlier: Outlier) -> float:
-    one = next(one for one in errors.instruments if one.name == outlier.target)
-    return outlier.distance * error_scale(one.parts[0].dimension)

@@ -37,7 +37,6 @@ from calib.fitting.pose_checks import check_measurements, require_identifiable
 from calib.fitting.problem import Evaluation, Problem
 from calib.fitting.settings import Settings
 from calib.fitting.solving import convergence_at, place, seen_from, solve_from, uncertainty_at
-from calib.fitting.unseen_places import placed_by, unseen
 from calib.numerics.observability import observability
 from calib.robots.robot import Configurations, Robot
 from calib.rows.observed import observe
@@ -69,7 +68,7 @@ def fit_data(
             `calib.calibrating.calibrate.calibrate`.
     """
     steps = steps or Steps()
-    later = () if validation is None else unseen(robot, data, validation)
+    later = () if validation is None else _unseen(robot, data, validation)
     seen = robot.fix(*later) if later else robot
     check_measurements(seen, data)
     problem = Problem(seen, data, settings.sigma)
@@ -87,7 +86,7 @@ def fit_data(
     rows, scales, uncertainty = uncertainty_at(problem, final, solved, settings, bent)
     calibrated = solved.robot
     if validation is not None and later:
-        placed, calibrated = (placed_by(validation, one.free(*later), later) for one in (placed, calibrated))
+        placed, calibrated = (_placed_by(validation, one.free(*later), later) for one in (placed, calibrated))
     fit = Fit(
         nominal=robot,
         placed=placed,
@@ -142,6 +141,50 @@ def _observability(problem: Problem, final: Evaluation, rank: int) -> dict[str, 
     rows = problem.whitening.rows(final.observed, units, own, own.deviations(final.robot.values))
     factor = rows.factor[:, :-1]
     return observability(np.linalg.svd(factor, compute_uv=False)[:rank], len(problem.data))
+
+
+def _unseen(robot: Robot, data: Measurements, later: Measurements) -> tuple[str, ...]:
+    """Return the free parameters of places that readings of `later` look at, or from, and those of `data` do not.
+
+    Such as a tool or a tracker put up anew for the validation. Where they are says nothing about the robot, so they are
+    placed by the later readings alone, before and after calibration: what is left is what the robot itself is off.
+    Few poses of a small part of joint space let such a place take up errors of the robot.
+
+    Args:
+        robot: The robot.
+        data: Measurements to fit.
+        later: Others.
+    """
+    new = _origins(robot, later) - _origins(robot, data)
+    free = zip(robot.parameters, robot.is_free, strict=True)
+    return tuple(p.name for p, is_free in free if p.placement and is_free and p.name.rpartition(".")[0] in new)
+
+
+def _placed_by(later: Measurements, robot: Robot, names: tuple[str, ...]) -> Robot:
+    """Return a robot with these places where some measurements alone show them, all else as it is.
+
+    Args:
+        later: Measurements that show them.
+        robot: The robot, before or after calibration; of the places, the free ones are placed.
+        names: Parameters of the places.
+
+    Raises:
+        NotConvergedError: They cannot be placed.
+        UnreachablePoseError: A pose cannot be assembled.
+    """
+    others = [p.name for p in robot.parameters if p.name not in names]
+    alone = robot.fix(*others)
+    return robot.with_parameters(place(Problem(alone, later)).values)
+
+
+def _origins(robot: Robot, data: Measurements) -> set[str]:
+    """Names of the origins at both ends of all that was read."""
+    names, found = ("", *robot.mechanism.origin_names), set[str]()
+    for name, readings in data.readings.items():
+        pairs = robot.pairs(robot.instrument(name))
+        for pair in {int(k) for k in readings.pairs}:
+            found |= {names[pairs[pair].a], names[pairs[pair].b]}
+    return found
 
 
 def errors_on(placed: Robot, calibrated: Robot, data: Measurements) -> ErrorSet:

@@ -10,8 +10,7 @@ from calib.base.units import millimetres
 from calib.data.measurements import Measurements, Poses
 from calib.fitting.fitted import Fit
 from calib.judging import findings
-from calib.judging.effect_setting import has_time
-from calib.judging.effects import scale
+from calib.judging.effects import has_time, scale
 from calib.judging.error_budget import ENOUGH_REPEATS
 from calib.judging.repeatability import repeatability
 from calib.judging.rules_reach import terms_beyond

@@ -15,7 +15,7 @@ from calib.base.threads import one_blas_thread
 from calib.fitting.fitted import Fit
 from calib.fitting.outliers import Outlier, blocks, outliers_of
 from calib.judging import systematic
-from calib.judging.effect_setting import EffectSetting
+from calib.judging.effects import EffectSetting
 from calib.judging.error_budget import ErrorBudget, error_budget
 from calib.judging.systematic import Pattern, Residuals
 from calib.numerics import losses

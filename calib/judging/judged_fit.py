@@ -8,7 +8,7 @@ from typing import Self
 from calib.fitting.fitted import Fit
 from calib.fitting.outliers import Outlier
 from calib.judging import findings
-from calib.judging.effect_setting import EffectSetting
+from calib.judging.effects import EffectSetting
 from calib.judging.error_budget import ErrorBudget
 from calib.judging.reasons import Verdict
 from calib.judging.systematic import Pattern, Residuals

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
+from calib.base.errors import CalibrationError
 from calib.base.units import ERROR_UNIT, error_scale, millimetres
+from calib.data.measurements import Measurements
 from calib.fitting.fitted import Fit, FoundNoise
 from calib.judging.better_or_worse import comparisons
-from calib.judging.other_meanings import other_meaning
 from calib.judging.reasons import Code, Reason
 from calib.numerics.chances import UNLIKELY
 from calib.numerics.statistics import chi_square
+from calib.robots.robot import Robot
+from calib.rows.observed import observe
+from calib.rows.registration import register
 
 NOISE_RATIO = 3.0
 """Found over stated noise from which the statement, or the model, is wrong."""
@@ -24,6 +29,9 @@ DOUBTFUL = 0.05
 """Noise, over that which no such instrument has, from which other meanings of its numbers are tried."""
 LEFT_OUT = 0.01
 """Noise, over the spread of the measured positions, that a model of a healthy robot may leave."""
+_CLOSER = 0.2  # error with another meaning over that with the present one
+_TRIED = 20  # of many poses, so many are enough
+_FEWEST_READINGS = 4
 
 
 def noise(fit: Fit) -> Iterator[Reason]:
@@ -53,7 +61,7 @@ def misread(fit: Fit) -> Iterator[Reason]:
             continue
         data, beyond = fit.identification.data, ""
         readers = [name for name in data.readings if fit.nominal.instrument(name).group == one.group.name]
-        meaning = next(filter(None, (other_meaning(fit.nominal, data, name) for name in readers)), "")
+        meaning = next(filter(None, (_other_meaning(fit.nominal, data, name) for name in readers)), "")
         if one.sigma > one.group.largest:
             beyond = f", more than any such instrument has ({in_words(one, one.group.largest)})"
         if meaning or beyond:
@@ -61,6 +69,39 @@ def misread(fit: Fit) -> Iterator[Reason]:
                 f"noise found of {one.group.name}, {one.group.part}, is {in_words(one, one.sigma)} per axis{beyond}:"
                 f" the numbers mean something else; {meaning or 'look at their order, form, unit and frame'}"
             )
+
+
+def _other_meaning(robot: Robot, data: Measurements, name: str) -> str:
+    """Return what the numbers of an instrument look like in place of what they were read as; empty if nothing else.
+
+    Each meaning that a kind of measurement knows, such as quaternions in another order, is tried on the nominal robot,
+    with base and targets placed by it. One that brings the readings much nearer than they stand is named.
+    """
+    some = data.subset(np.unique(np.linspace(0, len(data) - 1, _TRIED).astype(np.intp)))
+    readings = some.readings.get(name)
+    if readings is None or len(readings) < _FEWEST_READINGS or not np.isfinite(readings.values).all():
+        return ""
+    tried = []
+    for words, values in robot.instrument(name).other_meanings(readings.values):
+        changed = replace(some, readings={**some.readings, name: replace(readings, values=values)})
+        tried.append((_nominal_error(robot, changed, name), words))
+    best, words = min(tried, default=(np.inf, ""))
+    now = _nominal_error(robot, some, name)
+    if not best < _CLOSER * now:
+        return ""
+    return f"it looks as if {words}: with that undone, the nominal robot comes {now / max(best, 1e-9):.0f} times closer"
+
+
+def _nominal_error(robot: Robot, data: Measurements, name: str) -> float:
+    """Root mean square error of the rows whose numbers may mean something else, by the nominal robot [SI]."""
+    one = robot.instrument(name)
+    rows = [k for k, part in enumerate(one.part_of_row) if np.isfinite(one.parts[part].largest)]
+    try:
+        placed = register(robot, data)
+        observed = observe(placed, placed.assemble(data.joints, context=data.conditions), data.readings)
+    except CalibrationError:
+        return float("inf")
+    return float(np.sqrt(np.mean(observed[name].residuals[:, rows] ** 2)))
 
 
 def in_words(one: FoundNoise, size: float, digits: int = 3) -> str:

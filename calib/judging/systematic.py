@@ -41,8 +41,7 @@ import scipy
 
 from calib.base.arrays import FloatArray
 from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, Dimension, display_scale, error_scale, millimetres
-from calib.judging.effect_setting import EffectSetting
-from calib.judging.effects import FAMILIES, ORDERS, Effect, Kind, Waves, effects
+from calib.judging.effects import FAMILIES, ORDERS, Effect, EffectSetting, Kind, Waves, effects
 from calib.numerics.chances import EXACT, FALSE_ALARM
 from calib.rows.rows import Rows
 

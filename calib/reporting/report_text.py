@@ -7,21 +7,18 @@ from typing import Any, cast
 import numpy as np
 from rich.table import Table
 
-from calib.base.units import ERROR_UNIT
 from calib.base.words import counted, plain_text, text_table
-from calib.fitting.error_sets import STATES, ErrorSet, error_table, format_error
 from calib.fitting.estimates import Estimate
 from calib.fitting.fitted import Fit
-from calib.instruments.kind import Part
 from calib.judging.reasons import Verdict
 from calib.judging.verdict import judge
+from calib.reporting.accuracy import accuracy_text, change_text
 from calib.reporting.files_held import worth_of_files
 from calib.reporting.fit_notes import notes, outliers_left_out, terms_added
-from calib.reporting.result_content import budget_table, error_sets, parameter_rows
+from calib.reporting.result_content import budget_table, parameter_rows
 
 _MOST_REASONS = 3
 _MOST_CHANGES = 5
-_NAMES = {"cross_validation": "left out in turns"}
 
 
 def text_report(fit: Fit, width: int = 120, *, verbose: bool = False) -> str:
@@ -37,18 +34,18 @@ def text_report(fit: Fit, width: int = 120, *, verbose: bool = False) -> str:
     title = f"Calibration of {fit.nominal.name} ({fit.nominal.path})"
     parts: list[str | Table]
     if verbose:
-        accuracy = [*_accuracy(fit), *_files(fit), *_budget(fit)]
+        accuracy = [*accuracy_text(fit), *_files(fit), *_budget(fit)]
         parts = [title, *verdict_lines(verdict), *accuracy, _parameters(fit), *notes(fit)]
     else:
         told = [*terms_added(fit), *outliers_left_out(fit), *_worth(fit)]
-        parts = [title, *verdict_lines(verdict, _MOST_REASONS), "", _change(fit), *told, *_changed_most(fit)]
+        parts = [title, *verdict_lines(verdict, _MOST_REASONS), "", change_text(fit), *told, *_changed_most(fit)]
     return plain_text(parts, width, wrap=True)
 
 
 def summary(fit: Fit, width: int = 120) -> str:
     """Return verdict and errors before and after: the beginning of `text_report`."""
     head = f"Calibration of {fit.nominal.name} ({fit.nominal.path})"
-    return plain_text([head, *verdict_lines(judge(fit), _MOST_REASONS), "", _change(fit)], width, wrap=True)
+    return plain_text([head, *verdict_lines(judge(fit), _MOST_REASONS), "", change_text(fit)], width, wrap=True)
 
 
 def verdict_lines(verdict: Verdict, most: int | None = None) -> list[str]:
@@ -68,24 +65,6 @@ def verdict_lines(verdict: Verdict, most: int | None = None) -> list[str]:
         reasons = reasons[:most]
         not_covered = [f"  {' and '.join(more)}: see report.html, or use --verbose"] if more else []
     return [f"Verdict: {verdict.grade}", *claimed, *reasons, *not_covered]
-
-
-def _change(fit: Fit) -> Table:
-    """Errors before and after, one line for each part of each set of poses."""
-    what = "error before -> after"
-    table = text_table((what, "poses", "mean", "RMS", "95 %", "largest"), (what,), plain=True)
-    parts = dict.fromkeys(part for _, errors in error_sets(fit) for _, part, _ in errors.parts())
-    for part in parts:
-        for label, found in error_sets(fit):
-            errors = [found.errors(state, part.name) for state in STATES]
-            if not all(len(one) for one in errors):
-                continue
-            tables = [error_table(one, part) for one in errors]
-            pairs = [[cast(float, one[key]) for one in tables] for key in ("mean", "rms", "p95", "max")]
-            cells = [" -> ".join(f"{value:.4f}" for value in pair) for pair in pairs]
-            name = f"{part.name} [{ERROR_UNIT[part.dimension]}], {_NAMES.get(label, label)}"
-            table.add_row(name, str(found.data.n_poses), *cells)
-    return table
 
 
 def _changed_most(fit: Fit) -> list[str | Table]:
@@ -115,31 +94,6 @@ def _worth(fit: Fit) -> list[str]:
     withheld = {True: " (withheld)", False: ""}
     lines = [f"{one.holds} {one.rms:.4f}{withheld[one.formats.startswith('withheld')]}" for one in worth.lines]
     return [f"What files are worth, {worth.unit} RMS ({worth.part} error, {worth.where}): {', '.join(lines)}"]
-
-
-def _accuracy(fit: Fit) -> list[Table]:
-    """One table for each part that was measured."""
-    parts = dict.fromkeys(part for _, errors in error_sets(fit) for _, part, _ in errors.parts())
-    return [_accuracy_of(fit, part) for part in parts]
-
-
-def _accuracy_of(fit: Fit, part: Part) -> Table:
-    axes = ", ".join(f"|{axis}|" for axis in part.axes)
-    title = f"{part.name.capitalize()} error, {ERROR_UNIT[part.dimension]} ({axes}: mean)"
-    headers = ("", "poses", "mean", "max", "rms", "std", "95 %", *(f"|{axis}|" for axis in part.axes))
-    table = text_table(headers, title=title)
-    sets: list[tuple[str, ErrorSet, tuple[str, ...]]] = [
-        (_NAMES.get(label, label), error_set, STATES) for label, error_set in error_sets(fit)
-    ]
-    if fit.with_all is not None:
-        sets.append(("with outliers", fit.with_all.identification, STATES[1:]))
-    for label, error_set, states in sets:
-        for state in states:
-            errors = error_set.errors(state, part.name)
-            if len(errors):
-                cells = format_error(error_table(errors, part))
-                table.add_row(f"{label}, {state}", str(error_set.data.n_poses), *cells)
-    return table
 
 
 def _files(fit: Fit) -> list[Table]:

@@ -21,6 +21,7 @@ from calib.fitting.terms.joint_curves import joint_curves
 from calib.judging import findings
 from calib.judging.repeatability import repeatability, repeats
 from calib.judging.verdict import judge
+from calib.reporting.accuracy import error_sets
 from calib.reporting.files_held import file_entries
 from calib.rows.prediction import PositionUncertainty
 from calib.rows.rows import Rows
@@ -84,7 +85,7 @@ def to_dict(fit: Fit, *, forced: bool = False) -> dict[str, object]:
             "position_uncertainty": position_uncertainty_table(fit),
             "loss": fit.loss,
             "outliers": outlier_rows(fit),
-            "excluded": [_outlier(fit.with_all, "identification", found) for found in fit.excluded],
+            "excluded": excluded_rows(fit),
             "with_excluded": _with_excluded(fit),
             "patterns": [asdict(pattern) for pattern in findings.patterns(fit)],
             "starts": _starts(fit),
@@ -99,16 +100,6 @@ def comments(fit: Fit) -> list[str]:
     """Return what the measurement files say about themselves, each line once."""
     files = [fit.identification.data] + ([] if fit.validation is None else [fit.validation.data])
     return list(dict.fromkeys(line for data in files for line in data.comments))
-
-
-def error_sets(fit: Fit) -> list[tuple[str, ErrorSet]]:
-    """Return every set of poses with errors, by name."""
-    sets = [("identification", fit.identification)]
-    if fit.validation is not None:
-        sets.append(("validation", fit.validation))
-    if fit.folds is not None:
-        sets.append(("cross_validation", fit.folds.errors))
-    return sets
 
 
 def parameter_rows(fit: Fit) -> list[dict[str, object]]:
@@ -185,6 +176,11 @@ def outlier_rows(fit: Fit) -> list[dict[str, object]]:
     """Return the outliers of both sets, worst first in each."""
     rows = [_outlier(fit, "identification", outlier) for outlier in findings.outliers(fit)]
     return rows + [_outlier(fit, "validation", outlier) for outlier in findings.validation_outliers(fit)]
+
+
+def excluded_rows(fit: Fit) -> list[dict[str, object]]:
+    """Return the outliers that were left out of the fit."""
+    return [_outlier(fit.with_all, "identification", outlier) for outlier in fit.excluded]
 
 
 def _outlier(fit: Fit | None, label: str, outlier: Outlier) -> dict[str, object]:

@@ -1,0 +1,102 @@
+"""How far off the robot is before and after a fit, part by part and set by set: the numbers, and as text."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+from rich.table import Table
+
+from calib.base.units import ERROR_UNIT
+from calib.base.words import text_table
+from calib.fitting.error_sets import STATES, ErrorSet, error_table, format_error
+from calib.fitting.fitted import Fit
+from calib.instruments.kind import Part
+
+NAMES = {"cross_validation": "left out in turns"}
+"""Sets of poses that people know by another name."""
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """One line of an accuracy table; numbers as `error_table` gives them."""
+
+    group: str
+    state: str
+    poses: int
+    errors: dict[str, object]
+
+
+@dataclass(frozen=True)
+class AccuracyTable:
+    """Errors of one part of the readings, in its unit of errors.
+
+    Attributes:
+        part: The part.
+        unit: Unit of all numbers.
+        lines: Each set before and after calibration.
+    """
+
+    part: Part
+    unit: str
+    lines: tuple[Accuracy, ...]
+
+
+def error_sets(fit: Fit) -> list[tuple[str, ErrorSet]]:
+    """Return every set of poses with errors, by name."""
+    sets = [("identification", fit.identification)]
+    if fit.validation is not None:
+        sets.append(("validation", fit.validation))
+    if fit.folds is not None:
+        sets.append(("cross_validation", fit.folds.errors))
+    return sets
+
+
+def accuracy(fit: Fit) -> list[AccuracyTable]:
+    """Return a table for each part that was read: each set before and after calibration."""
+    sets: list[tuple[str, ErrorSet, tuple[str, ...]]]
+    sets = [(NAMES.get(name, name), error_set, STATES) for name, error_set in error_sets(fit)]
+    if fit.with_all is not None:
+        sets.append(("with outliers", fit.with_all.identification, STATES[1:]))
+    parts = dict.fromkeys(part for _, error_set, _ in sets for _, part, _ in error_set.parts())
+    tables = []
+    for part in parts:
+        lines = []
+        for group, error_set, states in sets:
+            for state in states:
+                errors = error_set.errors(state, part.name)
+                if len(errors):
+                    lines.append(Accuracy(group, state, error_set.data.n_poses, error_table(errors, part)))
+        tables.append(AccuracyTable(part, ERROR_UNIT[part.dimension], tuple(lines)))
+    return tables
+
+
+def accuracy_text(fit: Fit) -> list[Table]:
+    """Return one table for each part that was read."""
+    tables = []
+    for found in accuracy(fit):
+        axes = [f"|{axis}|" for axis in found.part.axes]
+        title = f"{found.part.name.capitalize()} error, {found.unit} ({', '.join(axes)}: mean)"
+        table = text_table(("", "poses", "mean", "max", "rms", "std", "95 %", *axes), title=title)
+        for line in found.lines:
+            table.add_row(f"{line.group}, {line.state}", str(line.poses), *format_error(line.errors))
+        tables.append(table)
+    return tables
+
+
+def change_text(fit: Fit) -> Table:
+    """Return errors before and after, one line for each part of each set of poses."""
+    what = "error before -> after"
+    table = text_table((what, "poses", "mean", "RMS", "95 %", "largest"), (what,), plain=True)
+    parts = dict.fromkeys(part for _, errors in error_sets(fit) for _, part, _ in errors.parts())
+    for part in parts:
+        for label, found in error_sets(fit):
+            errors = [found.errors(state, part.name) for state in STATES]
+            if not all(len(one) for one in errors):
+                continue
+            tables = [error_table(one, part) for one in errors]
+            pairs = [[cast(float, one[key]) for one in tables] for key in ("mean", "rms", "p95", "max")]
+            cells = [" -> ".join(f"{value:.4f}" for value in pair) for pair in pairs]
+            name = f"{part.name} [{ERROR_UNIT[part.dimension]}], {NAMES.get(label, label)}"
+            table.add_row(name, str(found.data.n_poses), *cells)
+    return table

@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from calib.base.errors import DataError, NotIdentifiableError
 from calib.photographs import starts
-from calib.photographs.answer import Frames, content, files, judge, report
 from calib.photographs.calibrating import calibrate, rms
 from calib.photographs.estimation import Noise, estimate, left_out, solve
+from calib.photographs.hand_eye_result import Frames, content, files, judge, report
 from calib.photographs.scene import Placed, on_board, residuals, rows
 
 

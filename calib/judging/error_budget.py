@@ -43,6 +43,7 @@ from calib.base.arrays import BoolArray, FloatArray, IntArray
 from calib.fitting.error_sets import ErrorSet
 from calib.instruments.kind import Part
 from calib.judging.repeatability import repeatability
+from calib.numerics.identifiability import RANK_TOLERANCE
 from calib.robots.robot import Robot
 from calib.rows.observed import observe
 from calib.rows.rows import Layout, Rows
@@ -54,7 +55,6 @@ NOISE, UNEXPLAINED = "noise", "not explained"
 REST = "noise or not explained: cannot be told apart"
 ENOUGH_REPEATS = 10.0
 """Degrees of freedom that repeats need to count as known noise."""
-_OPEN = 1e-9  # singular value over the largest, from which on a direction counts
 _AS_LARGE = 1.1  # left over noise (RMS) up to which the rest is as large as the noise
 _SURE = 0.5  # mean square not explained over that of noise, below which two standard deviations must end
 
@@ -250,7 +250,7 @@ def _span(columns: FloatArray) -> FloatArray:
     """Return orthonormal directions of what columns (n, k) span, (n, rank)."""
     length = np.linalg.norm(columns, axis=0)
     u, s, _ = np.linalg.svd(columns / np.where(length > 0, length, 1.0), full_matrices=False)
-    return u[:, s > _OPEN * np.max(s, initial=0.0)]
+    return u[:, s > RANK_TOLERANCE * np.max(s, initial=0.0)]
 
 
 def _flat(arrays: Mapping[str, FloatArray], layout: Layout) -> FloatArray:

@@ -125,9 +125,9 @@ class Code(StrEnum):
             grade: Where it is not that of the table; a FAIL is never counted.
             counted: Where it is not that of the table.
         """
-        grade = grade or self.grade
+        told = grade or self.grade
         counts = self.counted if counted is None else counted
-        return Reason(grade, self.value, text, counts and grade != "FAIL", self.answer)
+        return Reason(told, self.value, text, counts and told != "FAIL", self.answer)
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,9 @@
 """What a set of poses determines, and how well: everything that `calib check` tells.
 
-Families of joint terms (curves), whose priors are found from data, are left out of all of this. Matrices from the
-floors
-below are put together for one robot and one set of poses: rank and gap of all parameters and
+Matrices from the floors below are put together for one robot and one set of poses: rank and gap of all parameters and
 of the free ones, groups that move together unseen, which parameters to hold, observability, and, with priors and
 noise, the predicted standard deviation of every parameter, their correlations, and the predicted position error.
+Families of joint terms (curves), whose priors are found from data, are left out of all of this.
 """
 
 from __future__ import annotations

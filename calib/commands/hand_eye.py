@@ -189,7 +189,7 @@ def _tools(
         joints = values[:, np.array([names.index(name) for name in model.joint_names])]
         return {one.name: k for k, one in enumerate(seen)}, model.forward(joints)
     names, tool = read_tool_poses(poses, robot=model, angles=angles)
-    chosen, remarks = matched([one.name for one in seen], names, tool, poses)
+    chosen, remarks = matched([one.name for one in seen], names, poses)
     output.remarks([f"left out: {text}" for text in remarks])
     return {names[k]: k for k in chosen}, tool
 

@@ -83,7 +83,7 @@ def fit_data(
     require_identifiable(problem, final)
     bent = None if beyond_linear is None else beyond_linear[problem.unknowns.index]
     bent = None if bent is None or np.any(np.isnan(bent)) else bent
-    rows, scales, uncertainty = uncertainty_at(problem, final, solved, settings, bent)
+    rows, scales, uncertainty = uncertainty_at(problem, final, solved, bent)
     calibrated = solved.robot
     if validation is not None and later:
         placed, calibrated = (_placed_by(validation, one.free(*later), later) for one in (placed, calibrated))

@@ -282,7 +282,7 @@ def _contradicted(problem: Problem, evaluation: Evaluation, groups: FloatArray) 
 
 
 def uncertainty_at(
-    problem: Problem, final: Evaluation, solved: Solved, settings: Settings, beyond_linear: FloatArray | None = None
+    problem: Problem, final: Evaluation, solved: Solved, beyond_linear: FloatArray | None = None
 ) -> tuple[Rows, Scales, Statistics]:
     """Return the rows at a minimum, what is assumed of their noise, and the uncertainty of the parameters.
 
@@ -290,7 +290,6 @@ def uncertainty_at(
         problem: The problem.
         final: The evaluation at the minimum.
         solved: The minimum.
-        settings: How it was found.
         beyond_linear: `Statistics.beyond_linear` of a minimum nearby, (n_free,), if it is known.
 
     Raises:

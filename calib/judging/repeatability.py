@@ -121,15 +121,12 @@ def repeats(errors: ErrorSet) -> Repeats | None:
     several = _repeated(errors)
     if not several:
         return None
-    spread = []
-    for one in several:
-        spread.append(iso9283.repeatability(one.after))
     return Repeats(
         np.array([one.pose for one in several], dtype=np.intp),
         np.array([len(one.after) for one in several], dtype=np.intp),
         np.array([np.linalg.norm(one.before.mean(axis=0)) for one in several]),
         np.array([np.linalg.norm(one.after.mean(axis=0)) for one in several]),
-        np.array(spread),
+        np.array([iso9283.repeatability(one.after) for one in several]),
     )
 
 

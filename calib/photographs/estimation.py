@@ -286,7 +286,7 @@ def estimate(
         placed, weights = plain(scene, start, free, prior, scaled=scaled)
         linear = linearised(scene, placed, free, scaled)
         noise = found_noise(linear, prior, placed.intrinsics[list(free)], near)
-        return _finished(scene, linear, placed, free, noise, weights, prior, scaled)
+        return _finished(linear, placed, free, noise, weights, prior, scaled)
     placed, before = start, near
     for _ in range(_NOISE_ROUNDS):
         linear = linearised(scene, placed, free, scaled)
@@ -299,7 +299,7 @@ def estimate(
         raise NotConvergedError("the noise of the photographs could not be found from what is left")
     linear = linearised(scene, placed, free, scaled)
     require_determined(normal_equations(linear, noise, prior, placed.intrinsics[list(free)])[0], scene)
-    return _finished(scene, linear, placed, free, noise, noise, prior, scaled)
+    return _finished(linear, placed, free, noise, noise, prior, scaled)
 
 
 def plain(
@@ -337,7 +337,6 @@ def _alike(one: Noise, other: Noise) -> bool:
 
 
 def _finished(
-    scene: Scene,
     linear: Linear,
     placed: Placed,
     free: tuple[int, ...],

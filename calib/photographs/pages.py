@@ -87,7 +87,7 @@ def _figure(one: Picture) -> str:
     radius = max(width, height) / 160
     address = f"data:image/jpeg;base64,{base64.b64encode(one.small).decode()}"
     marks = "".join(f'<circle cx="{u:.1f}" cy="{v:.1f}" r="{radius:.1f}"/>' for u, v in one.found.pixels)
-    line = "".join(_arrow(start, end, width) for start, end in zip(one.found.pixels, one.arrows, strict=False))
+    line = "".join(_arrow(start, end) for start, end in zip(one.found.pixels, one.arrows, strict=False))
     first = ""
     if len(one.found.pixels):
         (u, v), name = one.found.pixels[0], one.found.points[0]
@@ -102,7 +102,7 @@ def _figure(one: Picture) -> str:
     )
 
 
-def _arrow(start: FloatArray, end: FloatArray, width: int) -> str:
+def _arrow(start: FloatArray, end: FloatArray) -> str:
     (u, v), (x, y) = start, end
     return f'<line x1="{u:.1f}" y1="{v:.1f}" x2="{x:.1f}" y2="{y:.1f}"/>'
 

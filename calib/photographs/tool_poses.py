@@ -130,13 +130,12 @@ def _by_joints(table: Table, robot: Robot) -> FloatArray:
     return robot.forward(joints)
 
 
-def matched(seen: Sequence[str], names: Sequence[str], poses: FloatArray, where: str) -> tuple[list[int], list[str]]:
+def matched(seen: Sequence[str], names: Sequence[str], where: str) -> tuple[list[int], list[str]]:
     """Return the row of each image that was seen, and in words which images have none.
 
     Args:
         seen: Names of images with a board.
         names: Image of each row.
-        poses: (n, 4, 4) [m].
         where: Of the rows, for messages.
 
     Raises:

@@ -113,7 +113,7 @@ class Repeated:
     def _from(self, problem: Problem, start: Robot) -> Estimate:
         solved = solve_from(problem, start, self._settings)
         bent, final = self._first.statistics.beyond_linear, problem.evaluate(solved.robot)
-        rows, scales, found = uncertainty_at(problem, final, solved, self._settings, bent)
+        rows, scales, found = uncertainty_at(problem, final, solved, bent)
         weights = np.ones(rows.layout.n_readings) if solved.weights is None else solved.weights
         typical = [group.typical for group in rows.layout.groups]
         sigma = found.factors.found * problem.whitening.totals(scales) * typical

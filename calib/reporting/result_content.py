@@ -1,20 +1,16 @@
-"""The content of a result in mm and degrees: dictionaries for `result.json`, tables for the files beside it."""
+"""The content of a result in mm and degrees: dictionaries for `result.json`."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import asdict
 
 import numpy as np
 
-from calib.base.arrays import IntArray
 from calib.base.units import DISPLAY_UNIT, ERROR_UNIT, display_scale, error_scale
 from calib.base.version import PROGRAM
 from calib.base.words import as_data
-from calib.data.measurement_columns import header, joint_columns, shown
-from calib.data.tables import format_table
-from calib.fitting.error_sets import STATES, ErrorSet
+from calib.fitting.error_sets import ErrorSet
 from calib.fitting.fitted import Fit
 from calib.fitting.outliers import Outlier
 from calib.fitting.terms.joint_curves import joint_curves
@@ -24,12 +20,10 @@ from calib.judging.verdict import judge
 from calib.reporting.accuracy import error_sets
 from calib.reporting.files_held import file_entries
 from calib.rows.prediction import PositionUncertainty
-from calib.rows.rows import Rows
 
 FORMAT_VERSION = 1
 NOMINAL_YAML, NOMINAL_URDF = "nominal.yaml", "nominal.urdf"
 """Files of a result folder that hold the robot as it was before."""
-_PARAMETER_COLUMNS = ("name", "nominal", "value", "std", "low95", "high95", "unit", "status")
 CORRELATED = 0.95
 """Correlation coefficients from here on are listed."""
 
@@ -296,94 +290,3 @@ def _error_scale(found: ErrorSet | None, outlier: Outlier) -> float:
         return 1.0
     one = next(one for one in found.instruments if one.name == outlier.target)
     return error_scale(one.parts[0].dimension)
-
-
-def residual_table(fit: Fit) -> str:
-    """Return CSV: one row per reading: joints, what was read, errors before and after [mm], [mrad], [deg].
-
-    A cell is empty where there is no number: of readings that were not fitted, of robots without loops.
-    """
-    blocks: list[tuple[IntArray, dict[str, Sequence[object]]]] = []
-    count = 0
-    for label, found in error_sets(fit):
-        if label == "cross_validation":
-            continue
-        rows = fit.rows if label == "identification" else fit.validation_rows
-        assert rows is not None
-        place = np.empty(rows.layout.n_readings, dtype=np.intp)
-        place[np.argsort(rows.layout.visit, kind="stable")] = count + np.arange(len(place))
-        count += len(place)
-        own = [(place[rows.layout.readings_of(name)], name) for name in rows.layout.instruments]
-        blocks += [(places, _residual_columns(fit, label, found, rows, name)) for places, name in own]
-    blocks.sort(key=lambda block: int(np.min(block[0], initial=count)))
-    columns: dict[str, list[object]] = {}
-    for places, block in blocks:
-        for head, values in block.items():
-            column = columns.setdefault(head, [""] * count)
-            for place_of_row, value in zip(places.tolist(), values, strict=True):
-                column[place_of_row] = _cell(value)
-    return format_table(list(columns.items()))
-
-
-def _cell(value: object) -> object:
-    return "" if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _residual_columns(fit: Fit, label: str, found: ErrorSet, rows: Rows, name: str) -> dict[str, Sequence[object]]:
-    """A column of cells for each header, for the readings of one instrument in a set."""
-    used = label == "identification"
-    judged = findings.studentised(fit) if used else findings.validation_studentised(fit)
-    assert judged is not None
-    layout, factor = rows.layout, float(np.sqrt(np.mean(fit.statistics.factors.found**2))) if used else 1.0
-    one, own, readings = fit.nominal.instrument(name), layout.readings_of(name), found.data.readings[name]
-    visits, n = layout.visit[own], len(readings)
-    columns: dict[str, Sequence[object]] = {
-        "set": [label] * n,
-        "pose": [found.data.names[visit] for visit in visits],
-        "target": [name] * n,
-    }
-    setups, n_pairs = list(fit.nominal.description.setups), len(fit.nominal.pairs(one))
-    if setups and n_pairs:  # errors are in its measurement frame
-        columns["setup"] = [setups[pair * len(setups) // n_pairs] for pair in readings.pairs]
-    columns |= {f"looked_at_{key}": words for key, words in one.texts(readings.pairs, readings.details).items()}
-    columns |= {head: values.tolist() for head, values in joint_columns(fit.robot, found.data.joints[visits]).items()}
-    for state in STATES:
-        for row, number in enumerate(one.part_of_row):
-            part = one.parts[number]
-            axis = part.axes[row - one.part_of_row.index(number)]
-            errors = error_scale(part.dimension) * getattr(found, state)[name][:, row]
-            columns[f"error_{state}_{axis} [{ERROR_UNIT[part.dimension]}]"] = errors.tolist()
-    dimensions = {column.name: column.dimension for column in one.columns()}
-    for column, numbers in one.cells(readings.values).items():
-        head = header(f"measured_{column.removeprefix(f'{name}_')}", dimensions[column])
-        columns[head] = shown(numbers, dimensions[column]).tolist()
-    lengths = rows.distances()[own] / max(factor, 1e-30) / np.sqrt(np.maximum(layout.width[own], 1))
-    unknown = np.full(n, np.nan)
-    judgements = {
-        "over_sigma": lengths if factor > 0 else unknown,
-        "studentised": judged.ratio[own] if used else unknown,
-        "leverage": judged.leverage[own] if used else unknown,
-        "weight": fit.weights[own] if used else unknown,
-        "loop_singular_value": found.singular_value[visits],
-    }
-    return columns | {head: values.tolist() for head, values in judgements.items()}
-
-
-def parameter_table(fit: Fit, comments: Sequence[str]) -> str:
-    """Return CSV: a row for each parameter in its display unit, behind comments; also a parameter file."""
-    rows = fit.parameters.rows()
-    columns = [("parameter" if key == "name" else key, [row[key] for row in rows]) for key in _PARAMETER_COLUMNS]
-    return format_table(columns, comments)
-
-
-def covariance_table(fit: Fit) -> str:
-    """Return CSV: the covariance of the free parameters in their display units, one row and one column for each."""
-    free = [fit.parameters[name] for name in fit.free_names]
-    scale = np.array([one.per_si for one in free])
-    shown = np.asarray(fit.covariance) * scale[:, None] * scale
-    columns: list[tuple[str, list[object]]] = [
-        ("parameter", [one.name for one in free]),
-        ("unit", [one.unit for one in free]),
-    ]
-    columns += [(one.name, list(column)) for one, column in zip(free, shown.T, strict=True)]
-    return format_table(columns, ("covariance of the free parameters: unit of the row times unit of the column",))

@@ -14,33 +14,38 @@ from __future__ import annotations
 import hashlib
 import html
 import json
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
+from calib.base.arrays import IntArray
 from calib.base.files import write_folder
+from calib.base.units import ERROR_UNIT, error_scale
+from calib.data.measurement_columns import header, joint_columns, shown
 from calib.data.parameter_files import format_parameters
+from calib.data.tables import format_table
 from calib.exporting.held_formats import loses, robot_for, said_of
 from calib.exporting.links import find_mesh
 from calib.exporting.urdf import urdf_bytes
+from calib.fitting.error_sets import STATES, ErrorSet
 from calib.fitting.fitted import Fit
+from calib.judging import findings
 from calib.judging.reasons import Verdict
 from calib.judging.rules_model import why_no_origins
 from calib.judging.verdict import judge
+from calib.reporting.accuracy import error_sets
 from calib.reporting.files_held import VALUES, files_of, name_of_values
-from calib.reporting.result_content import (
-    NOMINAL_URDF,
-    NOMINAL_YAML,
-    covariance_table,
-    parameter_table,
-    residual_table,
-    to_dict,
-)
+from calib.reporting.result_content import NOMINAL_URDF, NOMINAL_YAML, to_dict
 from calib.robots.description import description_yaml
 from calib.robots.held import Holds
 from calib.robots.urdf.text import UrdfText, apply_edits
+from calib.rows.rows import Rows
 
 _URDF = "calibrated.urdf"
+_PARAMETER_COLUMNS = ("name", "nominal", "value", "std", "low95", "high95", "unit", "status")
 _FILE = re.compile(rb"""\bfilename\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 _PAGES = ("report.html", "viewer.html")
 _NOT_ALWAYS = (_URDF, *_PAGES, *(f"{name}{end}.csv" for name in VALUES.values() for end in ("", "_covariance")))
@@ -77,9 +82,9 @@ def save(fit: Fit, folder: Path | str, *, force: bool = False, pages: Mapping[st
     remark = _said_inside(verdict, "not to be used") if failed else []
     files = {
         "result.json": (json.dumps(result, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode(),
-        "parameters.csv": parameter_table(fit, remark).encode(),
-        "covariance.csv": covariance_table(fit).encode(),
-        "residuals.csv": residual_table(fit).encode(),
+        "parameters.csv": _parameter_table(fit, remark).encode(),
+        "covariance.csv": _covariance_table(fit).encode(),
+        "residuals.csv": _residual_table(fit).encode(),
         **nominal,
     }
     files |= _values_of_files(fit, remark)
@@ -104,8 +109,8 @@ def _values_of_files(fit: Fit, remark: list[str]) -> dict[str, bytes]:
             continue
         lines = [*remark, f"values that are best where a file holds {holds.value}"]
         if holds in reduced:
-            files[f"{name}.csv"] = parameter_table(reduced[holds], lines).encode()
-            files[f"{name}_covariance.csv"] = covariance_table(reduced[holds]).encode()
+            files[f"{name}.csv"] = _parameter_table(reduced[holds], lines).encode()
+            files[f"{name}_covariance.csv"] = _covariance_table(reduced[holds]).encode()
         else:
             files[f"{name}.csv"] = format_parameters(fit.robot.held_by(holds), lines).encode()
     return files
@@ -127,3 +132,94 @@ def _with_meshes(urdf: UrdfText) -> bytes:
 def _said_inside(verdict: Verdict, how: str) -> list[str]:
     """What a file with the numbers of a failed fit says in a comment."""
     return [f"verdict: FAIL, {how}:", *(f"  {reason.text}" for reason in verdict.reasons if reason.grade == "FAIL")]
+
+
+def _residual_table(fit: Fit) -> str:
+    """Return CSV: one row per reading: joints, what was read, errors before and after [mm], [mrad], [deg].
+
+    A cell is empty where there is no number: of readings that were not fitted, of robots without loops.
+    """
+    blocks: list[tuple[IntArray, dict[str, Sequence[object]]]] = []
+    count = 0
+    for label, found in error_sets(fit):
+        if label == "cross_validation":
+            continue
+        rows = fit.rows if label == "identification" else fit.validation_rows
+        assert rows is not None
+        place = np.empty(rows.layout.n_readings, dtype=np.intp)
+        place[np.argsort(rows.layout.visit, kind="stable")] = count + np.arange(len(place))
+        count += len(place)
+        own = [(place[rows.layout.readings_of(name)], name) for name in rows.layout.instruments]
+        blocks += [(places, _residual_columns(fit, label, found, rows, name)) for places, name in own]
+    blocks.sort(key=lambda block: int(np.min(block[0], initial=count)))
+    columns: dict[str, list[object]] = {}
+    for places, block in blocks:
+        for head, values in block.items():
+            column = columns.setdefault(head, [""] * count)
+            for place_of_row, value in zip(places.tolist(), values, strict=True):
+                column[place_of_row] = _cell(value)
+    return format_table(list(columns.items()))
+
+
+def _cell(value: object) -> object:
+    return "" if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _residual_columns(fit: Fit, label: str, found: ErrorSet, rows: Rows, name: str) -> dict[str, Sequence[object]]:
+    """A column of cells for each header, for the readings of one instrument in a set."""
+    used = label == "identification"
+    judged = findings.studentised(fit) if used else findings.validation_studentised(fit)
+    assert judged is not None
+    layout, factor = rows.layout, float(np.sqrt(np.mean(fit.statistics.factors.found**2))) if used else 1.0
+    one, own, readings = fit.nominal.instrument(name), layout.readings_of(name), found.data.readings[name]
+    visits, n = layout.visit[own], len(readings)
+    columns: dict[str, Sequence[object]] = {
+        "set": [label] * n,
+        "pose": [found.data.names[visit] for visit in visits],
+        "target": [name] * n,
+    }
+    setups, n_pairs = list(fit.nominal.description.setups), len(fit.nominal.pairs(one))
+    if setups and n_pairs:  # errors are in its measurement frame
+        columns["setup"] = [setups[pair * len(setups) // n_pairs] for pair in readings.pairs]
+    columns |= {f"looked_at_{key}": words for key, words in one.texts(readings.pairs, readings.details).items()}
+    columns |= {head: values.tolist() for head, values in joint_columns(fit.robot, found.data.joints[visits]).items()}
+    for state in STATES:
+        for row, number in enumerate(one.part_of_row):
+            part = one.parts[number]
+            axis = part.axes[row - one.part_of_row.index(number)]
+            errors = error_scale(part.dimension) * getattr(found, state)[name][:, row]
+            columns[f"error_{state}_{axis} [{ERROR_UNIT[part.dimension]}]"] = errors.tolist()
+    dimensions = {column.name: column.dimension for column in one.columns()}
+    for column, numbers in one.cells(readings.values).items():
+        head = header(f"measured_{column.removeprefix(f'{name}_')}", dimensions[column])
+        columns[head] = shown(numbers, dimensions[column]).tolist()
+    lengths = rows.distances()[own] / max(factor, 1e-30) / np.sqrt(np.maximum(layout.width[own], 1))
+    unknown = np.full(n, np.nan)
+    judgements = {
+        "over_sigma": lengths if factor > 0 else unknown,
+        "studentised": judged.ratio[own] if used else unknown,
+        "leverage": judged.leverage[own] if used else unknown,
+        "weight": fit.weights[own] if used else unknown,
+        "loop_singular_value": found.singular_value[visits],
+    }
+    return columns | {head: values.tolist() for head, values in judgements.items()}
+
+
+def _parameter_table(fit: Fit, comments: Sequence[str]) -> str:
+    """Return CSV: a row for each parameter in its display unit, behind comments; also a parameter file."""
+    rows = fit.parameters.rows()
+    columns = [("parameter" if key == "name" else key, [row[key] for row in rows]) for key in _PARAMETER_COLUMNS]
+    return format_table(columns, comments)
+
+
+def _covariance_table(fit: Fit) -> str:
+    """Return CSV: the covariance of the free parameters in their display units, one row and one column for each."""
+    free = [fit.parameters[name] for name in fit.free_names]
+    scale = np.array([one.per_si for one in free])
+    shown = np.asarray(fit.covariance) * scale[:, None] * scale
+    columns: list[tuple[str, list[object]]] = [
+        ("parameter", [one.name for one in free]),
+        ("unit", [one.unit for one in free]),
+    ]
+    columns += [(one.name, list(column)) for one, column in zip(free, shown.T, strict=True)]
+    return format_table(columns, ("covariance of the free parameters: unit of the row times unit of the column",))

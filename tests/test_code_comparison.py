@@ -7,18 +7,25 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from code_comparison.__main__ import main
-from code_comparison.codes import CODES, OURS, PLACED
-from code_comparison.data_set import DataSet, MissingDataError, Rows, Split
+from code_comparison.arms import Arm
+from code_comparison.codes import CODES, HERE, PLACED
+from code_comparison.codes import OURS as ALL_OURS
+from code_comparison.data_set import MissingDataError, Rows, Split
 from code_comparison.data_sets import DATA_SETS
-from code_comparison.running import compared, errors_of
+from code_comparison.data_sets.charuco_hand_eye import Images, Photographs, halves
+from code_comparison.running import compared
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
+OURS, HAND_EYE = ALL_OURS["arm"], ALL_OURS["photographs"]
 SHOWN = [code for code in CODES if code.name in (PLACED, OURS, "SciPy, priors", "robotkinecal")]
+SHOWN += [code for code in CODES if code.problem == "photographs" and not code.script.startswith("opencv")]
 NOISE, ORIGINS = 2e-5, [(0, 0, 0.3), (0, 0.05, 0.2), (0.4, 0, 0), (0.3, 0.1, 0), (0, 0, 0.2), (0, 0.1, 0.1)]
 TURNS = [(0, 0, 0), (np.pi / 2, 0, 0), (0, 0, 0), (0, np.pi / 2, 0), (np.pi / 2, 0, 0), (-np.pi / 2, 0, 0)]
 JOINT = """<joint name="j{0}" type="revolute"><parent link="l{0}"/><child link="l{1}"/><origin xyz="{2}" rpy="{3}"/>
 <axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint><link name="l{1}"/>"""
 POINT = np.array([0.0, 0.03, 0.1])
+PIXEL = 0.2
 
 
 def arm(errors):
@@ -30,6 +37,35 @@ def arm(errors):
     text = (" ".join(map(repr, map(float, row))) for pair in zip(moved, turned, strict=True) for row in pair)
     joints = "".join(JOINT.format(k, k + 1, next(text), next(text)) for k in range(6))
     return f'<robot name="arm"><link name="l0"/>{joints}</robot>'
+
+
+def photographs(common):
+    """Simulated photographs of a board on a tool, seen as OpenCV has it; the lens is not the published one."""
+    cv2 = pytest.importorskip("cv2")
+    rng = np.random.default_rng(6)
+
+    def pose(turn, shift):
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), shift
+        return T
+
+    camera, board = pose([0, 0.1, 0], [0, 0, 0]), pose([0.05, 0, 0.3], [0.01, 0.02, 0.1])
+    corners = np.array([[x, y, 0.0] for x in range(-3, 4) for y in range(-2, 3)]) * 0.03
+    matrix = np.array([[1200.0, 0, 640], [0, 1190, 500], [0, 0, 1]])
+    tools, pixels = [], []
+    for _ in range(16):
+        where = camera @ pose(rng.uniform(-0.5, 0.5, 3), [*rng.uniform(-0.1, 0.1, 2), rng.uniform(0.5, 0.8)])
+        tools.append(where @ np.linalg.inv(board))
+        at = np.linalg.inv(camera) @ where
+        seen = cv2.projectPoints(corners, cv2.Rodrigues(at[:3, :3])[0], at[:3, 3], matrix, np.array([-0.1, 0.1, 0, 0]))
+        pixels.append(seen[0][:, 0] + PIXEL * rng.standard_normal((35, 2)))
+    names = ("robot", "instrument", "origin", "licence", "columns", "folder", "files")
+    images = Images(np.array(tools), (corners,) * 16, tuple(pixels))
+    start = [(*T[:3, 3] + 0.02, *Rotation.from_matrix(T[:3, :3]).as_quat()) for T in (camera, board)]
+    return Photographs(
+        "shots", splits=lambda _: list(halves(images))[:1], camera=start[0], board=start[1],
+        intrinsics=(1210.0, 1210, 630, 510), size=(1280, 1000), **{name: common[name] for name in names},
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -70,15 +106,14 @@ def stand_ins(tmp_path_factory):
     rows = np.arange(140)
     here = balls.read[:, 0] == 2
     return folder, (
-        DataSet(
-            "points", splits=lambda _: [Split("random", "60 rows", points[rows < 60], points[rows >= 60])], **common
-        ),
-        DataSet(
+        Arm("points", splits=lambda _: [Split("random", "60 rows", points[rows < 60], points[rows >= 60])], **common),
+        Arm(
             "sockets",
             splits=lambda _: [Split("places", "one place", balls[~here], balls[here])],
             spacing=0.05,
             **common,
         ),
+        photographs(common | {"files": {}}),
     )
 
 
@@ -106,6 +141,22 @@ def test_codes_find_the_simulated_robot_in_rows_that_they_never_saw(ran):
         assert rms(rows["sockets", code]) < rms(rows["sockets", PLACED]) / 3
     # one least-squares problem, two programs that share no code
     assert rms(rows["points", OURS]) == pytest.approx(rms(rows["points", "SciPy, priors"]), rel=0.05)
+
+
+def test_codes_find_a_simulated_camera(ran):
+    _, rows = ran
+    # two coordinates, and what eight images of 35 corners leave unknown of 18 numbers: a few per cent
+    found = [rms(rows["shots", name]) / (np.sqrt(2) * PIXEL) for name in (HAND_EYE, "SciPy, lens found")]
+    assert found == pytest.approx([1.0, 1.0], abs=0.1)
+    assert rms(rows["shots", "SciPy, lens as published"]) > 5 * PIXEL
+    assert rows["shots", HAND_EYE]["claimed_rms"] == pytest.approx(rms(rows["shots", HAND_EYE]), rel=0.2)
+
+
+@pytest.mark.parametrize("code", CODES, ids=lambda code: code.name)
+def test_every_code_has_a_script_and_counts_the_lines_of_its_user(code):
+    assert (HERE / code.script).is_file()
+    assert code.problem in ALL_OURS
+    assert code.lines > 0
 
 
 def test_what_a_code_says_of_itself_and_costs_is_kept(ran):
@@ -139,7 +190,7 @@ def test_the_page_keeps_its_own_words_and_can_be_written_again_without_a_run(ran
 
 
 def test_other_files_than_those_published_are_refused(stand_ins, tmp_path, capsys):
-    _, (points, _) = stand_ins
+    _, (points, *_) = stand_ins
     with pytest.raises(MissingDataError, match=r"arm\.urdf is missing; take it from this test"):
         points.checked(tmp_path)
     (tmp_path / "arm").mkdir()
@@ -161,19 +212,20 @@ def test_differences_are_ties_unless_they_are_sure_and_large():
 
 
 def test_errors_of_sockets_are_what_no_place_of_the_artefact_explains(stand_ins):
-    _, (_, sockets) = stand_ins
+    _, (_, sockets, _) = stand_ins
     line, off = np.array([0.0, 0.6, 0.8]), 1e-3 * np.array([[1.0, 0, 0], [-1, 0, 0]])
     read = np.array([[0, 0], [0, 0], [0, 1], [0, 1]], float)
     points = np.array([1.0, 2, 3]) + 0.05 * read[:, 1:] * line + np.vstack([off, off])
-    assert errors_of(sockets, Rows(np.zeros((4, 6)), read), points) == pytest.approx(1e-3, rel=1e-6)
+    assert sockets.errors(Rows(np.zeros((4, 6)), read), points) == pytest.approx(1e-3, rel=1e-6)
     apart = np.array([1.0, 2, 3]) + 0.052 * read[:, 1:] * line  # 2 mm too far apart: half at each
-    assert errors_of(sockets, Rows(np.zeros((4, 6)), read), apart) == pytest.approx(1e-3, rel=1e-6)
+    assert sockets.errors(Rows(np.zeros((4, 6)), read), apart) == pytest.approx(1e-3, rel=1e-6)
 
 
 def test_the_splits_of_all_data_sets_keep_fitted_and_unseen_rows_apart(shared_data):
     for data in DATA_SETS:
         for split in data.splits(data.checked(shared_data)):
-            fitted, unseen = ({row.tobytes() for row in np.hstack([r.q, r.read])} for r in (split.train, split.unseen))
-            assert len(fitted) > 20
-            assert len(unseen) > 20
+            fitted, unseen = split.train.keys(), split.unseen.keys()
+            least = 20 if data.problem == "arm" else 6
+            assert len(fitted) > least
+            assert len(unseen) > least
             assert not fitted & unseen, f"{data.name}: {split.words}"

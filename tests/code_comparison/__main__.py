@@ -51,6 +51,11 @@ def main(given: Sequence[str] | None = None, sets: Sequence[DataSet] = DATA_SETS
             print("no data; nothing to do", file=sys.stderr)
             return 2
         chosen = [code for code in codes if options.codes in code.name]
+        if not chosen:
+            print(
+                f"no code has {options.codes!r} in its name: {', '.join(code.name for code in codes)}", file=sys.stderr
+            )
+            return 2
         if options.install and options.environments:
             _installed(chosen, options.environments)
         for data, here in there:
@@ -75,7 +80,7 @@ def _joined(
     done = {(one["data"], one["split"], one["code"]) for one in new}
     rows = [one for one in told["rows"] if (one["data"], one["split"], one["code"]) not in done] + new
     orders = [[one.name for one in ordered] for ordered in (sets, codes)]
-    at = [{name: k for k, name in enumerate(order)} for order in orders]
+    at = [{name: order.index(name) for name in order} for order in orders]
     splits = {split: k for k, split in enumerate(dict.fromkeys((one["data"], one["split"]) for one in rows))}
     rows.sort(key=lambda o: (at[0].get(o["data"], 99), splits[o["data"], o["split"]], at[1].get(o["code"], 99)))
     machine = f"{_processor()}, one thread for each code, Python {platform.python_version()}, {date.today():%B %Y}"

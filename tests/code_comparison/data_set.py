@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import urllib.request
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -28,6 +29,10 @@ class Rows:
     def __len__(self) -> int:
         return len(self.q)
 
+    def keys(self) -> set[bytes]:
+        """What tells one row from another."""
+        return {row.tobytes() for row in np.hstack([self.q, self.read])}
+
 
 @dataclass(frozen=True)
 class Split:
@@ -35,13 +40,13 @@ class Split:
 
     kind: str
     words: str
-    train: Rows
-    unseen: Rows
+    train: Any
+    unseen: Any
 
 
 @dataclass(frozen=True)
 class DataSet:
-    """Measurements by others.
+    """Measurements by others; each kind of problem says how one is written for codes, and what errors are.
 
     Attributes:
         name: What the page calls it.
@@ -51,18 +56,14 @@ class DataSet:
         columns: What its files hold, in words, for whoever fetches it by hand.
         folder: Its folder in the folder of all data.
         files: SHA-256 of each file, by its name in the folder.
-        addresses: Where files can be fetched unchanged, by the same name.
-        urdf: Which of the files is the nominal robot.
-        joints, base, link: Names in it.
         splits: Makes the splits, of the folder.
         owners: What its owners, or others before, report.
-        point: Nominal place of what is read on the link [m].
-        point_sigma: How far off that may be [m]; None: anywhere.
-        length_sigma, angle_sigma: How far origins may be off [m, rad].
-        spacing: Of two sockets [m], where sockets were touched.
+        addresses: Where files can be fetched unchanged, by the same name.
         reasons: Why this project is behind, by the words of a split; told where it is.
     """
 
+    problem: ClassVar[str]
+    unit: ClassVar[tuple[str, float]] = ("mm", 1e3)
     name: str
     robot: str
     instrument: str
@@ -71,19 +72,19 @@ class DataSet:
     columns: str
     folder: str
     files: Mapping[str, str]
-    urdf: str
-    joints: tuple[str, ...]
-    base: str
-    link: str
     splits: Callable[[Path], Iterable[Split]]
+    _: KW_ONLY
     owners: str = ""
     addresses: Mapping[str, str] = field(default_factory=dict)
-    point: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    point_sigma: float | None = None
-    length_sigma: float = 1e-3
-    angle_sigma: float = 3e-3
-    spacing: float | None = None
     reasons: Mapping[str, str] = field(default_factory=dict)
+
+    def write(self, here: Path, split: Split, folder: Path) -> None:
+        """Write a problem as `codes/exchange.py` says; `here` has the files."""
+        raise NotImplementedError
+
+    def errors(self, unseen: Any, predicted: np.ndarray) -> np.ndarray:
+        """How far off predictions are, one number for each unseen row [m, or px]."""
+        raise NotImplementedError
 
     def checked(self, folder: Path, *, fetch: bool = False) -> Path:
         """Return the folder of its files, which are those that were published.

@@ -16,6 +16,7 @@ from .codes import CODES, OURS, PLACED
 from .data_set import DataSet
 
 BEHIND = 1.03  # RMS of this project over the best, up to which the page calls it even
+TITLES = {"arm": "Arms", "photographs": "Hand-eye, from photographs", "printers": "Delta printers"}
 _PLACE = re.compile(r"(<!-- begin results -->\n).*?(<!-- end results -->)", re.DOTALL)
 _MARK = {"better": "", "worse": " ▲", "tie": " ="}
 _STYLE = {"svg.fonttype": "none", "svg.hashsalt": "comparison", "font.size": 9}
@@ -29,16 +30,15 @@ def written(page: Path, told: dict[str, Any], sets: Sequence[DataSet]) -> None:
     plot = page.parent / "figures" / f"{page.stem}.svg"
     plot.parent.mkdir(exist_ok=True)
     plot.write_text(drawing(rows), encoding="utf-8")
-    parts = [
-        _standing(rows),
-        f"![Errors of all codes over those of this project](figures/{plot.name})",
-        _accuracy(rows),
-        "▲: better than this project with `--terms auto` on the same rows; =: a tie; bold: the least of a line."
-        " Differences are tested row by row (paired t of squared errors, 1 in 1000, and at least 1 % of the RMS).",
+    units = {data.problem: data.unit for data in sets}
+    parts = [_standing(rows), f"![Errors of all codes over those of this project](figures/{plot.name})"]
+    for problem, title in TITLES.items():
+        own = [row for row in rows if _problem(row) == problem]
+        if own:
+            parts += [f"### {title}", _summary(own), _accuracy(own, *units[problem]), _missing(own)]
+    parts += [
+        _KEY,
         _behind(rows, sets),
-        "### What it takes",
-        _costs(rows),
-        _missing(rows),
         "### The data",
         _origins(sets, rows),
         "### Where it ran",
@@ -47,6 +47,24 @@ def written(page: Path, told: dict[str, Any], sets: Sequence[DataSet]) -> None:
     text = page.read_text(encoding="utf-8")
     body = "\n\n".join(part for part in parts if part)
     page.write_text(_PLACE.sub(lambda match: f"{match[1]}\n{body}\n\n{match[2]}", text), encoding="utf-8")
+
+
+_KEY = """\
+**How to read it.**
+
+- *Better, tie, worse*: on how many splits a code predicts unseen rows better than this project (the line without
+  numbers there), as well, worse. Differences are tested row by row (paired t of squared errors, 1 in 1000, and at least
+  1 % of the RMS). In the tables of errors ▲ marks a code that is better, = a tie, bold the least of a line.
+- *Claimed / true*: the error that a code states for the calibrated robot over that of unseen rows: 1 is true, below 1
+  promises too much. \\*: it claims nothing of new poses; this is the RMS of its own residuals.
+- *Verdict right*: PASS with errors that are at most 1.25 times those claimed and less than those of the nominal robot,
+  or anything else with others.
+- Times are processor time, of the fit and of the whole process, and memory is the most that it held: medians over the
+  splits. Lines are those that a user writes for one problem."""
+
+
+def _problem(row: Row) -> str:
+    return str(row.get("problem", "arm"))
 
 
 def _splits(rows: Sequence[Row]) -> list[tuple[Row, dict[str, Row]]]:
@@ -61,7 +79,12 @@ def _splits(rows: Sequence[Row]) -> list[tuple[Row, dict[str, Row]]]:
 
 def _names(rows: Sequence[Row]) -> list[str]:
     answered = {row["code"] for row in rows if "rms" in row}
-    return [code.name for code in CODES if code.name in answered]
+    return list(dict.fromkeys(code.name for code in CODES if code.name in answered))
+
+
+def _own(told: Row, own: dict[str, Row]) -> Row | None:
+    """The row of this project that others are compared with."""
+    return own.get(OURS[_problem(told)])
 
 
 def _best(own: dict[str, Row]) -> Row:
@@ -69,37 +92,64 @@ def _best(own: dict[str, Row]) -> Row:
 
 
 def _standing(rows: Sequence[Row]) -> str:
-    judged = [own for _, own in _splits(rows) if OURS in own and len(own) > 1]
-    least = [_best(own) for own in judged]
-    even = sum(best["code"] == OURS or best.get("compared") == "tie" for best in least)
-    worst = max(own[OURS]["rms"] / best["rms"] for own, best in zip(judged, least, strict=True)) - 1
-    behind = sum(own[OURS]["rms"] > BEHIND * best["rms"] for own, best in zip(judged, least, strict=True))
+    judged = [(one, _best(own)) for told, own in _splits(rows) if (one := _own(told, own)) and len(own) > 1]
+    even = sum(best["code"] == one["code"] or best.get("compared") == "tie" for one, best in judged)
+    behind = [one["rms"] / best["rms"] - 1 for one, best in judged if one["rms"] > BEHIND * best["rms"]]
     words = "It is nowhere more than 3 % behind the best."
     if behind:
-        words = f"On {behind} it is more than 3 % behind the best, by up to {100 * worst:.0f} %."
+        words = f"On {len(behind)} it is more than 3 % behind the best, by up to {100 * max(behind):.0f} %."
     return (
-        f"On {even} of {len(judged)} splits this project, with `--terms auto`, predicts unseen rows best, or in"
-        f" a tie with the best. {words}"
+        f"On {even} of {len(judged)} splits this project predicts unseen rows best, or in a tie with the best (arms:"
+        f" with `--terms auto`). {words}"
     )
 
 
-def _accuracy(rows: Sequence[Row]) -> str:
+def _summary(rows: Sequence[Row]) -> str:
+    """One line of each code, over all splits."""
+    lines = [
+        "| code | answers | better, tie, worse | RMS over this project's: median | claimed / true error: median (range)"
+        " | verdict right | fit [s] | command [s] | memory [MB] | lines |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
+    ]
+    pairs = [(own, one) for told, own in _splits(rows) if (one := _own(told, own))]
+    asked = len({(row["data"], row["split"]) for row in rows})
+    for name in _names(rows):
+        own = [row for row in rows if row["code"] == name and "rms" in row]
+        code = next(code for code in CODES if (code.name, code.problem) == (name, _problem(rows[0])))
+        compared = [row["compared"] for row in own if "compared" in row]
+        over = [both[name]["rms"] / one["rms"] for both, one in pairs if name in both]
+        counts = ", ".join(str(compared.count(word)) for word in ("worse", "tie", "better")) if compared else ""
+        ratios = sorted(row["claimed_rms"] / row["rms"] for row in own if row["claimed_rms"] and name != PLACED)
+        claim = f"{median(ratios):.2f} ({ratios[0]:.2f} to {ratios[-1]:.2f})" if ratios else "none"
+        claim += "" if not ratios or all(row["own_claim"] for row in own if row["claimed_rms"]) else " \\*"
+        judged = [row["verdict_right"] for row in own if "verdict_right" in row]
+        verdict = f"{sum(judged)} of {len(judged)}" if judged else "none"
+        fit, command, memory = (median(r[key] for r in own) for key in ("fit_seconds", "command_seconds", "memory_mb"))
+        middle = f"{median(over):.2f}" if over else ""
+        lines.append(
+            f"| {name} | {len(own)} of {asked} | {counts} | {middle} | {claim} | {verdict}"
+            f" | {fit:.2f} | {command:.1f} | {memory:.0f} | {code.lines} |"
+        )
+    return "\n".join(lines)
+
+
+def _accuracy(rows: Sequence[Row], unit: str, scale: float) -> str:
     names = _names(rows)
     lines = [
-        "| RMS of unseen rows [mm] (largest) | rows: fitted, unseen | " + " | ".join(names) + " |",
+        f"| RMS of unseen rows [{unit}] (largest) | rows: fitted, unseen | " + " | ".join(names) + " |",
         "|---|---|" + "---:|" * len(names),
     ]
     for told, own in _splits(rows):
-        least = min(row["rms"] for row in own.values())
+        least = min((row["rms"] for row in own.values()), default=0.0)
         cells = []
         for name in names:
             if name not in own:
                 cells.append("")
                 continue
             row = own[name]
-            number = f"{1e3 * row['rms']:.3f}"
+            number = f"{scale * row['rms']:.3f}"
             number = f"**{number}**" if row["rms"] == least else number
-            cells.append(f"{number}{_MARK[row['compared']] if 'compared' in row else ''} ({1e3 * row['max']:.2f})")
+            cells.append(f"{number}{_MARK[row['compared']] if 'compared' in row else ''} ({scale * row['max']:.2f})")
         words = f"{told['data']}: {told['split']}"
         lines.append(f"| {words} | {told['n_train']}, {told['n_unseen']} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
@@ -109,44 +159,15 @@ def _behind(rows: Sequence[Row], sets: Sequence[DataSet]) -> str:
     reasons = {data.name: data.reasons for data in sets}
     lines = []
     for told, own in _splits(rows):
-        if OURS not in own:
-            continue
-        best = _best(own)
-        if own[OURS]["rms"] > BEHIND * best["rms"]:
+        one, best = _own(told, own), _best(own) if own else None
+        if one and best and one["rms"] > BEHIND * best["rms"]:
             why = reasons.get(told["data"], {}).get(told["split"], "the reason is not known")
-            by = 100 * (own[OURS]["rms"] / best["rms"] - 1)
+            by = 100 * (one["rms"] / best["rms"] - 1)
             lines.append(f"| {told['data']}: {told['split']} | {by:.0f} % | {best['code']} | {why} |")
     if not lines:
         return ""
-    head = "**Where this project, with `--terms auto`, is more than 3 % behind:**\n\n"
+    head = "**Where this project is more than 3 % behind:**\n\n"
     return head + "| | by | best | why |\n|---|---:|---|---|\n" + "\n".join(lines)
-
-
-def _costs(rows: Sequence[Row]) -> str:
-    lines = [
-        "| code | claimed / true error: median (range) | verdict right | fit [s] | command [s] | memory [MB] | lines |",
-        "|---|---:|---:|---:|---:|---:|---:|",
-    ]
-    for code in CODES:
-        own = [row for row in rows if row["code"] == code.name and "rms" in row]
-        if not own or code.name == PLACED:
-            continue
-        ratios = sorted(row["claimed_rms"] / row["rms"] for row in own if row["claimed_rms"])
-        claim = f"{median(ratios):.2f} ({ratios[0]:.2f} to {ratios[-1]:.2f})" if ratios else "none"
-        claim += "" if not ratios or all(row["own_claim"] for row in own if row["claimed_rms"]) else " \\*"
-        judged = [row["verdict_right"] for row in own if "verdict_right" in row]
-        verdict = f"{sum(judged)} of {len(judged)}" if judged else "none"
-        cost = [median(row[key] for row in own) for key in ("fit_seconds", "command_seconds", "memory_mb")]
-        lines.append(
-            f"| {code.name} | {claim} | {verdict} | {cost[0]:.2f} | {cost[1]:.1f} | {cost[2]:.0f} | {code.lines} |"
-        )
-    return (
-        "\n".join(lines)
-        + "\n\n\\*: it claims nothing of new poses; this is the RMS of its own residuals. A verdict is right if PASS"
-        " goes with errors that are at most 1.25 times those claimed and less than those of the nominal robot, and"
-        " anything else with others. Times are processor time, of the fit and of the whole process, medians over the"
-        " splits; lines are those that a user writes for one problem."
-    )
 
 
 def _missing(rows: Sequence[Row]) -> str:
@@ -173,21 +194,21 @@ def _origins(sets: Sequence[DataSet], rows: Sequence[Row]) -> str:
 
 def drawing(rows: Sequence[Row]) -> str:
     """Every split a line, every code a mark: its RMS over this project's, as SVG."""
-    splits = [(told, own) for told, own in _splits(rows) if OURS in own]
+    splits = [(told, own, one) for told, own in _splits(rows) if (one := _own(told, own))]
     with rc_context(_STYLE):
-        figure = Figure(figsize=(8.5, 1.2 + 0.24 * len(splits)), layout="constrained")
+        figure = Figure(figsize=(8.5, 1.6 + 0.24 * len(splits)), layout="constrained")
         axes = figure.add_subplot()
         for k, name in enumerate(_names(rows)):
-            at = [(own[name]["rms"] / own[OURS]["rms"], -i) for i, (_, own) in enumerate(splits) if name in own]
+            at = [(own[name]["rms"] / one["rms"], -i) for i, (_, own, one) in enumerate(splits) if name in own]
             x, y = zip(*at, strict=True) if at else ((), ())
-            axes.plot(x, y, "osD^v<>P"[k % 8], color=_COLOURS[k % 8], label=name, markersize=5, alpha=0.8)
-        axes.set_yticks([-i for i in range(len(splits))], [f"{told['data']}: {told['split']}" for told, _ in splits])
+            axes.plot(x, y, "osD^v<>P"[k % 8], color=_COLOURS[(k + k // 8) % 8], label=name, markersize=5, alpha=0.8)
+        axes.set_yticks([-i for i in range(len(splits))], [f"{told['data']}: {told['split']}" for told, *_ in splits])
         axes.axvline(1.0, color=_COLOURS[2], linewidth=0.8)
         axes.set_xscale("log")
         ticks = [t for t in (0.5, 0.7, 1, 1.5, 2, 3, 5, 10, 20, 50) if axes.get_xlim()[0] < t < axes.get_xlim()[1]]
         axes.set_xticks(ticks, [f"{t:g}" for t in ticks])
         axes.set_xticks([], minor=True)
-        axes.set_xlabel("RMS of unseen rows, over that of this project with --terms auto")
+        axes.set_xlabel("RMS of unseen rows, over that of this project (arms: with --terms auto)")
         figure.legend(loc="outside upper center", ncols=4, frameon=False)
         stream = io.StringIO()
         figure.savefig(stream, format="svg", metadata={"Date": None})

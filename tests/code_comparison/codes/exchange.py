@@ -7,6 +7,11 @@ point_sigma (how far it may be off [m], null: anywhere), length_sigma and angle_
 p_link_point [m];
 train.csv: the joints [rad], then x, y, z [m] as read, or the numbers of the place and of the socket;
 unseen.csv: the joints of poses to predict, whose readings no code gets.
+
+Photographs have other files: problem.json with intrinsics fx fy cx cy as published, the size of images [px], and a
+start: T_base_camera and T_tool_board (4 x 4) [m]; train_tool.csv, the tool in the base, 16 numbers for each image;
+train.csv: image, x y z of a corner on the board [m], and its pixel; unseen_tool.csv and unseen.csv the same, without
+pixels.
 """
 
 import json
@@ -27,8 +32,9 @@ class Answer:
     """What a code found.
 
     Attributes:
-        points: Predicted points of the unseen poses, (n, 3) [m], in the frame of the readings, or the base (sockets).
-        claimed_rms: The error that it states for the calibrated robot, root mean square [m].
+        points: Predicted points of the unseen poses, (n, 3) [m], in the frame of the readings, or the base (sockets);
+            or predicted pixels of unseen corners, (n, 2).
+        claimed_rms: The error that it states for the calibrated robot, root mean square [m, px].
         own_claim: Whether that is a claim about new poses; otherwise it is what its residuals are.
         verdict: Its judgement of the result, if it has one.
         package: Name and version of what was run.
@@ -58,6 +64,41 @@ class Problem:
         self.unseen = np.loadtxt(folder / "unseen.csv", delimiter=",", skiprows=1, ndmin=2)
 
 
+class Photographs:
+    """One problem of photographs, as a code reads it."""
+
+    def __init__(self, folder: Path) -> None:
+        told: dict[str, Any] = json.loads((folder / "problem.json").read_text())
+        self.intrinsics, self.size = np.array(told["intrinsics"]), tuple(told["size"])
+        self.T_base_camera, self.T_tool_board = np.array(told["T_base_camera"]), np.array(told["T_tool_board"])
+        parts = ("train", "unseen")
+        tables = [np.loadtxt(folder / f"{name}.csv", delimiter=",", ndmin=2) for name in parts]
+        (self.image, self.unseen_image), (self.corners, self.unseen_corners) = (
+            [table[:, 0].astype(int) for table in tables],
+            [table[:, 1:4] for table in tables],
+        )
+        self.pixels = tables[0][:, 4:]
+        self.tool, self.unseen_tool = (
+            np.loadtxt(folder / f"{name}_tool.csv", delimiter=",", ndmin=2).reshape(-1, 4, 4) for name in parts
+        )
+
+    def predicted(self, camera: np.ndarray, board: np.ndarray, lens: np.ndarray) -> np.ndarray:
+        """Pixels of unseen corners, (n, 2); see `seen`."""
+        return seen(self.unseen_tool[self.unseen_image], self.unseen_corners, camera, board, lens)
+
+
+# -- what a user writes, if no package does
+def seen(tool: np.ndarray, corners: np.ndarray, camera: np.ndarray, board: np.ndarray, lens: np.ndarray) -> np.ndarray:
+    """Pixels (n, 2) of corners (n, 3) of a board on the tool (n, 4, 4); lens: fx fy cx cy k1 k2, OpenCV's model."""
+    poses = np.linalg.inv(camera) @ tool @ board
+    x, y, z = np.einsum("nij,nj->in", poses[:, :3, :3], corners) + poses[:, :3, 3].T
+    x, y = x / z, y / z
+    r2 = x**2 + y**2
+    bend = 1 + lens[4] * r2 + lens[5] * r2**2
+    return np.column_stack([lens[0] * x * bend + lens[2], lens[1] * y * bend + lens[3]])
+
+
+# -- end
 _seconds = 0.0
 
 
@@ -70,10 +111,10 @@ def fit_time() -> Iterator[None]:
     _seconds += time.process_time() - started
 
 
-def main(solve: Any) -> None:
+def main(solve: Any, reader: Any = Problem) -> None:
     """Read the folder that the command line names, solve it, write the answer where it says."""
     folder, path, *options = sys.argv[1:]
-    found: Answer = solve(Problem(Path(folder)), *options)
+    found: Answer = solve(reader(Path(folder)), *options)
     told = vars(found) | {"points": np.asarray(found.points).tolist(), "fit_seconds": _seconds}
     told["memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     Path(path).write_text(json.dumps(told))

@@ -1,14 +1,15 @@
-"""An arm of a URDF as a product of matrices, and its first placing: NumPy and SciPy alone, no code of the project."""
+"""An arm of a URDF as a product of matrices, and its residuals: NumPy and SciPy alone, no code of the project."""
 
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-from exchange import moved
+from exchange import Problem, moved
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 
+# -- what a user writes
 class Chain:
     """The joints from one link to another, each with six errors of its origin."""
 
@@ -45,6 +46,82 @@ class Chain:
                 turn = np.tile(np.eye(3), (len(q), 1, 1)) if self.slides[k] else Rotation.from_rotvec(along).as_matrix()
                 poses = poses @ moved(turn, along if self.slides[k] else np.zeros_like(along))
         return poses
+
+
+class Model:
+    """The unknowns of an arm: six errors of each origin, the point, and the base, or the sockets at each place."""
+
+    def __init__(self, problem: Problem, *, origins: bool = True) -> None:
+        self.problem = problem
+        self.chain = Chain(problem.folder / "robot.urdf", problem.base, problem.link, problem.joints)
+        self.places = np.unique(problem.read[:, 0]) if problem.spacing else ()
+        self.n = 6 * len(self.chain) if origins else 0
+        self.start = np.concatenate([np.zeros(self.n), problem.p_link_point, self._placed()])
+
+    def _placed(self) -> np.ndarray:
+        """The base where it was told; each line of sockets where the nominal arm has them."""
+        if not self.problem.spacing:
+            return np.zeros(6)
+        poses, lines = self.chain.poses(self.problem.q), []
+        own = poses[:, :3, :3] @ self.problem.p_link_point + poses[:, :3, 3]
+        for place in self.places:
+            one, two = (own[np.all(self.problem.read == [place, hole], axis=1)].mean(axis=0) for hole in (0, 1))
+            line = (two - one) / np.linalg.norm(two - one)
+            lines += [*(one + two) / 2, np.arctan2(line[1], line[0]), np.arcsin(line[2])]
+        return np.array(lines)
+
+    def points(self, x: np.ndarray, q: np.ndarray) -> np.ndarray:
+        n = self.n
+        poses = self.chain.poses(q, x[:n].reshape(-1, 6) if n else None)
+        own = poses[:, :3, :3] @ x[n : n + 3] + poses[:, :3, 3]
+        if self.problem.spacing:
+            return own
+        T = self.problem.T_measured_base @ moved(Rotation.from_rotvec(x[n + 6 :]).as_matrix(), x[n + 3 : n + 6])
+        return own @ T[:3, :3].T + T[:3, 3]
+
+    def misses(self, x: np.ndarray) -> np.ndarray:
+        """Predicted less read coordinates [m]."""
+        read, spacing = self.problem.read, self.problem.spacing
+        points = self.points(x, self.problem.q)
+        if not spacing:
+            return (points - read).ravel()
+        for place, (*middle, around, up) in zip(self.places, x[self.n + 3 :].reshape(-1, 5), strict=True):
+            line = np.array([np.cos(around) * np.cos(up), np.sin(around) * np.cos(up), np.sin(up)])
+            here = read[:, 0] == place
+            points[here] -= middle + (read[here, 1:] - 0.5) * spacing * line
+        return points.ravel()
+
+    def expected(self) -> np.ndarray:
+        """How far each unknown may be from its start, one standard deviation; inf: anywhere."""
+        sizes = np.full(len(self.start), np.inf)
+        sizes[: self.n] = np.tile(np.repeat([self.problem.length_sigma, self.problem.angle_sigma], 3), self.n // 6)
+        sizes[self.n : self.n + 3] = self.problem.point_sigma or np.inf
+        return sizes
+
+    def middle(self) -> np.ndarray:
+        """Where unknowns are expected."""
+        return np.concatenate([np.zeros(self.n), self.problem.point, self.start[self.n + 3 :]])
+
+    def rows(self, x: np.ndarray, noise: float, *, priors: bool) -> np.ndarray:
+        """Residuals over their standard deviations, those of priors last (without `priors`: of the point alone)."""
+        sizes = self.expected()
+        sizes[: self.n] = sizes[: self.n] if priors else np.inf
+        told = np.isfinite(sizes)
+        return np.concatenate([self.misses(x) / noise, ((x - self.middle()) / sizes)[told]])
+
+    def noise(self, x: np.ndarray) -> float:
+        """The standard deviation that the readings show [m]."""
+        rank = min(self.n, 4 * len(self.problem.joints)) + len(x) - self.n
+        return float(np.sqrt(np.sum(self.misses(x) ** 2) / max(3 * len(self.problem.q) - rank, 1)))
+
+
+def differences(function, x: np.ndarray) -> np.ndarray:
+    """Central differences of a function, (n_values, n_unknowns)."""
+    steps = 1e-6 * np.eye(len(x))
+    return np.column_stack([(function(x + step) - function(x - step)) / 2e-6 for step in steps])
+
+
+# -- end
 
 
 def placed(

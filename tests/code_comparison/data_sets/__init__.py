@@ -1,5 +1,14 @@
 """All data sets: a new one is a file here, and its name in this list."""
 
-from . import fr3_camera, motoman_right, mukca, positioner, ur10_tracker
+from . import charuco_hand_eye, fr3_camera, klipper_delta, motoman_right, mukca, positioner, ur10_tracker
 
-DATA_SETS = (ur10_tracker.DATA, motoman_right.DATA, mukca.PANDA, mukca.KUKA, fr3_camera.DATA, positioner.DATA)
+DATA_SETS = (
+    ur10_tracker.DATA,
+    motoman_right.DATA,
+    mukca.PANDA,
+    mukca.KUKA,
+    fr3_camera.DATA,
+    positioner.DATA,
+    charuco_hand_eye.DATA,
+    klipper_delta.DATA,
+)

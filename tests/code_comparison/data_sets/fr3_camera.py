@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..data_set import DataSet, Rows, Split, drawn
+from ..arms import Arm
+from ..data_set import Rows, Split, drawn
 
 
 def _splits(folder: Path) -> Iterator[Split]:
@@ -16,7 +17,7 @@ def _splits(folder: Path) -> Iterator[Split]:
         yield Split("random", f"80 at random, seed {seed}", *drawn(rows, seed, 80, 35))
 
 
-DATA = DataSet(
+DATA = Arm(
     name="Franka",
     robot="Franka Research 3, URDF of the Panda",
     instrument="camera on the flange",

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..data_set import DataSet, Rows, Split, drawn
+from ..arms import Arm
+from ..data_set import Rows, Split, drawn
 
 JOINTS = ("E", "S", "L", "U", "R", "B", "T")
 
@@ -22,7 +23,7 @@ def _splits(folder: Path) -> Iterator[Split]:
     yield Split("places", "low half of joint U fitted", rows[low], rows[~low])
 
 
-DATA = DataSet(
+DATA = Arm(
     name="Motoman",
     robot="right arm of a dual-arm Motoman",
     instrument="laser tracker",

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..data_set import DataSet, Rows, Split
+from ..arms import Arm
+from ..data_set import Rows, Split
 
 RAW = "https://raw.githubusercontent.com/platonics-delft/kinematics_calibration/05a05ab"
 
@@ -25,7 +26,7 @@ def _splits(folder: Path, arm: str, places: tuple[str, ...]) -> Iterator[Split]:
 
 def _arm(name, arm, robot, urdf, joint, base, link, places, files, owners="", reasons=None):
     addresses = {path: f"{RAW}/data/{path}" for path in files} | {f"urdf/{urdf}": f"{RAW}/assets/{urdf}"}
-    return DataSet(
+    return Arm(
         name=name,
         robot=robot,
         instrument="a ball in two sockets",

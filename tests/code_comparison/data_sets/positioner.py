@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..data_set import DataSet, Rows, Split, drawn
+from ..arms import Arm
+from ..data_set import Rows, Split, drawn
 
 
 def _splits(folder: Path) -> Iterator[Split]:
@@ -17,7 +18,7 @@ def _splits(folder: Path) -> Iterator[Split]:
     yield Split("stretches", "first half unseen", second, first)
 
 
-DATA = DataSet(
+DATA = Arm(
     name="Positioner",
     robot="positioner of two axes",
     instrument="camera system",

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..data_set import DataSet, Rows, Split, drawn, some
+from ..arms import Arm
+from ..data_set import Rows, Split, drawn, some
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 
@@ -21,7 +22,7 @@ def _splits(folder: Path) -> Iterator[Split]:
     yield Split("places", "low half of the shoulder's lift fitted", some(rows[low], 0, 200), some(rows[~low], 0, 600))
 
 
-DATA = DataSet(
+DATA = Arm(
     name="UR10",
     robot="Universal Robots UR10 (CB3)",
     instrument="laser tracker",

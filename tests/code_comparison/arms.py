@@ -1,0 +1,95 @@
+"""Arms whose points were measured, or brought into sockets: problems as `codes/exchange.py` says, and their errors."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+from xml.etree import ElementTree
+
+import numpy as np
+from scipy.optimize import least_squares
+
+import calib
+
+from .codes import HERE
+from .data_set import DataSet, Rows, Split
+
+sys.path.insert(0, str(HERE))  # what codes share among each other imports as they do
+from urdf_chain import Chain, placed
+
+_CHAIN = """\
+urdf: robot.urdf
+name_mot: [{joints}]
+base: {{frame: {base}}}
+targets: {{point: {{frame: {link}, position: unknown}}}}
+parametrisation: [{{origin: all, components: [x, y, z], sigma: 1 mm}}]
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arm(DataSet):
+    """An arm.
+
+    Attributes:
+        urdf: Which of the files is the nominal robot.
+        joints, base, link: Names in it.
+        point: Nominal place of what is read on the link [m].
+        point_sigma: How far off that may be [m]; None: anywhere.
+        length_sigma, angle_sigma: How far origins may be off [m, rad].
+        spacing: Of two sockets [m], where sockets were touched.
+    """
+
+    problem: ClassVar[str] = "arm"
+    urdf: str
+    joints: tuple[str, ...]
+    base: str
+    link: str
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    point_sigma: float | None = None
+    length_sigma: float = 1e-3
+    angle_sigma: float = 3e-3
+    spacing: float | None = None
+
+    def write(self, here: Path, split: Split, folder: Path) -> None:
+        robot = ElementTree.parse(here / self.urdf)
+        for link in robot.iter("link"):
+            for shape in [*link.findall("visual"), *link.findall("collision")]:
+                link.remove(shape)  # meshes lie elsewhere, and no code needs them
+        robot.write(folder / "robot.urdf")
+        self._write_mdh(folder)
+        poses = Chain(folder / "robot.urdf", self.base, self.link, list(self.joints)).poses(split.train.q)
+        point = np.array(self.point)
+        T, p = (np.eye(4), point) if self.spacing else placed(poses, split.train.read, point, self.point_sigma)
+        names = ("joints", "base", "link", "point", "point_sigma", "length_sigma", "angle_sigma", "spacing")
+        told = {name: getattr(self, name) for name in names}
+        told |= {"T_measured_base": T.tolist(), "p_link_point": p.tolist()}
+        (folder / "problem.json").write_text(json.dumps(told))
+        read = ["place", "socket"] if self.spacing else ["x", "y", "z"]
+        train = np.hstack([split.train.q, split.train.read])
+        for name, head, table in (("train", [*self.joints, *read], train), ("unseen", self.joints, split.unseen.q)):
+            np.savetxt(folder / f"{name}.csv", table, "%.17g", ",", header=",".join(head), comments="")
+
+    def _write_mdh(self, folder: Path) -> None:
+        text = _CHAIN.format(joints=", ".join(self.joints), base=self.base, link=self.link)
+        (folder / "chain.yaml").write_text(text)
+        try:
+            calib.export(calib.load(folder / "chain.yaml"), "mdh", folder / "robot_mdh.csv")
+        except calib.CalibrationError:
+            (folder / "robot_mdh.csv").unlink(missing_ok=True)
+
+    def errors(self, unseen: Rows, predicted: np.ndarray) -> np.ndarray:
+        """Distances [m]; those of sockets from two points as far apart, laid through them."""
+        if self.spacing is None:
+            return np.linalg.norm(predicted - unseen.read, axis=1)
+        means = [predicted[unseen.read[:, 1] == hole].mean(axis=0) for hole in (0, 1)]
+
+        def misses(x: np.ndarray) -> np.ndarray:
+            line = np.array([np.cos(x[3]) * np.cos(x[4]), np.sin(x[3]) * np.cos(x[4]), np.sin(x[4])])
+            return predicted - x[:3] - (unseen.read[:, 1:] - 0.5) * self.spacing * line
+
+        line = means[1] - means[0]
+        start = [*sum(means) / 2, np.arctan2(line[1], line[0]), np.arcsin(line[2] / np.linalg.norm(line))]
+        return np.linalg.norm(misses(least_squares(lambda x: misses(x).ravel(), start).x), axis=1)

@@ -1,0 +1,29 @@
+"""This project, as `calib hand-eye` does from photographs and poses; corners are given, as to all codes."""
+
+import sys
+
+import numpy as np
+from exchange import Answer, Photographs, fit_time, main
+
+import calib
+from calib.photographs.answer import judge
+from calib.photographs.calibrating import calibrate, rms
+from calib.photographs.scene import Scene
+
+
+def solve(problem: Photographs) -> Answer:
+    # -- what a user writes, or in one line: calib hand-eye FOLDER --board BOARD --poses FILE --camera FILE
+    names = tuple(str(k) for k in range(len(problem.tool)))
+    scene = Scene(names, problem.tool, problem.image, problem.corners, problem.pixels, "base", problem.size)
+    with fit_time():
+        result = calibrate(scene, np.array([*problem.intrinsics, 0, 0, 0, 0, 0]), mounts=("base",))
+    # -- end
+    placed = result.found.placed
+    lens = placed.intrinsics[[0, 1, 2, 3, 4, 5]]
+    version = f"this project {calib.__version__} (lens {'found' if result.lens_found else 'as published'})"
+    left = rms(result.left.pixels)
+    return Answer(problem.predicted(placed.camera, placed.board, lens), left, True, judge(result).grade, version)
+
+
+if __name__ == "__main__":
+    sys.exit(main(solve, Photographs))

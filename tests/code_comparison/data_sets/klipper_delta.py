@@ -1,0 +1,144 @@
+"""Delta printers: `printer.cfg` of Klipper as owners published them."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from ..data_set import DataSet, Split
+
+_ROW = re.compile(r"^(height|distance)(\d+)(_pos1?|_pos2)?\s*:\s*(.*)$")
+
+
+@dataclass(frozen=True)
+class Row:
+    """A height or a distance [mm], and the steps of the carriages at its one or two places."""
+
+    measured: float
+    places: tuple[str, ...]
+
+    def lines(self, number: int) -> list[str]:
+        """As it stands in a printer.cfg."""
+        kind, ends = ("height", ("_pos",)) if len(self.places) == 1 else ("distance", ("_pos1", "_pos2"))
+        own = [f"{kind}{number}{end}: {place}" for end, place in zip(ends, self.places, strict=True)]
+        return [f"{kind}{number}: {self.measured}", *own]
+
+
+@dataclass(frozen=True)
+class Fold:
+    """What stands before the rows of a file, rows to fit, and rows to predict."""
+
+    head: str
+    rows: tuple[Row, ...]
+    unseen: tuple[Row, ...]
+
+
+@dataclass(frozen=True)
+class Folds:
+    """Fits of one split: `fitted` or unseen rows; `shifted`: the mean of heights does not count (another day's probe)."""
+
+    folds: tuple[Fold, ...]
+    fitted: bool
+    shifted: bool
+
+    def __len__(self) -> int:
+        return len(self.folds[0].rows) if self.fitted else sum(len(one.unseen) for one in self.folds)
+
+    def keys(self) -> set[tuple[int, Row]]:
+        """What tells one row of a fit from another."""
+        return {(k, row) for k, one in enumerate(self.folds) for row in (one.rows if self.fitted else one.unseen)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Printers(DataSet):
+    """Printers of Klipper; a code gets a printer.cfg for each fit."""
+
+    problem: ClassVar[str] = "printers"
+
+    def write(self, here: Path, split: Split, folder: Path) -> None:
+        for k, one in enumerate(split.train.folds):
+            texts = [one.head]
+            for n in (1, 2):
+                same = [row for row in one.rows if len(row.places) == n]
+                texts += [line for number, row in enumerate(same) for line in row.lines(number)]
+            (folder / f"fold_{k}.cfg").write_text("\n".join(texts) + "\n")
+        (folder / "unseen.json").write_text(json.dumps([[row.places for row in o.unseen] for o in split.train.folds]))
+
+    def errors(self, unseen: Folds, predicted: np.ndarray) -> np.ndarray:
+        """Of heights and distances [m]."""
+        off = predicted - [1e-3 * row.measured for one in unseen.folds for row in one.unseen]
+        parts = np.split(off, np.cumsum([len(one.unseen) for one in unseen.folds])[:-1])
+        return np.abs(np.concatenate([part - part.mean() if unseen.shifted else part for part in parts]))
+
+
+def read(path: Path, microsteps: str | None = None) -> tuple[str, tuple[Row, ...]]:
+    """Return what stands before the rows of a file, and its rows; microsteps in place of those that it says."""
+    head, found = [], dict[tuple[str, str], dict[str, str]]()
+    for line in path.read_text().splitlines():
+        match = _ROW.match(line)
+        if match:
+            found.setdefault((match[1], match[2]), {})[match[3] or ""] = match[4]
+        else:
+            head.append(re.sub(r"^microsteps:.*", f"microsteps: {microsteps}", line) if microsteps else line)
+    rows = tuple(Row(float(of[""]), tuple(of[end] for end in sorted(of) if end)) for of in found.values())
+    return "\n".join(head), rows
+
+
+def left_out(head: str, rows: tuple[Row, ...]) -> Iterator[Fold]:
+    """Each row left out in turn."""
+    for k, out in enumerate(rows):
+        yield Fold(head, rows[:k] + rows[k + 1 :], (out,))
+
+
+def _splits(folder: Path) -> Iterator[Split]:
+    # the owner of the last Kossel changed its controller: its steps fit twice the microsteps that its file says
+    files = {path.stem: read(path, "32" if path.stem == "kossel_4" else None) for path in sorted(folder.glob("*.cfg"))}
+
+    def split(kind: str, words: str, folds: list[Fold], *, shifted: bool = False) -> Split:
+        return Split(kind, words, *(Folds(tuple(folds), fitted, shifted) for fitted in (True, False)))
+
+    for names, words in ((("kossel_4",), "Kossel"), (("v400_a2", "v400_a3"), "V400, 2 files"), (("q5",), "Q5")):
+        yield split("random", f"{words}: each row left out", [f for name in names for f in left_out(*files[name])])
+    for days, words in (("kossel_1", "kossel_2"), "Kossel"), (("v400_a1", "v400_a2", "v400_a3", "v400_a4"), "V400"):
+        folds = [
+            Fold(*files[one], tuple(row for row in files[other][1] if len(row.places) == 1))
+            for pair in itertools.pairwise(days)
+            for one, other in (pair, pair[::-1])
+        ]
+        yield split("stretches", f"{words}: heights of another day, up to a shift", folds, shifted=True)
+
+
+DATA = Printers(
+    name="Printers",
+    robot="delta printers: Kossel, FLSUN Super Racer, V400 and Q5",
+    instrument="their own probes, and a caliper on printed objects",
+    origin="files of github.com/AHHams/kossel-config, cupsster/FLSUN-SR---Klipper-Config,"
+    " danorder/Flsun-super-racer-Full-klipper-config-, fzechert/FLSun-V400, Brumet/Flsun-v400,"
+    " RazorCopter/Klipper_FLSUN_Q5",
+    licence="MIT, CC0-1.0, CC0-1.0, CC0-1.0, none stated, GPL-3.0; numbers only",
+    columns="printer.cfg with [printer], [stepper_a] to [stepper_c] and the rows of [delta_calibrate] alone",
+    folder="klipper_delta",
+    files={
+        "kossel_1.cfg": "80396b39780976fd445ce6aff34dca35dcb21a06cf88fa8d81daf5217ca3453d",
+        "kossel_2.cfg": "902eef2a3728d26e6301abbd8e6bf371eab60cc013171b9c9047e056ed9e7052",
+        "kossel_3.cfg": "ec072da35b72187721575f2e9aad1fc82d4005c096ba1b44eb32247b8e46e4b8",
+        "kossel_4.cfg": "b46f50d77c654707900890a32102b2a9ca20736c15fcedaa8ab6bfd31b545e70",
+        "q5.cfg": "d860a8e3f3375d11de67021d347200144d86d76d7d43b152fc3100fd63c64295",
+        "super_racer_a.cfg": "86b77278e49a88fa2da06d40653519161bd3f6283582b451254412fccd6507ba",
+        "super_racer_b.cfg": "06d65ab1b55388db8296d0f9d9ffef505b5f71db521b447e2f1e585bbe64725d",
+        "v400_a1.cfg": "3e3705fbfc0eee27aa0a37fe1be826353a5be3181f2b90ed506df658c89add87",
+        "v400_a2.cfg": "dd7dbd6ed8454f96cb3079be1b0969acc524545c16ac91f3b1681a245b52beec",
+        "v400_a3.cfg": "6e4f74a824e2505114b1fe90c59c0fb1930257e533c4a087542706e007b62ca9",
+        "v400_a4.cfg": "1896dd29c145fc9d744eed3bdc3c3b7ba5678f409badd9a80f41e522891100a3",
+        "v400_b.cfg": "dc743e95b1dc6c859f16bbdd514832f87f3b0774988ef0df113b865af5298d17",
+    },
+    splits=_splits,
+    owners="what Klipper saved leaves 0.004 to 0.076 mm at heights that it was fitted to",
+)

@@ -31,8 +31,8 @@ def main(given: Sequence[str] | None = None, sets: Sequence[DataSet] = DATA_SETS
         "--environments", metavar="FOLDER", type=Path, help="a virtual environment for each other package"
     )
     parser.add_argument("--install", action="store_true", help="make environments that are missing, by pip")
-    parser.add_argument("--only", default="", metavar="WORDS", help="data sets whose names contain them")
-    parser.add_argument("--codes", default="", metavar="WORDS", help="codes whose names contain them")
+    parser.add_argument("--only", default="", metavar="WORDS", help="splits, such as Motoman or 'UR10: low,Franka'")
+    parser.add_argument("--codes", default="", metavar="WORDS", help="codes, such as FIGAROH,GTSAM")
     parser.add_argument("--results", metavar="FILE", type=Path, default=KEPT, help="where results are kept")
     parser.add_argument("--page", metavar="FILE", type=Path, help="the page to write them into")
     options = parser.parse_args(given)
@@ -40,7 +40,7 @@ def main(given: Sequence[str] | None = None, sets: Sequence[DataSet] = DATA_SETS
     if options.folder is not None:
         there, missing = [], []
         for data in sets:
-            if options.only in data.name:
+            if any(word.partition(":")[0].strip() in data.name for word in options.only.split(",")):
                 try:
                     there.append((data, data.checked(options.folder, fetch=options.fetch)))
                 except MissingDataError as error:
@@ -50,7 +50,7 @@ def main(given: Sequence[str] | None = None, sets: Sequence[DataSet] = DATA_SETS
         if not there:
             print("no data; nothing to do", file=sys.stderr)
             return 2
-        chosen = [code for code in codes if options.codes in code.name]
+        chosen = [code for code in codes if any(word.strip() in code.name for word in options.codes.split(","))]
         if not chosen:
             print(
                 f"no code has {options.codes!r} in its name: {', '.join(code.name for code in codes)}", file=sys.stderr
@@ -59,7 +59,7 @@ def main(given: Sequence[str] | None = None, sets: Sequence[DataSet] = DATA_SETS
         if options.install and options.environments:
             _installed(chosen, options.environments)
         for data, here in there:
-            for new in results(data, here, chosen, options.environments):
+            for new in results(data, here, chosen, options.environments, options.only.split(",")):
                 told = _joined(told, new, sets, codes)
                 options.results.parent.mkdir(parents=True, exist_ok=True)
                 options.results.write_text(json.dumps(told) + "\n", encoding="utf-8")

@@ -50,10 +50,16 @@ def run(code: Code, folder: Path, environments: Path | None) -> dict[str, object
 
 
 def results(
-    data: DataSet, here: Path, codes: Sequence[Code] = CODES, environments: Path | None = None
+    data: DataSet,
+    here: Path,
+    codes: Sequence[Code] = CODES,
+    environments: Path | None = None,
+    only: Sequence[str] = ("",),
 ) -> Iterator[list[dict[str, object]]]:
-    """Run codes on all splits; after each, yield a dictionary for each code, with errors [m] of all unseen rows."""
+    """Run codes on splits; after each, yield a dictionary for each code, with errors [m, or px] of all unseen rows."""
     for split in data.splits(here):
+        if not any(word.strip() in f"{data.name}: {split.words}" for word in only):
+            continue
         found = []
         with tempfile.TemporaryDirectory() as name:
             data.write(here, split, Path(name))

@@ -42,7 +42,7 @@ class Fold:
 
 @dataclass(frozen=True)
 class Folds:
-    """Fits of one split: `fitted` or unseen rows; `shifted`: the mean of heights does not count (another day's probe)."""
+    """Fits of one split: `fitted` or unseen rows; `shifted`: their mean does not count (another day's probe)."""
 
     folds: tuple[Fold, ...]
     fitted: bool

@@ -64,6 +64,9 @@ class DataSet:
 
     problem: ClassVar[str]
     unit: ClassVar[tuple[str, float]] = ("mm", 1e3)
+    chance: ClassVar[float] = (
+        1e-3  # of a difference by chance; small, as rows that follow each other are not independent
+    )
     name: str
     robot: str
     instrument: str

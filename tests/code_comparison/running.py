@@ -66,7 +66,12 @@ def results(
             for code in (code for code in codes if code.problem == data.problem):
                 one = run(code, Path(name), environments)
                 one |= {"data": data.name, "kind": split.kind, "split": split.words, "code": code.name}
-                one |= {"problem": data.problem, "n_train": len(split.train), "n_unseen": len(split.unseen)}
+                one |= {
+                    "problem": data.problem,
+                    "chance": data.chance,
+                    "n_train": len(split.train),
+                    "n_unseen": len(split.unseen),
+                }
                 points = one.pop("points", None)
                 if points is not None:
                     one["errors"] = data.errors(split.unseen, np.array(points)).tolist()
@@ -100,7 +105,7 @@ def summary(found: Sequence[dict[str, object]]) -> list[dict[str, object]]:
             own = OURS[one.get("problem", "arm")]
             ours, nominal = (next((o for o in same if o["code"] == name), None) for name in (own, PLACED))
             if ours is not None and one["code"] not in (own, PLACED):
-                row["compared"] = compared(ours["errors"], one["errors"])
+                row["compared"] = compared(ours["errors"], one["errors"], one.get("chance", DataSet.chance))
             if one.get("verdict") and one.get("claimed_rms"):
                 good = row["rms"] <= 1.25 * one["claimed_rms"] and (nominal is None or row["rms"] < rms(nominal))
                 row["verdict_right"] = (one["verdict"] == "PASS") == good
@@ -108,15 +113,14 @@ def summary(found: Sequence[dict[str, object]]) -> list[dict[str, object]]:
     return rows
 
 
-def compared(ours: Sequence[float], theirs: Sequence[float]) -> str:
+def compared(ours: Sequence[float], theirs: Sequence[float], chance: float) -> str:
     """Whether ours predicts the same rows `better`, `worse`, or neither (`tie`): Student's t of squared errors, paired.
 
-    Rows that follow each other in a file are no independent ones, so a difference counts only from a chance of 1 in
-    1000, and from 1 % of the RMS.
+    A difference counts only if it comes by no more than this chance, and from 1 % of the RMS.
     """
     change = np.square(theirs) - np.square(ours)
     spread = np.std(change, ddof=1) / np.sqrt(len(change))
     apart = abs(np.mean(change)) > 0.02 * np.mean(np.square(ours))
-    if not apart or abs(np.mean(change)) < scipy.special.stdtrit(len(change) - 1, 0.9995) * spread:
+    if not apart or abs(np.mean(change)) < scipy.special.stdtrit(len(change) - 1, 1 - chance / 2) * spread:
         return "tie"
     return "better" if np.mean(change) > 0 else "worse"

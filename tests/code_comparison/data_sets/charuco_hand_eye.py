@@ -57,6 +57,7 @@ class Photographs(DataSet):
     """
 
     problem: ClassVar[str] = "photographs"
+    chance: ClassVar[float] = 1e-2  # images are few
     unit: ClassVar[tuple[str, float]] = ("px", 1.0)
     camera: tuple[float, ...]
     board: tuple[float, ...]

@@ -73,7 +73,7 @@ def _passes(kernels: str, without: tuple[str, ...], files: list[str], jobs: str)
     off = sorted(name for name in _output(_DISPATCHED, dict(os.environ)).split() if name.startswith(without))
     print(f"kernels of {kernels}, numpy without {', '.join(off) or 'nothing'}:", flush=True)
     environment = os.environ | _with_kernels(kernels) | {"NPY_DISABLE_CPU_FEATURES": " ".join(off)}
-    command = [sys.executable, "-m", "pytest", "-n", jobs, "--dist", "loadgroup", "-p", "no:cacheprovider", *files]
+    command = [sys.executable, "-m", "pytest", "-n", jobs, "--dist", "loadfile", "-p", "no:cacheprovider", *files]
     return subprocess.run(command, env=environment, cwd=ROOT, check=False).returncode == 0
 
 

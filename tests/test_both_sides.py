@@ -25,8 +25,6 @@ from medrue.paper_tables import table3
 from medrue.progress import Silent
 from medrue.workspace import target_workspace
 
-pytestmark = pytest.mark.xdist_group("both_sides")  # one process makes what they share
-
 EITHER, ONE = WAYS[2:]
 
 

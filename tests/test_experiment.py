@@ -26,8 +26,6 @@ from medrue.progress import Silent
 from medrue.tracker import NESTS, PLACE, measure
 from medrue.workspace import target_workspace
 
-pytestmark = pytest.mark.xdist_group("experiment")  # one process makes what they share
-
 NONE = Imperfections(0.0, 0.0, 0.0)
 
 

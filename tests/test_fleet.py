@@ -12,8 +12,6 @@ from calib.cli import group
 from calib.numerics.hierarchy import Told, learn, learn_without_odd, told_by
 from calib.numerics.prior import Prior
 
-pytestmark = pytest.mark.xdist_group("fleet")  # one process makes what they share
-
 N, R = 6, 7
 NOISE = 3e-5  # of docs/examples/arm.yaml [m]
 

@@ -36,8 +36,6 @@ from medrue.touch_methods import (
 )
 from medrue.workspace import AXIS_START, MIDDLE_ANGLE, RADIUS, target_workspace
 
-pytestmark = pytest.mark.xdist_group("touch")  # one process makes what they share
-
 METHODS = ("tracker", "touch", "touch, artefact anywhere", "encoders")
 STEP = 1e-5
 

@@ -2,10 +2,12 @@
 
 In each draw a model is made up: the mean of its robots is off from nominal by 0.7 of what the description expects of
 each parameter, and the robots scatter around it by `--spread` of that. The robots of the fleet are measured at 30
-poses each, with base and reflector elsewhere each time, and calibrated one by one. Then one more robot is measured at 5
-and at 20 poses, and calibrated with and without what the fleet says. Errors are of positions at 200 other poses. Cases:
-`plain`; `wrong`: one result of the fleet is of a robot ten times as far from the mean in everything; `unlike`: the new
-robot has been repaired, and its elbow is off by 20 spreads.
+poses each, with base and reflector elsewhere each time, and calibrated one by one. Then one more robot is measured at
+5, 10 and 20 poses, and calibrated with and without what the fleet says. Errors are of positions at 200 other poses.
+Cases: `plain`; `wrong`: one result of the fleet is of a robot ten times as far from the mean in everything; `unlike`:
+the new robot has been repaired, and its elbow is off by 20 spreads. The new robot's poses are random, or with
+`--chosen` those that `calib.select` takes out of 300 for the least error: 5 and 10 knowing the fleet, 20 not knowing
+it.
 """
 
 import argparse
@@ -75,7 +77,7 @@ def judged(fit, truth, q):
     return 1e3 * float(np.sqrt(np.mean(np.sum(error**2, axis=2)))), float(np.mean(held)), float(np.mean(inside))
 
 
-def draw(seed, n, case, spread=SPREAD):
+def draw(seed, n, case, spread=SPREAD, chosen=False):
     """Errors and parts held by what was measured, and what was said of robots that are unlike."""
     robot, rng = calib.load(ROBOT), np.random.default_rng(seed)
     mean = made_up(robot, rng)
@@ -88,11 +90,20 @@ def draw(seed, n, case, spread=SPREAD):
         place = names(robot, range(len(robot.parameters))).index(REPAIRED)
         off = 20 * spread * robot.parameters[place].sigma_si
         truth = truth.with_parameters({REPAIRED: truth.values[place] + off})
-    q, few, many = robot.sample(200, rng), robot.sample(5, rng), robot.sample(20, rng)
+    q = robot.sample(200, rng)
+    if chosen:
+        candidates = robot.sample(300, rng)
+        few, some, many = (
+            candidates[np.sort(calib.select(start, candidates, count, "task").chosen)]
+            for start, count in ((known, 5), (known, 10), (robot, 20))
+        )
+    else:
+        few, some, many = (robot.sample(count, rng) for count in (5, 10, 20))
     figures, unlike = {}, ()
     for name, start, poses in (
         ("5 poses", robot, few),
         ("5 poses with the fleet", known, few),
+        ("10 poses with the fleet", known, some),
         ("20 poses", robot, many),
         ("20 poses with the fleet", known, many),
     ):
@@ -114,9 +125,13 @@ def main():
     parser.add_argument("--draws", type=int, default=10)
     parser.add_argument("--case", choices=("plain", "wrong", "unlike"), default="plain")
     parser.add_argument("--spread", type=float, default=SPREAD)
+    parser.add_argument("--chosen", action="store_true")
     told = parser.parse_args()
-    drawn = [draw(seed, told.robots, told.case, told.spread) for seed in range(told.draws)]
-    print(f"{told.draws} simulated fleets of {told.robots} robots, spread {told.spread:g}, case '{told.case}'")
+    drawn = [draw(seed, told.robots, told.case, told.spread, told.chosen) for seed in range(told.draws)]
+    poses = "chosen" if told.chosen else "random"
+    print(
+        f"{told.draws} simulated fleets of {told.robots} robots, spread {told.spread:g}, '{told.case}', {poses} poses"
+    )
     for name in drawn[0][0]:
         error, held, inside = np.array([figures[name] for figures, _, _ in drawn]).T
         if np.any(np.isnan(error)):

@@ -7,7 +7,7 @@ poses each, with base and reflector elsewhere each time, and calibrated one by o
 Cases: `plain`; `wrong`: one result of the fleet is of a robot ten times as far from the mean in everything; `unlike`:
 the new robot has been repaired, and its elbow is off by 20 spreads. The new robot's poses are random, or with
 `--chosen` those that `calib.select` takes out of 300 for the least error: 5 and 10 knowing the fleet, 20 not knowing
-it.
+it. With `--known`, base and reflector are where the description says, for every robot.
 """
 
 import argparse
@@ -77,11 +77,22 @@ def judged(fit, truth, q):
     return 1e3 * float(np.sqrt(np.mean(np.sum(error**2, axis=2)))), float(np.mean(held)), float(np.mean(inside))
 
 
-def draw(seed, n, case, spread=SPREAD, chosen=False):
+def described(folder, known):
+    """The robot that is calibrated, its base and its reflector known or not."""
+    if not known:
+        return calib.load(ROBOT)
+    text = ROBOT.read_text().replace("unknown", "known").replace(", sigma: 5 mm", "")
+    (Path(folder) / "arm.urdf").write_bytes(ROBOT.with_suffix(".urdf").read_bytes())
+    (Path(folder) / "arm.yaml").write_text(text)
+    return calib.load(Path(folder) / "arm.yaml")
+
+
+def draw(seed, n, case, spread=SPREAD, chosen=False, known_place=False):
     """Errors and parts held by what was measured, and what was said of robots that are unlike."""
-    robot, rng = calib.load(ROBOT), np.random.default_rng(seed)
-    mean = made_up(robot, rng)
+    rng = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as folder:
+        robot = described(folder, known_place)
+        mean = made_up(robot, rng)
         fleet = calib.fleet(*results_of(robot, folder, n, rng, mean, case == "wrong", spread))
         fleet.save(Path(folder) / "fleet.yaml")
         known = calib.load(Path(folder) / "fleet.yaml")
@@ -126,9 +137,10 @@ def main():
     parser.add_argument("--case", choices=("plain", "wrong", "unlike"), default="plain")
     parser.add_argument("--spread", type=float, default=SPREAD)
     parser.add_argument("--chosen", action="store_true")
+    parser.add_argument("--known", action="store_true")
     told = parser.parse_args()
-    drawn = [draw(seed, told.robots, told.case, told.spread, told.chosen) for seed in range(told.draws)]
-    poses = "chosen" if told.chosen else "random"
+    drawn = [draw(seed, told.robots, told.case, told.spread, told.chosen, told.known) for seed in range(told.draws)]
+    poses = " ".join(("chosen" if told.chosen else "random", "poses,", "known" if told.known else "new", "places"))
     print(
         f"{told.draws} simulated fleets of {told.robots} robots, spread {told.spread:g}, '{told.case}', {poses} poses"
     )

@@ -21,6 +21,7 @@ from calib.instruments.kind import Readings, View
 from calib.instruments.kinds import KINDS
 from calib.joint_terms.term import JointTerm
 from calib.joint_terms.terms import TERMS, listed_terms
+from calib.judging.verdict import judge
 from calib.robots.description import schema_text
 
 ROOT = Path(__file__).parents[1]
@@ -122,6 +123,19 @@ def test_a_fit_by_directions_finds_stations_and_the_robot(lab):
     report = (folder / "fit" / "report.html").read_text()
     assert "azimuth" in report
     assert "elevation" in report
+
+
+def test_its_reason_is_one_of_the_verdict_where_it_is_true():
+    robot = calib.load(ROOT / "docs" / "examples" / "arm.yaml")
+    fit = calib.fit(robot, calib.read_measurements(ROOT / "docs" / "examples" / "arm_simulated.csv", robot))
+    codes = {}
+    for change in (4.0, 8.0):
+        data = fit.identification.data
+        warm = replace(data, context={**data.context, "temperature": np.linspace(20.0, 20.0 + change, len(data))})
+        verdict = judge(replace(fit, identification=replace(fit.identification, data=warm)))
+        codes[change] = {reason.code: reason.text for reason in verdict.reasons}
+    assert "warmed_up" not in codes[4.0]
+    assert codes[8.0]["warmed_up"] == "the temperature changed by 8.0 K; measure at an even one"
 
 
 @pytest.mark.parametrize(

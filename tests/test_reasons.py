@@ -1,6 +1,8 @@
 """Reasons of the verdict that no other file holds, each made true and made false; and that none is without a test."""
 
 import dataclasses
+import re
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ from small_robots import write_parallelogram
 import calib
 from calib.judging import rules_data, rules_model
 from calib.judging.reasons import Code
+from calib.judging.verdict import judge
 
 ROOT = Path(__file__).resolve().parents[1]
 SIGMA = 4e-5
@@ -90,6 +93,30 @@ def test_a_column_that_is_a_copy_fails(good):
     assert told(rules_data.dead_readings, good) == {}
     copied = calib.fit(arm, calib.as_measurements(arm, data, data.points(arm)[..., [0, 0, 2]]))
     assert "equal_columns" in told(rules_data.dead_readings, copied)
+
+
+def nothing_that_works(fit):
+    raise KeyError("no such thing")
+
+
+def no_reasons(fit):
+    yield "it is warm"
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ("test_reasons:nothing_that_works", "KeyError: 'no such thing'; mend or uninstall the package"),
+        ("test_reasons:not_there", "AttributeError"),
+        ("test_reasons:no_reasons", "yields something else than calib.judging.reasons.Reason"),
+    ],
+)
+def test_a_rule_of_another_package_that_does_not_work_is_named(good, monkeypatch, value, said):
+    other = EntryPoint("warmth", value, "calib.reasons")
+    monkeypatch.setattr("calib.judging.verdict.entry_points", lambda group: [other] if group == other.group else [])
+    with pytest.raises(calib.InputError, match=re.escape(said)) as found:
+        judge(dataclasses.replace(good, seconds=0.0))
+    assert str(found.value).startswith(f"reason 'warmth' of the verdict ({value}): ")
 
 
 def test_every_reason_has_a_test_and_a_section_of_the_page():

@@ -7,13 +7,17 @@ PASS: nothing was found; that is no proof that nothing is wrong.
 Each rule looks at one thing. Tests with a chance in them state it where they are made: chi-square, gain, comparisons,
 repeats and blocks left out 0.1 %, patterns and outliers 1 % each. Good data therefore get a CHECK by chance in about
 one fit of thirty (measured: docs/verdict.md).
+
+Rules of other packages come in by entry points of the group `calib.reasons`: functions of a fit that yield reasons.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from importlib.metadata import entry_points
 
+from calib.base.errors import InputError
 from calib.base.remembered import remembered
 from calib.fitting.fitted import Fit
 from calib.fitting.pose_checks import likely_mistake
@@ -70,8 +74,12 @@ _MOVED = {Code.AT_BOUNDS}  # what a base that stands a little elsewhere does
 
 @remembered
 def judge(fit: Fit) -> Verdict:
-    """Return the verdict on a fit: the worst of the reasons found, FAIL before CHECK."""
-    reasons = [reason for rule in _RULES for reason in rule(fit)]
+    """Return the verdict on a fit: the worst of the reasons found, FAIL before CHECK.
+
+    Raises:
+        InputError: A rule of another package cannot be loaded, fails, or yields something else than reasons.
+    """
+    reasons = [*(reason for rule in _RULES for reason in rule(fit)), *_reasons_of_others(fit)]
     codes, made = {reason.code for reason in reasons}, claim_of(fit)
     needless = Code.NOTHING_TO_CORRECT in codes
     if made is not None and Code.WORSE_ON_VALIDATION not in codes:
@@ -92,3 +100,18 @@ def judge(fit: Fit) -> Verdict:
     if grade == "FAIL":  # what was found on the side says nothing about numbers that must not be used
         return Verdict(grade, tuple(reason for reason in reasons if reason.grade != "PASS"))
     return Verdict(grade, tuple(reasons), not_covered(fit), made)
+
+
+def _reasons_of_others(fit: Fit) -> Iterator[Reason]:
+    """Ask the rules of other packages, in the order of their names."""
+    for entry in sorted(entry_points(group="calib.reasons"), key=lambda entry: entry.name):
+        whose = f"reason '{entry.name}' of the verdict ({entry.value})"
+        try:
+            given = list(entry.load()(fit))
+        except Exception as error:  # whatever another package does
+            raise InputError(
+                f"{whose}: {type(error).__name__}: {error}; mend or uninstall the package that has it"
+            ) from None
+        if not all(isinstance(reason, Reason) for reason in given):
+            raise InputError(f"{whose}: yields something else than calib.judging.reasons.Reason; mend its package")
+        yield from given

@@ -14,7 +14,7 @@ from code_comparison.codes import OURS as ALL_OURS
 from code_comparison.data_set import MissingDataError, Rows, Split
 from code_comparison.data_sets import DATA_SETS
 from code_comparison.data_sets.charuco_hand_eye import Images, Photographs, halves
-from code_comparison.data_sets.klipper_delta import Folds, Printers, Row, left_out
+from code_comparison.data_sets.klipper_delta import Folds, Printers, Row, heights, left_out
 from code_comparison.running import compared
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
@@ -186,6 +186,12 @@ def test_a_shift_of_another_day_does_not_count(stand_ins):
     assert data.errors(unseen, off) == pytest.approx([1e-3, 4e-3])
     one = Folds((unseen.folds[0],) * 2, False, True)
     assert data.errors(one, off) == pytest.approx([0.0, 0.0])  # one row in a fold is its own mean
+
+
+def test_heights_of_another_day_are_in_the_steps_of_the_file_that_is_fitted():
+    rows = (Row(0.3, ("8,16,24",)), Row(64.7, ("1,2,3", "4,5,6")))
+    (found,) = heights("microsteps: 16", rows, "x: 1\nmicrosteps: 64\n")
+    assert found == Row(0.3, ("32.0,64.0,96.0",))
 
 
 @pytest.mark.parametrize("code", CODES, ids=lambda code: f"{code.problem}: {code.name}")

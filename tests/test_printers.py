@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from klipper_files import nozzle
+from code_comparison.codes.delta_printer import nozzle
 
 import calib
 from calib.base.errors import CalibrationError

@@ -98,6 +98,15 @@ def left_out(head: str, rows: tuple[Row, ...]) -> Iterator[Fold]:
         yield Fold(head, rows[:k] + rows[k + 1 :], (out,))
 
 
+def heights(head: str, rows: tuple[Row, ...], by: str) -> Iterator[Row]:
+    """Heights of a file, in the steps of another day's: the owner of the V400 went from 16 to 64 microsteps."""
+    own, other = (int(re.search(r"^microsteps: (\d+)", text, re.MULTILINE)[1]) for text in (head, by))
+    for row in rows:
+        if len(row.places) == 1:
+            steps = (float(one) * other / own for one in row.places[0].split(","))
+            yield Row(row.measured, (",".join(map(repr, steps)),))
+
+
 def _splits(folder: Path) -> Iterator[Split]:
     # the owner of the last Kossel changed its controller: its steps fit twice the microsteps that its file says
     files = {path.stem: read(path, "32" if path.stem == "kossel_4" else None) for path in sorted(folder.glob("*.cfg"))}
@@ -109,7 +118,7 @@ def _splits(folder: Path) -> Iterator[Split]:
         yield split("random", f"{words}: each row left out", [f for name in names for f in left_out(*files[name])])
     for days, words in (("kossel_1", "kossel_2"), "Kossel"), (("v400_a1", "v400_a2", "v400_a3", "v400_a4"), "V400"):
         folds = [
-            Fold(*files[one], tuple(row for row in files[other][1] if len(row.places) == 1))
+            Fold(*files[one], tuple(heights(*files[other], files[one][0])))
             for pair in itertools.pairwise(days)
             for one, other in (pair, pair[::-1])
         ]

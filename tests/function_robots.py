@@ -33,7 +33,7 @@ INERTIAL = (
     '<inertial><origin xyz="0.05 0.02 0.1"/><mass value="{mass}"/>'
     '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>'
 )
-EVERY_TERM = "gain,curve,backlash,drift,temperature,compliance,bending"
+EVERY_TERM = "gain,curve,backlash,drift,temperature,compliance,bending,gravity_backlash"
 WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
 _DOORS = """\
 #include "robot.h"

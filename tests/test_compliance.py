@@ -158,6 +158,68 @@ def test_compliance_is_recovered_from_data_of_other_code(machine):
     assert np.all(std[given > 0] < 0.05 * given[given > 0])
 
 
+KNEE = 2.0  # N m
+PLAY = """\
+  - {origin: lift, components: [ry], sigma: 3 mrad}
+  - {origin: bend, components: [ry], sigma: 3 mrad}
+  - {joint: all, term: gravity_backlash, torque: 2}
+sigma: 0.02 mm
+"""
+HALF, SOFT, ZERO = np.array([0, 4e-4, 3e-4]), np.array([0, -2e-5, -3e-5]), np.array([0, 1e-3, -2e-3])
+
+
+def played(folder, low, high):
+    """A fit to 60 poses of the arm between these joint values, by other code: play, compliance and joint zeros."""
+    (folder / "arm.urdf").write_text(ARM)
+    (folder / "arm.yaml").write_text(ARM_YAML + PLAY)
+    robot, rng = calib.load(folder / "arm.yaml"), np.random.default_rng(1)
+    q = rng.uniform(low, high, (60, 3))
+    tau = torques(arm_at, q)
+    points = np.array([arm_at(row)[0] for row in q + HALF * -tau / np.sqrt(tau**2 + KNEE**2) + SOFT * tau + ZERO])
+    fit = calib.fit(robot, calib.as_measurements(robot, q, points + 2e-5 * rng.standard_normal(points.shape)))
+    std = dict(zip(fit.free_names, fit.statistics.std, strict=True))
+    values = dict(zip((p.name for p in robot.parameters), fit.robot.values, strict=True))
+    return robot, tau, values, std
+
+
+def test_play_that_gravity_takes_up_is_found_where_gravity_changes_its_side(tmp_path):
+    robot, tau, values, std = played(tmp_path, -2.0, 2.0)
+    assert np.all(tau[:, 1:].min(axis=0) < -5 * KNEE) and np.all(tau[:, 1:].max(axis=0) > 5 * KNEE)
+    for name, half in (("lift", HALF[1]), ("bend", HALF[2])):
+        name += ".gravity_backlash"
+        assert abs(values[name] - half) < 4 * std[name] < 0.4 * half
+    q = poses(robot, 8, 9)
+    play = robot.with_parameters({"lift.gravity_backlash": HALF[1], "turn.gravity_backlash": HALF[1]})
+    side = -torques(arm_at, q)[:, 1] / np.sqrt(torques(arm_at, q)[:, 1] ** 2 + KNEE**2)
+    actual = play.actual(q, play.term_columns(q))
+    assert np.allclose((actual - q)[:, 1], HALF[1] * side, rtol=0, atol=1e-9)
+    assert np.allclose((actual - q)[:, 0], 0.0, rtol=0, atol=1e-12)  # its axis is vertical: gravity decides nothing
+    assert np.allclose(play.commands(actual), q, rtol=0, atol=1e-9)
+
+
+def test_play_that_gravity_holds_on_one_side_is_a_zero_of_the_joint(tmp_path):
+    robot, tau, values, std = played(tmp_path, [-2.0, -0.3, -0.3], [2.0, 0.3, 0.2])
+    assert np.all(tau[:, 1:].max(axis=0) < -3 * KNEE)
+    for name in ("lift", "bend"):
+        expected = robot.parameters[f"{name}.gravity_backlash"].sigma_si
+        assert std[f"{name}.gravity_backlash"] > 0.8 * expected  # the prior alone holds it
+        assert std[f"{name}.ry"] > 0.8 * expected
+
+
+@pytest.mark.parametrize("upright", [-1, 1])
+def test_commands_across_a_change_of_side_are_found_or_unknown(tmp_path, upright):
+    (tmp_path / "arm.urdf").write_text(ARM)
+    (tmp_path / "arm.yaml").write_text(ARM_YAML + PLAY.replace("torque: 2", "torque: 0.05"))
+    robot = calib.load(tmp_path / "arm.yaml").with_parameters({"lift.gravity_backlash": 5e-3})
+    lift = upright * np.pi / 2 + np.linspace(-0.15, 0.15, 201)  # the arm stands upright between, or hangs down
+    actual = np.stack([0 * lift, lift, 0 * lift], axis=1)
+    commands = robot.commands(actual)
+    known = np.isfinite(commands).all(axis=1)
+    back = robot.actual(commands[known], robot.term_columns(commands[known]))
+    assert np.allclose(back, actual[known], rtol=0, atol=1e-9)
+    assert np.mean(known) > 0.9
+
+
 def loaded(robot, load, **changes):
     """A robot with these changes of its description, and the conditions of visits that carry these masses."""
     robot = replace(robot, description=robot.description.model_copy(update=changes))

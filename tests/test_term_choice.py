@@ -28,7 +28,7 @@ from calib.joint_terms.terms import TERMS, listed_terms
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 NOISE = 2e-5
 """Standard deviation of simulated measurements per axis [m]."""
-KINDS = tuple(TERMS)
+KINDS = tuple(name for name in TERMS if TERMS[name].in_auto)
 
 
 def example_arm(_):

@@ -120,9 +120,10 @@ def _errors(facts: RobotFacts) -> list[str]:
         for k, one in enumerate(facts.waves)
     ]
     shares = [
-        f"{{{one.driven}, @_{SOURCES[one.source].upper()}, {one.place}, {_number(one.rate)}}}" for one in facts.shares
+        f"{{{one.driven}, @_{SOURCES[one.source].upper()}, {one.place}, {_number(one.knee)}, {_number(one.rate)}}}"
+        for one in facts.shares
     ]
-    text.append(_structs("@_share @_shares[]", shares or ["{0, @_ONE, 0, 0.0}"]))
+    text.append(_structs("@_share @_shares[]", shares or ["{0, @_ONE, 0, 0.0, 0.0}"]))
     text.append(_structs("@_wave @_waves[]", waves or ["{0, 0, 0, 0.0, NULL, NULL}"]))
     return text
 

@@ -35,18 +35,20 @@ CONDITIONS = {
 
 @dataclass(frozen=True)
 class Share:
-    """A driven joint is off by `rate` times a number that is known of the command.
+    """A driven joint is off by `rate` times a number x that is known of the command, or x / sqrt(x^2 + knee^2).
 
     Attributes:
         driven: Which driven joint.
         source: Which number.
         place: Of which joint, where there is one for each.
+        knee: As above; 0: x itself.
         rate: The coefficient, with all constants.
     """
 
     driven: int
     source: Source
     place: int
+    knee: float
     rate: float
 
 
@@ -167,7 +169,7 @@ def _starts(robot: Robot) -> tuple[FloatArray, FloatArray]:
 
 def _errors(robot: Robot) -> tuple[tuple[Share, ...], tuple[Wave, ...]]:
     """The joint errors, terms of one kind for one joint added up."""
-    rates: dict[tuple[int, Source, int], float] = {}
+    rates: dict[tuple[int, Source, int, float], float] = {}
     series: dict[tuple[int, int, float], dict[int, FloatArray]] = {}
     start = robot.coefficients.start
     for term in robot.terms:
@@ -183,7 +185,7 @@ def _errors(robot: Robot) -> tuple[tuple[Share, ...], tuple[Wave, ...]]:
                     " formula, so that no function can be written of it; choose another format"
                 )
             if isinstance(formula, Proportional):
-                key = (driven, formula.source, formula.place)
+                key = (driven, formula.source, formula.place, formula.knee)
                 rates[key] = rates.get(key, 0.0) + formula.factor * float(values[0])
                 continue
             of_orders = series.setdefault((driven, formula.place, formula.base), {})

@@ -75,7 +75,7 @@ def _numbers(facts: RobotFacts) -> str:
         "_TURN": 2.0 * np.pi,
         "_WORLD": np.eye(4, 3),
         "_WORLD_ROW": np.eye(4)[3:],
-        "_SHARES": [(one.driven, SOURCES[one.source], one.place, one.rate) for one in facts.shares],
+        "_SHARES": [(one.driven, SOURCES[one.source], one.place, one.knee, one.rate) for one in facts.shares],
         "_WAVES": [(one.driven, one.place, one.base, one.sine, one.cosine) for one in facts.waves],
         "_GRAVITY": None if facts.gravity is None else _gravity(facts.gravity),
         "_ROBOT": _tree(facts.tree),

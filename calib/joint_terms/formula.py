@@ -1,7 +1,7 @@
 """Formulas of joint terms: phi as data, so that it can be computed here and written down in other languages.
 
-Every phi is one of two things: a number that is known of a command, times a constant; or sines and cosines of multiples
-of a joint's command.
+Every phi is one of two things: a number that is known of a command, or its smooth sign, times a constant; or sines and
+cosines of multiples of a joint's command.
 """
 
 from __future__ import annotations
@@ -32,22 +32,33 @@ Known = Mapping[Source, FloatArray]
 
 @dataclass(frozen=True)
 class Proportional:
-    """phi = factor x, one column.
+    """phi = factor x, one column; with a knee h, phi = factor x / sqrt(x^2 + h^2): the sign of x, but smooth.
 
     Attributes:
         source: What x is.
         place: Of which joint, where there is one for each.
         factor: Of x.
+        knee: h, in the unit of x; 0: phi is proportional to x.
     """
 
     source: Source
     place: int = 0
     factor: float = 1.0
+    knee: float = 0.0
 
     def columns(self, known: Known) -> FloatArray:
         """Return phi, (n, 1)."""
         values = known[self.source][:, self.place : self.place + 1]
+        if self.knee:
+            values = values / np.hypot(values, self.knee)
         return np.asarray(values if self.factor == 1.0 else self.factor * values)
+
+    def slope(self, known: Known) -> FloatArray:
+        """Return the derivative of phi by x, (n, 1)."""
+        values = known[self.source][:, self.place : self.place + 1]
+        if not self.knee:
+            return np.full_like(values, self.factor)
+        return np.asarray(self.factor * self.knee**2 / np.hypot(values, self.knee) ** 3)
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,10 @@
 """Terms with one coefficient: zero, gain, backlash, drift by time and temperature, and what gives way under gravity.
 
+Backlash has a side. Where the load is small, the motion before decides it. Where gravity loads the joint, it rests on
+the side to which gravity pulls it, wherever it came from, and changes over where the torque changes its sign:
+dq = -c tau / sqrt(tau^2 + h^2), with the torque tau that the joint holds. h stands for friction: a torque about as
+small leaves the joint somewhere between the sides. It also keeps derivatives finite.
+
 Compliance: joints give way in proportion to the torque of gravity that they hold. The torque is that of the URDF's
 masses and of the payload (Pinocchio's generalized gravity at the nominal configuration), through closed loops by
 virtual work. The payload is the mass in the column `load`, beside what the URDF has; it hangs at the first target that
@@ -12,7 +17,9 @@ Joints of a robot arm are about as soft against tilting as about their axis.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, Any, ClassVar
+
+from pydantic import Field
 
 from calib.base.parameter import Parameter
 from calib.joint_terms.formula import Formula, Proportional, Source
@@ -39,11 +46,16 @@ class OneCoefficient(JointTerm):
     parameters: tuple[Parameter, ...]
 
     @classmethod
-    def of(cls, joint: Joint, section: TermSection, sigma: float | None) -> JointTerm:
+    def of(cls, joint: Joint, section: Any, sigma: float | None) -> JointTerm:
         """Return the term that an entry of a robot description means."""
+        return cls(joint.name, cls.coefficients(joint, sigma))
+
+    @classmethod
+    def coefficients(cls, joint: Joint, sigma: float | None) -> tuple[Parameter, ...]:
+        """Return its coefficient, of the expected size where none is stated."""
         expected = cls.expected_angle if joint.dimension == "angle" else cls.expected_length
         size = expected if sigma is None else sigma
-        return cls(joint.name, (coefficient(f"{joint.name}.{cls.word}", joint.dimension, size),))
+        return (coefficient(f"{joint.name}.{cls.word}", joint.dimension, size),)
 
 
 class Zero(OneCoefficient):
@@ -128,6 +140,45 @@ class Compliance(OneCoefficient):
     def formula(self, j: int) -> Formula:
         """Return the torque."""
         return Proportional(Source.TORQUE, j)
+
+
+class GravityBacklashSection(TermSection):
+    """Backlash whose side gravity decides.
+
+    Attributes:
+        torque: The torque h about which the joint changes over: from it on, gravity has taken up most of the play
+            [N m; N of one that slides].
+    """
+
+    torque: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
+
+
+@dataclass(frozen=True)
+class GravityBacklash(OneCoefficient):
+    """dq = c (half the play) towards the side to which gravity pulls the joint, smooth where that changes.
+
+    Attributes:
+        knee: The torque h about which it changes over [N m or N].
+    """
+
+    section = GravityBacklashSection
+    word = "gravity_backlash"
+    cause = "backlash"
+    depends_on = (Condition.LOAD,)
+    per = "to the side of gravity"
+    expected_angle, expected_length = Backlash.expected_angle, Backlash.expected_length
+    needs_torque = True
+    in_auto = False
+    knee: float
+
+    @classmethod
+    def of(cls, joint: Joint, section: GravityBacklashSection, sigma: float | None) -> GravityBacklash:
+        """Return the term that an entry of a robot description means."""
+        return cls(joint.name, cls.coefficients(joint, sigma), section.torque)
+
+    def formula(self, j: int) -> Formula:
+        """Return the sign of the torque, smooth: gravity pulls against the torque that the joint holds."""
+        return Proportional(Source.TORQUE, j, -1.0, self.knee)
 
 
 class Bending(Compliance):

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, ClassVar
 
@@ -28,7 +28,7 @@ from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
 from calib.base.parameter import Parameter
 from calib.base.sections import Quantity, Section
 from calib.base.units import Dimension
-from calib.joint_terms.formula import Formula, Source
+from calib.joint_terms.formula import Formula, Proportional, Source
 from calib.joint_terms.gravity import COLUMNS as GRAVITY
 from calib.joint_terms.gravity import read_down
 
@@ -167,6 +167,7 @@ class JointTerm(ABC):
         follows_command: Whether its columns change with the command of its joint, so that one that did not move does
             not show it (class attribute).
         counts_turns: Whether a whole turn of the joint that it follows changes its columns (class attribute).
+        in_auto: Whether it is tried where nobody says which terms a robot has (class attribute).
     """
 
     section: ClassVar[type[TermSection]] = TermSection
@@ -178,6 +179,7 @@ class JointTerm(ABC):
     per: ClassVar[str] = ""
     follows_command: ClassVar[bool] = True
     counts_turns: ClassVar[bool] = False
+    in_auto: ClassVar[bool] = True
     joint: str
     parameters: tuple[Parameter, ...]
 
@@ -252,6 +254,18 @@ class JointTerm(ABC):
         if formula is None:
             raise NotImplementedError(f"{type(self).__qualname__} gives neither columns nor a formula")
         return formula.columns(context.known(q))
+
+    def by_torque(self, q: FloatArray, j: int, context: Context, rate: FloatArray) -> FloatArray:
+        """Return how phi of a term that asks for the torque changes as that does, (n, n_coefficients).
+
+        Args:
+            q, j, context: As in `columns`.
+            rate: At which rate the torque changes, (n, n_driven).
+        """
+        formula = self.formula(j)
+        if isinstance(formula, Proportional) and formula.knee:
+            return formula.slope(context.known(q)) * rate[:, formula.place, None]
+        return self.columns(q, j, replace(context, torque=rate))  # it is linear in it
 
     def curvature(self, values: FloatArray) -> float:
         """Return a bound of |d^2(dq)/dq^2| [1/rad or 1/m], from the coefficients (n_coefficients,); 0 if straight."""

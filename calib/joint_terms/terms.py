@@ -13,7 +13,15 @@ from pydantic import TypeAdapter, ValidationError
 from calib.base.errors import InputError, nearest
 from calib.base.registry import Registry, entry
 from calib.joint_terms.coupling import Coupling
-from calib.joint_terms.one_coefficient import Backlash, Bending, Compliance, Drift, Gain, Temperature
+from calib.joint_terms.one_coefficient import (
+    Backlash,
+    Bending,
+    Compliance,
+    Drift,
+    Gain,
+    GravityBacklash,
+    Temperature,
+)
 from calib.joint_terms.periodic import Curve, Harmonics
 from calib.joint_terms.term import JointTerm, TermSection
 
@@ -31,6 +39,7 @@ TERMS: Registry[JointTerm] = Registry(
         "temperature": Temperature,
         "compliance": Compliance,
         "bending": Bending,
+        "gravity_backlash": GravityBacklash,
     },
 )
 

@@ -11,7 +11,7 @@ and a joint that gives way by c tau moves by c d tau / d t (`calib.joint_terms.g
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -214,10 +214,10 @@ def turn_columns(
     """Return the derivative of the errors of the joints that give way by the turns, (n, n_giving_way, n_turns).
 
     Args:
-        terms: All terms, the turns last. Those that depend on the torque are linear in it.
+        terms: All terms, the turns last.
         mechanism: The robot.
         q: Commands, (n, n_actuated) [m or rad].
-        context: Their conditions.
+        context: Their conditions, the torque among them.
         slopes: Derivative of the torque by each turn, (n, n_driven) each.
         values: Coefficients of all terms, (n_coefficients,).
     """
@@ -229,8 +229,8 @@ def turn_columns(
             continue
         for name in term.moved(mechanism.dimensions):
             for k, slope in enumerate(slopes):
-                phi = term.columns(q, mechanism.driven.index(name), replace(context, torque=slope))
-                result[:, moved.index(name), k] += phi @ own
+                j = mechanism.driven.index(name)
+                result[:, moved.index(name), k] += term.by_torque(q, j, context, slope) @ own
     return result
 
 

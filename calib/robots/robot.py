@@ -52,6 +52,7 @@ from calib.robots.urdf.text import Triple, UrdfText
 
 _LARGEST_JOINT = 1e6  # [m or rad]
 _COMMAND_ROUNDS = 50
+_COMMANDED = 1e-10  # by which a joint may still be off its command [m or rad]
 _ROUNDING = 1e-14  # a number of the URDF that moves by less has not been edited [m or rad]
 
 
@@ -270,19 +271,30 @@ class Robot(ReadOnlyArrays):
         """Return what the actuated joints must be told to be at `actual`, (n, n_actuated) [m or rad].
 
         q = actual - dq(q) is repeated until it stands; joint errors change so little with q that each round gains
-        digits.
+        digits. Where they change much, as where backlash changes its side, a round that gains nothing is taken back,
+        and the next one goes half as far. NaN where that comes to no end: a joint that falls from one side of its play
+        to the other is nowhere between.
 
         Args:
             actual: What they shall be; where all driven joints are given, (n, n_driven), the others do not count.
             context: Under which conditions.
         """
         n_actuated = len(self.joint_names)
-        wanted = q = actual[:, :n_actuated]
-        for _ in range(_COMMAND_ROUNDS if self.terms else 0):
-            again = wanted - (self.actual(q, self.term_columns(q, context))[:, :n_actuated] - q)
-            change, q = float(np.max(np.abs(again - q), initial=0.0)), again
-            if change < _ROUNDING:
+        wanted = q = np.array(actual[:, :n_actuated])
+        if not self.terms:
+            return q
+        part, off = np.ones((len(q), 1)), np.full((len(q), 1), np.inf)
+        best, step = q, np.zeros_like(q)
+        for _ in range(_COMMAND_ROUNDS):
+            left = wanted - self.actual(q, self.term_columns(q, context))[:, :n_actuated]
+            still = np.max(np.abs(left), axis=1, keepdims=True, initial=0.0)
+            worse = (still > off) & (still > _COMMANDED)
+            part, off = np.where(worse, part / 2, part), np.where(worse, off, still)
+            best, step = np.where(worse, best, q), np.where(worse, step / 2, part * left)
+            q = best + step
+            if not np.any(still >= _ROUNDING):
                 break
+        q[np.flatnonzero(off > _COMMANDED)] = np.nan
         return q
 
     def pairs(self, one: Instrument) -> tuple[RelativeFrame, ...]:

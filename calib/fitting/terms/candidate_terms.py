@@ -112,12 +112,19 @@ def candidates(robot: Robot, data: Measurements) -> tuple[Candidate, ...]:
         robot: The robot with the terms that it has anyway.
         data: Its measurements.
     """
-    found = [_candidate(name, robot, data) for name in TERMS]
+    found = [_candidate(name, robot, data) for name in TERMS if _in_auto(name)]
     uncounted = uncounted_turns(robot, data.joints)
     if uncounted:
         tried = [one.term for one in found if one.sections and TERMS[one.term].counts_turns]
         found += [Candidate(name, refused=may_be_wrapped(uncounted, [f"a {name}"])) for name in tried]
     return tuple(found)
+
+
+def _in_auto(name: str) -> bool:
+    try:
+        return TERMS[name].in_auto
+    except DescriptionError:  # of another package, which is broken: that is said
+        return True
 
 
 def missing_terms(robot: Robot, sections: tuple[TermSection, ...]) -> tuple[TermSection, ...]:

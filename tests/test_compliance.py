@@ -184,7 +184,8 @@ def played(folder, low, high):
 
 def test_play_that_gravity_takes_up_is_found_where_gravity_changes_its_side(tmp_path):
     robot, tau, values, std = played(tmp_path, -2.0, 2.0)
-    assert np.all(tau[:, 1:].min(axis=0) < -5 * KNEE) and np.all(tau[:, 1:].max(axis=0) > 5 * KNEE)
+    assert np.all(tau[:, 1:].min(axis=0) < -5 * KNEE)
+    assert np.all(tau[:, 1:].max(axis=0) > 5 * KNEE)
     for name, half in (("lift", HALF[1]), ("bend", HALF[2])):
         name += ".gravity_backlash"
         assert abs(values[name] - half) < 4 * std[name] < 0.4 * half
@@ -198,7 +199,7 @@ def test_play_that_gravity_takes_up_is_found_where_gravity_changes_its_side(tmp_
 
 
 def test_play_that_gravity_holds_on_one_side_is_a_zero_of_the_joint(tmp_path):
-    robot, tau, values, std = played(tmp_path, [-2.0, -0.3, -0.3], [2.0, 0.3, 0.2])
+    robot, tau, _values, std = played(tmp_path, [-2.0, -0.3, -0.3], [2.0, 0.3, 0.2])
     assert np.all(tau[:, 1:].max(axis=0) < -3 * KNEE)
     for name in ("lift", "bend"):
         expected = robot.parameters[f"{name}.gravity_backlash"].sigma_si

@@ -329,9 +329,132 @@ def test_foreign_columns_may_be_what_an_inclinometer_reads(tmp_path):
     assert np.allclose(calib.read_measurements(tmp_path / "data.csv", robot).joints, [[0, 0, 1, 0, 0, 0]])
 
 
+SLIDE = """\
+  <link name="rod"/>
+  <joint name="slide" type="prismatic"><parent link="tool"/><child link="rod"/><axis xyz="1 0 0"/>
+    <limit lower="-0.5" upper="0.5" effort="1" velocity="1"/></joint>
+</robot>
+"""
+
+
+def sliding(folder, *more):
+    """The mast with a rod that slides, so that its ball reaches every place around; masses and compliance."""
+    (folder / "mast.urdf").write_text(MAST.replace("</robot>\n", SLIDE))
+    text = MAST_YAML.replace("turn]", "turn, slide]").replace("frame: tool", "frame: rod")
+    (folder / "mast.yaml").write_text("".join([text, *more, SENSORS]))
+    return calib.load(folder / "mast.yaml")
+
+
+def slid(n, seed):
+    """Joints, where the ball is, and what the sensors read, as `leaning`, with the rod somewhere."""
+    q, points, low, high = leaning(n, seed)
+    s = np.random.default_rng(seed).uniform(-0.4, 0.4, n)
+    for k, (tip_x, tip_y, _, lean_x, lean_y, turn) in enumerate(q):
+        turned = [about("x", tip_x), about("y", tip_y), about("x", lean_x), about("y", lean_y), about("z", turn)]
+        points[k] += np.linalg.multi_dot(turned) @ [s[k], 0, 0]
+    return np.column_stack([q, s]), points, low, high
+
+
+def reading(low, high):
+    """Columns of the accelerometers."""
+    names = [f"{sensor}_accelerometer_{axis}" for sensor in ("low", "high") for axis in "xyz"]
+    return dict(zip(names, np.hstack([low, high]).T, strict=True))
+
+
+def written(path, columns):
+    rows = zip(*columns.values(), strict=True)
+    path.write_text("\n".join([",".join(columns), *(",".join(f"{x:.17g}" for x in row) for row in rows)]) + "\n")
+    return path
+
+
+def test_goals_are_reached_as_the_robot_stands(tmp_path, run_calib):
+    robot = sliding(tmp_path)
+    q, points, low, high = slid(6, 11)
+    goals = {f"ball_{axis} [m]": values for axis, values in zip("xyz", points.T, strict=True)}
+    file = written(tmp_path / "goals.csv", goals | reading(low, high))
+    run = run_calib("solve", tmp_path / "mast.yaml", file, "--out", tmp_path / "solved.csv")
+    assert run.code == 0, run.err
+    assert np.allclose(calib.read_poses(tmp_path / "solved.csv", robot).joints, q, rtol=0, atol=1e-8)
+    stands = {name: q[:, k] for k, name in enumerate(robot.joint_names) if name in robot.sensed_names}
+    assert np.allclose(calib.solve(robot, calib.Goals(points, stands=stands)).q, q, rtol=0, atol=1e-8)
+    level = calib.solve(robot, calib.Goals(points[:1], stands=dict.fromkeys(robot.sensed_names, 0.0)))
+    assert np.linalg.norm(level.q[0] - q[0]) > 0.01
+    assert np.all(level.q[0][[0, 1, 3, 4]] == 0)
+
+
+def test_a_program_is_compensated_as_the_robot_stands(tmp_path):
+    robot = sliding(tmp_path)
+    q, points, low, high = slid(6, 12)
+    told = {name: q[:, k] for k, name in enumerate(robot.joint_names) if name in robot.commanded_names}
+    program = calib.read_poses(written(tmp_path / "program.csv", told | reading(low, high)), robot)
+    true = robot.with_parameters({"turn.x": 2e-3, "turn.y": -1e-3})
+    result = calib.compensate(true, program, keep="position")
+    assert not result.misses()
+    assert np.allclose(true.positions(result.q)[:, 0], points, rtol=0, atol=1e-9)
+    assert np.allclose(result.q[:, [0, 1, 3, 4]], q[:, [0, 1, 3, 4]], rtol=0, atol=1e-12)
+    stands = {name: q[:, robot.joint_names.index(name)] for name in robot.sensed_names}
+    again = calib.compensate(true, calib.Goals(points, stands=stands))
+    assert np.allclose(again.q, result.q, rtol=0, atol=1e-8)
+
+
+def test_goals_in_a_setup_have_its_gravity(tmp_path, run_calib):
+    arm(tmp_path)
+    setups = "base: {frame: base}\nsetups: {floor: [], wall: []}\ngravity: {setups: {wall: [2, 0, 0]}}\n"
+    (tmp_path / "arm.yaml").write_text(ARM_YAML.replace("base: {frame: base}\n", setups))
+    robot = calib.load(tmp_path / "arm.yaml").with_parameters({"lift.compliance": 3e-4, "bend.compliance": 2e-4})
+    q = poses(robot, 4, 13)
+    points = []
+    for row, down in zip(q, ([0, 0, -1], [1, 0, 0], [0, 0, -1], [1, 0, 0]), strict=True):
+        points.append(centres(row + np.array([0, 3e-4, 2e-4]) * torques(row[None], np.array(down, dtype=float))[0])[4])
+    goals = calib.Goals(np.array(points), setups=np.array([0, 1, 0, 1]))
+    solution = calib.solve(robot, goals, near=q)
+    assert np.allclose(solution.q, q, rtol=0, atol=1e-6)
+    assert np.abs(calib.solve(robot, calib.Goals(np.array(points)), near=q).q - q)[1::2].max() > 1e-4
+    (tmp_path / "goals.csv").write_text("ball_x [m],ball_y [m],ball_z [m],setup\n0.6,0,0.4,wall\n0.6,0,0.4,ceiling\n")
+    run = run_calib("solve", tmp_path / "arm.yaml", tmp_path / "goals.csv", "--out", tmp_path / "solved.csv")
+    assert run.code == 2
+    assert "line 3, column 'setup': no setup 'ceiling'" in run.err
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({}, "no column 'tip_x', and none of inclinometer 'low', which reads it: expected low_accelerometer_x"),
+        ({"tip_x": [0]}, "no column 'tip_y'"),
+        ({"tip_x": [0], "tip_y": [0]}, "no column 'lean_x', and none of inclinometer 'high'"),
+        ({"tip_x": [0], **reading(np.zeros((1, 3)), np.zeros((1, 3)))}, "has a column 'tip_x', and inclinometer 'low'"),
+        (reading(np.zeros((1, 3)), np.ones((1, 3))), "line 2: low_accelerometer is 0 long"),
+    ],
+)
+def test_goals_that_do_not_say_how_the_robot_stands_are_refused(tmp_path, run_calib, columns, message):
+    sliding(tmp_path)
+    goals = {f"ball_{axis} [m]": [value] for axis, value in zip("xyz", (1.2, 0.1, 1.0), strict=True)}
+    file = written(tmp_path / "goals.csv", goals | columns)
+    run = run_calib("solve", tmp_path / "mast.yaml", file, "--out", tmp_path / "solved.csv")
+    assert run.code == 2
+    assert message in run.err, run.err
+    assert not (tmp_path / "solved.csv").exists()
+
+
+def test_a_sensor_behind_what_is_to_be_found_cannot_say_how_the_robot_stands(tmp_path, run_calib):
+    sliding(tmp_path)
+    text = (tmp_path / "mast.urdf").read_text().replace('<axis xyz="0 0 1"/><limit lower="0"', '<axis xyz="0 0 1"/>')
+    text = text.replace('name="lift" type="prismatic"', 'name="lift" type="revolute"')
+    (tmp_path / "mast.urdf").write_text(text)
+    goals = {f"ball_{axis} [m]": [value] for axis, value in zip("xyz", (1.2, 0.1, 1.0), strict=True)}
+    file = written(tmp_path / "goals.csv", goals | reading(np.array([[0, 0, G]]), np.array([[0, 0, G]])))
+    run = run_calib("solve", tmp_path / "mast.yaml", file, "--out", tmp_path / "solved.csv")
+    assert run.code == 2
+    assert "what 'high' reads depends on joint 'lift', which is to be found; give columns" in run.err
+
+
 def test_nobody_can_command_what_inclinometers_read(tmp_path):
-    with pytest.raises(calib.InputError, match=r"inclinometers read tip_x, .*, which nobody commands"):
+    with pytest.raises(
+        calib.InputError, match=r"inclinometers read tip_x, .*, which nobody commands; say how the robot"
+    ):
         calib.solve(mast(tmp_path), np.array([[1.0, 0.0, 1.0]]))
+    with pytest.raises(calib.DataError, match="stands of 'tip_x' must be one number"):
+        calib.Goals(np.zeros((2, 3)), stands={"tip_x": [0.0, np.nan]})
 
 
 @pytest.mark.parametrize(

@@ -111,7 +111,8 @@ def command(
     every row how far the tool is off before and after. The tool is where the description has it. Where the base is
     unknown, the program is meant in the robot's own base frame, which is laid where the nominal and the calibrated
     robot agree best over the measured poses. Where the verdict of the calibration is that nothing is to be corrected,
-    the program stays as it is.
+    the program stays as it is. Of a robot whose inclinometers read joints, rows say how it stands there, by columns of
+    these joints or of the sensors; nominal and calibrated robot stand alike.
 
     G-code (.gcode, .nc, .ngc, .g) is for machines of three motors whose controller turns X, Y and Z into motors with
     the nominal model, Cartesian or delta. Straight moves get the points to tell it, in pieces so short that the tool
@@ -189,12 +190,12 @@ def command(
 def _read(path: str, robot: Robot, output: Output) -> Poses | Goals:
     """The program; joint values count where there are both."""
     names = read_table(path, robot.description.columns).names
-    present = [name for name in robot.joint_names if name in names]
+    present = [name for name in robot.commanded_names if name in names]
     if not present:
         return read_goals(path, robot)
     targets = [name for name in names if any(name == f"{t}_{axis}" for t in robot.target_names for axis in "xyz")]
-    if targets and len(present) < len(robot.joint_names):
-        missing = next(name for name in robot.joint_names if name not in names)
+    if targets and len(present) < len(robot.commanded_names):
+        missing = next(name for name in robot.commanded_names if name not in names)
         raise DataError(
             f"{path}: has columns of joints and of targets, but none for joint '{missing}'; give all joints, or none"
         )
@@ -220,8 +221,7 @@ def _columns(robot: Robot, program: Poses | Goals, compensation: Compensation) -
     if isinstance(program, Goals):
         for name, values in _poses_to_command(robot, program, compensation).items():
             columns.append((name, cells_of(values)))
-    setups = program.setups if isinstance(program, Poses) else None
-    columns += condition_columns(robot, len(program), setups, program.context).items()
+    columns += condition_columns(robot, len(program), program.setups, program.context).items()
     columns += approach_columns(robot, program.approach).items()
     for figure, unit, scale in _shown(compensation):
         columns.append((f"{figure} [{unit}]", cells_of(getattr(compensation, figure) * scale)))

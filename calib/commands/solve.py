@@ -41,9 +41,10 @@ def command(
     orientation of the target's link too, or TARGET_ax, _ay, _az (no unit) to ask for the direction of its z axis.
     Leave the cells of a coordinate empty that is not asked for, as z of a robot that moves in the plane of x and y.
 
-    A column 'pose' names the rows; 'load', 'temperature', 'time' and 'approach_JOINT' say under which conditions the
-    robot will be there, which joint terms may depend on. Joint limits and the home's assembly mode are kept; what a
-    target leaves open stays near home.
+    A column 'pose' names the rows; 'load', 'temperature', 'time', 'setup', 'approach_JOINT' and where gravity points
+    say under which conditions the robot will be there, which joint terms may depend on. Of a robot whose inclinometers
+    read joints, columns of these joints, or of the sensors, say how it stands there. Joint limits and the home's
+    assembly mode are kept; what a target leaves open stays near home.
 
     With a result, what is written says how far the real robot is expected to be off at each target, in the measurement
     frame. Where the verdict of the calibration is that nothing is to be corrected, the nominal robot counts, with base
@@ -115,7 +116,7 @@ def _table(robot: Robot, goals: Goals, solution: Solution, comments: tuple[str, 
         columns[name] = list(values)
     for axis, values in zip("xyz", millimetres(solution.positions[reached].T), strict=True):
         columns[f"{goals.target}_{axis} [mm]"] = list(values)
-    columns |= condition_columns(robot, len(told), None, told.context) | approach_columns(robot, told.approach)
+    columns |= condition_columns(robot, len(told), told.setups, told.context) | approach_columns(robot, told.approach)
     for (name, unit), values in figures(solution.expected).items():
         columns[f"{name} [{unit}]"] = list(values[reached])
     return format_table(list(columns.items()), comments)

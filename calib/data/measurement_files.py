@@ -119,7 +119,7 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
         DataError: The message names file, line and column.
     """
     setups = setups_of(robot, table) if robot.description.setups and "setup" in table.names else None
-    joints, sensed = _joints_of_table(table, robot, setups)
+    joints, sensed = _joints_of_table(table, robot, setups, robot.joint_names)
     joints.flags.writeable = False  # who holds it needs no copy
     called = Packed(table.texts("pose")) if "pose" in table.names else None
     if called is not None and "" in called:
@@ -145,13 +145,41 @@ def poses_of_table(table: Table, robot: Robot, used: set[str], first: int = 0) -
     )
 
 
-def _joints_of_table(table: Table, robot: Robot, setups: IntArray | None) -> tuple[FloatArray, set[str]]:
-    """The joint values of a table, (n, n_actuated), with those that inclinometers read, and the columns of these."""
+def stands_of_table(table: Table, robot: Robot, setups: IntArray | None) -> dict[str, FloatArray]:
+    """Return what joints are that inclinometers read, where the others are to be found, (n,) [rad] by name.
+
+    Args:
+        table: The table, with columns of these joints or of their sensors.
+        robot: Whose joints they are.
+        setups: The setup of each row, (n,); None: the first.
+
+    Raises:
+        DataError: Nothing says what they are, or a sensor does whose readings depend on what is to be found.
+    """
+    mechanism, turning = robot.nominal, [n for n in robot.commanded_names if robot.nominal.dimensions[n] == "angle"]
+    for sensor, section in robot.description.inclinometers.items():
+        support = mechanism.support[mechanism.frames[section.frame]]
+        behind = [name for name in turning if support @ mechanism.select_actuated[:, mechanism.actuated.index(name)]]
+        if behind and not columns_of(sensor).keys().isdisjoint(table.names):
+            raise DataError(
+                f"{table.path}: what '{sensor}' reads depends on joint '{behind[0]}', which is to be found; give"
+                f" columns {' and '.join(section.joints)} in place of the sensor's"
+            )
+    joints, _ = _joints_of_table(table, robot, setups, robot.sensed_names)
+    return {name: joints[:, robot.joint_names.index(name)] for name in robot.sensed_names}
+
+
+def _joints_of_table(
+    table: Table, robot: Robot, setups: IntArray | None, names: Sequence[str]
+) -> tuple[FloatArray, set[str]]:
+    """These joint values of a table, the others at home, (n, n_actuated), and the columns that inclinometers read."""
     sensors = robot.description.inclinometers
     sensed = {joint: name for name, section in sensors.items() for joint in section.joints}
     reading = [name for name in sensors if not columns_of(name).keys().isdisjoint(table.names)]
-    joints = np.zeros((len(table.rows), len(robot.joint_names)))
+    joints = np.tile(robot.home, (len(table.rows), 1))
     for j, name in enumerate(robot.joint_names):
+        if name not in names:
+            continue
         sensor = sensed.get(name)
         if sensor in reading and name in table.names:
             raise DataError(f"{table.path}: has a column '{name}', and inclinometer '{sensor}' reads it; leave one out")

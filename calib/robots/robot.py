@@ -133,19 +133,15 @@ class Robot(ReadOnlyArrays):
         return self.mechanism.actuated
 
     @property
-    def commanded_names(self) -> tuple[str, ...]:
-        """Names of the actuated joints but those that inclinometers read, which nobody commands."""
+    def sensed_names(self) -> tuple[str, ...]:
+        """Names of the actuated joints that inclinometers read, which nobody commands."""
         sensed = {name for section in self.description.inclinometers.values() for name in section.joints}
-        return tuple(name for name in self.joint_names if name not in sensed)
+        return tuple(name for name in self.joint_names if name in sensed)
 
-    def require_commands(self, what: str) -> None:
-        """Raise `InputError` if there are joints that nobody commands, for `what`, which looks for commands."""
-        sensed = [name for name in self.joint_names if name not in self.commanded_names]
-        if sensed:
-            raise InputError(
-                f"{self.path}: inclinometers read {listed(sensed)}, which nobody commands; {what} cannot say beforehand"
-                " how they will stand. Describe the robot as it stands there, with these joints fixed, and without them"
-            )
+    @property
+    def commanded_names(self) -> tuple[str, ...]:
+        """Names of the other actuated joints."""
+        return tuple(name for name in self.joint_names if name not in self.sensed_names)
 
     @property
     def passive_names(self) -> tuple[str, ...]:

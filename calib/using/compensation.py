@@ -46,7 +46,7 @@ from calib.rows.frames import Frame, as_described, program_frame
 from calib.rows.known_robot import Calibrated, KnownRobot, known_robot
 from calib.using.expected_errors import ExpectedError
 from calib.using.goals import Goals
-from calib.using.inverse import problem, settled
+from calib.using.inverse import BETWEEN_SIDES, problem, settled
 from calib.using.program_goals import KEEP, Asked, asked_by_goals, asked_by_joints, reached_goals
 from calib.using.reaching import Configured, Reach, descend
 from calib.using.redundancy import nearer
@@ -189,7 +189,8 @@ def _compensated(frame: Frame, asked: Asked) -> Compensation:
     meant = np.where(np.array(asked.reasons)[:, None] == "", asked.goals.positions, np.nan)
     program = np.where(np.isfinite(meant[:, :1]), asked.joints, np.nan)
     approach = asked.goals.approach
-    context = Context.of(directions_of_motion(asked.joints) if approach is None else approach, asked.goals.context)
+    directions = directions_of_motion(asked.joints) if approach is None else approach
+    context = Context.of(directions, asked.goals.context, asked.goals.setups)
     columns = robot.term_columns(asked.joints, context)
     closed = robot.close(asked.joints, columns=columns)
     reasons = np.array(asked.reasons, dtype=object)
@@ -238,7 +239,7 @@ def _solved(
     near = start if asked.nearly is None else descend(problem(robot, asked.nearly), rows, start)
     solutions = _past_limits(reach, rows, start, nearer(reach, rows, descend(reach, rows, near), near.actuated))
     solutions = settled(robot, reach, rows, solutions, context)
-    commands = robot.commands(solutions.actuated, context)
+    commands = reach.told(rows, robot.commands(solutions.actuated, context))
     here = replace(reach, goals=asked.goals.subset(rows))
     return commands, _reasons(robot, here, solutions, commands, asked.joints[rows])
 
@@ -258,9 +259,13 @@ def _past_limits(reach: Reach, rows: IntArray, start: Configured, solutions: Con
 def _reasons(robot: Robot, reach: Reach, solutions: Configured, commands: FloatArray, program: FloatArray) -> list[str]:
     """Say of every goal why its command (n, n_actuated) is none; empty where it is one."""
     _, miss, angle = reach.misses(solutions.actuated, solutions.passive)
-    closed = robot.close(commands).ok  # the loops were followed from elsewhere
+    known = np.asarray(np.isfinite(commands).all(axis=1))
+    closed = robot.close(np.where(known[:, None], commands, program)).ok  # the loops were followed from elsewhere
     result = []
     for k, reached in enumerate(reached_goals(reach, solutions)):
+        if not known[k]:
+            result.append(BETWEEN_SIDES)
+            continue
         why = _beyond(reach, program[k], "in the program") or (_beyond(reach, commands[k], "needed") if reached else "")
         if not (why or reached):
             degrees = f" and {np.degrees(angle[k]):.3f} deg" if angle[k] > TOLERANCE else ""

@@ -3,7 +3,8 @@
 Columns, with units as everywhere: `<target>_x`, `_y`, `_z` (position in the measurement frame). For an orientation also
 `<target>_rx`, `_ry`, `_rz` (roll, pitch, yaw about fixed axes, as URDF's rpy, of the target's link), or for a direction
 `<target>_ax`, `_ay`, `_az` (the z axis of the target's link; any length). A column `pose` names the rows; `load`,
-`temperature`, `time` and `approach_<joint>` say under which conditions the robot shall be there. A coordinate of the
+`temperature`, `time`, `setup`, `approach_<joint>` and where gravity points say under which conditions the robot shall
+be there, and columns of joints that inclinometers read, or of these sensors, how it stands there. A coordinate of the
 position whose cell is empty is not asked for: a robot that moves in a plane cannot choose how high that lies.
 """
 
@@ -15,10 +16,12 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from calib.base.arrays import FloatArray, IntArray
 from calib.base.errors import DataError
-from calib.data.measurement_files import conditions_of_table
+from calib.data.instrument_cells import setups_of
+from calib.data.measurement_files import conditions_of_table, stands_of_table
 from calib.data.tables import Table, read_table
 from calib.joint_terms.term import Context
 from calib.robots.robot import Robot
@@ -37,6 +40,8 @@ class Goals:
         target: Name of the measured point; the robot's first if empty.
         context: Conditions, as of `Poses`, (n,) [SI] by name.
         approach: Direction from which each joint comes, +1 or -1, (n, n_actuated); None: not known.
+        setups: Number of the setup whose direction of gravity counts, (n,); None: the first.
+        stands: What joints are there that inclinometers read and nobody commands, by name, (n,) or one number [rad].
     """
 
     positions: FloatArray
@@ -47,6 +52,8 @@ class Goals:
     target: str = ""
     context: Mapping[str, FloatArray] = field(default_factory=dict)
     approach: FloatArray | None = None
+    setups: IntArray | None = None
+    stands: Mapping[str, ArrayLike] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n = len(self.positions)
@@ -56,6 +63,7 @@ class Goals:
         object.__setattr__(self, "labels", tuple(self.labels) or tuple(f"goal {name}" for name in self.names))
         if len(self.names) != n or len(self.labels) != n:
             raise DataError(f"goals: {len(self.names)} names and {len(self.labels)} labels for {n} positions")
+        object.__setattr__(self, "stands", {name: self._stand(name, value) for name, value in self.stands.items()})
         for what, shape in (("positions", (n, 3)), ("rotations", (n, 3, 3)), ("directions", (n, 3))):
             self._keep(what, shape)
         if self.rotations is not None:
@@ -65,6 +73,16 @@ class Goals:
             if np.any(lengths < 1e-9):
                 raise DataError(f"{self.labels[int(np.argmin(lengths))]}: the direction has no length")
             object.__setattr__(self, "directions", self.directions / lengths)
+
+    def _stand(self, name: str, value: ArrayLike) -> FloatArray:
+        values = np.asarray(value, dtype=float)
+        if values.shape not in ((), (len(self.positions),)) or not np.all(np.isfinite(values)):
+            raise DataError(f"goals: stands of '{name}' must be one number [rad], or one for each of the goals")
+        return np.broadcast_to(values, len(self.positions))
+
+    def stands_of(self, name: str) -> FloatArray:
+        """Return what a joint is that inclinometers read, (n,) [rad]."""
+        return np.asarray(self.stands[name])
 
     def _keep(self, what: str, shape: tuple[int, ...]) -> None:
         """Replace a field by a checked copy."""
@@ -95,12 +113,14 @@ class Goals:
             self.target,
             {key: values[index] for key, values in self.context.items()},
             None if self.approach is None else self.approach[index],
+            None if self.setups is None else self.setups[index],
+            {name: self.stands_of(name)[index] for name in self.stands},
         )
 
     def conditions(self, n_actuated: int) -> Context:
         """Return under which conditions a robot with so many motors shall be there."""
         approach = np.zeros((len(self), n_actuated)) if self.approach is None else self.approach
-        return Context.of(approach, self.context)
+        return Context.of(approach, self.context, self.setups)
 
     def off(self, positions: FloatArray, index: IntArray | slice = slice(None)) -> FloatArray:
         """Return how far positions (n, 3) are from those of the goals `index`, 0 where nothing is asked, (n, 3) [m]."""
@@ -144,7 +164,32 @@ def read_goals(path: Path | str, robot: Robot) -> Goals:
         f"{table.path}, line {line}" + (f" (pose {name})" if "pose" in table.names else "")
         for line, name in zip(table.lines, names, strict=True)
     )
-    return Goals(positions, rotations, directions, names, labels, target, *conditions_of_table(table, robot))
+    setups = _setups(table, robot)
+    conditions = conditions_of_table(table, robot)
+    stands = stands_of_table(table, robot, setups)
+    return Goals(positions, rotations, directions, names, labels, target, *conditions, setups, stands)
+
+
+def _setups(table: Table, robot: Robot) -> IntArray | None:
+    """The setup of each row, whose direction of gravity counts.
+
+    Raises:
+        DataError: A setup that there is not, or from whose measurement frame or targets goals are not seen.
+    """
+    of_setups = robot.description.setups
+    if not of_setups or "setup" not in table.names:
+        return None
+    setups = setups_of(robot, table)
+    names = list(of_setups)
+    moved = [k for k, name in enumerate(names) if any(of_setups[one] for one in names[1 : k + 1])]
+    wrong = np.flatnonzero(np.isin(setups, moved))
+    if len(wrong):
+        raise DataError(
+            f"{table.path}, line {table.lines[wrong[0]]}, column 'setup': goals are seen as in the first setup"
+            f" '{names[0]}', and something was moved before '{names[setups[wrong[0]]]}'; give them as seen there,"
+            " without the column, to a description whose gravity.down is that of the setup"
+        )
+    return setups
 
 
 def _target(table: Table, robot: Robot) -> str:

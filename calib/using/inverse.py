@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from calib.base.errors import DataError, InputError, UnreachablePoseError, nearest
 from calib.base.units import millimetres
+from calib.base.words import listed
 from calib.data.measurements import Poses
 from calib.joint_terms.term import Context
 from calib.robots import loops
@@ -27,6 +28,7 @@ from calib.using.reaching import Configured, Reach, descend
 from calib.using.redundancy import nearer, unwound
 from calib.using.search import TOLERANCE, Search, closed_start, inside
 
+BETWEEN_SIDES = "needs a joint between the two sides of its play, where no command brings it"
 _ROUNDS = 20
 _SETTLED = 1e-14  # change of a tilt [rad]
 
@@ -61,6 +63,8 @@ class Solution(ReadOnlyArrays):
     def miss(self, k: int) -> str:
         """Return by how much goal k is missed, in words."""
         length, angle = float(self.miss_position[k]), float(self.miss_angle[k])
+        if not np.isfinite(self.q[k]).all():
+            return BETWEEN_SIDES
         if length <= TOLERANCE and angle <= TOLERANCE:
             return "can be reached, but no way there was found from home in its assembly mode"
         return f"misses by {millimetres(length):.3f} mm" + (
@@ -103,8 +107,9 @@ def solve(
     conditions = goals.conditions(len(robot.home))
     best = _searched(robot, reach, _near(robot, reach, near), conditions)
     positions, miss, angle = reach.misses(best.actuated, best.passive)
-    ok = (miss <= TOLERANCE) & (angle <= TOLERANCE)
-    commands = robot.commands(best.actuated, conditions)
+    every = np.arange(len(goals))
+    commands = reach.told(every, robot.commands(best.actuated, conditions))
+    ok = (miss <= TOLERANCE) & (angle <= TOLERANCE) & np.isfinite(commands).all(axis=1)
     reached = np.flatnonzero(ok)
     columns = robot.term_columns(commands[reached], conditions.at(reached))
     ok[reached] = robot.close(commands[reached], columns=columns).ok  # the loops were followed from elsewhere
@@ -154,22 +159,31 @@ def problem(robot: Robot, goals: Goals) -> Reach:
 
     Raises:
         DataError: A target that it does not have.
-        InputError: It has joints that nobody commands.
+        InputError: It has joints that nobody commands, and the goals do not say what these are.
     """
-    robot.require_commands("the way back from positions")
+    lacking = [name for name in robot.sensed_names if name not in goals.stands]
+    if lacking:
+        raise InputError(
+            f"{robot.path}: inclinometers read {listed(lacking)}, which nobody commands; say how the robot stands at"
+            " each goal, in columns of these joints or of their sensors (in Python: calib.Goals with stands); for a"
+            " program that has no such columns, make these joints fixed in the URDF, as they stand"
+        )
     target = robot.mechanism.targets[0]
     if goals.target:
         named = {pair.name: pair for pair in robot.mechanism.targets}
         if goals.target not in named:
             raise DataError(f"no target '{goals.target}'{nearest(goals.target, named)}")
         target = named[goals.target]
-    return Reach(robot.mechanism, robot.mode, target, goals, *robot.urdf.limits(robot.mechanism.driven))
+    lower, upper = robot.urdf.limits(robot.mechanism.driven)
+    stands = np.isin(robot.mechanism.driven, robot.sensed_names)  # whatever their limits
+    lower, upper = np.where(stands, -np.inf, lower), np.where(stands, np.inf, upper)
+    return Reach(robot.mechanism, robot.mode, target, goals, lower, upper)
 
 
 def settled(robot: Robot, reach: Reach, index: IntArray, found: Configured, context: Context) -> Configured:
-    """Descend again until links are tilted as they are at the commands that are found.
+    """Descend again until links are tilted, and joints that nobody commands are, as they are at the commands found.
 
-    They tilt so little, and so nearly alike at neighbouring joint values, that each round gains digits.
+    They differ so little, and so nearly alike at neighbouring joint values, that each round gains digits.
 
     Args:
         robot: The robot.
@@ -178,11 +192,11 @@ def settled(robot: Robot, reach: Reach, index: IntArray, found: Configured, cont
         found: What was found for them.
         context: The conditions of each.
     """
-    tilts = reach.mechanism.is_tilt
-    for _ in range(_ROUNDS if np.any(tilts) else 0):
-        commands = robot.commands(found.actuated, context)
+    for _ in range(_ROUNDS if np.any(reach.held) and robot.terms else 0):
+        commands = reach.told(index, robot.commands(found.actuated, context))
+        commands = np.where(np.isfinite(commands), commands, found.actuated[:, : commands.shape[1]])
         driven = robot.actual(commands, robot.term_columns(commands, context))
-        if np.max(np.abs(driven - found.actuated)[:, tilts], initial=0.0) < _SETTLED:
+        if np.max(np.abs(driven - found.actuated)[:, reach.held], initial=0.0) < _SETTLED:
             break
         closed = loops.close(reach.mechanism, reach.mode, driven, found.passive)
         passive = np.where(closed.ok[:, None], closed.passive, found.passive)

@@ -67,6 +67,8 @@ def asked_by_joints(meant: Robot, program: Poses, keep: str | None) -> Asked:
         target=mechanism.moved_targets[0].name,
         context=program.context,
         approach=program.approach,
+        setups=program.setups,
+        stands={name: joints[:, meant.joint_names.index(name)] for name in meant.sensed_names},
     )
     pose, jacobian, closed = _reached_by(meant, joints, pose)
     if keep is None:
@@ -133,7 +135,8 @@ def _on_one_branch(robot: Robot, reach: Reach, q: FloatArray, ok: BoolArray) -> 
         rows = rows[np.diff(rows, prepend=-2) > 1]  # those that follow one of them come after it
         tried[rows] = True
         start = robot.assemble(q[rows - 1])
-        continued = descend(reach, rows, Configured(start.actuated, start.passive, np.full(len(rows), np.inf)))
+        before = Configured(start.actuated, start.passive, np.full(len(rows), np.inf))
+        continued = descend(reach, rows, reach.stood(rows, before))
         shorter = np.max(np.abs(continued.actuated - q[rows - 1]) / reach.scale, axis=1) < step[rows - 1]
         better = shorter & reached_goals(reach, continued)
         q[rows[better]] = continued.actuated[better]

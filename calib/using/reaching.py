@@ -15,7 +15,8 @@ its limit is kept there by a heavy row of its own, dp = -C_p^-1 C_a da, and a st
 limit is cut. The loops follow each trial step by its tangent and Newton, which keeps the assembly mode of home (see
 `calib.robots.loops`); a step that they cannot follow counts as too long. All goals advance together in arrays.
 
-How far links are tilted (`calib.robots.mechanism`) belongs to the start, and stays.
+How far links are tilted (`calib.robots.mechanism`), and what joints are that nobody commands, belongs to the start, and
+stays.
 
 When it fails. Local minima of |e| exist; `calib.using.inverse` starts from several places. At a singular
 pose of the robot convergence is slow, and the joint values are only as sharp as the pose determines them.
@@ -113,6 +114,28 @@ class Reach:
     def scale(self) -> FloatArray:
         """What one radian of each driven joint is compared with, (n_driven,)."""
         return self.mechanism.driven_scale
+
+    @cached_property
+    def held(self) -> BoolArray:
+        """Which driven joints stay: those that tilt links, and those that nobody commands, (n_driven,)."""
+        return self.mechanism.is_tilt | np.isin(self.mechanism.driven, list(self.goals.stands))
+
+    def told(self, index: IntArray, commands: FloatArray) -> FloatArray:
+        """Return commands (n, n_actuated) for these goals with what joints are that nobody commands."""
+        commands = commands.copy()
+        for name in self.goals.stands:
+            commands[:, self.mechanism.actuated.index(name)] = self.goals.stands_of(name)[index]
+        return commands
+
+    def stood(self, index: IntArray, at: Configured) -> Configured:
+        """Return configurations in which joints that nobody commands are as these goals say, loops closed again."""
+        if not self.goals.stands:
+            return at
+        n = len(self.mechanism.actuated)
+        actuated = np.hstack([self.told(index, at.actuated[:, :n]), at.actuated[:, n:]])
+        closed = loops.close(self.mechanism, self.mode, actuated, at.passive)
+        passive = np.where(closed.ok[:, None], closed.passive, at.passive)
+        return Configured(actuated, passive, np.full(len(index), np.inf))
 
     @cached_property
     def passive_scale(self) -> FloatArray:
@@ -267,7 +290,7 @@ def _damped_step(
         "nij,ni->nj", weighted, weight * aim * np.sqrt(size)
     )
     held = ((at.actuated <= reach.lower) & (gradient > 0)) | ((at.actuated >= reach.upper) & (gradient < 0))
-    held |= reach.mechanism.is_tilt
+    held |= reach.held
     rows = np.where(held[:, None, :], 0.0, np.concatenate([slope, weighted], axis=1))
     normal = rows.transpose(0, 2, 1) @ rows + (damping[:, None] * size)[:, :, None] * np.eye(n_joints)
     return -np.linalg.solve(normal, np.where(held, 0.0, gradient)[:, :, None])[:, :, 0]

@@ -124,7 +124,7 @@ def _step(
     """What is held, the step d (n, n_actuated), and the largest part of P w, (n,): what is left."""
     below, above = reach.room(at.passive)
     low, high = at.actuated <= reach.lower, at.actuated >= reach.upper
-    held = _Held(np.tile(reach.mechanism.is_tilt, (len(low), 1)), np.zeros(below.shape, dtype=bool), below < above)
+    held = _Held(np.tile(reach.held, (len(low), 1)), np.zeros(below.shape, dtype=bool), below < above)
     for _ in range(low.shape[1] + 1):
         inverse, projector = _inverse(held.rows(linear), held)
         back = -np.einsum("nij,nj->ni", inverse, held.gap(reach, linear, at.passive))

@@ -51,9 +51,8 @@ class Search:
     def __init__(self, reach: Reach, home: Configured) -> None:
         n = len(reach.goals)
         self.reach, self.home = reach, home
-        self.best = Configured(
-            np.repeat(home.actuated, n, axis=0), np.repeat(home.passive, n, axis=0), np.full(n, np.inf)
-        )
+        repeated = np.repeat(home.actuated, n, axis=0), np.repeat(home.passive, n, axis=0)
+        self.best = reach.stood(np.arange(n), Configured(*repeated, np.full(n, np.inf)))
         told = _features(reach.goals.positions, reach.goals.rotations, reach.goals.directions, reach.mechanism.length)
         self._features = np.where(np.isnan(told), self._features_at(home), told)
 
@@ -110,7 +109,8 @@ class Search:
         nearest_starts = scipy.spatial.cKDTree(self._features_at(starts)).query(
             self._features[todo], k=range(1, count + 1)
         )[1]
-        found = descend(self.reach, np.repeat(todo, count), starts.subset(nearest_starts.ravel()))
+        index = np.repeat(todo, count)
+        found = descend(self.reach, index, self.reach.stood(index, starts.subset(nearest_starts.ravel())))
         best = np.argmin(found.distance.reshape(-1, count), axis=1) + count * np.arange(len(todo))
         better = np.flatnonzero(found.distance[best] < self.best.distance[todo])
         self.keep(todo[better], found.subset(best[better]))

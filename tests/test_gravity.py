@@ -202,6 +202,17 @@ def test_functions_in_other_languages_have_the_direction(tmp_path):
         ("{sigma: 0 deg}", "gravity.sigma: should be greater than 0"),
         ("{sigma: 3 mm}", "gravity.sigma: unit 'mm' is for a length"),
         ("down", "gravity: should be keys and values"),
+        ("[0, 0, -1]", "gravity: should be keys and values"),
+        ("{down: [0, 0, -1, 0]}", "gravity.down: should have at most 3 entries, not 4"),
+        ("{down: [0 m, 0 m, -1 m]}", r"gravity.down\[0\]: should be a valid number"),
+        ("{down: [0, 0, -.inf]}", r"gravity.down\[2\]: should be a finite number"),
+        ("{down: [1.0e+308, 1.0e+308, 0]}", "gravity.down: a direction of gravity needs a length"),
+        ("{down: -9.81}", "gravity.down: should be a list"),
+        ("{setups: [wall]}", "gravity.setups: should be keys and values"),
+        ("{setups: {wall: [0, 0, 0]}}", "gravity.setups: a direction of gravity needs a length"),
+        ("{frame: 3}", "gravity.frame: should be text"),
+        ("{sigma: 3}", "gravity.sigma: a direction that may be off by 172 deg is not known; write '3 deg'"),
+        ("{sigma: -2 deg}", "gravity.sigma: should be greater than 0"),
     ],
 )
 def test_a_description_that_says_no_direction_is_refused(tmp_path, gravity, message):
@@ -218,6 +229,20 @@ def test_a_description_that_says_no_direction_is_refused(tmp_path, gravity, mess
         ("gravity_x,gravity_y,gravity_z", ("0,0,-9.8", "0,0,-0.98"), "line [23]: gravity is"),
         ("gravity_x,gravity_y,gravity_z", ("0,0,-9.8", "0,0,down"), "line 3, column 'gravity_z'"),
         ("gravity_x [kg],gravity_y,gravity_z", ("0,0,-1", "0,0,-1"), "unit 'kg' is for a mass; an acceleration is"),
+        ("gravity_x,gravity_y,gravity_z", ("0,0,-1", "0,nan,-1"), "line 3, column 'gravity_y': 'nan' is not finite"),
+        ("gravity_x,gravity_y,gravity_z", ("0,0,-1", "0,-1"), "line 3: 8 cells for 9 columns"),
+        ("gravity_x,gravity_y,gravity_z,gravity_x", ("0,0,-1,0", "0,0,-1,0"), "column 'gravity_x' appears twice"),
+        ("gravity_x,gravity_y,gravity_Z", ("0,0,-1", "0,0,-1"), "no column 'gravity_z'; gravity's direction needs"),
+        ("acelerometer_x,acelerometer_y,acelerometer_z", ("0,0,1", "0,0,1"), "did you mean 'accelerometer_x'"),
+        ("accelerometer_x [g],accelerometer_y,accelerometer_z", ("0,0,1", "0,0,1"), "unknown unit 'g'; valid: m/s"),
+        ("accelerometer_x [m/s2],accelerometer_y,accelerometer_z", ("0,0,1", "0,0,1"), "unknown unit 'm/s2'; did you"),
+        ("accelerometer_x [deg],accelerometer_y,accelerometer_z", ("0,0,1", "0,0,1"), "unit 'deg' is for an angle"),
+        ("gravity_tilt_x [m/s^2],gravity_tilt_y", ("0,0", "0,0"), "unit 'm/s.2' is for an acceleration; an angle is"),
+        (
+            "gravity_tilt_x,gravity_tilt_y",
+            ("0,12", "0,11"),
+            "beyond 85 deg.*without .deg. in its header a column is in rad",
+        ),
         ("gravity_tilt_x [deg],gravity_tilt_y [deg]", ("0,0", "0,88"), "line 3: gravity_tilt is a tilt beyond 85 deg"),
         (
             "gravity_tilt_x,gravity_tilt_y,accelerometer_x,accelerometer_y,accelerometer_z",
@@ -468,6 +493,12 @@ def test_nobody_can_command_what_inclinometers_read(tmp_path):
         ("{frame: tracks, joints: [tip_x]}", "inclinometers.low.joints.*missing"),
         ("{frame: tracks, joints: [tip_x, tip_y], axis: z}", "unknown key 'inclinometers.low.axis'"),
         ("{frame: tool, joints: [tip_x, tip_y]}", "list 'high' before 'low', which it moves"),
+        ("{frame: ground, joints: [tip_x, tip_y]}", "'tip_x' does not move ground"),
+        ("{frame: tracks, joints: [tip_x, tip_y, lift]}", "inclinometers.low.joints: should have at most 2 entries"),
+        ("{frame: tracks, joints: tip_x}", "inclinometers.low.joints: should be a list"),
+        ("{frame: tracks}", "key 'inclinometers.low.joints' is missing"),
+        ("{joints: [tip_x, tip_y]}", "key 'inclinometers.low.frame' is missing"),
+        ("[tracks, tip_x, tip_y]", "inclinometers.low: should be keys and values"),
     ],
 )
 def test_an_inclinometer_that_says_nothing_of_its_joints_is_refused(tmp_path, low, message):
@@ -475,9 +506,29 @@ def test_an_inclinometer_that_says_nothing_of_its_joints_is_refused(tmp_path, lo
         mast(tmp_path, SENSORS.replace("{frame: tracks, joints: [tip_x, tip_y]}", low))
 
 
+UP = ",".join(f"low_accelerometer_{axis}" for axis in "xyz")
+
+
 @pytest.mark.parametrize(
     ("head", "cells", "message"),
     [
+        (f",lean_x,lean_y,{UP}", ",0,0,0,0,-9.8", "tip_x and tip_y cannot be turned so that 'low' sees gravity"),
+        (f",lean_x,lean_y,{UP}", ",0,0,0.1,0.05,-9.8", "what 'low' reads turns tip_x by .*; check signs"),
+        (f",lean_x,lean_y,{UP}", ",0,0,9.8,0,0", "tip_x and tip_y cannot be turned so that 'low' sees gravity"),
+        (f",lean_x,lean_y,{UP.replace('accelerometer', 'gravity')}", ",0,0,0.1,0.05,9.8", "'low' reads turns tip_x by"),
+        (f",lean_x,lean_y,{UP}", ",0,0,0,0,0", "low_accelerometer is 0 long"),
+        (f",lean_x,lean_y,{UP},low_gravity_x", ",0,0,0,0,9.8,0", "'low_gravity_x' and 'low_accelerometer_x' both say"),
+        (
+            ",tip_x,tip_y,high_gravity_tilt_x,high_gravity_tilt_y",
+            ",0,0,0.3,0.4",
+            "turns lean_x by 15.90 deg.*units .rad without",
+        ),
+        (
+            ",lean_x,lean_y,accelerometer_x,accelerometer_y,accelerometer_z",
+            ",0,0,0,0,9.8",
+            "none of inclinometer 'low'",
+        ),
+        (",tip_x,tip_y,lean_x [mm],lean_y", ",0,0,0,0", "column 'lean_x': unit 'mm' is for a length"),
         ("", "", "no column 'tip_x', and none of inclinometer 'low', which reads it: expected low_accelerometer_x"),
         (",tip_x,low_gravity_tilt_x", ",0,0", "has a column 'tip_x', and inclinometer 'low' reads it"),
         (",tip_x,tip_y,high_gravity_tilt_x", ",0,0,0", "no column 'high_gravity_tilt_y'"),

@@ -205,13 +205,29 @@ def _joints_of_table(
         assert seen is not None  # or it is an error by now
         own = [robot.joint_names.index(joint) for joint in sensors[name].joints]
         joints[:, own] = turned_joints(robot.nominal, sensors[name], joints, seen, down)
-        lost = np.flatnonzero(np.isnan(joints[:, own]).any(axis=1))
-        if len(lost):
-            raise DataError(
-                f"{table.path}, line {table.lines[lost[0]]}: {' and '.join(sensors[name].joints)} cannot be turned so"
-                f" that '{name}' sees gravity as it read it; check the axes of {sensors[name].frame}, and its signs"
-            )
+        _check_tilts(robot, name, joints[:, own], table)
     return joints, {column for name in reading for column in columns_of(name)}
+
+
+def _check_tilts(robot: Robot, sensor: str, tilts: FloatArray, table: Table) -> None:
+    """Raise `DataError` where two joints (n, 2) cannot be what a sensor reads, or only beyond their limits."""
+    section = robot.description.inclinometers[sensor]
+    lost = np.flatnonzero(np.isnan(tilts).any(axis=1))
+    if len(lost):
+        raise DataError(
+            f"{table.path}, line {table.lines[lost[0]]}: {' and '.join(section.joints)} cannot be turned so that"
+            f" '{sensor}' sees gravity as it read it; check the axes of {section.frame}, and its signs"
+        )
+    lower, upper = robot.urdf.limits(section.joints)
+    beyond = (tilts < lower) | (tilts > upper)
+    if np.any(beyond):
+        k, j = np.argwhere(beyond)[0]
+        raise DataError(
+            f"{table.path}, line {table.lines[k]}: what '{sensor}' reads turns {section.joints[j]} by"
+            f" {np.degrees(tilts[k, j]):.2f} deg, and its limits in the URDF are {np.degrees(lower[j]):.2f} and"
+            f" {np.degrees(upper[j]):.2f} deg; check signs (an accelerometer at rest reads upwards), the axes of"
+            f" {section.frame}, units (rad without [deg]), and these limits"
+        )
 
 
 def _joined(parts: Sequence[Poses]) -> Poses:
@@ -261,6 +277,7 @@ def conditions_of_table(table: Table, robot: Robot) -> tuple[dict[str, FloatArra
     """
     keys = [key for key in CONTEXT if key not in GRAVITY_COLUMNS or robot.description.gravity is not None]
     context = {key: table.column(key, CONTEXT[key], gaps=True) for key in keys if key in table.names}
+    _check_spelling(table, robot)
     check_read(context, table.path, table.lines)
     for name in table.names:
         joint = name.removeprefix(APPROACH)
@@ -273,6 +290,15 @@ def conditions_of_table(table: Table, robot: Robot) -> tuple[dict[str, FloatArra
     for j, name in present:
         directions[:, j] = np.sign(np.nan_to_num(table.column(name, None, gaps=True)))
     return context, directions
+
+
+def _check_spelling(table: Table, robot: Robot) -> None:
+    """Raise `DataError` where a column seems to say where gravity points, but for its spelling."""
+    sensed = {column for name in robot.description.inclinometers for column in columns_of(name)}
+    for name in table.names if robot.description.gravity is not None else ():
+        close = difflib.get_close_matches(name, GRAVITY_COLUMNS, n=1, cutoff=0.9)
+        if close and close[0] not in table.names and name not in sensed:
+            raise DataError(f"{table.path}: no column '{name}' says where gravity points; did you mean '{close[0]}'?")
 
 
 def _visits_by_pose(table: Table, poses: Poses) -> IntArray:

@@ -62,8 +62,15 @@ class GravitySection(Section):
     @classmethod
     def _has_length(cls, value: Any) -> Any:
         for direction in value.values() if isinstance(value, dict) else [value]:
-            if not np.linalg.norm(direction) > 0:
+            if not 1e-100 < np.max(np.abs(direction)) < 1e100:  # its square is a number, too
                 raise ValueError("a direction of gravity needs a length, such as [0, 0, -1]")
+        return value
+
+    @field_validator("sigma")
+    @classmethod
+    def _is_small(cls, value: float | None) -> float | None:
+        if value is not None and value > np.pi / 2:
+            raise ValueError(f"a direction that may be off by {np.degrees(value):.0f} deg is not known; write '3 deg'")
         return value
 
     def stated(self, setups: Sequence[str] = ()) -> FloatArray:
@@ -152,7 +159,10 @@ def check_read(conditions: Mapping[str, FloatArray], path: str, lines: Sequence[
 
 def _no_tilts(read: FloatArray) -> tuple[BoolArray, str]:
     """Which rows of tilts (n, 2) tell no direction, and why."""
-    why = "is a tilt beyond 85 deg, where two tilts tell no direction; give gravity_x, gravity_y, gravity_z"
+    why = (
+        "is a tilt beyond 85 deg, where two tilts tell no direction; without [deg] in its header a column is in rad;"
+        " else give gravity_x, gravity_y, gravity_z"
+    )
     return np.any(np.abs(read) > _TILTS_END, axis=1), why
 
 

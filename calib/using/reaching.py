@@ -128,7 +128,7 @@ class Reach:
         return commands
 
     def stood(self, index: IntArray, at: Configured) -> Configured:
-        """Return configurations in which joints that nobody commands are as these goals say, loops closed again."""
+        """Return configurations in which joints that nobody commands are as these goals, (n,), say; loops closed."""
         if not self.goals.stands:
             return at
         n = len(self.mechanism.actuated)

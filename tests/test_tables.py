@@ -76,7 +76,7 @@ def test_quoted_cells_are_read_also_behind_a_blank(table_of):
         ("a,,b\n1,2,3\n", "column 2 has no name in the header; name it, or remove it"),
         ("a,[mm]\n1,2\n", "column 2 has no name in the header; name it, or remove it"),
         ("a,b\n1,2\n3\n", "line 3: 1 cells for 2 columns"),
-        ("Monday\na,b\n1,2\n", "line 2: 2 cells for 1 columns; if line 1 is not the header, begin it with #"),
+        ("Monday\na,b\nc,d\n", "line 2: 2 cells for 1 columns; if line 1 is not the header, begin it with #"),
         (
             "a,b\n1,5,2,5\n",
             "line 2: 4 cells for 2 columns; write decimals with a point, or separate columns by semicolons",

@@ -1,7 +1,9 @@
 """CSV tables with units in their headers: read with the line and column of every mistake, and written back.
 
-A column is `name` or `name [unit]`; without a unit the numbers are SI. Lines that start with # are comments. Commas,
-semicolons or tabs part the columns, whichever the header has; where it is not the comma, that may be the decimal mark.
+A column is `name` or `name [unit]`; without a unit the numbers are SI. Lines that start with # or // are comments.
+Commas, semicolons or tabs part the columns, whichever the header has; where it is not the comma, that may be the
+decimal mark. `calib.data.layouts` knows what other programs write around a table; what was guessed is told to the
+logger.
 
 A spreadsheet runs text that starts like a formula. Such names are written with an apostrophe before them, which tells
 spreadsheets that they are text, and reading takes one away: `=1+1` is written as `'=1+1`, and `'=1+1` as `''=1+1`.
@@ -10,13 +12,15 @@ spreadsheets that they are text, and reading takes one away: `=1+1` is written a
 from __future__ import annotations
 
 import csv
+import functools
 import io
+import logging
 import math
 import re
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, Protocol, TypeGuard, cast
 
@@ -27,11 +31,21 @@ from calib.base.errors import DataError, InputError, nearest
 from calib.base.files import read_lines
 from calib.base.own_files import is_mark
 from calib.base.units import Dimension, per_si, split_column
+from calib.data.layouts import (
+    COMMENTS,
+    SEPARATORS,
+    header_line,
+    is_comment,
+    is_workbook,
+    separator_of,
+    units_below,
+    workbook_lines,
+)
 from calib.data.on_demand import TextRows, cells_of, is_plain
 from calib.data.rosbag import is_bag, read_bag
 
 _LARGEST = 1e6  # [m or rad]
-_SEPARATORS = ",;\t"
+_LOG = logging.getLogger("calib")
 IN_MEMORY = "table in memory"
 """What a table that is no file is called in messages."""
 _PART = 8192  # cells that are read together
@@ -235,7 +249,7 @@ def read_table(
     growing: Sequence[str] | None = None,
     any_size: bool = False,
 ) -> Table:
-    """Read a CSV file, its columns separated by commas, semicolons or tabs; or a ROS bag (`calib.data.rosbag`).
+    """Read a CSV file, its columns separated by commas, semicolons or tabs; or a workbook, or a ROS bag.
 
     Args:
         path: The file, or the folder of a bag; or a table in memory.
@@ -252,14 +266,33 @@ def read_table(
     path = cast("Path | str", path)
     if is_bag(path):
         return _table_of_columns(str(path), *read_bag(path), renamed or {})
-    pieces = [list(growing)] if growing is not None else read_lines(path, "a CSV file", DataError, any_size=any_size)
+    if growing is not None:
+        pieces = iter([list(growing)])
+    elif is_workbook(path):
+        pieces = iter([workbook_lines(path)])
+    else:
+        pieces = read_lines(path, "a CSV file", DataError, any_size=any_size)
+    start = next(pieces, [])
+    above = header_line(str(path), start)
     comments, numbers = list[str](), array("q")
-    lines = _without_comments(pieces, comments, numbers)
+    lines = _without_comments(chain([start], pieces), above, comments, numbers)
     header = next(lines, None)
     if header is None:
         raise DataError(f"{path}: is empty; expected a header line and rows of numbers")
-    separator = max(_SEPARATORS, key=re.sub('"[^"]*"', "", header).count)
-    names, units = _header(str(path), _cells(str(path), header, numbers[0], separator), renamed or {})
+    separator = separator_of(header)
+    cells = _cells(str(path), header, numbers[0], separator)
+    names, units = _header(str(path), cells, renamed or {})
+    first_row = next(lines, None)
+    below = first_row and units_below(cells, _cells(str(path), first_row, numbers[-1], separator))
+    if below:
+        units = tuple(unit or other for unit, other in zip(units, below, strict=True))
+        numbers.pop()
+    elif first_row is not None:
+        lines = chain([first_row], lines)
+    if any(line.strip() and not is_comment(line) for line in start[:above]):
+        _tell(str(path), f"took line {numbers[0]} for the header, and the lines above it for comments")
+    if below:
+        _tell(str(path), "took the line below the header for units")
     rows = TextRows(_checked(str(path), lines, numbers, len(names), separator), separator)
     if not rows:
         raise DataError(f"{path}: has a header but no rows")
@@ -268,13 +301,27 @@ def read_table(
     return Table(str(path), names, units, rows, where, tuple(comments), separator)
 
 
-def _without_comments(pieces: Iterable[list[str]], comments: list[str], numbers: array[int]) -> Iterator[str]:
-    """Header and rows among the lines of a file; their numbers, and what the comments say, go into the lists."""
+@functools.lru_cache(maxsize=64)
+def _tell(path: str, told: str) -> None:
+    """Warn of what a file was taken for, once."""
+    _LOG.warning("%s: %s", path, told)
+
+
+def _without_comments(
+    pieces: Iterable[list[str]], above: int, comments: list[str], numbers: array[int]
+) -> Iterator[str]:
+    """Header and rows among the lines of a file, whose first `above` are comments too.
+
+    Their numbers, and what the comments say, go into the lists.
+    """
     for number, line in enumerate((line for piece in pieces for line in piece), start=1):
-        if line.lstrip().startswith("#"):
+        if is_comment(line):
             if not is_mark(line):
-                comments.append(line.lstrip()[1:].strip())
-        elif line.strip().strip(_SEPARATORS):
+                begun = next(mark for mark in COMMENTS if line.lstrip().startswith(mark))
+                comments.append(line.lstrip().removeprefix(begun).strip())
+        elif number <= above:
+            comments.extend([text] if (text := line.strip().strip(SEPARATORS)) else [])
+        elif line.strip().strip(SEPARATORS):
             numbers.append(number)
             yield line
 

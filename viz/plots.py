@@ -8,8 +8,11 @@ from typing import Any
 import numpy as np
 import scipy
 
+from calib import Robot
 from calib.base.arrays import BoolArray, FloatArray
-from calib.base.units import PER_SI
+from calib.base.units import ERROR_UNIT, PER_SI, error_scale
+from calib.base.words import counted
+from calib.fitting.error_sets import ErrorSet
 from viz.part_plots import error_by_axis, of_positions, residual_by_joint
 from viz.poses import IDENTIFICATION, VALIDATION, PoseTable
 from viz.scene import Joint
@@ -162,6 +165,51 @@ def draw_course(axes: Any, table: PoseTable, rows: BoolArray) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(10, integer=True))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda place, _: shortened(names.get(round(place), ""), 10)))
     axes.margins(x=0.01)
+
+
+@styled
+def error_map(errors: ErrorSet, robot: Robot) -> Plot:
+    """Errors after calibration where the robot was, from above and from the side, in the unit of what was read.
+
+    Args:
+        errors: Errors of a set of visits.
+        robot: The calibrated robot; its first target says where it was.
+    """
+    data, part = errors.data, errors.main_part
+    squares = np.zeros(len(data))
+    for one, own, rows in errors.parts():
+        if own.name == part.name:  # of several readings of a visit the largest
+            sizes = np.nansum(np.square(errors.after[one.name][:, rows]), axis=1)
+            np.maximum.at(squares, data.readings[one.name].visits, sizes)
+    shown, note = thinned(len(data))
+    size = error_scale(part.dimension) * np.sqrt(squares)
+    places = _MM * robot.positions(data.joints, data.conditions)[shown, 0]
+    figure, panels = new_figure(1, 2, (8.9, 3.1))
+    figure.subplots_adjust(left=0.08, right=0.9, bottom=0.17, top=0.91, wspace=0.25)
+    for axes, (across, up), view in zip(panels, (("x", "y"), ("x", "z")), ("from above", "from the side"), strict=True):
+        points = axes.scatter(
+            places[:, "xyz".index(across)],
+            places[:, "xyz".index(up)],
+            c=size[shown],
+            cmap="viridis",
+            vmin=0.0,
+            vmax=max(float(size.max()), 1e-9),
+            s=16,
+            linewidths=0.3,
+            edgecolors="black",
+        )
+        axes.set(xlabel=f"{across} [mm]", ylabel=f"{up} [mm]", title=view)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.locator_params(nbins=6)
+    bar = figure.colorbar(points, cax=figure.add_axes((0.92, 0.17, 0.015, 0.74)))
+    bar.set_label(f"{part.name} error after [{ERROR_UNIT[part.dimension]}]")
+    return finished(
+        "error-map",
+        "Where the robot is how accurate",
+        f"What is left after calibration, at {counted(len(data), 'pose')}: {robot.target_names[0]} where it was."
+        + note,
+        figure,
+    )
 
 
 @styled

@@ -15,9 +15,9 @@ import numpy as np
 from calib import Fit, Measurements
 from calib.judging.repeatability import CONDITIONS, conditions
 
-_SIGNATURES, _TEMPERATURE = "signatures", "temperature"
+_SIGNATURES, _TEMPERATURE, _TOLERANCE = "signatures", "temperature", "tolerance"
 _RECORD = ("serial number", "instrument", "certificate", "operator", "temperature", "load", "speed", "warm-up")
-_KEYS = (*_RECORD, *CONDITIONS, _SIGNATURES)
+_KEYS = (*_RECORD, *CONDITIONS, _SIGNATURES, _TOLERANCE)
 _MOST_LINES, _LONGEST = 6, 240
 
 
@@ -79,6 +79,12 @@ def signatures(fit: Fit) -> list[str]:
     """Return what is to be signed, a line for each."""
     lines = [part.strip() for text in _said(fit, _SIGNATURES) for part in text.split(";")]
     return list(dict.fromkeys(line for line in lines if line))
+
+
+def tolerance(fit: Fit) -> str:
+    """Return which tolerance was asked, in the words of the files; empty where they ask none, or several."""
+    said = _said(fit, _TOLERANCE)
+    return said[0] if len(said) == 1 else ""
 
 
 def _files(fit: Fit) -> list[Measurements]:

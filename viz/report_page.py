@@ -1,4 +1,7 @@
-"""The report of a fit: one page to read and to print, verdict first. No scripts, no requests, all text escaped."""
+"""The report of a fit, to read and to print: page one for whoever ordered it, verdict first; the rest is an annex.
+
+No scripts, no requests, all text escaped.
+"""
 
 from __future__ import annotations
 
@@ -28,11 +31,11 @@ from calib.reporting.result_content import (
     position_uncertainty_table,
 )
 from viz.part_plots import part_plots
-from viz.plots import all_plots, budget_bars
+from viz.plots import all_plots, budget_bars, error_map
 from viz.pose_sources import from_fit
 from viz.remarks import fit_remarks, record, signatures
 from viz.rendering import picture_of
-from viz.report_tables import extent, headline, judged_by, noise_lines, unsure, worst
+from viz.report_tables import extent, headline, judged_by, noise_lines, tolerance_of, unsure, worst
 from viz.scene import Scene, joints_of, scene_of_fit
 from viz.viewer_page import Page
 
@@ -93,6 +96,8 @@ def report_page(
             remarks=fit_remarks(fit, beside_record=True),
             record=record(fit),
             signatures=signatures(fit),
+            tolerance=tolerance_of(fit),
+            map=error_map(judged_by(fit), fit.robot),
             logo=logo,
             picture="" if shown is None else picture_of(shown),
             pictured=None if shown is None or not len(shown.poses) else shown.poses.labels[shown.shown[0]],

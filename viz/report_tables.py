@@ -8,13 +8,16 @@ import numpy as np
 
 from calib import Fit
 from calib.base.arrays import FloatArray
-from calib.base.units import ERROR_UNIT, error_scale
+from calib.base.errors import InputError
+from calib.base.units import ERROR_UNIT, error_scale, quantity
 from calib.fitting.error_sets import ErrorSet
 from calib.instruments.kind import Part
+from calib.judging.verdict import judge
 from calib.reporting.accuracy import NAMES, Accuracy, AccuracyTable, error_sets
 from calib.reporting.result_content import parameter_rows
 from viz.pose_sources import of_errors
 from viz.poses import IDENTIFICATION, VALIDATION, PoseTable, averaged
+from viz.remarks import tolerance
 
 _JUDGED_BY = ("validation", "left out in turns", "identification")
 
@@ -43,6 +46,38 @@ def judged_by(fit: Fit) -> ErrorSet:
     """Return the errors that count, as in `headline`."""
     sets = {NAMES.get(name, name): errors for name, errors in error_sets(fit)}
     return next(sets[name] for name in _JUDGED_BY if name in sets)
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """Whether the robot keeps what was asked of it: the tolerance, the answer, its grade, and what says so."""
+
+    asked: str
+    answer: str
+    grade: str
+    why: str
+
+
+def tolerance_of(fit: Fit) -> Tolerance | None:
+    """Return whether 95 of 100 errors at poses like those measured stay below the tolerance that was asked, if any.
+
+    Of positions, by what the calibration claims; where that does not hold, nothing does.
+    """
+    asked = tolerance(fit)
+    if not asked:
+        return None
+    try:
+        limit = quantity(asked, "length", "tolerance")
+    except InputError:
+        return Tolerance(asked, "not judged", "CHECK", "This is no length with a unit, such as 0.1 mm.")
+    claim = judge(fit).claim
+    if claim is None or not claim.told.is_position or not np.isfinite(claim.told.limit95):
+        return Tolerance(asked, "not judged", "CHECK", "These measurements do not tell how far positions are off.")
+    within = f"95 of 100 positions are within {claim.told.shown(claim.told.limit95)}, {claim.region}"
+    if not claim.holds:
+        return Tolerance(asked, "not met", "FAIL", f"Poses that were not used are further off than claimed ({within}).")
+    met = claim.told.limit95 <= limit
+    return Tolerance(asked, "met" if met else "not met", "PASS" if met else "FAIL", f"{within}.")
 
 
 def worst(fit: Fit) -> str:

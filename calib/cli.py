@@ -35,7 +35,7 @@ _COMMANDS = {
 
 _GROUPS = {
     "Before measuring": ("init", "check", "sample", "select", "simulate", "study"),
-    "Measuring and calibrating": ("watch", "fit", "verify", "compare"),
+    "Measuring and calibrating": ("watch", "fit", "verify", "compare", "fleet"),
     "Cameras": ("board", "detect", "hand-eye"),
     "Using the result": ("predict", "solve", "compensate", "export"),
 }

@@ -84,6 +84,8 @@ def test_shapes_and_joints_mean_what_the_urdf_says(tmp_path: Path) -> None:
     w, x, y, z = floats(body(root, "bras"), "quat")
     assert np.abs(pin.Quaternion(w, x, y, z).matrix() - pin.rpy.rpyToMatrix(0.1, 0.2, 0.3)).max() < 1e-15
     assert floats(body(root, "target_tip"), "pos") == [0, 0, 0.2]
+    (site,) = body(root, "target_tip").findall("site")
+    assert (site.get("name"), site.get("pos")) == ("target_tip_site", None)
 
 
 def test_inertia_is_written_in_the_axes_of_the_link(tmp_path: Path) -> None:

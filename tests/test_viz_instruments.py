@@ -13,11 +13,12 @@ from calib.data.in_memory import as_poses, measurements
 from calib.instruments.kind import Readings
 from calib.rows.observed import predicted_readings
 from viz.inputs import gather
+from viz.instrument_shapes import instrument_shapes
 from viz.part_plots import part_plots
 from viz.plots import all_plots
-from viz.pose_sources import from_fit
+from viz.pose_sources import from_fit, from_measurements
 from viz.report_page import report_page
-from viz.scene import joints_of, scene_of_fit
+from viz.scene import build_scene, joints_of, scene_of_fit
 from viz.scene_data import scene_data
 
 ARM = """\
@@ -65,7 +66,7 @@ def test_a_target_that_was_not_seen_has_no_row(tmp_path):
     saved = gather(robot, tmp_path / "out").scene.poses
     assert (saved.labels, saved.targets) == (table.labels, table.targets)
     np.testing.assert_allclose(saved.after, table.after, atol=1e-9)
-    assert report_page(fit, created=NOON).html.count("<figure") == 7
+    assert report_page(fit, created=NOON).html.count("<figure") == 8
 
 
 def test_repeats_of_a_pose_are_one_row_with_the_mean_of_their_readings(tmp_path):
@@ -121,7 +122,7 @@ def test_the_report_has_a_table_figures_and_a_noise_for_each_part(pose_fit):
     assert re.search(r"noise of one reading of ball, position 0\.0\d+ mm per axis \(stated: 0\.0500 mm", shown)
     assert re.search(r"noise of one reading of ball, orientation 0\.\d+ mrad .*\(stated: 0\.200 mrad", shown)
     assert "Instruments ball (position, orientation of ball)" in shown
-    assert html.count("<figure") == 9
+    assert html.count("<figure") == 10
     names = re.findall(r'\bid="([^"]+)"', html)
     assert len(names) == len(set(names))
 
@@ -153,12 +154,19 @@ def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(
     shown = words(html)
     assert "Mean distance error before and after calibration, 120 poses (identification)" in shown
     assert "Where it was measured" not in shown
-    assert html.count("<figure") == 4
+    assert html.count("<figure") == 5
     fit.save(tmp_path / "out")
-    saved = gather(robot, tmp_path / "out").scene
+    saved = saved_scene = gather(robot, tmp_path / "out").scene
     assert saved.states == ()
     np.testing.assert_allclose(saved.poses.after, table.after, atol=1e-9)
     np.testing.assert_allclose(saved.poses.before, table.before, atol=1e-9)
+    off = fit.identification.tables()["ball"]["distance"]
+    expected = tuple((off[state]["mean"], off[state]["max"]) for state in ("before", "after"))
+    for shown in (scene, saved_scene):
+        (other,) = shown.others
+        assert (other.name, other.unit, other.sets[0][0]) == ("ball: distance", "mm", "identification")
+        np.testing.assert_allclose(other.sets[0][1:], expected, rtol=1e-9)
+    assert content["others"][0]["sets"][0]["after"] == list(expected[1])
     alone = gather(robot, None, data).scene
     assert alone.states == ()
     assert len(alone.poses) == 240
@@ -214,3 +222,59 @@ def test_points_of_a_later_setup_are_shown_in_the_frame_of_the_first(tmp_path):
     assert saved.targets == table.targets
     np.testing.assert_allclose(saved.measured, table.measured, atol=1e-9)
     np.testing.assert_allclose(shown.ghost.values, fit.placed.values, atol=1e-6)
+
+
+MEASURED_WITH = """\
+instruments:
+  probe: {kind: touch, target: ball, artefact: {frame: l0, xyz: [0.5, 0.2, 0.1], rpy: [0, 0, 90 deg], pose: unknown,
+          points: {a: [0, 0, 0], b: [200 mm, 0, 0]}}}
+  table: {kind: touch, target: ball, surface: plane, radius: 3 mm, places: {top: {frame: l0, xyz: [0, 0, 40 mm]}}}
+  wire: {kind: distance, target: second, end: {frame: l0, xyz: [1, 0, 0]}}
+  eye: {kind: pixel, target: second, camera: {frame: l6, xyz: [0, 0, 0.1]}, image: [1000, 800],
+        intrinsics: {fx: 800, fy: 800, cx: 500, cy: 400}, points: {p: [0, 0, 0], q: [10 mm, 0, 0]}}
+"""
+
+
+def test_what_measures_and_what_it_looks_at_is_drawn_where_the_robot_has_it(tmp_path):
+    robot = arm(tmp_path, MEASURED_WITH)
+    q = joints(3)
+    scene = build_scene(robot, None, from_poses(robot, q))
+    number = {name: body for body, name in enumerate(scene.bodies.names)}
+    drawn = {shape.name: shape for shape in scene.shapes if shape.body is not None}
+
+    def place(name, pose):
+        shape = drawn[name]
+        return (scene.bodies.poses(scene.solid, pose)[number[shape.body]] @ shape.T_body_shape)[:3, 3]
+
+    for pose in range(3):
+        np.testing.assert_allclose(place("probe/a", pose), [0.5, 0.2, 0.1], atol=1e-12)
+        np.testing.assert_allclose(place("probe/b", pose), [0.5, 0.4, 0.1], atol=1e-12)
+        np.testing.assert_allclose(place("table/top", pose), [0, 0, 0.04], atol=1e-12)
+        np.testing.assert_allclose(place("wire/end", pose), [1, 0, 0], atol=1e-12)
+        np.testing.assert_allclose(place("ball/ball", pose), robot.positions(q)[pose, 0], atol=1e-9)
+        np.testing.assert_allclose(place("second/p", pose), robot.positions(q)[pose, 1], atol=1e-9)
+    ropes = [shape for shape in scene.decorations if shape.name.startswith("wire/")]
+    for rope, end in zip(ropes, robot.positions(q)[:, 1], strict=True):
+        np.testing.assert_allclose(rope.T_body_shape[:3, 3], np.mean([end, [1, 0, 0]], axis=0), atol=1e-9)
+        assert rope.size[1] == pytest.approx(np.linalg.norm(end - [1, 0, 0]))
+    edge = drawn["eye/edge0"]
+    along = (
+        edge.T_body_shape[:3, 2] / edge.T_body_shape[2, 2]
+    )  # in the camera's frame, to the first corner of the image
+    np.testing.assert_allclose(800 * along[:2] + [500, 400], [0, 0], atol=1e-9)
+
+
+def from_poses(robot, q):
+    return from_measurements(calib.as_measurements(robot, q, {"wire": np.ones((len(q), 1))}), robot, None, {})
+
+
+def test_a_board_is_drawn_with_a_patch_around_each_of_its_points(tmp_path):
+    board = "{kind: chessboard, columns: 4, rows: 3, square: 20 mm}"
+    camera = "camera: {frame: l0}, intrinsics: {fx: 800, fy: 800, cx: 500, cy: 400}"
+    robot = arm(tmp_path, f"instruments: {{eye: {{kind: pixel, target: ball, {camera}, board: {board}}}}}\n")
+    drawn = {shape.name: shape for shape in instrument_shapes(robot)}
+    corners = drawn["ball/points"].vertices.reshape(-1, 4, 3)
+    points = np.array([(0.02 * i, 0.02 * j) for j in (1, 2) for i in (1, 2, 3)])
+    np.testing.assert_allclose(corners.mean(axis=1)[:, :2], points, atol=1e-12)
+    np.testing.assert_allclose(drawn["ball/board"].size[:2], [0.08, 0.06])
+    np.testing.assert_allclose(drawn["ball/board"].T_body_shape[:2, 3], [0.04, 0.03])

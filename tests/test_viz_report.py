@@ -14,6 +14,7 @@ from viz_examples import measurements, medrue_fit, medrue_robot, spoiled
 import calib
 import viz
 from calib.base.files import image_address
+from viz.plots import error_map
 from viz.pose_sources import from_fit
 from viz.report_page import command_line, decimals_of, millimetres, number, report_page, significant
 
@@ -53,7 +54,7 @@ def test_every_section_is_there(html):
         "Where this comes from",
     ):
         assert heading in html
-    assert html.count("<figure") == 7
+    assert html.count("<figure") == 8
 
 
 def test_without_validation_the_report_says_so():
@@ -144,7 +145,7 @@ def test_everything_from_files_is_escaped(fit):
 def test_tables_have_headers_and_the_page_a_language(html):
     assert '<html lang="en">' in html
     assert html.count("<th scope=") > 40
-    assert html.count('role="img" aria-label=') == 6
+    assert html.count('role="img" aria-label=') == 7
 
 
 def test_the_same_fit_gives_the_same_report(fit):
@@ -197,13 +198,15 @@ def test_no_zero_has_a_sign():
     assert [number(value) for value in (-1e-6, 0.0, -0.0, -0.00006)] == ["0.0000", "0.0000", "0.0000", "−0.0001"]
 
 
-def test_the_first_box_says_where_it_is_worst_how_sure_that_is_and_where_it_was_measured(html, fit):
-    first = text(html)[:1200]
+def test_page_one_says_where_it_is_worst_and_was_measured_and_the_annex_how_sure_that_is(html, fit):
+    first, annex = text(html).split("Annex:")
     found = fit.validation
     row = int(np.argmax(np.linalg.norm(found.after["tool"], axis=1)))
     assert f"pose {found.data.names[row]}, at x" in first
-    assert millimetres(fit.validation_uncertainty.summary()["max"]) in first
-    assert f"noise of one reading {millimetres(1e3 * fit.sigma)} mm" in first
+    assert millimetres(fit.validation_uncertainty.summary()["max"]) in annex
+    assert f"noise of one reading {millimetres(1e3 * fit.sigma)} mm" in annex
+    assert "degrees of freedom" not in first
+    assert "rank" not in first.lower()
     points = 1e3 * np.concatenate([errors.data.readings["tool"].values for errors in (fit.identification, found)])
     assert f"x {points[:, 0].min():.0f} to {points[:, 0].max():.0f}".replace("-", "−") in first
 
@@ -279,6 +282,27 @@ def test_the_record_of_the_measurement_stands_in_the_table_and_nowhere_else(fit)
     assert re.findall(r"<p><span>(.*?)</span>", html) == ["Measured by", "Approved by"]
 
 
+@pytest.mark.parametrize(
+    ("asked", "answer"),
+    [
+        ("5 mm", "Asked 5 mm: met 95 of 100 positions are within "),
+        ("0.001 mm", "Asked 0.001 mm: not met 95 of 100 positions are within "),
+        ("<b>tight</b>", "Asked &lt;b&gt;tight&lt;/b&gt;: not judged This is no length with a unit"),
+    ],
+)
+def test_a_tolerance_that_was_asked_is_answered_on_page_one(fit, asked, answer):
+    page = text(report_page(with_comments(fit, f"tolerance: {asked}"), created=NOON).html)
+    assert answer in page.split("What was calibrated")[0]
+    assert "Asked" not in text(report_page(fit, created=NOON).html)
+
+
+def test_the_map_has_a_mark_for_each_pose_in_the_unit_of_what_was_read(fit):
+    plot = error_map(fit.validation, fit.robot)
+    assert "position error after [mm]" in plot.svg
+    assert "at 47 poses" in plot.text
+    assert plot.svg.count("<use ") >= 2 * 47
+
+
 def test_a_column_of_temperatures_is_the_record_where_nothing_else_is_said(fit):
     n = len(fit.identification.data)
     html = report_page(with_comments(fit, temperature=np.linspace(20.04, 22.3, n)), created=NOON).html
@@ -293,8 +317,8 @@ def test_what_files_are_worth_stands_in_the_verdict_where_they_hold_less(tmp_pat
     points = plain.positions(1.01 * q) + 2e-5 * np.random.default_rng(1).standard_normal((60, 1, 3))
     fit = calib.fit(arm, calib.as_measurements(arm, q, points))
     page = text(report_page(fit, created=NOON).html)
-    start, table = page.index("What files are worth"), page.index("What was calibrated")
-    assert page.index("Verdict:") < start < table
+    start, table = page.index("What files are worth"), page.index("Accuracy before and after")
+    assert page.index("Annex:") < start < table
     for holds, words in ((calib.Holds.ORIGINS, "joint origins"), (calib.Holds.EVERYTHING, "the whole model")):
         worth = fit.robot.files[holds].accuracy
         assert f"{words} {millimetres(1e3 * worth.rms)} {millimetres(1e3 * worth.limit95)}" in page[start:table]

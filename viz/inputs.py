@@ -18,7 +18,7 @@ from viz.pose_sources import Sigmas, from_measurements, from_saved, noise
 from viz.poses import IDENTIFICATION, Calibrated
 from viz.remarks import remarks
 from viz.saved_readings import read_saved
-from viz.scene import Scene, build_scene, scene_of_fit
+from viz.scene import Scene, build_scene, other_errors, scene_of_fit
 from viz.workspace_map import workspace_map
 
 Result = Fit | str | Path
@@ -98,7 +98,10 @@ def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None, ma
     notes = (f"not shown: left out of the fit, {counted(len(left_out), 'outlier')}",) if left_out else ()
     said = remarks(content.get("comments", ()) if data is None else data.comments)
     judged = of_result(content["verdict"])
-    scene = build_scene(placed, model, table, verdict=judged, notes=notes, told=told.notes, comments=said)
+    others = other_errors(content.get("instruments", ())) if data is None else ()
+    scene = build_scene(
+        placed, model, table, verdict=judged, notes=notes, told=told.notes, comments=said, others=others
+    )
     return Shown(_mapped(scene, calibrated, placed, mapped), model, placed)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -10,11 +12,15 @@ import scipy
 from calib import Fit, Robot
 from calib.base.arrays import FloatArray, IntArray
 from calib.base.units import DISPLAY_UNIT, PER_SI
+from calib.fitting.error_sets import STATES
+from calib.instruments.position import POSITION
 from calib.judging.verdict import judge
+from calib.reporting.result_content import instrument_blocks
 from viz.bodies import Bodies, PosedRobot, bodies_of, posed_robot
 from viz.decorations import decorations_of
 from viz.drive import Drive, drive_of
 from viz.geometry import read_shapes
+from viz.instrument_shapes import instrument_shapes, wires
 from viz.judgement import Judgement, of_verdict
 from viz.pose_sources import from_fit
 from viz.poses import PoseTable, empty, rows_shown
@@ -49,6 +55,21 @@ class View:
 
 
 @dataclass(frozen=True)
+class OtherErrors:
+    """Errors of what an instrument reads beside positions.
+
+    Attributes:
+        name: Instrument and part, such as `probe: contact`.
+        unit: Unit of all numbers.
+        sets: Of each set its name, and mean and largest error before and after calibration.
+    """
+
+    name: str
+    unit: str
+    sets: tuple[tuple[str, tuple[float, float], tuple[float, float]], ...]
+
+
+@dataclass(frozen=True)
 class Joint:
     """How the panel names an actuated joint: its name, unit, and how many of the unit make one SI unit."""
 
@@ -80,6 +101,7 @@ class Scene:
         remarks: What the measurement files say about themselves.
         verdict: Verdict on the fit, if there is one.
         map: What is known over the workspace, if that was asked for.
+        others: Errors of what is read beside positions, each in its unit.
     """
 
     title: str
@@ -100,6 +122,7 @@ class Scene:
     remarks: Remarks
     verdict: Judgement | None = None
     map: WorkspaceMap | None = None
+    others: tuple[OtherErrors, ...] = ()
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -110,7 +133,8 @@ class Scene:
 def scene_of_fit(fit: Fit) -> Scene:
     """Return the scene of a fit."""
     verdict, told = of_verdict(judge(fit)), fit.told_positions.notes
-    return build_scene(fit.placed, fit.robot, from_fit(fit), verdict=verdict, told=told, comments=fit_remarks(fit))
+    said, others = fit_remarks(fit), other_errors(instrument_blocks(fit))
+    return build_scene(fit.placed, fit.robot, from_fit(fit), verdict=verdict, told=told, comments=said, others=others)
 
 
 def build_scene(
@@ -122,6 +146,7 @@ def build_scene(
     notes: tuple[str, ...] = (),
     told: tuple[str, ...] = (),
     comments: Remarks = NO_REMARKS,
+    others: tuple[OtherErrors, ...] = (),
 ) -> Scene:
     """Return the scene of a robot and its poses.
 
@@ -133,6 +158,7 @@ def build_scene(
         notes: What to warn of beside what the URDF's shapes give reason to.
         told: What numbers are.
         comments: What the measurement files say about themselves.
+        others: Errors of what is read beside positions.
 
     Raises:
         UnreachablePoseError: A pose cannot be assembled.
@@ -146,8 +172,14 @@ def build_scene(
     ghost = None if calibrated is None else posed_robot(nominal, bodies, shown)
     if ghost is not None and nominal.description.base.pose == "unknown":
         ghost = replace(ghost, root=bodies.poses(solid, 0)[0])
+    if ghost is not None:  # what measures has no nominal place: the ghost carries it where it is
+        beside = np.array([name.startswith("(") for name in bodies.names[1:]]) & (
+            np.arange(1, len(bodies.names)) != bodies.base
+        )
+        ghost = replace(ghost, placements=np.where(beside[:, None, None], solid.placements, ghost.placements))
     shapes, shape_notes = read_shapes(nominal)
-    decorations = decorations_of(nominal.name)
+    shapes += instrument_shapes(solid_robot)
+    decorations = (*decorations_of(nominal.name), *wires(solid_robot, bodies, solid))
     view = _view(bodies, solid, shapes, decorations, table)
     size = float(np.linalg.norm(view.high - view.low))
     factors = {state: nice_factor(_typical(table.error(state)), _VECTOR_SIZE * size) for state in ("before", "after")}
@@ -172,7 +204,22 @@ def build_scene(
         told,
         comments,
         verdict,
+        others=others,
     )
+
+
+def other_errors(blocks: Iterable[Mapping[str, Any]]) -> tuple[OtherErrors, ...]:
+    """Return the errors of instruments (entry `instruments` of `result.json`) that are not those of positions."""
+    found = []
+    for block in blocks:
+        for part in block["parts"]:
+            sets = tuple(
+                (name, *((float(off[state]["mean"]), float(off[state]["max"])) for state in STATES))
+                for name, off in part["errors"].items()
+            )
+            if part["name"] != POSITION.name and sets:
+                found.append(OtherErrors(f"{block['name']}: {part['name']}", part["unit"], sets))
+    return tuple(found)
 
 
 def joints_of(robot: Robot) -> tuple[Joint, ...]:

@@ -59,6 +59,16 @@ def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
         },
         "table": _table(scene, shown),
         "summary": summary(scene),
+        "others": [
+            {
+                "name": other.name,
+                "unit": other.unit,
+                "sets": [
+                    {"group": name, "before": list(before), "after": list(after)} for name, before, after in other.sets
+                ],
+            }
+            for other in scene.others
+        ],
         "certainty": certainty(scene),
         "range": ranges(scene),
         "map": None if scene.map is None else _map(scene, scene.map),

@@ -21,7 +21,7 @@ PHONE = {"width": 390, "height": 844}
 _BEFORE = "document.getElementById('state-before').click()"
 _DARK = "for (const id of ['dark', 'same-scale']) document.getElementById(id).click()"
 _FRAMES = "document.getElementById('show-frames').click()"
-_MAP = "map.html"  # of `calib view --map --html`; taken where it is there
+_MAP, _SOCKETS = "map.html", "sockets.html"  # of `calib view --html`, with a map, and of touches; taken where they are
 PICTURES: tuple[tuple[str, str, dict[str, int], str], ...] = (
     ("viewer", "viewer.html", DESKTOP, ""),
     ("viewer-before", "viewer.html", DESKTOP, _BEFORE),
@@ -30,6 +30,7 @@ PICTURES: tuple[tuple[str, str, dict[str, int], str], ...] = (
     ("viewer-phone", "viewer.html", PHONE, ""),
     ("report", "report.html", {"width": 1000, "height": 1300}, ""),
     ("viewer-map", _MAP, DESKTOP, ""),
+    ("viewer-sockets", _SOCKETS, DESKTOP, ""),
 )
 """Name of the picture, page, size of the window [px], and what to do before taking it."""
 
@@ -51,7 +52,7 @@ def take(folder: Path) -> dict[str, bytes]:
     """Take all pictures, and return PNG files by name.
 
     Args:
-        folder: Result folder with viewer.html and report.html; and map.html, if that picture is to be taken.
+        folder: Result folder with viewer.html and report.html; and map.html and sockets.html, if these are to be taken.
 
     Raises:
         InputError: A page, Chromium or playwright is missing.
@@ -60,7 +61,9 @@ def take(folder: Path) -> dict[str, bytes]:
         from playwright.sync_api import sync_playwright
     except ImportError:
         raise InputError("playwright is not installed; in a checkout: pip install -e '.[browser]'") from None
-    pictures = [picture for picture in PICTURES if picture[1] != _MAP or (folder / _MAP).is_file()]
+    pictures = [
+        picture for picture in PICTURES if picture[1] not in (_MAP, _SOCKETS) or (folder / picture[1]).is_file()
+    ]
     for _, page, _, _ in pictures:
         if not (folder / page).is_file():
             raise InputError(f"{folder}: has no {page}; give the folder that `calib fit --out` wrote")

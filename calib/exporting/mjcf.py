@@ -6,9 +6,9 @@ configuration. Joint values mean the same as in the URDF. Numbers are written as
 to the same float; MuJoCo's own writer would keep six digits.
 
 Every link is a body, also the fixed ones; a root link named `world` becomes the body `world_link`, because MuJoCo keeps
-that name for itself. Targets and the measurement frame are empty bodies, because not every program reads sites. Motors
-are position servos whose stiffness comes from the inertia that they feel at home. Ties are soft in a simulator, though
-little here: never take its pose for the truth.
+that name for itself. Targets and the measurement frame are bodies with nothing but a site, because not every program
+reads sites; that of `target_tip` is `target_tip_site`. Motors are position servos whose stiffness comes from the
+inertia that they feel at home. Ties are soft in a simulator, though little here: never take its pose for the truth.
 
 A lamp and a floor that touches nothing make the robot visible; the keyframe `home` puts joints and servos there.
 """
@@ -129,7 +129,8 @@ class _Writer:
         self.shapes.add(element, link, [np.asarray(joint.xyz, dtype=float) for joint in self.children[name]])
         for marker in self.model.markers:
             if marker.link == name:
-                SubElement(element, "body", {"name": marker.name, **placed(marker.placement)})
+                body = SubElement(element, "body", {"name": marker.name, **placed(marker.placement)})
+                SubElement(body, "site", name=f"{marker.name}_site", size="0.005")
         for joint in self.children[name]:
             self._body(element, joint)
 

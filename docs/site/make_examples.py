@@ -30,6 +30,18 @@ Array = NDArray[np.float64]
 # Where the tracker sees the robot's base from, and the noise of one reading.
 ARM_BASE = {"base.x": 2.1, "base.y": -1.4, "base.z": 0.6, "base.rx": 0.01, "base.ry": -0.02, "base.rz": 2.2}
 ARM_SIGMA, ARM_SEED, ARM_POSES = 0.03e-3, 8, 80
+TOUCH_SIGMA, TOUCH_SEED, TOUCHES = 0.02e-3, 6, 75
+PLATE = (0.5, 0.1, 0.35)  # where the first socket is [m]
+SOCKETS = """
+urdf: arm.urdf
+name_mot: [joint_1, joint_2, joint_3, joint_4, joint_5, joint_6]
+base: {frame: base_link}
+targets: {ball: {frame: flange, position: unknown, sigma: 20 mm}}
+instruments: {probe: {kind: touch, target: ball, places: {a: {frame: base_link, position: unknown}}}}
+parametrisation:
+  - {origin: all, components: [x, y, z], sigma: 1 mm}
+  - {origin: all, components: [rx, ry, rz], sigma: 3 mrad}
+"""
 FIVE_BAR_BASE = {"base.x": 0.4, "base.y": 1.1, "base.z": -0.3, "base.rx": 0.02, "base.ry": 0.03, "base.rz": -1.2}
 TEMPLATES = {"four_bar": 40, "3rrr": 60, "delta": 60, "stewart": 80}  # and how many poses
 TEMPLATE_SIGMA, TEMPLATE_SEED = 0.02e-3, 3
@@ -51,6 +63,49 @@ def arm() -> dict[str, str]:
     for axis, offset in zip("xyz", (1.5e-3, -2.0e-3, 0.8e-3), strict=True):
         truth[f"reflector.{axis}"] += offset
     return _files(robot, "arm", np.array(poses), truth, ARM_SIGMA, ARM_SEED, rng)
+
+
+def touches() -> dict[str, str]:
+    """Return the touches of the serial arm: joint values at which the ball on its flange sits in the sockets."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "sockets.yaml"
+        path.write_text(SOCKETS.replace("arm.urdf", str(EXAMPLES / "arm.urdf")))
+        robot = calib.load(path)
+        rng = np.random.default_rng(TOUCH_SEED)
+        truth = {name: value for name, value in _drawn(robot, rng).items() if not name.startswith("probe")}
+        truth |= {"ball.x": 0.002, "ball.y": -0.003, "ball.z": 0.012}
+        actual = robot.with_parameters(truth)
+        low, high = np.radians([[-80, -60, -30, -170, -110, -175], [120, 100, 130, 170, 110, 175]])
+        starts = rng.uniform(low, high, (8 * TOUCHES, 6))
+        points = np.array([(0.0, 0.0, 0.0), (0.2, 0.0, 0.0), (0.0, 0.15, 0.0)])[np.arange(len(starts)) % 3]
+        seats = np.array(PLATE) + points + rng.normal(0.0, TOUCH_SIGMA, points.shape)
+        q = _brought(actual, starts, seats)
+        gap = np.linalg.norm(actual.positions(q)[:, 0] - seats, axis=1)
+        reached = np.flatnonzero((gap < 1e-7) & np.all((q > low) & (q < high), axis=1))[:TOUCHES]
+        names = "abc"
+        columns: list[tuple[str, object]] = [
+            ("pose", list(range(1, TOUCHES + 1))),
+            *((f"joint_{j + 1} [deg]", np.round(np.degrees(q[reached, j]), 5).tolist()) for j in range(6)),
+            ("probe", [names[k % 3] for k in reached]),
+        ]
+        remarks = (
+            "Simulated touches of docs/examples/arm.urdf; no real robot touched anything.",
+            f"A ball on the flange sits in three sockets of a plate, each time {1e3 * TOUCH_SIGMA:g} mm off along each"
+            f" axis; everything from seed {TOUCH_SEED}.",
+        )
+        return {"arm_touches_simulated.csv": format_table(columns, remarks)}
+
+
+def _brought(robot: calib.Robot, q: Array, points: Array) -> Array:
+    """Joint values near q (n, 6) [rad] that bring the ball to points (n, 3) [m], where Newton's method finds some."""
+    step = 1e-6
+    for _ in range(30):
+        here = robot.positions(q)[:, 0]
+        moved = [robot.positions(q + step * direction)[:, 0] - here for direction in np.eye(6)]
+        jacobian = np.stack(moved, axis=2) / step
+        change = np.einsum("nji,ni->nj", np.linalg.pinv(jacobian, rcond=1e-3), points - here)
+        q = q + change * np.minimum(1.0, 0.3 / np.maximum(np.abs(change).max(axis=1, keepdims=True), 1e-12))
+    return q
 
 
 def five_bar() -> dict[str, str]:
@@ -136,7 +191,7 @@ def _files(
 
 def every_file() -> dict[str, str]:
     """Return all files that are made, by name."""
-    files = arm() | five_bar()
+    files = arm() | touches() | five_bar()
     for name in TEMPLATES:
         files |= from_template(name)
     return files

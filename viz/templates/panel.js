@@ -51,11 +51,30 @@ class Panel {
         ...[row.before, row.after].flatMap((part) => [part ? part.mean : NaN, part ? part.max : NaN]).map((value) => element("td", {}, millimetres(value)))));
       place.append(element("table", {}, element("thead", {}, ...head), element("tbody", {}, ...body)));
     }
-    place.append(...this.certainty());
-    if (!summary.length) {
+    place.append(...this.others(!both.length), ...this.certainty());
+    if (!summary.length && !this.scene.others.length) {
       place.append(element("p", {}, this.table.n ? "Predicted positions; no points were measured here."
         : "No poses: the robot in its home configuration."));
     }
+  }
+
+  /** Errors of what is read beside positions, in their own units; the first as a headline where there are no positions. */
+  others(first) {
+    const parts = [];
+    const named = { identification: "identification", validation: "validation", cross_validation: "left out in turns" };
+    for (const { name, unit, sets } of this.scene.others) {
+      if (first && !parts.length) {
+        const judged = sets.find(({ group }) => group === "validation") || sets.find(({ group }) => group === "cross_validation") || sets[0];
+        parts.push(element("p", { class: "numbers" }, element("strong", {}, millimetres(judged.before[0])), "\u2192",
+          element("strong", {}, millimetres(judged.after[0])), element("strong", {}, unit)),
+        element("p", {}, `mean error of ${name} before and after calibration, ${named[judged.group] || judged.group} poses`));
+      }
+      const head = element("tr", {}, ...[`${name} [${unit}]`, "mean", "max", "mean", "max"].map((text) => element("th", { scope: "col" }, text)));
+      const above = element("tr", {}, element("th", {}, ""), ...["before", "after"].map((text) => element("th", { scope: "colgroup", colspan: "2" }, text)));
+      parts.push(element("table", {}, element("thead", {}, above, head), element("tbody", {}, ...sets.map(({ group, before, after }) =>
+        element("tr", {}, element("th", { scope: "row" }, named[group] || group), ...[...before, ...after].map((value) => element("td", {}, millimetres(value))))))));
+    }
+    return parts;
   }
 
   verdict({ grade, reasons }) {

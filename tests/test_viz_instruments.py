@@ -237,8 +237,8 @@ instruments:
 
 def test_what_measures_and_what_it_looks_at_is_drawn_where_the_robot_has_it(tmp_path):
     robot = arm(tmp_path, MEASURED_WITH)
-    q = joints(3)
-    scene = build_scene(robot, None, from_poses(robot, q))
+    scene = build_scene(robot, None, from_poses(robot, joints(3)))
+    q = scene.poses.joints[scene.shown]
     number = {name: body for body, name in enumerate(scene.bodies.names)}
     drawn = {shape.name: shape for shape in scene.shapes if shape.body is not None}
 
@@ -246,7 +246,7 @@ def test_what_measures_and_what_it_looks_at_is_drawn_where_the_robot_has_it(tmp_
         shape = drawn[name]
         return (scene.bodies.poses(scene.solid, pose)[number[shape.body]] @ shape.T_body_shape)[:3, 3]
 
-    for pose in range(3):
+    for pose in range(len(q)):
         np.testing.assert_allclose(place("probe/a", pose), [0.5, 0.2, 0.1], atol=1e-12)
         np.testing.assert_allclose(place("probe/b", pose), [0.5, 0.4, 0.1], atol=1e-12)
         np.testing.assert_allclose(place("table/top", pose), [0, 0, 0.04], atol=1e-12)

@@ -47,7 +47,7 @@ DATA = Arm(
     reasons={
         "second half of a file unseen": "79 rows of one region do not tell what the other is like: with priors from a"
         " third to ten times as wide, fits leave 0.062 to 0.067 mm in these rows, and 0.12 to 0.14 mm in the others;"
-        " FIGAROH with the same priors leaves 0.143 mm there; the rows fitted do not say which is better, so priors stay"
+        " FIGAROH with the same priors leaves 0.143 mm there; rows fitted do not say which is better, so priors stay"
         " as stated for all data"
     },
 )

@@ -185,7 +185,7 @@ def error_map(errors: ErrorSet, robot: Robot) -> Plot:
     size = error_scale(part.dimension) * np.sqrt(squares)
     places = _MM * robot.positions(data.joints, data.conditions)[shown, 0]
     figure, panels = new_figure(1, 2, (8.9, 3.1))
-    figure.subplots_adjust(left=0.08, right=0.9, bottom=0.17, top=0.91, wspace=0.25)
+    figure.subplots_adjust(left=0.08, right=0.87, bottom=0.17, top=0.91, wspace=0.25)
     for axes, (across, up), view in zip(panels, (("x", "y"), ("x", "z")), ("from above", "from the side"), strict=True):
         points = axes.scatter(
             places[:, "xyz".index(across)],
@@ -201,7 +201,7 @@ def error_map(errors: ErrorSet, robot: Robot) -> Plot:
         axes.set(xlabel=f"{across} [mm]", ylabel=f"{up} [mm]", title=view)
         axes.set_aspect("equal", adjustable="datalim")
         axes.locator_params(nbins=6)
-    bar = figure.colorbar(points, cax=figure.add_axes((0.92, 0.17, 0.015, 0.74)))
+    bar = figure.colorbar(points, cax=figure.add_axes((0.885, 0.17, 0.015, 0.74)))
     bar.set_label(f"{part.name} error after [{ERROR_UNIT[part.dimension]}]")
     return finished(
         "error-map",

@@ -40,7 +40,7 @@ OURS = {
 }  # what others are compared with
 PLACED = "nominal robot, placed"
 CHAIN, LENS = "urdf_chain.py", "exchange.py"
-OPENCV = ("opencv-python-headless<5", "scipy")  # 5 has no hand-eye solvers in Python
+OPENCV = ("opencv-python-headless==4.14.0.94", "scipy")  # 5.0 has no hand-eye solver in Python
 CODES = (
     Code(PLACED, "scipy_origins.py", "placed", shared=CHAIN),
     Code("this project", "calib_fit.py", "origins"),
@@ -49,7 +49,7 @@ CODES = (
     Code("SciPy", "scipy_origins.py", "origins", shared=CHAIN),
     Code("SciPy, priors", "scipy_origins.py", "priors", shared=CHAIN),
     Code("Ceres, priors", "ceres_origins.py", "", "pyceres", ("pyceres==2.6", "scipy"), shared=CHAIN),
-    Code("GTSAM, priors", "gtsam_origins.py", "", "gtsam", ("gtsam", "scipy"), shared=CHAIN),
+    Code("GTSAM, priors", "gtsam_origins.py", "", "gtsam", ("gtsam==4.3.0", "scipy"), shared=CHAIN),
     Code("FIGAROH", "figaroh_urdf.py", "default", "figaroh", ("figaroh==1.0.2",)),
     Code("FIGAROH, map", "figaroh_urdf.py", "map", "figaroh", ("figaroh==1.0.2",)),
     Code("pybotics", "pybotics_mdh.py", key="pybotics", requires=("pybotics==3.1.2",)),

@@ -141,9 +141,7 @@ def main():
     told = parser.parse_args()
     drawn = [draw(seed, told.robots, told.case, told.spread, told.chosen, told.known) for seed in range(told.draws)]
     poses = " ".join(("chosen" if told.chosen else "random", "poses,", "known" if told.known else "new", "places"))
-    print(
-        f"{told.draws} simulated fleets of {told.robots} robots, spread {told.spread:g}, '{told.case}', {poses} poses"
-    )
+    print(f"{told.draws} simulated fleets of {told.robots} robots, spread {told.spread:g}, '{told.case}', {poses}")
     for name in drawn[0][0]:
         error, held, inside = np.array([figures[name] for figures, _, _ in drawn]).T
         if np.any(np.isnan(error)):

@@ -7,15 +7,13 @@
     python docs/site/make_paper_page.py out/poses.json out/study out/experiment out/touch
 
 The page has places `<!-- begin study/table2.csv -->` ... `<!-- end -->`; what is between them is replaced. A CSV
-becomes a table, `findings` the list of what a study shows, `poses.json` a table of where the poses are. Figures of the
-page are copied to docs/figures/paper.
+becomes a table, `poses.json` a table of where the poses are. Figures of the page are copied to docs/figures/paper.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
-import html
 import json
 import re
 import shutil
@@ -36,15 +34,6 @@ def table(path: Path) -> str:
     text = [f"| {' | '.join(head)} |", "|---" + "|---:" * (len(head) - 1) + "|"]
     text += [f"| {' | '.join(_cell(cell) for cell in row)} |" for row in rows]
     return "\n".join(text) + "\n"
-
-
-def findings(path: Path) -> str:
-    """Return the list of findings of a study's page."""
-    first = re.search(r"<ul>(.*?)</ul>", path.read_text(encoding="utf-8"), re.DOTALL)
-    assert first is not None
-    return "".join(
-        f"- {html.unescape(' '.join(item.split()))}\n" for item in re.findall(r"<li>(.*?)</li>", first[1], re.DOTALL)
-    )
 
 
 def workspace(facts: Mapping[str, Any]) -> str:
@@ -82,7 +71,7 @@ def filled(page: str, sources: dict[str, Path]) -> str:
         if study == "poses.json":
             found = workspace(json.loads(sources["poses"].read_text(encoding="utf-8")))
         else:
-            found = findings(sources[study] / "index.html") if name == "findings" else table(sources[study] / name)
+            found = table(sources[study] / name)
         return f"{match[1]}\n{found}\n{match[3]}"
 
     return _PLACE.sub(content, page)

@@ -26,7 +26,7 @@ from calib.data.printer_files import PrinterFile, expected_geometry, printer_tab
 from calib.data.tables import format_table
 from calib.instruments.camera import NAMES
 from calib.photographs.camera_files import read_camera
-from calib.robots.description import schema_text
+from calib.robots.description import Description, schema_text
 from calib.robots.first_description import MEASURES, Measure, description_text
 from calib.robots.linear_delta import linear_delta_description, linear_delta_plan, linear_delta_urdf
 from calib.robots.loading import describe, load
@@ -34,6 +34,7 @@ from calib.robots.robot import Robot
 from calib.robots.templates import TEMPLATES, loop_files, read_lengths
 from calib.robots.urdf.arm_chain import arm_chain
 from calib.robots.urdf.denavit_hartenberg import CONVENTIONS, LAST_LINK, urdf_text
+from calib.robots.urdf.mjcf_reading import MjcfRobot, is_mjcf, read_mjcf
 from calib.robots.urdf.text import UrdfText, parse_urdf, read_urdf
 
 _BOARD = "charuco:7x5:30mm:22mm:DICT_5X5_100"
@@ -103,7 +104,7 @@ def command(
     out: str,
     output: Output,
 ) -> None:
-    """Write a commented robot description for URDF to start from.
+    """Write a commented robot description for URDF to start from; a MuJoCo file (MJCF) will do as well.
 
     Without --target it describes the longest chain of joints with motors, without the fingers of a gripper, and says
     what it leaves out. With --dh it starts from a Denavit-Hartenberg table: columns theta, d, a, alpha (and beta), with
@@ -156,13 +157,14 @@ def command(
     )
     output.check(out, *(str(file) for file in (beside, sheet, to_print) if file is not None))
     relative = os.path.relpath(Path(text.path).resolve(), Path(out).resolve().parent)
-    chain = arm_chain(text, target or (LAST_LINK if dh else None))
+    mjcf = read_mjcf(text.path) if not dh and is_mjcf(Path(text.path).read_bytes()) else None
+    described, remark = _described(text, mjcf, target or (LAST_LINK if dh else None), relative)
     files, words = {beside: text.source} if beside else {}, None
     if measure == "camera":
-        plain = _loaded(text, description_text(text, describe(chain, relative)))
+        plain = _loaded(text, description_text(text, described))
         boards, words = _camera_words(plain, board, camera, to_print, Path(out))
         files |= boards
-    description = description_text(text, describe(chain, relative), chain.remark, measure, words).encode()
+    description = description_text(text, described, remark, measure, words).encode()
     files[Path(out)] = description
     if sheet and how:
         filled = plain if how.read_apart else _loaded(text, description.decode())
@@ -176,8 +178,29 @@ def command(
     if sheet is not None and how is not None:
         then = "; pixels come from calib detect" if how.read_apart else f"; then: calib check {out} {sheet}"
         output.say(f"{sheet} written, with the header for your measurements{then}")
-    if chain.remark:
-        output.say(chain.remark)
+    if remark:
+        output.say(remark)
+
+
+def _described(text: UrdfText, mjcf: MjcfRobot | None, target: str | None, relative: str) -> tuple[Description, str]:
+    """What a file describes: its arm, or the whole robot of an MJCF file with loops; and what to say of the choice."""
+    if mjcf is None or not mjcf.loops:
+        chain = arm_chain(text, target)
+        return describe(chain, relative), "; ".join(filter(None, [*(mjcf.remarks if mjcf else ()), chain.remark]))
+    if target is None:
+        raise InputError(f"{text.path}: has loops; say what is measured: --target, a body or a site of the file")
+    if not mjcf.motors:
+        raise InputError(f"{text.path}: has loops, and no joint has an actuator: nobody knows which have motors")
+    closed = {
+        "name_mot": mjcf.motors,
+        "closed_loop": tuple(loop.links for loop in mjcf.loops),
+        "type": tuple(loop.kind for loop in mjcf.loops),
+        "closed_loop_axes": tuple(loop.axes for loop in mjcf.loops),
+        "home": mjcf.home,
+    }
+    described = describe(arm_chain(text, target), relative).model_copy(update=closed)
+    _loaded(text, description_text(text, described))
+    return described, "; ".join(mjcf.remarks)
 
 
 def _empty_sheet(robot: Robot, measure: Measure) -> str:

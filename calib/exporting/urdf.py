@@ -45,7 +45,7 @@ def with_mesh_prefix(source: bytes, prefix: str) -> bytes:
 def source_lines(robot: Robot) -> list[str]:
     """Return what a file was made from: program, and nominal file with its checksum."""
     digest = hashlib.sha256(robot.urdf.source).hexdigest()
-    hashed = "the URDF that xacro makes of it" if robot.urdf.path.endswith(".xacro") else "that file"
+    hashed = "the URDF that it was read as" if robot.urdf.path.endswith((".xacro", ".xml")) else "that file"
     return [f"written by {PROGRAM} from {robot.urdf.path}", f"sha256 of {hashed}: {digest}"]
 
 

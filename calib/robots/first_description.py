@@ -20,13 +20,7 @@ urdf: {urdf}
 # Joints with a motor, in the order of every joint vector. Measurement files have one column for each.
 {remark}name_mot: {actuated}
 
-# Closed loops: cut them open in the URDF, name the two frames that coincide, and constrain only the directions that
-# the mechanism constrains (a planar five-bar about x: y and z). Passive joints are those of the loops without a motor.
-# closed_loop: [[frame_a, frame_b]]
-# type: [3d]                      # 3d: the points coincide; 6d: the whole frames
-# closed_loop_axes: [[y, z]]
-# home: {{{home}}}                # an assembled configuration, needed with loops: every joint of them
-
+{loops}
 {measured}
 # What may be wrong, and by how much (sigma, one standard deviation). `all` means every joint origin that moves a
 # target; an entry with a joint's name overrides it. x, y, z: translation; rx, ry, rz: small rotations about the
@@ -39,6 +33,23 @@ parametrisation:
 
 {sigma}# Columns of foreign files, and what they stand for.
 # columns: {{x1: "{column}", j1: "{example} [deg]"}}
+"""
+_NO_LOOPS = """\
+# Closed loops: cut them open in the URDF, name the two frames that coincide, and constrain only the directions that
+# the mechanism constrains (a planar five-bar about x: y and z). Passive joints are those of the loops without a motor.
+# closed_loop: [[frame_a, frame_b]]
+# type: [3d]                      # 3d: the points coincide; 6d: the whole frames
+# closed_loop_axes: [[y, z]]
+# home: {{{home}}}                # an assembled configuration, needed with loops: every joint of them
+"""
+_LOOPS = """\
+# Closed loops, cut open: these frames coincide, in the directions that the mechanism constrains. Passive joints are
+# those of the loops without a motor.
+closed_loop: {pairs}
+type: {types}                       # 3d: the points coincide; 6d: the whole frames
+closed_loop_axes: {axes}
+# An assembled configuration [m, rad]: it decides between the ways of assembling.
+home: {home}
 """
 _HELD = """\
 # held: [{example}.x]             # keep some at nominal
@@ -239,13 +250,21 @@ def description_text(
         base=quoted(description.base.frame), target=quoted(target), point=point, **(words or {})
     )
     remark = " ".join(remark.split())
+    loops = _NO_LOOPS.format(home=", ".join(f"{quoted(name)}: 0" for name in moving[:2]))
+    if description.closed_loop:
+        loops = _LOOPS.format(
+            pairs=quoted([list(pair) for pair in description.closed_loop]),
+            types=quoted(list(description.type)),
+            axes=quoted([list(description.loop_axes(k)) for k in range(len(description.type))]),
+            home=quoted(description.home),
+        )
     lines = textwrap.wrap(remark[:1].upper() + remark[1:], 116, break_long_words=False, break_on_hyphens=False)
     return _TEXT.format(
         remark="".join(f"# {line}\n" for line in lines),
         robot=" ".join(urdf.name.split()) or "a robot",
         urdf=quoted(description.urdf),
         actuated=quoted(list(description.name_mot)),
-        home=", ".join(f"{quoted(name)}: 0" for name in moving[:2]),
+        loops=loops,
         measured=measured,
         sigma=_SIGMA if how is None else "",
         column=f"{quoted(target) if how is None else point}_x [m]" if how is None or how.column is None else how.column,

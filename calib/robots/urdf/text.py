@@ -23,6 +23,7 @@ import numpy as np
 from calib.base.arrays import FloatArray
 from calib.base.errors import DescriptionError, UrdfError, nearest
 from calib.base.files import read_bytes
+from calib.robots.urdf.mjcf_reading import is_mjcf, read_mjcf
 from calib.robots.urdf.reader import (
     HELD_TYPES,
     MOVING_TYPES,
@@ -149,14 +150,18 @@ class UrdfText:
 
 
 def read_urdf(path: Path | str) -> UrdfText:
-    """Read and check a URDF file, or a xacro file (`.xacro`), which is expanded first.
+    """Read and check a URDF file; a xacro file (`.xacro`), which is expanded first; or MuJoCo's format (MJCF).
 
     Raises:
         UrdfError: The file is missing or unreadable, is not XML, or its joints do not form one tree; or it is a xacro
-            file that cannot be expanded.
+            or MJCF file that cannot be turned into a URDF.
     """
     source = read_bytes(path, "the path of a URDF", UrdfError)
-    return parse_urdf(_expanded(path) if Path(path).suffix == ".xacro" else source, str(path))
+    if Path(path).suffix == ".xacro":
+        source = _expanded(path)
+    elif is_mjcf(source):
+        source = read_mjcf(path).source
+    return parse_urdf(source, str(path))
 
 
 def require_supported(joints: Iterable[UrdfJoint], where: str) -> None:

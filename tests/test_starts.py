@@ -9,6 +9,9 @@ from six_axis_arm import YAML, joints, noisy, six_axis_arm, write_six_axis
 
 import calib
 from calib.base.errors import ComputationError
+from calib.fitting.problem import Problem
+from calib.fitting.settings import Settings
+from calib.fitting.solving import place, solve_from
 from calib.fitting.starts import explore
 from calib.numerics.least_squares import minimise
 from calib.rows.rows import Group
@@ -50,6 +53,9 @@ class One:
     def deviations(self, values):
         return values / self.scale
 
+    def moved(self, robot, u):
+        return Point(float(self.scale * u[0]))
+
 
 class TwoValleys:
     """r = (u^2 - 1, 0.1 (u - 1)): minima near u = -1 and at u = 1, the second lower. Cannot start beyond |u| = 4."""
@@ -59,29 +65,23 @@ class TwoValleys:
     def __init__(self, scale=1.0):
         self.unknowns = One(scale)
 
-    def apart(self):
-        return self
-
-    def moved(self, start, unknowns, u):
-        return Point(float(unknowns.scale * u[0]))
-
     def evaluate(self, robot):
-        return SimpleNamespace(residuals={"rows": np.array([[robot.u**2 - 1, 0.1 * (robot.u - 1)]])})
-
-    def solve(self, robot, groups):
         if abs(robot.u) > 4:
             raise ComputationError("open")
+        return SimpleNamespace(robot=robot, residuals={"rows": np.array([[robot.u**2 - 1, 0.1 * (robot.u - 1)]])})
+
+    def solve(self, start, groups):
         found = minimise(
             lambda u: np.array([u[0] ** 2 - 1, 0.1 * (u[0] - 1)]),
             lambda u: np.array([[2 * u[0]], [0.1]]),
-            np.array([robot.u]),
+            np.array([start.robot.u]),
         )
-        return Point(float(found.x[0])), found
+        return self.evaluate(Point(float(found.x[0]))), found
 
 
 def explored(problem, placed, n):
     noise = np.array([0.01])
-    return explore(problem, placed, TwoValleys().solve(placed, noise), noise, n, seed=3)
+    return explore(problem, placed, TwoValleys().solve(TwoValleys().evaluate(placed), noise), noise, n, seed=3)
 
 
 def start(u, n):
@@ -112,6 +112,32 @@ def test_a_robot_with_one_minimum_comes_back_to_it_from_everywhere(tmp_path):
 def test_the_same_seed_gives_the_same_starts():
     first, second = start(-0.8, 12), start(-0.8, 12)
     assert [m.count for m in first.minima] == [m.count for m in second.minima]
+
+
+def test_a_solve_does_not_hang_on_what_was_solved_before(tmp_path):
+    arm = six_axis_arm(tmp_path)
+    problem = Problem.of(arm, noisy(arm, joints(40), 4e-5, seed=1))
+    placed, noise = place(problem), np.array([4e-5])
+    away = problem.unknowns.moved(placed.robot, np.linspace(-1.0, 1.0, len(problem.unknowns)))
+    first, _ = problem.solve(placed, noise)
+    problem.solve(problem.evaluate(away), noise)
+    again, _ = problem.solve(placed, noise)
+    assert np.array_equal(first.robot.values, again.robot.values)
+    assert np.array_equal(first.configurations.passive, again.configurations.passive)
+
+
+def test_noise_sizes_and_offsets_that_are_found_belong_to_the_solution_and_not_to_the_problem(tmp_path):
+    arm = six_axis_arm(tmp_path)
+    pose = np.repeat(np.arange(60), np.tile([1, 1, 25], 20))  # readings share what is off at their pose
+    rng = np.random.default_rng(5)
+    positions = arm.positions(joints(60))[:, 0] + rng.normal(0.0, 4e-4, (60, 3))
+    read = positions[pose] + rng.normal(0.0, 4e-5, (len(pose), 3))
+    data = calib.as_measurements(arm, joints(60)[pose], read, names=[f"p{k}" for k in pose])
+    problem = Problem.of(arm, data)
+    solved = solve_from(problem, place(problem), Settings())
+    assert np.any(solved.problem.ratios > 1.0)  # offsets of ten times the noise
+    assert not np.any(problem.ratios)
+    assert problem.weighing is None
 
 
 def test_no_start_is_an_error(tmp_path):

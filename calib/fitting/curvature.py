@@ -30,25 +30,24 @@ from __future__ import annotations
 import numpy as np
 
 from calib.base.arrays import FloatArray
-from calib.fitting.problem import Problem
+from calib.fitting.problem import Evaluation, Problem
 from calib.numerics.statistics import prior_shares
-from calib.robots.robot import Robot
 from calib.rows.rows import Rows
 
 _HELD = 0.1  # share of the priors in a direction above which its square counts
 _STEP = 0.1  # of a difference of Jacobians, in standard deviations
 
 
-def mean_square_beyond_linear(problem: Problem, robot: Robot, rows: Rows, groups: FloatArray) -> FloatArray:
+def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, groups: FloatArray) -> FloatArray:
     """Return E e^2 of the module docstring in the square of the parameters' scales, (n_free,).
 
     Args:
-        problem: The problem; stays as it is.
-        robot: The robot at the minimum.
+        problem: The problem.
+        final: The evaluation at the minimum.
         rows: Whitened rows there.
         groups: Scale of the noise of each group, (n_groups,).
     """
-    root, problem = rows.known.root, problem.apart()
+    root = rows.known.root
     shares, turned = np.linalg.eigh(prior_shares(rows.known, rows.prior))
     directions = np.where(problem.unknowns.family[:, None] < 0, root @ turned, 0.0)
     held, seen = (_fewest(directions[:, which]) for which in (shares > _HELD, shares <= _HELD))
@@ -57,7 +56,7 @@ def mean_square_beyond_linear(problem: Problem, robot: Robot, rows: Rows, groups
     back = root @ (root.T @ rows.jacobian.T)
     squares, mean = np.zeros(len(root)), np.zeros(len(root))
     for i in range(n_held):
-        changed = _turned_jacobian(problem, robot, rows, groups, directions[:, i])
+        changed = _turned_jacobian(problem, final, rows, groups, directions[:, i])
         bent = -back @ (changed @ directions)
         squares += np.sum(bent**2 * counts, axis=1)
         mean += bent[:, i] / 2
@@ -75,12 +74,12 @@ def _fewest(directions: FloatArray) -> FloatArray:
 
 
 def _turned_jacobian(
-    problem: Problem, robot: Robot, rows: Rows, groups: FloatArray, direction: FloatArray
+    problem: Problem, final: Evaluation, rows: Rows, groups: FloatArray, direction: FloatArray
 ) -> FloatArray:
     """H t, the derivative of the whitened Jacobian along a direction t (n_free,), (n_rows, n_free)."""
     for step in (_STEP, -_STEP):
-        moved = problem.moved(robot, problem.unknowns, rows.deviations + step * direction)
-        evaluation = problem.evaluate_if_closed(moved)
+        moved = problem.unknowns.moved(final.robot, rows.deviations + step * direction)
+        evaluation = problem.evaluate_if_closed(moved, final)
         if evaluation is not None:
             return np.asarray((problem.rows(evaluation, groups).jacobian - rows.jacobian) / step)
     return np.zeros_like(rows.jacobian)

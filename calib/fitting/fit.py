@@ -71,20 +71,19 @@ def fit_data(
     later = () if validation is None else _unseen(robot, data, validation)
     seen = robot.fix(*later) if later else robot
     check_measurements(seen, data)
-    problem = Problem(seen, data, settings.sigma)
-    placed = place(problem)
-    start = problem.evaluate(placed)
+    problem = Problem.of(seen, data, settings.sigma)
+    start = place(problem)
     steps.done()
-    begin = seen_from(problem, placed)
-    determined = require_identifiable(problem, problem.evaluate(begin))  # before the solver, as `calib check` does
+    begin = seen_from(problem, start)
+    determined = require_identifiable(problem, begin)  # before the solver, as `calib check` does
     solved = solve_from(problem, begin, settings, workers, steps.done)
     steps.done()
-    final = problem.evaluate(solved.robot)
+    final = solved.at
     require_identifiable(problem, final)
     bent = None if beyond_linear is None else beyond_linear[problem.unknowns.index]
     bent = None if bent is None or np.any(np.isnan(bent)) else bent
-    rows, scales, uncertainty = uncertainty_at(problem, final, solved, bent)
-    calibrated = solved.robot
+    rows, scales, uncertainty = uncertainty_at(solved, bent)
+    placed, calibrated = start.robot, final.robot
     if validation is not None and later:
         placed, calibrated = (_placed_by(validation, one.free(*later), later) for one in (placed, calibrated))
     fit = Fit(
@@ -101,16 +100,16 @@ def fit_data(
         ),
         validation=None if validation is None else errors_on(placed, calibrated, validation),
         configurations=final.configurations,
-        unknowns=problem.unknowns,
+        unknowns=solved.problem.unknowns,
         statistics=uncertainty,
         determination=determined,
-        observability=_observability(problem, final, determined.free.rank),
+        observability=_observability(solved.problem, final, determined.free.rank),
         rows=rows,
         whitening=problem.whitening,
         scales=scales,
         message=solved.solution.message,
         seconds=float("nan"),
-        convergence=convergence_at(problem, solved, rows, uncertainty.std),
+        convergence=convergence_at(solved, rows, uncertainty.std),
         loss=settings.loss,
         weights=np.ones(rows.layout.n_readings) if solved.weights is None else solved.weights,
         sigma_given=settings.sigma,
@@ -174,7 +173,7 @@ def _placed_by(later: Measurements, robot: Robot, names: tuple[str, ...]) -> Rob
     """
     others = [p.name for p in robot.parameters if p.name not in names]
     alone = robot.fix(*others)
-    return robot.with_parameters(place(Problem(alone, later)).values)
+    return robot.with_parameters(place(Problem.of(alone, later)).robot.values)
 
 
 def _origins(robot: Robot, data: Measurements) -> set[str]:

@@ -12,30 +12,28 @@ loop is answered with NaN, on which the solver (`calib.numerics.least_squares`) 
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
-from calib.base.arrays import BoolArray, FloatArray
+from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from calib.base.errors import ComputationError
 from calib.data.measurements import Measurements
 from calib.numerics.chances import UNLIKELY
 from calib.numerics.clusters import foretold
 from calib.numerics.least_squares import TOLERANCE, Solution, minimise
 from calib.numerics.prior_sizes import FamilyModel, found_with_families
-from calib.numerics.variance_components import LinearModel, found_components, found_scales
+from calib.numerics.variance_components import LinearModel, SharedError, found_components, found_scales
 from calib.robots.robot import Configurations, Robot, describe_open
 from calib.rows.observed import Observed, observe
 from calib.rows.rows import Rows
 from calib.rows.unknowns import Unknowns
 from calib.rows.whitening import Whitening
 
-_ROUNDING = 1e-14  # a parameter that moves by less stays nominal, to the last digit [m or rad]
 _LEAST_FREEDOM = 0.1  # degrees of freedom of each row, where priors hold more parameters than there are rows
-_REMEMBERED = 3  # evaluations: the start, where the solver is, and its trial step
+_TRIALS = 2  # points that the solver compares before it goes on
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,36 +56,69 @@ class Evaluation:
         return {name: observed.residuals for name, observed in self.observed.items()}
 
 
-class Problem:
-    """Rows of a fit as functions of the parameters; remembers the last solution of the loops to start the next from.
+@dataclass(frozen=True, eq=False)
+class Problem(ReadOnlyArrays):
+    """Rows of a fit as functions of the parameters. `of` sets it up, `weighed` and `replace` make changed ones.
 
     Attributes:
-        found: Of which groups the noise is found from the residuals, (n_groups,): at first where it is not stated.
-
-    Args:
         robot: Nominal robot.
         data: Measurements.
         sigma: Noise of positions per axis, if it replaces what the description states [m].
-        near: Passive joints of the visits under similar parameters, if they are known, (n, n_passive) [m or rad].
+        columns: Phi of the joint terms at nominal.
+        passive: Passive joints of the visits under similar parameters, to close loops from, (n, n_passive) [m or rad].
+        whitening: By the noise that is stated.
+        unknowns: The free parameters; sizes of families are those found so far.
+        found: Of which groups the noise is found from the residuals, (n_groups,): at first where it is not stated.
+        ratios: Offsets that rows are weighed for, over the scales of their groups, (n_offsets,); all 0 for none.
+        weighing: The same, ready to whiten by; None without any.
     """
 
-    def __init__(
-        self, robot: Robot, data: Measurements, sigma: float | None = None, near: FloatArray | None = None
-    ) -> None:
-        self.robot, self.data = robot, data
-        self.unknowns = Unknowns.of(robot)
-        self.whitening = Whitening(robot, data, sigma)
-        self._sigma = sigma
-        self._columns = robot.term_columns(data.joints, data.conditions)
-        self._seed = robot.assemble(data.joints, near, data.labels, data.conditions).passive
-        self._recent: dict[bytes, Evaluation | None] = {}
-        self.weigh(np.zeros(self.whitening.n_offsets))
-        self.found = self.unstated
+    robot: Robot
+    data: Measurements
+    sigma: float | None
+    columns: tuple[FloatArray, ...]
+    passive: FloatArray
+    whitening: Whitening
+    unknowns: Unknowns
+    found: BoolArray
+    ratios: FloatArray
+    weighing: SharedError | None = None
+
+    @staticmethod
+    def of(robot: Robot, data: Measurements, sigma: float | None = None, near: FloatArray | None = None) -> Problem:
+        """Close every visit and whiten what was read there.
+
+        Args:
+            robot: Nominal robot.
+            data: Measurements.
+            sigma: As in the attributes.
+            near: Passive joints of the visits under similar parameters, if they are known, (n, n_passive) [m or rad].
+
+        Raises:
+            UnreachablePoseError: A pose cannot be closed.
+        """
+        columns = robot.term_columns(data.joints, data.conditions)
+        passive = robot.assemble(data.joints, near, data.labels, data.conditions).passive
+        return Problem(robot, data, sigma, columns, passive, *_as_stated(robot, data, sigma))
+
+    def read_again(self, data: Measurements, near: Evaluation) -> Problem:
+        """Return the problem of other readings of the same visits; no pose is closed again from home.
+
+        Args:
+            data: The readings; joint values and conditions as before.
+            near: Where its solution is expected.
+        """
+        stated = _as_stated(self.robot, data, self.sigma)
+        return Problem(self.robot, data, self.sigma, self.columns, near.configurations.passive, *stated)
+
+    def weighed(self, ratios: FloatArray) -> Problem:
+        """Return it with rows weighed by these ratios of offsets to the scales of their groups, (n_offsets,)."""
+        return replace(self, ratios=ratios, weighing=self.whitening.weighing(ratios))
 
     @property
     def unstated(self) -> BoolArray:
         """Of which groups nobody states the noise, (n_groups,)."""
-        return np.array([not group.stated for group in self.whitening.groups])
+        return _unstated(self.whitening)
 
     def contradicted(self, scales: FloatArray, efficiency: float = 1.0) -> BoolArray:
         """Return of which groups noise is stated that scales as found contradict, (n_groups,).
@@ -114,65 +145,34 @@ class Problem:
         """Whether the scales of the groups change the solution: against priors, or against each other."""
         return bool(np.any(self.unknowns.prior.has)) or len(self.whitening.groups) > 1
 
-    def weigh(self, ratios: FloatArray) -> None:
-        """Weigh all that comes by these ratios of offsets to the scales of their groups, (n_offsets,)."""
-        self.ratios, self.weighing = ratios, self.whitening.weighing(ratios)
-
-    def read_again(self, data: Measurements, near: Evaluation) -> Problem:
-        """Return the same problem with other readings of the same visits; no pose is closed again from home.
+    def evaluate(self, robot: Robot, near: Evaluation | None = None) -> Evaluation:
+        """Evaluate a robot on the data.
 
         Args:
-            data: The readings; joint values and conditions as before.
-            near: Where its solution is expected.
-        """
-        again = self.apart()
-        again.data = data
-        again.unknowns = Unknowns.of(self.robot)
-        again.whitening = Whitening(self.robot, data, self._sigma)
-        again._seed = near.configurations.passive
-        again.weigh(np.zeros(again.whitening.n_offsets))
-        again.found = again.unstated
-        return again
-
-    def apart(self) -> Problem:
-        """Return the same problem with a memory of its own: what is solved there leaves no trace here."""
-        apart = copy.copy(self)
-        apart._recent = {}
-        return apart
-
-    def evaluate(self, robot: Robot) -> Evaluation:
-        """Evaluate a robot on the data.
+            robot: With any parameter values.
+            near: Of similar ones, from which its loops are closed quickly.
 
         Raises:
             ComputationError: A loop opens.
         """
-        evaluation = self.evaluate_if_closed(robot)
+        evaluation = self.evaluate_if_closed(robot, near)
         if evaluation is None:
             closed = robot.close(self.data.joints, columns=self._columns_of(robot))
             raise ComputationError(describe_open(robot, self.data.joints, closed, self.data.labels))
         return evaluation
 
-    def evaluate_if_closed(self, robot: Robot) -> Evaluation | None:
-        """Evaluate a robot on the data; None where a loop opens. The last few answers are remembered."""
-        key = robot.values.tobytes()
-        if key not in self._recent:
-            while len(self._recent) >= _REMEMBERED:
-                del self._recent[next(iter(self._recent))]
-            self._recent[key] = self._compute(robot)
-        return self._recent[key]
-
-    def _compute(self, robot: Robot) -> Evaluation | None:
+    def evaluate_if_closed(self, robot: Robot, near: Evaluation | None = None) -> Evaluation | None:
+        """Evaluate a robot on the data; None where a loop opens."""
         columns = self._columns_of(robot)
-        closed = robot.close(self.data.joints, self._seed, columns)
+        closed = robot.close(self.data.joints, self.passive if near is None else near.configurations.passive, columns)
         if not np.all(closed.ok):
             return None
-        self._seed = closed.passive
         configurations = robot.configurations(self.data.joints, closed, columns)
         return Evaluation(robot, configurations, observe(robot, configurations, self.data.readings))
 
     def _columns_of(self, robot: Robot) -> tuple[FloatArray, ...]:
         """Phi of the joint terms, which changes with the parameters only where gravity's direction is found."""
-        return robot.term_columns(self.data.joints, self.data.conditions) if robot.turns_gravity else self._columns
+        return robot.term_columns(self.data.joints, self.data.conditions) if robot.turns_gravity else self.columns
 
     def rows(self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns | None = None) -> Rows:
         """Return the whitened rows.
@@ -258,19 +258,15 @@ class Problem:
             means.append(np.mean((np.bincount(pose[of_group], squares[of_group]) / np.maximum(count, 1))[count > 0]))
         return np.sqrt(means)
 
-    def moved(self, start: Robot, unknowns: Unknowns, u: FloatArray) -> Robot:
-        """Return `start` with these parameters at expected + scale u, u (n_unknowns,)."""
-        return start.with_parameters(_values(start, unknowns, u))
-
     def solve(
         self,
-        start: Robot,
+        start: Evaluation,
         groups: FloatArray,
         unknowns: Unknowns | None = None,
         *,
         tolerance: float = TOLERANCE,
         weights: FloatArray | None = None,
-    ) -> tuple[Robot, Solution]:
+    ) -> tuple[Evaluation, Solution]:
         """Minimise over some parameters, the others staying as in `start`.
 
         Args:
@@ -279,47 +275,73 @@ class Problem:
             unknowns: The parameters that may move; the free ones if not given.
             tolerance: See `calib.numerics.least_squares`.
             weights: Of each reading, (n_readings,).
-
-        Raises:
-            ComputationError: A loop is open at the start.
         """
-        chosen = self.unknowns if unknowns is None else unknowns
-        self.evaluate(start)  # says which loop is open, if one is
-        prior_rows = chosen.prior.rows
-        n_rows = self.whitening.layout.n_rows + len(prior_rows)
-        last: dict[bytes, Rows] = {}
-
-        def rows(u: FloatArray) -> Rows | None:
-            key = u.tobytes()
-            if key not in last:
-                values = _values(start, chosen, u)
-                remembered = self._recent.get(values.tobytes())
-                evaluation = remembered or self.evaluate_if_closed(start.with_parameters(values))
-                if evaluation is None:
-                    return None
-                made = self.rows(evaluation, groups, chosen)
-                last.clear()
-                last[key] = made if weights is None else made.weighted(weights)
-            return last[key]
-
-        def residuals(u: FloatArray) -> FloatArray:
-            whitened = rows(u)
-            if whitened is None:
-                return np.full(n_rows, np.nan)
-            return np.concatenate([whitened.residuals, chosen.prior.times(u)])
-
-        def jacobian(u: FloatArray) -> FloatArray:
-            whitened = rows(u)
-            if whitened is None:  # derivatives are asked for only where the residuals were finite
-                raise ComputationError("the solver left the region where the loops close")
-            return np.vstack([whitened.jacobian, prior_rows])
-
-        outcome = minimise(residuals, jacobian, chosen.deviations(start.values), tolerance=tolerance)
-        return self.moved(start, chosen, outcome.x), outcome
+        way = _Way(self, start, groups, self.unknowns if unknowns is None else unknowns, weights)
+        solution = minimise(way.residuals, way.jacobian, way.begin, tolerance=tolerance)
+        return way.here, solution
 
 
-def _values(start: Robot, unknowns: Unknowns, u: FloatArray) -> FloatArray:
-    values = start.values.copy()
-    change = unknowns.scales * u
-    values[unknowns.index] = unknowns.expected + np.where(np.abs(change) < _ROUNDING, 0.0, change)
-    return values
+class _Way:
+    """The way of one solve: rows where the solver looks, each evaluated once.
+
+    Args:
+        problem: What is solved.
+        start: Where it begins.
+        groups: Scale of the noise of each group, (n_groups,).
+        unknowns: The parameters that move.
+        weights: Of each reading, (n_readings,); None for all alike.
+
+    Attributes:
+        begin: u at the start, (n_unknowns,).
+        here: Where the solver is: where it last asked for a derivative.
+    """
+
+    def __init__(
+        self, problem: Problem, start: Evaluation, groups: FloatArray, unknowns: Unknowns, weights: FloatArray | None
+    ) -> None:
+        self.begin, self.here = unknowns.deviations(start.robot.values), start
+        self._problem, self._groups, self._unknowns, self._weights = problem, groups, unknowns, weights
+        self._looked_at: list[tuple[FloatArray, Evaluation | None]] = [(self.begin, start)]
+        self._last: tuple[Evaluation, Rows] | None = None
+        self._n_rows = problem.whitening.layout.n_rows + len(unknowns.prior.rows)
+
+    def _evaluation(self, u: FloatArray) -> Evaluation | None:
+        for known, evaluation in self._looked_at:
+            if np.array_equal(known, u):
+                return evaluation
+        evaluation = self._problem.evaluate_if_closed(self._unknowns.moved(self.here.robot, u), self.here)
+        self._looked_at = [*self._looked_at, (u, evaluation)][-_TRIALS:]
+        return evaluation
+
+    def _rows(self, evaluation: Evaluation) -> Rows:
+        if self._last is None or self._last[0] is not evaluation:
+            rows = self._problem.rows(evaluation, self._groups, self._unknowns)
+            self._last = evaluation, rows if self._weights is None else rows.weighted(self._weights)
+        return self._last[1]
+
+    def residuals(self, u: FloatArray) -> FloatArray:
+        """Return all residuals at u (n_unknowns,), the priors' last, (n_rows,); NaN where a loop opens."""
+        evaluation = self._evaluation(u)
+        if evaluation is None:
+            return np.full(self._n_rows, np.nan)
+        return np.concatenate([self._rows(evaluation).residuals, self._unknowns.prior.times(u)])
+
+    def jacobian(self, u: FloatArray) -> FloatArray:
+        """Return their derivative by u, (n_rows, n_unknowns), and go there."""
+        evaluation = self._evaluation(u)
+        if evaluation is None:  # derivatives are asked for only where the residuals were finite
+            raise ComputationError("the solver left the region where the loops close")
+        self.here = evaluation
+        return np.vstack([self._rows(evaluation).jacobian, self._unknowns.prior.rows])
+
+
+def _as_stated(
+    robot: Robot, data: Measurements, sigma: float | None
+) -> tuple[Whitening, Unknowns, BoolArray, FloatArray]:
+    """Whitening, unknowns, groups to find and ratios, before any noise is found."""
+    whitening = Whitening(robot, data, sigma)
+    return whitening, Unknowns.of(robot), _unstated(whitening), np.zeros(whitening.n_offsets)
+
+
+def _unstated(whitening: Whitening) -> BoolArray:
+    return np.array([not group.stated for group in whitening.groups])

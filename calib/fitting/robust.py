@@ -23,14 +23,13 @@ import numpy as np
 import scipy
 
 from calib.base.arrays import BoolArray, FloatArray
-from calib.base.errors import ComputationError, NotIdentifiableError
+from calib.base.errors import NotIdentifiableError
 from calib.fitting.problem import Evaluation, Problem
 from calib.numerics.chances import EXACT
 from calib.numerics.least_squares import Solution
 from calib.numerics.losses import Loss, median_length, robust_factors, scale_of, weights_of
 from calib.numerics.observability import information
 from calib.numerics.statistics import Factors, effective_parameters
-from calib.robots.robot import Robot
 from calib.rows.rows import Rows
 
 _ROUNDS = 20
@@ -49,7 +48,7 @@ class RobustFit:
     """The end of the alternation.
 
     Attributes:
-        robot: The solution.
+        at: The solution.
         solution: What the solver said last.
         weights: Weight of each reading, (n_readings,).
         factors: What the residuals say about the assumed noise.
@@ -57,7 +56,7 @@ class RobustFit:
         settled: Whether the weights stand.
     """
 
-    robot: Robot
+    at: Evaluation
     solution: Solution
     weights: FloatArray
     factors: Factors
@@ -65,7 +64,7 @@ class RobustFit:
     settled: bool
 
 
-def solve_robust(problem: Problem, start: Robot, loss: Loss, groups: FloatArray) -> RobustFit:
+def solve_robust(problem: Problem, start: Evaluation, loss: Loss, groups: FloatArray) -> RobustFit:
     """Minimise with a robust loss.
 
     Args:
@@ -78,50 +77,51 @@ def solve_robust(problem: Problem, start: Robot, loss: Loss, groups: FloatArray)
         NotIdentifiableError: What the loss leaves of the data does not determine the parameters.
     """
     layout = problem.whitening.layout
-    groups = _believed(problem, problem.rows(problem.evaluate(start), groups), groups)
-    found_everywhere = bool(np.all(problem.found))
-    robot, scale = start, float("nan")
+    groups, found = _believed(problem, problem.rows(start, groups), groups)
+    found_everywhere = bool(np.all(found))
+    at, scale = start, float("nan")
     stages: tuple[Loss, ...] = ("huber",) if loss == "huber" else ("huber", loss)
     for stage in stages:
         fixed = scale if stage != "huber" else None
         weights: FloatArray = np.ones(layout.n_readings)
         settled = False
         for _ in range(_ROUNDS):
-            rows = problem.rows(problem.evaluate(robot), groups)
+            rows = problem.rows(at, groups)
             if stage == "huber":
-                groups = _median_scales(rows, groups, problem.found)
-                rows = problem.rows(problem.evaluate(robot), groups)
+                groups = _median_scales(rows, groups, found)
+                rows = problem.rows(at, groups)
             now, scale, step = _linear_solution(rows, stage, fixed, found_everywhere)
             settled = bool(np.max(np.abs(now - weights)) < _WEIGHTS_STAND)
             weights = now
             if settled:
                 break
-            robot = (
-                _stepped(problem, robot, rows, step, weights, groups)
-                or problem.solve(robot, groups, weights=weights)[0]
-            )
+            stepped = _stepped(problem, at, rows, step, weights, groups)
+            at = stepped or problem.solve(at, groups, weights=weights)[0]
     if found_everywhere:  # priors weigh against the noise of the median reading
         groups, scale = groups * scale, 1.0
-    robot, solution = problem.solve(robot, groups, weights=weights)
-    final = problem.rows(problem.evaluate(robot), groups)
+    at, solution = problem.solve(at, groups, weights=weights)
+    final = problem.rows(at, groups)
     known = information(np.sqrt(np.mean(weights)) * final.factor[:, :-1], final.prior.rows)
     n_effective = effective_parameters(known, final.prior)
     one = robust_factors(loss, final.distances(), layout.width, scale, n_effective)
     n_rows = np.bincount(layout.group[layout.group >= 0], minlength=len(layout.groups))
     every = np.ones(len(n_rows))
     factors = Factors(one.found * every, one.freedom * n_rows / n_rows.sum(), one.effective * every, one.slope)
-    return RobustFit(robot, solution, weights, factors, groups, settled)
+    return RobustFit(at, solution, weights, factors, groups, settled)
 
 
-def _believed(problem: Problem, rows: Rows, groups: FloatArray) -> FloatArray:
-    """Return scales (n_groups,): the stated ones 1, or as found where the median reading contradicts them."""
-    unstated = problem.found = problem.unstated
+def _believed(problem: Problem, rows: Rows, groups: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return scales (n_groups,): the stated ones 1, or as found where the median reading contradicts them; and where.
+
+    The second are the groups whose noise is found, (n_groups,).
+    """
+    unstated = problem.unstated
     if not problem.noise_weighs or np.all(unstated):
-        return groups
+        return groups, unstated
     step = _linear_solution(rows, "huber", None, True)[2]
-    found = groups * _levels(replace(rows, residuals=rows.residuals + rows.jacobian @ step))
-    problem.found = unstated | problem.contradicted(found, _MEDIAN)
-    return np.where(unstated, groups, np.where(problem.found, found, 1.0))
+    scales = groups * _levels(replace(rows, residuals=rows.residuals + rows.jacobian @ step))
+    found = unstated | problem.contradicted(scales, _MEDIAN)
+    return np.where(unstated, groups, np.where(found, scales, 1.0)), found
 
 
 def _levels(rows: Rows) -> FloatArray:
@@ -146,15 +146,13 @@ def _median_scales(rows: Rows, groups: FloatArray, found: BoolArray) -> FloatArr
 
 
 def _stepped(
-    problem: Problem, robot: Robot, rows: Rows, step: FloatArray, weights: FloatArray, groups: FloatArray
-) -> Robot | None:
-    """Return the robot one Gauss-Newton step on; None if that lowers nothing."""
-    further = problem.moved(robot, problem.unknowns, rows.deviations + step)
-    try:
-        reached: Evaluation = problem.evaluate(further)
-    except ComputationError:
+    problem: Problem, at: Evaluation, rows: Rows, step: FloatArray, weights: FloatArray, groups: FloatArray
+) -> Evaluation | None:
+    """Return where one Gauss-Newton step leads; None if that lowers nothing."""
+    reached = problem.evaluate_if_closed(problem.unknowns.moved(at.robot, rows.deviations + step), at)
+    if reached is None:
         return None
-    return further if problem.rows(reached, groups).weighted(weights).cost < rows.weighted(weights).cost else None
+    return reached if problem.rows(reached, groups).weighted(weights).cost < rows.weighted(weights).cost else None
 
 
 def _linear_solution(

@@ -42,7 +42,6 @@ from calib.numerics.least_squares import TOLERANCE, Solution
 from calib.numerics.observability import Information
 from calib.numerics.prior_sizes import variance_by_sizes
 from calib.numerics.statistics import Factors, Statistics, found_factors, statistics
-from calib.robots.robot import Robot
 from calib.rows.registration import register
 from calib.rows.rows import Rows, Scales
 from calib.rows.unknowns import Unknowns
@@ -68,7 +67,8 @@ class Solved:
     """A minimum, and what weighed its rows.
 
     Attributes:
-        robot: The parameters there.
+        problem: As it was solved: with the noise and the sizes of families that were found.
+        at: The parameters there, and what they say of the readings.
         groups: Scale of the noise of each group, (n_groups,).
         solution: What the solver said.
         weights: Of each reading, (n_readings,); None without a robust loss.
@@ -77,7 +77,8 @@ class Solved:
         starts: Ends of perturbed starts, if they were asked for.
     """
 
-    robot: Robot
+    problem: Problem
+    at: Evaluation
     groups: FloatArray
     solution: Solution
     weights: FloatArray | None = None
@@ -86,8 +87,8 @@ class Solved:
     starts: Starts | None = None
 
 
-def place(problem: Problem) -> Robot:
-    """Return the nominal robot with unknown frames and targets placed by registration alone.
+def place(problem: Problem) -> Evaluation:
+    """Return the nominal robot, evaluated, with unknown frames and targets placed by registration alone.
 
     A target that is expected somewhere stays near, as far as the noise of these residuals lets it: the nominal robot's
     own errors are part of that noise, so that it is found, whatever is stated for the sensor.
@@ -98,16 +99,14 @@ def place(problem: Problem) -> Robot:
     robot = problem.robot
     places = problem.unknowns.only(problem.unknowns.placement)
     if not len(places):
-        return robot
-    registered = register(robot, problem.data)
-    if not np.any(places.prior.has) and _is_best_placed(problem, registered, places):
-        return registered
-    first = problem.evaluate(registered)
-    placed, solution = registered, None
-    groups = _as_found(problem, first, problem.whitening.start(first.residuals))
+        return problem.evaluate(robot)
+    placed, solution = problem.evaluate(register(robot, problem.data)), None
+    if not np.any(places.prior.has) and _is_best_placed(problem, placed, places):
+        return placed
+    groups = _as_found(problem, placed, problem.whitening.start(placed.residuals))
     for _ in range(_NOISE_ROUNDS):
         placed, solution = problem.solve(placed, groups, places, tolerance=_PLACED)
-        again = _as_found(problem, problem.evaluate(placed), groups)
+        again = _as_found(problem, placed, groups)
         if not np.any(places.prior.has) or np.all(np.abs(again / groups - 1.0) <= _NOISE_STANDS):
             break
         groups = again
@@ -118,22 +117,22 @@ def place(problem: Problem) -> Robot:
     return placed
 
 
-def seen_from(problem: Problem, placed: Robot) -> Robot:
+def seen_from(problem: Problem, placed: Evaluation) -> Evaluation:
     """Return a placed robot with what no reading sees from just there put back to where the description has it.
 
     The nominal robot's own errors may place a point where its instrument is blind, such as the end of a draw wire in
     the very plane in which a planar robot moves. A solver would not leave it, and its rank would not be that of the
     solution.
     """
-    unknowns, evaluation = problem.unknowns, problem.evaluate(placed)
-    columns = problem.rows(evaluation, problem.whitening.start(), unknowns).jacobian
+    unknowns = problem.unknowns
+    columns = problem.rows(placed, problem.whitening.start(), unknowns).jacobian
     lengths = np.linalg.norm(columns, axis=0)
     blind = unknowns.placement & ~unknowns.prior.has & (lengths < _BLIND * np.max(lengths, initial=0.0))
     if not np.any(blind):
         return placed
-    values = placed.values.copy()
+    values = placed.robot.values.copy()
     values[unknowns.index[blind]] = unknowns.expected[blind]
-    return placed.with_parameters(values)
+    return problem.evaluate(placed.robot.with_parameters(values), placed)
 
 
 def _as_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
@@ -148,17 +147,16 @@ def _as_found(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> F
     return result
 
 
-def _is_best_placed(problem: Problem, robot: Robot, places: Unknowns) -> bool:
+def _is_best_placed(problem: Problem, placed: Evaluation, places: Unknowns) -> bool:
     """Whether no other place of base and targets promises errors that are smaller by more than `_PLACED`."""
-    evaluation = problem.evaluate(robot)
-    rows = problem.rows(evaluation, problem.whitening.start(evaluation.residuals), places)
+    rows = problem.rows(placed, problem.whitening.start(placed.residuals), places)
     explained = np.linalg.qr(rows.jacobian)[0].T @ rows.residuals
     return bool(explained @ explained <= _PLACED * (rows.residuals @ rows.residuals))
 
 
 def solve_from(
     problem: Problem,
-    placed: Robot,
+    placed: Evaluation,
     settings: Settings,
     workers: Executor | None = None,
     progress: Progress | None = None,
@@ -179,45 +177,43 @@ def solve_from(
     solve = _solve_with_offsets if settings.loss == "none" else to_go_on
     solved = solve(problem, placed)
     if settings.starts > 1:
-        first = (solved.robot, solved.solution)
-        tried = explore(problem, placed, first, solved.groups, settings.starts, settings.seed, workers, progress)
+        first, begin = (solved.at, solved.solution), placed.robot
+        tried = explore(solved.problem, begin, first, solved.groups, settings.starts, settings.seed, workers, progress)
         best = tried.minima[0]
         if best.solution is not solved.solution:  # the noise that was found belongs to the minimum left behind
-            solved = solve(problem, best.robot)
+            solved = solve(problem, problem.evaluate(best.robot))
         solved = replace(solved, starts=tried)
     if settings.loss == "none":
         return solved
-    end = solve_robust(problem, solved.robot, settings.loss, solved.groups)
-    return Solved(end.robot, end.groups, end.solution, end.weights, end.factors, end.settled, solved.starts)
+    problem, starts = solved.problem, solved.starts
+    end = solve_robust(problem, solved.at, settings.loss, solved.groups)
+    return Solved(problem, end.at, end.groups, end.solution, end.weights, end.factors, end.settled, starts)
 
 
-def _solve_with_offsets(problem: Problem, start: Robot) -> Solved:
+def _solve_with_offsets(problem: Problem, start: Evaluation) -> Solved:
     """Solve; where readings of an instrument share offsets, find these, and weigh by them where that helps."""
     plain = _solve_with_noise(problem, start, TOLERANCE)
     if not np.any(problem.whitening.tells_offsets):
         return plain
-    unweighed, errors = problem.ratios, problem.left_out(problem.evaluate(plain.robot), plain.groups)
-    weighed = _solve_weighed(problem, plain)
-    if weighed is not None:
-        gain = np.log(errors / problem.left_out(problem.evaluate(weighed.robot), weighed.groups))
-        judges = problem.whitening.without_offsets(problem.ratios)
-        if problem.whitening.layout.poses_of_groups[judges] @ gain[judges] > _GAINED:
-            return weighed
-    problem.weigh(unweighed)
-    return plain
+    weighed = _solve_weighed(plain)
+    if weighed is None:
+        return plain
+    errors, others = (end.problem.left_out(end.at, end.groups) for end in (plain, weighed))
+    gain, judges = np.log(errors / others), problem.whitening.without_offsets(weighed.problem.ratios)
+    return weighed if problem.whitening.layout.poses_of_groups[judges] @ gain[judges] > _GAINED else plain
 
 
-def _solve_weighed(problem: Problem, plain: Solved) -> Solved | None:
+def _solve_weighed(plain: Solved) -> Solved | None:
     """Solve with rows weighed for the offsets that are found; None without any, or where they cannot be found."""
     solved = plain
     for _ in range(_NOISE_ROUNDS):
         try:
-            ratios = problem.found_ratios(problem.evaluate(solved.robot), solved.groups)
+            problem = solved.problem
+            ratios = problem.found_ratios(solved.at, solved.groups)
             stands = np.all(np.abs(ratios - problem.ratios) <= _RATIOS_STAND * (1.0 + problem.ratios))
-            problem.weigh(ratios)
             if not np.any(ratios):
                 return None
-            solved = _solve_with_noise(problem, solved.robot, TOLERANCE if stands else _LOOSE)
+            solved = _solve_with_noise(problem.weighed(ratios), solved.at, TOLERANCE if stands else _LOOSE)
         except NotConvergedError:
             return None
         if stands:
@@ -225,7 +221,7 @@ def _solve_weighed(problem: Problem, plain: Solved) -> Solved | None:
     return None
 
 
-def _solve_with_noise(problem: Problem, start: Robot, exact: float) -> Solved:
+def _solve_with_noise(problem: Problem, start: Evaluation, exact: float) -> Solved:
     """Solve with the stated noise; find what is not stated of it, and what residuals contradict.
 
     Too few readings to find any noise do not contradict what other robots have confirmed.
@@ -233,76 +229,71 @@ def _solve_with_noise(problem: Problem, start: Robot, exact: float) -> Solved:
     try:
         return _solve_finding_noise(problem, start, exact)
     except NotIdentifiableError:
-        problem.found = problem.unstated
+        problem = replace(problem, found=problem.unstated)
         if not np.any(problem.confirmed):
             raise
-    groups = problem.whitening.start(problem.evaluate(start).residuals)
-    robot, solution = problem.solve(start, groups, tolerance=exact)
-    return Solved(robot, groups, solution)
+    groups = problem.whitening.start(start.residuals)
+    at, solution = problem.solve(start, groups, tolerance=exact)
+    return Solved(problem, at, groups, solution)
 
 
-def _solve_finding_noise(problem: Problem, start: Robot, exact: float) -> Solved:
-    evaluation = problem.evaluate(start)
-    groups = problem.whitening.start(evaluation.residuals)
-    unstated = problem.found = problem.unstated
+def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> Solved:
+    groups, unstated = problem.whitening.start(start.residuals), problem.unstated
+    problem = replace(problem, found=unstated)
     if problem.noise_weighs and not np.all(unstated):
-        groups = _contradicted(problem, evaluation, groups)
-    robot, tolerance = start, _LOOSE
+        problem, groups = _contradicted(problem, start, groups)
+    at, tolerance = start, _LOOSE
     for _ in range(_NOISE_ROUNDS):
         finds = (np.any(problem.found) and problem.noise_weighs) or problem.unknowns.families
-        robot, solution = problem.solve(robot, groups, tolerance=tolerance if finds else exact)
+        at, solution = problem.solve(at, groups, tolerance=tolerance if finds else exact)
         if not finds:
-            return Solved(robot, groups, solution)
-        scales, sizes = problem.found_scales(problem.evaluate(robot), groups)
+            return Solved(problem, at, groups, solution)
+        scales, sizes = problem.found_scales(at, groups)
         stands = problem.found & ~unstated & ~problem.contradicted(scales)
         if np.any(stands):
-            problem.found = problem.found & ~stands
+            problem = replace(problem, found=problem.found & ~stands)
             groups = np.where(stands, 1.0, scales)
             continue
         counts = problem.found & (scales > EXACT)
         change = float(np.max(np.abs(scales / groups - 1.0)[counts], initial=0.0))
         change = max(change, float(np.max(np.abs(sizes - 1.0), initial=0.0)) / _FAMILIES_STAND)
         if change <= _NOISE_STANDS and tolerance == exact:
-            return Solved(robot, groups, solution)
+            return Solved(problem, at, groups, solution)
         if change <= 10 * _NOISE_STANDS:
             tolerance = exact
         if change > _NOISE_STANDS:
             groups = scales
-            problem.unknowns = problem.unknowns.rescaled(sizes)
+            problem = replace(problem, unknowns=problem.unknowns.rescaled(sizes))
     raise NotConvergedError(_NO_NOISE)
 
 
-def _contradicted(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> FloatArray:
-    """Have the noise found of groups whose statement the linear model contradicts; return scales to start from."""
-    unstated = problem.found
-    problem.found = np.ones(len(groups), dtype=bool)
-    scales, _ = problem.found_scales(evaluation, groups)
-    problem.found = unstated | problem.contradicted(scales)
-    return np.where(problem.found & ~unstated, scales, groups)
+def _contradicted(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> tuple[Problem, FloatArray]:
+    """Have the noise found of groups whose statement the linear model contradicts; also return scales to start from."""
+    every = replace(problem, found=np.ones(len(groups), dtype=bool))
+    scales, _ = every.found_scales(evaluation, groups)
+    contradicted = problem.contradicted(scales)
+    return replace(problem, found=problem.unstated | contradicted), np.where(contradicted, scales, groups)
 
 
-def uncertainty_at(
-    problem: Problem, final: Evaluation, solved: Solved, beyond_linear: FloatArray | None = None
-) -> tuple[Rows, Scales, Statistics]:
+def uncertainty_at(solved: Solved, beyond_linear: FloatArray | None = None) -> tuple[Rows, Scales, Statistics]:
     """Return the rows at a minimum, what is assumed of their noise, and the uncertainty of the parameters.
 
     Args:
-        problem: The problem.
-        final: The evaluation at the minimum.
         solved: The minimum.
         beyond_linear: `Statistics.beyond_linear` of a minimum nearby, (n_free,), if it is known.
 
     Raises:
         NotIdentifiableError: No degrees of freedom are left.
     """
-    rows, scales = problem.rows(final, solved.groups), Scales(solved.groups, problem.ratios)
+    problem = solved.problem
+    rows, scales = problem.rows(solved.at, solved.groups), Scales(solved.groups, problem.ratios)
     layout, unknowns = problem.whitening.layout, problem.unknowns
     factors = solved.factors or found_factors(
         rows.residuals, rows.jacobian, layout.group, len(layout.groups), rows.known, problem.confirmed
     )
     slowed = rows if factors.slope == 1.0 else rows.weighted(np.full(layout.n_readings, factors.slope))
     bent = (
-        mean_square_beyond_linear(problem, solved.robot, rows, solved.groups)
+        mean_square_beyond_linear(problem, solved.at, rows, solved.groups)
         if beyond_linear is None
         else beyond_linear / unknowns.scales**2
     )
@@ -335,23 +326,22 @@ def scatter_of_poses(rows: Rows, known: Information, factors: Factors, weights: 
     return scatter(rows.jacobian, known.root, pulling, noise, layout.pose_of_row, factors.total_freedom)
 
 
-def convergence_at(problem: Problem, solved: Solved, rows: Rows, std: FloatArray) -> Convergence:
+def convergence_at(solved: Solved, rows: Rows, std: FloatArray) -> Convergence:
     """Judge the end of the iteration by the Gauss-Newton step that is left, in standard deviations.
 
     That is what counts, whether a stopping rule ended the iteration or its limit of evaluations.
 
     Args:
-        problem: The problem.
         solved: The minimum.
         rows: The rows there.
         std: Standard deviations of the free parameters, (n_free,) [m, rad].
     """
     weighted = rows if solved.weights is None else rows.weighted(solved.weights)
     pull = weighted.jacobian.T @ weighted.residuals + rows.prior.pull(rows.deviations)
-    root = weighted.known.root
-    left = np.abs(problem.unknowns.scales * (root @ (root.T @ pull))) / (std + _ROUNDING)
+    root, unknowns = weighted.known.root, solved.problem.unknowns
+    left = np.abs(unknowns.scales * (root @ (root.T @ pull))) / (std + _ROUNDING)
     largest = int(np.argmax(left))
     converged = solved.settled and bool(left[largest] < _STEP_LEFT)
     return Convergence(
-        converged, solved.solution.message, float(left[largest]), problem.unknowns.names[largest], solved.settled
+        converged, solved.solution.message, float(left[largest]), unknowns.names[largest], solved.settled
     )

@@ -21,7 +21,7 @@ from calib.base.arrays import FloatArray
 from calib.base.errors import ComputationError
 from calib.base.threads import one_blas_thread
 from calib.base.workers import Progress, in_order
-from calib.fitting.problem import Problem
+from calib.fitting.problem import Evaluation, Problem
 from calib.numerics.least_squares import Solution
 from calib.robots.robot import Robot
 
@@ -74,7 +74,7 @@ class Starts:
 def explore(
     problem: Problem,
     placed: Robot,
-    first: tuple[Robot, Solution],
+    first: tuple[Evaluation, Solution],
     groups: FloatArray,
     n: int,
     seed: int,
@@ -98,37 +98,36 @@ def explore(
     failed = 0
     _add(distinct, problem, groups, first)
     steps = [rng.standard_normal(len(problem.unknowns)) for _ in range(n - 1)]
-    begin = partial(_from, problem.apart(), placed, groups)  # which no end that is looked at below changes
+    begin = partial(_from, problem, placed, groups)
     for end in in_order(begin, steps, executor, progress):
         if end is None:
             failed += 1
-        else:
-            _add(distinct, problem, groups, end)
+        else:  # what is sent between processes is the robot alone
+            _add(distinct, problem, groups, (problem.evaluate(end[0]), end[1]))
     minima = tuple(minimum for minimum, _ in sorted(distinct, key=lambda entry: entry[0].cost))
     return Starts(minima, failed, seed, groups)
 
 
 @one_blas_thread
 def _from(problem: Problem, placed: Robot, groups: FloatArray, step: FloatArray) -> tuple[Robot, Solution] | None:
-    """Where one start ends, whichever ended before it; None where it ends nowhere."""
-    problem = problem.apart()
+    """Where one start ends; None where it ends nowhere."""
     base = problem.unknowns.deviations(placed.values)
     for halving in range(_HALVINGS + 1):
-        start = problem.moved(placed, problem.unknowns, base + step / 2**halving)
+        start = problem.unknowns.moved(placed, base + step / 2**halving)
         try:
-            robot, solution = problem.solve(start, groups)
+            end, solution = problem.solve(problem.evaluate(start), groups)
         except ComputationError:
             continue
-        return (robot, solution) if solution.converged else None
+        return (end.robot, solution) if solution.converged else None
     return None
 
 
 def _add(
-    distinct: list[tuple[Minimum, FloatArray]], problem: Problem, groups: FloatArray, end: tuple[Robot, Solution]
+    distinct: list[tuple[Minimum, FloatArray]], problem: Problem, groups: FloatArray, end: tuple[Evaluation, Solution]
 ) -> None:
     """Count an end towards the minimum that it belongs to, or as a new one."""
-    robot, solution = end
-    residuals = problem.evaluate(robot).residuals
+    reached, solution = end
+    residuals = reached.residuals
     whitened = problem.whitening.flatten(residuals) / problem.whitening.row_scale(groups)
     smallest = _ROUNDING / float(np.min(groups * [group.typical for group in problem.whitening.groups]))
     size = _size(whitened)
@@ -138,7 +137,7 @@ def _add(
             return
     lengths = [np.sqrt(np.nansum(errors**2, axis=1)) for errors in residuals.values()]
     rms = float(np.sqrt(np.mean(np.concatenate(lengths) ** 2)))
-    distinct.append((Minimum(robot, solution, solution.cost, rms, 1), whitened))
+    distinct.append((Minimum(reached.robot, solution, solution.cost, rms, 1), whitened))
 
 
 def _size(whitened: FloatArray) -> float:

@@ -157,7 +157,7 @@ class System:
         Raises:
             DataError: Too few readings.
         """
-        robot = promise.robot if same_setup else place(Problem(promise.robot, data))
+        robot = promise.robot if same_setup else place(Problem.of(promise.robot, data)).robot
         configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
         observed = observe(robot, configurations, data.readings, joints=True)
         whitening, unknowns = Whitening(robot, data), Unknowns.of(robot)

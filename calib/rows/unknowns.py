@@ -11,6 +11,8 @@ from calib.base.parameter import Parameter
 from calib.numerics.prior import Prior
 from calib.robots.robot import Robot
 
+_ROUNDING = 1e-14  # a parameter that moves by less stays nominal, to the last digit [m or rad]
+
 
 @dataclass(frozen=True, eq=False)
 class Unknowns(ReadOnlyArrays):
@@ -83,6 +85,12 @@ class Unknowns(ReadOnlyArrays):
     def deviations(self, values: FloatArray) -> FloatArray:
         """Return u = (p - p_expected) / s from the values of all parameters, (n_parameters,)."""
         return (values[self.index] - self.expected) / self.scales
+
+    def moved(self, robot: Robot, u: FloatArray) -> Robot:
+        """Return a robot with these parameters at p = p_expected + s u, u (n,)."""
+        values, change = robot.values.copy(), self.scales * u
+        values[self.index] = self.expected + np.where(np.abs(change) < _ROUNDING, 0.0, change)
+        return robot.with_parameters(values)
 
 
 def _prior(robot: Robot, kept: list[Parameter]) -> Prior:

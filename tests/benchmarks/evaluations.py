@@ -47,7 +47,7 @@ def counted():
 
     def counting(self, start, groups, unknowns=None, **options):
         robot, solution = solve(self, start, groups, unknowns, **options)
-        counts[self] += solution.evaluations if unknowns is None else 0
+        counts[self.whitening] += solution.evaluations if unknowns is None else 0
         return robot, solution
 
     with mock.patch.object(Problem, "solve", counting):
@@ -101,14 +101,14 @@ def fitted(robot, data, sigma):
 
 def most_of(starts, robot, data, sigma):
     """The most evaluations of solves from random starts, and whether all of them converged."""
-    problem = Problem(robot, data, sigma)
+    problem = Problem.of(robot, data, sigma)
     placed, unknowns = place(problem), problem.unknowns
     groups = solve_from(problem, placed, Settings(sigma=sigma)).groups
     found = []
     for seed in range(starts):
         away = np.where(unknowns.prior.has, np.random.default_rng(seed).standard_normal(len(unknowns)), 0.0)
-        start = problem.moved(placed, unknowns, unknowns.deviations(placed.values) + away)
-        found.append(problem.apart().solve(start, groups)[1])
+        start = unknowns.moved(placed.robot, unknowns.deviations(placed.robot.values) + away)
+        found.append(problem.solve(problem.evaluate(start), groups)[1])
     return max(solution.evaluations for solution in found), all(solution.converged for solution in found)
 
 

@@ -83,7 +83,7 @@ class Repeated:
     def __init__(self, first: Fit, settings: Settings) -> None:
         self._first, self._settings = first, settings
         data, near = first.identification.data, first.configurations.passive
-        self._problem = Problem(first.nominal, data, settings.sigma, near)
+        self._problem = Problem.of(first.nominal, data, settings.sigma, near)
         self._near = self._problem.evaluate(first.robot)
         self._seen = seen_by(first.robot, self._near.configurations, data.readings)
 
@@ -100,7 +100,7 @@ class Repeated:
         """
         first = self._first
         if not np.array_equal(data.joints, first.identification.data.joints):
-            return self._from(Problem(first.nominal, data, self._settings.sigma, passive), first.robot)
+            return self._from(Problem.of(first.nominal, data, self._settings.sigma, passive), first.robot)
         problem = self._problem.read_again(data, self._near)
         start = self._stepped(problem)
         try:
@@ -108,16 +108,15 @@ class Repeated:
         except ComputationError:
             if start is first.robot:
                 raise
-        return self._from(self._problem.read_again(data, self._near), first.robot)
+        return self._from(problem, first.robot)
 
     def _from(self, problem: Problem, start: Robot) -> Estimate:
-        solved = solve_from(problem, start, self._settings)
-        bent, final = self._first.statistics.beyond_linear, problem.evaluate(solved.robot)
-        rows, scales, found = uncertainty_at(problem, final, solved, bent)
+        solved = solve_from(problem, problem.evaluate(start), self._settings)
+        rows, scales, found = uncertainty_at(solved, self._first.statistics.beyond_linear)
         weights = np.ones(rows.layout.n_readings) if solved.weights is None else solved.weights
         typical = [group.typical for group in rows.layout.groups]
         sigma = found.factors.found * problem.whitening.totals(scales) * typical
-        return Estimate(solved.robot, rows, found, convergence_at(problem, solved, rows, found.std), weights, sigma)
+        return Estimate(solved.at.robot, rows, found, convergence_at(solved, rows, found.std), weights, sigma)
 
     def _stepped(self, problem: Problem) -> Robot:
         """The common start, a step of the common linear model on; without it where other readings are there."""
@@ -135,7 +134,7 @@ class Repeated:
         whitened: FloatArray = whitening.flatten(residuals) / whitening.row_scale(groups)
         whitened = whitened if weighing is None else weighing.whiten(whitened)
         pull = rows.jacobian.T @ whitened + rows.prior.pull(rows.deviations)
-        return self._problem.moved(robot, first.unknowns, rows.deviations - root @ (root.T @ pull))
+        return first.unknowns.moved(robot, rows.deviations - root @ (root.T @ pull))
 
 
 def _same_looks(one: Readings, other: Readings) -> bool:

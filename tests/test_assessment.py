@@ -11,8 +11,7 @@ import calib
 from calib.data.in_memory import as_poses
 from calib.numerics.null_space import describe_group
 from calib.numerics.observability import raw_columns
-from calib.planning.assessment import check
-from calib.planning.pose_count import accuracy_by_count
+from calib.planning.assessment import accuracy_by_count, check
 from calib.planning.pose_sampling import sample
 from calib.reporting.assessment_text import text_report
 from calib.reporting.selection_text import text_report as told

@@ -15,7 +15,7 @@ from test_correction_grid import GANTRY
 import calib
 from calib.commands.compensate import command
 from calib.commands.init import command as init
-from calib.using.programs.gcode_reader import read_gcode
+from calib.using.programs.gcode import read_gcode
 from calib.using.programs.straight_moves import StraightMoves, compensate_moves
 
 YAML = """urdf: gantry.urdf

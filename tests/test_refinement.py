@@ -9,8 +9,7 @@ from small_robots import small_arm
 
 import calib
 from calib.joint_terms.term import Context
-from calib.planning.refinement import refine
-from calib.planning.region import region_of
+from calib.planning.refinement import refine, region_of
 from calib.planning.selection import select
 from calib.planning.selection_problem import TASK, build_problem
 from calib.planning.selection_scores import values_of_rows

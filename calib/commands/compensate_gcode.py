@@ -11,8 +11,7 @@ from calib.base.words import counted
 from calib.commands.common import Output, said_of_failure
 from calib.reporting.expected_text import COUNTED, before_and_now, expected_now, left_as_it_is, of_frame, summary
 from calib.rows.known_robot import KnownRobot
-from calib.using.programs.gcode import ROUNDING, GcodeProgram
-from calib.using.programs.gcode_reader import read_gcode
+from calib.using.programs.gcode import ROUNDING, GcodeProgram, read_gcode
 from calib.using.programs.straight_moves import CompensatedMoves, StraightMoves, compensate_moves
 
 _TOLERANCE_MM = 0.01

@@ -15,7 +15,7 @@ from calib.commands.boards import board_option, given_board
 from calib.commands.common import Output, shared_options
 from calib.data.tables import format_table
 from calib.instruments.board import Board
-from calib.photographs.coverage import LITTLE, image_coverage
+from calib.instruments.camera import LITTLE_COVERAGE, image_coverage
 from calib.photographs.detection import Detection, Found, detect
 from calib.photographs.images import Shot, joint_columns, shots
 from calib.photographs.opencv import GreyImage
@@ -128,7 +128,7 @@ def summary(found: Detection) -> list[str]:
         lines.append(f"Images have {len(sizes)} sizes: one camera with one lens has one; sort them")
     seen = coverage(usable)
     lines.append(f"The board was seen in {100 * seen:.0f} % of the image")
-    if seen < LITTLE:
+    if seen < LITTLE_COVERAGE:
         lines.append(
             "That is too little to find the lens: bring the board into the corners and edges of the image, near and far"
         )

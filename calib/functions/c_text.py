@@ -8,8 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.functions.facts import RobotFacts
-from calib.functions.templates import MEANING, NEUTRAL, SOURCES, said, template
+from calib.functions.facts import MEANING, NEUTRAL, SOURCES, RobotFacts, said, template
 from calib.functions.trees import Tree
 from calib.joint_terms.term import REFERENCE_TEMPERATURE
 

@@ -3,12 +3,17 @@
 Joint errors are sums of two kinds of terms (`calib.joint_terms.formula`), with their coefficients multiplied in; those
 that are zero are left out. The torque of gravity that some depend on is that of the nominal robot, whose tree is
 therefore a second one.
+
+Beside them stands what files in every language have alike: what they say of a robot, and the code that is the same for
+every robot (the `.txt` files).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -17,7 +22,7 @@ from calib.base.arrays import FloatArray, ReadOnlyArrays
 from calib.base.errors import ComputationError, DataError, InputError
 from calib.functions.trees import Tree, tree_of
 from calib.joint_terms.formula import Proportional, Source
-from calib.joint_terms.term import Context
+from calib.joint_terms.term import REFERENCE_TEMPERATURE, Context
 from calib.robots import loops
 from calib.robots.gravity import accelerations, payload_frame, with_masses
 from calib.robots.joint_errors import driven_by
@@ -31,6 +36,24 @@ CONDITIONS = {
     Source.TORQUE: "load",
 }
 """The condition of a command that each source needs, by the name that functions give it."""
+NEUTRAL = {"approach": 0.0, "time": 0.0, "temperature": REFERENCE_TEMPERATURE, "load": 0.0}
+"""What each condition is where nothing is said of it."""
+MEANING = {
+    "approach": "direction in which each joint moved last, +1 or -1, 0 where not known, (..., n_joints)",
+    "time": "as the measurements counted it [s], (...)",
+    "temperature": "[degC], (...)",
+    "load": "mass at the tool, beside what the URDF has [kg], (...)",
+}
+"""What each condition is."""
+SOURCES = {
+    Source.ONE: "one",
+    Source.COMMAND: "command",
+    Source.APPROACH: "approach",
+    Source.TIME: "time",
+    Source.WARMTH: "temperature",
+    Source.TORQUE: "torque",
+}
+"""What joint errors are proportional to, as the code names it."""
 
 
 @dataclass(frozen=True)
@@ -234,3 +257,33 @@ def _base(robot: Robot) -> FloatArray | None:
         motion = pin.Motion(mechanism.axes[k] * mechanism.constant[k])
         pose = pose * mechanism.model.jointPlacements[k + 1] * pin.exp6(motion)
     return np.array(pose.homogeneous)
+
+
+def template(name: str) -> str:
+    """Return code that is the same for every robot."""
+    return (Path(__file__).parent / f"{name}.txt").read_text(encoding="utf-8")
+
+
+def said(facts: RobotFacts, lines: Sequence[str], base: str) -> list[str]:
+    """Return what a file says of a robot, line by line.
+
+    Args:
+        facts: Of the robot.
+        lines: Where the numbers come from.
+        base: What the file calls the pose of the measurement frame.
+    """
+    joints = ", ".join(f"{name} [{unit}]" for name, unit in zip(facts.joints, facts.units, strict=True))
+    text = [f"The robot {facts.name}: poses of its tools from the commands of its joints.", "", *lines]
+    text += ["", f"Commands: {joints}. All units are SI.", f"Tools: {', '.join(_numbered(facts.tools))}."]
+    text.append("Poses are those of a tool in the measurement frame of the calibration, where that places the robot.")
+    if facts.base is None:
+        text.append("Joints move that frame.")
+    else:
+        text.append(f"{base} is the pose of that frame in the root link: it times a pose is the pose in the root link.")
+    if facts.tree.closures:
+        text.append("Where loops do not close, or not as they are assembled at home, the numbers are NaN.")
+    return [" ".join(line.split()) for line in text]
+
+
+def _numbered(names: Sequence[str]) -> list[str]:
+    return [f"{k} {name}" for k, name in enumerate(names)]

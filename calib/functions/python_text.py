@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.functions.facts import Gravity, RobotFacts
-from calib.functions.templates import MEANING, NEUTRAL, SOURCES, said, template
+from calib.functions.facts import MEANING, NEUTRAL, SOURCES, Gravity, RobotFacts, said, template
 from calib.functions.trees import Tree
 
 _OF_LIBRARY: dict[str, tuple[str, ...]] = {

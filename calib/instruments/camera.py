@@ -47,6 +47,9 @@ LEAST_POINTS = 4
 _PLAIN = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # a camera whose pixels are m itself
 _FLAT = 1e-3  # thickness over width of points that lie in a plane
 _ROUNDS = 30
+_CELLS = 8  # of an image, across and down, in each of which the board should be seen
+LITTLE_COVERAGE = 0.4
+"""Part of the image below which the lens is told by what was not seen."""
 
 
 def project(points: FloatArray, intrinsics: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -281,3 +284,24 @@ def _from_plane(local: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatA
     size = max(float(np.mean(np.linalg.norm(matrix[:, :2], axis=0))), 1e-12)
     x, y = matrix[:, 0] / size, matrix[:, 1] / size
     return nearest_rotation(np.stack([x, y, np.cross(x, y)], axis=1)), matrix[:, 2] / size
+
+
+def image_coverage(pixels: FloatArray, size: tuple[int, int]) -> float:
+    """Return in which part of the image points (n, 2) [px] were seen: of 8 x 8 fields, or those within their hull."""
+    if len(pixels) < 3:
+        return 0.0
+    x, y = (np.clip((pixels[:, k] / size[k] * _CELLS).astype(int), 0, _CELLS - 1) for k in (0, 1))
+    seen = np.zeros((_CELLS, _CELLS), dtype=bool)
+    seen[y, x] = True
+    return float(np.mean(_filled(seen)))
+
+
+def _filled(seen: BoolArray) -> BoolArray:
+    """Fields between two that were seen, along a row and along a column."""
+
+    def between(rows: BoolArray) -> BoolArray:
+        before = np.maximum.accumulate(rows, axis=1)
+        after = np.maximum.accumulate(rows[:, ::-1], axis=1)[:, ::-1]
+        return before & after
+
+    return seen | (between(seen) & between(seen.T).T)

@@ -10,9 +10,8 @@ import scipy
 
 from calib.base.arrays import FloatArray
 from calib.base.words import as_data, counted, listed
-from calib.instruments.camera import NAMES
+from calib.instruments.camera import LITTLE_COVERAGE, NAMES, image_coverage
 from calib.photographs.calibrating import HandEye, rms
-from calib.photographs.coverage import LITTLE, image_coverage
 from calib.photographs.estimation import turning
 from calib.photographs.scene import SIDES
 
@@ -68,7 +67,7 @@ def judge(result: HandEye) -> Judgement:
         )
         advice.append("tilt the tool by 20 to 40 deg about two axes more")
     seen = image_coverage(scene.pixels, scene.size)
-    if seen < LITTLE:
+    if seen < LITTLE_COVERAGE:
         advice.append(f"bring the board into more of the image (it was seen in {100 * seen:.0f} %)")
         if result.lens_found:
             reasons.append(f"the lens was found from {100 * seen:.0f} % of the image")

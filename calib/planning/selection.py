@@ -35,8 +35,7 @@ from calib.numerics.observability import observability_of
 from calib.planning.exchange import Exchange, Spacing, exchange, swap
 from calib.planning.instrument_choice import ALL, groups_of
 from calib.planning.measurement_order import order_in_blocks, travel
-from calib.planning.refinement import refine
-from calib.planning.region import region_of
+from calib.planning.refinement import refine, region_of
 from calib.planning.screening import Searched, after_relaxation, before_any_choice
 from calib.planning.selection_bound import CERTIFIED, log_phi, relax
 from calib.planning.selection_problem import TASK, SelectionProblem
@@ -87,7 +86,7 @@ def select(
         random_start: Start from a random choice instead of a uniform one.
         starts: How many starts; all but the first are random.
         seed: Seed of everything random.
-        off_grid: Move the chosen poses continuously afterwards; see `calib.planning.region` for where they may
+        off_grid: Move the chosen poses continuously afterwards; see `calib.planning.refinement` for where they may
             go.
         skip_unreachable: Leave out candidates that cannot be assembled, instead of an error.
         sigma: Noise of one reading per axis [m]; the description's if not given.

@@ -67,13 +67,13 @@ def given_board(text: str) -> Board:
     "--paper", type=click.Choice(sorted(PAPERS)), help="Page to print on; as large as the board if not given."
 )
 @click.option("--photographs", metavar="DIR", help="Write 12 simulated photographs too, with poses, to try it.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the simulated photographs.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the photographs.")
 @click.option("--out", required=True, metavar="FILE", help="PDF or SVG file to write.")
 @shared_options()
 def command(board: str, paper: str | None, photographs: str | None, seed: int, out: str, output: Output) -> None:
     """Write a board to print, in true size, with a ruler to check the print.
 
-    The same board describes the photographs (calib detect, calib hand-eye) and the points in a robot description.
+    calib detect, calib hand-eye and robot descriptions take the same board.
     """
     form = Path(out).suffix.lower().removeprefix(".")
     if form not in FORMATS:

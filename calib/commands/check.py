@@ -56,11 +56,10 @@ def command(
     verbose: bool,
     output: Output,
 ) -> None:
-    """Say which parameters of ROBOT the poses in DATA (CSV) determine, which combinations they cannot, and why.
+    """Say which parameters of ROBOT the poses in DATA (CSV) determine, which combinations they do not, and why.
 
-    DATA needs joint values only, so it can be checked before anything is measured; rows with the same pose value
-    count as repeats. Several files are measurements that belong together, as for `calib fit`. Without DATA, poses are
-    spread over the joint limits.
+    DATA needs joint values only, so it can be checked before anything is measured. Rows with the same pose value
+    count as repeats. Several files are joined as for `calib fit`. Without DATA, poses are spread over the joint limits.
     """
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
     model = with_values(loaded(robot, output), parameters, result)

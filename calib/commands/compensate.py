@@ -40,7 +40,7 @@ _OF_ANGLES = tuple((f"{one}_angle", ERROR_UNIT["angle"], error_scale("angle")) f
 @click.command("compensate")
 @click.argument("robot")
 @click.argument("program")
-@click.option("--result", metavar="DIR", help="Result folder of `calib fit`, if ROBOT is none: the calibrated robot.")
+@click.option("--result", metavar="DIR", help="Result folder of `calib fit`, if ROBOT is not one itself.")
 @click.option(
     "--keep",
     type=click.Choice(KEEP),
@@ -70,7 +70,7 @@ _OF_ANGLES = tuple((f"{one}_angle", ERROR_UNIT["angle"], error_scale("angle")) f
     "--frames",
     metavar="FILE",
     multiple=True,
-    help="Controllers' programs: tools and frames that it does not declare; a table, a RAPID module or $config.dat.",
+    help="Controllers' programs: tools and frames that PROGRAM does not declare; a table, RAPID module or $config.dat.",
 )
 @click.option("--base-link", metavar="LINK", help="Controllers' programs: the controller's base frame in the URDF.")
 @click.option("--flange-link", metavar="LINK", help="Controllers' programs: the controller's flange in the URDF.")
@@ -80,7 +80,7 @@ _OF_ANGLES = tuple((f"{one}_angle", ERROR_UNIT["angle"], error_scale("angle")) f
 @click.option(
     "--skip-unreachable",
     is_flag=True,
-    help="Write what cannot be compensated too: rows empty, and marked; targets of a program as they are.",
+    help="Also write what cannot be compensated: rows empty, and marked; targets of a program as they are.",
 )
 @click.option("--out", required=True, metavar="FILE", help="File to write: the compensated program.")
 @shared_options(json_output=True)
@@ -105,22 +105,21 @@ def command(
 
     PROGRAM is a table (CSV), G-code, or a controller's: URScript (.script), RAPID (.mod), KRL (.src), FANUC (.ls).
 
-    A table has a column for every joint; or positions, poses or positions with an axis of a target, as `calib solve`
-    reads them, in the measurement frame of the description. What is written has the joint values to command, for
-    poses also the poses to command where a controller with the nominal model turns them into joints itself, and of
-    every row how far the tool is off before and after. The tool is where the description has it. Where the base is
-    unknown, the program is meant in the robot's own base frame, which is laid where the nominal and the calibrated
-    robot agree best over the measured poses. Where the verdict of the calibration is that nothing is to be corrected,
-    the program stays as it is. Of a robot whose inclinometers read joints, rows say how it stands there, by columns of
-    these joints or of the sensors; nominal and calibrated robot stand alike.
+    A table has a column for every joint; or positions, poses, or positions with an axis of a target, as for `calib
+    solve`, in the measurement frame of the description. The written table has the joint values to command, and for
+    each row how far the tool is off before and after. For poses it also has the poses to send to a controller that
+    computes joints with the nominal model. The tool is where the description has it. If the base is unknown, the
+    program is meant in the robot's own base frame, laid where the nominal and the calibrated robot agree best over the
+    measured poses. If the verdict of the calibration finds nothing to correct, the program stays as it is. If
+    inclinometers read joints of the robot, each row has columns of these joints, or of the sensors.
 
-    G-code (.gcode, .nc, .ngc, .g) is for machines of three motors whose controller turns X, Y and Z into motors with
-    the nominal model, Cartesian or delta. Straight moves get the points to tell it, in pieces so short that the tool
-    stays within --tolerance-mm of the line; what else moves the machine is refused, all other lines stay.
+    G-code (.gcode, .nc, .ngc, .g) is for machines with three motors, Cartesian or delta, whose controller uses the
+    nominal model. Straight moves are cut into pieces so short that the tool stays within --tolerance-mm of the line.
+    Other moves are refused. All other lines stay.
 
-    Of a controller's program the numbers of the targets change and nothing else. What it works out at run time is
-    listed, with its lines. Its poses count from link `base` to link `tool0` where the URDF has them, else from the
-    description's base to the link of its target; --base-link and --flange-link say otherwise.
+    In a controller's program, only the numbers of the targets change. Targets that it computes at run time are listed
+    with their lines. Poses count from link `base` to link `tool0` if the URDF has them, else from the description's
+    base to the link of its target; --base-link and --flange-link choose others.
     """
     result = result_folder(robot, result)
     nominal = loaded(robot, output)

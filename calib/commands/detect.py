@@ -25,9 +25,9 @@ from calib.photographs.pages import Picture, page, small_copy
 @click.command("detect")
 @click.argument("images", nargs=-1, required=True)
 @board_option
-@click.option("--topic", metavar="NAME", help="Of the images in a ROS 2 bag, where it has several.")
+@click.option("--topic", metavar="NAME", help="Topic of the images, if a ROS 2 bag has several.")
 @click.option(
-    "--columns", metavar="NAME", default="camera", show_default=True, help="How the columns are called: NAME_u, NAME_v."
+    "--columns", metavar="NAME", default="camera", show_default=True, help="Names of the columns: NAME_u, NAME_v."
 )
 @click.option("--page", "page_file", metavar="FILE", help="HTML page that shows what was found in each image.")
 @click.option("--out", required=True, metavar="FILE", help="CSV file to write: pose, point, and its pixels.")
@@ -44,7 +44,7 @@ def command(
     """Find a printed board in IMAGES: files, a folder, a pattern such as 'shots/*.png', or a ROS 2 bag.
 
     Each image is a pose of its own, called by the name of its file. From a bag come the joint values of that moment
-    too, where the robot stood still. An image without a board is told in one line, and the rest goes on.
+    too, if the robot stood still. Images without a board are named and left out.
     """
     described, every = given_board(board), shots(images, topic)
     output.check(out, page_file)

@@ -31,10 +31,10 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
     help="urdf: only edited origins change. mjcf: MuJoCo, Pinocchio, Drake; loops closed. drake: URDF with"
     " ball constraints. toolbox: robot.yaml of toolbox-parallel-robots, and the URDF beside it. dh, mdh:"
     " Denavit-Hartenberg table, standard or modified. ur-kinematics: for Universal Robots' ROS description."
-    " joint-offsets: sign and zero of each joint. xacro: joint origins as properties. These five say which error"
-    " they leave. joint-tables: a folder with what each joint really is when it is told a value, as CSV, Python, C, and"
+    " joint-offsets: sign and zero of each joint. xacro: joint origins as properties. These five say how far off they"
+    " are. joint-tables: a folder with tables of each joint's error, as CSV, Python, C, and"
     " the URDF that goes with it. klipper, marlin, duet: lines to paste into the settings of a delta"
-    " printer. Each gets the robot that is best among those that it can hold. numpy, c, jax, torch,"
+    " printer. Each gets the best robot that it can hold. numpy, c, jax, torch,"
     " casadi: the whole model as functions of the commands, in one file that needs nothing of this program.",
 )
 @click.option(
@@ -59,7 +59,7 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
 @shared_options(
     json_output=True,
     forced="Write the file even if its robot is worse than the nominal one, or lacks joint terms that its values belong"
-    " to (it says so inside), or if something would be replaced that this program did not write, or reads.",
+    " to (it says so inside). Also replace files that this program did not write, or that this command reads.",
 )
 def command(
     robot: str,

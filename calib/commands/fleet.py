@@ -14,16 +14,18 @@ from calib.reporting.fleet import fleet, urdf_beside
 @click.option(
     "--out",
     metavar="FILE",
-    help="YAML file to write: the robot with what is expected of one more; its URDF goes beside.",
+    help="YAML file to write: the next robot, with its prior; its URDF goes beside.",
 )
-@click.option("--html", metavar="FILE", help="Write one page: parameters of all robots side by side, and who is odd.")
+@click.option(
+    "--html", metavar="FILE", help="Write one page: parameters of all robots side by side, and which robots are unlike."
+)
 @shared_options(json_output=True)
 def command(results: tuple[str, ...], out: str | None, html: str | None, output: Output) -> None:
-    """Learn from results of robots of one model what one more robot is like.
+    """Learn from results of robots of one model what to expect of the next one.
 
-    Each DIR is what `calib fit` wrote of another robot: same URDF, same parameters, other poses, instruments and
-    places as you like. Mean and spread of every parameter become the prior of the robot in --out, with which few poses
-    are enough. A robot that is unlike the others is named, and left out.
+    Each DIR is the result of `calib fit` for another robot, with the same URDF and parameters. Poses, instruments and
+    places may differ. The mean and spread of every parameter become the prior of the next robot, so that a few poses
+    calibrate it. A robot that is unlike the others is named, and left out.
     """
     beside = str(urdf_beside(out)) if out is not None else None
     with output.working(f"learning from {len(results)} results"):

@@ -52,17 +52,17 @@ FILES = (
     "--poses", metavar="FILE", help="CSV file with the pose of the tool at each image; or joint values (--robot)."
 )
 @click.option("--robot", metavar="ROBOT", help="Robot of the joint values (YAML description or URDF), taken as it is.")
-@click.option("--angles", type=click.Choice(ANGLES), help="What columns rx, ry, rz are.")
+@click.option("--angles", type=click.Choice(ANGLES), help="Meaning of columns rx, ry, rz.")
 @click.option("--camera", metavar="FILE", help="Intrinsics: YAML of OpenCV or camera_info of ROS; found if not given.")
 @click.option(
     "--lens",
     type=click.Choice(LENSES),
     default="auto",
     show_default=True,
-    help="Intrinsics as given, or found from these images; auto: whichever tells images left out better.",
+    help="Intrinsics as given, or found from these images; auto: those that predict left-out images better.",
 )
-@click.option("--camera-on", type=click.Choice(["tool", "base"]), help="Where the camera is; found out if not given.")
-@click.option("--topic", metavar="NAME", help="Of the images in a ROS 2 bag, where it has several.")
+@click.option("--camera-on", type=click.Choice(["tool", "base"]), help="Where the camera is; found if not given.")
+@click.option("--topic", metavar="NAME", help="Topic of the images, if a ROS 2 bag has several.")
 @click.option("--frames", metavar="BASE,TOOL,CAMERA", help="Names of frames in the exported files.")
 @click.option("--out", required=True, metavar="DIR", help="Folder for the result.")
 @shared_options(json_output=True, forced="Write the transform even if the verdict is FAIL, and replace files.")
@@ -82,9 +82,9 @@ def command(
 ) -> None:
     """Find where a camera is, on the tool of a robot or beside it, from IMAGES of a printed board.
 
-    IMAGES are files, a folder, a pattern or a ROS 2 bag; or one CSV file of calib detect. --poses says where the tool
-    was at each: position and quaternion, or angles, as the teach pendant shows them; or joint values, with --robot. The
-    robot is taken as it is: to calibrate its joints as well, see calib fit.
+    IMAGES are files, a folder, a pattern or a ROS 2 bag; or one CSV file of calib detect. --poses has the pose of the
+    tool at each image, as the teach pendant shows it: position and quaternion, or angles; or joint values, with
+    --robot. The robot is taken as it is: calib fit calibrates its joints as well.
     """
     described, named = given_board(board), _frames(frames)
     model = None if robot is None else loaded(robot, output)

@@ -58,13 +58,15 @@ _LENGTHS = "; ".join(
     help="How you measure: writes the instrument into the description, and beside it the file to fill in.",
 )
 @click.option(
-    "--board", metavar="FILE|TEXT", help="With --measure camera: the board, as of calib board; an example if not given."
+    "--board",
+    metavar="FILE|TEXT",
+    help="With --measure camera: the board, as for calib board; an example if not given.",
 )
 @click.option(
     "--camera", metavar="FILE", help="With --measure camera: its intrinsics, YAML of OpenCV or camera_info of ROS."
 )
 @click.option("--dh", metavar="FILE", help="Denavit-Hartenberg table (CSV) in place of a URDF, which is then written.")
-@click.option("--convention", type=click.Choice(CONVENTIONS), help="Of the table, if it does not say it itself.")
+@click.option("--convention", type=click.Choice(CONVENTIONS), help="Convention of the table, if it does not state it.")
 @click.option("--template", type=click.Choice(tuple(TEMPLATES)), help="A robot with loops in place of a URDF.")
 @click.option("--klipper", metavar="FILE", help="Delta printer: its printer.cfg, with what the probe measured.")
 @click.option("--marlin", metavar="FILE", help="Delta printer: a file with Marlin's M665 and M666.")
@@ -74,11 +76,13 @@ _LENGTHS = "; ".join(
     "lengths",
     multiple=True,
     metavar="NAME=VALUE",
-    help=f"Of the template, such as rod=300mm; once for each. Names and defaults are: {_LENGTHS};"
+    help=f"Length of the template, such as rod=300mm; once for each. Names and defaults are: {_LENGTHS};"
     " of a printer: arm, as designed or measured.",
 )
 @click.option(
-    "--schema", is_flag=True, help="Write the JSON schema of robot descriptions instead, with which editors check them."
+    "--schema",
+    is_flag=True,
+    help="Write the JSON schema of robot descriptions instead; editors check descriptions by it.",
 )
 @click.option(
     "--out",
@@ -104,13 +108,13 @@ def command(
     out: str,
     output: Output,
 ) -> None:
-    """Write a commented robot description for URDF to start from; a MuJoCo file (MJCF) will do as well.
+    """Write a commented robot description to start from, for URDF or a MuJoCo file (MJCF).
 
     Without --target it describes the longest chain of joints with motors, without the fingers of a gripper, and says
-    what it leaves out. With --dh it starts from a Denavit-Hartenberg table: columns theta, d, a, alpha (and beta), with
-    units, one row for each joint. With --template it writes the URDF, cut open, and the
-    description of a robot with loops, which --length fits to yours. With --klipper it makes both, and the measurements,
-    from what a delta printer has in its printer.cfg; with --marlin or --duet, both from the settings alone.
+    what it leaves out. Other ways to start also write the URDF. --dh: a Denavit-Hartenberg table, with columns theta,
+    d, a, alpha (and beta), units, and one row for each joint. --template: a robot with loops, with your --length.
+    --klipper: the printer.cfg of a delta printer; its measurements are written, too. --marlin, --duet: the settings of
+    a delta printer.
     """
     printers = {name: file for name, file in (("klipper", klipper), ("marlin", marlin), ("duet", duet)) if file}
     if schema:

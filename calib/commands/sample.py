@@ -47,9 +47,9 @@ def command(
 ) -> None:
     """Write poses that ROBOT can take, spread at random over its joint limits, loops closed.
 
-    What it touches, it touches there, and where only cameras measure, they see what they measure. Whether cables, walls
-    or the robot itself are in the way, it does not know: look at the poses before sending them (calib view ROBOT --data
-    FILE).
+    A robot that touches something is at contact in these poses. Where only cameras measure, they see their targets.
+    Cables, walls and collisions of the robot with itself are not known: look at the poses before you send them (calib
+    view ROBOT --data FILE).
     """
     model = with_values(loaded(robot, output), parameters, result)
     ranges: dict[str, tuple[float, float]] = {}

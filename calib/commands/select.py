@@ -45,8 +45,8 @@ from calib.reporting.selection_text import format_poses, text_report, to_dict
     metavar="all|each|LIST",
     default=ALL,
     show_default=True,
-    help="What reads at a chosen pose: all instruments; each: one of them, chosen too; or of a list, such as"
-    " tracker,sockets+ballbar (those joined by + read together).",
+    help="What reads at a chosen pose. all: every instrument; each: one of them, chosen too; LIST: one of these, such"
+    " as tracker,sockets+ballbar (those joined by + read together).",
 )
 @click.option(
     "--index",
@@ -116,8 +116,8 @@ def command(
 ) -> None:
     """Choose the poses from CANDIDATES (CSV) whose measurement determines the parameters of ROBOT best.
 
-    With several instruments, also which of them reads at which pose: the file that is written says so in a column
-    `instrument`. Something can be touched only at candidates whose column of that instrument says what.
+    With several instruments and --instruments, it also chooses which of them reads at which pose: the written file has
+    a column `instrument`. A candidate for a touch must name what is touched, in the column of that instrument.
     """
     wanted = _counts(count)
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)

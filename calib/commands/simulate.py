@@ -37,8 +37,8 @@ def command(
 ) -> None:
     """Simulate measurements of ROBOT at the poses in JOINTS (CSV).
 
-    Every instrument reads at every pose, or those that a column `instrument` names. Where something is touched, which a
-    column with the name of the instrument says, the joint values are changed so that the robot touches it.
+    Every instrument reads at every pose, or those that a column `instrument` names. An instrument that touches has a
+    column of its name, which says what is touched; the joint values are changed so that the robot touches it.
     """
     model = with_values(loaded(robot, output), parameters, None)
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm, zero=True)

@@ -39,16 +39,16 @@ def command(
     TARGETS has the columns TARGET_x, TARGET_y, TARGET_z (such as 'tool_x [mm]'), in the measurement frame. Add
     TARGET_rx, _ry, _rz (such as 'tool_rx [deg]'; roll, pitch, yaw about fixed axes, as URDF's rpy) to ask for the
     orientation of the target's link too, or TARGET_ax, _ay, _az (no unit) to ask for the direction of its z axis.
-    Leave the cells of a coordinate empty that is not asked for, as z of a robot that moves in the plane of x and y.
+    Leave the cells of a coordinate empty that the robot cannot choose, such as z if it moves in the plane of x and y.
 
-    A column 'pose' names the rows; 'load', 'temperature', 'time', 'setup', 'approach_JOINT' and where gravity points
-    say under which conditions the robot will be there, which joint terms may depend on. Of a robot whose inclinometers
-    read joints, columns of these joints, or of the sensors, say how it stands there. Joint limits and the home's
-    assembly mode are kept; what a target leaves open stays near home.
+    A column 'pose' names the rows. Columns 'load', 'temperature', 'time', 'setup', 'approach_JOINT' and those of
+    gravity have the conditions at each target, on which joint terms may depend. If inclinometers read joints of the
+    robot, each row has columns of these joints, or of the sensors. Joint limits and the home's assembly mode are kept;
+    free coordinates stay near home.
 
-    With a result, what is written says how far the real robot is expected to be off at each target, in the measurement
-    frame. Where the verdict of the calibration is that nothing is to be corrected, the nominal robot counts, with base
-    and targets where it agrees best with the calibrated one.
+    With a result, the written file says how far the real robot is expected to be off at each target, in the measurement
+    frame. If the verdict of the calibration finds nothing to correct, the nominal robot is used, with base and targets
+    where it agrees best with the calibrated one.
     """
     nominal, folder = loaded(robot, output), folder_of_values(robot, parameters, result)
     model = with_values(nominal, parameters, result)

@@ -41,7 +41,11 @@ from calib.robots.robot import Robot
 )
 @click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}.")
 @click.option(
-    "--loss", type=click.Choice(LOSSES), default="none", show_default=True, help="How far-off measurements count."
+    "--loss",
+    type=click.Choice(LOSSES),
+    default="none",
+    show_default=True,
+    help="Robust loss: gives outliers less weight.",
 )
 @click.option("--elsewhere", metavar="FILE", help="Poses (CSV) to predict, too.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the whole study.")
@@ -62,9 +66,9 @@ def command(
 ) -> None:
     """Calibrate ROBOT many times from simulated measurements at POSES (CSV), and count how often the result is right.
 
-    For each parameter: its mean error, how far it scatters beside what the fits claim, and in how many draws the 95 %
-    interval holds the truth. POSES are a plan, joint values or measurements, of which only the poses count here; with
-    --resample, what was measured counts.
+    For each parameter, the output has the mean error, the scatter, the standard deviation that the fits claim, and in
+    how many draws the 95 % interval holds the truth. POSES are a plan, joint values or measurements; only the poses
+    are used. With --resample, the readings are used too.
     """
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm)
     model = loaded(robot, output)

@@ -24,7 +24,7 @@ _DIGITS = 8  # of joint values that are the same in two files [m or rad]
 @click.command("verify")
 @click.argument("robot")
 @click.argument("data", nargs=-1, required=True)
-@click.option("--result", metavar="DIR", help="Result folder of `calib fit`, if ROBOT is none: the calibrated robot.")
+@click.option("--result", metavar="DIR", help="Result folder of `calib fit`, if ROBOT is not one itself.")
 @click.option(
     "--same-setup",
     is_flag=True,
@@ -34,7 +34,7 @@ _DIGITS = 8  # of joint values that are the same in two files [m or rad]
 @click.option(
     "--change", metavar="NAME=SIZE", help="With --plan: how many poses show this change, such as 'joint_2.z=0.2 mm'."
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of drawn intervals.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the intervals.")
 @shared_options(json_output=True)
 def command(
     robot: str,
@@ -48,8 +48,8 @@ def command(
 ) -> None:
     """Judge the calibrated ROBOT by measurements DATA (CSV) that its calibration has not seen.
 
-    Says whether they agree with what was promised, whether one parameter or joint zero has drifted, or whether a new
-    calibration is due (exit code 3 unless they agree); and the figures of ISO 9283 that repeated poses allow.
+    The verdict says whether they agree with what was promised, whether one parameter or joint zero has drifted, or
+    whether a new calibration is due (exit code 3 unless they agree). Repeated poses also give figures of ISO 9283.
     """
     if change and not plan:
         raise InputError("--change: goes with --plan; what has changed is found from the measurements")

@@ -33,7 +33,7 @@ from calib.planning.watch import CANDIDATES, GrowingFile, Watch
     help="Poses (CSV) that the goal is about, and to choose the next one from; if not given,"
     f" {CANDIDATES} over the joint limits.",
 )
-@click.option("--once", is_flag=True, help="Say what FILE tells now, and end.")
+@click.option("--once", is_flag=True, help="Say what FILE shows now, and end.")
 @click.option(
     "--every",
     type=click.FloatRange(min=0.05),
@@ -48,7 +48,7 @@ from calib.planning.watch import CANDIDATES, GrowingFile, Watch
     help="Show it in a browser on this computer, too: prints the address to open, and stays until Ctrl-C.",
 )
 @click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of what is sampled.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of sampled poses.")
 @shared_options(json_output=True)
 def command(
     robot: str,

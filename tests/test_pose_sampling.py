@@ -31,6 +31,16 @@ def test_poses_stay_in_ranges_of_joints_and_of_targets(arm):
     assert np.all((inside >= spanning[0]) & (inside <= spanning[1]))
 
 
+def test_limits_that_do_not_contain_home_are_kept(tmp_path, run_calib):
+    table = EXAMPLES / "panda_dh.csv"  # its fourth joint cannot be straight
+    assert run_calib("init", "--dh", table, "--out", tmp_path / "panda.yaml").code == 0
+    robot = calib.load(tmp_path / "panda.yaml")
+    lower, upper = np.radians([-166, -101, -166, -176, -166, -1, -166]), np.radians([166, 101, 166, -4, 166, 215, 166])
+    found = calib.sample(robot, 400, seed=3).joints
+    assert np.all((found >= lower) & (found <= upper))
+    assert np.all(found.max(axis=0) - found.min(axis=0) > 0.9 * (upper - lower))
+
+
 def test_what_is_written_is_read_by_the_other_commands(run_calib, tmp_path):
     run = run_calib(
         "sample", ARM, "--count", 60, "--seed", 2, "--within", "reflector_z=200..900mm", "--within", "joint_1=-1..1",

@@ -42,7 +42,7 @@ def checked_ranges(within: Ranges, known: Sequence[str]) -> Ranges:
 def joint_box(
     mechanism: Mechanism, urdf: UrdfText, home: FloatArray, ranges: Ranges, path: str
 ) -> tuple[FloatArray, FloatArray]:
-    """Return joint limits that contain home; a turning joint without limits gets half a turn to both sides.
+    """Return joint limits; a turning joint without them gets half a turn to both sides of home.
 
     Joints that have a range get that, as far as it is inside their limits.
 
@@ -71,8 +71,8 @@ def joint_box(
             continue
         if mechanism.dimensions[name] == "length" and not np.isfinite(high - low):
             raise DataError(f"{path}: sliding joint '{name}' has no limits to spread poses over; give a file of poses")
-        lower[k] = min(lower[k], low if np.isfinite(low) else home[k] - np.pi)
-        upper[k] = max(upper[k], high if np.isfinite(high) else home[k] + np.pi)
+        lower[k] = low if np.isfinite(low) else min(home[k], high) - np.pi
+        upper[k] = high if np.isfinite(high) else max(home[k], low) + np.pi
     return lower, upper
 
 

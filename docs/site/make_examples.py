@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import calib
-from calib.base.files import write_file
 from calib.base.units import DISPLAY_UNIT, PER_SI
+from calib.data.dh_files import read_dh
 from calib.data.measurements import Poses
 from calib.data.parameter_files import format_parameters
 from calib.data.tables import format_table
 from calib.robots.templates import loop_files, read_lengths
+from calib.robots.urdf.denavit_hartenberg import urdf_text
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 Array = NDArray[np.float64]
@@ -38,6 +39,17 @@ name_mot: [joint_1, joint_2, joint_3, joint_4, joint_5, joint_6]
 base: {frame: base_link}
 targets: {ball: {frame: flange, position: unknown, sigma: 20 mm}}
 instruments: {probe: {kind: touch, target: ball, places: {a: {frame: base_link, position: unknown}}}}
+parametrisation:
+  - {origin: all, components: [x, y, z], sigma: 1 mm}
+  - {origin: all, components: [rx, ry, rz], sigma: 3 mrad}
+"""
+UR_BASE = {"base.x": 1.9, "base.y": 0.8, "base.z": 0.4, "base.rx": 0.004, "base.ry": -0.006, "base.rz": -2.4}
+UR_SIGMA, UR_SEED, UR_POSES = 0.022e-3, 11, 60
+UR = """
+urdf: ur10e.urdf
+name_mot: [shoulder_pan_joint, shoulder_lift_joint, elbow_joint, wrist_1_joint, wrist_2_joint, wrist_3_joint]
+base: {frame: base_link, pose: unknown}
+targets: {reflector: {frame: flange, xyz: [30 mm, 0 mm, 20 mm], position: unknown}}
 parametrisation:
   - {origin: all, components: [x, y, z], sigma: 1 mm}
   - {origin: all, components: [rx, ry, rz], sigma: 3 mrad}
@@ -63,6 +75,27 @@ def arm() -> dict[str, str]:
     for axis, offset in zip("xyz", (1.5e-3, -2.0e-3, 0.8e-3), strict=True):
         truth[f"reflector.{axis}"] += offset
     return _files(robot, "arm", np.array(poses), truth, ARM_SIGMA, ARM_SEED, rng)
+
+
+def ur10e() -> dict[str, str]:
+    """Return the files of the UR10e, whose nominal robot is a Denavit-Hartenberg table."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "ur10e.yaml"
+        path.write_text(UR)
+        path.with_suffix(".urdf").write_text(urdf_text(read_dh(EXAMPLES / "ur10e_dh.csv"), "ur10e"))
+        robot = calib.load(path)
+    rng = np.random.default_rng(UR_SEED)
+    low, high = np.degrees(robot.joint_limits).T
+    poses: list[Array] = []
+    while len(poses) < UR_POSES:
+        degrees = np.round(rng.uniform(low, high), 3)
+        x, y, z = robot.positions(np.radians(degrees))[0, 0]
+        if z > 0.1 and np.hypot(x, y) > 0.3:  # above the table, and away from the robot's own base
+            poses.append(np.radians(degrees))
+    truth = _drawn(robot, rng) | UR_BASE
+    for axis, offset in zip("xyz", (0.9e-3, -1.4e-3, 0.5e-3), strict=True):
+        truth[f"reflector.{axis}"] += offset
+    return _files(robot, "ur10e", np.array(poses), truth, UR_SIGMA, UR_SEED, rng, nominal="ur10e_dh.csv")
 
 
 def touches() -> dict[str, str]:
@@ -167,13 +200,14 @@ def _files(
     sigma: float,
     seed: int,
     rng: np.random.Generator,
+    nominal: str = "",
 ) -> dict[str, str]:
     actual = robot.with_parameters(truth)
     names = tuple(str(k + 1) for k in range(len(joints)))
     poses = Poses(joints, names, names, name, ())
     measured = calib.simulate(actual, poses, sigma, rng)
     comments = (
-        f"Simulated measurements of docs/examples/{name}.urdf; no real robot was measured.",
+        f"Simulated measurements of docs/examples/{nominal or f'{name}.urdf'}; no real robot was measured.",
         f"Truth: {name}_truth.csv. Normal noise, sigma {1e3 * sigma:g} mm per axis; everything from seed {seed}.",
     )
     columns: list[tuple[str, list[object]]] = [("pose", list(names))]
@@ -191,7 +225,7 @@ def _files(
 
 def every_file() -> dict[str, str]:
     """Return all files that are made, by name."""
-    files = arm() | touches() | five_bar()
+    files = arm() | ur10e() | touches() | five_bar()
     for name in TEMPLATES:
         files |= from_template(name)
     return files
@@ -203,7 +237,7 @@ def main() -> None:
     parser.add_argument("folder", metavar="FOLDER", nargs="?", type=Path, default=EXAMPLES, help="where to write")
     folder = parser.parse_args().folder
     for name, text in every_file().items():
-        write_file(folder / name, text)
+        (folder / name).write_text(text, encoding="utf-8")
         print(f"{folder / name} written")
 
 

@@ -1,6 +1,7 @@
 """The files of docs/examples are what the pages say they are."""
 
 import make_examples
+import numpy as np
 import pytest
 from snippets import DOCS
 
@@ -37,6 +38,19 @@ def test_an_example_calibrates_to_its_truth(name):
     sigma = robot.description.sigma or make_examples.TEMPLATE_SIGMA
     assert abs(off).max() < 3 * sigma  # noise of one reading; the fit averages it
     assert result.verdict.grade == "PASS"
+
+
+@pytest.mark.parametrize(
+    ("table", "q", "place"),
+    [  # at zero, from the manufacturer's drawing: both arms stretched; the Panda as its controller shows it at "ready"
+        ("ur10e_dh.csv", [0, 0, 0, 0, 0, 0], [-0.6127 - 0.57155, -0.17415 - 0.11655, 0.1807 - 0.11985]),
+        ("panda_dh.csv", [0, -np.pi / 4, 0, -3 * np.pi / 4, 0, np.pi / 2, np.pi / 4], [0.30689, 0.0, 0.59028]),
+    ],
+)
+def test_tables_of_manufacturers_have_their_arms(tmp_path, run_calib, table, q, place):
+    assert run_calib("init", "--dh", EXAMPLES / table, "--out", tmp_path / "robot.yaml").code == 0
+    end = calib.load(tmp_path / "robot.yaml").forward([q], "flange" if "ur" in table else None)[0, :3, 3]
+    assert np.allclose(end, place, rtol=0, atol=1e-5)
 
 
 def test_simulated_files_say_so_on_their_first_line():

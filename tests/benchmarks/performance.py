@@ -161,18 +161,18 @@ def page(robots, rounds, draws):
     yield """# Performance
 
 For users who plan large computations: at the end you know how fast each step is, as ratios of processor time. The two
-things compared ran in turns in the same run, with one thread of linear algebra; the shortest of 15 turns counts. Made by
-`python tests/benchmarks/performance.py --data FOLDER --write docs/performance.md`, with the measurements of others in
-FOLDER ([where from](benchmarks.md)); `make bench` prints it, and more.
+things compared ran in turns in the same run, with one thread of linear algebra; the shortest of 15 turns counts. Made
+by `python tests/benchmarks/performance.py --data FOLDER --write docs/performance.md`, with the measurements of others
+in FOLDER ([where from](benchmarks.md)); `make bench` prints it, and more.
 
 ## Kinematics through closed loops
 
 MedRUE, 420 poses, after a small step of the parameters; and whole fits. The unit is Pinocchio's own loop: one
 `computeJointJacobians` of the same model for each pose, called from Python, nothing read out.
 
-With the extra `fast`, numba compiles the same formulas (to 1e-12 the same numbers). Studies of many calibrations, sampling
-and compensating many poses, and work on thousands of poses at once use it; `with calib.robots.acceleration.compiled():`
-asks for it. Compiling takes tens of seconds, once for each version.
+With the extra `fast`, numba compiles the same formulas (to 1e-12 the same numbers). Studies of many calibrations,
+sampling and compensating many poses, and work on thousands of poses at once use it;
+`with calib.robots.acceleration.compiled():` asks for it. Compiling takes tens of seconds, once for each version.
 
 | work for each pose | over Pinocchio's loop | with `fast` |
 |---|---:|---:|"""
@@ -186,9 +186,9 @@ move none of them, or all of them alike, are not in the model.
     yield """\
 ## A fit against a hand-written one
 
-`tests/benchmarks/hand_written.py` is what somebody writes for one serial arm: batched numpy, Gauss-Newton steps, no checks,
-no statistics. It shares no code with `calib` and reaches the same minimum: the sums of squares agree to a millionth.
-`calib.fit` judges data, rank and convergence, and computes covariances, intervals and errors as well.
+`tests/benchmarks/hand_written.py` is what somebody writes for one serial arm: batched numpy, Gauss-Newton steps, no
+checks, no statistics. It shares no code with `calib` and reaches the same minimum: the sums of squares agree to a
+millionth. `calib.fit` judges data, rank and convergence, and computes covariances, intervals and errors as well.
 
 | arm | poses | unknowns | `calib.fit` over hand-written | with `fast` | evaluations | hand-written |
 |---|---:|---:|---:|---:|---:|---:|"""
@@ -210,23 +210,24 @@ MedRUE, 84 poses, {draws} draws; the times are those of the machine that made th
 ## Whole commands
 
 From the prompt to the next, simulated measurements, all modules compiled to byte code. The unit is a program that only
-imports the libraries that a fit with pages needs; times are those of the machine that made this page. Many rows ran once.
-Alone: `python tests/benchmarks/whole_commands.py`.
+imports the libraries that a fit with pages needs; times are those of the machine that made this page. Many rows ran
+once. Alone: `python tests/benchmarks/whole_commands.py`.
 """
     yield from whole_commands.table(max(rounds // 5, 1))
     yield """
 ## Evaluations
 
-Evaluations of a fit as the stated noise shrinks from 1 mm to 1 um and the data stay the same; * would mark a fit that did
-not converge. Alone: `python tests/benchmarks/evaluations.py --data FOLDER`.
+Evaluations of a fit as the stated noise shrinks from 1 mm to 1 um and the data stay the same; * would mark a fit that
+did not converge. Alone: `python tests/benchmarks/evaluations.py --data FOLDER`.
 """
     yield from evaluations.table(robots)
     yield """
 ## Rows that are not spread
 
-Evaluations of the fit and of MINPACK (`lm` of SciPy) on subsets of 20 to 200 rows, eight of each sort, from the same start,
-with the same residuals and Jacobian. MINPACK ends at relative changes of 1e-8, the fit at 1e-12. Where there are fewer than
-eight fits, rows that do not determine the robot were refused. Alone: `python tests/benchmarks/evaluations.py --subsets 8`.
+Evaluations of the fit and of MINPACK (`lm` of SciPy) on subsets of 20 to 200 rows, eight of each sort, from the same
+start, with the same residuals and Jacobian. MINPACK ends at relative changes of 1e-8, the fit at 1e-12. Where there are
+fewer than eight fits, rows that do not determine the robot were refused. Alone:
+`python tests/benchmarks/evaluations.py --subsets 8`.
 """
     yield from evaluations.subset_table(evaluations.clustered(), 8)
 

@@ -53,8 +53,8 @@ _KEY = """\
 **How to read it.**
 
 - *Better, tie, worse*: on how many splits a code predicts unseen rows better than this project (the line without
-  numbers there), equally well, or worse. Differences are tested row by row (paired t of squared errors, at least 1 % of the
-  RMS; chance 1 in 1000 for arms, whose rows follow each other in a file, 1 in 100 for images and printers). In the
+  numbers there), equally well, or worse. Differences are tested row by row (paired t of squared errors, at least 1 % of
+  the RMS; chance 1 in 1000 for arms, whose rows follow each other in a file, 1 in 100 for images and printers). In the
   tables of errors ▲ marks a code that is better, = a tie, bold the smallest of a line.
 - *Claimed / true*: the error that a code states for the calibrated robot over that of unseen rows: 1 is true, below 1
   promises too much. \\*: it claims nothing of new poses; this is the RMS of its own residuals.

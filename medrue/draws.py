@@ -24,7 +24,8 @@ from calib.base.threads import one_blas_thread
 from calib.base.workers import in_order
 from calib.data.in_memory import as_measurements
 from calib.data.measurements import Measurements
-from calib.robots.robot import Configurations, Robot
+from calib.robots.configurations import Configurations
+from calib.robots.robot import Robot
 from calib.rows.jacobian import linearise
 
 CHUNK = 10

@@ -22,6 +22,7 @@ from test_denavit_hartenberg import flange_poses
 import calib
 from calib.exporting.held_formats import HELD
 from calib.robots.held import Holds
+from calib.robots.robot_files import urdf_of_origins, without_terms
 
 ENDINGS = {
     "urdf": ".urdf",
@@ -97,7 +98,7 @@ def files_of(robot, train, test, folder):
     fit = calib.fit(robot, train, validation=test, terms="auto")
     fit.save(folder / "result", pages=False)
     loaded, points = calib.load(folder / "result"), [(data.joints, data.points(robot)[:, 0]) for data in (train, test)]
-    whole = fit.robot.without_terms(Holds.ORIGINS).urdf_of_origins()
+    whole = urdf_of_origins(without_terms(fit.robot, Holds.ORIGINS))
     errors = {
         "nominal robot": held_out(tip_of(urdf_links(robot.urdf.source), robot), robot, *points),
         "origins of the whole model, its terms dropped": held_out(tip_of(urdf_links(whole), robot), robot, *points),

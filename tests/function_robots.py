@@ -26,6 +26,8 @@ from calib.joint_terms.term import Context
 from calib.joint_terms.terms import listed_terms
 from calib.robots import kinematics
 from calib.robots.closure import residual
+from calib.robots.configurations import configured
+from calib.robots.joint_errors import term_columns
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "docs" / "examples"
@@ -118,9 +120,9 @@ def poses_of_engine(robot, q, context, target=0, *, sharp=True):
 
     It ends where loops are open by 1e-13 m, which turns links by up to some 1e-12; `sharp`: one more Newton step.
     """
-    columns = robot.term_columns(q, context)
+    columns = term_columns(robot, q, context)
     closed = robot.close(q, columns=columns)
-    at = robot.configurations(q, replace(closed, passive=np.nan_to_num(closed.passive)), columns)
+    at = configured(robot, q, replace(closed, passive=np.nan_to_num(closed.passive)), columns)
     passive = at.passive.copy()
     if robot.mechanism.loops and sharp:
         gap, slope, _ = residual(robot.mechanism, at.actuated, passive)

@@ -10,6 +10,7 @@ import pytest
 
 import calib
 from calib.joint_terms.term import Context
+from calib.robots.joint_errors import actual_joints, commands_for, term_columns
 from calib.rows.jacobian import linearise
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
@@ -120,7 +121,7 @@ def poses(robot, n, seed):
 def test_torques_are_the_slope_of_the_potential_energy(machine):
     robot, at = machine
     q = poses(robot, 12, 0)
-    found = np.concatenate(robot.term_columns(q), axis=2)[:, 0]
+    found = np.concatenate(term_columns(robot, q), axis=2)[:, 0]
     # differences of some 10 J by 1e-5 rad are good to 1e-9 N m, and their curvature to as much
     assert np.allclose(found, torques(at, q), rtol=0, atol=1e-6)
     assert np.abs(found).max() > 0.3
@@ -192,10 +193,10 @@ def test_play_that_gravity_takes_up_is_found_where_gravity_changes_its_side(tmp_
     q = poses(robot, 8, 9)
     play = robot.with_parameters({"lift.gravity_backlash": HALF[1], "turn.gravity_backlash": HALF[1]})
     side = -torques(arm_at, q)[:, 1] / np.sqrt(torques(arm_at, q)[:, 1] ** 2 + KNEE**2)
-    actual = play.actual(q, play.term_columns(q))
+    actual = actual_joints(play, q, term_columns(play, q))
     assert np.allclose((actual - q)[:, 1], HALF[1] * side, rtol=0, atol=1e-9)
     assert np.allclose((actual - q)[:, 0], 0.0, rtol=0, atol=1e-12)  # its axis is vertical: gravity decides nothing
-    assert np.allclose(play.commands(actual), q, rtol=0, atol=1e-9)
+    assert np.allclose(commands_for(play, actual), q, rtol=0, atol=1e-9)
 
 
 def test_play_that_gravity_holds_on_one_side_is_a_zero_of_the_joint(tmp_path):
@@ -214,9 +215,9 @@ def test_commands_across_a_change_of_side_are_found_or_unknown(tmp_path, upright
     robot = calib.load(tmp_path / "arm.yaml").with_parameters({"lift.gravity_backlash": 5e-3})
     lift = upright * np.pi / 2 + np.linspace(-0.15, 0.15, 201)  # the arm stands upright between, or hangs down
     actual = np.stack([0 * lift, lift, 0 * lift], axis=1)
-    commands = robot.commands(actual)
+    commands = commands_for(robot, actual)
     known = np.isfinite(commands).all(axis=1)
-    back = robot.actual(commands[known], robot.term_columns(commands[known]))
+    back = actual_joints(robot, commands[known], term_columns(robot, commands[known]))
     assert np.allclose(back, actual[known], rtol=0, atol=1e-9)
     assert np.mean(known) > 0.9
 
@@ -238,7 +239,7 @@ def test_a_payload_loads_the_joints_as_a_body_there_would(tmp_path):
     robot, at = arm(tmp_path)
     q, load = poses(robot, 12, 4), np.linspace(0.0, 7.0, 12)
     loaded_robot, context = loaded(robot, load)
-    found = np.concatenate(loaded_robot.term_columns(q, context), axis=2)[:, 0]
+    found = np.concatenate(term_columns(loaded_robot, q, context), axis=2)[:, 0]
     by_height = lifted(at, lambda row: at(row)[0][2], q)  # at the first target
     assert np.allclose(found, torques(at, q) + load[:, None] * by_height, rtol=0, atol=1e-6)
     model = pin.buildModelFromUrdf(str(tmp_path / "arm.urdf"))
@@ -254,7 +255,7 @@ def test_a_payload_loads_joints_through_a_loop(tmp_path):
     robot, at = upright_five_bar(tmp_path)
     q, load = poses(robot, 12, 5), np.linspace(0.0, 2.0, 12)
     loaded_robot, context = loaded(robot, load)
-    found = np.concatenate(loaded_robot.term_columns(q, context), axis=2)[:, 0]
+    found = np.concatenate(term_columns(loaded_robot, q, context), axis=2)[:, 0]
     by_height = lifted(at, lambda row: at(row)[0][1], q)
     assert np.allclose(found, torques(at, q) + load[:, None] * by_height, rtol=0, atol=1e-6)
     assert np.abs(by_height).max() > 0.3
@@ -264,7 +265,7 @@ def test_a_payload_hangs_where_the_description_says(tmp_path):
     robot, at = arm(tmp_path)
     q = poses(robot, 5, 6)
     elbow, context = loaded(robot, np.full(5, 3.0), payload="fore")
-    found = np.concatenate(elbow.term_columns(q, context), axis=2)[:, 0] - torques(at, q)
+    found = np.concatenate(term_columns(elbow, q, context), axis=2)[:, 0] - torques(at, q)
     by_height = lifted(at, lambda row: 0.5 - 0.5 * np.sin(row[1]), q)
     assert np.allclose(found, 3.0 * by_height, rtol=0, atol=1e-6)
     (tmp_path / "arm.yaml").write_text(ARM_YAML + "payload: fare\n")

@@ -12,6 +12,7 @@ from calib.base.errors import InputError
 from calib.commands.export import command as export_command
 from calib.commands.init import command as init_command
 from calib.data.dh_files import read_dh
+from calib.robots.robot_files import urdf_of_origins
 from calib.robots.urdf.denavit_hartenberg import DhRow, dh_table
 
 ROUNDING = 1e-12
@@ -83,7 +84,7 @@ def robot_of(table: Path, out: Path) -> calib.Robot:
 
 def flange_poses(robot: calib.Robot, q: np.ndarray) -> np.ndarray:
     """The flange in the first link, (n, 4, 4), by a Pinocchio model of the calibrated URDF; joints in its order."""
-    model = pin.buildModelFromXML(robot.urdf_of_origins().decode().replace("continuous", "revolute"))
+    model = pin.buildModelFromXML(urdf_of_origins(robot).decode().replace("continuous", "revolute"))
     assert list(model.names)[1:] == list(robot.joint_names)
     data, tip = model.createData(), model.getFrameId("flange")
     found = np.empty((len(q), 4, 4))

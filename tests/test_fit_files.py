@@ -14,6 +14,7 @@ import calib
 from calib.calibrating.file_robots import why_withheld
 from calib.reporting.result_reading import read_result
 from calib.robots.held import Accuracy, Holds, SeenAt
+from calib.robots.robot_files import urdf_of_origins, without_terms
 
 ROOT = Path(__file__).resolve().parents[1]
 SIGMA = 2e-5
@@ -40,7 +41,7 @@ def true_tip(tmp_path_factory):
     """Where the ball is when joints are truly somewhere, by Pinocchio; origins off by a millimetre or so."""
     arm = arm_with(tmp_path_factory.mktemp("true"))
     true = arm.with_parameters({"j2.x": 0.0512, "j3.z": 0.5991, "j4.ry": 2e-3, "j5.z": 1e-3})
-    tip = tip_of(urdf_links(true.urdf_of_origins()), true)
+    tip = tip_of(urdf_links(urdf_of_origins(true)), true)
     return lambda q: (tip(q) @ [0.05, 0.02, 0.1, 1.0])[:, :3]
 
 
@@ -78,7 +79,7 @@ def rms_of(fit, tip):
 def test_every_file_of_origins_is_as_good_as_a_fit_of_origins_alone(fit, folder, tmp_path):
     alone = calib.fit(fit.nominal, fit.identification.data, validation=fit.validation.data, terms="none")
     robot, expected = calib.load(folder), alone.validation.rms("after")
-    dropped = rms_of(fit, tip_of(urdf_links(fit.robot.without_terms(Holds.ORIGINS).urdf_of_origins()), robot))
+    dropped = rms_of(fit, tip_of(urdf_links(urdf_of_origins(without_terms(fit.robot, Holds.ORIGINS))), robot))
     nominal = rms_of(fit, tip_of(urdf_links(fit.nominal.urdf.source), robot))
     assert dropped > nominal > 1.5 * expected  # a file with the origins of the whole model would be worse than none
     for file_format, name in FILES.items():

@@ -12,6 +12,8 @@ from small_robots import ARM_YAML, write_arm, write_parallelogram, write_pose_lo
 
 import calib
 from calib.functions.c_text import c_name
+from calib.robots.configurations import configured
+from calib.robots.joint_errors import term_columns
 
 N = {"six-axis arm, every term": 10_000, "example arm": 10_000}
 """Poses of each robot; of those with loops, 150: `tests/function_robots.py` looks at 10 000 of these, too."""
@@ -84,8 +86,8 @@ def test_poses_are_those_of_the_engine_and_open_loops_are_no_numbers(cases, name
 
 def distance(case):
     """From a singularity of the loops, of each pose."""
-    columns = case.robot.term_columns(case.q, case.context)
-    at = case.robot.configurations(case.q, case.robot.close(case.q, columns=columns), columns)
+    columns = term_columns(case.robot, case.q, case.context)
+    at = configured(case.robot, case.q, case.robot.close(case.q, columns=columns), columns)
     known = np.isfinite(at.slope).all(axis=(1, 2))
     found = np.zeros(len(known))
     if known.any():

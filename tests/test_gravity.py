@@ -9,6 +9,7 @@ from test_compliance import ARM_YAML, HEADER, STEP, G, arm, poses
 
 import calib
 from calib.joint_terms.term import Context
+from calib.robots.joint_errors import term_columns
 from calib.rows.jacobian import linearise
 
 DOWN = np.array([0.3, -0.5, 0.6])
@@ -50,7 +51,7 @@ def torques(q, down):
 
 
 def columns(robot, q, context=None):
-    return np.concatenate(robot.term_columns(q, context), axis=2)[:, 0]
+    return np.concatenate(term_columns(robot, q, context), axis=2)[:, 0]
 
 
 def described(folder, gravity, *more):

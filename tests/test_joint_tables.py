@@ -12,6 +12,7 @@ from small_robots import ARM_YAML, write_arm
 import calib
 from calib.exporting.joint_tables import beside_tables, joint_table_files, joint_tables
 from calib.joint_terms.term import Context
+from calib.robots.joint_errors import actual_joints, commands_for, term_columns
 
 TERMS = """\
   - {joint: all, term: gain}
@@ -62,7 +63,7 @@ def python_of(folder):
 
 def test_the_python_agrees_with_the_engine_both_ways(robot, folder, commands):
     written = python_of(folder)
-    actual, told = robot.actual(commands, robot.term_columns(commands)), robot.commands(commands)
+    actual, told = actual_joints(robot, commands, term_columns(robot, commands)), commands_for(robot, commands)
     assert np.abs(actual - commands).max() > 1e-4  # there is something to correct
     for j, joint in enumerate(robot.joint_names):
         found = [written.actual(joint, q) for q in commands[:, j]]
@@ -90,8 +91,8 @@ def test_the_c_agrees_with_the_engine_both_ways(robot, folder, commands, tmp_pat
     found = np.array([[float(cell) for cell in line.split()] for line in out.splitlines()])
     assert np.all(np.isnan(found[-1]))
     found = found[:-1].reshape(3, -1, 2)
-    assert np.abs(found[:, :, 0].T - robot.actual(commands, robot.term_columns(commands))).max() < 1e-6
-    assert np.abs(found[:, :, 1].T - robot.commands(commands)).max() < 1e-6
+    assert np.abs(found[:, :, 0].T - actual_joints(robot, commands, term_columns(robot, commands))).max() < 1e-6
+    assert np.abs(found[:, :, 1].T - commands_for(robot, commands)).max() < 1e-6
 
 
 def test_the_csv_holds_the_same_numbers(robot, folder):

@@ -10,6 +10,7 @@ from six_axis_arm import FREE, YAML, joints, noisy, write_six_axis
 import calib
 from calib.fitting.terms.candidate_terms import candidates
 from calib.joint_terms.term import Context
+from calib.robots.joint_errors import actual_joints, commands_for, term_columns
 from calib.rows.jacobian import linearise
 from calib.rows.observed import observe, predicted_readings
 
@@ -97,7 +98,7 @@ def test_a_coupling_follows_the_command_of_the_other_joint(tmp_path):
     q = near_home(robot, 4, 4)
     expected = q + np.column_stack([np.zeros(4), 2e-3 * q[:, 0]])
     assert np.allclose(robot.assemble(q).actuated, expected, rtol=0, atol=1e-15)
-    assert np.allclose(robot.commands(expected), q, rtol=0, atol=1e-12)
+    assert np.allclose(commands_for(robot, expected), q, rtol=0, atol=1e-12)
 
 
 def test_a_temperature_counts_from_the_same_reference_in_every_file(tmp_path):
@@ -158,8 +159,8 @@ def test_commands_undo_the_joint_errors(five_bar):
     values[five_bar.coefficients] = 2e-3
     robot = five_bar.with_parameters(values)
     wanted = near_home(robot, 8, 7)
-    commands = robot.commands(wanted)
-    assert np.allclose(robot.actual(commands, robot.term_columns(commands)), wanted, rtol=0, atol=1e-12)
+    commands = commands_for(robot, wanted)
+    assert np.allclose(actual_joints(robot, commands, term_columns(robot, commands)), wanted, rtol=0, atol=1e-12)
 
 
 def test_terms_are_recovered_from_exact_data_through_the_loop(five_bar):

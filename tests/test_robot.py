@@ -9,6 +9,7 @@ from small_robots import ARM_URDF, ARM_YAML, small_arm, write_arm, write_paralle
 
 import calib
 from calib.base.errors import DataError, DescriptionError, UnreachablePoseError
+from calib.robots.configurations import near_singularities
 
 
 def snapshot(robot):
@@ -174,6 +175,6 @@ def test_poses_near_a_singularity_of_the_loops_are_named(tmp_path):
     """The parallelogram is flat, and singular, at 0 and 180 degrees."""
     robot = calib.load(write_parallelogram(tmp_path))
     q = np.radians([[90.0], [1.0]])
-    (remark,) = robot.near_singularities(robot.assemble(q), ["far", "near"])
+    (remark,) = near_singularities(robot, robot.assemble(q), ["far", "near"])
     assert remark.startswith("near: ")
     assert remark.endswith("from a singularity of the loops (limit 0.02)")

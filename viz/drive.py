@@ -19,7 +19,7 @@ import numpy as np
 from calib import Robot
 from calib.base.arrays import FloatArray
 from calib.joint_terms.term import Condition, Context
-from calib.robots.joint_errors import term_columns
+from calib.robots.joint_errors import actual_joints, columns_of_terms
 from calib.robots.mechanism import RelativeFrame
 from viz.bodies import Bodies
 
@@ -157,8 +157,8 @@ def _tables(robot: Robot, reach: FloatArray) -> tuple[ErrorTable, ...]:
 
 def _errors(robot: Robot, q: FloatArray) -> FloatArray:
     """What motors are off when told q, without what gravity does, under neutral conditions, (n, n_actuated)."""
-    columns = term_columns(robot.terms, robot.mechanism, q, Context.neutral(*q.shape))
-    return robot.actual(q, columns)[:, : q.shape[1]] - q
+    columns = columns_of_terms(robot.terms, robot.mechanism, q, Context.neutral(*q.shape))
+    return actual_joints(robot, q, columns)[:, : q.shape[1]] - q
 
 
 def _remarks(robot: Robot) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from calib import Fit
 from calib.base.arrays import FloatArray
 from calib.base.errors import DataError
+from calib.robots.configurations import joint_vector
 from viz.bodies import posed_robot
 from viz.drawing import load_meshcat, pack
 from viz.inputs import Shown, gather
@@ -86,7 +87,7 @@ class LiveViewer:
         """
         shown = self._shown
         robots = {"solid": shown.solid, "ghost": shown.ghost}
-        joints = shown.solid.joint_vector(q)
+        joints = joint_vector(shown.solid, q)
         if len(joints) != 1:
             raise DataError(f"joint values of shape {np.shape(q)}: give those of one pose at a time")
         moved = {

@@ -36,7 +36,9 @@ from calib.joint_terms.one_coefficient import Zero
 from calib.joint_terms.term import Joint, TermSection
 from calib.judging.judged_fit import JudgedFit
 from calib.robots.held import Accuracy, FileRobot, Holds
+from calib.robots.joint_errors import actual_joints
 from calib.robots.robot import Robot
+from calib.robots.robot_files import lost_by, without_terms
 
 _NOTHING = 1e-12  # of a joint zero, and of how far joints moved, squared [m or rad]
 _SAME = 1.0 + 1e-6  # times the error of the nominal robot, beside `COMPUTED`: where rounding would decide
@@ -54,7 +56,7 @@ def with_files(fit: Fit, settings: Settings, executor: Executor | int | None = N
         executor: Who does the fits of other starts and of folds, as in `calib.calibrating.calibrate.calibrate`.
     """
     started, reduced = time.perf_counter(), dict[Holds, Fit]()
-    kinds = [holds for holds in (Holds.TABLES, Holds.ORIGINS) if fit.robot.lost_by(holds)]
+    kinds = [holds for holds in (Holds.TABLES, Holds.ORIGINS) if lost_by(fit.robot, holds)]
     n_tasks = max(settings.starts - 1, n_folds(fit.identification.data, settings.folds))
     with Workers(executor if kinds else None, n_tasks) as workers:
         for holds in kinds:
@@ -71,8 +73,8 @@ def start_of(fit: Fit, holds: Holds) -> Robot:
 
     The nominal one, where its values belong to these terms, as those of an earlier result.
     """
-    robot = fit.nominal.without_terms(holds)
-    return robot.at_nominal() if fit.nominal.lost_by(holds) else robot
+    robot = without_terms(fit.nominal, holds)
+    return robot.at_nominal() if lost_by(fit.nominal, holds) else robot
 
 
 def _fitted_again(
@@ -127,8 +129,8 @@ class FitFiles(Mapping[Holds, FileRobot]):
             return self._zeros()
         if holds is Holds.TO_LAST_AXIS:
             return self._to_last_axis()
-        if not self._fit.robot.lost_by(holds):
-            return replace(file_robot(self._fit), values=_values(self._fit.robot.without_terms(holds)))
+        if not lost_by(self._fit.robot, holds):
+            return replace(file_robot(self._fit), values=_values(without_terms(self._fit.robot, holds)))
         fitted = (self._fit.reduced or {}).get(holds)
         return None if fitted is None else file_robot(fitted)
 
@@ -148,9 +150,9 @@ class FitFiles(Mapping[Holds, FileRobot]):
 
     def _zeros(self) -> FileRobot:
         """The nominal robot with joint zeros."""
-        fit, nominal = self._fit, self._fit.nominal.without_terms(Holds.ZEROS).at_nominal()
+        fit, nominal = self._fit, without_terms(self._fit.nominal, Holds.ZEROS).at_nominal()
         told = fit.identification.data.joints
-        actual = fit.robot.actual(told, fit.configurations.term_columns)[:, : told.shape[1]]
+        actual = actual_joints(fit.robot, told, fit.configurations.term_columns)[:, : told.shape[1]]
         moved, errors = told - told.mean(axis=0), actual - told
         turned_round = np.sum(moved * errors, axis=0) < -np.sum(moved**2, axis=0) - _NOTHING
         signs = np.where(turned_round, -1.0, 1.0)

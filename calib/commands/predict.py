@@ -9,6 +9,7 @@ from calib.commands.common import Output, folder_of_values, loaded, said_of_fail
 from calib.data.measurement_files import format_positions, read_poses
 from calib.data.measurements import Poses
 from calib.reporting.result_reading import joints_used, load_uncertainty, poses_beyond_curves, read_result
+from calib.robots.configurations import near_singularities
 from calib.robots.robot import Robot
 from calib.rows.told_positions import ToldPositions
 
@@ -30,7 +31,7 @@ def command(robot: str, joints: str, parameters: str | None, result: str | None,
     poses = read_poses(joints, model)
     output.check(out)
     configurations = model.assemble(poses.joints, labels=poses.labels, context=poses.conditions)
-    remarks = model.near_singularities(configurations, poses.labels)
+    remarks = near_singularities(model, configurations, poses.labels)
     source = parameters or result or "nominal values"
     comment = (f"predicted positions of {model.name}, {source}", *said_of_failure(output, result, out))
     content: dict[str, object] = {"robot": model.path, "values": source, "n_poses": len(poses), "file": out}

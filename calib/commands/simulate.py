@@ -18,6 +18,7 @@ from calib.commands.common import (
 )
 from calib.data.measurement_files import format_measurements
 from calib.data.plan_files import read_plan
+from calib.robots.configurations import near_singularities
 from calib.robots.robot import Robot
 from calib.rows.simulate import simulate, unstated_noise
 
@@ -45,7 +46,7 @@ def command(
     _require_noise(model, sigma)
     poses = read_plan(joints, model)
     output.check(out)
-    remarks = model.near_singularities(model.assemble(poses.joints, labels=poses.labels), poses.labels)
+    remarks = near_singularities(model, model.assemble(poses.joints, labels=poses.labels), poses.labels)
     measured = simulate(model, poses, sigma, np.random.default_rng(seed))
     truth = parameters or folder_of_values(robot, None, None) or "nominal parameters"
     comments: tuple[str, ...] = (

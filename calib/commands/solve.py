@@ -12,6 +12,7 @@ from calib.data.measurement_columns import approach_columns, condition_columns, 
 from calib.data.tables import format_table
 from calib.reporting.expected_text import COUNTED, expected_now, figures, left_as_it_is, of_frame, summary
 from calib.reporting.result_reading import load_known
+from calib.robots.configurations import near_singularities
 from calib.robots.robot import Robot
 from calib.using.goals import Goals, read_goals
 from calib.using.inverse import Solution, solve
@@ -71,7 +72,7 @@ def command(
     comments = (said, *said_of_failure(output, folder, out))
     output.write(out, _table(model, goals, solution, comments))
     labels = [solution.labels[k] for k in reached]
-    remarks = model.near_singularities(model.assemble(solution.q[reached], labels=labels), labels)
+    remarks = near_singularities(model, model.assemble(solution.q[reached], labels=labels), labels)
     output.remarks(remarks)
     output.json(
         {

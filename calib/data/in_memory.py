@@ -20,6 +20,7 @@ from calib.data.plan_files import read_pose_files
 from calib.data.tables import Source, is_columns
 from calib.instruments.kind import Instrument, Readings
 from calib.instruments.position import Position
+from calib.robots.configurations import joint_vector
 from calib.robots.robot import Robot
 
 PosesLike = Poses | Source | ArrayLike
@@ -45,7 +46,7 @@ def as_poses(robot: Robot, poses: PosesLike, names: Sequence[str] | None = None)
         return poses
     if _is_table(poses):
         return read_pose_files([cast(Source, poses)], robot)
-    joints = robot.joint_vector(cast(ArrayLike, poses))
+    joints = joint_vector(robot, cast(ArrayLike, poses))
     if names is not None and len(names) != len(joints):
         raise DataError(f"names: {len(names)} for {len(joints)} poses; give one for each")
     if names is None:

@@ -24,6 +24,7 @@ from calib.exporting.urdf import with_inserted
 from calib.robots.closure import residual
 from calib.robots.mechanism import rigid
 from calib.robots.robot import Robot
+from calib.robots.robot_files import urdf_of_origins
 from calib.robots.urdf.text import HELD_TYPES, UrdfText, parse_urdf, quoted
 
 _FREE_MASS, _FREE_INERTIA = 1e-3, 1e-6
@@ -97,7 +98,7 @@ def closed_model(robot: Robot, *, free_slide: bool = False) -> ClosedModel:
         InputError: A tie would hold a motion that the mechanism has, or no joint has the motions that are free.
     """
     robot = robot.with_terms(())  # which none of the formats holds
-    urdf = parse_urdf(robot.urdf_of_origins(), robot.urdf.path)
+    urdf = parse_urdf(urdf_of_origins(robot), robot.urdf.path)
     home = home_values(robot)
     gaps = loop_gaps(robot)
     ends = [(link_of(urdf, a), link_of(urdf, b)) for a, b in robot.description.closed_loop]

@@ -28,6 +28,7 @@ from calib.base.sections import ANGLE_COMPONENTS, COMPONENTS, Component
 from calib.base.units import ERROR_UNIT, Dimension, error_scale
 from calib.numerics.halton import halton
 from calib.robots import kinematics
+from calib.robots.configurations import joint_vector
 from calib.robots.mechanism import RelativeFrame
 from calib.robots.robot import Robot
 
@@ -122,7 +123,7 @@ def loop_gaps(robot: Robot, q: ArrayLike | None = None) -> tuple[Gap, ...]:
     """
     if not any(free_directions(robot, loop) for loop in range(len(robot.mechanism.loops))):
         return ()
-    poses = poses_near_home(robot) if q is None else robot.joint_vector(q)
+    poses = poses_near_home(robot) if q is None else joint_vector(robot, q)
     where = f" within {100 * _REACH:.0f} % of the joint ranges from home" if q is None else ""
     configurations = robot.assemble(np.vstack([robot.home, poses]))
     joints = robot.mechanism.all_joints(configurations.actuated, configurations.passive)

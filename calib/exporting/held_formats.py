@@ -11,6 +11,7 @@ from calib.functions.functions import LANGUAGES
 from calib.robots.held import Holds
 from calib.robots.linear_delta import is_linear_delta
 from calib.robots.robot import Robot
+from calib.robots.robot_files import lost_by, without_terms
 
 FIRMWARES = ("klipper", "marlin", "duet")
 """Formats for delta printers."""
@@ -75,18 +76,18 @@ def robot_for(robot: Robot, file_format: str, *, force: bool = False) -> Robot:
     except ComputationError as error:
         if not force:
             raise ComputationError(f"format '{file_format}': {error}{hint}") from None
-    return robot.without_terms(holds)
+    return without_terms(robot, holds)
 
 
 def loses(robot: Robot, holds: Holds) -> bool:
     """Whether a file that holds so much has something to say of what it is not: what it loses, or that it is forced."""
     known = robot.files.get(holds)
-    return bool(robot.lost_by(holds)) or (known is not None and bool(known.withheld))
+    return bool(lost_by(robot, holds)) or (known is not None and bool(known.withheld))
 
 
 def said_of(robot: Robot, holds: Holds) -> list[str]:
     """Return what a file that holds so much of a robot says: what it loses, and how good it is, as far as known."""
-    lost, known = robot.lost_by(holds), robot.files.get(holds)
+    lost, known = lost_by(robot, holds), robot.files.get(holds)
     if known is None:
         without = f"terms of joint errors of {listed(lost)}, which are not in this file"
         return [f"exported by force: these values belong to {without}"] if lost and holds is not Holds.ZEROS else []

@@ -28,8 +28,9 @@ from calib.data.tables import format_table
 from calib.exporting.urdf import urdf_bytes
 from calib.joint_terms.term import Context, JointTerm
 from calib.robots.held import Holds
-from calib.robots.joint_errors import term_columns
+from calib.robots.joint_errors import actual_joints, columns_of_terms
 from calib.robots.robot import Robot
+from calib.robots.robot_files import without_terms
 
 TOLERANCE = 4e-7
 """What interpolation may be off [rad or m]."""
@@ -117,7 +118,7 @@ def joint_tables(robot: Robot) -> tuple[JointTable, ...]:
         InputError: The robot has no joint terms for tables, a sliding joint no limits, or a table would be too long.
     """
     require_own_terms(robot)
-    kept = robot.without_terms(Holds.TABLES)
+    kept = without_terms(robot, Holds.TABLES)
     bound, start = dict.fromkeys(kept.joint_names, 0.0), kept.coefficients.start
     for term in kept.terms:
         own = slice(start, start := start + len(term.parameters))
@@ -127,7 +128,7 @@ def joint_tables(robot: Robot) -> tuple[JointTable, ...]:
 
 def require_own_terms(robot: Robot) -> None:
     """Raise `InputError` where there is nothing to put into tables."""
-    if not robot.without_terms(Holds.TABLES).terms:
+    if not without_terms(robot, Holds.TABLES).terms:
         raise InputError(
             f"{robot.path}: has no joint terms that depend on the joint's own value alone; there is nothing to put"
             " into a table"
@@ -156,8 +157,8 @@ def _table(robot: Robot, joint: str, curvature: float) -> JointTable:
     def actual(commands: FloatArray) -> FloatArray:
         q = np.zeros((len(commands), len(robot.joint_names)))
         q[:, j] = commands
-        columns = term_columns(robot.terms, robot.mechanism, q, Context.neutral(*q.shape))
-        return robot.actual(q, columns)[:, j]
+        columns = columns_of_terms(robot.terms, robot.mechanism, q, Context.neutral(*q.shape))
+        return actual_joints(robot, q, columns)[:, j]
 
     ends = np.linspace(low, high, 1001)
     margin = 2.0 * float(np.max(np.abs(actual(ends) - ends))) + TOLERANCE

@@ -20,6 +20,7 @@ import scipy
 
 from calib.base.arrays import FloatArray
 from calib.robots import kinematics
+from calib.robots.joint_errors import actual_joints, term_columns
 from calib.robots.robot import Robot
 
 _STEP = 1e-5  # of joints, for differences [rad or m]
@@ -59,7 +60,7 @@ def joint_zeros(robot: Robot, q: FloatArray, *, fitted: float = 1.0) -> JointZer
     bare = robot.with_terms(())
     plain = replace(bare, mechanism=bare.nominal.with_placements(places))
     positions = robot.positions(q)
-    actual = robot.actual(q, robot.term_columns(q))[:, : q.shape[1]]
+    actual = actual_joints(robot, q, term_columns(robot, q))[:, : q.shape[1]]
     signs = np.where(np.sum((q - q.mean(axis=0)) * (actual - actual.mean(axis=0)), axis=0) < 0, -1.0, 1.0)
     some = slice(int(np.ceil(fitted * len(q))))
     start = np.mean(actual - signs * q, axis=0)

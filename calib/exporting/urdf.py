@@ -12,6 +12,7 @@ from collections.abc import Iterable, Sequence
 
 from calib.base.version import PROGRAM
 from calib.robots.robot import Robot
+from calib.robots.robot_files import urdf_of_origins
 from calib.robots.urdf.text import UrdfText, apply_edits, parse_urdf, quoted
 
 _MARK = "calib: calibrated origins"
@@ -27,7 +28,7 @@ def urdf_bytes(robot: Robot, provenance: Sequence[str] | None = None) -> bytes:
         provenance: None: no comment is added. Otherwise a comment goes behind the `<robot>` tag, with the nominal file,
             every parameter that differs from nominal, and these lines.
     """
-    edited = robot.urdf_of_origins()
+    edited = urdf_of_origins(robot)
     if provenance is None or edited == robot.urdf.source:
         return edited
     lines = [_MARK, *provenance, *provenance_lines(robot)]

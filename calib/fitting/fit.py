@@ -38,7 +38,8 @@ from calib.fitting.problem import Evaluation, Problem
 from calib.fitting.settings import Settings
 from calib.fitting.solving import convergence_at, place, seen_from, solve_from, uncertainty_at
 from calib.numerics.observability import observability
-from calib.robots.robot import Configurations, Robot
+from calib.robots.configurations import Configurations
+from calib.robots.robot import Robot
 from calib.rows.observed import observe
 
 

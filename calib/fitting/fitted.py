@@ -22,8 +22,9 @@ from calib.numerics.chances import EXACT
 from calib.numerics.identifiability import Rank
 from calib.numerics.losses import Loss
 from calib.numerics.statistics import ChiSquare, Statistics, chi_square
+from calib.robots.configurations import Configurations
 from calib.robots.held import Holds
-from calib.robots.robot import Configurations, Robot
+from calib.robots.robot import Robot
 from calib.rows.determination import Determination
 from calib.rows.observed import observe
 from calib.rows.prediction import ParameterUncertainty, PositionUncertainty

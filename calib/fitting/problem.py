@@ -26,7 +26,9 @@ from calib.numerics.clusters import foretold
 from calib.numerics.least_squares import TOLERANCE, Solution, minimise
 from calib.numerics.prior_sizes import FamilyModel, found_with_families
 from calib.numerics.variance_components import LinearModel, SharedError, found_components, found_scales
-from calib.robots.robot import Configurations, Robot, describe_open
+from calib.robots.configurations import Configurations, configured, describe_open
+from calib.robots.joint_errors import term_columns
+from calib.robots.robot import Robot
 from calib.rows.observed import Observed, observe
 from calib.rows.rows import Rows
 from calib.rows.unknowns import Unknowns
@@ -97,7 +99,7 @@ class Problem(ReadOnlyArrays):
         Raises:
             UnreachablePoseError: A pose cannot be closed.
         """
-        columns = robot.term_columns(data.joints, data.conditions)
+        columns = term_columns(robot, data.joints, data.conditions)
         passive = robot.assemble(data.joints, near, data.labels, data.conditions).passive
         return Problem(robot, data, sigma, columns, passive, *_as_stated(robot, data, sigma))
 
@@ -167,12 +169,12 @@ class Problem(ReadOnlyArrays):
         closed = robot.close(self.data.joints, self.passive if near is None else near.configurations.passive, columns)
         if not np.all(closed.ok):
             return None
-        configurations = robot.configurations(self.data.joints, closed, columns)
+        configurations = configured(robot, self.data.joints, closed, columns)
         return Evaluation(robot, configurations, observe(robot, configurations, self.data.readings))
 
     def _columns_of(self, robot: Robot) -> tuple[FloatArray, ...]:
         """Phi of the joint terms, which changes with the parameters only where gravity's direction is found."""
-        return robot.term_columns(self.data.joints, self.data.conditions) if robot.turns_gravity else self.columns
+        return term_columns(robot, self.data.joints, self.data.conditions) if robot.turns_gravity else self.columns
 
     def rows(self, evaluation: Evaluation, groups: FloatArray, unknowns: Unknowns | None = None) -> Rows:
         """Return the whitened rows.

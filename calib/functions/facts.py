@@ -24,6 +24,7 @@ from calib.functions.trees import Tree, tree_of
 from calib.joint_terms.formula import Proportional, Source
 from calib.joint_terms.term import REFERENCE_TEMPERATURE, Context
 from calib.robots import loops
+from calib.robots.configurations import configured
 from calib.robots.gravity import accelerations, payload_frame, with_masses
 from calib.robots.joint_errors import driven_by
 from calib.robots.robot import Robot
@@ -186,7 +187,7 @@ def _starts(robot: Robot) -> tuple[FloatArray, FloatArray]:
     kept = np.flatnonzero(closed.ok)
     if len(kept) == 0:
         raise ComputationError(f"{robot.path}: no pose is known at which the loops close with these values")
-    found = robot.configurations(commands[kept], closed.at(kept))
+    found = configured(robot, commands[kept], closed.at(kept))
     return commands[kept], np.hstack([found.actuated, found.passive])
 
 

@@ -38,7 +38,8 @@ from calib.instruments.kind import FrameInstrument, Instrument
 from calib.joint_terms.periodic import TURN
 from calib.numerics.variance_components import SharedError
 from calib.robots import kinematics
-from calib.robots.robot import Configurations, Robot
+from calib.robots.configurations import Configurations
+from calib.robots.robot import Robot
 from calib.rows.observed import Observed
 from calib.rows.rows import Scales
 from calib.rows.whitening import Whitening

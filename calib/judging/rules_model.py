@@ -24,6 +24,7 @@ from calib.judging.systematic import describe
 from calib.numerics.chances import EXACT, UNLIKELY
 from calib.numerics.rigid import best_transform
 from calib.robots.held import Holds
+from calib.robots.robot_files import lost_by
 from calib.rows.registration import registration
 
 ELSEWHERE = 0.2
@@ -223,7 +224,7 @@ def files_hold_less(fit: Fit) -> Iterator[Reason]:
         yield Code.FILE_WITHHELD.says(
             f"calibrated.urdf and other files of joint origins are not written: {why}; {others}. --force writes them"
         )
-    elif fit.robot.lost_by(Holds.ORIGINS):
+    elif lost_by(fit.robot, Holds.ORIGINS):
         judged, whole = (fit.robot.files[holds].accuracy for holds in (Holds.ORIGINS, Holds.EVERYTHING))
         yield Code.FILE_HOLDS_LESS.says(
             f"a URDF cannot hold joint terms. The origins in calibrated.urdf are those that fit best without them:"
@@ -236,7 +237,7 @@ def why_no_origins(fit: Fit) -> str:
     known = fit.robot.files.get(Holds.ORIGINS)
     if known is not None:
         return known.withheld
-    return "no fit without its joint terms has succeeded" if fit.robot.lost_by(Holds.ORIGINS) else ""
+    return "no fit without its joint terms has succeeded" if lost_by(fit.robot, Holds.ORIGINS) else ""
 
 
 def systematic(fit: Fit) -> Iterator[Reason]:

@@ -15,7 +15,8 @@ from calib.fitting.pose_checks import unmoved_joints
 from calib.fitting.terms.joint_curves import beyond_learned
 from calib.judging.reasons import Code, Reason
 from calib.numerics.halton import halton
-from calib.robots.robot import Configurations, Robot
+from calib.robots.configurations import Configurations
+from calib.robots.robot import Robot
 from calib.rows.jacobian import linearise
 from calib.rows.prediction import beside_common_motion, other_combinations
 

@@ -33,8 +33,9 @@ from calib.numerics.null_space import Group, null_groups
 from calib.numerics.observability import Information, TaskIndex, information, observability_of, task_index
 from calib.planning.exchange import Spacing, exchange, uniform_start
 from calib.planning.selection_problem import TASK, build_problem
+from calib.robots.configurations import Configurations
 from calib.robots.loading import RobotLike, as_robot
-from calib.robots.robot import Configurations, Robot
+from calib.robots.robot import Robot
 from calib.rows.candidates import WHITENED, assumed_sigma, require_free, rows_of_measured, rows_of_poses
 from calib.rows.determination import Determination, determination
 from calib.rows.observed import looks_at, observe
@@ -70,10 +71,10 @@ class Assessment(ReadOnlyArrays):
             nothing measures lengths, in noise of a reading and in that per unit.
         std: Predicted standard deviation of each free parameter, infinite where undetermined, (n_free,) [m, rad].
         accuracy: Predicted position error at the task poses.
-        position_errors: The same at each of them, of targets that count (`Robot.located`), (n_task, n_located) [m].
+        position_errors: The same at each of them, of targets that count (`RobotData.located`), (n_task, n_located) [m].
         by_count: Predicted accuracy against number of poses.
         near_singular: Poses closer to a singularity of the loops than the description's limit.
-        left_out: Targets whose accuracy does not count (`Robot.left_out`).
+        left_out: Targets whose accuracy does not count (`RobotData.left_out`).
     """
 
     parameters: tuple[Parameter, ...]

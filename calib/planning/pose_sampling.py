@@ -21,6 +21,7 @@ from calib.base.other_words import worded
 from calib.base.words import counted, listed
 from calib.data.measurements import Poses, of_visits
 from calib.instruments.kind import Readings
+from calib.robots.joint_errors import term_columns
 from calib.robots.joint_sampling import TRIES, Ranges
 from calib.robots.loading import RobotLike, as_robot
 from calib.robots.robot import Robot
@@ -97,7 +98,7 @@ def seen_at(robot: Robot, poses: Poses) -> dict[str, BoolArray]:
     result = {one.name: np.zeros(len(poses), dtype=bool) for one in robot.instruments if one.may_see_nothing}
     for start in range(0, len(poses) if result else 0, _AT_ONCE):
         part = poses.subset(np.arange(start, min(start + _AT_ONCE, len(poses))))
-        columns = robot.term_columns(part.joints, part.conditions)
+        columns = term_columns(robot, part.joints, part.conditions)
         closed = robot.close(part.joints, columns=columns)
         good = np.flatnonzero(closed.ok)
         there = configurations_at(robot, part.joints, closed, columns, good)

@@ -37,6 +37,7 @@ from calib.planning.selection_problem import SelectionProblem
 from calib.planning.selection_scores import Scores, scores_of
 from calib.robots.closure import residual
 from calib.robots.continuation import closing_tolerance
+from calib.robots.joint_errors import actual_joints, term_columns
 from calib.robots.robot import Robot
 from calib.rows.candidates import configurations_at, rows_of_poses
 
@@ -175,9 +176,9 @@ def _assembled(robot: Robot, whiten: FloatArray, width: int, sigma: float | None
     allowed, rows = np.zeros(n, dtype=bool), np.full((n, width, whiten.shape[1]), np.nan)
     points = np.full((n, 3 * len(robot.target_names)), np.nan)
     passive = np.full((n, len(robot.passive_names)), np.nan)
-    near, columns = np.arange(n), robot.term_columns(q, conditions)
+    near, columns = np.arange(n), term_columns(robot, q, conditions)
     if seed is not None:
-        seed = _followed(robot, robot.actual(q, columns), seed)
+        seed = _followed(robot, actual_joints(robot, q, columns), seed)
         near = np.flatnonzero(np.all(np.isfinite(seed), axis=1))
         seed = seed[near]
     columns = tuple(phi[near] for phi in columns)

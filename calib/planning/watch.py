@@ -40,6 +40,7 @@ from calib.fitting.settings import Settings
 from calib.planning.next_pose import NextPose, next_pose
 from calib.planning.pose_sampling import sample
 from calib.planning.progress import LAST, LEAST, MOST, UNKNOWN, Progress, squares_of, unseen_rms
+from calib.robots.joint_errors import term_columns
 from calib.robots.robot import Robot
 from calib.rows.candidates import configurations_at, require_free
 from calib.rows.jacobian import linearise
@@ -149,7 +150,7 @@ class Watch:
     def _predicted(self, fit: Fit | None) -> RootMeanSquare:
         if fit is None:
             return UNKNOWN
-        columns = fit.robot.term_columns(self.candidates.joints, self.candidates.conditions)
+        columns = term_columns(fit.robot, self.candidates.joints, self.candidates.conditions)
         closed = fit.robot.close(self.candidates.joints, self._passive, columns)
         self._passive = closed.passive
         reached = np.flatnonzero(closed.ok)

@@ -23,6 +23,7 @@ from calib.fitting.fitted import Fit
 from calib.judging.rules_model import why_no_origins
 from calib.robots.held import Accuracy, FileRobot, Holds, SeenAt
 from calib.robots.robot import Robot
+from calib.robots.robot_files import lost_by, without_terms
 
 VALUES = {Holds.ORIGINS: "without_terms", Holds.TABLES: "with_tables", Holds.TO_LAST_AXIS: "to_last_axis"}
 """Names of files with values of their own, without their ending; a covariance has `_covariance` behind it."""
@@ -69,7 +70,7 @@ class FileWorth:
 
 def worth_of_files(fit: Fit) -> FileWorth | None:
     """Return what each kind of file of a fit is worth; None if files of joint origins hold it all and are written."""
-    if fit.reduced is None or not (fit.reduced or fit.robot.lost_by(Holds.ORIGINS) or why_no_origins(fit)):
+    if fit.reduced is None or not (fit.reduced or lost_by(fit.robot, Holds.ORIGINS) or why_no_origins(fit)):
         return None
     files = files_of(fit)
     if Holds.EVERYTHING not in files:
@@ -189,4 +190,4 @@ def _stored(folder: Path, entry: Mapping[str, Any], holds: Holds, robot: Robot) 
 def _stored_values(folder: Path, name: str | None, holds: Holds, robot: Robot) -> dict[str, float]:
     if name is None:
         return dict(zip((p.name for p in robot.parameters), map(float, robot.values), strict=True))
-    return read_parameters(folder / f"{name}.csv", robot.without_terms(holds), complete=True)
+    return read_parameters(folder / f"{name}.csv", without_terms(robot, holds), complete=True)

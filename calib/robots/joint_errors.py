@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from calib.base.arrays import FloatArray
@@ -9,10 +12,17 @@ from calib.base.errors import DescriptionError, InputError, nearest
 from calib.base.units import Dimension, quantity
 from calib.joint_terms.term import Context, Joint, JointTerm, TermSection
 from calib.joint_terms.terms import TERMS
+from calib.robots import loops
 from calib.robots.description import Description
-from calib.robots.gravity import check_gravity, gravity_turn
+from calib.robots.gravity import accelerations, check_gravity, gravity_torque, gravity_turn, turn_columns
 from calib.robots.mechanism import Mechanism
+from calib.robots.mechanism_builder import build_mechanism, tilted_joints
+from calib.robots.robot_data import RobotData, SomeRobot
 from calib.robots.urdf.text import UrdfJoint, UrdfText
+
+_COMMAND_ROUNDS = 50
+_COMMANDED = 1e-10  # by which a joint may still be off its command [m or rad]
+_STANDS = 1e-14  # a command that changes by less stands [m or rad]
 
 
 def build_terms(description: Description, urdf: UrdfText, mechanism: Mechanism, where: str) -> tuple[JointTerm, ...]:
@@ -67,7 +77,7 @@ def driven_by(term: JointTerm, mechanism: Mechanism) -> list[int]:
     return [mechanism.driven.index(name) for name in term.moved(mechanism.dimensions)]
 
 
-def term_columns(
+def columns_of_terms(
     terms: tuple[JointTerm, ...], mechanism: Mechanism, q: FloatArray, context: Context
 ) -> tuple[FloatArray, ...]:
     """Return phi of each term for each joint that it moves, (n, n_moved, n_coefficients) each; 0 if it does not add.
@@ -99,3 +109,88 @@ def joint_errors(
             errors[:, driven_by(term, mechanism)] += phi @ values[start:stop]
         start = stop
     return errors
+
+
+def with_terms(robot: SomeRobot, sections: Sequence[TermSection]) -> SomeRobot:
+    """Return a robot with these joint terms in place of its own; see `Robot.with_terms`."""
+    description = robot.description.with_terms(sections)
+    terms = build_terms(description, robot.urdf, robot.nominal, robot.path)
+    changed = replace(robot, description=description, terms=terms, files={})
+    if tilted_joints(description) != tilted_joints(robot.description):
+        nominal = build_mechanism(robot.urdf, description, robot.instruments, robot.path)
+        mechanism = nominal.with_placements(robot.parametrisation.placements(robot.values[: robot.n_origin_parameters]))
+        mode = replace(robot.mode, mechanism=nominal, actuated=nominal.untilted(robot.home[None])[0])
+        changed = replace(changed, nominal=nominal, mechanism=mechanism, mode=mode)
+    value_of = dict(zip((parameter.name for parameter in robot.parameters), robot.values, strict=True))
+    return replace(changed, values=np.array([value_of.get(p.name, p.nominal_si) for p in changed.parameters]))
+
+
+def term_columns(robot: RobotData, q: FloatArray, context: Context | None = None) -> tuple[FloatArray, ...]:
+    """Return phi of each joint term at commands q (n, n_actuated), (n, n_moved, n_coefficients) each."""
+    if not robot.terms:
+        return ()
+    context = Context.neutral(len(q), len(robot.joint_names)) if context is None else context
+    if not any(term.needs_torque for term in robot.terms):
+        return columns_of_terms(robot.terms, robot.mechanism, q, context)
+    driven = robot.nominal.untilted(q)
+    closed = loops.close(robot.nominal, robot.mode, driven)
+    passive = np.where(np.isfinite(closed.passive), closed.passive, 0.0)
+    slope = np.where(closed.ok[:, None, None], closed.slope, np.eye(passive.shape[1]))
+    joints, told, load = robot.nominal.all_joints(driven, passive), robot.description, context.load
+    turns = robot.values[robot.coefficients][-2:] if robot.turns_gravity else np.zeros(0)
+    acceleration, slopes = accelerations(told.gravity, tuple(told.setups), robot.nominal, joints, context, turns)
+
+    def torque(of: FloatArray) -> FloatArray:
+        at = (robot.nominal, driven, passive, slope)
+        return gravity_torque(robot.urdf, *at, load, told.payload, of, robot.path)
+
+    context = replace(context, torque=torque(acceleration))
+    columns = columns_of_terms(robot.terms, robot.mechanism, q, context)
+    if not slopes:
+        return columns
+    by_turn, values = tuple(torque(one) for one in slopes), robot.values[robot.coefficients]
+    return (*columns[:-1], turn_columns(robot.terms, robot.mechanism, q, context, by_turn, values))
+
+
+def actual_joints(robot: RobotData, q: FloatArray, columns: tuple[FloatArray, ...]) -> FloatArray:
+    """Return what the driven joints are, (n, n_driven), when the actuated ones are told q (n, n_actuated).
+
+    Args:
+        q: The commands [m or rad].
+        columns: phi of the joint terms.
+    """
+    if not robot.terms:
+        return q
+    errors = joint_errors(robot.terms, robot.mechanism, columns, robot.values[robot.coefficients], len(q))
+    return robot.mechanism.untilted(q) + errors
+
+
+def commands_for(robot: RobotData, actual: FloatArray, context: Context | None = None) -> FloatArray:
+    """Return what the actuated joints must be told to be at `actual`, (n, n_actuated) [m or rad].
+
+    q = actual - dq(q) is repeated until it stands; joint errors change so little with q that each round gains
+    digits. Where they change much, as where backlash changes its side, a round that gains nothing is taken back,
+    and the next one goes half as far. NaN where that comes to no end: a joint that falls from one side of its play
+    to the other is nowhere between.
+
+    Args:
+        actual: What they shall be; where all driven joints are given, (n, n_driven), the others do not count.
+        context: Under which conditions.
+    """
+    n_actuated = len(robot.joint_names)
+    wanted = q = np.array(actual[:, :n_actuated])
+    if not robot.terms:
+        return q
+    part, off = np.ones((len(q), 1)), np.full((len(q), 1), np.inf)
+    best, step = q, np.zeros_like(q)
+    for _ in range(_COMMAND_ROUNDS):
+        left = wanted - actual_joints(robot, q, term_columns(robot, q, context))[:, :n_actuated]
+        still = np.max(np.abs(left), axis=1, keepdims=True, initial=0.0)
+        worse = (still > off) & (still > _COMMANDED)
+        part, off = np.where(worse, part / 2, part), np.where(worse, off, still)
+        best, step = np.where(worse, best, q), np.where(worse, step / 2, part * left)
+        q = best + step
+        if not np.any(still >= _STANDS):
+            break
+    q[np.flatnonzero(off > _COMMANDED)] = np.nan
+    return q

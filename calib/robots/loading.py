@@ -136,7 +136,6 @@ def _built(description: Description, urdf: UrdfText, where: str) -> Robot:
     parametrisation = build_parametrisation(description, urdf, nominal, places, where)
     terms = build_terms(description, urdf, nominal, where)
     robot = Robot(where, description, urdf, nominal, nominal, parametrisation, instruments, terms, np.zeros(0), mode)
-    robot.check_names()
     if description.fleet is not None:
         description.fleet.check(robot.parameters, where)
     for held in description.held:

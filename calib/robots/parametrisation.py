@@ -6,21 +6,24 @@ takes the nominal origins by name and returns a `calib.robots.parameters.Paramet
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import entry_points
+from typing import cast
 
 import numpy as np
 
-from calib.base.errors import DescriptionError, InputError, nearest
-from calib.base.parameter import Parameter
+from calib.base.errors import DescriptionError, InputError, ParameterError, nearest
+from calib.base.parameter import Parameter, index_of
 from calib.base.sections import ANGLE_COMPONENTS, COMPONENTS, LENGTH_COMPONENTS, Component
 from calib.base.units import DISPLAY_UNIT, error_scale, millimetres, per_si, quantity
 from calib.instruments.kind import Place
 from calib.robots import linear_delta
+from calib.robots.described_instruments import places_of
 from calib.robots.description import Description, OriginSection
 from calib.robots.mechanism import Mechanism
 from calib.robots.parameters import Origin, OriginComponents, Parametrisation, Stacked
+from calib.robots.robot_data import SomeRobot
 from calib.robots.urdf.text import UrdfText
 
 ENTRY_POINTS = "calib.parametrisations"
@@ -182,3 +185,27 @@ def _from_plugin(name: str, origins: Mapping[str, Origin], mechanism: Mechanism,
             " that placements edits"
         )
     return parametrisation
+
+
+def with_prior(robot: SomeRobot, names: str | Sequence[str], sigma: float | str) -> SomeRobot:
+    """Return a robot of which components of origins are expected to be off by `sigma`; see `Robot.with_prior`."""
+    description = robot.description
+    if not description.priors:
+        raise ParameterError(f"{robot.path}: says that priors do not count (priors: false); leave that out")
+    for name in [names] if isinstance(names, str) else names:
+        place = index_of(robot.parameters, name)
+        one = robot.parameters[place]
+        origin, _, component = name.rpartition(".")
+        listed = place < robot.n_origin_parameters and component in COMPONENTS and bool(description.origins)
+        if not listed or one.placement:
+            raise ParameterError(
+                f"parameter '{name}' is no component of an origin in the list 'parametrisation'; its sigma stands"
+                " in the robot description"
+            )
+        if quantity(sigma, one.dimension, f"prior of '{name}'") <= 0:
+            raise InputError(f"prior of '{name}': sigma {sigma} must be positive; fix('{name}') keeps it as it is")
+        description = description.with_sigma(origin, cast(Component, component), sigma)
+    places = places_of(description, robot.instruments, robot.path)
+    parametrisation = build_parametrisation(description, robot.urdf, robot.nominal, places, robot.path)
+    known = dict(zip((parameter.name for parameter in robot.parameters), robot.values, strict=True))
+    return replace(robot, description=description, parametrisation=parametrisation).with_parameters(known)

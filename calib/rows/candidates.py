@@ -17,8 +17,10 @@ from calib.data.measurements import Measurements, Poses, measurements
 from calib.instruments.kind import Readings
 from calib.instruments.position import Position
 from calib.numerics.identifiability import reduced
+from calib.robots.configurations import Configurations, configured, near_singularity
+from calib.robots.joint_errors import term_columns
 from calib.robots.loops import Closed, why_open
-from calib.robots.robot import Configurations, Robot, near_singularity
+from calib.robots.robot import Robot
 from calib.rows.jacobian import linearise
 from calib.rows.observed import Observed, looks_at, observe, predicted_readings
 from calib.rows.unknowns import Unknowns
@@ -45,7 +47,7 @@ class PoseRows:
         read: Which rows are read, (n, n_rows_per_pose).
         blocks: Rows of each instrument, by name.
         positions: Targets at the robot's present values, (n, n_targets, 3) [m].
-        position_rows: Derivative by the scaled parameters of those whose accuracy counts (`Robot.located`), (n,
+        position_rows: Derivative by the scaled parameters of those whose accuracy counts (`RobotData.located`), (n,
             3 n_located, n_parameters) [m].
     """
 
@@ -189,7 +191,7 @@ def configurations_at(
     robot: Robot, q: FloatArray, closed: Closed, columns: tuple[FloatArray, ...], which: IntArray
 ) -> Configurations:
     """Return some of the closed poses (k,) of commands q (n, n_actuated), of whose joint terms the columns are."""
-    return robot.configurations(q[which], closed.at(which), tuple(phi[which] for phi in columns))
+    return configured(robot, q[which], closed.at(which), tuple(phi[which] for phi in columns))
 
 
 def build_candidates(
@@ -219,7 +221,7 @@ def build_candidates(
     for start in range(0, n, _PART):
         part_poses = poses.subset(np.arange(start, min(start + _PART, n)))
         q = part_poses.joints
-        columns = robot.term_columns(q, part_poses.conditions)
+        columns = term_columns(robot, q, part_poses.conditions)
         closed = robot.close(q, columns=columns)
         good = np.flatnonzero(closed.ok)
         distance = np.zeros(len(q))

@@ -30,8 +30,9 @@ import pinocchio as pin
 from calib.base.arrays import FloatArray, ReadOnlyArrays
 from calib.numerics.rigid import cross_matrices
 from calib.robots import kinematics
+from calib.robots.configurations import Configurations
 from calib.robots.mechanism import RelativeFrame
-from calib.robots.robot import Configurations, Robot
+from calib.robots.robot import Robot
 
 _HARDLY_MOVES = 0.03  # positions, of a motion of 1 [m per m]
 _ROUNDS = 50

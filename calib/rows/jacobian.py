@@ -25,9 +25,10 @@ from calib.base.arrays import FloatArray
 from calib.base.threads import one_blas_thread
 from calib.robots import kinematics
 from calib.robots.acceleration import kernels
+from calib.robots.configurations import Configurations
 from calib.robots.joint_errors import driven_by
 from calib.robots.mechanism import Mechanism, RelativeFrame
-from calib.robots.robot import Configurations, Robot
+from calib.robots.robot import Robot
 
 _CHUNK_COMPILED = 256  # compiled code needs no regressors, but its poses stay in the cache too
 

@@ -21,8 +21,9 @@ from calib.base.threads import one_blas_thread
 from calib.data.measurements import Measurements, Poses, in_setups, of_visits
 from calib.instruments.kind import Comparison, Instrument, JointComparison, JointInstrument, Readings, View
 from calib.robots import kinematics
+from calib.robots.configurations import Configurations
 from calib.robots.mechanism import RelativeFrame
-from calib.robots.robot import Configurations, Robot
+from calib.robots.robot import Robot
 from calib.rows.jacobian import (
     by_coefficient,
     joint_twists,

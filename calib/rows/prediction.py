@@ -41,7 +41,7 @@ class PositionUncertainty(ReadOnlyArrays):
         covariance: (n_poses, n_targets, 3, 3) [m^2].
         coverage_factor: How many standard deviations make half a 95 % interval of one coordinate.
         turn_covariance: Of small turns of the targets, (n_poses, n_targets, 3, 3) [rad^2]; None where not computed.
-        left_out: Targets that summaries leave out (`Robot.left_out`), and their places among the targets.
+        left_out: Targets that summaries leave out (`RobotData.left_out`), and their places among the targets.
         frame: In which frame the covariances are, in words; empty for the measurement frame.
         measured: The same positions with their covariance in the measurement frame, where that is another one.
     """

@@ -25,8 +25,10 @@ from calib.data.in_memory import PosesLike, as_poses
 from calib.data.measurements import Measurements, Poses, directions_of_motion, measurements, of_visits
 from calib.instruments.kind import Instrument, Readings
 from calib.joint_terms.term import Context
+from calib.robots.configurations import Configurations, configured
+from calib.robots.joint_errors import term_columns
 from calib.robots.loading import RobotLike, as_robot
-from calib.robots.robot import Configurations, Robot
+from calib.robots.robot import Robot
 from calib.rows.observed import looks_at, observe, predicted_readings, unsaid_touches
 from calib.rows.whitening import stated_noise
 
@@ -234,11 +236,11 @@ def _gaps(
         (n, n_gaps) [m], 0 where fewer, infinite where the robot cannot be assembled; (n, n_gaps, n_actuated).
     """
     context = _context(poses, commands)
-    columns = tuple(part[index] for part in robot.term_columns(commands + off, context))
+    columns = tuple(part[index] for part in term_columns(robot, commands + off, context))
     q = (commands + off)[index]
     closed = robot.close(q, columns=columns)
     ok = np.flatnonzero(closed.ok)
-    configurations = robot.configurations(q[ok], closed.at(ok), tuple(part[ok] for part in columns))
+    configurations = configured(robot, q[ok], closed.at(ok), tuple(part[ok] for part in columns))
     here = {name: of_visits(readings, index[ok]) for name, readings in touches.items()}
     observed = observe(robot, configurations, here, joints=True)
     width = sum(robot.instrument(name).n_rows for name in touches)

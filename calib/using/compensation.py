@@ -41,6 +41,7 @@ from calib.data.measurements import Poses, directions_of_motion
 from calib.joint_terms.term import Context
 from calib.robots.acceleration import compiled_for
 from calib.robots.closure import actuated_jacobian
+from calib.robots.joint_errors import actual_joints, commands_for, term_columns
 from calib.robots.robot import Robot
 from calib.rows.frames import Frame, as_described, program_frame
 from calib.rows.known_robot import Calibrated, KnownRobot, known_robot
@@ -191,12 +192,12 @@ def _compensated(frame: Frame, asked: Asked) -> Compensation:
     approach = asked.goals.approach
     directions = directions_of_motion(asked.joints) if approach is None else approach
     context = Context.of(directions, asked.goals.context, asked.goals.setups)
-    columns = robot.term_columns(asked.joints, context)
+    columns = term_columns(robot, asked.joints, context)
     closed = robot.close(asked.joints, columns=columns)
     reasons = np.array(asked.reasons, dtype=object)
     reasons[(reasons == "") & ~closed.ok] = "cannot be assembled by the calibrated robot at the program's own joints"
     rows = np.flatnonzero(reasons == "")
-    start = Configured(robot.actual(asked.joints, columns), closed.passive, np.full(n, np.inf)).subset(rows)
+    start = Configured(actual_joints(robot, asked.joints, columns), closed.passive, np.full(n, np.inf)).subset(rows)
     q, before = np.full(asked.joints.shape, np.nan), np.full((2, n), np.nan)
     before[:, rows] = replace(reach, goals=asked.goals.subset(rows)).misses(start.actuated, start.passive)[1:]
     if asked.goals.asks_for == "position":
@@ -239,7 +240,7 @@ def _solved(
     near = start if asked.nearly is None else descend(problem(robot, asked.nearly), rows, start)
     solutions = _past_limits(reach, rows, start, nearer(reach, rows, descend(reach, rows, near), near.actuated))
     solutions = settled(robot, reach, rows, solutions, context)
-    commands = reach.told(rows, robot.commands(solutions.actuated, context))
+    commands = reach.told(rows, commands_for(robot, solutions.actuated, context))
     here = replace(reach, goals=asked.goals.subset(rows))
     return commands, _reasons(robot, here, solutions, commands, asked.joints[rows])
 

@@ -19,6 +19,8 @@ from calib.base.words import listed
 from calib.data.measurements import Poses
 from calib.joint_terms.term import Context
 from calib.robots import loops
+from calib.robots.configurations import joint_vector
+from calib.robots.joint_errors import actual_joints, commands_for, term_columns
 from calib.robots.robot import Robot
 from calib.rows.frames import measurement_frame
 from calib.rows.known_robot import Calibrated, KnownRobot, known_robot
@@ -108,10 +110,10 @@ def solve(
     best = _searched(robot, reach, _near(robot, reach, near), conditions)
     positions, miss, angle = reach.misses(best.actuated, best.passive)
     every = np.arange(len(goals))
-    commands = reach.told(every, robot.commands(best.actuated, conditions))
+    commands = reach.told(every, commands_for(robot, best.actuated, conditions))
     ok = (miss <= TOLERANCE) & (angle <= TOLERANCE) & np.isfinite(commands).all(axis=1)
     reached = np.flatnonzero(ok)
-    columns = robot.term_columns(commands[reached], conditions.at(reached))
+    columns = term_columns(robot, commands[reached], conditions.at(reached))
     ok[reached] = robot.close(commands[reached], columns=columns).ok  # the loops were followed from elsewhere
     reached = np.flatnonzero(ok)
     expected = ExpectedError.of(frame, goals, commands[reached], reached, conditions.at(reached))
@@ -137,7 +139,7 @@ def _goals(goals: Goals | ArrayLike) -> Goals:
 def _near(robot: Robot, reach: Reach, near: ArrayLike | None) -> FloatArray:
     """Commands to stay near for each goal, inside the joint limits, (n, n_actuated) [m or rad]."""
     n = len(reach.goals)
-    wanted = robot.home if near is None else robot.joint_vector(near)
+    wanted = robot.home if near is None else joint_vector(robot, near)
     if np.ndim(wanted) == 2 and len(wanted) not in (1, n):
         raise DataError(f"near: {len(wanted)} rows for {n} goals; give one row, or one for each")
     return inside(reach, np.broadcast_to(wanted, (n, len(robot.home))))
@@ -145,7 +147,7 @@ def _near(robot: Robot, reach: Reach, near: ArrayLike | None) -> FloatArray:
 
 def _searched(robot: Robot, reach: Reach, near: FloatArray, conditions: Context) -> Configured:
     """The best configuration of each goal, as near to commands (n, n_actuated) as it leaves a choice."""
-    wanted = robot.actual(near, robot.term_columns(near, conditions))
+    wanted = actual_joints(robot, near, term_columns(robot, near, conditions))
     search = Search(reach, closed_start(robot, reach))
     search.run(robot)
     solved = np.flatnonzero(search.solved)
@@ -193,9 +195,9 @@ def settled(robot: Robot, reach: Reach, index: IntArray, found: Configured, cont
         context: The conditions of each.
     """
     for _ in range(_ROUNDS if np.any(reach.held) and robot.terms else 0):
-        commands = reach.told(index, robot.commands(found.actuated, context))
+        commands = reach.told(index, commands_for(robot, found.actuated, context))
         commands = np.where(np.isfinite(commands), commands, found.actuated[:, : commands.shape[1]])
-        driven = robot.actual(commands, robot.term_columns(commands, context))
+        driven = actual_joints(robot, commands, term_columns(robot, commands, context))
         if np.max(np.abs(driven - found.actuated)[:, reach.held], initial=0.0) < _SETTLED:
             break
         closed = loops.close(reach.mechanism, reach.mode, driven, found.passive)

@@ -13,6 +13,7 @@ from calib.base.arrays import BoolArray, FloatArray
 from calib.base.errors import DataError, InputError
 from calib.data.measurements import Poses
 from calib.robots.closure import actuated_jacobian
+from calib.robots.configurations import joint_vector
 from calib.robots.robot import Robot
 from calib.using.goals import Goals
 from calib.using.inverse import problem, solve
@@ -59,7 +60,7 @@ def asked_by_joints(meant: Robot, program: Poses, keep: str | None) -> Asked:
     """
     if not meant.mechanism.moved_targets:
         raise InputError(f"{meant.path}: its motors move none of its targets; add the tool to `targets`")
-    joints, mechanism = meant.joint_vector(program.joints), meant.mechanism
+    joints, mechanism = joint_vector(meant, program.joints), meant.mechanism
     pose = Goals(
         np.zeros((len(joints), 3)),
         names=tuple(program.names),

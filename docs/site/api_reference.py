@@ -128,7 +128,20 @@ def _entry(package: str, name: str) -> str:
     options = (
         "    options:\n      heading_level: 2\n      show_root_toc_entry: true\n      show_root_full_path: false\n"
     )
-    return f"::: {_place(package, name)}\n{options}"
+    inherited = "".join(f"        - {member}\n" for member in _inherited(package, name))
+    more = f"      inherited_members:\n{inherited}" if inherited else ""
+    return f"::: {_place(package, name)}\n{options}{more}"
+
+
+def _inherited(package: str, name: str) -> list[str]:
+    """Return what a class has from bases of the project that have no entry of their own."""
+    thing, public = getattr(importlib.import_module(package), name), importlib.import_module(package).__all__
+    if not inspect.isclass(thing) or issubclass(thing, Exception):
+        return []
+    own = [one for one in thing.__mro__[1:] if one.__module__.startswith(f"{package}.")]
+    bases = [one for one in own if one.__name__ not in public]
+    known = {member for one in bases for member in vars(one) if not member.startswith("_")}
+    return sorted(known - set(vars(thing)))
 
 
 def _names(package: str, names: list[str]) -> str:

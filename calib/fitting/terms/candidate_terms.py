@@ -14,6 +14,7 @@ from calib.fitting.joint_conventions import may_be_wrapped, uncounted_turns
 from calib.fitting.pose_checks import unmoved_joints, unstated
 from calib.joint_terms.term import COLUMNS, Condition, JointTerm, TermSection
 from calib.joint_terms.terms import TERMS
+from calib.robots.joint_errors import term_columns
 from calib.robots.robot import Robot
 
 _OF_ORDER = "the data do not state the direction of approach (columns approach_JOINT)"
@@ -156,7 +157,7 @@ def _candidate(name: str, robot: Robot, data: Measurements) -> Candidate:
         if not sections:
             return Candidate(name, refused="the description has it already" if entries else "there is no other joint")
         with_it = robot.with_terms((*robot.description.terms, *sections))
-        columns = with_it.term_columns(data.joints, data.conditions)
+        columns = term_columns(with_it, data.joints, data.conditions)
     except ValidationError:
         return Candidate(name, refused="it needs more than a joint, which only a description can state")
     except DescriptionError as error:  # no masses, a prismatic joint without limits

@@ -47,6 +47,7 @@ from calib.planning.studies.many_calibrations import Estimate, Repeated
 from calib.planning.studies.study_data import Noise, Resampled, Simulated, simulated
 from calib.planning.studies.study_result import Draws, Study
 from calib.robots.acceleration import asked, compiled
+from calib.robots.configurations import joint_vector
 from calib.robots.loading import RobotLike, as_robot
 from calib.robots.robot import Robot
 from calib.rows.jacobian import linearise
@@ -161,7 +162,7 @@ def _prepared(
     seeds: Sequence[np.random.SeedSequence],
 ) -> _Setting:
     """Do the calibration that all others start from."""
-    there = np.zeros((0, len(robot.joint_names))) if elsewhere is None else robot.joint_vector(elsewhere)
+    there = np.zeros((0, len(robot.joint_names))) if elsewhere is None else joint_vector(robot, elsewhere)
     near = robot.assemble(there).passive
     data = source if isinstance(source, Measurements) else source.measured(seeds[0]).data
     first = calibrate(robot, data, None, settings)

@@ -32,6 +32,7 @@ from calib.base.errors import ComputationError, DataError, InputError, Unreachab
 from calib.base.units import millimetres
 from calib.base.words import counted, listed
 from calib.joint_terms.term import Condition
+from calib.robots.joint_errors import commands_for
 from calib.robots.robot import Robot
 from calib.rows.frames import Frame, program_frame
 from calib.rows.known_robot import Calibrated, KnownRobot, known_robot
@@ -234,7 +235,7 @@ def _driven(robot: Robot, nominal: Robot, told: Goals, near: FloatArray) -> Floa
     if np.any(reached.distance > TOLERANCE):
         label = told.labels[int(np.argmax(reached.distance))]
         raise UnreachablePoseError(f"{label}: the controller cannot follow the line; keep away from there")
-    return robot.positions(nominal.commands(reached.actuated))[:, robot.target_names.index(reach.target.name)]
+    return robot.positions(commands_for(nominal, reached.actuated))[:, robot.target_names.index(reach.target.name)]
 
 
 def _require_length(

@@ -1,0 +1,127 @@
+"""Assembled configurations: what the driven joints are when they are told something, and how the loops close there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calib.base.arrays import FloatArray, ReadOnlyArrays
+from calib.base.errors import DataError, UnreachablePoseError
+from calib.joint_terms.term import Context
+from calib.robots import loops
+from calib.robots.closure import singular_values
+from calib.robots.joint_errors import actual_joints, term_columns
+from calib.robots.robot_data import RobotData
+
+_LARGEST_JOINT = 1e6  # [m or rad]
+
+
+@dataclass(frozen=True, eq=False)
+class Configurations(ReadOnlyArrays):
+    """Assembled configurations of a robot.
+
+    Attributes:
+        actuated: What the driven joints really are, (n, n_driven) [m or rad]: commands and the joints' errors, then
+            how links are tilted (`calib.robots.mechanism`).
+        passive: (n, n_passive) [m or rad].
+        slope: Derivative of the closures by the passive joints, (n, n_passive, n_passive).
+        term_columns: phi of each joint term, (n, n_moved, n_coefficients) each.
+    """
+
+    actuated: FloatArray
+    passive: FloatArray
+    slope: FloatArray
+    term_columns: tuple[FloatArray, ...] = ()
+
+
+def joint_vector(robot: RobotData, q: ArrayLike) -> FloatArray:
+    """Check actuated joint values and return them as (n, n_actuated).
+
+    Raises:
+        DataError: Wrong shape, or values that are not finite.
+    """
+    values = np.atleast_2d(np.asarray(q, dtype=float))
+    if values.ndim != 2 or values.shape[1] != len(robot.joint_names):
+        raise DataError(
+            f"joint values of shape {np.shape(q)}; expected (n, {len(robot.joint_names)}) in the order"
+            f" {', '.join(robot.joint_names)}"
+        )
+    if not np.all(np.isfinite(values)):
+        row, column = np.argwhere(~np.isfinite(values))[0]
+        raise DataError(f"pose {row}: joint '{robot.joint_names[column]}' is not finite")
+    if np.any(np.abs(values) > _LARGEST_JOINT):
+        row, column = np.argwhere(np.abs(values) > _LARGEST_JOINT)[0]
+        raise DataError(
+            f"pose {row}: joint '{robot.joint_names[column]}' is {values[row, column]:.3g} m or rad, which no robot"
+            " reaches; check the value and its unit"
+        )
+    return values
+
+
+def close(
+    robot: RobotData,
+    q: ArrayLike,
+    seed: FloatArray | None = None,
+    columns: tuple[FloatArray, ...] | None = None,
+    *,
+    thorough: bool = True,
+) -> loops.Closed:
+    """Solve the loops of each pose without raising; see `Robot.close`."""
+    values = joint_vector(robot, q)
+    actual = actual_joints(robot, values, term_columns(robot, values) if columns is None else columns)
+    return loops.close(robot.mechanism, robot.mode, actual, seed, thorough=thorough)
+
+
+def configured(
+    robot: RobotData, q: FloatArray, closed: loops.Closed, columns: tuple[FloatArray, ...] | None = None
+) -> Configurations:
+    """Return closed poses of commands q (n, n_actuated) as configurations."""
+    phi = term_columns(robot, q) if columns is None else columns
+    return Configurations(actual_joints(robot, q, phi), closed.passive, closed.slope, phi)
+
+
+def assemble(
+    robot: RobotData,
+    q: ArrayLike,
+    seed: FloatArray | None = None,
+    labels: Sequence[str] | None = None,
+    context: Context | None = None,
+) -> Configurations:
+    """Solve the loops of each pose in the assembly mode of home; see `Robot.assemble`."""
+    values = joint_vector(robot, q)
+    columns = term_columns(robot, values, context)
+    closed = close(robot, values, seed, columns)
+    if not np.all(closed.ok):
+        raise UnreachablePoseError(describe_open(robot, values, closed, labels))
+    return configured(robot, values, closed, columns)
+
+
+def near_singularities(robot: RobotData, configurations: Configurations, labels: Sequence[str]) -> list[str]:
+    """Return a remark on every configuration that is near a singularity of the loops.
+
+    There small errors of parameters and joints move the passive joints far.
+
+    Args:
+        configurations: Of `assemble`.
+        labels: What to call each, n of them.
+    """
+    limit, values = robot.description.singularity_limit, singular_values(robot.mechanism, configurations.slope)
+    return [near_singularity(labels[k], values[k], limit) for k in map(int, np.flatnonzero(values < limit))]
+
+
+def near_singularity(label: str, value: float, limit: float) -> str:
+    """Say that a pose with this smallest singular value is nearer to a singularity of the loops than the limit."""
+    return f"{label}: {value:.2g} from a singularity of the loops (limit {limit:g})"
+
+
+def describe_open(robot: RobotData, q: FloatArray, closed: loops.Closed, labels: Sequence[str] | None = None) -> str:
+    """Say which of the poses q (n, n_actuated) do not close, at which loop, and by how much the first one misses."""
+    poses = np.flatnonzero(~closed.ok)
+    names = labels or [f"pose {k}" for k in range(len(closed.ok))]
+    k = int(poses[0])
+    why = loops.why_open(robot.mechanism, robot.mode, robot.mechanism.untilted(q[k : k + 1])[0])
+    more = f" (and {len(poses) - 1} more poses)" if len(poses) > 1 else ""
+    return f"{names[k]}{more}: {why}; check these joint values, or leave the pose out"

@@ -1,0 +1,212 @@
+"""What a robot is: its description, its mechanism, its parameters and their values, and what follows by name.
+
+What is done with it are functions: joints from commands (`calib.robots.joint_errors`), closed loops
+(`calib.robots.configurations`), what files hold of it (`calib.robots.robot_files`). Users hold a `Robot`, which has
+as methods what they need of these.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Self, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calib.base.arrays import BoolArray, FloatArray, ReadOnlyArrays, read_only
+from calib.base.errors import DescriptionError, ParameterError, nearest
+from calib.base.parameter import Parameters, index_of
+from calib.instruments.kind import Instrument
+from calib.joint_terms.term import JointTerm
+from calib.robots.closure import AssemblyMode
+from calib.robots.described_instruments import pair_names
+from calib.robots.description import Description
+from calib.robots.held import FileRobot, Holds
+from calib.robots.mechanism import Mechanism, RelativeFrame, view
+from calib.robots.parameters import Parametrisation
+from calib.robots.urdf.text import UrdfText
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RobotData(ReadOnlyArrays):
+    """A robot with given parameter values.
+
+    Attributes:
+        path: File that it was loaded from.
+        description: The robot description.
+        urdf: The nominal URDF.
+        nominal: Mechanism with nominal origins.
+        mechanism: Mechanism with the origins that `values` give.
+        parametrisation: Its parameters.
+        instruments: What is measured.
+        terms: Terms of the joints' errors.
+        values: Current parameter values, (n_parameters,) [m or rad]: of the parametrisation, then unknown numbers of
+            the instruments, then coefficients of the terms.
+        mode: Home configuration and assembly mode of the nominal robot.
+        files: The robots that files get, by how much these hold; of a fit alone, and gone where values are changed.
+    """
+
+    path: str
+    description: Description
+    urdf: UrdfText
+    nominal: Mechanism
+    mechanism: Mechanism
+    parametrisation: Parametrisation
+    instruments: tuple[Instrument, ...]
+    terms: tuple[JointTerm, ...]
+    values: FloatArray
+    mode: AssemblyMode
+    files: Mapping[Holds, FileRobot] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """The robot's name in its URDF."""
+        return self.urdf.name
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the actuated joints, in the order of every joint vector."""
+        return self.mechanism.actuated
+
+    @property
+    def sensed_names(self) -> tuple[str, ...]:
+        """Names of the actuated joints that inclinometers read, which nobody commands."""
+        sensed = {name for section in self.description.inclinometers.values() for name in section.joints}
+        return tuple(name for name in self.joint_names if name in sensed)
+
+    @property
+    def commanded_names(self) -> tuple[str, ...]:
+        """Names of the other actuated joints."""
+        return tuple(name for name in self.joint_names if name not in self.sensed_names)
+
+    @property
+    def passive_names(self) -> tuple[str, ...]:
+        """Names of the joints that the loops decide."""
+        return self.mechanism.passive
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """Names of the measured points."""
+        return tuple(target.name for target in self.mechanism.targets)
+
+    @property
+    def frame_names(self) -> tuple[str, ...]:
+        """Names of the frames that `forward` and `jacobian` know: links, joints and targets."""
+        return tuple(self.mechanism.frames)
+
+    @property
+    def joint_limits(self) -> FloatArray:
+        """Lower and upper limits of the actuated joints, (n_actuated, 2) [m or rad]; infinite where there are none."""
+        return read_only(np.stack(self.urdf.limits(self.joint_names), axis=1))
+
+    @property
+    def home(self) -> FloatArray:
+        """Actuated joints of the home configuration, (n_actuated,) [m or rad]."""
+        return read_only(self.mode.actuated[: len(self.joint_names)])
+
+    @cached_property
+    def left_out(self) -> dict[str, int]:
+        """Targets of which is not told how well their positions are known, and their places among the targets.
+
+        Where a target is that is only read from unknown places, as by a camera that stands somewhere, readings may
+        hardly tell. It is left out beside targets that are read in the measurement frame, or from known places.
+        """
+        read: dict[bool, set[str]] = {True: set(), False: set()}
+        for one in self.instruments:
+            unknown = {place.name for place in one.places() if place.unknown}
+            if any(part.dimension != "angle" for part in one.parts):
+                for place, target in one.pairs(""):
+                    read[place in unknown].add(target)
+        unsure = read[True] - read[False] if read[False] else set()
+        return {name: k for k, name in enumerate(self.target_names) if name in unsure}
+
+    @property
+    def located(self) -> list[int]:
+        """Places of the targets that are not left out."""
+        return [k for k, name in enumerate(self.target_names) if name not in self.left_out]
+
+    @cached_property
+    def parameters(self) -> Parameters:
+        """Parameters, in the order of `values`, and by name."""
+        of_instruments = tuple(p for one in self.instruments for p in one.unknowns)
+        of_terms = tuple(p for term in self.terms for p in term.parameters)
+        every = self.parametrisation.parameters + of_instruments + of_terms
+        twice = next((name for name, n in Counter(one.name for one in every).items() if n > 1), None)
+        if twice is not None:
+            raise DescriptionError(f"{self.path}: parametrisation: a parameter name is used twice: '{twice}'")
+        fleet = self.description.fleet
+        return Parameters(every if fleet is None else fleet.expected(every, self.path))
+
+    @property
+    def is_free(self) -> BoolArray:
+        """Which parameters a fit may change: all but the held ones, (n_parameters,)."""
+        return np.array([parameter.name not in self.description.held for parameter in self.parameters])
+
+    @cached_property
+    def n_origin_parameters(self) -> int:
+        """How many of the parameters move origins; they come first."""
+        return len(self.parametrisation.parameters)
+
+    @cached_property
+    def coefficients(self) -> slice:
+        """Which parameters are coefficients of joint terms; they come last."""
+        n = len(self.parameters)
+        return slice(n - sum(len(term.parameters) for term in self.terms), n)
+
+    @property
+    def turns_gravity(self) -> bool:
+        """Whether gravity's direction is found: two coefficients, the last ones, with which all `term_columns` vary."""
+        return any(not term.adds for term in self.terms)
+
+    def instrument(self, name: str) -> Instrument:
+        """Return an instrument; an unknown name is a `DescriptionError`."""
+        for one in self.instruments:
+            if one.name == name:
+                return one
+        raise DescriptionError(f"no instrument '{name}'{nearest(name, [one.name for one in self.instruments])}")
+
+    def unknowns(self, name: str) -> slice:
+        """Return which parameters are the unknown numbers of an instrument."""
+        start = self.n_origin_parameters
+        for one in self.instruments:
+            if one.name == name:
+                break
+            start += len(one.unknowns)
+        return slice(start, start + len(self.instrument(name).unknowns))
+
+    def pairs(self, one: Instrument) -> tuple[RelativeFrame, ...]:
+        """Return what an instrument looks along, in the order of `Readings.pairs`."""
+        return tuple(view(self.mechanism.places, a, b) for a, b in pair_names(self.description, one))
+
+    def with_parameters(self, values: Mapping[str, float] | ArrayLike) -> Self:
+        """Return a robot with other parameter values.
+
+        Args:
+            values: New values by name [m or rad], the others staying as they are; or all of them, (n_parameters,).
+
+        Raises:
+            ParameterError: Unknown name, wrong number of values, or a value that is not finite.
+        """
+        if isinstance(values, Mapping):
+            vector = self.values.copy()
+            for name, value in values.items():
+                vector[index_of(self.parameters, name)] = value
+        else:
+            vector = np.array(values, dtype=float)
+        if vector.shape != self.values.shape:
+            raise ParameterError(f"{vector.size} values given for {self.values.size} parameters")
+        if not np.all(np.isfinite(vector)):
+            bad = self.parameters[int(np.argmin(np.isfinite(vector)))].name
+            raise ParameterError(f"parameter '{bad}': value is not finite")
+        mechanism = self.nominal.with_placements(self.parametrisation.placements(vector[: self.n_origin_parameters]))
+        return replace(self, values=vector, mechanism=mechanism, files={})
+
+    def at_nominal(self) -> Self:
+        """Return a robot with nominal parameter values."""
+        return self.with_parameters([parameter.nominal_si for parameter in self.parameters])
+
+
+SomeRobot = TypeVar("SomeRobot", bound=RobotData)

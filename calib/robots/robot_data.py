@@ -130,7 +130,7 @@ class RobotData(ReadOnlyArrays):
 
     @cached_property
     def parameters(self) -> Parameters:
-        """Parameters, in the order of `values`, and by name."""
+        """Parameters, in the order of `values`, and by name; two of one name are a `DescriptionError`."""
         of_instruments = tuple(p for one in self.instruments for p in one.unknowns)
         of_terms = tuple(p for term in self.terms for p in term.parameters)
         every = self.parametrisation.parameters + of_instruments + of_terms

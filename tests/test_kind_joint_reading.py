@@ -14,6 +14,7 @@ from calib.rows.registration import register
 from medrue import robot_file
 from medrue.paper_tables import table1
 from medrue.workspace import target_workspace
+from viz.reading_errors import of_fit as readings_of_fit
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 TRUTH = {"right_motor.x": 0.1011, "left_elbow.x": 0.1993, "left_end.x": 0.3008, "right_elbow.x": 0.2004}
@@ -253,3 +254,16 @@ def test_an_encoder_alone_of_an_arm_determines_nothing_and_says_so(tmp_path, run
     run = run_calib("fit", arm, data, "--out", tmp_path / "out")
     assert (run.code, "no reading depends on any free parameter" in run.err) == (3, True)
     assert run_calib("check", arm, data).code == 0
+
+
+def test_an_encoder_is_validated_and_its_error_is_drawn_along_its_axis(tmp_path):
+    robot = five_bar(tmp_path, "  pen: {kind: position, sigma: 0.02 mm}\n")
+    data = calib.simulate(robot.with_parameters(TRUTH), poses(robot, 24, 3), None, 3)
+    fit = calib.fit(robot, data.subset(np.arange(16)), validation=data.subset(np.arange(16, 24)))
+    (drawn,) = readings_of_fit(fit)
+    assert (len(drawn), drawn.turns, drawn.part.name) == (24, True, "angle")
+    for state in ("before", "after"):
+        off = np.concatenate([getattr(errors, state)["elbow"] for errors in (fit.identification, fit.validation)])
+        arrows = drawn.arrows(state)
+        np.testing.assert_allclose(np.linalg.norm(arrows, axis=1), np.abs(off[:, 0]), rtol=1e-9)
+        np.testing.assert_allclose(arrows[:, 2], off[:, 0], atol=0.05 * np.abs(off).max())  # the axis is nearly upright

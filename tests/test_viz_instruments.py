@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from six_axis_arm import FREE, joints, write_six_axis
 
 import calib
@@ -17,6 +18,7 @@ from viz.instrument_shapes import instrument_shapes
 from viz.part_plots import part_plots
 from viz.plots import all_plots
 from viz.pose_sources import from_fit, from_measurements
+from viz.reading_errors import of_measurements
 from viz.report_page import report_page
 from viz.scene import build_scene, joints_of, scene_of_fit
 from viz.scene_data import scene_data
@@ -147,9 +149,14 @@ def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(
     np.testing.assert_allclose(table.after, fit.robot.positions(data.joints).reshape(-1, 3))
     assert all_plots(table, joints_of(robot)) == ()
     scene = scene_of_fit(fit)
-    assert scene.states == ()
+    (shown_errors,) = scene.readings
+    assert (scene.states, scene.shows_poses, scene.n_rows) == (("before", "after"), False, 120)
+    np.testing.assert_array_equal(shown_errors.residuals_after, fit.identification.after["ball"])
     content = scene_data(scene)
-    assert (content["summary"], content["range"], content["certainty"]["noise"]) == ([], {}, None)
+    assert (content["summary"], content["certainty"]["noise"]) == ([], None)
+    (part,) = content["parts"]
+    assert (part["name"], part["unit"], part["position"]) == ("distance", "mm", False)
+    assert part["range"]["after"][1] == pytest.approx(1e3 * np.abs(fit.identification.after["ball"]).max())
     html = report_page(fit, created=NOON).html
     shown = words(html)
     assert "Mean distance error before and after calibration, 120 poses (identification)" in shown
@@ -157,7 +164,9 @@ def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(
     assert html.count("<figure") == 5
     fit.save(tmp_path / "out")
     saved = saved_scene = gather(robot, tmp_path / "out").scene
-    assert saved.states == ()
+    for name in ("anchors", "before", "after", "residuals_before", "residuals_after"):
+        np.testing.assert_allclose(getattr(saved.readings[0], name), getattr(shown_errors, name), rtol=1e-5, atol=1e-9)
+    assert (saved.readings[0].labels, saved.readings[0].targets) == (shown_errors.labels, shown_errors.targets)
     np.testing.assert_allclose(saved.poses.after, table.after, atol=1e-9)
     np.testing.assert_allclose(saved.poses.before, table.before, atol=1e-9)
     off = fit.identification.tables()["ball"]["distance"]
@@ -168,8 +177,8 @@ def test_without_points_the_predicted_targets_are_shown_and_nothing_as_measured(
         np.testing.assert_allclose(other.sets[0][1:], expected, rtol=1e-9)
     assert content["others"][0]["sets"][0]["after"] == list(expected[1])
     alone = gather(robot, None, data).scene
-    assert alone.states == ()
-    assert len(alone.poses) == 240
+    assert alone.states == ("before",)
+    assert (len(alone.poses), alone.n_rows) == (240, 120)
 
 
 def test_a_tracker_can_validate_what_distances_identified(tmp_path):
@@ -262,6 +271,49 @@ def test_what_measures_and_what_it_looks_at_is_drawn_where_the_robot_has_it(tmp_
         edge.T_body_shape[:3, 2] / edge.T_body_shape[2, 2]
     )  # in the camera's frame, to the first corner of the image
     np.testing.assert_allclose(800 * along[:2] + [500, 400], [0, 0], atol=1e-9)
+
+
+def test_an_error_is_drawn_as_the_smallest_motion_that_explains_the_reading(tmp_path):
+    more = "  turned: {kind: pose, target: ball, sigma: 0.05 mm, sigma_angle: 0.2 mrad}\n"
+    words = MEASURED_WITH.replace("pose: unknown", "pose: known").replace("image: [1000, 800],", "")
+    nominal = arm(tmp_path, words.replace("{frame: l6, xyz: [0, 0, 0.1]}", "{frame: l0, xyz: [0, 0, -3]}") + more)
+    actual, q = bent(nominal), joints(3)
+    made = actual.assemble(q)
+    touches = {"probe": np.array([1.0, 0.0, 1.0])[:, None], "table": np.zeros((3, 1))}
+    none = np.zeros(3, dtype=np.intp)
+    looks = {name: Readings(np.arange(3), none, np.zeros((3, 0)), None, which) for name, which in touches.items()}
+    looks |= {"wire": Readings(np.arange(3), none, np.zeros((3, 0)), None, np.zeros((3, 0)))}
+    looks |= {"turned": looks["wire"], "eye": Readings(np.arange(3), none, np.zeros((3, 0)), None, np.ones((3, 1)))}
+    read = predicted_readings(actual, made, looks)
+    read |= {
+        name: dataclasses.replace(looks[name], values=np.zeros((3, k))) for name, k in (("probe", 3), ("table", 1))
+    }
+    found = {one.part.name: one for one in of_measurements(measurements(as_poses(nominal, q), read), nominal, actual)}
+    ball, second = nominal.positions(q).transpose(1, 0, 2)
+    sockets = np.array([[0.5, 0.4, 0.1], [0.5, 0.2, 0.1], [0.5, 0.4, 0.1]])
+    np.testing.assert_allclose(found["contact"].anchors, sockets, atol=1e-12)
+    np.testing.assert_allclose(found["contact"].before, ball - sockets, atol=1e-9)
+    assert found["contact"].targets == ("probe b", "probe a", "probe b")
+    above = np.zeros((3, 3))
+    above[:, 2] = ball[:, 2] - 0.04 - 0.003
+    np.testing.assert_allclose(found["gap"].before, above, atol=1e-9)
+    along = second - [1, 0, 0]
+    longer = np.linalg.norm(along, axis=1, keepdims=True)
+    off = longer - np.linalg.norm(actual.positions(q)[:, 1] - [1, 0, 0], axis=1, keepdims=True)
+    np.testing.assert_allclose(found["distance"].before, off * along / longer, atol=1e-9)
+    np.testing.assert_allclose(found["distance"].after, 0, atol=1e-12)
+    body, moved = nominal.forward(q, "l6"), found["pixel"].before
+    ray = np.einsum("nij,j->ni", body[:, :3], [-0.05, 0, 0.08, 1]) + np.array(
+        [0, 0, 3]
+    )  # to q, 10 mm along x of the target
+    np.testing.assert_allclose(np.sum(moved * ray, axis=1), 0, atol=1e-9)  # square to the line of sight
+    back = ray - moved
+    missed = 800 * back[:, :2] / back[:, 2:] + [500, 400] - read["eye"].values  # by the pinhole
+    assert np.abs(missed).max() < 0.01 * np.abs(found["pixel"].residuals_before).max()
+    turned, measured = found["orientation"].before, Rotation.from_rotvec(read["turned"].values[:, 3:].copy())
+    predicted = Rotation.from_matrix(body[:, :3, :3])
+    np.testing.assert_allclose((predicted * measured.inv()).as_rotvec(), turned, atol=1e-4)
+    assert [one.turns for one in found.values()] == [False] * 4 + [True]
 
 
 def from_poses(robot, q):

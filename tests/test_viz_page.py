@@ -130,8 +130,11 @@ def test_summary_and_ranges_are_in_their_units(scene):
     }
     assert rows["validation"]["count"] == len(scene.poses) - 5
     assert "measured" not in rows
-    found = ranges(scene)
-    usual = np.linalg.norm(scene.poses.error("after"), axis=1)[~scene.poses.outlier]
+    sizes = {state: np.linalg.norm(scene.poses.error(state), axis=1) for state in ("before", "after")}
+    found = ranges(sizes, scene.poses.outlier)
+    usual = sizes["after"][~scene.poses.outlier]
+    shown = scene_data(scene)["parts"][0]["range"]
+    assert shown["after"] == [0.0, pytest.approx(1e3 * usual.max())]
     assert found["after"] == [0.0, pytest.approx(usual.max())]
     assert 0 < found["both"][0] < found["after"][1] < found["both"][1]
 
@@ -146,7 +149,7 @@ def test_of_very_many_rows_the_page_holds_those_that_matter_and_says_so(scene, m
     assert n > 7 == part["table"]["n"]
     assert any(f"7 of {n} rows" in note for note in part["notes"])
     assert not any("rows are in this page" in note for note in whole["notes"])
-    assert (part["summary"], part["range"]) == (whole["summary"], whole["range"])
+    assert (part["summary"], part["parts"]) == (whole["summary"], whole["parts"])
     kept = [scene.poses.labels.index(label) for label in part["table"]["labels"]]
     assert kept == sorted(kept)
     for state in ("before", "after"):

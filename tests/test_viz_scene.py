@@ -61,7 +61,8 @@ def test_states_are_those_whose_errors_are_known(robots):
 
 def test_errors_after_start_with_a_larger_exaggeration(robots):
     scene = build_scene(*robots, table(robots))
-    assert 1 <= scene.vector_factors["before"] < scene.vector_factors["after"] <= 1000
+    (factors,) = scene.vector_factors
+    assert 1 <= factors["before"] < factors["after"] <= 1000
 
 
 def test_the_ghost_shows_the_nominal_robot(robots):

@@ -13,6 +13,7 @@ from calib.reporting.result_reading import joints_used, load_calibrated, load_un
 from calib.rows.registration import register
 from calib.rows.told_positions import ToldPositions
 from calib.rows.whitening import Whitening
+from viz import reading_errors
 from viz.judgement import of_result, of_verdict
 from viz.pose_sources import Sigmas, from_measurements, from_saved, noise
 from viz.poses import IDENTIFICATION, Calibrated
@@ -62,7 +63,8 @@ def gather(robot: Robot, result: Result | None = None, data: Measurements | None
     if data is not None:
         placed = _placed(robot, data)
         table = from_measurements(data, placed, None, _stated(robot, data))
-        return Shown(build_scene(placed, None, table, comments=remarks(data.comments)), placed, None)
+        readings = reading_errors.of_measurements(data, placed, None)
+        return Shown(build_scene(placed, None, table, readings, comments=remarks(data.comments)), placed, None)
     return Shown(build_scene(robot), robot, None)
 
 
@@ -74,7 +76,9 @@ def _from_fit(robot: Robot, fit: Fit, data: Measurements | None, mapped: int) ->
         return Shown(_mapped(scene_of_fit(fit), calibrated, fit.placed, mapped), fit.robot, fit.placed)
     table = from_measurements(data, fit.placed, calibrated, noise(fit))
     said, told = remarks(data.comments), fit.told_positions.notes
-    scene = build_scene(fit.placed, fit.robot, table, verdict=of_verdict(judge(fit)), told=told, comments=said)
+    readings = reading_errors.of_measurements(data, fit.placed, fit.robot)
+    judged = of_verdict(judge(fit))
+    scene = build_scene(fit.placed, fit.robot, table, readings, verdict=judged, told=told, comments=said)
     return Shown(_mapped(scene, calibrated, fit.placed, mapped), fit.robot, fit.placed)
 
 
@@ -91,16 +95,18 @@ def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None, ma
     if data is None:
         placed = _placed(robot, saved.sets[IDENTIFICATION].data)
         table = from_saved(saved, placed, calibrated)
+        readings = reading_errors.of_saved(saved, placed, model)
     else:
         placed = _placed(robot, data)
         table = from_measurements(data, placed, calibrated, saved.sigmas)
+        readings = reading_errors.of_measurements(data, placed, model)
     left_out = content["excluded"] if data is None else []
     notes = (f"not shown: left out of the fit, {counted(len(left_out), 'outlier')}",) if left_out else ()
     said = remarks(content.get("comments", ()) if data is None else data.comments)
     judged = of_result(content["verdict"])
     others = other_errors(content.get("instruments", ())) if data is None else ()
     scene = build_scene(
-        placed, model, table, verdict=judged, notes=notes, told=told.notes, comments=said, others=others
+        placed, model, table, readings, verdict=judged, notes=notes, told=told.notes, comments=said, others=others
     )
     return Shown(_mapped(scene, calibrated, placed, mapped), model, placed)
 
@@ -111,6 +117,7 @@ def _placed(robot: Robot, data: Measurements) -> Robot:
     unknown = description.base.pose == "unknown" or any(
         "unknown" in (target.position, target.orientation) for target in description.targets.values()
     )
+    unknown |= any(place.unknown for one in robot.instruments for place in one.places())
     return register(robot, data) if unknown else robot
 
 

@@ -21,6 +21,7 @@ from viz.bodies import Bodies, PosedRobot
 from viz.shapes import DARK, Colour, Shape, mesh, primitive, rotation_onto_z
 
 _BRASS: Colour = (0.80, 0.58, 0.20, 1.0)
+_CLEAR: Colour = (0.80, 0.58, 0.20, 0.4)  # what touches and is touched: errors are drawn inside
 _GLASS: Colour = (0.35, 0.60, 0.85, 0.45)
 _PAPER: Colour = (0.97, 0.97, 0.95, 1.0)
 _WIRES = 12  # that are drawn of each instrument
@@ -68,12 +69,12 @@ def _(one: Touch, size: float) -> list[Shape]:
         body = _body(one.own[0 if one.points_of_artefact else k].name)
         T, label = _at(point), f"{one.name}/{name}"
         if one.surface == "socket":
-            shapes.append(primitive(label, body, "sphere", (1.3 * ball,), T, _BRASS))
+            shapes.append(primitive(label, body, "sphere", (1.3 * ball,), T, _CLEAR))
         elif one.surface == "plane":
             shapes.append(primitive(label, body, "box", (0.25 * size, 0.25 * size, 0.002 * size), T, _GLASS))
         else:
             radius = one.radii[0 if one.points_of_artefact else k].value or 0.01
-            shapes.append(primitive(label, body, "sphere", (radius,), T, _BRASS))
+            shapes.append(primitive(label, body, "sphere", (radius,), T, _CLEAR))
     if one.points_of_artefact:
         for k, (start, end) in enumerate(itertools.pairwise(inside)):
             shapes += _rod(f"{one.name}/bar{k}", _body(one.own[0].name), start, end, 0.002 * size, DARK)
@@ -123,7 +124,7 @@ def _seen(one: Pixel, size: float) -> list[Shape]:
 
 
 def _ball(target: str, radius: float) -> Shape:
-    return primitive(f"{target}/ball", _body(target), "sphere", (radius,), np.eye(4), _BRASS)
+    return primitive(f"{target}/ball", _body(target), "sphere", (radius,), np.eye(4), _CLEAR)
 
 
 def _at(point: object) -> FloatArray:

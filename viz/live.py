@@ -62,12 +62,12 @@ class LiveViewer:
         return load_meshcat().Visualizer(window=_Window(self._server))
 
     def show_pose(self, index: int) -> None:
-        """Go to a row of the pose table.
+        """Go to a row of the page: a measured point, or a reading where no points were measured.
 
         Raises:
             DataError: There is no such row, or `index` is not a whole number.
         """
-        count = len(self._shown.scene.poses)
+        count = self._shown.scene.n_rows
         try:
             row = operator.index(index)
         except TypeError:

@@ -122,13 +122,22 @@ class PoseTable(ReadOnlyArrays):
 
 def rows_shown(table: PoseTable) -> IntArray:
     """Return the rows that the page holds, ascending, (n,): all, or those that matter and others evenly spread."""
-    n = len(table)
+    return spread_rows(table.outlier, [np.linalg.norm(table.error(state), axis=1) for state in ("before", "after")])
+
+
+def spread_rows(outlier: BoolArray, sizes: list[FloatArray]) -> IntArray:
+    """Return the rows that a page holds, ascending: all, or outliers, the largest errors, and others evenly spread.
+
+    Args:
+        outlier: Which rows are outliers, (n,).
+        sizes: How large the errors of each state are, (n,); NaN where not known.
+    """
+    n = len(outlier)
     if n <= _MOST_ROWS:
         return np.arange(n)
-    first = table.outlier.copy()
-    for state in ("before", "after"):
-        lengths = np.nan_to_num(np.linalg.norm(table.error(state), axis=1), nan=-1.0)
-        first[np.argsort(-lengths, kind="stable")[:WORST]] = True
+    first = outlier.copy()
+    for lengths in sizes:
+        first[np.argsort(-np.nan_to_num(lengths, nan=-1.0), kind="stable")[:WORST]] = True
     matter, others = np.flatnonzero(first), np.flatnonzero(~first)
     matter = _spread(matter, min(len(matter), _MOST_ROWS // 2))
     return np.union1d(matter, _spread(others, min(len(others), _MOST_ROWS - len(matter)))).astype(np.intp)

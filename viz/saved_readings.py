@@ -1,7 +1,4 @@
-"""What a result folder says about the readings of its fit: `residuals.csv`, with what `result.json` knows of them.
-
-Only instruments that measure points are read back; the others leave their visits.
-"""
+"""What a result folder says about the readings of its fit: `residuals.csv`, with what `result.json` knows of them."""
 
 from __future__ import annotations
 
@@ -16,7 +13,7 @@ from calib import Robot
 from calib.base.arrays import FloatArray, IntArray
 from calib.base.errors import DataError
 from calib.base.units import error_scale
-from calib.data.measurements import Poses, measurements
+from calib.data.measurements import Poses, in_setups, measurements
 from calib.data.tables import Table, read_table
 from calib.fitting.error_sets import STATES, ErrorSet
 from calib.instruments.kind import Instrument, Readings
@@ -89,22 +86,22 @@ def _error_set(robot: Robot, table: Table, rows: IntArray) -> ErrorSet:
     joints = [table.column(name, robot.mechanism.dimensions[name])[rows] for name in robot.joint_names]
     labels, targets = ([table.text(name)[row] for row in rows] for name in ("pose", "target"))
     cells = [(label, *values) for label, *values in zip(labels, *joints, strict=True)]
-    instruments = tuple(one for one in robot.instruments if any(part.is_position for part in one.parts))
-    visits = _visits(cells, targets, {one.name for one in instruments})
+    points = {one.name for one in robot.instruments if any(part.is_position for part in one.parts)}
+    visits = _visits(cells, targets, points)
     first = np.unique(visits, return_index=True)[1]
     names = tuple(labels[row] for row in first)
     group = table.text("set")[rows[0]]
     poses = Poses(np.stack(joints, axis=1)[first], tuple(f"pose {name}" for name in names), names, group, ())
     readings: dict[str, Readings] = {}
     errors: dict[str, dict[str, FloatArray]] = {state: {} for state in STATES}
-    for one in instruments:
+    for one in robot.instruments:
         own = np.flatnonzero(np.array(targets) == one.name)
         if len(own):
             readings[one.name] = _readings(robot, one, table, rows[own], visits[own])
             for state in STATES:
                 errors[state][one.name] = _errors(one, table, rows[own], state)
     data = measurements(poses, readings)
-    return ErrorSet(data, instruments, errors["before"], errors["after"], np.full(len(first), np.nan))
+    return ErrorSet(data, robot.instruments, errors["before"], errors["after"], np.full(len(first), np.nan))
 
 
 def _visits(cells: list[tuple[object, ...]], targets: list[str], points: set[str]) -> IntArray:
@@ -124,15 +121,17 @@ def _readings(robot: Robot, one: Instrument, table: Table, rows: IntArray, visit
         for column in one.columns()
     }
     values = one.values({name: numbers[rows] for name, numbers in columns.items()})
+    values = np.broadcast_to(values, (len(rows), values.shape[1]))  # a touch has none
+    words = {name: [table.text(f"looked_at_{name}")[row] for row in rows] for name in one.text_columns()}
+    _, pairs, details = one.looked_at(words, [f"{table.path}, row {row + 1}" for row in rows])
     setups = list(robot.description.setups)
-    pairs = np.zeros(len(rows), dtype=np.intp)
     if setups and "setup" in table.names:
         named = table.text("setup")
         stranger = next((named[row] for row in rows if named[row] not in setups), None)
         if stranger is not None:
             raise DataError(f"{table.path}: no setup of {robot.path} is called '{stranger}'; run the fit again")
-        pairs = np.array([setups.index(named[row]) for row in rows], dtype=np.intp)
-    return Readings(visits, pairs, values, None, np.zeros((len(rows), 0)))
+        pairs = pairs + in_setups(robot, one, np.array([setups.index(named[row]) for row in rows], dtype=np.intp))
+    return Readings(visits, pairs, values, None, details)
 
 
 def _errors(one: Instrument, table: Table, rows: IntArray, state: str) -> FloatArray:

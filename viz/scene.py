@@ -24,6 +24,8 @@ from viz.instrument_shapes import instrument_shapes, wires
 from viz.judgement import Judgement, of_verdict
 from viz.pose_sources import from_fit
 from viz.poses import PoseTable, empty, rows_shown
+from viz.reading_errors import ReadingErrors
+from viz.reading_errors import of_fit as readings_of_fit
 from viz.remarks import NO_REMARKS, Remarks, fit_remarks
 from viz.shapes import Shape
 from viz.workspace_map import WorkspaceMap
@@ -92,7 +94,11 @@ class Scene:
         ghost: The robot before calibration; None without a result.
         poses: The points.
         shown: Rows of these that a page holds, (n_shown,): the robots are posed in them; at home where there are none.
-        vector_factors: Exaggeration of the errors of each state to start with.
+        readings: Errors of readings that are no positions, part by part: the rows that a page holds.
+        pose_of_row: Of each of these rows, part by part, which of the robots' poses it is of.
+        n_readings: Rows of all readings, of which `readings` are those that a page holds.
+        vector_factors: Exaggeration of the errors of each state to start with, of positions and of each part of
+            `readings`.
         ghost_factor: Exaggeration of the ghost to start with; 1 where there is nothing to correct.
         view: First camera.
         drive: How the robot is moved by hand.
@@ -113,7 +119,10 @@ class Scene:
     ghost: PosedRobot | None
     poses: PoseTable
     shown: IntArray
-    vector_factors: dict[str, float]
+    readings: tuple[ReadingErrors, ...]
+    pose_of_row: tuple[IntArray, ...]
+    n_readings: int
+    vector_factors: tuple[dict[str, float], ...]
     ghost_factor: float
     view: View
     drive: Drive
@@ -127,20 +136,33 @@ class Scene:
     @property
     def states(self) -> tuple[str, ...]:
         """States whose errors are known: `before`, `after`."""
-        return tuple(state for state in ("before", "after") if np.any(np.isfinite(self.poses.error(state))))
+        known = {state: [self.poses.error(state), *(one.sizes(state) for one in self.readings)] for state in STATES}
+        return tuple(state for state in STATES if any(np.any(np.isfinite(errors)) for errors in known[state]))
+
+    @property
+    def shows_poses(self) -> bool:
+        """Whether a page has the rows of the pose table: errors of positions, or predictions where nothing was read."""
+        return not self.readings or any(np.any(np.isfinite(self.poses.error(state))) for state in STATES)
+
+    @property
+    def n_rows(self) -> int:
+        """How many rows a page has to go to."""
+        return (len(self.poses) if self.shows_poses else 0) + sum(map(len, self.readings))
 
 
 def scene_of_fit(fit: Fit) -> Scene:
     """Return the scene of a fit."""
     verdict, told = of_verdict(judge(fit)), fit.told_positions.notes
     said, others = fit_remarks(fit), other_errors(instrument_blocks(fit))
-    return build_scene(fit.placed, fit.robot, from_fit(fit), verdict=verdict, told=told, comments=said, others=others)
+    table, readings = from_fit(fit), readings_of_fit(fit)
+    return build_scene(fit.placed, fit.robot, table, readings, verdict=verdict, told=told, comments=said, others=others)
 
 
 def build_scene(
     nominal: Robot,
     calibrated: Robot | None = None,
     poses: PoseTable | None = None,
+    readings: tuple[ReadingErrors, ...] = (),
     *,
     verdict: Judgement | None = None,
     notes: tuple[str, ...] = (),
@@ -154,6 +176,7 @@ def build_scene(
         nominal: The robot before calibration.
         calibrated: The robot after it; None if there is none.
         poses: Points to show; none: the robot at home.
+        readings: Errors of readings that are no positions.
         verdict: Verdict on the fit.
         notes: What to warn of beside what the URDF's shapes give reason to.
         told: What numbers are.
@@ -165,7 +188,8 @@ def build_scene(
     """
     table = empty(nominal) if poses is None else poses
     rows = rows_shown(table)
-    shown = table.joints[rows] if len(table) else nominal.home[None, :]
+    kept = tuple(one.subset(one.rows_shown()) for one in readings)
+    shown, pose_of_row = _shown(table.joints[rows] if len(table) else nominal.home[None, :], kept)
     solid_robot = nominal if calibrated is None else calibrated
     bodies = bodies_of(solid_robot)
     solid = posed_robot(solid_robot, bodies, shown)
@@ -182,8 +206,15 @@ def build_scene(
     decorations = (*decorations_of(nominal.name), *wires(solid_robot, bodies, solid))
     view = _view(bodies, solid, shapes, decorations, table)
     size = float(np.linalg.norm(view.high - view.low))
-    factors = {state: nice_factor(_typical(table.error(state)), _VECTOR_SIZE * size) for state in ("before", "after")}
-    tips = _tips(table, factors, _LONGEST_TIP * size)
+    every = [
+        (table.measured, {state: table.error(state) for state in STATES}),
+        *((one.anchors, {state: one.arrows(state) for state in STATES}) for one in kept),
+    ]
+    factors = tuple(
+        {state: nice_factor(_typical(arrows[state]), _VECTOR_SIZE * size) for state in STATES} for _, arrows in every
+    )
+    longest = _LONGEST_TIP * size
+    tips = np.concatenate([_tips(*one, factor, longest) for one, factor in zip(every, factors, strict=True)])
     around = np.concatenate([view.outline, tips @ view.upright.T])
     moved = float("nan") if ghost is None else _moved(bodies, solid, ghost)
     return Scene(
@@ -196,6 +227,9 @@ def build_scene(
         ghost,
         table,
         rows,
+        kept,
+        pose_of_row,
+        sum(map(len, readings)),
         factors,
         1.0 if verdict is not None and verdict.no_correction else nice_factor(moved, _GHOST_SIZE * size),
         replace(view, outline=_outline(around, *_box(around))),
@@ -257,15 +291,32 @@ def _typical(vectors: FloatArray) -> float:
     return float(np.median(known)) if len(known) else float("nan")
 
 
-def _tips(table: PoseTable, factors: dict[str, float], longest: float) -> FloatArray:
-    """Return the tips of the enlarged error vectors of both states, not further than `longest` [m] out, (m, 3) [m]."""
+def _shown(joints: FloatArray, readings: tuple[ReadingErrors, ...]) -> tuple[FloatArray, tuple[IntArray, ...]]:
+    """Joints to pose the robots in, (n, n_actuated): those of points first; and which of them each reading is of."""
+    numbers: dict[bytes, int] = {}
+    for number, row in enumerate(joints):
+        numbers.setdefault(row.tobytes(), number)
+    more: list[FloatArray] = []
+    of_row = []
+    for one in readings:
+        places = np.zeros(len(one), dtype=np.intp)
+        for k, row in enumerate(one.joints):
+            places[k] = numbers.setdefault(row.tobytes(), len(joints) + len(more))
+            if places[k] == len(joints) + len(more):
+                more.append(row)
+        of_row.append(places)
+    return np.concatenate([joints, np.array(more).reshape(-1, joints.shape[1])]), tuple(of_row)
+
+
+def _tips(places: FloatArray, arrows: dict[str, FloatArray], factors: dict[str, float], longest: float) -> FloatArray:
+    """Return the tips of the enlarged errors of both states, not further than `longest` [m] out, (m, 3) [m]."""
     tips = [np.zeros((0, 3))]
     for state, factor in factors.items():
-        errors = factor * table.error(state)
+        errors = factor * arrows[state]
         length = np.linalg.norm(errors, axis=1, keepdims=True)
         known = np.isfinite(length[:, 0]) & (length[:, 0] > 0)
         shortened = errors[known] * np.minimum(1.0, longest / length[known])
-        tips.append(table.measured[known] + shortened)
+        tips.append(places[known] + shortened)
     return np.concatenate(tips)
 
 

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from calib.base.arrays import FloatArray, IntArray
-from calib.base.units import PER_SI
+from calib.base.arrays import BoolArray, FloatArray
+from calib.base.units import ERROR_UNIT, PER_SI, error_scale
+from calib.fitting.error_sets import STATES
+from calib.instruments.position import POSITION
 from viz.bodies import Bodies, PosedRobot
 from viz.drawing import body_path, draw
 from viz.poses import EXCLUDED, GROUPS, IDENTIFICATION, MEASURED, VALIDATION, WORST
-from viz.scene import Scene, nice_factor
+from viz.reading_errors import ReadingErrors
+from viz.scene import OtherErrors, Scene, nice_factor
 from viz.workspace_map import WorkspaceMap
 
 _COLOURS = "viridis"  # even in lightness, and told apart with any colour vision
@@ -25,17 +29,19 @@ _MARKS = {IDENTIFICATION: "disc", VALIDATION: "diamond", MEASURED: "square", EXC
 _SHORT = {IDENTIFICATION: "fit", VALIDATION: "val", MEASURED: "meas", EXCLUDED: "out"}  # where names repeat
 _MM = PER_SI["length"]["mm"]
 _ELLIPSOID = 0.012  # of the scene's size: how long typical enlarged half axes look at first
-_EXACT = 1e-12  # [m]: smallest range of colours, where nothing is wrong anywhere
+_EXACT = 1e-12  # [SI]: smallest range of colours, where nothing is wrong anywhere
+_MOST_AXES = 3  # of a part of readings
 
 
 def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
     """Return the scene as the page's script reads it; arrays as base64, unknown numbers as NaN inside these."""
     bodies, table, shown = scene.bodies, scene.poses, scene.shown
+    n_kept, n = sum(map(len, scene.readings)), scene.n_readings
     names = [body for body, name in enumerate(bodies.names) if not name.startswith("(")]
     return {
         "title": scene.title,
         "live": live,
-        "notes": [*scene.told, *scene.notes, *_of_left_out(len(shown), len(table))],
+        "notes": [*scene.told, *scene.notes, *_of_left_out(len(shown), len(table)), *_of_left_out(n_kept, n)],
         "remarks": scene.remarks.to_dict(),
         "verdict": None if scene.verdict is None else scene.verdict.to_dict(),
         "groups": [{"name": name, "short": _SHORT[name], "mark": _MARKS[name]} for name in GROUPS],
@@ -49,7 +55,6 @@ def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
         "drive": scene.drive.to_dict(),
         "commands": [base64.b64encode(command).decode() for command in draw(scene)],
         "n_decorations": len(scene.decorations),
-        "vector_factors": scene.vector_factors,
         "ghost_factor": scene.ghost_factor,
         "view": {
             "low": scene.view.low.tolist(),
@@ -57,7 +62,8 @@ def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
             "outline": scene.view.outline.tolist(),
             "direction": scene.view.direction.tolist(),
         },
-        "table": _table(scene, shown),
+        "table": _table(scene),
+        "parts": _parts(scene),
         "summary": summary(scene),
         "others": [
             {
@@ -66,15 +72,15 @@ def scene_data(scene: Scene, *, live: bool = False) -> dict[str, Any]:
                 "sets": [
                     {"group": name, "before": list(before), "after": list(after)} for name, before, after in other.sets
                 ],
+                "space": _in_space(scene, other),
             }
             for other in scene.others
         ],
         "certainty": certainty(scene),
-        "range": ranges(scene),
         "map": None if scene.map is None else _map(scene, scene.map),
         "colours": _encode(colours()),
         "point_radius": point_radius(scene),
-        "point_pixels": point_pixels(len(shown)),
+        "point_pixels": point_pixels(max((len(rows) for rows in _rows(scene)), default=0)),
     }
 
 
@@ -99,7 +105,7 @@ def summary(scene: Scene) -> list[dict[str, Any]]:
             lengths = np.linalg.norm(scene.poses.error(state)[chosen], axis=1)
             lengths = _MM * lengths[np.isfinite(lengths)]
             row[state] = {"mean": float(lengths.mean()), "max": float(lengths.max())} if len(lengths) else None
-        if row["count"] and scene.states:
+        if row["count"] and scene.states and scene.shows_poses:
             rows.append(row)
     return rows
 
@@ -125,15 +131,20 @@ def certainty(scene: Scene) -> dict[str, Any]:
     }
 
 
-def ranges(scene: Scene) -> dict[str, list[float]]:
-    """Return the error [m] at both ends of the colours: of each state (from zero), and of all (logarithmic).
+def ranges(sizes: Mapping[str, FloatArray], outlier: BoolArray) -> dict[str, list[float]]:
+    """Return the error [SI] at both ends of the colours: of each state (from zero), and of all (logarithmic).
 
     Outliers do not stretch the colours, where there is anything else: they have the last colour.
+
+    Args:
+        sizes: How large the errors of each state are, (n,) [SI]; NaN where not known.
+        outlier: Which rows are outliers, (n,).
     """
     result, known = {}, []
-    for state in scene.states:
-        lengths = np.linalg.norm(scene.poses.error(state), axis=1)
-        usual = lengths[np.isfinite(lengths) & ~scene.poses.outlier]
+    for state, lengths in sizes.items():
+        if not np.any(np.isfinite(lengths)):
+            continue
+        usual = lengths[np.isfinite(lengths) & ~outlier]
         known.append(usual if len(usual) else lengths[np.isfinite(lengths)])
         result[state] = [0.0, max(float(known[-1].max()), _EXACT)]
     if known:
@@ -156,7 +167,8 @@ def colours() -> NDArray[np.uint8]:
 def point_radius(scene: Scene) -> float:
     """Return a radius [m] at which points are easy to see and rarely hide each other."""
     size = float(np.linalg.norm(scene.view.high - scene.view.low))
-    points = np.unique(np.round(_places(scene), 6), axis=0)
+    points = np.unique(np.round(np.concatenate([one.anchors for one in _rows(scene)]), 6), axis=0)
+    points = points[np.isfinite(points).all(axis=1)]
     if len(points) < 2:
         return _POINT_RADIUS[1] * size
     gaps = scipy.spatial.cKDTree(points).query(points, k=2)[0][:, 1]
@@ -185,28 +197,107 @@ def _of_left_out(shown: int, n: int) -> list[str]:
     ]
 
 
-def _table(scene: Scene, shown: IntArray) -> dict[str, Any]:
-    table, places = scene.poses.subset(shown), _places(scene)[shown]
-    group = np.array([GROUPS.index(name) for name in table.group], dtype=np.uint8) + len(GROUPS) * table.outlier.astype(
-        np.uint8
-    )
+def _rows(scene: Scene) -> list[ReadingErrors]:
+    """The rows that the page has, part by part: points first, as the readings that they are."""
+    if not scene.shows_poses:
+        return list(scene.readings)
+    table, places = scene.poses.subset(scene.shown), _places(scene)[scene.shown]
+    before, after = table.error("before"), table.error("after")
+    points = ReadingErrors(
+        POSITION, False, table.joints, places, before, after, before, after, table.group, table.outlier, table.labels,
+        table.targets,
+    )  # fmt: skip
+    return [points, *scene.readings]
+
+
+def _parts(scene: Scene) -> list[dict[str, Any]]:
+    """What the page shows errors of: names, units, ends of the colours in these units, first enlargements."""
+    factors = scene.vector_factors if scene.shows_poses else scene.vector_factors[1:]
+    parts = []
+    for rows, own in zip(_rows(scene), factors, strict=True):
+        is_position, scale = rows.part == POSITION, _scale(rows)
+        every = {state: scene.poses.error(state) for state in STATES} if is_position else {}
+        sizes = {state: np.linalg.norm(errors, axis=1) for state, errors in every.items()}
+        sizes = sizes or {state: rows.sizes(state) for state in STATES}
+        found = ranges(sizes, scene.poses.outlier if is_position else rows.outlier)
+        parts.append(
+            {
+                "name": rows.part.name,
+                "unit": ERROR_UNIT[rows.part.dimension],
+                "axes": list(rows.part.axes),
+                "position": is_position,
+                "turns": rows.turns,
+                "vector_factors": own,
+                "range": {state: [scale * low, scale * high] for state, (low, high) in found.items()},
+            }
+        )
+    return parts
+
+
+def _in_space(scene: Scene, other: OtherErrors) -> list[float] | None:
+    """Mean distance [mm] of points before and after, of readings in another unit that see points, in their set."""
+    if sum(map(len, scene.readings)) != scene.n_readings or other.unit in ("mm", "mrad"):
+        return None
+    sets = [name for name, *_ in other.sets]
+    group = VALIDATION if VALIDATION in sets else IDENTIFICATION
+    for one in scene.readings:
+        name, _, part = other.name.partition(": ")
+        own = np.array(
+            [target.split(" ")[0] == name and of == group for target, of in zip(one.targets, one.group, strict=True)]
+        )
+        if one.part.name == part and not one.turns and np.any(own):
+            return [_MM * float(np.nanmean(np.linalg.norm(one.arrows(state)[own], axis=1))) for state in STATES]
+    return None
+
+
+def _table(scene: Scene) -> dict[str, Any]:
+    """All rows of the page, points first. Arrows in m, or in rad of turns.
+
+    Of readings that are no positions there are sizes and components of errors, too, in the unit of their part; those of
+    points are their arrows.
+    """
+    parts, shown = _rows(scene), scene.shown
+    points = scene.poses.subset(shown if scene.shows_poses else shown[:0])
+    n_others = sum(map(len, scene.readings))
+    codes = [
+        GROUPS.index(name) + len(GROUPS) * bad
+        for one in parts
+        for name, bad in zip(one.group, one.outlier, strict=True)
+    ]
     arrays = {
-        "joints": table.joints,
-        "measured": table.measured,
-        "place": places,
-        "before": table.error("before"),
-        "after": table.error("after"),
-        "sigma": table.sigma,
-        "spread": table.spread,
+        "joints": [one.joints for one in parts],
+        "measured": [points.measured, np.full((n_others, 3), np.nan)],
+        "place": [one.anchors for one in parts],
+        "before": [one.before for one in parts],
+        "after": [one.after for one in parts],
+        "sigma": [points.sigma, np.full(n_others, np.nan)],
+        "spread": [points.spread, np.full((n_others, 3), np.nan)],
+        **{f"size_{state}": [_scale(one) * one.sizes(state) for one in scene.readings] for state in STATES},
+        **{f"residual_{state}": [_components(one, state) for one in scene.readings] for state in STATES},
     }
     return {
-        "n": len(table),
-        "labels": list(table.labels),
-        "targets": list(table.targets),
-        "readings": table.readings.tolist(),
-        "group": _encode(group.astype(np.uint8)),
-        **{name: _encode(values.astype("<f8")) for name, values in arrays.items()},
+        "n": len(codes),
+        "n_points": len(points),
+        "labels": [label for one in parts for label in one.labels],
+        "targets": [target for one in parts for target in one.targets],
+        "readings": [*points.readings.tolist(), *[1] * n_others],
+        "group": _encode(np.array(codes, dtype=np.uint8)),
+        "part": _encode(np.repeat(np.arange(len(parts)), [len(one) for one in parts]).astype(np.uint8)),
+        "pose": _encode(np.concatenate([np.arange(len(points)), *scene.pose_of_row]).astype("<u4")),
+        **{name: _encode(np.concatenate([np.zeros(0), *map(np.ravel, pieces)])) for name, pieces in arrays.items()},
     }
+
+
+def _scale(one: ReadingErrors) -> float:
+    return error_scale(one.part.dimension)
+
+
+def _components(one: ReadingErrors, state: str) -> FloatArray:
+    """The first components of errors, in the unit of the part; NaN where there are fewer, (n, _MOST_AXES)."""
+    components = np.full((len(one), _MOST_AXES), np.nan)
+    kept = _scale(one) * one.residuals(state)[:, :_MOST_AXES]
+    components[:, : kept.shape[1]] = kept
+    return components
 
 
 def _map(scene: Scene, known: WorkspaceMap) -> dict[str, Any]:

@@ -182,7 +182,7 @@ def _origins(robot: Robot, data: Measurements) -> set[str]:
     names, found = ("", *robot.mechanism.origin_names), set[str]()
     for name, readings in data.readings.items():
         pairs = robot.pairs(robot.instrument(name))
-        for pair in {int(k) for k in readings.pairs}:
+        for pair in {int(k) for k in readings.pairs} if pairs else ():  # what reads a joint looks along none
             found |= {names[pairs[pair].a], names[pairs[pair].b]}
     return found
 

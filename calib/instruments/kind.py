@@ -360,6 +360,15 @@ class FrameInstrument(Instrument):
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
         """Compare what it would read with what it read; see `Comparison`."""
 
+    def point_seen(self, view: View, details: FloatArray) -> FloatArray:
+        """Return the point that readings tell about, seen from a, (n, 3) [m]: the target, unless a kind says more.
+
+        Args:
+            view: The frames.
+            details: Of `Readings`, (n, n_details).
+        """
+        return view.translation
+
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
         """Return first guesses at what is unknown, the best of which is kept; none where there is nothing to guess.
 

@@ -176,6 +176,10 @@ class Pixel(FrameInstrument):
         by_twist = np.concatenate([by_point, -by_point @ cross_matrices(turned)], axis=2)
         return Comparison(pixels - readings.values, by_twist, by_number[:, :, self._unknown_numbers])
 
+    def point_seen(self, view: View, details: FloatArray) -> FloatArray:
+        """Return the point of the body that each pixel shows, seen from the camera, (n, 3) [m]."""
+        return _in_camera(view, self._body(details))
+
     def first_values(self, scene: Scene) -> tuple[Guess, ...]:
         """Return guesses at the places of camera and target.
 

@@ -11,6 +11,7 @@ class Controls {
     scene.colourBytes = decode(scene.colours, Uint8ClampedArray);
     this.panel = new Panel(scene, this.table);
     this.state = scene.states.includes("after") ? "after" : "before";
+    this.part = 0; // of readings, whose errors are shown
     this.row = 0;
     this.live = null; // what a live program shows instead of a pose
     this.shown = { groups: scene.groups.map(() => true), outliers: true };
@@ -84,11 +85,12 @@ class Controls {
     document.getElementById("ghost-row").hidden = !this.scene.ghost;
     document.getElementById("decorations-row").hidden = this.scene.n_decorations === 0;
     document.getElementById("robot-name").textContent = this.scene.ghost ? "Calibrated robot" : "Robot";
+    this.wirePart();
     this.wireGroups();
-    this.vectorFactors = { ...this.scene.vector_factors };
+    this.vectorFactors = this.scene.parts.map(({ vector_factors }) => ({ ...vector_factors }));
     this.ghostFactor = this.scene.ghost_factor;
-    this.wireFactor("vector-factor", FACTORS, this.vectorFactors[this.vectorState()], (factor) => {
-      this.vectorFactors[this.vectorState()] = factor;
+    this.wireFactor("vector-factor", FACTORS, this.vectorFactors[this.part][this.vectorState()], (factor) => {
+      this.vectorFactors[this.part][this.vectorState()] = factor;
       if (this.stage && this.stage.marks) this.stage.marks.uniforms.factor.value = factor;
       this.noteFactors();
     });
@@ -121,13 +123,34 @@ class Controls {
     this.wirePicking();
   }
 
+  /** Of which part of the readings errors are shown, where there are several. */
+  wirePart() {
+    const chosen = document.getElementById("part");
+    const { parts } = this.scene;
+    chosen.append(...parts.map(({ name, unit }, number) => element("option", { value: number }, `${name} [${unit}]`)));
+    chosen.closest(".row").hidden = parts.length < 2;
+    chosen.addEventListener("change", () => this.showPart(Number(chosen.value)));
+  }
+
+  showPart(part) {
+    this.part = part;
+    document.getElementById("part").value = part;
+    if (this.stage && this.stage.marks) this.stage.marks.uniforms.chosenPart.value = part;
+    this.wireGroups();
+    this.filter();
+    this.applyState();
+    this.noteFactors();
+  }
+
   wireGroups() {
-    const { groups, nGroups, group } = this.table;
+    const { groups, nGroups } = this.table;
     const place = document.getElementById("groups");
+    const group = this.table.group.filter((_, row) => this.table.part[row] === this.part);
     const count = (matches) => group.filter(matches).length;
-    const add = (name, mark, n, choose) => {
+    place.replaceChildren();
+    const add = (name, mark, n, shown, choose) => {
       const box = element("input", { type: "checkbox", id: `show-${name.replace(" ", "-")}` });
-      box.checked = true;
+      box.checked = shown;
       box.disabled = n === 0;
       box.addEventListener("change", () => { choose(box.checked); this.filter(); });
       const text = name[0].toUpperCase() + name.slice(1);
@@ -136,11 +159,11 @@ class Controls {
     groups.forEach(({ name, mark }, kind) => {
       const n = count((code) => code % nGroups === kind);
       if (n || name === "identification" || name === "validation") {
-        add(name, mark, n, (checked) => { this.shown.groups[kind] = checked; });
+        add(name, mark, n, this.shown.groups[kind], (checked) => { this.shown.groups[kind] = checked; });
       }
     });
     this.nOutliers = count((code) => code >= nGroups);
-    add("outliers", "cross", this.nOutliers, (checked) => { this.shown.outliers = checked; });
+    add("outliers", "cross", this.nOutliers, this.shown.outliers, (checked) => { this.shown.outliers = checked; });
     place.hidden = this.table.n === 0;
     // of what was left out the legend has the cross alone: all of it are outliers
     this.groupsInLegend = groups.filter((_, kind) => count((code) => code === kind) > 0);
@@ -206,12 +229,12 @@ class Controls {
 
   /** Which rows are visible; the slider and the arrow keys run over these only. */
   filter() {
-    const { group, n, nGroups } = this.table;
+    const { group, n, nGroups, part } = this.table;
     const visible = Array.from({ length: 2 * nGroups }, (_, code) =>
       this.shown.groups[code % nGroups] && (code < nGroups || this.shown.outliers));
     this.rows = [];
     for (let row = 0; row < n; row += 1) {
-      if (visible[group[row]]) this.rows.push(row);
+      if (visible[group[row]] && part[row] === this.part) this.rows.push(row);
     }
     if (this.stage && this.stage.marks) {
       this.stage.marks.uniforms.visible.value = visible.map(Number);
@@ -226,10 +249,17 @@ class Controls {
     this.panel.worst(this.rows, this.state, (row) => this.go(row));
     if (this.live) return; // what a program shows stays
     if (this.rows.length) {
-      this.go(this.rows.find((row) => row >= this.row) ?? this.rows[this.rows.length - 1]);
+      this.go(this.nearest());
     } else if (this.stage && this.stage.marks) {
       this.stage.marks.choose(-1);
     }
+  }
+
+  /** The visible row at or after the present one; of another part, one of the same pose of the robot. */
+  nearest() {
+    const { part, pose } = this.table;
+    const same = part[this.row] === this.part ? undefined : this.rows.find((row) => pose[row] === pose[this.row]);
+    return same ?? this.rows.find((row) => row >= this.row) ?? this.rows[this.rows.length - 1];
   }
 
   /** The next visible row; from what a program shows, back to the pose before it. */
@@ -244,6 +274,7 @@ class Controls {
   /** The reader, or a live program, goes to a row: what plays stops there. */
   go(row) {
     this.player.pause();
+    if (this.table.n && this.table.part[row] !== this.part) this.showPart(this.table.part[row]);
     this.showRow(row);
   }
 
@@ -257,10 +288,10 @@ class Controls {
     this.live = null;
     if (this.stage) {
       this.stage.live = null;
-      this.stage.showPose(row);
+      this.stage.showPose(this.poseOf(row));
     }
     const count = this.scene.joints.length;
-    this.drive.begin(this.table.n ? Array.from(this.table.joints.subarray(row * count, (row + 1) * count)) : this.scene.drive.home, row);
+    this.drive.begin(this.table.n ? Array.from(this.table.joints.subarray(row * count, (row + 1) * count)) : this.scene.drive.home, this.poseOf(row));
     if (!this.table.n) {
       this.panel.home();
       return;
@@ -270,6 +301,11 @@ class Controls {
     slider.value = Math.max(0, this.rows.indexOf(row));
     slider.setAttribute("aria-valuetext", `Pose ${this.table.name(row)}, ${Number(slider.value) + 1} of ${this.rows.length}`);
     this.showNumbers();
+  }
+
+  /** Number of the robots' pose of a row. */
+  poseOf(row) {
+    return this.table.n ? this.table.pose[row] : 0;
   }
 
   /** Numbers of what is shown. */
@@ -299,8 +335,9 @@ class Controls {
     if (!this.scene.states.length) return;
     document.getElementById(`state-${this.state}`).checked = true;
     const same = this.sameScale();
-    document.getElementById("vector-factor").show(this.vectorFactors[this.vectorState()]);
-    const [low, high] = same ? this.scene.range.both : this.scene.range[this.state];
+    document.getElementById("vector-factor").show(this.vectorFactors[this.part][this.vectorState()]);
+    const { range } = this.scene.parts[this.part];
+    const [low, high] = (same ? range.both : range[this.state]) || range.both || [0, 1];
     const uniforms = this.stage && this.stage.marks && this.stage.marks.uniforms;
     if (uniforms) {
       Object.assign(uniforms.low, { value: low });
@@ -309,7 +346,7 @@ class Controls {
       this.stage.redraw();
     }
     this.morph.to(this.state === "before" ? 0 : 1, gradually);
-    this.panel.legend(this.state, low, high, same, this.groupsInLegend, this.nOutliers > 0);
+    this.panel.legend(this.part, this.state, low, high, same, this.groupsInLegend, this.nOutliers > 0);
     this.panel.worst(this.rows, this.state, (row) => this.go(row));
     this.showNumbers();
   }
@@ -328,8 +365,8 @@ class Controls {
 
   noteFactors() {
     const on = (id) => document.getElementById(id).checked;
-    const vectors = this.scene.states.length && on("show-vectors") ? this.vectorFactors[this.vectorState()] : null;
-    this.panel.enlarged(vectors, this.scene.ghost && on("show-ghost") ? this.ghostFactor : null);
+    const vectors = this.scene.states.length && on("show-vectors") ? this.vectorFactors[this.part][this.vectorState()] : null;
+    this.panel.enlarged(this.scene.parts[this.part], vectors, this.scene.ghost && on("show-ghost") ? this.ghostFactor : null);
   }
 
   savePicture() {

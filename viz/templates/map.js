@@ -135,7 +135,7 @@ class MapPanel {
     if (range) {
       this.on("legend-map-title").textContent = MAP_TITLES[kind];
       drawBar(this.on("legend-map-bar"), this.colours);
-      this.on("legend-map-ticks").replaceChildren(...tickMarks(range.low, range.high, range.logarithmic));
+      this.on("legend-map-ticks").replaceChildren(...tickMarks(1e3 * range.low, 1e3 * range.high, range.logarithmic));
     }
     map.ellipsoids.visible = this.on("show-ellipsoids").checked;
     this.ellipsoidText();

@@ -6,21 +6,21 @@ const EDGES = { light: [0.10, 0.12, 0.16], dark: [0.92, 0.94, 0.96] }; // of poi
 const UNKNOWN = 1e9; // stands for an error that is not known: shaders cannot be trusted with NaN
 
 const SHARED_SHADER = `
-  attribute vec3 place; attribute vec3 before; attribute vec3 after;
-  attribute float group; attribute float shape; attribute float outlier;
-  uniform float state; uniform float low; uniform float high; uniform float logarithmic;
+  attribute vec3 place; attribute vec3 before; attribute vec3 after; attribute vec2 sizes;
+  attribute float group; attribute float shape; attribute float outlier; attribute float part;
+  uniform float chosenPart; uniform float state; uniform float low; uniform float high; uniform float logarithmic;
   uniform float visible[CODES]; uniform sampler2D colours;
   varying vec3 vColour; varying float vShape; varying float vOutlier;
   vec3 chosenError() { // between both states while one becomes the other; an unknown error has nothing between
     bool known = max(length(before), length(after)) < 1e6;
     return known ? mix(before, after, state) : state < 0.5 ? before : after;
   }
-  bool isVisible() { int code = int(group + 0.5); for (int i = 0; i < CODES; i++) if (i == code) return visible[i] > 0.5; return false; }
+  bool isVisible() { if (abs(part - chosenPart) > 0.5) return false; int code = int(group + 0.5); for (int i = 0; i < CODES; i++) if (i == code) return visible[i] > 0.5; return false; }
   void colour() {
-    float size = length(chosenError());
-    float part = logarithmic > 0.5 ? log(max(size, 1e-12) / low) / log(high / low) : (size - low) / (high - low);
-    bool known = size < 1e6;
-    vColour = known ? texture2D(colours, vec2(clamp(part, 0.002, 0.998), 0.5)).rgb : vec3(0.55);
+    bool both = max(sizes.x, sizes.y) < 1e6;
+    float size = both ? mix(sizes.x, sizes.y, state) : state < 0.5 ? sizes.x : sizes.y;
+    float along = logarithmic > 0.5 ? log(max(size, 1e-12) / low) / log(high / low) : (size - low) / (high - low);
+    vColour = size < 1e6 ? texture2D(colours, vec2(clamp(along, 0.002, 0.998), 0.5)).rgb : vec3(0.55);
     vShape = shape;
     vOutlier = outlier;
   }`;
@@ -112,7 +112,7 @@ class Marks {
     this.radius = radius;
     const texture = colourTexture(THREE, colours);
     this.uniforms = {
-      state: { value: 0 }, low: { value: 1e-5 }, high: { value: 1e-2 }, logarithmic: { value: 1 },
+      chosenPart: { value: 0 }, state: { value: 0 }, low: { value: 1e-5 }, high: { value: 1e-2 }, logarithmic: { value: 1 },
       visible: { value: new Array(2 * table.nGroups).fill(1) }, colours: { value: texture }, radius: { value: radius },
       pixels: { value: 800 }, smallest: { value: smallest }, size: { value: 1 }, factor: { value: 1 }, thickness: { value: 0.42 * radius },
       edge: { value: EDGES.light },
@@ -138,7 +138,7 @@ class Marks {
     const geometry = new this.THREE.BufferGeometry();
     const known = (value) => (Number.isNaN(value) ? UNKNOWN : value);
     const shapes = this.table.groups.map(({ mark }) => SHAPES.indexOf(mark));
-    const { n, place, before, after, group } = this.table;
+    const { n, place, before, after, group, part } = this.table;
     const add = (name, width, value) => {
       const array = new Float32Array(n * corners * width);
       for (let k = 0; k < array.length; k += 1) {
@@ -149,6 +149,8 @@ class Marks {
     add("place", 3, (row, axis) => place[3 * row + axis]);
     add("before", 3, (row, axis) => known(before[3 * row + axis]));
     add("after", 3, (row, axis) => known(after[3 * row + axis]));
+    add("sizes", 2, (row, k) => known(this.table.error(k ? "after" : "before", row)));
+    add("part", 1, (row) => part[row]);
     add("group", 1, (row) => group[row]);
     add("shape", 1, (row) => shapes[this.table.kind(row)]);
     add("outlier", 1, (row) => Number(this.table.isOutlier(row)));
@@ -203,14 +205,19 @@ class Marks {
     }
   }
 
+  /** Whether a row is of the part and of a group that are shown. */
+  shows(row) {
+    return this.table.part[row] === this.uniforms.chosenPart.value && this.uniforms.visible.value[this.table.group[row]] > 0;
+  }
+
   /** Row whose point is drawn nearest to a place on the canvas; -1 if none is within reach [px]. */
   pick(camera, x, y, width, height, reach) {
     const point = new this.THREE.Vector3();
-    const { place, group, n } = this.table;
+    const { place, n } = this.table;
     let best = -1;
     let bestCost = Infinity;
     for (let row = 0; row < n; row += 1) {
-      if (!this.uniforms.visible.value[group[row]]) continue;
+      if (!this.shows(row)) continue;
       point.fromArray(place, 3 * row);
       this.points.localToWorld(point).project(camera);
       if (point.z < -1 || point.z > 1) continue;

@@ -74,9 +74,9 @@ function drawBar(canvas, colours) {
   context.putImageData(image, 0, 0);
 }
 
-/** Ticks of a bar, with numbers in mm, between two lengths [m]. */
+/** Ticks of a bar between two numbers. */
 function tickMarks(low, high, logarithmic) {
-  return ticksBetween(1e3 * low, 1e3 * high, logarithmic).map(([value, part]) => {
+  return ticksBetween(low, high, logarithmic).map(([value, part]) => {
     const tick = element("span", {}, String(Number(value.toPrecision(3))));
     tick.style.left = `${100 * part}%`;
     return tick;

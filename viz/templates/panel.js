@@ -62,12 +62,13 @@ class Panel {
   others(first) {
     const parts = [];
     const named = { identification: "identification", validation: "validation", cross_validation: "left out in turns" };
-    for (const { name, unit, sets } of this.scene.others) {
+    for (const { name, unit, sets, space } of this.scene.others) {
       if (first && !parts.length) {
         const judged = sets.find(({ group }) => group === "validation") || sets.find(({ group }) => group === "cross_validation") || sets[0];
         parts.push(element("p", { class: "numbers" }, element("strong", {}, millimetres(judged.before[0])), "\u2192",
           element("strong", {}, millimetres(judged.after[0])), element("strong", {}, unit)),
-        element("p", {}, `mean error of ${name} before and after calibration, ${named[judged.group] || judged.group} poses`));
+        element("p", {}, `mean error of ${name} before and after calibration, ${named[judged.group] || judged.group} poses`
+          + (space ? `; as far as points are off there, ${millimetres(space[0])} \u2192 ${millimetres(space[1])} mm` : "")));
       }
       const head = element("tr", {}, ...[`${name} [${unit}]`, "mean", "max", "mean", "max"].map((text) => element("th", { scope: "col" }, text)));
       const above = element("tr", {}, element("th", {}, ""), ...["before", "after"].map((text) => element("th", { scope: "colgroup", colspan: "2" }, text)));
@@ -113,11 +114,15 @@ class Panel {
     const at = (values, scale = 1e3) => THREE_NUMBERS.map((i) => scale * values[3 * row + i]);
     const measured = at(table.measured);
     const seen = measured.every(Number.isFinite);
-    head.replaceChildren(element("span", { class: "name" }, `Pose ${table.labels[row]}${table.several ? `, ${table.targets[row]}` : ""}`),
+    head.replaceChildren(element("span", { class: "name" }, `Pose ${table.labels[row]}${table.several[table.part[row]] ? `, ${table.targets[row]}` : ""}`),
       element("span", { class: "tag" }, table.groups[table.kind(row)].name),
       ...(readings > 1 && seen ? [element("span", { class: "tag" }, `mean of ${readings} readings`)] : []),
       ...(table.isOutlier(row) ? [element("span", { class: "tag outlier" }, "outlier")] : []));
     const sum = (a, b) => a.map((value, i) => value + b[i]);
+    const isPoint = row < table.n_points;
+    if (!isPoint) this.reading(row, state);
+    document.getElementById("position").hidden = !isPoint;
+    document.getElementById("reading").hidden = isPoint;
     const lines = [["measured", measured, 3, false]];
     if (seen) lines.push(...scene.states.map((name) => [`pred. ${name}`, sum(measured, at(table[name])), 3, false]));
     if (!seen || !scene.states.length) lines.push(["predicted", at(table.place), 3, false]);
@@ -138,6 +143,25 @@ class Panel {
     this.joints(scene.joints.map((_, i) => table.joints[row * scene.joints.length + i]));
   }
 
+  /** Error of a reading that is no position: its components, and how far the point is off in space. */
+  reading(row, state) {
+    const { table, scene } = this;
+    const { name, unit, axes, turns } = table.parts[table.part[row]];
+    const several = axes.length > 1;
+    const inSpace = !turns && unit !== "mm";
+    const heads = [...(several ? axes : []), several ? "size" : name, ...(inSpace ? ["in space [mm]"] : [])];
+    const node = document.getElementById("reading");
+    node.querySelector("caption").textContent = `${name[0].toUpperCase()}${name.slice(1)} [${unit}]`;
+    node.querySelector("thead").replaceChildren(element("tr", {}, element("th", { scope: "col" }, ""),
+      ...heads.map((text) => element("th", { scope: "col" }, text))));
+    node.querySelector("tbody").replaceChildren(...scene.states.map((one) => {
+      const parts = several ? [...table.components(one, row), table.error(one, row)] : table.components(one, row);
+      const numbers = inSpace ? [...parts, table.arrow(one, row)] : parts;
+      return element("tr", one === state ? { class: "now" } : {}, element("th", { scope: "row" }, `error ${one}`),
+        ...numbers.map((value) => element("td", {}, fixed(value, 4))));
+    }));
+  }
+
   /** Without poses there are numbers only of what moves. */
   home() {
     document.getElementById("pose-block").hidden = true;
@@ -146,6 +170,8 @@ class Panel {
   /** Numbers of joint values that a live program or a hand gives; nothing was measured there, so there are no errors. */
   live({ joints, targets, predicted, byHand }) {
     document.getElementById("pose-block").hidden = false;
+    document.getElementById("position").hidden = false;
+    document.getElementById("reading").hidden = true;
     document.getElementById("pose-head").replaceChildren(
       element("span", { class: "name" }, byHand ? "Moved by hand" : "Live configuration"),
       element("span", { class: "tag" }, byHand ? "not measured" : "shown by the program, not measured"));
@@ -179,12 +205,13 @@ class Panel {
     const place = document.getElementById("worst");
     const sorted = this.table.largest(rows, state, 5);
     place.hidden = sorted.length === 0;
-    document.getElementById("worst-title").textContent = `Largest errors ${state} calibration [mm]`;
+    const { unit } = this.table.parts[rows.length ? this.table.part[rows[0]] : 0];
+    document.getElementById("worst-title").textContent = `Largest errors ${state} calibration [${unit}]`;
     const list = place.querySelector("ol");
     const focused = [...list.querySelectorAll("button")].indexOf(document.activeElement);
     list.replaceChildren(...sorted.map((row) => {
-      const [name, error] = [this.table.name(row), millimetres(1e3 * this.table.error(state, row))];
-      const button = element("button", { type: "button", "aria-label": `Go to pose ${name}, error ${error} mm` }, `${name}: ${error}`);
+      const [name, error] = [this.table.name(row), millimetres(this.table.error(state, row))];
+      const button = element("button", { type: "button", "aria-label": `Go to pose ${name}, error ${error} ${unit}` }, `${name}: ${error}`);
       button.addEventListener("click", () => go(row));
       return element("li", {}, button);
     }));
@@ -193,19 +220,22 @@ class Panel {
   }
 
   /** Say in the legend how many times what is shown is enlarged; nothing about what is hidden. */
-  enlarged(vectors, ghost) {
-    document.getElementById("legend-vectors").textContent = vectors ? `Error vectors enlarged \u00d7${vectors}` : "";
+  enlarged({ turns }, vectors, ghost) {
+    const what = turns ? "Axes of turns, 1 mrad as long as 1 mm" : "Error vectors enlarged";
+    document.getElementById("legend-vectors").textContent = vectors ? `${what} \u00d7${vectors}` : "";
     const text = ghost === 1 ? "Ghost: nominal robot, true to scale (\u00d71)"
       : `Ghost: nominal robot, displacement \u00d7${ghost}`;
     document.getElementById("legend-ghost").hidden = !ghost;
     document.getElementById("legend-ghost-text").textContent = ghost ? text : "";
   }
 
-  legend(state, low, high, logarithmic, groups, outliers) {
-    document.getElementById("legend-title").textContent = `Error ${state} calibration [mm]`;
+  legend(part, state, low, high, logarithmic, groups, outliers) {
+    const { name, unit, position } = this.table.parts[part];
+    const title = position ? "Error" : `${name[0].toUpperCase()}${name.slice(1)} error`;
+    document.getElementById("legend-title").textContent = `${title} ${state} calibration [${unit}]`;
     drawBar(document.getElementById("legend-bar"), this.scene.colourBytes);
     document.getElementById("legend-ticks").replaceChildren(...tickMarks(low, high, logarithmic));
-    const beyond = Array.from({ length: this.table.n }, (_, row) => this.table.error(state, row)).some((error) => error > high);
+    const beyond = Array.from({ length: this.table.n }, (_, row) => this.table.part[row] === part && this.table.error(state, row) > high).some(Boolean);
     document.getElementById("legend-beyond").textContent = beyond ? "Larger errors have the last colour" : "";
     const marks = [...groups.map(({ name, mark }) => [mark, name]), ...(outliers ? [["cross", "outlier"]] : [])];
     document.getElementById("legend-marks").replaceChildren(...marks.map(([mark, name]) => element("span", {}, markPicture(mark), name)));

@@ -224,13 +224,14 @@ class Stage {
   /** Whether a visible point or the tip of its error vector lies in a part of the pane: left, top, right, bottom [px]. */
   marksUnder([left, top, right, bottom]) {
     if (!this.marks) return false;
-    const { table, uniforms, points, vectors } = this.marks;
+    const { marks } = this;
+    const { table, uniforms, points, vectors } = marks;
     const error = uniforms.state.value < 0.5 ? table.before : table.after;
     const place = new this.THREE.Vector3();
     const reach = 12;
     this.root.updateMatrixWorld(true);
     for (let row = 0; row < table.n; row += 1) {
-      if (!uniforms.visible.value[table.group[row]]) continue;
+      if (!marks.shows(row)) continue;
       for (const factor of vectors.visible ? [0, uniforms.factor.value] : [0]) {
         place.set(...[0, 1, 2].map((i) => table.place[3 * row + i] + factor * (error[3 * row + i] || 0)));
         const [x, y] = this.onScreen(points.localToWorld(place));

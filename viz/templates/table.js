@@ -10,16 +10,19 @@ function decode(text, Type) {
 class PoseTable {
   /** @param scene table (arrays as base64), groups: name, short name and mark of each group */
   constructor(scene) {
-    const { table, groups } = scene;
-    Object.assign(this, table);
-    for (const name of ["measured", "place", "before", "after", "sigma", "spread", "joints"]) {
+    const { table, groups, parts } = scene;
+    Object.assign(this, table, { parts });
+    for (const name of ["measured", "place", "before", "after", "sigma", "spread", "joints", "size_before", "size_after",
+      "residual_before", "residual_after"]) {
       this[name] = decode(table[name], Float64Array);
     }
+    this.part = decode(table.part, Uint8Array); // number of the part of readings that a row is of
+    this.pose = decode(table.pose, Uint32Array); // number of the robots' pose
     this.group = decode(table.group, Uint8Array); // number of the group; with `nGroups` more: the same, an outlier
     this.groups = groups;
     this.nGroups = groups.length;
-    this.several = new Set(this.targets).size > 1;
-    this.repeated = new Set(this.labels.map((label, k) => `${label}\n${this.targets[k]}`)).size < this.n;
+    this.several = parts.map((_, part) => new Set(this.targets.filter((__, k) => this.part[k] === part)).size > 1);
+    this.repeated = new Set(this.labels.map((label, k) => `${label}\n${this.targets[k]}\n${this.part[k]}`)).size < this.n;
     this.lengths = {};
   }
 
@@ -33,18 +36,28 @@ class PoseTable {
 
   /** Name of a row as short as can be: with its point where there are several, with its group where names repeat. */
   name(row) {
-    return this.labels[row] + (this.several ? ` ${this.targets[row]}` : "")
+    return this.labels[row] + (this.several[this.part[row]] ? ` ${this.targets[row]}` : "")
       + (this.repeated ? ` (${this.groups[this.kind(row)].short})` : "");
   }
 
-  /** Length of a row's error [m]; all are worked out once. */
+  /** Size of a row's error in the unit of its part; all are worked out once. */
   error(state, row) {
     if (!this.lengths[state]) {
-      const values = this[state];
       this.lengths[state] = Float64Array.from({ length: this.n },
-        (_, k) => Math.hypot(values[3 * k], values[3 * k + 1], values[3 * k + 2]));
+        (_, k) => (k < this.n_points ? this.arrow(state, k) : this[`size_${state}`][k - this.n_points]));
     }
     return this.lengths[state][row];
+  }
+
+  /** Length of a row's arrow [mm, or mrad of turns]. */
+  arrow(state, row) {
+    return 1e3 * Math.hypot(...this[state].subarray(3 * row, 3 * row + 3));
+  }
+
+  /** Components of the error of a row that is no point, in the unit of its part. */
+  components(state, row) {
+    const first = 3 * (row - this.n_points);
+    return Array.from(this[`residual_${state}`].subarray(first, first + this.parts[this.part[row]].axes.length));
   }
 
   /** The rows with the largest errors, largest first. */

@@ -1,0 +1,314 @@
+"""Errors of readings that are no positions: where they are drawn, which way they point, and how large they are.
+
+A reading tells where the point that it sees is along some directions only. Its error is drawn as the smallest motion of
+that point that explains it. With the residual r (predicted minus read) and its derivative J by the point's motion
+(`calib.instruments.kind`),
+
+    dp = J^+ r        from where the reading has the point to where the robot has it
+
+which is along the wire of a distance, along the normal of a plane, from the middle of a socket to the ball, and of a
+pixel at the depth of the point, square to the line of sight. Readings that no motion changes but turns (orientations,
+inclinometers) have the smallest turn that explains them, an arrow along its axis; those of a joint have the joint's
+axis. Colours count the residual itself, in its own unit.
+
+When it fails. Beyond first order: a pixel far off in the image, or a turn of much more than a tenth of a radian.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from calib import Fit, Measurements, Robot
+from calib.base.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
+from calib.fitting.error_sets import STATES, ErrorSet
+from calib.fitting.fit import errors_on
+from calib.fitting.outliers import Outlier
+from calib.instruments.kind import Comparison, FrameInstrument, JointInstrument, Part, Readings, View
+from calib.judging import findings
+from calib.robots import kinematics
+from calib.robots.mechanism import RelativeFrame
+from calib.rows.observed import seen_by
+from viz.poses import EXCLUDED, IDENTIFICATION, MEASURED, VALIDATION, spread_rows
+from viz.saved_readings import Saved
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingErrors(ReadOnlyArrays):
+    """Errors of one part of readings, a row for each reading. Points and arrows are in the measurement frame.
+
+    Attributes:
+        part: The part.
+        turns: Whether arrows are turns, along their axes [rad], and no motions [m].
+        joints: Actuated joints, (n, n_actuated) [m or rad].
+        anchors: Where arrows begin, (n, 3) [m].
+        before, after: Arrows, (n, 3) [m, or rad of turns]; NaN where not known.
+        residuals_before, residuals_after: Predicted minus read, (n, n_axes) [SI]; NaN where not known.
+        group: Group of each row, as in `PoseTable`.
+        outlier: Which rows are outliers, (n,).
+        labels: What to call each pose.
+        targets: Name of the instrument of each row, with what it looked at.
+    """
+
+    part: Part
+    turns: bool
+    joints: FloatArray
+    anchors: FloatArray
+    before: FloatArray
+    after: FloatArray
+    residuals_before: FloatArray
+    residuals_after: FloatArray
+    group: tuple[str, ...]
+    outlier: BoolArray
+    labels: tuple[str, ...]
+    targets: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def arrows(self, state: str) -> FloatArray:
+        """Return the arrows `before` or `after`, (n, 3)."""
+        return {"before": self.before, "after": self.after}[state]
+
+    def residuals(self, state: str) -> FloatArray:
+        """Return predicted minus read `before` or `after`, (n, n_axes) [SI]."""
+        return {"before": self.residuals_before, "after": self.residuals_after}[state]
+
+    def sizes(self, state: str) -> FloatArray:
+        """Return how large the errors are, (n,) [SI]; NaN where no component is known."""
+        residuals = self.residuals(state)
+        known = np.isfinite(residuals).any(axis=1)
+        return np.where(known, np.sqrt(np.nansum(residuals**2, axis=1)), np.nan)
+
+    def rows_shown(self) -> IntArray:
+        """Return the rows that a page holds, ascending: all, or those that matter and others evenly spread."""
+        return spread_rows(self.outlier, [self.sizes(state) for state in STATES])
+
+    def subset(self, rows: IntArray | BoolArray) -> ReadingErrors:
+        """Return the rows with these numbers, or those of a mask."""
+        chosen = np.arange(len(self))[rows]
+        parts: dict[str, object] = {}
+        for field in fields(ReadingErrors):
+            values = getattr(self, field.name)
+            if isinstance(values, np.ndarray):
+                parts[field.name] = values[chosen]
+            elif isinstance(values, tuple):
+                parts[field.name] = tuple(values[k] for k in chosen)
+        return replace(self, **parts)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen(ReadOnlyArrays):
+    """What an instrument's readings are about, of one robot.
+
+    Attributes:
+        points: The point that each tells about, (n, 3) [m].
+        axes: Axes of the frame that it looks from, (n, 3, 3).
+        residuals: Predicted minus read, (n, n_rows) [SI].
+        by_motion: Derivative by the point's motion [dp; dw] in these axes, (n, n_rows, 6).
+    """
+
+    points: FloatArray
+    axes: FloatArray
+    residuals: FloatArray
+    by_motion: FloatArray
+
+
+def of_fit(fit: Fit) -> tuple[ReadingErrors, ...]:
+    """Return the errors of all readings of a fit that are no positions, part by part."""
+    tables = []
+    sets = [(IDENTIFICATION, fit.identification, fit.rows, findings.outliers(fit))]
+    if fit.validation is not None and fit.validation_rows is not None:
+        sets.append((VALIDATION, fit.validation, fit.validation_rows, findings.validation_outliers(fit)))
+    for group, errors, rows, outliers in sets:
+        first = {name: rows.layout.readings_of(name).start for name in rows.layout.instruments}
+        tables += _of_set(group, errors, fit.placed, fit.robot, _numbers(outliers, first))
+    if fit.with_all is not None and fit.excluded:
+        layout = fit.with_all.rows.layout
+        left_out = _numbers(fit.excluded, {name: layout.readings_of(name).start for name in layout.instruments})
+        data = fit.with_all.identification.data
+        data = replace(data, readings={name: _some(data.readings[name], np.array(k)) for name, k in left_out.items()})
+        marked = {name: list(range(len(k))) for name, k in left_out.items()}
+        tables += _of_set(EXCLUDED, errors_on(fit.placed, fit.robot, data), fit.placed, fit.robot, marked)
+    return _together(tables)
+
+
+def of_saved(saved: Saved, placed: Robot, calibrated: Robot) -> tuple[ReadingErrors, ...]:
+    """Return the errors of all readings of a result folder that are no positions, part by part.
+
+    Args:
+        saved: What the folder holds.
+        placed: The robot before calibration.
+        calibrated: The robot after it.
+    """
+    tables = []
+    for group, errors in saved.sets.items():
+        marked: dict[str, list[int]] = {}
+        for visit, name in saved.outliers[group]:
+            numbers = np.flatnonzero(errors.data.readings[name].visits == visit)
+            if len(numbers) == 1:  # else the folder does not say which of them
+                marked.setdefault(name, []).append(int(numbers[0]))
+        tables += _of_set(group, errors, placed, calibrated, marked)
+    return _together(tables)
+
+
+def of_measurements(data: Measurements, nominal: Robot, calibrated: Robot | None) -> tuple[ReadingErrors, ...]:
+    """Return the errors of all readings that are no positions, part by part, by what robots predict.
+
+    Args:
+        data: The measurements.
+        nominal: The robot before calibration.
+        calibrated: The robot after it, or None.
+
+    Raises:
+        UnreachablePoseError: A pose cannot be assembled.
+    """
+    others = {name for name in data.readings if _others(nominal, name)}
+    if not others:
+        return ()
+    data = replace(data, readings={name: data.readings[name] for name in others})
+    before = {name: one.residuals for name, one in _seen(nominal, data).items()}
+    after = before if calibrated is None else {k: one.residuals for k, one in _seen(calibrated, data).items()}
+    if calibrated is None:
+        after = {name: np.full_like(residuals, np.nan) for name, residuals in before.items()}
+    errors = ErrorSet(data, nominal.instruments, before, after, np.full(len(data), np.nan))
+    return _together(_of_set(MEASURED, errors, nominal, calibrated, {}))
+
+
+def _others(robot: Robot, name: str) -> list[Part]:
+    """The parts of an instrument that are no positions."""
+    return [part for part in robot.instrument(name).parts if not part.is_position]
+
+
+def _numbers(outliers: tuple[Outlier, ...], first: Mapping[str, int]) -> dict[str, list[int]]:
+    """Which readings of each instrument are outliers, by its name."""
+    numbers: dict[str, list[int]] = {}
+    for outlier in outliers:
+        numbers.setdefault(outlier.target, []).append(outlier.reading - first[outlier.target])
+    return numbers
+
+
+def _some(readings: Readings, chosen: IntArray) -> Readings:
+    covariance = None if readings.covariance is None else readings.covariance[chosen]
+    parts = (readings.visits[chosen], readings.pairs[chosen], readings.values[chosen])
+    return Readings(*parts, covariance, readings.details[chosen])
+
+
+def _together(tables: list[ReadingErrors]) -> tuple[ReadingErrors, ...]:
+    """One table for each part; rows in the order of the sets."""
+    result = []
+    for key in dict.fromkeys((table.part, table.turns) for table in tables):
+        own = [table for table in tables if (table.part, table.turns) == key]
+        parts: dict[str, object] = {}
+        for field in fields(ReadingErrors):
+            values = [getattr(table, field.name) for table in own]
+            if isinstance(values[0], np.ndarray):
+                parts[field.name] = np.concatenate(values)
+            elif isinstance(values[0], tuple):
+                parts[field.name] = sum(values, ())
+        result.append(replace(own[0], **parts))  # type: ignore[arg-type]
+    return tuple(result)
+
+
+def _of_set(
+    group: str, errors: ErrorSet, placed: Robot, calibrated: Robot | None, outliers: Mapping[str, list[int]]
+) -> list[ReadingErrors]:
+    """The errors of one set of readings, by instrument and part, pose by pose."""
+    data = errors.data
+    names = {one.name for one, part, _ in errors.parts() if not part.is_position}
+    if not names:
+        return []
+    data = replace(data, readings={name: data.readings[name] for name in data.readings if name in names})
+    seen = {"before": _seen(placed, data)}
+    if calibrated is not None:
+        seen["after"] = _seen(calibrated, data)
+    tables = []
+    for one, part, rows in errors.parts():
+        if part.is_position:
+            continue
+        readings = data.readings[one.name]
+        residuals = {state: getattr(errors, state)[one.name][:, rows] for state in STATES}
+        arrows, turns, best = {}, False, seen[max(seen, key=STATES.index)][one.name]
+        for state in STATES:
+            about = seen.get(state, seen["before"])[one.name]
+            motion, turns = smallest_motion(about.by_motion[:, rows], residuals[state])
+            arrows[state] = np.einsum("nij,nj->ni", about.axes, motion)
+        state = "before" if calibrated is None else "after"
+        told = one.texts(readings.pairs, readings.details)
+        outlier = np.zeros(len(readings), dtype=bool)
+        outlier[outliers.get(one.name, [])] = True
+        table = ReadingErrors(
+            part=part,
+            turns=turns,
+            joints=data.joints[readings.visits],
+            anchors=best.points - (0.0 if turns else np.nan_to_num(arrows[state])),
+            before=arrows["before"],
+            after=arrows["after"],
+            residuals_before=residuals["before"],
+            residuals_after=residuals["after"],
+            group=(group,) * len(readings),
+            outlier=outlier,
+            labels=tuple(data.names[visit] for visit in readings.visits),
+            targets=tuple(" ".join((one.name, *words)) for words in zip(*told.values(), strict=True))
+            if told
+            else (one.name,) * len(readings),
+        )
+        tables.append(table.subset(np.argsort(data.pose_numbers[readings.visits], kind="stable")))
+    return tables
+
+
+def smallest_motion(by_motion: FloatArray, residuals: FloatArray) -> tuple[FloatArray, bool]:
+    """Return the smallest motions, or turns, that explain residuals, and whether they are turns.
+
+    Args:
+        by_motion: Derivative of the residuals by the motion [dp; dw], (n, n_axes, 6).
+        residuals: Predicted minus read, (n, n_axes) [SI]; NaN where a component was not read.
+
+    Returns:
+        (n, 3) [m, or rad of turns]; NaN where nothing was read.
+    """
+    turns = not by_motion[:, :, :3].any()
+    read: BoolArray = np.isfinite(residuals)
+    by = np.where(read[:, :, None], by_motion[:, :, 3:] if turns else by_motion[:, :, :3], 0.0)
+    motion = np.einsum("nij,nj->ni", np.linalg.pinv(by, rcond=1e-9), np.nan_to_num(residuals))
+    result: FloatArray = np.where(np.any(read, axis=1)[:, None], motion, np.nan)
+    return result, bool(turns)
+
+
+def _seen(robot: Robot, data: Measurements) -> dict[str, _Seen]:
+    """What the readings of each instrument are about, by its name."""
+    configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
+    mechanism, base = robot.mechanism, robot.mechanism.targets[0].a
+    views, result = seen_by(robot, configurations, data.readings), {}
+    joints = mechanism.all_joints(configurations.actuated, configurations.passive)
+    for name, readings in data.readings.items():
+        one, seen = robot.instrument(name), views[name]
+        poses: FloatArray = np.tile(
+            np.eye(4), (len(readings), 1, 1)
+        )  # of the frame that it looks from, or of the joint
+        points: FloatArray = np.zeros((len(readings), 3))
+        compared = one.compare(seen, robot.values[robot.unknowns(name)], readings)
+        if isinstance(compared, Comparison):
+            assert isinstance(one, FrameInstrument)
+            assert isinstance(seen, View)
+            for number, pair in enumerate(robot.pairs(one)):
+                chosen = np.flatnonzero(readings.pairs == number)
+                if pair.a != base and len(chosen):
+                    poses[chosen] = _poses(robot, joints, base, pair.a)[readings.visits[chosen]]
+            by_motion, points = compared.by_twist, one.point_seen(seen, readings.details)
+        else:
+            assert isinstance(one, JointInstrument)
+            index = mechanism.origin_names.index(one.joint)
+            poses = _poses(robot, joints, base, index + 1)[readings.visits]
+            by_motion = compared.by_joint[:, :, None] * mechanism.axes[index]
+        points = np.einsum("nij,nj->ni", poses[:, :3, :3], points) + poses[:, :3, 3]
+        result[name] = _Seen(points, poses[:, :3, :3], compared.residuals, by_motion)
+    return result
+
+
+def _poses(robot: Robot, joints: FloatArray, base: int, frame: int) -> FloatArray:
+    """Where a frame of the mechanism is in the measurement frame at joint values (n, n_joints), (n, 4, 4) [m]."""
+    pair = RelativeFrame("frame", base, frame, False, (0, 1, 2))
+    return kinematics.relative_pose(kinematics.sweep(robot.mechanism, joints, (pair,)), pair)

@@ -1,0 +1,57 @@
+"""The public names, listed here alone: type checkers read this file, and so does `calib` when it is imported."""
+
+from calib.base.errors import CalibrationError as CalibrationError
+from calib.base.errors import ComputationError as ComputationError
+from calib.base.errors import DataError as DataError
+from calib.base.errors import DescriptionError as DescriptionError
+from calib.base.errors import InputError as InputError
+from calib.base.errors import NotConvergedError as NotConvergedError
+from calib.base.errors import NotIdentifiableError as NotIdentifiableError
+from calib.base.errors import ParameterError as ParameterError
+from calib.base.errors import UnreachablePoseError as UnreachablePoseError
+from calib.base.errors import UrdfError as UrdfError
+from calib.base.parameter import Parameter as Parameter
+from calib.calibration import Calibration as Calibration
+from calib.calibration import fit as fit
+from calib.data.in_memory import as_measurements as as_measurements
+from calib.data.in_memory import as_poses as as_poses
+from calib.data.measurement_files import read_measurements as read_measurements
+from calib.data.measurement_files import read_poses as read_poses
+from calib.data.measurements import Measurements as Measurements
+from calib.data.measurements import Poses as Poses
+from calib.data.parameter_files import read_parameters as read_parameters
+from calib.exporting.formats import export as export
+from calib.fitting.fitted import Fit as Fit
+from calib.judging.acceptance import Acceptance as Acceptance
+from calib.judging.acceptance import verify as verify
+from calib.planning.assessment import Assessment as Assessment
+from calib.planning.assessment import check as check
+from calib.planning.pose_sampling import sample as sample
+from calib.planning.progress import Progress as Progress
+from calib.planning.selection import Selection as Selection
+from calib.planning.selection import select as select
+from calib.planning.studies.study import study as study
+from calib.planning.studies.study_result import Study as Study
+from calib.planning.watch import Watch as Watch
+from calib.reporting.fleet import Fleet as Fleet
+from calib.reporting.fleet import fleet as fleet
+from calib.reporting.loaded_result import LoadedResult as LoadedResult
+from calib.reporting.loaded_result import load_result as load_result
+from calib.reporting.loaded_result import predict as predict
+from calib.reporting.result_comparison import ResultComparison as ResultComparison
+from calib.reporting.result_differences import compare as compare
+from calib.reporting.result_reading import load as load
+from calib.robots.held import Holds as Holds
+from calib.robots.loading import robot as robot
+from calib.robots.parameters import Origin as Origin
+from calib.robots.parameters import Parametrisation as Parametrisation
+from calib.robots.parameters import twist_of_edit as twist_of_edit
+from calib.robots.robot import Robot as Robot
+from calib.rows.simulate import simulate as simulate
+from calib.using.compensation import Compensation as Compensation
+from calib.using.compensation import compensate as compensate
+from calib.using.goals import Goals as Goals
+from calib.using.inverse import Solution as Solution
+from calib.using.inverse import solve as solve
+
+__version__: str

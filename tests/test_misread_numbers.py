@@ -82,7 +82,7 @@ def test_lengths_of_another_unit_fail(tmp_path, scale, priors):
         return
     assert fit.verdict.grade == "FAIL"
     text = next(one.text for one in fit.verdict.reasons if one.code == "lengths_scaled")
-    found = re.match(r"all lengths are measured ([\d.]+) % (longer|shorter)", text)
+    found = re.match(r"all measured lengths are ([\d.]+) % (longer|shorter)", text)
     assert float(found[1]) == pytest.approx(1.6, abs=0.3)
     assert found[2] == ("longer" if scale > 1 else "shorter")
 

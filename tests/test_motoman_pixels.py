@@ -43,4 +43,4 @@ def test_pixels_that_do_not_fit_their_camera_do_not_spoil_what_the_tracker_finds
     errors = fit.validation.errors("after")
     assert 1e3 * np.sqrt(np.mean(np.sum(errors**2, axis=1))) < 0.0735
     assert set(fit.offsets) == {"left", "right"}
-    assert "All readings of right at a pose are off alike" in fit.report(verbose=True)
+    assert "All readings of right at a pose share an error" in fit.report(verbose=True)

@@ -36,7 +36,7 @@ def test_a_fit_that_explains_the_poses_used_worse_than_the_nominal_robot_fails(g
     errors = good.identification
     worse = dataclasses.replace(errors, after={name: 2.0 * one for name, one in errors.before.items()})
     text = told(rules_model.residuals_grew, dataclasses.replace(good, identification=worse))["residuals_grew"]
-    assert text.startswith("the poses used are explained 2.00 times as badly as by the nominal robot")
+    assert text.startswith("errors at the poses used are 2.00 times those of the nominal robot")
 
 
 def test_instruments_that_contradict_each_other_are_named(tmp_path):

@@ -186,7 +186,7 @@ def test_terms_that_look_alike_are_added_together_and_none_is_claimed(tmp_path, 
     report = " ".join(fit.report(verbose=True).split())
     named = re.search(r"Joint terms added: ([a-z ]+) \(", report)
     assert set(named[1].split(" or ")) == set(told)
-    assert "which of them, the data cannot tell: they were added together" in report
+    assert "the data do not show which, so they were added together" in report
     alone = [calib.fit(robot, data, terms=term).predict(elsewhere) for term in (there, other)]
     assert np.all(fit.predict(elsewhere).std.mean() > [0.99 * one.std.mean() for one in alone])
 

@@ -358,7 +358,7 @@ def test_many_excluded_poses_are_no_outliers(arm, truth):
     positions = truth.positions(q) + SIGMA * np.random.default_rng(1).standard_normal((80, 1, 3))
     positions[::7] += np.random.default_rng(2).normal(0, 2e-3, positions[::7].shape)
     fit = calib.fit(arm, measurements(arm, q, positions), exclude_outliers=True)
-    assert "of 80 poses were excluded: so many are no outliers" in reason(fit, "many_excluded").text
+    assert "of 80 poses were excluded: so many cannot be outliers" in reason(fit, "many_excluded").text
     assert "Outliers left out: row" in fit.report(verbose=True)
     assert "with outliers, after" in fit.report(verbose=True)
 

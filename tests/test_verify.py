@@ -139,11 +139,11 @@ def test_errors_in_millimetres_and_the_ratio_tell_one_story(arm):
     found = verify(fit, measured(truth, rng.uniform(-1.2, 1.2, (30, 6)), rng))
     noise = fit.sigma * np.sqrt(3 * (90 - found.placed) / 90)
     assert np.hypot(noise, found.left_open) == pytest.approx(found.promised, rel=1e-6)
-    assert "The ratio decides" not in text_report(found, (), ())
+    assert "Judge by the ratio" not in text_report(found, (), ())
     apart = replace(found, verdict="calibrate again", ratio=1.457, promised=1.187e-3, left_open=1.1e-3)
     text = text_report(apart, (), ())
-    assert text.index("1.457 times as large as promised") < text.index("The ratio decides") < text.index("Changes")
-    assert "what the calibration leaves open 1.1000 mm" in text
+    assert text.index("1.457 times as large as promised") < text.index("Judge by the ratio") < text.index("Changes")
+    assert "uncertainty of the calibration 1.1000 mm" in text
 
 
 def test_a_joint_zero_that_no_parameter_stands_for_is_found(arm):

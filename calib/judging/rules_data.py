@@ -113,7 +113,7 @@ def moves_as_one(fit: Fit) -> Iterator[Reason]:
         yield Code.MOVES_AS_ONE.says(
             f"targets {listed([name for name in names if name in rigid])} keep their distances to {1e6 * RIGID:g} um,"
             f" while readings are off by {millimetres(fit.sigma):.3g} mm per axis: they were computed from one pose."
-            " Intervals count each pose once; an instrument of kind pose reads it as what it is"
+            " Intervals count each pose once; give the pose itself, to an instrument of kind pose"
         )
 
 
@@ -136,8 +136,8 @@ def outliers(fit: Fit) -> Iterator[Reason]:
         poses = total - len(fit.identification.data)
         if poses > EXCLUDED * total:
             yield Code.MANY_EXCLUDED.says(
-                f"{poses} of {total} poses were excluded: so many are no outliers; the model or the measurements are"
-                " wrong"
+                f"{poses} of {total} poses were excluded: so many cannot be outliers; the model or the measurements"
+                " are wrong"
             )
 
 
@@ -154,7 +154,7 @@ def used_for_both(fit: Fit) -> Iterator[Reason]:
         what = "are measurements that the fit has used" if any(same_reading) else "were measured at poses of the fit"
         yield Code.USED_FOR_BOTH.says(
             f"{sum(same_reading) or np.sum(same_pose)} of {counted(len(other), 'validation pose')} {what}: they prove"
-            " less than they seem to; validate with poses of their own"
+            " little; validate with other poses"
         )
 
 

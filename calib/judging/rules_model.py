@@ -93,9 +93,9 @@ def residuals_grew(fit: Fit) -> Iterator[Reason]:
     sums = [float(np.sum(one[believed])) for one in squares]
     if sums[1] > HARM**2 * sums[0]:
         yield Code.RESIDUALS_GREW.says(
-            f"the poses used are explained {np.sqrt(sums[1] / sums[0]):.2f} times as badly as by the nominal robot with"
-            " base and targets placed: the fit believes priors or weights more than the measurements; check the stated"
-            " noise and the sigmas of the description"
+            f"errors at the poses used are {np.sqrt(sums[1] / sums[0]):.2f} times those of the nominal robot with base"
+            " and targets placed: the fit follows priors or weights more than the measurements; check the stated noise"
+            " and the sigmas of the description"
         )
         return
     for one, part, of_part in fit.identification.parts():

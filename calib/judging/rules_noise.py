@@ -119,9 +119,9 @@ def _against_usual(fit: Fit, one: FoundNoise) -> Iterator[Reason]:
         none_fits = all(other.stated is None and other.sigma > GROSS * other.group.usual for other in fit.noise)
         yield Code.NOISE.says(
             f"noise found{_of(fit, one)} is {in_words(one, one.sigma)} per axis, more than such an instrument has"
-            f" ({in_words(one, usual)} at most): the model does not explain the measurements, and what is left may"
-            " have moved the parameters; look for what is missing or wrong in the description of the instrument, and"
-            " prove the result by another instrument",
+            f" ({in_words(one, usual)} at most): the model does not explain the measurements, and the rest may have"
+            " moved the parameters; look for what is missing or wrong in the description of the instrument, and check"
+            " the result with another instrument",
             grade="FAIL" if none_fits and not _proven_by_another(fit) else "CHECK",
             counted=False,
         )

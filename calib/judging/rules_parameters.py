@@ -94,8 +94,8 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
     gain = costs[0] - costs[1]
     if abs(part) > SCALED and gain > max(SCALED_SIGMAS**2, MOST * costs[0]):
         yield Code.LENGTHS_SCALED.says(
-            f"all lengths are measured {100 * abs(part):.2g} % {'shorter' if part > 0 else 'longer'} than the robot is"
-            " by its description: no robot is built so. Look at the unit of the measurements, the scale of the"
+            f"all measured lengths are {100 * abs(part):.2g} % {'shorter' if part > 0 else 'longer'} than in the"
+            " description: no robot is that far off. Look at the unit of the measurements, the scale of the"
             " instrument and the size of the artefact"
         )
 
@@ -118,8 +118,8 @@ def unlike_fleet(fit: Fit) -> Iterator[Reason]:
         whole = len(fleet.unlike) == len(fleet.parameters)
         what = "altogether" if whole else f"in {listed(fleet.unlike)}"
         yield Code.UNLIKE_FLEET.says(
-            f"this robot is unlike the {fleet.robots} of its fleet {what}: what they say of that was left out, so that"
-            " it takes more poses; look for a repair, a crash, another model or another convention"
+            f"this robot is unlike the {fleet.robots} of its fleet {what}: the fleet was not used there, so"
+            " more poses are needed; look for a repair, a crash, another model or another convention"
         )
 
 

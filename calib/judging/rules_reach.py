@@ -165,8 +165,8 @@ def blocks_disagree(fit: Fit) -> Iterator[Reason]:
     if apart is not None and apart.surely:
         yield Code.BLOCKS_DISAGREE.says(
             f"with {apart.cut} left out in turn, parameters move {apart.ratio:.2g} times as much as noise explains: the"
-            " model leaves out something that differs from place to place. Intervals, and what positions are known to,"
-            " count it; places unlike those measured may be further off"
+            " model leaves out something that differs from place to place. Intervals and the"
+            " uncertainty of positions count it; in places unlike those measured, errors may be larger"
         )
 
 

@@ -116,9 +116,9 @@ def changes_as_data(changes: Sequence[Change]) -> list[dict[str, object]]:
 def _errors(acceptance: Acceptance) -> list[str]:
     """What was measured beside what was promised: the ratio that decides, and the same in millimetres."""
     lines = [
-        f"Residuals are {acceptance.ratio:.3f} times as large as promised, each direction by how well it is known;"
-        f" {acceptance.low95:.3f} to {acceptance.high95:.3f} in 95 of 100 cases ({acceptance.freedom} degrees of"
-        f" freedom, p = {acceptance.p_value:.3g})"
+        f"Residuals are {acceptance.ratio:.3f} times as large as promised, each direction weighted by its uncertainty;"
+        f" 95 % interval {acceptance.low95:.3f} to {acceptance.high95:.3f} ({acceptance.freedom} degrees of freedom,"
+        f" p = {acceptance.p_value:.3g})"
     ]
     data = acceptance.errors.data
     if np.isfinite(acceptance.promised):
@@ -129,15 +129,15 @@ def _errors(acceptance: Acceptance) -> list[str]:
         noise = float(np.sqrt(max(promised**2 - left_open**2, 0.0)))
         lines.append(
             f"Position errors over {counted(data.n_poses, 'pose')}: {rms:.4f} mm rms, {table['mean']:.4f} mm"
-            f" mean, {table['max']:.4f} mm at worst; promised: {promised:.4f} mm rms, of noise {noise:.4f} mm and what"
-            f" the calibration leaves open {left_open:.4f} mm"
+            f" mean, {table['max']:.4f} mm at worst; promised: {promised:.4f} mm rms (noise {noise:.4f} mm,"
+            f" uncertainty of the calibration {left_open:.4f} mm)"
         )
         if (acceptance.ratio > 1.0) != (rms > promised) and acceptance.verdict != "agrees":
             lines.append(
-                "The ratio decides: millimetres are ruled by the few directions that the calibration leaves open, and"
-                " hide what the readings are off in all others"
+                "Judge by the ratio: the few directions that the calibration leaves uncertain dominate the millimetres,"
+                " and hide errors in all others"
                 if acceptance.ratio > 1.0
-                else "The ratio decides: millimetres are ruled by the readings that are furthest off"
+                else "Judge by the ratio: the few largest errors dominate the millimetres"
             )
     return lines
 
@@ -152,9 +152,10 @@ def _drift(acceptance: Acceptance) -> list[str]:
         largest = f"the largest, of {first.name}, has p = {acceptance.p_drift:.2g} ({FALSE_ALARM / 2:g} counts)"
         return [f"No change stands out: {largest}"]
     if acceptance.verdict != "drifted":
-        return [f"{first.name} alone would have changed by {size}, but of the rest p = {acceptance.p_rest:.2g}"]
+        rest = f"the rest has p = {acceptance.p_rest:.2g}"
+        return [f"A change of {first.name} by {size} does not explain the readings: {rest}"]
     others = [name for name in acceptance.alike if name != first.name]
-    lines = [f"{first.name} has changed by {size}; p = {acceptance.p_drift:.2g}, of the rest {acceptance.p_rest:.2g}"]
+    lines = [f"{first.name} has changed by {size}; p = {acceptance.p_drift:.2g}, the rest {acceptance.p_rest:.2g}"]
     if others:
         lines.append(f"These readings cannot tell it from a change of {listed(others)}")
     return lines

@@ -98,7 +98,7 @@ def _verdict(a: Assessment) -> list[str]:
 def _groups(a: Assessment, most: int | None) -> list[str]:
     """What moves together unseen: all of it, or so many groups at most."""
     if not a.groups:
-        return ["No parameters move together unseen."]
+        return ["Every combination of the parameters moves a measured position."]
     lines = ["These move together (by these amounts) without moving any measured position:"]
     single = [a.parameters[group.members[0]].name for group in a.groups if len(group.members) == 1]
     if len(single) > _SINGLE:
@@ -109,8 +109,7 @@ def _groups(a: Assessment, most: int | None) -> list[str]:
         lines.append(f"  {counted(len(listed) - len(listed[:most]), 'more group')} with --verbose")
     dropped = [a.parameters[k].name for k in a.elimination.dropped]
     lines.append(
-        f"To leave a determined set, hold {', '.join(dropped)}"
-        f" (condition number of the rest {a.elimination.conditions[-1]:.0f})"
+        f"Hold {', '.join(dropped)}, and the rest is determined (condition number {a.elimination.conditions[-1]:.0f})"
     )
     if {a.parameters[k].name for k in a.elimination.dropped} == {
         parameter.name for parameter, free in zip(a.parameters, a.free, strict=True) if not free

@@ -26,7 +26,7 @@ def notes(fit: Fit, *, brief: bool = False) -> list[str]:
     order = (_size, _noise, _scatter, _terms, _left, _curves, _determined, _observability, _held, _positions)
     lines = [line for told in (*order, _repeats, _options) if not (brief and told in elsewhere) for line in told(fit)]
     if any(p.placement for p in fit.nominal.parameters):
-        lines.append("'before' is with the base and the targets placed alone, the robot at nominal")
+        lines.append("'before' is the nominal robot, with only its base and targets placed")
     if fit.identification.data.ignored:
         lines.append(f"Columns that were not used: {', '.join(fit.identification.data.ignored)}")
     return lines
@@ -66,8 +66,8 @@ def _scatter(fit: Fit) -> list[str]:
             for (axis, part), size in zip(axes, offsets, strict=True)
         ]
         lines.append(
-            f"All readings of {name} at a pose are off alike (what the model leaves out): {', '.join(sizes)}. They are"
-            " weighed for it, because that predicts poses left out better"
+            f"All readings of {name} at a pose share an error (what the model leaves out): {', '.join(sizes)}."
+            " Their weights count it, because that predicts poses left out better"
         )
     if fit.chi_square is not None:
         chi = fit.chi_square
@@ -104,7 +104,7 @@ def _terms(fit: Fit) -> list[str]:
             )
             others = listed([_rival(kind, less) for kind, less in one.alike.items() if kind not in one.together])
             alike = f"; its kind is not proven, it may be {others}" if others else ""
-            which = "; which of them, the data cannot tell: they were added together" if one.together else ""
+            which = "; the data do not show which, so they were added together" if one.together else ""
             name = " or ".join([one.term, *one.together])
             (added if one.added else left).append(f"{name} ({one.why}{': ' if one.why else ''}{numbers}{which}{alike})")
     every = len(fit.terms.tried)
@@ -209,7 +209,7 @@ def _options(fit: Fit) -> list[str]:
             lines.append(f"Cross-validation in {folds}: RMS of each {', '.join(rms)} {unit}")
     if fit.placed_later:
         places = dict.fromkeys(name.rpartition(".")[0] for name in fit.placed_later)
-        lines.append(f"Places that only the poses not used show, and that these placed: {listed(list(places))}")
+        lines.append(f"Placed by the poses that were not used, because only these show them: {listed(list(places))}")
     return lines
 
 

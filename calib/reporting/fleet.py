@@ -309,9 +309,9 @@ def _notes(folders: Sequence[Path], odd: Sequence[int]) -> list[str]:
     notes = []
     check = [str(one) for one in folders if read_result(one)["verdict"]["grade"] == "CHECK"]
     if check:
-        notes.append(f"Verdict CHECK: {listed(check)}; what is systematic there counts as a property of the robot.")
+        notes.append(f"Verdict CHECK: {listed(check)}; systematic errors there count as properties of the robot.")
     if len(folders) - len(odd) < 5:
-        notes.append("Spreads of fewer than five robots are uncertain: what is expected of one more is wide for it.")
+        notes.append("Spreads of fewer than five robots are uncertain, so the prior of one more is wide.")
     if len(folders) == 2:
-        notes.append("Of two robots none can be told to be unlike the other.")
+        notes.append("With two robots, neither can be recognised as unlike the fleet.")
     return notes

@@ -65,7 +65,7 @@ class Pair:
             found = f"{counted(len(self.real), 'parameter')} of the robot differ{'s' * (len(self.real) == 1)}"
             found += f", {listed(self.real)}"
         elif self.together < REAL_BELOW:
-            found = "the robot differs, and no single parameter is proven to"
+            found = "the robot differs, but no single parameter is proven to"
         else:
             found = "no parameter of the robot differs"
         places = f"; put elsewhere: {listed(self.moved)}" if self.moved else ""

@@ -216,10 +216,10 @@ def _notes(first: _Result, other: _Result) -> list[str]:
     only = sorted(set(first.free) ^ set(other.free))
     if only:
         notes.append(
-            f"{pair}: {counted(len(only), 'parameter')} free in one alone ({only[0]}); others may differ for it."
+            f"{pair}: {counted(len(only), 'parameter')} free in one alone ({only[0]}); this may make others differ."
         )
     if "CHECK" in {one.content.get("verdict", {}).get("grade") for one in (first, other)}:
-        notes.append(f"{pair}: a verdict is CHECK; where errors are systematic, too much is called real.")
+        notes.append(f"{pair}: a verdict is CHECK; where errors are systematic, too many differences count as real.")
     return notes
 
 

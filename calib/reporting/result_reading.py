@@ -66,7 +66,9 @@ def load(path: Path | str) -> Robot:
         if not (folder / name).is_file():
             raise DataError(f"{folder}: has no {name}, and so gives no robot; run the fit again")
         if hashlib.sha256((folder / name).read_bytes()).hexdigest() != checksums.get(name):
-            raise DataError(f"{folder / name}: was changed after the fit, which holds no more; run the fit again")
+            raise DataError(
+                f"{folder / name}: was changed after the fit, so the result is no longer valid; run the fit again"
+            )
     return replace(load_calibrated(folder, loading.load(folder / NOMINAL_YAML)), path=str(path))
 
 
@@ -157,7 +159,7 @@ def poses_beyond_curves(folder: Path | str, robot: Robot, poses: Poses) -> list[
     joints = [robot.joint_names[j] for j in np.flatnonzero(np.any(outside, axis=0))]
     return [
         f"{counted(len(found), 'pose lies', 'poses lie')} where no error curve of {listed(joints)} was learned"
-        f" ({listed([poses.labels[k] for k in found])}): its band there is as wide as before measuring"
+        f" ({listed([poses.labels[k] for k in found])}): there it is as uncertain as before measuring"
     ]
 
 

@@ -180,7 +180,7 @@ def _indices(s: Selection) -> Printed:
 
 
 def _remarks(s: Selection) -> list[str]:
-    lines = [f"Targets of any two poses keep {millimetres(s.distance):.3g} mm"] if s.distance else []
+    lines = [f"Targets of any two poses are at least {millimetres(s.distance):.3g} mm apart"] if s.distance else []
     lines += [
         f"Order of measurement: travel {s.travel[1]:.1f} joint ranges, {s.travel[0]:.1f} in the candidates' order"
     ]
@@ -192,7 +192,7 @@ def _remarks(s: Selection) -> list[str]:
     elif s.rank_of_poses.rank < s.rank.rank:
         lines.append(
             f"All candidates together determine {s.rank_of_poses.rank} combinations of the {s.rank.n_columns} free"
-            " parameters, which the indices are about; priors hold the rest"
+            " parameters; the indices are about those, and priors hold the rest"
         )
     if s.sigma_assumed:
         lines.append("Unstated noise is assumed; state it with --sigma-mm or in the description")

@@ -1,9 +1,11 @@
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import calib
 from calib.base.errors import DataError, DescriptionError, InputError
 from calib.cli import group
 from calib.commands.boards import given_board
@@ -15,7 +17,7 @@ cv2 = pytest.importorskip("cv2")
 from calib.photographs.detection import detect  # noqa: E402
 from calib.photographs.images import shots  # noqa: E402
 from calib.photographs.opencv import read_image  # noqa: E402
-from calib.photographs.printing import page, raster  # noqa: E402
+from calib.photographs.printing import Paper, page  # noqa: E402
 
 CHARUCO = "charuco:6x8:30mm:21mm:DICT_5X5_100"
 BOARDS = {
@@ -27,9 +29,16 @@ BOARDS = {
 }
 
 
+def drawn(board, size, margin):
+    """A board as an image with pixels of this size and a white margin [m]."""
+    x, y = ((np.arange(np.ceil((length + 2 * margin) / size)) + 0.5) * size - margin for length in board.size)
+    places = np.stack(np.meshgrid(x, y), axis=-1)
+    return np.where(Paper(board).black(places.reshape(-1, 2)), 0, 255).astype(np.uint8).reshape(places.shape[:2])
+
+
 def seen(board, homography=None, size=(900, 760)):
     """A photograph by OpenCV's own warping, and the homography from the board [m] to it."""
-    flat = raster(board, 4e-4, 0.03)
+    flat = drawn(board, 4e-4, 0.03)
     if homography is None:
         homography = np.array([[0.95, -0.18, 160.0], [0.12, 0.9, 40.0], [1e-4, -1e-4, 1.0]])
     image = cv2.warpPerspective(flat, homography, size, borderValue=130)
@@ -61,13 +70,58 @@ def test_the_older_layout_is_told_by_trying_both():
     assert found.n_points == 35
 
 
+@pytest.mark.parametrize("board", ["chessboard:9x6:24.7mm", "charuco:7x5:30.3mm:22mm:DICT_5X5_100"])
+def test_a_printed_board_changes_colour_exactly_at_its_corners(board):
+    board = given_board(board)
+    paper, near = Paper(board), 1e-7
+    corners = np.array(list(board.points().values()))[:, :2]
+    around = [paper.black(corners + near * np.array(way)) for way in ((-1, -1), (1, -1), (-1, 1), (1, 1))]
+    assert np.all(around[0] == around[3])
+    assert np.all(around[1] == around[2])
+    assert np.all(around[0] != around[1])
+
+
+def test_photographs_of_a_simulated_robot_show_its_board_where_its_camera_sees_it(tmp_path, run_calib):
+    folder = tmp_path
+    arm = Path(__file__).parents[1] / "docs" / "examples" / "arm.urdf"
+    assert run_calib("init", arm, "--measure", "camera", "--out", "arm.yaml", cwd=folder).code == 0
+    assert run_calib("sample", "arm.yaml", "--count", 3, "--seed", 1, "--out", "poses.csv", cwd=folder).code == 0
+    simulate = ("simulate", "arm.yaml", "poses.csv")
+    done = run_calib(*simulate, "--photographs", "shots", "--out", "joints.csv", cwd=folder)
+    assert done.out.splitlines()[-1] == "3 simulated photographs written to shots"
+    assert run_calib(*simulate, "--sigma-mm", 0, "--out", "exact.csv", cwd=folder).code == 0
+    detected = run_calib("detect", "shots", "--board", "arm_board.yaml", "--out", "pixels.csv", cwd=folder)
+    assert detected.code == 0
+    robot = calib.load(folder / "arm.yaml")
+    exact = calib.read_measurements(folder / "exact.csv", robot)
+    seen = calib.read_measurements([folder / "joints.csv", folder / "pixels.csv"], robot)
+    by_place = [
+        {
+            (data.names[visit], number): pixel
+            for visit, (number,), pixel in zip(one.visits, one.details, one.values, strict=True)
+        }
+        for data in (exact, seen)
+        for one in (data.readings["camera"],)
+    ]
+    off = np.array([by_place[1][key] - by_place[0][key] for key in by_place[1] if key in by_place[0]])
+    assert len(off) > 20
+    assert np.max(np.abs(off)) < 0.5  # px; what is found of a corner that is seen at a steep angle
+    assert np.sqrt(np.mean(off**2)) < 0.2
+    without = run_calib(
+        "simulate", arm.with_suffix(".yaml"), "poses.csv", "--photographs", "no", "--out", "x", cwd=folder
+    )
+    assert without.code == 2
+    assert "has 0 cameras that can photograph" in without.err
+    assert not (folder / "no").exists()
+
+
 def test_the_drawing_is_opencvs_own():
     from calib.photographs.detection import opencv_board
 
     for legacy in (False, True):
         board = given_board("charuco:6x8:30mm:24mm:DICT_5X5_100").model_copy(update={"legacy": legacy})
         own = opencv_board(board, legacy).generateImage((6 * 70, 8 * 70), marginSize=0)  # 8 px a cell
-        assert np.mean(own != raster(board, 0.03 / 70, 0.0)) < 1e-3
+        assert np.mean(own != drawn(board, 0.03 / 70, 0.0)) < 1e-3
 
 
 @pytest.mark.parametrize(

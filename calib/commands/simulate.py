@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import click
 import numpy as np
 
 from calib.base.errors import InputError
+from calib.base.files import write_folder
 from calib.base.words import counted
 from calib.commands.common import (
     SIGMA_HELP,
@@ -17,9 +20,15 @@ from calib.commands.common import (
     with_values,
 )
 from calib.data.measurement_files import format_measurements
+from calib.data.measurements import Measurements
 from calib.data.plan_files import read_plan
+from calib.instruments.kind import Readings, View
+from calib.instruments.pixel import Pixel
+from calib.photographs.opencv import encoded
+from calib.photographs.rendering import Photographer
 from calib.robots.configurations import near_singularities
 from calib.robots.robot import Robot
+from calib.rows.observed import seen_by
 from calib.rows.simulate import simulate, unstated_noise
 
 
@@ -31,10 +40,22 @@ from calib.rows.simulate import simulate, unstated_noise
 )
 @click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}; 0: no noise of anything.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the noise.")
+@click.option(
+    "--photographs",
+    metavar="DIR",
+    help="Write what the camera photographs of its board, an image for each pose, in place of its pixels.",
+)
 @click.option("--out", required=True, metavar="FILE", help="CSV file to write.")
 @shared_options()
 def command(
-    robot: str, joints: str, parameters: str | None, sigma_mm: float | None, seed: int, out: str, output: Output
+    robot: str,
+    joints: str,
+    parameters: str | None,
+    sigma_mm: float | None,
+    seed: int,
+    photographs: str | None,
+    out: str,
+    output: Output,
 ) -> None:
     """Simulate measurements of ROBOT at the poses in JOINTS (CSV).
 
@@ -43,9 +64,10 @@ def command(
     """
     model = with_values(loaded(robot, output), parameters, None)
     sigma = None if sigma_mm is None else sigma_in_metres(sigma_mm, zero=True)
-    _require_noise(model, sigma)
+    camera = None if photographs is None else _camera(model)
+    _require_noise(model, sigma, camera)
     poses = read_plan(joints, model)
-    output.check(out)
+    output.check(out, folders=(photographs,))
     remarks = near_singularities(model, model.assemble(poses.joints, labels=poses.labels), poses.labels)
     measured = simulate(model, poses, sigma, np.random.default_rng(seed))
     truth = parameters or folder_of_values(robot, None, None) or "nominal parameters"
@@ -56,11 +78,52 @@ def command(
     moved = np.flatnonzero(np.any(measured.joints != poses.joints, axis=1))
     if len(moved):
         comments += (f"joint values of {counted(len(moved), 'visit')} are changed so that the robot touches",)
+    if photographs and camera:
+        with output.working("rendering photographs"):
+            images = _photographs(model, camera, measured, np.random.default_rng(seed))
+        others = {name: readings for name, readings in measured.readings.items() if name != camera.name}
+        measured = replace(measured, readings=others)
+        write_folder(photographs, images, force=output.force)
     output.write(out, format_measurements(model, measured, comments))
     output.remarks(remarks)
     output.say(f"{counted(len(poses), 'simulated pose')} written to {out}, seed {seed}")
+    if photographs:
+        output.say(f"{counted(len(poses), 'simulated photograph')} written to {photographs}")
     if len(moved):
         output.say(f"Joint values of {counted(len(moved), 'visit')} were changed so that the robot touches")
+
+
+def _camera(robot: Robot) -> Pixel:
+    """The one camera of a robot that looks at a board."""
+    cameras = [one for one in robot.instruments if isinstance(one, Pixel) and one.board and one.image]
+    if len(cameras) != 1:
+        raise InputError(
+            f"{robot.path}: has {counted(len(cameras), 'camera')} that can photograph; --photographs needs one, whose"
+            " 'board' and 'image' are stated"
+        )
+    return cameras[0]
+
+
+def _photographs(robot: Robot, camera: Pixel, data: Measurements, rng: np.random.Generator) -> dict[str, bytes]:
+    """What a camera photographs at each visit, by the name of the file."""
+    assert camera.board is not None
+    assert camera.image is not None
+    again = next((one for k, one in enumerate(data.names) if one in data.names[:k]), None)
+    if again is not None:
+        raise InputError(f"{data.path}: pose '{again}' is there twice; a photograph is called by its pose")
+    visits = np.arange(len(data))
+    pairs, nothing = np.zeros(len(data), dtype=np.intp), np.zeros((len(data), 0))
+    looks = Readings(visits, pairs, nothing, None, nothing)
+    configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
+    view = seen_by(robot, configurations, {camera.name: looks})[camera.name]
+    assert isinstance(view, View)
+    intrinsics = camera.numbers(robot.values[robot.unknowns(camera.name)])
+    photographer = Photographer(camera.board, intrinsics, (int(camera.image[0]), int(camera.image[1])))
+    poses = np.tile(np.eye(4), (len(data), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = view.rotation, view.translation
+    return {
+        f"{name}.png": encoded(photographer.photograph(pose, rng)) for name, pose in zip(data.names, poses, strict=True)
+    }
 
 
 def _noise_in_words(robot: Robot, sigma_mm: float | None) -> str:
@@ -72,9 +135,10 @@ def _noise_in_words(robot: Robot, sigma_mm: float | None) -> str:
     return f"{said} of positions, else as the description states it"
 
 
-def _require_noise(robot: Robot, sigma: float | None) -> None:
-    """Raise `InputError` if the noise of an instrument is not stated."""
-    unstated = [] if sigma == 0 else unstated_noise(robot, sigma)
+def _require_noise(robot: Robot, sigma: float | None, photographing: Pixel | None) -> None:
+    """Raise `InputError` if the noise of an instrument is not stated; photographs have a noise of their own."""
+    own = {photographing.name} if photographing else set()
+    unstated = [] if sigma == 0 else [name for name in unstated_noise(robot, sigma) if name not in own]
     if not unstated:
         return
     named = ", ".join(f"'{name}'" for name in unstated)

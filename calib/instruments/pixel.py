@@ -135,7 +135,7 @@ class Pixel(FrameInstrument):
 
     def predict(self, view: View, unknowns: FloatArray, details: FloatArray) -> FloatArray:
         """Return pixels, (n, 2); NaN for points that have no image."""
-        points, numbers = _in_camera(view, self._body(details)), self._numbers(unknowns)
+        points, numbers = _in_camera(view, self._body(details)), self.numbers(unknowns)
         pixels, seen = self._seen(points, numbers)
         if self.board is not None:
             seen &= self._found(self.board, view, numbers)
@@ -171,7 +171,7 @@ class Pixel(FrameInstrument):
     def compare(self, view: View, unknowns: FloatArray, readings: Readings) -> Comparison:
         """Return errors in the image, and how the twist and unknown intrinsics move them."""
         body = self._body(readings.details)
-        pixels, by_point, by_number = project(_in_camera(view, body), self._numbers(unknowns))
+        pixels, by_point, by_number = project(_in_camera(view, body), self.numbers(unknowns))
         turned = np.einsum("kab,kb->ka", view.rotation, body)
         by_twist = np.concatenate([by_point, -by_point @ cross_matrices(turned)], axis=2)
         return Comparison(pixels - readings.values, by_twist, by_number[:, :, self._unknown_numbers])
@@ -194,7 +194,7 @@ class Pixel(FrameInstrument):
             sightings = Sightings(
                 scene.links[chosen],
                 self._body(scene.readings.details[chosen]),
-                rays(scene.readings.values[chosen], self._numbers(scene.unknowns)),
+                rays(scene.readings.values[chosen], self.numbers(scene.unknowns)),
                 view.reshape(-1),
             )
             known = (not scene.unknown[names[0]], not scene.unknown[names[1]])
@@ -241,7 +241,8 @@ class Pixel(FrameInstrument):
     def _unknown_numbers(self) -> list[int]:
         return [NAMES.index(parameter.name.rpartition(".")[2]) for parameter in self.unknowns]
 
-    def _numbers(self, unknowns: FloatArray) -> FloatArray:
+    def numbers(self, unknowns: FloatArray) -> FloatArray:
+        """Return all intrinsics, (9,), with the unknown ones, (n,), in their places."""
         numbers = np.array(self.intrinsics)
         numbers[self._unknown_numbers] = unknowns
         return numbers

@@ -16,12 +16,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 
-from calib.base.arrays import FloatArray
+from calib.base.arrays import BoolArray, FloatArray
 from calib.base.errors import InputError
 from calib.instruments.board import Board
 from calib.photographs.detection import opencv_board
-from calib.photographs.opencv import GreyImage, dictionary
+from calib.photographs.opencv import dictionary
 
 FORMATS = ("pdf", "svg")
 PAPERS = {"a4": (0.210, 0.297), "a3": (0.297, 0.420), "a2": (0.420, 0.594), "letter": (0.2159, 0.2794)}
@@ -94,23 +95,33 @@ def _cells(name: str, number: int, corner: FloatArray, side: float) -> FloatArra
     return np.tile(corner, 2) + step * np.array(runs, dtype=float)
 
 
-def raster(board: Board, size: float, margin: float) -> GreyImage:
-    """Return a board as an image in grey values, with a white margin.
+class Paper:
+    """A printed board of which any place can be asked, exactly: edges of rectangles make a grid, whose cells are whole.
 
     Args:
         board: The board.
-        size: Of a pixel [m].
-        margin: Width of the margin [m].
     """
-    width, height = (int(np.ceil((length + 2 * margin) / size)) for length in board.size)
-    image = np.full((height, width), 255, np.uint8)
-    black = shapes(board)
-    for x0, y0, x1, y1 in np.rint((black.rectangles + margin) / size).astype(int):
-        image[y0:y1, x0:x1] = 0
-    x, y = np.meshgrid((np.arange(width) + 0.5) * size - margin, (np.arange(height) + 0.5) * size - margin)
-    for cx, cy, radius in black.discs:
-        image[(x - cx) ** 2 + (y - cy) ** 2 < radius**2] = 0
-    return image
+
+    def __init__(self, board: Board) -> None:
+        black = shapes(board)
+        self._edges = [np.unique(np.round(black.rectangles[:, (k, k + 2)], 12)) for k in (0, 1)]
+        across, down = (len(edges) + 1 for edges in self._edges)
+        self._cells = np.zeros((across, down), dtype=bool)
+        for one in black.rectangles:
+            (x0, x1), (y0, y1) = (
+                np.searchsorted(self._edges[k], np.round(one[[k, k + 2]], 12), side="right") for k in (0, 1)
+            )
+            self._cells[x0:x1, y0:y1] = True
+        self._discs = scipy.spatial.cKDTree(black.discs[:, :2]) if len(black.discs) else None
+        self._radius = float(black.discs[0, 2]) if len(black.discs) else 0.0
+
+    def black(self, places: FloatArray) -> BoolArray:
+        """Return what is black of places on the board, (n, 2) [m]; beyond it is none."""
+        at = [np.searchsorted(self._edges[k], places[:, k], side="right") for k in (0, 1)]
+        result: BoolArray = self._cells[at[0], at[1]]
+        if self._discs is not None:
+            result = result | (self._discs.query(places, distance_upper_bound=2 * self._radius)[0] < self._radius)
+        return result
 
 
 def page(board: Board, form: str, paper: str | None = None) -> bytes:

@@ -1,8 +1,9 @@
 """Simulated photographs: what a camera would see of a printed board, so that examples and tests need no camera.
 
 Every pixel is a few rays (`calib.instruments.camera.rays`, lens distortion included), each cut with the plane of the
-board, and looked up in a fine raster of it. Then come blur, noise and rounding to grey values, as in a camera. There is
-no light but a slope of brightness, and nothing stands in the way.
+board, where it is exactly known what is black (`calib.photographs.printing.Paper`): a raster would put every corner of
+the board beside its place. Then come blur, noise and rounding to grey values, as in a camera. There is no light but a
+slope of brightness, and nothing stands in the way.
 """
 
 from __future__ import annotations
@@ -17,10 +18,9 @@ from calib.base.arrays import FloatArray
 from calib.instruments.board import Board
 from calib.instruments.camera import project, rays
 from calib.photographs.opencv import GreyImage, encoded
-from calib.photographs.printing import raster
+from calib.photographs.printing import Paper
 
 _RAYS = 2  # across and down a pixel
-_PIXELS_OF_RASTER = 1200  # across a board
 _MARGIN = 0.12  # of the board: white paper around it
 _NODES = 40  # across the image, between which rays are interpolated
 _PAPER, _INK, _TABLE = 215.0, 35.0, 120.0
@@ -45,14 +45,11 @@ class Photographer:
     noise: float = 2.0
 
     def __post_init__(self) -> None:
-        step = max(self.board.size) / _PIXELS_OF_RASTER
-        margin = _MARGIN * max(self.board.size)
         width, height = self.size
         around = (np.arange(_RAYS) + 0.5) / _RAYS - 0.5
         u = (np.arange(width)[:, None] + around).ravel()
         v = (np.arange(height)[:, None] + around).ravel()
-        object.__setattr__(self, "_raster", raster(self.board, step, margin))
-        object.__setattr__(self, "_step", (step, margin))
+        object.__setattr__(self, "_paper", Paper(self.board))
         object.__setattr__(self, "_rays", _smooth_rays(u, v, self.intrinsics))
 
     def photograph(self, T_camera_board: FloatArray, generator: np.random.Generator) -> GreyImage:
@@ -62,8 +59,8 @@ class Photographer:
             T_camera_board: The pose.
             generator: Of the noise.
         """
-        paper: GreyImage = self._raster  # type: ignore[attr-defined]
-        step, margin = self._step  # type: ignore[attr-defined]
+        paper: Paper = self._paper  # type: ignore[attr-defined]
+        board, margin = np.array(self.board.size), _MARGIN * max(self.board.size)
         width, height = self.size
         fine = np.full((_RAYS * height, _RAYS * width), _TABLE)
         part = self._shown(T_camera_board, margin)
@@ -73,10 +70,10 @@ class Photographer:
         with np.errstate(divide="ignore", invalid="ignore"):
             depth = (normal @ place) / (directions @ normal)
         at = (depth[:, None] * directions - place) @ T_camera_board[:3, :2]
-        cell = np.floor(np.nan_to_num((at + margin) / step, nan=-1.0, posinf=-1.0, neginf=-1.0)).astype(np.int64)
-        inside = np.all((cell >= 0) & (cell < paper.shape[::-1]), axis=1) & (depth > 0)
+        at = np.nan_to_num(at, nan=-1e9, posinf=1e9, neginf=-1e9)
+        inside = np.all((at >= -margin) & (at <= board + margin), axis=1) & (depth > 0)
         grey = np.full(len(at), _TABLE)
-        grey[inside] = np.where(paper[cell[inside, 1], cell[inside, 0]] > 127, _PAPER, _INK)
+        grey[inside] = np.where(paper.black(at[inside]), _INK, _PAPER)
         fine[part] = grey.reshape(fine[part].shape)
         image = fine.reshape(height, _RAYS, width, _RAYS).mean(axis=(1, 3)) * np.linspace(0.9, 1.05, width)
         image = scipy.ndimage.gaussian_filter(image, self.blur)

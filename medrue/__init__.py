@@ -21,7 +21,7 @@ def robot_file(name: str = "medrue") -> Path:
     Raises:
         FileNotFoundError: The installation lacks its data.
     """
-    return _data_file(f"{name}.yaml", "urdf")
+    return _existing(f"urdf/{name}.yaml")
 
 
 def measurement_file() -> Path:
@@ -30,13 +30,25 @@ def measurement_file() -> Path:
     Raises:
         FileNotFoundError: The installation lacks its data.
     """
-    return _data_file("medrue_simulated.csv", "docs/examples")
+    return _existing("docs/examples/medrue_simulated.csv")
 
 
-def _data_file(name: str, in_checkout: str) -> Path:
-    """A file that an installed package has in its folder `urdf`, and a checkout elsewhere."""
+def page_files() -> dict[str, dict[str, Path]]:
+    """Paths of the files that the pages of the documentation use, by folder and name as the pages call them.
+
+    Raises:
+        FileNotFoundError: The installation lacks its data.
+    """
+    return {
+        folder: {path.name: path for path in sorted(_existing(f"{folder}/{one}").parent.iterdir()) if path.is_file()}
+        for folder, one in (("urdf", "medrue.urdf"), ("docs/examples", "arm.urdf"))
+    }
+
+
+def _existing(name: str) -> Path:
+    """A file of a checkout; an installed package has its folder inside itself."""
     package = Path(__file__).resolve().parent
-    candidates = (package / "urdf" / name, package.parent / in_checkout / name)
+    candidates = (package / name.removeprefix("docs/"), package.parent / name)
     for candidate in candidates:
         if candidate.is_file():
             return candidate

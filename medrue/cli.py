@@ -14,12 +14,13 @@ import numpy as np
 
 from calib.base.files import write_folder
 from calib.base.units import metres, millimetres
+from calib.base.words import counted, listed
 from calib.base.workers import Workers
 from calib.commands.common import Output, shared_options
 from calib.commands.program import run_program
 from calib.data.measurement_files import format_positions
 from calib.robots.loading import load
-from medrue import measurement_file, robot_file
+from medrue import measurement_file, page_files, robot_file
 from medrue.progress import Silent, TerminalBars
 
 if TYPE_CHECKING:
@@ -74,6 +75,22 @@ def demo_command(out: str, output: Output) -> None:
         f"Open {Path(out) / 'report.html'} for the report, and {Path(out) / 'viewer.html'} to look at the robot.\n"
         "With a robot of your own: calib init YOUR.urdf --out robot.yaml"
     )
+
+
+@group.command("examples")
+@shared_options()
+def examples_command(output: Output) -> None:
+    """Write the files that the pages of the documentation use: `urdf` and `docs/examples`, into this folder.
+
+    With them, every line of a tutorial runs without a checkout.
+    """
+    folders = page_files()
+    for folder, files in folders.items():
+        output.check(folders=(folder,), names=tuple(files))
+    for folder, files in folders.items():
+        write_folder(folder, {name: path.read_bytes() for name, path in files.items()}, force=output.force)
+    count = sum(map(len, folders.values()))
+    output.say(f"{counted(count, 'file')} written to {listed(sorted(folders))}")
 
 
 @group.command("poses")

@@ -94,3 +94,15 @@ def test_the_demonstration_runs_anywhere_and_names_the_files_to_open(installed, 
     told = next(line for line in out.splitlines() if line.startswith("Open "))
     named = [Path(word) for word in told.replace(",", " ").split() if word.endswith(".html")]
     assert [(tmp_path / path).is_file() for path in named] == [True, True]
+
+
+def test_lines_of_tutorials_run_without_a_checkout(installed, tmp_path):
+    paths = {"cwd": tmp_path, "PYTHONPATH": str(installed)}
+    out = run("-c", "from medrue.cli import main; main()", "examples", **paths)
+    assert out.endswith("written to docs/examples, urdf\n")
+    for folder in ("urdf", "docs/examples"):
+        written = {path.name for path in (tmp_path / folder).iterdir() if not path.name.startswith(".")}
+        assert written == {path.name for path in (ROOT / folder).iterdir()}
+    run("-m", "calib", "check", "docs/examples/arm.yaml", "docs/examples/arm_simulated.csv", **paths)
+    again = ("-c", "from medrue.cli import main; main()", "examples")
+    assert run(*again, **paths) == out  # what it wrote itself it may write again

@@ -29,6 +29,7 @@ EXAMPLES = {
     "calib compensate": "calib compensate docs/examples/arm.yaml program.csv --result out/arm --out corrected.csv",
     "calib export": "calib export out/arm --format mjcf --out arm.xml",
     "medrue demo": "medrue demo --out out/demo",
+    "medrue examples": "medrue examples",
     "medrue poses": "medrue poses --out poses.csv",
     "medrue study": "medrue study --out out/study",
     "medrue experiment": "medrue experiment --out out/experiment",

@@ -214,15 +214,15 @@ def fit(
         folds: Number of folds for cross-validation by pose, 0 for none; `setups`: every setup is one, placed anew.
         seed: Seed of perturbed starts, of folds, and of what is held out.
         terms: Joint terms in place of those of the description: `none`; or in addition to them: `auto` for those that
-            earn their place, or a list such as `curve,elbow=backlash` or `["curve", "elbow=backlash"]`.
+            predict left-out poses better, or a list such as `curve,elbow=backlash` or `["curve", "elbow=backlash"]`.
         fix: Parameters to leave as they are, beside those that the description holds.
         free: Parameters to find though the description holds them.
         prior: How far off parameters are expected to be, one standard deviation by name: a number [m or rad], or text
             such as `0.1 mm`.
-        executor: Who does the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
+        executor: What runs the fits of other starts and of folds: any `concurrent.futures` executor, or a number of
             processes on this machine; this process if not given.
-        progress: Called after each step with how many are done, and of how many that are known by then; three steps in
-            a plain fit, one more for each start and each fold.
+        progress: Called after each step with the number of steps done and of all steps known so far: three in a plain
+            fit, one more for each start and each fold.
     """
     robot = as_robot(robot).free(free).fix(fix)
     for name, how_far in (prior or {}).items():

@@ -73,10 +73,10 @@ def as_measurements(
         robot: Whose joints and instruments they are.
         poses: Poses with names, or actuated joints alone, (n, n_actuated) [m or rad]. Without `readings`: measurements,
             which are returned as they are; or a file or a data frame of them, or several (`read_measurements`).
-        readings: What each instrument read, by its name, a row for each pose, (n, n_values) [SI], NaN where it read
-            nothing; or `Readings`, where an instrument reads several things at a pose; of an instrument that reads no
-            numbers: words, as in its column of a file, empty where it read nothing. Where all instruments measure
-            positions: these, (n, n_targets, 3), or (n, 3) for one [m].
+        readings: Readings by the instrument's name, a row for each pose, (n, n_values) [SI], NaN where there is none.
+            `Readings`, if an instrument reads several things at a pose. Words, as in a file, for an instrument that
+            reads no numbers, empty where there is none. If all instruments measure positions: the positions,
+            (n, n_targets, 3), or (n, 3) for one target [m].
         names: Pose name of each row; without names, every row is a pose of its own.
 
     Raises:

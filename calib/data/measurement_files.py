@@ -51,7 +51,7 @@ def read_measurements(
         path: The file, or several that belong together; see the module docstring. Or data frames of pandas or polars,
             or dictionaries of columns, with the headers that files have.
         robot: Whose joints and instruments they are.
-        growing: Of a single file that somebody still writes, its lines so far, in which nothing may be read yet.
+        growing: For one file that is still being written: its lines so far, which may have no reading yet.
 
     Raises:
         DataError: The message names file, line and column.

@@ -45,9 +45,9 @@ class Poses(ReadOnlyArrays):
         approach: Direction in which each joint moved last before the visit, +1 or -1, 0 where not known,
             (n, n_actuated); None: not given.
         setups: Number of the setup of each visit, as the description counts them, (n,); None: the first.
-        wanted: What is to be read at these visits, as far as somebody says, by instrument: visits, pairs and details,
+        wanted: What is to be read at these visits, as far as stated, by instrument: visits, pairs and details,
             no values.
-        robot: Whose joints they are, as it was when they were made; None: nobody said.
+        robot: Whose joints they are, as it was when they were made; None: not stated.
     """
 
     _other_words = "measurements and poses"

@@ -68,8 +68,8 @@ def export(
 ) -> tuple[Gap, ...]:
     """Write a robot with its current values for another program.
 
-    A robot that was calibrated gets as much of it into a file as the format holds: where terms of joint errors have no
-    place, the robot that the fit found to be best without them (`calib.robots.held`).
+    The file gets the best robot that its format holds: if it has no place for joint terms, the robot that a fit found
+    to be best without them (`calib.robots.held`).
 
     Args:
         robot: The robot.
@@ -77,8 +77,8 @@ def export(
             closed. `drake`: URDF with Drake's ball constraints. `toolbox`: robot.yaml for toolbox-parallel-robots, with
             the URDF beside it under the same name. `dh`, `mdh`: Denavit-Hartenberg tables, standard and modified.
             `ur-kinematics`: for Universal Robots' ROS description. `joint-offsets`: a sign and a zero for each joint.
-            `xacro`: joint origins as properties. `joint-tables`: a folder of tables of what joints really are when
-            told a value, with the code that applies them (see `calib.exporting.joint_tables`). `klipper`, `marlin`,
+            `xacro`: joint origins as properties. `joint-tables`: a folder of tables of each joint's error, with
+            the code that applies them (see `calib.exporting.joint_tables`). `klipper`, `marlin`,
             `duet`: lines to paste into the settings of a delta printer (see `calib.exporting.printers`). `numpy`, `c`,
             `jax`, `torch`, `casadi`: the whole model as functions in that language (see `calib.functions`).
         path: File to write, or folder of `joint-tables`.
@@ -99,7 +99,8 @@ def export(
         InputError: Unknown format, an option that the format does not have, a place that cannot be written, a file
             there that should not be replaced, or loops that the format cannot express.
         ComputationError: The robot that the format holds is worse than the nominal one at poses that judge it, or
-            nobody knows which is best without what it cannot hold; or no pose is known at which loops close.
+            it is not known, because no fit was made without what it cannot hold; or no pose is known at which loops
+            close.
     """
     robot = as_robot(robot)
     path = Path(path)

@@ -63,7 +63,7 @@ class Acceptance:
         verdict: `agrees`, `drifted`, `noisier` or `calibrate again`.
         ratio: Root mean square whitened residual, which is 1 as promised; it decides. Each direction counts by how well
             the calibration knows it.
-        low95, high95: What it lies between in 95 of 100 cases if the robot is as promised.
+        low95, high95: Limits of the ratio in 95 of 100 cases, if the robot is as promised.
         p_value: Chance of so large a ratio then.
         p_drift: Chance of so large a single change then.
         p_rest: Chance of the rest, once the largest change is taken out.

@@ -64,7 +64,7 @@ class Assessment(ReadOnlyArrays):
         sigma_assumed: Whether it was not stated.
         determination: Ranks of all and of the free parameters, from the poses alone and with priors.
         known: How well poses and priors determine the free ones; in units of `determination.lengths`.
-        groups: Parameters that move together unseen, of all parameters, from the poses alone.
+        groups: Groups of parameters whose common change no pose shows, of all parameters, from the poses alone.
         open_groups: The same of the free ones, priors included: what stays undetermined.
         elimination: Parameters to hold so that the poses determine the rest.
         scaled, raw: O1 to O5 of the free parameters, on columns scaled by sigma [m], and in mm per unit of table; where
@@ -161,11 +161,11 @@ def check(
         robot: The robot.
         poses: Poses that are or would be measured; of measurements, only joint values and number of readings are used.
             Or joint values alone, (n, n_actuated) [m or rad].
-        task: Poses whose accuracy counts, likewise; the same if not given.
+        task: Poses whose accuracy counts, in the same form; `poses` if not given.
         sigma: Noise of one reading per axis [m]; the description's if not given.
 
     Raises:
-        InputError: The robot is none.
+        InputError: `robot` is not a robot.
         DataError: Fewer measured coordinates than free parameters that no prior holds.
         UnreachablePoseError: A pose cannot be assembled.
     """

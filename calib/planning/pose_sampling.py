@@ -45,14 +45,14 @@ def sample(
 ) -> Poses:
     """Return `count` poses that the robot can take, named by their number; at contact where it touches something.
 
-    Where too few poses touch anything, as the description places it, they are all left as they are, and say nothing of
-    touches (`calib.rows.observed.unsaid_touches`). Where too few are found at which a camera sees anything, the rest
-    see nothing (`seen_at` tells which).
+    If too few poses come to contact with what the description places, none is at contact, and none says what it touches
+    (`calib.rows.observed.unsaid_touches`). If too few are found at which a camera sees anything, the others see nothing
+    (`seen_at` tells which).
 
     Args:
         robot: The robot at its present values.
         count: How many.
-        seed: Of the joint values; or where the random numbers come from.
+        seed: Seed of the joint values, or a generator of random numbers.
         within: Ranges to stay in, inside the joint limits: by name [SI]; or poses, or joint values alone, that span
             them, (n, n_actuated) [m or rad].
 

@@ -67,7 +67,7 @@ class Progress(ReadOnlyArrays):
         obstacle: Why they do not.
         predicted: Error over the candidates that noise leaves, by the covariance of the fit.
         unseen: Error at the last poses, each judged by a fit that had not seen it; noise of the readings included.
-            Where nobody reads positions: what the errors of readings show of it.
+            Without measured positions: what the errors of readings show of it.
         n_unseen: How many poses that is about.
         n_settled: How many of them were judged by fits whose predicted error met the goal.
         next_pose: Where to measure next; None where all candidates are measured.

@@ -76,9 +76,10 @@ def select(
         robot: The robot; its present values are where it is linearised.
         candidates: Poses to choose from, (n, n_actuated) [m or rad], or from a file.
         count: How many to choose; or how many with each instrument, by name (several joined by `+` read together).
-        index: What to make best: O1 to O5, or `task`, the predicted position error over the task poses.
-        instruments: `all` read at every chosen pose. `each`: for every chosen pose also one instrument. Or the ones to
-            choose among, several joined by `+` where they read together. A pose may be chosen with several.
+        index: What to optimise: O1 to O5, or `task`, the predicted position error over the task poses.
+        instruments: `all`: every instrument reads at every chosen pose. `each`: one instrument is chosen with every
+            pose. Or a list of those to choose from; `+` joins instruments that read together. A pose may be chosen
+            with several.
         measured: Poses that are measured already; the chosen ones are to complement them.
         task: Poses whose accuracy counts, for the task index; the candidates if not given.
         exclude: Candidates not to choose, by their number.
@@ -90,7 +91,7 @@ def select(
             go.
         skip_unreachable: Leave out candidates that cannot be assembled, instead of an error.
         sigma: Noise of one reading per axis [m]; the description's if not given.
-        executor: Who does the starts, and the moves off the grid: any `concurrent.futures` executor, or a number of
+        executor: What runs the starts, and the moves off the grid: any `concurrent.futures` executor, or a number of
             processes on this machine; this process if not given.
         progress: Called with how many starts are done and of how many; then with how many poses have found their place
             off the grid.

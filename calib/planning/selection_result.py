@@ -31,7 +31,7 @@ class Selection(ReadOnlyArrays):
     """Chosen poses, in the order of measurement.
 
     Attributes:
-        index: What was made best: O1 to O5 or `task`.
+        index: What was optimised: O1 to O5 or `task`.
         chosen: Which of the poses to choose from, (count,); where poses left the grid, the ones that they started from.
         instruments: What reads at each, count of them, several joined by `+`; none where all instruments read at all.
         groups: What was chosen among; none likewise. Exchanges count poses with the first of them, then with the next.

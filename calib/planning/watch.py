@@ -60,10 +60,10 @@ class Watch:
         candidates: Poses that the goal is about, and to choose the next one from; or joint values alone, (n,
             n_actuated) [m or rad]. Sampled over the joint limits if not given.
         sigma: Noise of one measured position per axis [m]; the description's if not given.
-        seed: Of sampled candidates, and of poses to check with.
+        seed: Seed of sampled candidates, and of poses to check with.
 
     Raises:
-        InputError: The goal is no positive length.
+        InputError: The goal is not a positive length.
         DataError: No candidates can be sampled.
     """
 

@@ -73,7 +73,7 @@ class Fleet(ReadOnlyArrays):
         spread: Standard deviation from robot to robot, (n,) [SI].
         shown: By how many robots each parameter was shown, (n,).
         values, stds: Of each robot, with what the others say of it, (n_robots, n) [SI]; an odd one's as it was found.
-        notes: What to know before believing it.
+        notes: What to know before using it.
     """
 
     robot: Robot
@@ -162,13 +162,13 @@ def urdf_beside(path: Path | str) -> Path:
 
 
 def fleet(*results: Path | str) -> Fleet:
-    """Learn from results of robots of one model what one more is like.
+    """Learn from results of robots of one model what to expect of the next one.
 
     Args:
         results: Two or more result folders, of different robots with the same URDF and parameters.
 
     Raises:
-        InputError: Fewer than two, or one twice.
+        InputError: Fewer than two, or the same one twice.
         DataError: A folder holds no result, or a damaged one, or one of another model, with other parameters, or of the
             same readings.
         ComputationError: A result failed, and was not forced.

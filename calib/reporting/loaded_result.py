@@ -32,7 +32,7 @@ class LoadedResult(ReadOnlyArrays):
         parameters: What was found of each parameter, by name.
         content: What `result.json` says, in mm and degrees.
         uncertainty: How sure the free parameters are.
-        joints: Of the visits that they were found from, (n, n_actuated) [m or rad].
+        joints: Joint values of the visits that the fit used, (n, n_actuated) [m or rad].
     """
 
     _other_words = "a fit"
@@ -114,7 +114,7 @@ def load_result(folder: Path | str) -> LoadedResult:
 
     Raises:
         DataError: The folder holds no result, or a damaged one.
-        ComputationError: The result failed, and was not forced.
+        ComputationError: The verdict of the result is FAIL, and it was not forced.
     """
     content, robot = read_result(folder), load(folder)
     rows = zip(content["parameters"], robot.parameters, robot.values, strict=True)
@@ -134,7 +134,7 @@ def predict(calibrated: Robot | Fit | LoadedResult, poses: PosesLike) -> Positio
     """Predict positions of all targets, loops closed.
 
     Args:
-        calibrated: A fit or a loaded result, which know how sure they are; or a robot alone, with a covariance of NaN.
+        calibrated: A fit or a loaded result. Or a robot alone: then the covariance is NaN.
         poses: Poses, whose conditions (load, temperature, time) count; or actuated joints alone, (n, n_actuated)
             [m or rad].
 

@@ -86,7 +86,7 @@ class ResultComparison:
             that none of them used; empty where there are none.
         differences: One for each parameter.
         pairs: What each two of them differ in, those with the first one first.
-        notes: What to know before believing it.
+        notes: What to know before using it.
     """
 
     names: tuple[str, ...]

@@ -85,10 +85,10 @@ def compare(*results: Fit | Path | str) -> ResultComparison:
     """Compare results of the same robot; see the module docstring for the tests.
 
     Args:
-        results: Two or more fits, or result folders; each two are compared.
+        results: Two or more fits, or result folders; they are compared in pairs.
 
     Raises:
-        InputError: Fewer than two, or one twice.
+        InputError: Fewer than two, or the same one twice.
         DataError: A folder holds no result, or one of another robot.
     """
     if len(results) < 2:

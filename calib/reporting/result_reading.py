@@ -48,13 +48,13 @@ def load(path: Path | str) -> Robot:
     """Load a robot from a description (YAML), a plain URDF (`calib.robots.loading.load`), or calibrated from a result.
 
     Args:
-        path: Of the file, or of the folder of the result.
+        path: Path of the file, or of the folder of the result.
 
     Raises:
         UrdfError: The URDF is not valid.
         DescriptionError: There is nothing, or the description is not valid, or does not fit the URDF.
         DataError: The folder holds no result, or a damaged one.
-        ComputationError: The result failed, and was not forced.
+        ComputationError: The verdict of the result is FAIL, and it was not forced.
     """
     folder = Path(path)
     if not folder.suffix and not folder.exists():
@@ -93,7 +93,7 @@ def load_calibrated(folder: Path | str, robot: Robot, *, failed_too: bool = Fals
 
     Raises:
         DataError: The folder holds no result, or one of another robot.
-        ComputationError: The result failed, and was not forced.
+        ComputationError: The verdict of the result is FAIL, and it was not forced.
     """
     content = read_result(folder)
     robot = _with_stored_terms(folder, content, robot)
@@ -206,7 +206,7 @@ def load_known(folder: Path | str, robot: Robot) -> KnownRobot:
 
     Raises:
         DataError: The folder holds no result, one of another robot, or a damaged one.
-        ComputationError: The result failed, and was not forced.
+        ComputationError: The verdict of the result is FAIL, and it was not forced.
     """
     calibrated = load_calibrated(folder, robot)
     codes = read_result(folder).get("verdict", {}).get("codes", ())
@@ -224,7 +224,7 @@ def load_promise(folder: Path | str, robot: Robot) -> Promise:
 
     Raises:
         DataError: The folder holds no result, one of another robot, or one without the noise of each instrument.
-        ComputationError: The result failed, and was not forced.
+        ComputationError: The verdict of the result is FAIL, and it was not forced.
     """
     calibrated, known, content = load_calibrated(folder, robot), load_uncertainty(folder, robot), read_result(folder)
     sigma: dict[tuple[str, str], float] = {}

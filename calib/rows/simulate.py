@@ -52,20 +52,20 @@ def simulate(
     """Return simulated measurements of a robot at its current parameter values.
 
     Instruments read what the poses say (`calib.data.plan_files.read_plan`), or all that they can. Where something is
-    touched, the joint values are changed so that it is. Unstated noise is none.
+    touched, the joint values are changed until the robot touches it. Noise that is not stated is zero.
 
     Args:
-        robot: The robot that plays the truth.
+        robot: The true robot.
         poses: Where to measure: poses, or joint values alone, (n, n_actuated) [m or rad].
         sigma: Standard deviation of the noise of positions per axis [m]; 0 for no noise of anything; None for what the
             description states.
-        seed: Of the noise; or where its random numbers come from.
-        joint_sigma: Standard deviation of what the joints are off at each visit, in their commands unseen [rad, or
+        seed: Seed of the noise, or a generator of random numbers.
+        joint_sigma: Standard deviation of joint errors at each visit that the joint values do not show [rad, or
             characteristic lengths].
 
     Raises:
-        InputError: The robot is none.
-        DataError: Sigma is not a number >= 0, or nobody says what is touched at a pose.
+        InputError: `robot` is not a robot.
+        DataError: Sigma is not a number >= 0, or a pose does not say what is touched.
         UnreachablePoseError: A pose cannot be assembled, or no contact was found near it.
     """
     robot, sigma = as_robot(robot), None if sigma is None else in_si(sigma, "length", "sigma")

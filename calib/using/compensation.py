@@ -149,14 +149,14 @@ def compensate(
     """Change a program for the nominal robot into one with which the calibrated robot does what was meant.
 
     Args:
-        calibrated: A fit or a loaded result; or a robot alone, of which nobody says how well it is known, and where it
-            was measured: its frame is laid over poses around home.
-        program: Joints of the nominal robot, as `Poses` or (n, n_actuated) [m or rad]; or where it was told to bring a
-            target, in the measurement frame as the nominal description has it.
-        keep: What of a program of joints is kept, of `KEEP`; if not given, the pose where the joints can reach any.
+        calibrated: A fit or a loaded result. Or a robot alone: then errors to expect are not known, and its frame is
+            laid over poses around home.
+        program: Joints of the nominal robot, as `Poses` or (n, n_actuated) [m or rad]; or the `Goals` to which it
+            brings a target, in the measurement frame as the nominal description has it.
+        keep: What to keep of a program of joints, one of `KEEP`; if not given, the pose if the joints can reach any.
 
     Raises:
-        InputError: `keep` is none of `KEEP`, or is given for goals, which say themselves what they ask for.
+        InputError: `keep` is not one of `KEEP`, or is given with goals, which state it themselves.
         DataError: Goals of an unknown target, or joint values of the wrong shape.
     """
     known = known_robot(calibrated)

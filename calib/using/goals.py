@@ -41,7 +41,7 @@ class Goals:
         context: Conditions, as of `Poses`, (n,) [SI] by name.
         approach: Direction from which each joint comes, +1 or -1, (n, n_actuated); None: not known.
         setups: Number of the setup whose direction of gravity counts, (n,); None: the first.
-        stands: What joints are there that inclinometers read and nobody commands, by name, (n,) or one number [rad].
+        stands: Values of the joints that inclinometers read, by name, (n,) or one number [rad].
     """
 
     positions: FloatArray

@@ -91,16 +91,16 @@ def solve(
     """Find joint values that bring a target to its goals in the measurement frame.
 
     Args:
-        calibrated: The robot, with nominal or calibrated parameters. A fit or a loaded result says how sure its robot
-            is, and where its verdict is that nothing is to be corrected, the nominal robot counts, with base and
-            targets where they agree best.
-        goals: Where the target is wanted; or positions of the first target alone, (n, 3) [m], with
+        calibrated: The robot, with nominal or calibrated parameters. With a fit or a loaded result, errors to expect
+            are known too; if its verdict finds nothing to correct, the nominal robot is used, with base and targets
+            where they agree best.
+        goals: Goals of the target; or positions of the first target alone, (n, 3) [m], with
             NaN throughout for a coordinate that is not asked for. `Goals` may differ in that from row to row.
         near: Joint values to stay near where a goal leaves a choice, (n_actuated,) or (n, n_actuated) [m or rad]; home
             if not given.
 
     Raises:
-        InputError: The robot is none, or the goals are joint values.
+        InputError: `calibrated` is not a robot, or the goals are joint values.
         DataError: Unknown target, `near` of the wrong shape, or positions of which only some have a NaN.
     """
     frame = measurement_frame(known_robot(calibrated))

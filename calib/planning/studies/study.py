@@ -111,12 +111,12 @@ def study(
         resample: Simulate nothing: in each draw, as many poses of the measurements `poses` as there are, with
             replacement (`calib.planning.studies.study_data` says what that tells). The truth is what all of them give.
         sigma: Standard deviation of measured positions per axis [m], in place of what the description states.
-        noise: What makes the readings of a draw of exact ones and a generator, if it is not normal noise as stated; a
-            function of a module, so that other processes find it.
+        noise: Function of exact measurements and a generator that returns the readings of a draw; normal noise as
+            stated if not given. It must be in a module, so that other processes find it.
         loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey`.
         elsewhere: Joint values of poses to predict, (n, n_actuated) [m or rad]; none if not given.
         seed: Seed of the whole study.
-        executor: Who does the draws: any `concurrent.futures` executor, or a number of processes on this machine; this
+        executor: What runs the draws: any `concurrent.futures` executor, or a number of processes on this machine; this
             process if not given.
         progress: Called with the number of draws done and of all draws, in the order of work.
 

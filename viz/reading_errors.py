@@ -83,11 +83,11 @@ class ReadingErrors(ReadOnlyArrays):
         return np.where(known, np.sqrt(np.nansum(residuals**2, axis=1)), np.nan)
 
     def rows_shown(self) -> IntArray:
-        """Return the rows that a page holds, ascending: all, or those that matter and others evenly spread."""
+        """Return the rows that a page holds, (n_shown,), ascending: all, or those that matter and others evenly spread."""
         return spread_rows(self.outlier, [self.sizes(state) for state in STATES])
 
     def subset(self, rows: IntArray | BoolArray) -> ReadingErrors:
-        """Return the rows with these numbers, or those of a mask."""
+        """Return the rows with these numbers, (n_chosen,), or those of a mask, (n,)."""
         chosen = np.arange(len(self))[rows]
         parts: dict[str, object] = {}
         for field in fields(ReadingErrors):

@@ -83,7 +83,7 @@ class ReadingErrors(ReadOnlyArrays):
         return np.where(known, np.sqrt(np.nansum(residuals**2, axis=1)), np.nan)
 
     def rows_shown(self) -> IntArray:
-        """Return the rows that a page holds, (n_shown,), ascending: all, or those that matter and others evenly spread."""
+        """Return the rows that a page holds, (n_shown,): all, or those that matter and others evenly spread."""
         return spread_rows(self.outlier, [self.sizes(state) for state in STATES])
 
     def subset(self, rows: IntArray | BoolArray) -> ReadingErrors:

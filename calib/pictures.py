@@ -16,8 +16,8 @@ from calib.base.errors import InputError
 from calib.base.files import image_address
 
 if TYPE_CHECKING:
-    from calib.base.arrays import FloatArray
     from calib.fitting.fitted import Fit
+    from calib.planning.progress import Progress
     from calib.reporting.fleet import Fleet
     from calib.reporting.result_comparison import ResultComparison
     from calib.robots.robot import Robot
@@ -54,8 +54,8 @@ class Live(Protocol):
     def url(self) -> str:
         """Address to open."""
 
-    def show(self, text: str, fit: Fit | None, joints: FloatArray | None) -> None:
-        """Show text, a fit, and the robot at joint values, (n_actuated,) [m or rad]."""
+    def show(self, told: Progress) -> None:
+        """Show what is known after the poses measured so far."""
 
     def close(self) -> None:
         """End it."""

@@ -10,14 +10,26 @@ import pytest
 import umsgpack
 from viz_examples import measurements, medrue_fit, medrue_robot
 
+import calib
 import viz
 from calib.base.errors import DataError, UnreachablePoseError
+from calib.planning.next_pose import NextPose
+from calib.rows.prediction import RootMeanSquare
 from viz.drawing import load_meshcat
 
 
 @pytest.fixture(scope="module")
 def fit():
     return medrue_fit(validation=None)
+
+
+def progress(fit, n_poses, high=1.5e-4):
+    """What a watch tells after so many poses, of a goal of 0.1 mm."""
+    robot = medrue_robot()
+    known = (RootMeanSquare(1e-4, 5e-5, high), RootMeanSquare(1.2e-4, 1e-4, high))
+    following = NextPose(7, "7", robot.home, 1e-4, 9e-5, 0.1)
+    obstacle = None if fit is not None else DataError("too few poses")
+    return calib.Progress(robot, 1e-4, n_poses, 300, fit, obstacle, *known, 20, 12, following, 0.1)
 
 
 @pytest.fixture
@@ -113,11 +125,29 @@ def test_other_measurements_can_be_shown_with_a_fit(fit):
 
 def test_another_fit_is_shown_with_what_is_told(viewer, messages, fit):
     before = viewer._server._page
-    viewer.show("12 poses\nnot yet", fit, fit.robot.home)
-    assert messages() == ("told", json.dumps("12 poses\nnot yet"))
+    viewer.show(progress(fit, 40))
+    event, data = messages()
+    told = json.loads(data)
+    assert (event, told["poses"], told["stop"], told["next"]["pose"], told["poses_left"]) == (
+        "told",
+        40,
+        False,
+        "7",
+        60,
+    )
+    assert told["history"] == [[40, pytest.approx(0.1), pytest.approx(0.12)]]
+    assert told["seconds_left"] is None  # one state tells no pace
+    assert "goal 0.1 mm: not yet" in told["words"]
     assert messages() == ("reload", "now")
     assert messages()[0] == "joints"
-    viewer.show("start here", None, None)
-    assert [messages()[0] for _ in range(2)] == ["told", "reload"]
+    viewer.show(progress(None, 50))
+    told = json.loads(messages()[1])
+    assert (len(told["history"]), told["poses_left"], told["seconds_left"]) == (2, None, None)
+    viewer.show(progress(fit, 50, high=9e-5))
+    event, data = messages()
+    while event != "told":
+        event, data = messages()
+    told = json.loads(data)
+    assert (told["stop"], told["poses_left"], [row[0] for row in told["history"]]) == (True, 0, [40, 50])
     assert set(viewer._server._state) == {"told"}
-    assert viewer._server._page == before
+    assert viewer._server._page == before  # of the same fit

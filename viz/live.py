@@ -5,22 +5,26 @@ from __future__ import annotations
 import base64
 import html
 import json
+import math
 import operator
+import time
 from types import TracebackType
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib import Fit
-from calib.base.arrays import FloatArray
+from calib import Progress
 from calib.base.errors import DataError
+from calib.base.units import millimetres
 from calib.robots.configurations import joint_vector
 from viz.bodies import posed_robot
 from viz.drawing import load_meshcat, pack
 from viz.inputs import Shown, gather
 from viz.server import PageServer
 from viz.viewer_page import scene_page
+
+_PACE = 10  # states that tell how long a pose takes
 
 
 class LiveViewer:
@@ -44,6 +48,8 @@ class LiveViewer:
 
     def __init__(self, shown: Shown, port: int = 0) -> None:
         self._shown = shown
+        self._history: list[tuple[float | None, ...]] = []  # poses, predicted and unseen error [mm]
+        self._pace: list[tuple[float, int]] = []  # when how many poses were measured [s]
         self._server = PageServer(scene_page(shown.scene, live=True).html, port)
 
     @property
@@ -104,22 +110,35 @@ class LiveViewer:
         content = {**moved, "joints": joints[0].tolist(), "targets": targets, "predicted": predicted}
         self._server.send("joints", json.dumps(content), keep="pose")
 
-    def show(self, text: str, fit: Fit | None, joints: FloatArray | None) -> None:
-        """Show a fit with a text, in place of what was shown, and move the robots; browsers load the page again.
+    def show(self, told: Progress) -> None:
+        """Show what is known after the poses measured so far, in the measuring cockpit above the picture.
 
-        Args:
-            text: Lines to put above the picture.
-            fit: The fit; None: the robot as it was.
-            joints: Joint values to move to, (n_actuated,) [m or rad]; None: the first pose of the table.
+        Stop or go, the next pose and the errors come at once; then the fit, in place of what was shown, and the robots
+        at the next pose; at the first one of the table where there is none.
         """
-        if fit is not None:
-            self._shown = gather(fit.nominal, fit)
-        self._server.send("told", json.dumps(text), keep="told")
+        self._server.send("told", json.dumps(self._cockpit(told), allow_nan=False), keep="told")
+        if told.fit is not None:
+            self._shown = gather(told.fit.nominal, told.fit)
+        self._server.forget("pose")
         self._server.replace(scene_page(self._shown.scene, live=True).html)
-        if joints is None:
-            self._server.forget("pose")
-        else:
-            self.display(joints)
+        if told.next_pose is not None and not told.stop:
+            self.display(told.next_pose.joints)
+
+    def _cockpit(self, told: Progress) -> dict[str, object]:
+        """What the page's script reads: the state, its words, the states before it, and how long the rest takes."""
+        known = [millimetres(one.value) if math.isfinite(one.value) else None for one in (told.predicted, told.unseen)]
+        if self._history and told.n_poses <= (self._history[-1][0] or 0):  # lines were taken back
+            self._history = [row for row in self._history if (row[0] or 0) < told.n_poses]
+            self._pace = []
+        self._history.append((told.n_poses, *known))
+        self._pace = [*self._pace[1 - _PACE :], (time.monotonic(), told.n_poses)]
+        (start, first), (end, last) = self._pace[0], self._pace[-1]
+        left, each = told.poses_left, (end - start) / (last - first) if last > first else None
+        return told.to_dict() | {
+            "words": "\n".join(told.judged()),
+            "history": self._history,
+            "seconds_left": None if left is None or each is None else left * each,
+        }
 
     def wait_for_browser(self, timeout: float) -> bool:
         """Wait until a browser has connected, at most `timeout` seconds; say whether one has."""

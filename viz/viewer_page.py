@@ -31,6 +31,7 @@ _SCRIPTS = (
     "theme.js",
     "picture.js",
     "controls.js",
+    "cockpit.js",
     "start.js",
 )
 

@@ -103,7 +103,7 @@ def _follow(watch: Watch, file: GrowingFile, every: float, viewer: Live | None, 
         told = watch.update(data)
         _tell(told, output)
         if viewer is not None:
-            viewer.show(told.report(), told.fit, None if told.next_pose is None else told.next_pose.joints)
+            viewer.show(told)
         if told.stop and viewer is None:
             return
         data = None

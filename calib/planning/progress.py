@@ -107,9 +107,29 @@ class Progress(ReadOnlyArrays):
         """Whether more poses cannot help: noise leaves less than the goal, but fits that say so are further off."""
         return self.predicted.high95 <= self.goal < self.unseen.low95 and self.n_settled == self.n_unseen
 
+    @property
+    def poses_left(self) -> int | None:
+        """About how many more poses the goal takes; None where that cannot be told.
+
+        The predicted error falls like the root of the number of poses, or faster where the next one is chosen well;
+        then at least `LEAST` poses must be predicted by fits that promise the goal.
+        """
+        if self.stop:
+            return 0
+        if self.fit is None or self.out_of_reach or not math.isfinite(self.predicted.high95):
+            return None
+        more = max(0, math.ceil(self.n_poses * ((self.predicted.high95 / self.goal) ** 2 - 1)))
+        if not more and self.n_settled >= LEAST:
+            return None
+        return more + LEAST - (0 if more else self.n_settled)
+
     def report(self) -> str:
         """Return it as text."""
         head = f"{counted(self.n_poses, 'pose')} ({self.seconds:.2f} s)"
+        return "\n  ".join([head, *self.judged(), *self._next()])
+
+    def judged(self) -> list[str]:
+        """Return the lines about the errors and the goal."""
         if self.fit is None:
             lines = [f"not yet a calibration: {self.obstacle}"]
         else:
@@ -117,8 +137,7 @@ class Progress(ReadOnlyArrays):
                 f"predicted error  {_shown(self.predicted)} over {self.n_candidates} candidates",
                 f"unseen error     {self._unseen_shown()}",
             ]
-        goal = f"goal {millimetres(self.goal):.4g} mm: {self._verdict()}"
-        return "\n  ".join([head, *lines, goal, *self._next()])
+        return [*lines, f"goal {millimetres(self.goal):.4g} mm: {self._verdict()}"]
 
     def to_dict(self) -> dict[str, object]:
         """Return it as data for JSON, in mm and degrees; None where not known."""
@@ -129,6 +148,7 @@ class Progress(ReadOnlyArrays):
                 "poses": self.n_poses,
                 "goal_mm": millimetres(self.goal),
                 "stop": self.stop,
+                "poses_left": self.poses_left,
                 "out_of_reach": self.out_of_reach,
                 "obstacle": None if self.obstacle is None else str(self.obstacle),
                 "predicted_mm": _as_data(self.predicted),

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from browser_tab import Tab
+from test_viz_live import progress
 from viz_examples import medrue_fit, medrue_robot
 
 import viz
@@ -139,19 +140,32 @@ def test_a_robot_without_poses_shows_the_joint_values_that_a_program_displays(ch
         tab.context.close()
 
 
-def test_what_is_told_stands_above_the_picture_and_another_fit_replaces_it(live):
+def test_the_cockpit_stands_above_the_picture_and_another_fit_replaces_it_while_the_camera_stays(live):
     viewer, tab, fit = live
     tab.page.evaluate("window.loadedBefore = true")
-    q = fit.identification.data.joints[30]
-    viewer.show("12 poses\ngoal 0.1 mm: not yet", fit, q)
-    tab.page.wait_for_function("() => window.loadedBefore === undefined && window.calibrationViewer", timeout=10000)
-    wait(tab, "v.live !== null")
-    banner = tab.page.locator("#banner")
-    assert banner.is_visible()
-    assert banner.inner_text().splitlines() == ["12 poses", "goal 0.1 mm: not yet"]
-    box, pane = banner.bounding_box(), tab.page.locator("#stage").bounding_box()
-    assert box["x"] >= pane["x"]
-    assert box["x"] + box["width"] <= pane["x"] + pane["width"]
+    tab.page.evaluate("calibrationViewer.scene.title = 'before'")
+    viewer.show(progress(fit, 40))
+    wait(tab, "v.scene.title !== 'before' && v.live !== null")
+    assert tab.page.evaluate("window.loadedBefore")
+    cockpit, pane = tab.page.locator("#cockpit").bounding_box(), tab.page.locator("#pane").bounding_box()
+    assert cockpit["y"] + cockpit["height"] <= pane["y"] + 1  # nothing over the robot
+    assert pane["height"] > 400
+    signal = tab.page.locator("#signal")
+    assert signal.inner_text() == "GO"
+    assert signal.bounding_box()["height"] > 80  # [px]: letters of 2 cm on a usual screen
+    assert tab.page.locator("#count").inner_text() == "40 poses measured; about 60 more"
+    assert tab.page.locator("#next-pose tr").count() == 6
+    assert "goal 0.1 mm: not yet" in tab.page.locator("#judged").inner_text()
+    tab.page.evaluate("calibrationViewer.stage.direction = null")  # as if turned by hand
+    camera = tab.state("v.stage.viewer.camera.position.toArray()")
+    viewer.show(progress(fit, 50, high=9e-5))
+    tab.page.wait_for_function("() => document.getElementById('signal').textContent === 'STOP'", timeout=5000)
+    wait(tab, "v.live === null")
+    assert tab.state("v.stage.viewer.camera.position.toArray()") == pytest.approx(camera, rel=1e-6)
+    assert tab.page.locator("#curve polyline").count() == 2
+    assert not tab.page.locator("#next-pose").is_visible()
+    tab.page.set_viewport_size({"width": 390, "height": 844})
+    assert tab.page.evaluate("document.documentElement.scrollWidth") <= 390
+    assert tab.problems == []
     viewer.close()
     tab.page.wait_for_function("() => document.getElementById('banner').textContent.includes('ended')", timeout=10000)
-    assert tab.page.locator("#banner.told").count() == 0

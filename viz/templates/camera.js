@@ -38,7 +38,7 @@ function look(stage, direction) {
   const towards = turned(direction).normalize();
   const right = new THREE.Vector3().crossVectors(new THREE.Vector3(0, 1, 0), towards).normalize();
   const up = new THREE.Vector3().crossVectors(towards, right);
-  const points = stage.scene.view.outline.map(turned).map((p) => [p.dot(right), p.dot(up), p.dot(towards)]);
+  const points = [...stage.scene.view.outline.map(turned), ...stage.livePlaces()].map((p) => [p.dot(right), p.dot(up), p.dot(towards)]);
   const width = stage.pane.clientWidth;
   const height = stage.pane.clientHeight;
   const edge = Math.min(MARGIN, width / 10, height / 10);

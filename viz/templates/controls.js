@@ -43,9 +43,7 @@ class Controls {
     const { scene, table } = this;
     try {
       const stage = new Stage(document.getElementById("pane"), scene);
-      if (table.n) {
-        stage.addMarks(new Marks(stage.THREE, table, Uint8Array.from(scene.colourBytes), scene.point_radius, scene.point_pixels));
-      }
+      if (table.n) stage.addMarks(this.makeMarks(stage.THREE));
       if (scene.map) stage.addMap(new WorkspaceMap(stage.THREE, scene.map, colourTexture(stage.THREE, Uint8Array.from(scene.colourBytes)),
                                                    stage.viewer.renderer.getPixelRatio()));
       return stage;
@@ -58,37 +56,52 @@ class Controls {
     }
   }
 
+  makeMarks(THREE) {
+    const { scene, table } = this;
+    return new Marks(THREE, table, Uint8Array.from(scene.colourBytes), scene.point_radius, scene.point_pixels);
+  }
+
+  /** Show another scene of the same robot in place of the present one; the camera stays where a hand has put it. */
+  renew(scene) {
+    this.player.pause();
+    this.scene = scene;
+    this.table = new PoseTable(scene);
+    scene.colourBytes = decode(scene.colours, Uint8ClampedArray);
+    for (const id of ["summary", "notes", "remarks", "drive-sliders", "part"]) document.getElementById(id).replaceChildren();
+    this.panel = new Panel(scene, this.table);
+    this.state = scene.states.includes("after") ? "after" : "before";
+    this.part = 0;
+    this.row = 0;
+    this.live = null;
+    if (this.stage) this.stage.renew(scene, this.table.n ? this.makeMarks(this.stage.THREE) : null);
+    this.drive = this.makeDrive();
+    this.arrange();
+    this.filter();
+    this.applyState();
+    this.applyVisibility();
+    this.theme.use(document.getElementById("dark").checked);
+    this.go(0);
+    if (this.stage && this.stage.direction) this.resetCamera();
+  }
+
   /** Sliders of the motors; they need no 3D view: the numbers work without it. */
   makeDrive() {
     const { scene } = this;
     const tree = this.stage ? this.stage.tree : new Tree(scene.bodies);
     const posed = (data) => (data ? { ...data, values: decode(data.values, Float32Array) } : null);
     const robots = { solid: posed(scene.solid), ghost: posed(scene.ghost) };
-    document.getElementById("drive-back").addEventListener("click", () => this.go(this.row));
+    document.getElementById("drive-back").onclick = () => this.go(this.row);
     return new DrivePanel(scene, tree, robots, (state) => this.showLive(state));
   }
 
   wire() {
     const on = (id, event, action) => document.getElementById(id).addEventListener(event, action);
     for (const state of ["before", "after"]) {
-      const radio = document.getElementById(`state-${state}`);
-      radio.disabled = !this.scene.states.includes(state);
-      radio.addEventListener("change", () => this.become(state));
+      on(`state-${state}`, "change", () => this.become(state));
     }
     on("same-scale", "change", () => this.applyState());
-    document.getElementById("scale-label").hidden = this.scene.states.length < 2;
-    document.getElementById("state-switch").hidden = this.scene.states.length === 0;
-    document.getElementById("state-block").hidden = this.scene.states.length === 0 && !this.scene.ghost;
-    document.getElementById("legend").hidden = this.scene.states.length === 0 && !this.scene.ghost && !this.scene.map;
-    document.getElementById("legend-errors").hidden = this.scene.states.length === 0;
-    document.getElementById("pose-block").hidden = this.table.n === 0;
-    document.getElementById("ghost-row").hidden = !this.scene.ghost;
-    document.getElementById("decorations-row").hidden = this.scene.n_decorations === 0;
-    document.getElementById("robot-name").textContent = this.scene.ghost ? "Calibrated robot" : "Robot";
-    this.wirePart();
-    this.wireGroups();
-    this.vectorFactors = this.scene.parts.map(({ vector_factors }) => ({ ...vector_factors }));
-    this.ghostFactor = this.scene.ghost_factor;
+    on("part", "change", (event) => this.showPart(Number(event.target.value)));
+    this.arrange();
     this.wireFactor("vector-factor", FACTORS, this.vectorFactors[this.part][this.vectorState()], (factor) => {
       this.vectorFactors[this.part][this.vectorState()] = factor;
       if (this.stage && this.stage.marks) this.stage.marks.uniforms.factor.value = factor;
@@ -102,14 +115,12 @@ class Controls {
       }
       this.noteFactors();
     });
-    document.getElementById("point-size-row").hidden = this.table.n === 0;
     this.wireFactor("point-size", SIZES, 1, (size) => {
       if (this.stage && this.stage.marks) this.stage.marks.uniforms.size.value = size;
     });
     for (const id of ["show-vectors", "show-ghost", "show-robot", "show-decorations", "show-frames"]) {
       on(id, "change", () => this.applyVisibility());
     }
-    document.getElementById("show-vectors").closest(".row").hidden = this.scene.states.length === 0;
     on("pose", "input", (event) => this.go(this.rows[Number(event.target.value)]));
     on("previous", "click", () => this.step(-1));
     on("next", "click", () => this.step(1));
@@ -123,13 +134,36 @@ class Controls {
     this.wirePicking();
   }
 
+  /** Which controls the scene has use for, and how they stand at first. */
+  arrange() {
+    for (const state of ["before", "after"]) {
+      document.getElementById(`state-${state}`).disabled = !this.scene.states.includes(state);
+    }
+    document.getElementById("scale-label").hidden = this.scene.states.length < 2;
+    document.getElementById("state-switch").hidden = this.scene.states.length === 0;
+    document.getElementById("state-block").hidden = this.scene.states.length === 0 && !this.scene.ghost;
+    document.getElementById("legend").hidden = this.scene.states.length === 0 && !this.scene.ghost && !this.scene.map;
+    document.getElementById("legend-errors").hidden = this.scene.states.length === 0;
+    document.getElementById("pose-block").hidden = this.table.n === 0;
+    document.getElementById("ghost-row").hidden = !this.scene.ghost;
+    document.getElementById("decorations-row").hidden = this.scene.n_decorations === 0;
+    document.getElementById("robot-name").textContent = this.scene.ghost ? "Calibrated robot" : "Robot";
+    this.wirePart();
+    this.wireGroups();
+    this.vectorFactors = this.scene.parts.map(({ vector_factors }) => ({ ...vector_factors }));
+    this.ghostFactor = this.scene.ghost_factor;
+    const ghost = document.getElementById("ghost-factor");
+    if (ghost.show) ghost.show(this.ghostFactor);
+    document.getElementById("point-size-row").hidden = this.table.n === 0;
+    document.getElementById("show-vectors").closest(".row").hidden = this.scene.states.length === 0;
+  }
+
   /** Of which part of the readings errors are shown, where there are several. */
   wirePart() {
     const chosen = document.getElementById("part");
     const { parts } = this.scene;
     chosen.append(...parts.map(({ name, unit }, number) => element("option", { value: number }, `${name} [${unit}]`)));
     chosen.closest(".row").hidden = parts.length < 2;
-    chosen.addEventListener("change", () => this.showPart(Number(chosen.value)));
   }
 
   showPart(part) {
@@ -398,6 +432,7 @@ class Controls {
       this.stage.live = live;
       this.stage.showPose(this.stage.pose);
       if (this.stage.marks) this.stage.marks.choose(-1);
+      if (!live.byHand && this.stage.direction) this.resetCamera();
     }
     for (const id of ["stepper", "player"]) {
       document.getElementById(id).hidden = this.table.n === 0;

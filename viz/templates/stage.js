@@ -28,7 +28,7 @@ class Stage {
     this.ghost = scene.ghost ? this.posed(scene.ghost) : null;
     this.groups = scene.body_paths.map((name) => this.viewer.scene_tree.find(["meshcat", "robot", name]).object);
     this.groups.forEach((group) => { group.matrixAutoUpdate = false; });
-    this.size = Math.hypot(...[0, 1, 2].map((i) => scene.view.high[i] - scene.view.low[i]));
+    this.size = this.sizeOf(scene);
     this.ghostGroups = this.ghost ? this.makeGhost() : [];
     this.makeFrames();
     this.makeFloor();
@@ -41,6 +41,10 @@ class Stage {
     this.look(scene.view.direction);
     this.viewer.controls.addEventListener("start", () => { this.direction = null; }); // turned by hand: leave it so
     new ResizeObserver(() => this.resize()).observe(pane);
+  }
+
+  sizeOf({ view: { low, high } }) {
+    return Math.hypot(...[0, 1, 2].map((i) => high[i] - low[i]));
   }
 
   posed(data) {
@@ -124,6 +128,7 @@ class Stage {
     grid.material.transparent = true;
     grid.material.opacity = 0.6;
     this.viewer.scene.add(grid);
+    this.grid = grid;
   }
 
   /** Points and vectors; they exist only when there are poses. */
@@ -131,6 +136,26 @@ class Stage {
     this.marks = marks;
     this.root.add(marks.points, marks.vectors, marks.ring);
     this.resize();
+  }
+
+  /** Another scene of the same robot: where it stands, and what was measured. */
+  renew(scene, marks) {
+    this.scene = scene;
+    this.viewer.handle_command_bytearray(decode(scene.commands[0], Uint8Array)); // how the measurement frame stands
+    this.size = this.sizeOf(scene);
+    this.viewer.scene.remove(this.grid);
+    this.makeFloor();
+    this.solid = this.posed(scene.solid);
+    if (scene.ghost && !this.ghost) this.ghostGroups = this.makeGhost();
+    this.ghost = scene.ghost ? this.posed(scene.ghost) : null;
+    this.live = null;
+    if (this.marks) {
+      const { points, vectors, ring } = this.marks;
+      this.root.remove(points, vectors, ring);
+      for (const { geometry, material } of [points, vectors, ring]) { geometry.dispose(); material.dispose(); }
+    }
+    this.marks = null;
+    if (marks) this.addMarks(marks);
   }
 
   /** What is known over the workspace. */
@@ -171,6 +196,18 @@ class Stage {
       frame.triad.matrix.set(...poses[frame.body], 0, 0, 0, 1);
     }
     this.redraw();
+  }
+
+  /** Places around the links of a robot that a live program moves, in the camera's world: poses that the outline may lack. */
+  livePlaces() {
+    if (!this.live) return [];
+    this.root.updateMatrixWorld(true);
+    const wide = 0.06 * this.size;
+    return this.solidMatrices.flatMap((m) => [-wide, wide].map((by) => {
+      const place = this.root.localToWorld(new this.THREE.Vector3(m[3], m[7], m[11]));
+      place.y += by;
+      return place;
+    }));
   }
 
   place(groups, matrices) {

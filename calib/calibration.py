@@ -207,10 +207,11 @@ def fit(
         validation: Measurements to judge the result with, likewise; or the part of the poses to hold out for that,
             between 0 and 1.
         sigma: Standard deviation of measured positions per axis, in place of what the description states: a number [m],
-            text such as `0.04 mm`, or one for each row of `data`, (n,) or (n, 3) [m].
+            text such as `0.04 mm`, or one for each row of `data`, (n,) or (n, 3) [m]. Where neither states it, it is
+            found from the residuals.
         loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey`.
-        exclude_outliers: Leave outliers out and fit again.
-        starts: Number of starting points.
+        exclude_outliers: Leave outliers out and fit again; the result holds both fits.
+        starts: Number of starting points, the nominal one and perturbed ones.
         folds: Number of folds for cross-validation by pose, 0 for none; `setups`: every setup is one, placed anew.
         seed: Seed of perturbed starts, of folds, and of what is held out.
         terms: Joint terms in place of those of the description: `none`; or in addition to them: `auto` for those that

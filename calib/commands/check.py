@@ -14,6 +14,7 @@ from calib.commands.common import (
     placed,
     shared_options,
     sigma_in_metres,
+    values_options,
     with_values,
 )
 from calib.commands.next_steps import after_check
@@ -38,8 +39,7 @@ from calib.rows.observed import unsaid_touches
 )
 @click.option("--task", metavar="FILE", help="Poses whose accuracy counts (CSV); those of DATA if not given.")
 @click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}.")
-@click.option("--parameters", metavar="FILE", help="Parameter values (CSV parameter,value,unit); nominal if not given.")
-@click.option("--result", metavar="DIR", help="Use the calibrated values of this result folder.")
+@values_options
 @click.option("--plots", metavar="DIR", help="Folder for figures: singular values, correlations, accuracy.")
 @click.option("--verbose", is_flag=True, help="Print everything: all groups, and a table of all parameters.")
 @shared_options(json_output=True)

@@ -27,6 +27,7 @@ from calib.commands.program import OneLineError
 from calib.data.measurements import Measurements, Poses
 from calib.data.parameter_files import read_parameters
 from calib.instruments.kind import Readings
+from calib.numerics.losses import LOSSES
 from calib.reporting.result_reading import forced_lines, load, load_calibrated
 from calib.robots.robot import Robot
 from calib.robots.urdf.arm_chain import arm_chain
@@ -213,6 +214,19 @@ def jobs_option(shared: str, default: int = 1) -> Callable[[Callable[..., None]]
         show_default="all cores" if default > 1 else True,
         help=f"Processes to share {shared}; the numbers do not depend on it.",
     )
+
+
+def values_options(function: Callable[..., None]) -> Callable[..., None]:
+    """Give a command --parameters and --result: with which values ROBOT is taken (`with_values`)."""
+    told = "Parameter values (CSV parameter,value,unit); nominal if not given."
+    with_result = click.option("--result", metavar="DIR", help="Use the calibrated values of this result folder.")
+    return click.option("--parameters", metavar="FILE", help=told)(with_result(function))
+
+
+def loss_option(function: Callable[..., None]) -> Callable[..., None]:
+    """Give a command --loss."""
+    losses, told = click.Choice(LOSSES), "Robust loss: gives outliers less weight."
+    return click.option("--loss", type=losses, default="none", show_default=True, help=told)(function)
 
 
 def sigma_in_metres(sigma_mm: float, *, zero: bool = False) -> float:

@@ -8,7 +8,15 @@ from typing import cast
 import click
 
 from calib.base.units import millimetres
-from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
+from calib.commands.common import (
+    Output,
+    folder_of_values,
+    loaded,
+    said_of_failure,
+    shared_options,
+    values_options,
+    with_values,
+)
 from calib.exporting.formats import CONTROLLERS, JOINT_TABLES, export
 from calib.exporting.held_formats import HELD
 from calib.exporting.links import read_links
@@ -21,8 +29,7 @@ _WORTH_A_SLIDE = 1e-6  # change of a gap that is worth a remark [m or rad]
 
 @click.command("export")
 @click.argument("robot")
-@click.option("--parameters", metavar="FILE", help="Parameter values (CSV parameter,value,unit); nominal if not given.")
-@click.option("--result", metavar="DIR", help="Use the calibrated values of this result folder.")
+@values_options
 @click.option(
     "--format",
     "file_format",

@@ -11,19 +11,11 @@ from calib.base.errors import ComputationError, InputError
 from calib.base.files import image_address
 from calib.base.words import counted
 from calib.calibration import fit
-from calib.commands.common import (
-    SIGMA_HELP,
-    Output,
-    jobs_option,
-    loaded,
-    shared_options,
-    sigma_in_metres,
-)
+from calib.commands.common import SIGMA_HELP, Output, jobs_option, loaded, loss_option, shared_options, sigma_in_metres
 from calib.commands.next_steps import after_fit
 from calib.data.measurement_files import read_measurements
 from calib.data.measurements import Measurements
 from calib.judging.rules_model import why_no_origins
-from calib.numerics.losses import LOSSES
 from calib.reporting.result_content import to_dict
 from calib.reporting.results import RESULT_FILES
 from calib.robots.robot import Robot
@@ -49,13 +41,7 @@ from calib.robots.robot import Robot
     type=float,
     help=f"{SIGMA_HELP}. Without either, it is found from the residuals.",
 )
-@click.option(
-    "--loss",
-    type=click.Choice(LOSSES),
-    default="none",
-    show_default=True,
-    help="Robust loss: gives outliers less weight.",
-)
+@loss_option
 @click.option(
     "--terms",
     metavar="auto|none|LIST",

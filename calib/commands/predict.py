@@ -5,7 +5,15 @@ from __future__ import annotations
 import click
 
 from calib.base.words import counted
-from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
+from calib.commands.common import (
+    Output,
+    folder_of_values,
+    loaded,
+    said_of_failure,
+    shared_options,
+    values_options,
+    with_values,
+)
 from calib.data.measurement_files import format_positions, read_poses
 from calib.data.measurements import Poses
 from calib.reporting.result_reading import joints_used, load_uncertainty, poses_beyond_curves, read_result
@@ -17,8 +25,7 @@ from calib.rows.told_positions import ToldPositions
 @click.command("predict")
 @click.argument("robot")
 @click.argument("joints")
-@click.option("--parameters", metavar="FILE", help="Parameter values (CSV parameter,value,unit); nominal if not given.")
-@click.option("--result", metavar="DIR", help="Use the calibrated values of this result folder.")
+@values_options
 @click.option("--out", required=True, metavar="FILE", help="CSV file to write.")
 @shared_options(json_output=True)
 def command(robot: str, joints: str, parameters: str | None, result: str | None, out: str, output: Output) -> None:

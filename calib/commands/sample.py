@@ -11,7 +11,7 @@ import numpy as np
 from calib.base.errors import InputError, nearest
 from calib.base.units import Dimension, quantity
 from calib.base.words import counted
-from calib.commands.common import Output, loaded, shared_options, with_values
+from calib.commands.common import Output, loaded, shared_options, values_options, with_values
 from calib.data.measurement_files import format_measurements, read_poses
 from calib.data.measurements import measurements
 from calib.planning.pose_sampling import little_seen, sample
@@ -31,8 +31,7 @@ _RANGE = re.compile(r"^(?P<name>[^=]+)=(?P<low>[^=]*?)\.\.(?P<high>[^=]*?)(?P<un
     help="Stay in the joint ranges that the poses of a file (CSV) span; or in a range of a joint or of a coordinate of"
     " a target, such as joint_2=-90..30deg or tool_z=200..900mm. May be repeated.",
 )
-@click.option("--parameters", metavar="FILE", help="Parameter values (CSV parameter,value,unit); nominal if not given.")
-@click.option("--result", metavar="DIR", help="Use the calibrated values of this result folder.")
+@values_options
 @click.option("--out", required=True, metavar="FILE", help="CSV file to write.")
 @shared_options()
 def command(

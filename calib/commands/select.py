@@ -17,6 +17,7 @@ from calib.commands.common import (
     placed,
     shared_options,
     sigma_in_metres,
+    values_options,
     with_values,
 )
 from calib.commands.next_steps import after_select
@@ -84,8 +85,7 @@ from calib.reporting.selection_text import format_poses, text_report, to_dict
     "--skip-unreachable", is_flag=True, help="List candidates that cannot be assembled, and go on without them."
 )
 @click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}.")
-@click.option("--parameters", metavar="FILE", help="Parameter values (CSV parameter,value,unit); nominal if not given.")
-@click.option("--result", metavar="DIR", help="Use the calibrated values of this result folder.")
+@values_options
 @click.option("--plots", metavar="DIR", help="Folder for a figure of the index over the exchanges.")
 @click.option(
     "--out", required=True, metavar="FILE", help="CSV file to write: the chosen poses in order of measurement."

@@ -7,7 +7,15 @@ import numpy as np
 
 from calib.base.arrays import IntArray
 from calib.base.units import micrometres, millimetres
-from calib.commands.common import Output, folder_of_values, loaded, said_of_failure, shared_options, with_values
+from calib.commands.common import (
+    Output,
+    folder_of_values,
+    loaded,
+    said_of_failure,
+    shared_options,
+    values_options,
+    with_values,
+)
 from calib.data.measurement_columns import approach_columns, condition_columns, joint_columns
 from calib.data.tables import format_table
 from calib.reporting.expected_text import COUNTED, expected_now, figures, left_as_it_is, of_frame, summary
@@ -21,8 +29,7 @@ from calib.using.inverse import Solution, solve
 @click.command("solve")
 @click.argument("robot")
 @click.argument("targets")
-@click.option("--parameters", metavar="FILE", help="Parameter values (CSV parameter,value,unit); nominal if not given.")
-@click.option("--result", metavar="DIR", help="Use the calibrated values of this result folder.")
+@values_options
 @click.option("--skip-unreachable", is_flag=True, help="List targets that are out of reach, and write the others.")
 @click.option("--out", required=True, metavar="FILE", help="CSV file to write: joint values and positions reached.")
 @shared_options(json_output=True)

@@ -7,18 +7,10 @@ from typing import Literal
 
 import click
 
-from calib.commands.common import (
-    SIGMA_HELP,
-    Output,
-    jobs_option,
-    loaded,
-    shared_options,
-    sigma_in_metres,
-)
+from calib.commands.common import SIGMA_HELP, Output, jobs_option, loaded, loss_option, shared_options, sigma_in_metres
 from calib.data.measurement_files import read_measurements, read_poses
 from calib.data.parameter_files import read_parameters
 from calib.data.plan_files import read_pose_files
-from calib.numerics.losses import LOSSES
 from calib.planning.studies.study import study
 from calib.reporting.result_reading import load
 from calib.robots.robot import Robot
@@ -40,13 +32,7 @@ from calib.robots.robot import Robot
     help="Simulate nothing: calibrate from poses of the measurements POSES, drawn with replacement (bootstrap).",
 )
 @click.option("--sigma-mm", type=float, help=f"{SIGMA_HELP}.")
-@click.option(
-    "--loss",
-    type=click.Choice(LOSSES),
-    default="none",
-    show_default=True,
-    help="Robust loss: gives outliers less weight.",
-)
+@loss_option
 @click.option("--elsewhere", metavar="FILE", help="Poses (CSV) to predict, too.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the whole study.")
 @jobs_option("the draws", os.cpu_count() or 1)

@@ -13,18 +13,9 @@ from calib.numerics.losses import Loss, checked_loss
 
 @dataclass(frozen=True)
 class Settings:
-    """How to fit.
+    """How to fit: the arguments of `calib.fit` of these names, which says what each means.
 
-    Attributes:
-        sigma: Standard deviation of measured positions per axis [m], in place of what the description states; where
-            neither does, it is found.
-        loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey` (see `calib.numerics.losses`).
-        exclude_outliers: Leave outliers out and fit again; the result holds both fits.
-        starts: Number of starting points, the nominal one and perturbed ones.
-        folds: Number of folds for cross-validation by pose, 0 for none; `setups`: every setup is one, placed anew.
-        seed: Seed of perturbed starts and folds.
-        terms: Joint terms: those of the description if not given; `none`; a list such as `curve,elbow=backlash`, in
-            addition to these; `auto`, in addition those that earn their place (`calib.fitting.terms.term_choice`).
+    Here `sigma` is one number for all readings [m], and `terms` are text.
 
     Raises:
         DataError: Sigma is not a positive number.

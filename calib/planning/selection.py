@@ -91,8 +91,7 @@ def select(
             go.
         skip_unreachable: Leave out candidates that cannot be assembled, instead of an error.
         sigma: Noise of one reading per axis [m]; the description's if not given.
-        executor: What runs the starts, and the moves off the grid: any `concurrent.futures` executor, or a number of
-            processes on this machine; this process if not given.
+        executor: What runs the starts, and the moves off the grid; as in `calib.fit`.
         progress: Called with how many starts are done and of how many; then with how many poses have found their place
             off the grid.
 

@@ -116,8 +116,7 @@ def study(
         loss: `none`, or a robust loss: `huber`, `cauchy`, `tukey`.
         elsewhere: Joint values of poses to predict, (n, n_actuated) [m or rad]; none if not given.
         seed: Seed of the whole study.
-        executor: What runs the draws: any `concurrent.futures` executor, or a number of processes on this machine; this
-            process if not given.
+        executor: What runs the draws; as in `calib.fit`.
         progress: Called with the number of draws done and of all draws, in the order of work.
 
     Raises:

@@ -39,7 +39,7 @@ from calib.reporting.loaded_result import LoadedResult as LoadedResult
 from calib.reporting.loaded_result import load_result as load_result
 from calib.reporting.loaded_result import predict as predict
 from calib.reporting.result_comparison import ResultComparison as ResultComparison
-from calib.reporting.result_differences import compare as compare
+from calib.reporting.comparing_results import compare as compare
 from calib.reporting.result_reading import load as load
 from calib.robots.held import Holds as Holds
 from calib.robots.loading import robot as robot

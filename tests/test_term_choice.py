@@ -16,7 +16,7 @@ from test_compliance import arm, torques, upright_five_bar
 
 import calib
 from calib.base.threads import one_blas_thread
-from calib.data.grouping import boxes
+from calib.data.pose_groups import boxes
 from calib.fitting.terms.candidate_terms import Candidate, candidates
 from calib.fitting.terms.joint_curves import beyond_learned
 from calib.fitting.terms.term_choice import _Search

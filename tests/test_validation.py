@@ -3,9 +3,9 @@ import pytest
 from six_axis_arm import joints, noisy, six_axis_arm
 
 import calib
-from calib.data.grouping import pose_labels
 from calib.data.in_memory import measurements as from_readings
 from calib.data.in_memory import plain_readings
+from calib.data.pose_groups import pose_labels
 from calib.fitting.validation import deal
 
 RNG = np.random.default_rng(0)

@@ -14,9 +14,9 @@ from calib.fitting.fitted import Convergence
 from calib.fitting.starts import Minimum, Starts
 from calib.judging.blind_spots import unordered
 from calib.judging.effects import scale
+from calib.judging.residual_patterns import visible
 from calib.judging.rounded_joint_values import joint_steps, rounding
 from calib.judging.rules_reach import _given
-from calib.judging.systematic import visible
 
 SIGMA = 4e-5
 ALONE = "  - {origin: j6, components: [y, z], sigma: 2 mm}\n  - {origin: ball, components: [x, y, z], sigma: 2 mm}\n"

@@ -6,7 +6,7 @@ import click
 
 from calib import pictures
 from calib.commands.common import Output, shared_options
-from calib.reporting.result_differences import compare
+from calib.reporting.comparing_results import compare
 
 
 @click.command("compare")

@@ -25,7 +25,7 @@ from calib.reporting.result_reading import load_known, read_result
 from calib.robots.robot import Robot
 from calib.using.compensation import Compensation, compensate
 from calib.using.goals import Goals, read_goals
-from calib.using.program_goals import KEEP
+from calib.using.program_task import KEEP
 from calib.using.programs import languages
 from calib.using.programs.controller_program import COUPLED
 from calib.using.programs.gcode import SUFFIXES

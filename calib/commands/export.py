@@ -20,7 +20,7 @@ from calib.commands.common import (
 from calib.exporting.formats import CONTROLLERS, JOINT_TABLES, export
 from calib.exporting.held_formats import HELD
 from calib.exporting.links import read_links
-from calib.functions.functions import LANGUAGES
+from calib.functions.languages import LANGUAGES
 from calib.reporting.result_reading import read_result
 from calib.robots.urdf.text import UrdfText
 

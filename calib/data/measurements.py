@@ -18,9 +18,9 @@ from calib.base.errors import DataError, InputError
 from calib.base.other_words import worded
 from calib.base.units import DISPLAY_UNIT, Dimension, display_scale
 from calib.base.words import pandas, titled_html
-from calib.data.grouping import shuffled_poses
 from calib.data.measurement_columns import approach_columns, condition_columns, pose_columns, reading_columns
 from calib.data.on_demand import Texts
+from calib.data.pose_groups import shuffled_poses
 from calib.instruments.kind import FrameInstrument, Instrument, Readings
 from calib.joint_terms.term import Context
 from calib.robots.robot import Robot

@@ -19,7 +19,7 @@ from calib.exporting.mjcf import mjcf
 from calib.exporting.printers import PRINTER_COMMENTS, printer_lines
 from calib.exporting.toolbox import toolbox_yaml
 from calib.exporting.urdf import urdf_bytes, with_mesh_prefix
-from calib.functions.functions import COMMENTS, LANGUAGES, function_file
+from calib.functions.languages import COMMENTS, LANGUAGES, function_file
 from calib.robots.loading import RobotLike, as_robot
 from calib.robots.robot import Robot
 

@@ -43,8 +43,7 @@ class Gap:
     """How far the two frames of a closure are apart in one direction that it leaves free.
 
     Attributes:
-        loop: Index of the closure in the description.
-        name: Its name.
+        name: Of the closure.
         direction: Free direction, in the axes of the closure's first frame.
         at_home: Gap in the home configuration [m or rad].
         change: Largest difference to that over the poses [m or rad].
@@ -52,7 +51,6 @@ class Gap:
         where: Where these lie, for messages; empty for given poses.
     """
 
-    loop: int
     name: str
     direction: Component
     at_home: float
@@ -133,7 +131,7 @@ def loop_gaps(robot: Robot, q: ArrayLike | None = None) -> tuple[Gap, ...]:
         for direction in free_directions(robot, index):
             column = values[:, COMPONENTS.index(direction)]
             change = float(np.max(np.abs(column - column[0])))
-            gaps.append(Gap(index, loop.name, direction, float(column[0]), change, len(poses), where))
+            gaps.append(Gap(loop.name, direction, float(column[0]), change, len(poses), where))
     return tuple(gaps)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from calib.base.errors import ComputationError
 from calib.base.words import listed
-from calib.functions.functions import LANGUAGES
+from calib.functions.languages import LANGUAGES
 from calib.robots.held import Holds
 from calib.robots.linear_delta import is_linear_delta
 from calib.robots.robot import Robot

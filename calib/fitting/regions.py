@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.base.arrays import IntArray
-from calib.data.grouping import boxes
 from calib.data.measurements import Measurements
+from calib.data.pose_groups import boxes
 from calib.numerics.chances import UNLIKELY
 from calib.numerics.clusters import Scatter, scatter
 from calib.numerics.statistics import Statistics

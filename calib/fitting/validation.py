@@ -18,8 +18,8 @@ from calib.base.arrays import FloatArray, IntArray
 from calib.base.errors import InputError
 from calib.base.threads import one_blas_thread
 from calib.base.workers import Progress, in_order
-from calib.data.grouping import repeated_poses, shuffled_poses
 from calib.data.measurements import Measurements
+from calib.data.pose_groups import repeated_poses, shuffled_poses
 from calib.fitting.error_sets import ErrorSet, Folds
 from calib.fitting.fitted import Fit
 from calib.instruments.kind import Instrument, Readings

@@ -66,13 +66,11 @@ class Closure:
 
     Attributes:
         a, b: Places among the tree's frames.
-        full_pose: Whether components are those of log6 of the relative pose; else those of the translation.
-        rows: Which of x, y, z(, rx, ry, rz).
+        rows: Which of x, y, z; loops that constrain whole poses are refused (`calib.functions.languages`).
     """
 
     a: int
     b: int
-    full_pose: bool
     rows: tuple[int, ...]
 
 
@@ -145,8 +143,7 @@ def tree_of(
     numbers = [index for index in range(1, len(at)) if at[index].own]
     kept = [_frame(mechanism, at, numbers, index) for index in indices]
     closures = tuple(
-        Closure(len(frames) + 2 * k, len(frames) + 2 * k + 1, loop.full_pose, loop.rows)
-        for k, loop in enumerate(mechanism.loops)
+        Closure(len(frames) + 2 * k, len(frames) + 2 * k + 1, loop.rows) for k, loop in enumerate(mechanism.loops)
     )
     passive_scale = np.where(mechanism.is_metre_column, mechanism.length, 1.0)
     return Tree(

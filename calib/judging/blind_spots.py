@@ -13,8 +13,8 @@ from calib.judging import findings
 from calib.judging.effects import has_time, scale
 from calib.judging.error_budget import ENOUGH_REPEATS
 from calib.judging.repeatability import repeatability
+from calib.judging.residual_patterns import PARTS_PER_MILLION, visible
 from calib.judging.rules_reach import terms_beyond
-from calib.judging.systematic import PARTS_PER_MILLION, visible
 
 NO_MATTER = 0.25
 """Errors that a scale makes where it begins to show, over the noise, up to which nobody needs to know."""

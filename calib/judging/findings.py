@@ -14,10 +14,10 @@ from calib.base.remembered import remembered
 from calib.base.threads import one_blas_thread
 from calib.fitting.fitted import Fit
 from calib.fitting.outliers import Outlier, blocks, outliers_of
-from calib.judging import systematic
+from calib.judging import residual_patterns
 from calib.judging.effects import EffectSetting
 from calib.judging.error_budget import ErrorBudget, error_budget
-from calib.judging.systematic import Pattern, Residuals
+from calib.judging.residual_patterns import Pattern, Residuals
 from calib.numerics import losses
 from calib.numerics.losses import Studentised
 from calib.rows.observed import observe
@@ -92,7 +92,7 @@ def linear(fit: Fit) -> Residuals:
 @one_blas_thread
 def patterns(fit: Fit) -> tuple[Pattern, ...]:
     """Return systematic patterns that were looked for in the residuals, most significant first."""
-    return () if fit.computed else systematic.patterns(linear(fit), setting(fit))
+    return () if fit.computed else residual_patterns.patterns(linear(fit), setting(fit))
 
 
 @remembered

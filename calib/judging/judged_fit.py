@@ -11,7 +11,7 @@ from calib.judging import findings
 from calib.judging.effects import EffectSetting
 from calib.judging.error_budget import ErrorBudget
 from calib.judging.reasons import Verdict
-from calib.judging.systematic import Pattern, Residuals
+from calib.judging.residual_patterns import Pattern, Residuals
 from calib.judging.verdict import judge
 from calib.numerics.losses import Studentised
 from calib.rows.known_robot import KnownRobot

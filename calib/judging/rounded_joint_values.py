@@ -4,7 +4,7 @@ Values in steps of s are off by up to s/2, with a standard deviation of s / sqrt
 if the robot was sent to round values. Digits do not tell these apart. Residuals may: rounding scatters the target
 along the motion of the joints, further where the arm is longer. With A_v what rounding does to the rows of visit v
 (one column for each joint, each times s / sqrt(12)), Q = diag(A_v A_v^T), and r = M e (e normal noise of variance f^2,
-M what a fit leaves; see `calib.judging.systematic`),
+M what a fit leaves; see `calib.judging.residual_patterns`),
 
     T = r^T Q r        mean f^2 tr(MQ)        variance 2 f^4 tr(MQMQ)
 

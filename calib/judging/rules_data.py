@@ -10,8 +10,8 @@ import numpy as np
 from calib.base.arrays import FloatArray, IntArray
 from calib.base.units import ERROR_UNIT, error_scale, millimetres
 from calib.base.words import counted, listed
-from calib.data.grouping import SAME_JOINTS, pose_labels
 from calib.data.measurements import Measurements
+from calib.data.pose_groups import SAME_JOINTS, pose_labels
 from calib.fitting.fitted import Fit
 from calib.fitting.outliers import Outlier, blocks
 from calib.fitting.pose_checks import directions_moved, equal_columns, unmoved_joints, zero_visits

@@ -19,8 +19,8 @@ from calib.judging.better_or_worse import HARM, comparisons
 from calib.judging.claim import Claim, Gain
 from calib.judging.effects import IN_COURSE
 from calib.judging.reasons import Code, Reason
+from calib.judging.residual_patterns import describe
 from calib.judging.rules_noise import in_words
-from calib.judging.systematic import describe
 from calib.numerics.chances import EXACT, UNLIKELY
 from calib.numerics.rigid import best_transform
 from calib.robots.held import Holds

@@ -152,12 +152,10 @@ class Elimination:
     Attributes:
         dropped: Columns in the order in which they went.
         conditions: Condition number that each left behind.
-        kept: The columns that stay, as many as the rank, ascending.
     """
 
     dropped: tuple[int, ...]
     conditions: tuple[float, ...]
-    kept: tuple[int, ...]
 
 
 def eliminate(scaled_jacobian: FloatArray, order: Sequence[int] = ()) -> Elimination:
@@ -178,7 +176,7 @@ def eliminate(scaled_jacobian: FloatArray, order: Sequence[int] = ()) -> Elimina
         columns.remove(column)
         dropped.append(column)
         conditions.append(condition_of[column])
-    return Elimination(tuple(dropped), tuple(conditions), tuple(columns))
+    return Elimination(tuple(dropped), tuple(conditions))
 
 
 def _conditions(factor: FloatArray, columns: list[int], rank: int, threshold: float) -> dict[int, float]:

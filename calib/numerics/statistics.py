@@ -33,7 +33,7 @@ part of a parameter that the data decide is 1 - C_kk (prior variance 1): near 1 
 the prior holds it.
 
 When it fails. All of it is linear in the parameters at the solution, and counts noise that is independent from visit to
-pose. Errors that the model leaves out are not noise: `calib.judging.systematic` tests for them.
+pose. Errors that the model leaves out are not noise: `calib.judging.residual_patterns` tests for them.
 
 Reference: jcgm100 (GUM), sections 4.2 and G.3; tarantola2005, section 3.2, for the resolution.
 """
@@ -96,7 +96,6 @@ class Statistics(ReadOnlyArrays):
         half_width: Half the 95 % interval of each, (n_free,) [m, rad].
         data_share: Part of each that the data decide, 0 to 1, (n_free,).
         effective_parameters: How many parameters the data decide, n_eff of the module docstring.
-        root: T of the module docstring, (n_free, n_free).
         poses: How the readings of each pose scatter together; None: independently.
         beyond_linear: Mean square of what they are off beyond the linear model, part of `half_width` alone,
             (n_free,) [m^2, rad^2].
@@ -109,7 +108,6 @@ class Statistics(ReadOnlyArrays):
     half_width: FloatArray
     data_share: FloatArray
     effective_parameters: float
-    root: FloatArray
     poses: Scatter | None = None
     beyond_linear: FloatArray = field(default_factory=lambda: np.zeros(0))
 
@@ -285,5 +283,5 @@ def statistics(
     std: FloatArray = np.sqrt(np.diag(covariance))
     decided = np.where(prior.has, np.clip(1.0 - np.diag(scaled_covariance), 0.0, 1.0), 1.0)
     n_effective = float(len(share) - np.trace(share))
-    found = Statistics(factors, factors.total_freedom, covariance, std, std, decided, n_effective, root, poses, beyond)
+    found = Statistics(factors, factors.total_freedom, covariance, std, std, decided, n_effective, poses, beyond)
     return replace(found, half_width=found.coverage_factor * np.sqrt(std**2 + beyond))

@@ -44,12 +44,10 @@ class LeftOut(ReadOnlyArrays):
     Attributes:
         pixels: Predicted minus found, (m, 2) [px].
         board: The same on the board, (m, 2) [m].
-        placed: The solution without each image.
     """
 
     pixels: FloatArray
     board: FloatArray
-    placed: tuple[Placed, ...]
 
 
 @dataclass(frozen=True)
@@ -75,7 +73,6 @@ class HandEye(ReadOnlyArrays):
     Attributes:
         scene: The images that were used.
         found: What they say.
-        prior: What was expected of the lens.
         left: The images left out in turn.
         alone: What the camera alone leaves, (m, 2) [px]; NaN where too few points were seen.
         off: Images that were set aside.
@@ -87,7 +84,6 @@ class HandEye(ReadOnlyArrays):
 
     scene: Scene
     found: Estimate
-    prior: Prior | None
     left: LeftOut
     alone: FloatArray
     off: tuple[OffImage, ...]
@@ -210,7 +206,7 @@ def calibrate(
     of_lens = found if better is chosen else estimate(own, better.placed, better.free, better.prior)
     mistakes = find_mistakes(sure, own, found, used, intrinsics, first, of_lens)
     tell(5, 5)
-    return HandEye(own, found, used, left, alone, off, mistakes, intrinsics, rms_given, weighed)
+    return HandEye(own, found, left, alone, off, mistakes, intrinsics, rms_given, weighed)
 
 
 def _in_order_of_content(scene: Scene) -> Scene:
@@ -224,13 +220,12 @@ def _gain(before: LeftOut, after: LeftOut, n: int) -> float:
 
 
 def _left(scene: Scene, placed: Placed, free: tuple[int, ...], weights: Noise, prior: Prior | None) -> LeftOut:
-    ends = tuple(left_out(scene, placed, free, weights, prior))
     pixels, board = np.zeros_like(scene.pixels), np.zeros_like(scene.pixels)
-    for i, without in enumerate(ends):
+    for i, without in enumerate(left_out(scene, placed, free, weights, prior)):
         own = scene.image == i
         part = scene.only(np.arange(len(scene)) == i)
         pixels[own], board[own] = residuals(part, without), on_board(part, without)
-    return LeftOut(pixels, board, ends)
+    return LeftOut(pixels, board)
 
 
 def _prior(first: FloatArray, scene: Scene, given: bool) -> Prior:

@@ -90,7 +90,6 @@ class Estimate(ReadOnlyArrays):
         weights: What images were weighed by: the same, or of pixels alone for plain least squares.
         covariance: Of [camera 6, board 6, intrinsics, (scale)], in their own axes [m, rad, px, 1].
         freedom: Satterthwaite's degrees of freedom of each of them.
-        likelihood: Twice the logarithm of the likelihood, but for a constant.
         scaled: Whether the size of the board was sought.
     """
 
@@ -100,7 +99,6 @@ class Estimate(ReadOnlyArrays):
     weights: Noise
     covariance: FloatArray
     freedom: FloatArray
-    likelihood: float
     scaled: bool = False
 
 
@@ -375,7 +373,7 @@ def _finished(
     spread = np.linalg.pinv(curvature / 2, hermitian=True)
     own = np.einsum("ik,ij,jk->k", slope, spread, slope)
     freedom = np.where(own > 0, 2 * np.diag(covariance) ** 2 / np.maximum(own, 1e-300), 1e6)
-    return Estimate(placed, free, noise, weights, covariance, np.clip(freedom, 1.0, 1e6), -cost(logs), scaled)
+    return Estimate(placed, free, noise, weights, covariance, np.clip(freedom, 1.0, 1e6), scaled)
 
 
 def require_determined(a: FloatArray, scene: Scene) -> None:

@@ -143,10 +143,10 @@ class Assessment(ReadOnlyArrays):
         pairs = [(names[rows[k]], names[columns[k]], float(matrix[rows[k], columns[k]])) for k in above]
         return sorted(pairs, key=lambda pair: -abs(pair[2]))
 
-    def hardly_known(self, part: float = HARDLY) -> list[tuple[str, float]]:
-        """Return free parameters with more than `part` of their sigma left, and std / sigma, largest first."""
+    def hardly_known(self) -> list[tuple[str, float]]:
+        """Return free parameters with more than `HARDLY` of their sigma left, and std / sigma, largest first."""
         ratios = self.std / np.array([parameter.sigma_si for parameter in self.free_parameters])
-        named_ratios = [(p.name, float(r)) for p, r in zip(self.free_parameters, ratios, strict=True) if r > part]
+        named_ratios = [(p.name, float(r)) for p, r in zip(self.free_parameters, ratios, strict=True) if r > HARDLY]
         return sorted(named_ratios, key=lambda item: -item[1])
 
 

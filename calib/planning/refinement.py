@@ -62,13 +62,11 @@ class Refined(ReadOnlyArrays):
         joints: (n_poses, n_actuated) [m or rad].
         positions: Targets, (n_poses, n_targets, 3) [m].
         rows: Whitened rows, (n_poses, 3 n_targets, r).
-        rounds: Rounds of the search.
     """
 
     joints: FloatArray
     positions: FloatArray
     rows: FloatArray
-    rounds: int
 
 
 def refine(
@@ -102,10 +100,10 @@ def refine(
     evaluate = partial(_evaluate, partial(_assembled, robot, whiten, problem.rows.shape[1], sigma), region, executor)
     _, positions, rows, passive = evaluate(q, None, conditions)
     step, last = np.full(len(q), _FIRST_STEP), np.zeros_like(q)
-    rounds = 0
-    while rounds < _MAX_ROUNDS and np.any(step > _SMALLEST_STEP):
-        rounds += 1
+    for _ in range(_MAX_ROUNDS):
         active = np.flatnonzero(step > _SMALLEST_STEP)
+        if not len(active):
+            break
         trials = np.stack([_trials(q[k], last[k], step[k], width, rng) for k in active])
         trials = np.clip(trials, region.lower, region.upper)
         seeds = np.repeat(passive[active], trials.shape[1], axis=0)
@@ -131,7 +129,7 @@ def refine(
             step[k] = min(2 * step[k], _LARGEST_STEP)
         if progress is not None:
             progress(int(np.sum(step <= _SMALLEST_STEP)), len(q))
-    return Refined(q, positions.reshape(len(q), -1, 3), rows, rounds)
+    return Refined(q, positions.reshape(len(q), -1, 3), rows)
 
 
 def _trials(q: FloatArray, last: FloatArray, step: float, width: FloatArray, rng: np.random.Generator) -> FloatArray:

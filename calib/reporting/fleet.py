@@ -15,7 +15,7 @@ from calib.base.parameter import Parameter
 from calib.base.words import as_data, counted, listed, plain_text, text_table
 from calib.numerics.chances import FALSE_ALARM
 from calib.numerics.hierarchy import Hierarchy, Likeness, learn_without_odd
-from calib.reporting.result_differences import geometry, readings_of
+from calib.reporting.comparing_results import geometry, readings_of
 from calib.reporting.result_reading import load, load_uncertainty, read_result
 from calib.robots.description import description_yaml
 from calib.robots.fleet_prior import FleetSection

@@ -1,6 +1,6 @@
 """What a comparison of results says: parameters with their intervals, errors, and which differences are real.
 
-`calib.reporting.result_differences` makes it, and derives its tests.
+`calib.reporting.comparing_results` makes it, and derives its tests.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ from calib.rows.known_robot import Calibrated, KnownRobot, known_robot
 from calib.using.expected_errors import ExpectedError
 from calib.using.goals import Goals
 from calib.using.inverse import BETWEEN_SIDES, problem, settled
-from calib.using.program_goals import KEEP, Asked, asked_by_goals, asked_by_joints, reached_goals
+from calib.using.program_task import KEEP, ProgramTask, task_of_goals, task_of_joints, reached_goals
 from calib.using.reaching import Configured, Reach, descend
 from calib.using.redundancy import nearer
 from calib.using.search import TOLERANCE
@@ -179,42 +179,42 @@ def compensated_in(frame: Frame, program: Poses | Goals, keep: str | None = None
     """
     with compiled_for(_CLOSINGS * len(program) if frame.nominal.mechanism.loops else 0):
         if isinstance(program, Goals):
-            return _compensated(frame, asked_by_goals(frame.nominal, frame.meant, program))
-        return _compensated(frame, asked_by_joints(frame.meant, program, keep))
+            return _compensated(frame, task_of_goals(frame.nominal, frame.meant, program))
+        return _compensated(frame, task_of_joints(frame.meant, program, keep))
 
 
-def _compensated(frame: Frame, asked: Asked) -> Compensation:
+def _compensated(frame: Frame, task: ProgramTask) -> Compensation:
     """Solve all rows that can be."""
-    robot, n = frame.robot, len(asked.goals)
-    reach = problem(robot, asked.goals)
-    meant = np.where(np.array(asked.reasons)[:, None] == "", asked.goals.positions, np.nan)
-    program = np.where(np.isfinite(meant[:, :1]), asked.joints, np.nan)
-    approach = asked.goals.approach
-    directions = directions_of_motion(asked.joints) if approach is None else approach
-    context = Context.of(directions, asked.goals.context, asked.goals.setups)
-    columns = term_columns(robot, asked.joints, context)
-    closed = robot.close(asked.joints, columns=columns)
-    reasons = np.array(asked.reasons, dtype=object)
+    robot, n = frame.robot, len(task.goals)
+    reach = problem(robot, task.goals)
+    meant = np.where(np.array(task.reasons)[:, None] == "", task.goals.positions, np.nan)
+    program = np.where(np.isfinite(meant[:, :1]), task.joints, np.nan)
+    approach = task.goals.approach
+    directions = directions_of_motion(task.joints) if approach is None else approach
+    context = Context.of(directions, task.goals.context, task.goals.setups)
+    columns = term_columns(robot, task.joints, context)
+    closed = robot.close(task.joints, columns=columns)
+    reasons = np.array(task.reasons, dtype=object)
     reasons[(reasons == "") & ~closed.ok] = "cannot be assembled by the calibrated robot at the program's own joints"
     rows = np.flatnonzero(reasons == "")
-    start = Configured(actual_joints(robot, asked.joints, columns), closed.passive, np.full(n, np.inf)).subset(rows)
-    q, before = np.full(asked.joints.shape, np.nan), np.full((2, n), np.nan)
-    before[:, rows] = replace(reach, goals=asked.goals.subset(rows)).misses(start.actuated, start.passive)[1:]
-    if asked.goals.asks_for == "position":
+    start = Configured(actual_joints(robot, task.joints, columns), closed.passive, np.full(n, np.inf)).subset(rows)
+    q, before = np.full(task.joints.shape, np.nan), np.full((2, n), np.nan)
+    before[:, rows] = replace(reach, goals=task.goals.subset(rows)).misses(start.actuated, start.passive)[1:]
+    if task.goals.asks_for == "position":
         before[1] = np.nan
     if frame.nothing_to_correct:
-        commands = asked.joints[rows]
+        commands = task.joints[rows]
         reasons[rows] = [_beyond(reach, command, "in the program") for command in commands]
     else:
-        commands, reasons[rows] = _solved(robot, reach, asked, rows, start, context.at(rows))
+        commands, reasons[rows] = _solved(robot, reach, task, rows, start, context.at(rows))
     good = np.flatnonzero(reasons[rows] == "")
     q[rows[good]] = commands[good]
-    errors = ExpectedError.of(frame, asked.goals, commands[good], rows[good], context.at(rows[good]))
+    errors = ExpectedError.of(frame, task.goals, commands[good], rows[good], context.at(rows[good]))
     return Compensation(
-        names=asked.goals.names,
-        labels=asked.goals.labels,
+        names=task.goals.names,
+        labels=task.goals.labels,
         target=reach.target.name,
-        keep=asked.keep,
+        keep=task.keep,
         program=program,
         q=q,
         reasons=tuple(reasons),
@@ -234,15 +234,15 @@ def _compensated(frame: Frame, asked: Asked) -> Compensation:
 
 
 def _solved(
-    robot: Robot, reach: Reach, asked: Asked, rows: IntArray, start: Configured, context: Context
+    robot: Robot, reach: Reach, task: ProgramTask, rows: IntArray, start: Configured, context: Context
 ) -> tuple[FloatArray, list[str]]:
     """Commands for some rows, (n_rows, n_actuated) [m or rad], and why a row has none."""
-    near = start if asked.nearly is None else descend(problem(robot, asked.nearly), rows, start)
+    near = start if task.nearly is None else descend(problem(robot, task.nearly), rows, start)
     solutions = _past_limits(reach, rows, start, nearer(reach, rows, descend(reach, rows, near), near.actuated))
     solutions = settled(robot, reach, rows, solutions, context)
     commands = reach.told(rows, commands_for(robot, solutions.actuated, context))
-    here = replace(reach, goals=asked.goals.subset(rows))
-    return commands, _reasons(robot, here, solutions, commands, asked.joints[rows])
+    here = replace(reach, goals=task.goals.subset(rows))
+    return commands, _reasons(robot, here, solutions, commands, task.joints[rows])
 
 
 def _past_limits(reach: Reach, rows: IntArray, start: Configured, solutions: Configured) -> Configured:

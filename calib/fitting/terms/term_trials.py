@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 
 from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
-from calib.data.grouping import boxes
+from calib.data.pose_groups import boxes
 from calib.fitting.fitted import Fit
 from calib.fitting.terms.candidate_terms import Candidate
 from calib.fitting.validation import stretches

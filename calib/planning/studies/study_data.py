@@ -28,9 +28,9 @@ import numpy as np
 
 from calib.base.arrays import FloatArray
 from calib.base.errors import InputError
-from calib.data.grouping import repeated_poses
 from calib.data.in_memory import PosesLike, as_poses
 from calib.data.measurements import Measurements
+from calib.data.pose_groups import repeated_poses
 from calib.robots.robot import Robot
 from calib.rows.observed import predicted_readings
 from calib.rows.simulate import noisy_readings, simulate, unstated_noise

@@ -310,19 +310,6 @@ def cells_at(source: Source, file: int, spans: Iterable[tuple[int, int]], units:
     return tuple(cells)
 
 
-def number_spans(text: str, start: int, end: int) -> list[tuple[int, int]] | None:
-    """Return where the numbers of a list `1, 2.5, -3` stand; None where something else is in it."""
-    spans, at = [], start
-    for part in text[start:end].split(","):
-        bare = part.strip()
-        if not re.fullmatch(NUMBER, bare):
-            return None
-        first = at + part.index(bare)
-        spans.append((first, first + len(bare)))
-        at += len(part) + 1
-    return spans
-
-
 def closing(code: str, at: int) -> int | None:
     """Return where the bracket that opens at a place is closed; None where it is not."""
     depth, pairs = 0, {"(": ")", "[": "]", "{": "}"}

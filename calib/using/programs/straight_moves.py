@@ -59,13 +59,11 @@ class StraightMoves(ReadOnlyArrays):
             known.
         ends: Where they end, (n, 3) [m].
         labels: What to call each in messages.
-        target: The tool; the robot's first target if empty.
     """
 
     starts: FloatArray
     ends: FloatArray
     labels: tuple[str, ...]
-    target: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +72,6 @@ class CompensatedMoves:
 
     Attributes:
         told: Of each move the points to go through in straight lines, the last its end, (n_pieces, 3) [m].
-        q: Joints at the ends of the moves, (n, 3) [m or rad].
         before: How far the tool is off there without compensation, (n,) [m].
         expected: Root mean square distance that is left there, from the uncertainty of the parameters, (n,) [m]; NaN
             where the uncertainty of the robot is not known.
@@ -87,7 +84,6 @@ class CompensatedMoves:
     """
 
     told: tuple[FloatArray, ...]
-    q: FloatArray
     before: FloatArray
     expected: FloatArray
     deviations: FloatArray
@@ -150,7 +146,6 @@ def compensate_moves(
         _require_length(moves, active, lengths[active] / pieces[active], off, tolerance)
     return CompensatedMoves(
         tuple(ways[k].told[1:] for k in range(len(lengths))),
-        np.array([ways[k].q[-1] for k in range(len(lengths))]),
         np.array([ways[k].before for k in range(len(lengths))]),
         np.array([ways[k].expected for k in range(len(lengths))]),
         deviations,
@@ -176,7 +171,7 @@ def _ways(frame: Frame, moves: StraightMoves, active: IntArray, pieces: IntArray
     wanted = np.concatenate(points)
     fresh = np.append(True, np.any(np.diff(wanted, axis=0) != 0, axis=1))  # a move begins where another ended
     labels = tuple(moves.labels[k] for k in np.repeat(active, pieces + 1)[fresh])
-    found = compensated_in(frame, Goals(wanted[fresh], labels=labels, target=moves.target))
+    found = compensated_in(frame, Goals(wanted[fresh], labels=labels))
     misses = list(dict.fromkeys(found.misses()))
     if misses:
         raise UnreachablePoseError(
@@ -207,7 +202,7 @@ def _deviations(frame: Frame, moves: StraightMoves, ways: dict[int, _Way]) -> tu
         return largest, 0
     places, rows, numbers = np.concatenate(told), np.concatenate(owner), list(ways)
     labels = tuple(moves.labels[numbers[row]] for row in rows)
-    goals, straight = (Goals(points, labels=labels, target=moves.target) for points in (places, np.concatenate(meant)))
+    goals, straight = (Goals(points, labels=labels) for points in (places, np.concatenate(meant)))
     at = np.concatenate(near)
     for first in range(0, len(places), _CHUNK):
         chunk = np.arange(first, min(first + _CHUNK, len(places)))

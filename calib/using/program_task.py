@@ -1,4 +1,4 @@
-"""What a program asks of the calibrated robot: where its target is to be, and the nominal robot's joints there.
+"""The task that a program sets the calibrated robot: where its target is to be, and the nominal robot's joints there.
 
 Whose frames, how much is kept and on which branch: see `calib.using.compensation`, which answers.
 """
@@ -29,7 +29,7 @@ _STATED = {"full pose": "pose", "position and axis": "axis", "position": "positi
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class ProgramTask:
     """What a program asks of the calibrated robot.
 
     Attributes:
@@ -47,8 +47,8 @@ class Asked:
     nearly: Goals | None
 
 
-def asked_by_joints(meant: Robot, program: Poses, keep: str | None) -> Asked:
-    """Return what joints of the nominal robot ask for.
+def task_of_joints(meant: Robot, program: Poses, keep: str | None) -> ProgramTask:
+    """Return the task that joints of the nominal robot set.
 
     Args:
         meant: The nominal robot, in the frame in which the program is meant.
@@ -75,7 +75,7 @@ def asked_by_joints(meant: Robot, program: Poses, keep: str | None) -> Asked:
     if keep is None:
         keep = "pose" if _moves_freely(jacobian * mechanism.joint_scale, mechanism.length) else "position"
     reasons = tuple("" if good else "cannot be assembled by the nominal robot" for good in closed)
-    return _asked(pose, joints, reasons, keep)
+    return _task(pose, joints, reasons, keep)
 
 
 def _reached_by(robot: Robot, joints: FloatArray, goals: Goals) -> tuple[Goals, FloatArray, BoolArray]:
@@ -88,13 +88,13 @@ def _reached_by(robot: Robot, joints: FloatArray, goals: Goals) -> tuple[Goals, 
     return replace(goals, positions=positions, rotations=rotations, directions=None), jacobian, closed.ok
 
 
-def _asked(pose: Goals, joints: FloatArray, reasons: tuple[str, ...], keep: str) -> Asked:
-    """What of full poses is asked for."""
+def _task(pose: Goals, joints: FloatArray, reasons: tuple[str, ...], keep: str) -> ProgramTask:
+    """What of full poses is kept."""
     goals = pose if keep == "pose" else replace(pose, rotations=None)
     if keep == "axis":
         assert pose.rotations is not None
         goals = replace(goals, directions=pose.rotations[:, :, 2])
-    return Asked(goals, joints, reasons, keep, None if keep == "pose" else pose)
+    return ProgramTask(goals, joints, reasons, keep, None if keep == "pose" else pose)
 
 
 def _moves_freely(jacobian: FloatArray, length: float) -> bool:
@@ -105,8 +105,8 @@ def _moves_freely(jacobian: FloatArray, length: float) -> bool:
     return bool(np.any(values[:, 5] > _SINGULAR * values[:, 0]))
 
 
-def asked_by_goals(nominal: Robot, meant: Robot, program: Goals) -> Asked:
-    """Return what goals ask for: where the nominal robot brings the tool that is told to go there.
+def task_of_goals(nominal: Robot, meant: Robot, program: Goals) -> ProgramTask:
+    """Return the task that goals set: where the nominal robot brings the tool that is told to go there.
 
     Args:
         nominal: The robot as its description has it, which is what a controller knows.
@@ -122,7 +122,7 @@ def asked_by_goals(nominal: Robot, meant: Robot, program: Goals) -> Asked:
     solution = solve(nominal, program)
     reasons = tuple("" if good else f"by the nominal robot {solution.miss(k)}" for k, good in enumerate(solution.ok))
     joints = _on_one_branch(nominal, problem(nominal, program), solution.q, solution.ok)
-    return _asked(_reached_by(meant, joints, program)[0], joints, reasons, _STATED[program.asks_for])
+    return _task(_reached_by(meant, joints, program)[0], joints, reasons, _STATED[program.asks_for])
 
 
 def _on_one_branch(robot: Robot, reach: Reach, q: FloatArray, ok: BoolArray) -> FloatArray:

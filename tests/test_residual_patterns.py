@@ -10,7 +10,7 @@ from six_axis_arm import FREE, YAML, joints, measurements, six_axis_arm, write_s
 import calib
 from calib.data.measurements import directions_of_motion
 from calib.judging.effects import FAMILIES, Kind
-from calib.judging.systematic import describe
+from calib.judging.residual_patterns import describe
 
 SIGMA = 4e-5
 

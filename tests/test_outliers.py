@@ -4,6 +4,7 @@ from six_axis_arm import FREE, NO_PRIORS, YAML, joints, measurements, six_axis_a
 from small_robots import write_arm
 
 import calib
+from calib.judging import findings
 from calib.numerics.losses import Blocks, studentised
 
 SIGMA = 4e-5
@@ -67,7 +68,7 @@ def test_a_row_that_was_not_read_says_nothing_about_its_reading():
 
 def test_leverages_add_up_to_the_effective_parameters(arm):
     fit = calib.fit(arm, with_errors(arm, [], 0.0))
-    assert 3 * np.sum(fit.studentised.leverage) == pytest.approx(fit.statistics.effective_parameters)
+    assert 3 * np.sum(findings.studentised(fit).leverage) == pytest.approx(fit.statistics.effective_parameters)
 
 
 @pytest.mark.parametrize("size", [5e-4, 5e-3])

@@ -9,6 +9,7 @@ from six_axis_arm import FREE, YAML, joints, measurements, six_axis_arm, write_s
 
 import calib
 from calib.data.measurements import directions_of_motion
+from calib.judging import findings
 from calib.judging.effects import FAMILIES, Kind
 from calib.judging.residual_patterns import describe
 
@@ -30,7 +31,7 @@ def noisy_data(arm, positions, n=80, seed=3):
     return measurements(arm, joints(n), positions + noise)
 
 
-def findings(fit):
+def significant(fit):
     return [pattern for pattern in fit.patterns if pattern.significant]
 
 
@@ -70,7 +71,7 @@ def test_a_joint_that_follows_its_neighbour_is_found(arm, driver):
     q_true = joints(80)
     q_true[:, 2] += 2e-3 * q_true[:, driver]
     (one,) = (
-        pattern for pattern in findings(fitted(arm, q_true)) if pattern.kind == "coupling" and pattern.name == "j3"
+        pattern for pattern in significant(fitted(arm, q_true)) if pattern.kind == "coupling" and pattern.name == "j3"
     )
     assert one.detail == f"j{driver + 1}"
     assert one.amount == pytest.approx(2e-3, rel=0.1)
@@ -82,7 +83,7 @@ def test_backlash_is_found_with_its_joint_and_size(arm):
     half = 1e-4
     played = q.copy()
     played[:, 2] += half * directions_of_motion(q)[:, 2]
-    found = findings(fitted(arm, played))
+    found = significant(fitted(arm, played))
     assert (found[0].kind, found[0].name) == ("approach", "j3")
     assert abs(found[0].amount) == pytest.approx(half, rel=0.3)
     words = describe(found[0], arm.mechanism.dimensions)
@@ -94,7 +95,7 @@ def test_a_gear_error_is_found_at_its_joint(arm):
     q = joints(80)
     geared = q.copy()
     geared[:, 1] += 2e-4 * np.sin(3 * q[:, 1])
-    found = findings(fitted(arm, geared))
+    found = significant(fitted(arm, geared))
     assert (found[0].kind, found[0].name, found[0].detail) == ("wave", "j2", "3 cycles a turn")
     assert found[0].amount == pytest.approx(2e-4, rel=0.1)
     assert ("joint", "j2") in [(pattern.kind, pattern.name) for pattern in found]
@@ -103,7 +104,7 @@ def test_a_gear_error_is_found_at_its_joint(arm):
 def test_a_tracker_that_moved_while_measuring_is_found(arm):
     moved = np.zeros((80, 1, 3))
     moved[50:, 0, 1] = 2e-4
-    found = findings(fitted(arm, joints(80), shift=moved))
+    found = significant(fitted(arm, joints(80), shift=moved))
     assert found[0].kind == "drift"
     assert "of a tracker or base that moved" in describe(found[0], arm.mechanism.dimensions)
 
@@ -111,7 +112,7 @@ def test_a_tracker_that_moved_while_measuring_is_found(arm):
 def test_a_joint_that_slipped_while_measuring_is_found(arm):
     q = joints(80)
     q[40:, 2] += 4e-4
-    found = findings(fitted(arm, q))
+    found = significant(fitted(arm, q))
     assert (found[0].kind, found[0].name) == ("zero", "j3")
     assert "joint j3 that changes in the course of" in describe(found[0], arm.mechanism.dimensions)
 
@@ -120,29 +121,29 @@ def test_a_wave_is_tested_as_if_its_columns_were_written_out(arm):
     q = joints(80)
     fit = fitted(arm, q + 2e-4 * np.eye(6)[1] * np.sin(7 * q[:, 1:2]))
     found = next(p for p in fit.patterns if (p.kind, p.detail) == ("wave", "7 cycles a turn"))
-    by_joint = fit.setting.whitened({"ball": fit.setting.observed["ball"].by_joint})[:, 1]
+    setting, linear = findings.setting(fit), findings.linear(fit)
+    by_joint = setting.whitened({"ball": setting.observed["ball"].by_joint})[:, 1]
     z = by_joint[:, None] * np.repeat(np.column_stack([np.sin(7 * q[:, 1]), np.cos(7 * q[:, 1])]), 3, axis=0)
-    r = fit.linear.rows.residuals
-    left = z - fit.linear.pulled @ (fit.linear.pulled.T @ z)
+    r = linear.rows.residuals
+    left = z - linear.pulled @ (linear.pulled.T @ z)
     coefficients = np.linalg.solve(z.T @ left, z.T @ r)
     gain = r @ z @ coefficients
-    variance_ratio = (gain / 2) / ((r @ r - gain) / (fit.linear.freedom - 2))
+    variance_ratio = (gain / 2) / ((r @ r - gain) / (linear.freedom - 2))
     assert found.amount == pytest.approx(np.linalg.norm(coefficients), rel=1e-9)
-    assert found.p_value == pytest.approx(
-        min(1.0, 3 * 120 * 6 * f.sf(variance_ratio, 2, fit.linear.freedom - 2)), rel=1e-6
-    )
+    assert found.p_value == pytest.approx(min(1.0, 3 * 120 * 6 * f.sf(variance_ratio, 2, linear.freedom - 2)), rel=1e-6)
 
 
 def test_good_data_show_a_pattern_in_one_set_of_a_hundred(arm):
-    assert sum(bool(findings(fitted(arm, joints(80), seed=seed))) for seed in range(100)) <= 4  # chance of more: 0.4 %
+    with_patterns = sum(bool(significant(fitted(arm, joints(80), seed=seed))) for seed in range(100))
+    assert with_patterns <= 4  # chance of more: 0.4 %
 
 
 def test_a_constant_shift_is_found_where_nothing_absorbs_it(tmp_path):
     yaml = YAML + "  - {origin: j3, components: [rx, rz], sigma: 5 mrad}\n"
     robot = calib.load(write_six_axis(tmp_path, yaml))
     fit = fitted(robot, joints(80), shift=np.array([0, 0, 3e-5]))
-    assert [(p.kind, p.name) for p in findings(fit)] == [("axis", "z")]
-    assert findings(fit)[0].amount == pytest.approx(-3e-5, abs=1e-5)  # predicted minus measured
+    assert [(p.kind, p.name) for p in significant(fit)] == [("axis", "z")]
+    assert significant(fit)[0].amount == pytest.approx(-3e-5, abs=1e-5)  # predicted minus measured
 
 
 def test_a_constant_shift_is_not_tested_where_the_base_is_free(tmp_path):
@@ -186,7 +187,7 @@ def test_nothing_is_put_down_to_a_joint_that_never_moved(tmp_path):
     drift = np.linspace(-5, 5, 80)[:, None, None] * SIGMA * np.array([0.0, 1.0, 0.0])
     noise = SIGMA * np.random.default_rng(3).standard_normal((80, 1, 3))
     fit = calib.fit(robot, measurements(robot, q, robot.positions(q) + drift + noise))
-    assert "drift" in [pattern.kind for pattern in findings(fit)]
+    assert "drift" in [pattern.kind for pattern in significant(fit)]
     assert "j1" not in [pattern.name for pattern in fit.patterns]
 
 
@@ -202,7 +203,7 @@ def course(n=80):
 
 
 def first(fit):
-    return findings(fit)[0]
+    return significant(fit)[0]
 
 
 def test_a_wrong_scale_is_found_where_lengths_are_known(stiff):
@@ -221,7 +222,7 @@ def centred(arm):
 
 def test_a_turned_frame_is_found_where_the_base_is_known(stiff):
     turned = np.cross([0.0, 0.0, 3e-4], centred(stiff))
-    assert "turn" in [pattern.kind for pattern in findings(fitted(stiff, joints(80), shift=turned))]
+    assert "turn" in [pattern.kind for pattern in significant(fitted(stiff, joints(80), shift=turned))]
 
 
 def test_a_frame_that_turns_slowly_is_found_without_stated_noise(arm):
@@ -241,7 +242,7 @@ def test_rows_with_a_time_may_stand_in_any_order(arm):
     data = noisy_data(arm, arm.positions(joints(80)) + shift)
     order = np.random.default_rng(1).permutation(80)
     shuffled = dataclasses.replace(data.subset(order), order=None, approach=None)
-    assert "turning" not in [pattern.kind for pattern in findings(calib.fit(arm, shuffled))]
+    assert "turning" not in [pattern.kind for pattern in significant(calib.fit(arm, shuffled))]
     timed = dataclasses.replace(shuffled, context={"time": 30.0 * order})
     assert first(calib.fit(arm, timed)).kind == "turning"
 

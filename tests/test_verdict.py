@@ -12,6 +12,7 @@ import calib
 from calib.data.measurements import with_points
 from calib.fitting.fitted import Convergence
 from calib.fitting.starts import Minimum, Starts
+from calib.judging import findings
 from calib.judging.blind_spots import unordered
 from calib.judging.effects import scale
 from calib.judging.residual_patterns import visible
@@ -379,7 +380,7 @@ def test_a_pose_that_decides_its_own_prediction_is_named(tmp_path):
     q[:, 5] = 0.3
     q[11, 5] = 1.9
     fit = calib.fit(robot, noisy(robot, q, SIGMA, 1))
-    assert np.argmax(fit.studentised.leverage) == 11
+    assert np.argmax(findings.studentised(fit).leverage) == 11
     assert "1 pose decides its own prediction" in reason(fit, "leverage").text
     assert "row 11" in reason(fit, "leverage").text
 
@@ -390,7 +391,7 @@ def test_a_pose_that_only_curves_follow_is_not_said_to_decide_itself(tmp_path):
     gears = robot.positions(q + 0.01 * np.sin(7 * q))
     data = measurements(robot, q, gears + SIGMA * np.random.default_rng(1).standard_normal(gears.shape))
     fit = calib.fit(robot, data, sigma=SIGMA)
-    assert np.max(fit.studentised.largest_leverage) > 0.95
+    assert np.max(findings.studentised(fit).largest_leverage) > 0.95
     assert "leverage" not in fit.verdict.to_dict()["codes"]
     q = joints(60)
     q[:, 5] = 0.3
@@ -463,16 +464,17 @@ def test_a_robot_that_was_sent_to_round_values_is_not_called_rounded(arm, truth,
 def test_the_score_for_rounding_is_that_of_whole_matrices(arm, truth):
     """The sums over visits against Q and M written out."""
     fit = calib.fit(arm, noisy(truth, rounded_to(joints(40), 0.01), SIGMA, 1))
-    columns = fit.setting.whitened({"ball": fit.setting.observed["ball"].by_joint}) * np.radians(0.01) / np.sqrt(12)
+    setting = findings.setting(fit)
+    columns = setting.whitened({"ball": setting.observed["ball"].by_joint}) * np.radians(0.01) / np.sqrt(12)
     q = np.zeros((120, 120))
     for visit in range(40):
         rows = slice(3 * visit, 3 * visit + 3)
         q[rows, rows] = columns[rows] @ columns[rows].T
-    m, r = fit.linear.after_fit(np.eye(120)), fit.linear.rows.residuals
-    variance = r @ r / fit.linear.freedom
+    m, r = findings.linear(fit).after_fit(np.eye(120)), findings.linear(fit).rows.residuals
+    variance = r @ r / findings.linear(fit).freedom
     mean, square = np.trace(m @ q), np.trace(m @ q @ m @ q)
     found = rounding(fit)
-    assert found.part == pytest.approx(mean / variance / fit.linear.freedom, rel=1e-6)
+    assert found.part == pytest.approx(mean / variance / findings.linear(fit).freedom, rel=1e-6)
     freedom, statistic = mean**2 / square, r @ q @ r / variance
     assert found.chance == pytest.approx(chi2.sf(statistic * mean / square, freedom), rel=1e-6)
 
@@ -533,7 +535,7 @@ def test_the_scale_that_shows_is_five_standard_deviations(arm, truth):
     column = -((points - points.mean(axis=0)) / SIGMA).reshape(-1, 1)
     both = np.hstack([fit.rows.jacobian, column])
     std = np.sqrt(np.linalg.inv(both.T @ both)[-1, -1]) * fit.sigma / SIGMA
-    assert visible(fit.linear, scale(fit.setting)) == pytest.approx(5 * std, rel=1e-3)
+    assert visible(findings.linear(fit), scale(findings.setting(fit))) == pytest.approx(5 * std, rel=1e-3)
 
 
 def test_rows_that_look_shuffled_are_named_unless_they_have_a_time(prior_arm):

@@ -20,10 +20,10 @@ from calib.data.measurement_columns import approach_columns, cells_of, condition
 from calib.data.measurement_files import read_poses
 from calib.data.measurements import Poses
 from calib.data.tables import format_table, read_table
-from calib.reporting.expected_text import COUNTED, before_and_now, expected_now, left_as_it_is, of_frame, summary
 from calib.reporting.result_reading import load_known, read_result
 from calib.robots.robot import Robot
 from calib.using.compensation import Compensation, compensate
+from calib.using.expected_errors import COUNTED, before_and_now, expected_now, left_as_it_is, of_frame, summary
 from calib.using.goals import Goals, read_goals
 from calib.using.program_task import KEEP
 from calib.using.programs import languages

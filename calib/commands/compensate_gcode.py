@@ -9,8 +9,8 @@ from calib.base.own_files import GCODE_COMMENT
 from calib.base.units import millimetres, quantity
 from calib.base.words import counted
 from calib.commands.common import Output, said_of_failure
-from calib.reporting.expected_text import COUNTED, before_and_now, expected_now, left_as_it_is, of_frame, summary
 from calib.rows.known_robot import KnownRobot
+from calib.using.expected_errors import COUNTED, before_and_now, expected_now, left_as_it_is, of_frame, summary
 from calib.using.programs.gcode import ROUNDING, GcodeProgram, read_gcode
 from calib.using.programs.straight_moves import CompensatedMoves, StraightMoves, compensate_moves
 

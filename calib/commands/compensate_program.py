@@ -12,8 +12,8 @@ from calib.base.files import write_files
 from calib.base.units import ERROR_UNIT, error_scale, millimetres
 from calib.base.words import counted
 from calib.commands.common import Output, said_of_failure
-from calib.reporting.expected_text import COUNTED, before_and_now, expected_now, left_as_it_is, of_frame, summary
 from calib.rows.known_robot import KnownRobot
+from calib.using.expected_errors import COUNTED, before_and_now, expected_now, left_as_it_is, of_frame, summary
 from calib.using.programs.controller_program import CompensatedProgram, compensate_program
 from calib.using.programs.languages import read_program
 from calib.using.programs.robot_program import RobotProgram

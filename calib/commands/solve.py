@@ -18,10 +18,10 @@ from calib.commands.common import (
 )
 from calib.data.measurement_columns import approach_columns, condition_columns, joint_columns
 from calib.data.tables import format_table
-from calib.reporting.expected_text import COUNTED, expected_now, figures, left_as_it_is, of_frame, summary
 from calib.reporting.result_reading import load_known
 from calib.robots.configurations import near_singularities
 from calib.robots.robot import Robot
+from calib.using.expected_errors import COUNTED, expected_now, left_as_it_is, of_frame, summary
 from calib.using.goals import Goals, read_goals
 from calib.using.inverse import Solution, solve
 
@@ -102,7 +102,7 @@ def command(
 
 def _expected(solution: Solution, reached: IntArray, source: str) -> list[str]:
     """Say how far the real robot is expected to be off where it is sent."""
-    expected, shown = solution.expected, figures(solution.expected)
+    expected, shown = solution.expected, solution.expected.figures()
     lines = (
         [f"The joint values are those of the nominal robot: {left_as_it_is(source)}"]
         if expected.nothing_to_correct
@@ -125,14 +125,14 @@ def _table(robot: Robot, goals: Goals, solution: Solution, comments: tuple[str, 
     for axis, values in zip("xyz", millimetres(solution.positions[reached].T), strict=True):
         columns[f"{goals.target}_{axis} [mm]"] = list(values)
     columns |= condition_columns(robot, len(told), told.setups, told.context) | approach_columns(robot, told.approach)
-    for (name, unit), values in figures(solution.expected).items():
+    for (name, unit), values in solution.expected.figures().items():
         columns[f"{name} [{unit}]"] = list(values[reached])
     return format_table(list(columns.items()), comments)
 
 
 def _rows(robot: Robot, goals: Goals, solution: Solution) -> list[dict[str, object]]:
     """One entry for each target; joints are null where it is out of reach."""
-    joints, expected = joint_columns(robot, solution.q), figures(solution.expected)
+    joints, expected = joint_columns(robot, solution.q), solution.expected.figures()
     return [
         {
             "pose": name,

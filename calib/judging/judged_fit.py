@@ -8,12 +8,10 @@ from typing import Self
 from calib.fitting.fitted import Fit
 from calib.fitting.outliers import Outlier
 from calib.judging import findings
-from calib.judging.effects import EffectSetting
 from calib.judging.error_budget import ErrorBudget
 from calib.judging.reasons import Verdict
-from calib.judging.residual_patterns import Pattern, Residuals
+from calib.judging.residual_patterns import Pattern
 from calib.judging.verdict import judge
-from calib.numerics.losses import Studentised
 from calib.rows.known_robot import KnownRobot
 
 
@@ -55,16 +53,6 @@ class JudgedFit(Fit):
         return findings.validation_outliers(self)
 
     @property
-    def studentised(self) -> Studentised:
-        """How far off every reading is that was used; see `calib.numerics.losses`."""
-        return findings.studentised(self)
-
-    @property
-    def validation_studentised(self) -> Studentised | None:
-        """How far off every reading is that was not used; None without them."""
-        return findings.validation_studentised(self)
-
-    @property
     def patterns(self) -> tuple[Pattern, ...]:
         """Systematic patterns that were looked for in the residuals, most significant first."""
         return findings.patterns(self)
@@ -73,16 +61,6 @@ class JudgedFit(Fit):
     def budget(self) -> ErrorBudget | None:
         """What made the error before, and what is left; None where the robot cannot be assembled on the way."""
         return findings.budget(self)
-
-    @property
-    def setting(self) -> EffectSetting:
-        """What effects that the model may leave out are made of."""
-        return findings.setting(self)
-
-    @property
-    def linear(self) -> Residuals:
-        """The fit as a linear model, in which effects are looked for."""
-        return findings.linear(self)
 
     @property
     def known(self) -> KnownRobot:

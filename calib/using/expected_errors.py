@@ -2,6 +2,7 @@
 
 In the frame in which the goals are meant (`calib.rows.frames`). An error is normal, its covariance that of the
 predicted position; its mean is what the calibrated robot is off at the command, as far as that was not corrected.
+The functions below say in words how large they are, in which frame, and what is counted.
 """
 
 from __future__ import annotations
@@ -12,11 +13,15 @@ import numpy as np
 import pinocchio as pin
 
 from calib.base.arrays import FloatArray, IntArray, ReadOnlyArrays
+from calib.base.units import ERROR_UNIT, Dimension, error_scale
 from calib.joint_terms.term import Context
 from calib.rows.common_motion import target_poses
 from calib.rows.frames import Frame
 from calib.rows.prediction import length95, rms_length
 from calib.using.goals import Goals
+
+COUNTED = "expected errors count measurement noise and the priors, not what the model leaves out"
+"""What an expected error counts."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,6 +47,19 @@ class ExpectedError(ReadOnlyArrays):
 
     def __repr__(self) -> str:
         return f"<expected errors of {len(self.distance)} goals>"
+
+    def figures(self) -> dict[tuple[str, str], FloatArray]:
+        """Return errors and their limits by name and unit of files, (n,) each; of what is asked for."""
+        parts: tuple[tuple[str, Dimension, FloatArray, FloatArray], ...] = (
+            ("", "length", self.distance, self.distance95),
+            ("_angle", "angle", self.angle, self.angle95),
+        )
+        return {
+            (f"{figure}{ending}", ERROR_UNIT[dimension]): error_scale(dimension) * values
+            for ending, dimension, rms, limits in parts
+            if np.any(np.isfinite(rms))
+            for figure, values in zip(("expected", "low95", "high95"), (rms, *limits), strict=True)
+        }
 
     @staticmethod
     def of(frame: Frame, goals: Goals, commands: FloatArray, rows: IntArray, context: Context) -> ExpectedError:
@@ -90,3 +108,52 @@ def _turned(frame: Frame, goals: Goals, t: int, commands: FloatArray, context: C
         return np.array([pin.log3(turn) for turn in rotations @ goals.rotations.swapaxes(1, 2)])
     assert goals.directions is not None
     return np.cross(goals.directions, rotations[:, :, 2])
+
+
+def of_frame(frame: str) -> str:
+    """Say where and how errors count, in two sentences.
+
+    Args:
+        frame: In which frame, in words.
+    """
+    return f"Errors are {frame}.\n{COUNTED[0].upper()}{COUNTED[1:]}."
+
+
+def left_as_it_is(result: str) -> str:
+    """Say why nothing was corrected.
+
+    Args:
+        result: Folder of the calibration.
+    """
+    return f"the verdict of {result} is that nothing is to be corrected"
+
+
+def summary(values: FloatArray) -> dict[str, float]:
+    """Return root mean square and largest of errors (n,)."""
+    return {"rms": float(np.sqrt(np.mean(values**2))), "max": float(np.max(values))}
+
+
+def expected_now(what: str, expected: dict[str, float], unit: str) -> str:
+    """Say how large an error is expected to be.
+
+    Args:
+        what: Of what it is, such as `The tool`.
+        expected: Its `summary`.
+        unit: Of this.
+    """
+    return f"{what} is expected to be off by {expected['rms']:.4f} {unit} (rms), {expected['max']:.4f} {unit} at worst"
+
+
+def before_and_now(what: str, before: dict[str, float], expected: dict[str, float], unit: str) -> str:
+    """Say how large an error was, and is expected to be.
+
+    Args:
+        what: Of what it is.
+        before: Its `summary` without compensation.
+        expected: Its `summary` now.
+        unit: Of both.
+    """
+    return (
+        f"{what} was off by {before['rms']:.4f} {unit} (rms); expected now: {expected['rms']:.4f} {unit},"
+        f" {expected['max']:.4f} {unit} at worst"
+    )

@@ -25,7 +25,7 @@ from calib.fitting.fit import of_a_part
 from calib.fitting.settings import Settings
 from calib.fitting.validation import cross_validate, n_folds
 from calib.joint_terms.terms import terms_text
-from calib.judging.judged_fit import JudgedFit
+from calib.judging.verdict import JudgedFit
 from calib.numerics.losses import checked_loss
 from calib.pictures import Plots
 from calib.planning.studies.study import study

@@ -92,7 +92,6 @@ class TouchStudy:
     """Everything that was found.
 
     Attributes:
-        robot: Nominal MedRUE.
         methods: Ways to measure.
         selections: How the poses of each were chosen, by name.
         artefacts: Root-mean-square error predicted over the 420 poses for the best touches of each of `ARTEFACTS` [m];
@@ -103,7 +102,6 @@ class TouchStudy:
         seed: Seed of everything random.
     """
 
-    robot: Robot
     methods: tuple[Method, ...]
     selections: Mapping[str, Selection]
     artefacts: Mapping[Artefact, float]
@@ -150,7 +148,7 @@ def run_touch(robot: Robot, size: StudySize, seed: int, executor: Executor | Non
     first, others = np.array(found[: size.noise_draws]), np.array(found[size.noise_draws :])
     by_actual = others.reshape(size.actual_draws, size.noise_per_actual, *others.shape[1:])
     seen = {method.name: _seen(method) for method in methods}
-    return TouchStudy(robot, methods, selections, artefacts, seen, first, by_actual, seed)
+    return TouchStudy(methods, selections, artefacts, seen, first, by_actual, seed)
 
 
 def choose_methods(robot: Robot, joints: FloatArray) -> tuple[tuple[Method, ...], dict[str, Selection]]:

@@ -15,8 +15,8 @@ import yaml
 
 from calib.commands.boards import given_board
 from calib.commands.hand_eye import scene_of
-from calib.photographs.calibrating import calibrate, rms
 from calib.photographs.detection import detect
+from calib.photographs.hand_eye_calibration import calibrate, rms
 from calib.photographs.images import shots
 from calib.photographs.tool_poses import read_tool_poses
 

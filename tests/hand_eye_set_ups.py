@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import t
 
 from calib.base.errors import CalibrationError
-from calib.photographs.calibrating import calibrate, rms
 from calib.photographs.estimation import plain
+from calib.photographs.hand_eye_calibration import calibrate, rms
 from calib.photographs.hand_eye_result import judge
 from calib.photographs.scene import Placed, Scene, on_board
 

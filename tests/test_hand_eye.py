@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from calib.base.errors import DataError, NotIdentifiableError
 from calib.photographs import starts
-from calib.photographs.calibrating import calibrate, rms
 from calib.photographs.estimation import Noise, estimate, left_out, solve
+from calib.photographs.hand_eye_calibration import calibrate, rms
 from calib.photographs.hand_eye_result import Frames, content, files, judge, report
 from calib.photographs.scene import Placed, on_board, residuals, rows
 

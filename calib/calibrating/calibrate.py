@@ -36,8 +36,8 @@ from calib.fitting.terms.term_choice import choose_terms
 from calib.fitting.validation import cross_validate, n_folds
 from calib.joint_terms.terms import listed_terms
 from calib.judging import findings
-from calib.judging.judged_fit import JudgedFit
 from calib.judging.rules_noise import unproven
+from calib.judging.verdict import JudgedFit
 from calib.robots.robot import Robot
 
 PROVING = 5

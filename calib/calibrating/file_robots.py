@@ -34,7 +34,7 @@ from calib.fitting.unseen_errors import accuracy
 from calib.fitting.validation import cross_validate, n_folds
 from calib.joint_terms.one_coefficient import Zero
 from calib.joint_terms.term import Joint, TermSection
-from calib.judging.judged_fit import JudgedFit
+from calib.judging.verdict import JudgedFit
 from calib.robots.held import Accuracy, FileRobot, Holds
 from calib.robots.joint_errors import actual_joints
 from calib.robots.robot import Robot

@@ -21,9 +21,9 @@ from calib.commands.detect import detected, summary
 from calib.data.rosbag import is_bag
 from calib.data.tables import read_table
 from calib.instruments.board import Board
-from calib.photographs.calibrating import LENSES, HandEye, calibrate, require_images
 from calib.photographs.camera_files import read_camera
 from calib.photographs.detection import Found
+from calib.photographs.hand_eye_calibration import LENSES, HandEye, calibrate, require_images
 from calib.photographs.hand_eye_result import Frames, content, files, judge, report
 from calib.photographs.images import joint_columns, shots
 from calib.photographs.pages import Picture, exaggeration, page

@@ -9,22 +9,29 @@ repeats and blocks left out 0.1 %, patterns and outliers 1 % each. Good data the
 one fit of thirty (measured: docs/verdict.md).
 
 Rules of other packages come in by entry points of the group `calib.reasons`: functions of a fit that yield reasons.
+
+A `JudgedFit` is a fit that can be asked what it is worth: it has findings and verdict as attributes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from importlib.metadata import entry_points
+from typing import Self
 
 from calib.base.errors import InputError
 from calib.base.remembered import remembered
 from calib.fitting.fitted import Fit
+from calib.fitting.outliers import Outlier
 from calib.fitting.pose_checks import likely_mistake
-from calib.judging import rules_data, rules_model, rules_noise, rules_parameters, rules_reach
+from calib.judging import findings, rules_data, rules_model, rules_noise, rules_parameters, rules_reach
 from calib.judging.blind_spots import not_covered
 from calib.judging.claim import Gain, claim_of
+from calib.judging.error_budget import ErrorBudget
 from calib.judging.reasons import Code, Reason, Verdict
+from calib.judging.residual_patterns import Pattern
+from calib.rows.known_robot import KnownRobot
 
 _RULES: tuple[Callable[[Fit], Iterator[Reason]], ...] = (
     rules_model.worse_on_validation,
@@ -115,3 +122,57 @@ def _reasons_of_others(fit: Fit) -> Iterator[Reason]:
         if not all(isinstance(reason, Reason) for reason in given):
             raise InputError(f"{whose}: yields something else than calib.judging.reasons.Reason; mend its package")
         yield from given
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class JudgedFit(Fit):
+    """A fit with its findings and its verdict, each made when it is first asked for."""
+
+    with_all: JudgedFit | None = None
+
+    @classmethod
+    def of(cls, fit: Fit) -> Self:
+        """Return a fit with what it is worth."""
+        values = {field.name: getattr(fit, field.name) for field in fields(fit)}
+        if fit.with_all is not None:
+            values["with_all"] = JudgedFit.of(fit.with_all)
+        if fit.reduced is not None:
+            values["reduced"] = {holds: JudgedFit.of(other) for holds, other in fit.reduced.items()}
+        return cls(**values)
+
+    def __repr__(self) -> str:
+        return (
+            f"<{type(self).__name__} of '{self.nominal.name}': {self.verdict.grade}, {self.identification.data.n_poses}"
+            f" poses, {len(self.unknowns)} free parameters>"
+        )
+
+    @property
+    def verdict(self) -> Verdict:
+        """PASS, CHECK or FAIL, with reasons."""
+        return judge(self)
+
+    @property
+    def outliers(self) -> tuple[Outlier, ...]:
+        """Readings that were used and lie further off than noise explains, worst first."""
+        return findings.outliers(self)
+
+    @property
+    def validation_outliers(self) -> tuple[Outlier, ...]:
+        """Readings that were not used and lie further off than noise and uncertainty explain, worst first."""
+        return findings.validation_outliers(self)
+
+    @property
+    def patterns(self) -> tuple[Pattern, ...]:
+        """Systematic patterns that were looked for in the residuals, most significant first."""
+        return findings.patterns(self)
+
+    @property
+    def budget(self) -> ErrorBudget | None:
+        """What made the error before, and what is left; None where the robot cannot be assembled on the way."""
+        return findings.budget(self)
+
+    @property
+    def known(self) -> KnownRobot:
+        """The calibrated robot, with how well it is known and where it was measured."""
+        joints, needless = self.identification.data.joints, self.verdict.nothing_to_correct
+        return KnownRobot(self.robot, self.uncertainty, joints, needless)

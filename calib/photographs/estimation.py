@@ -20,7 +20,7 @@ alone decides the last digits. A robot that is exact gets s_t = s_r = 0, which i
 Plain least squares (V = s^2 I) with the covariance A^-1 (sum of J^T V J) A^-1 / s^4 is the other choice. Weights
 believe what differs within an image more than what differs between images: right where the robot errs, wrong where lens
 or board are not as modelled, and blind to robots whose errors follow the pose. So whoever asks takes weights only where
-they predict images that were left out better (`calib.photographs.calibrating`).
+they predict images that were left out better (`calib.photographs.hand_eye_calibration`).
 
 Why. An image of 24 corners has 48 rows, but its robot pose is wrong once. Counted as independent, intervals are several
 times too narrow, and images near the board, where the robot's error is many pixels, drown those far from it.

@@ -11,8 +11,8 @@ import scipy
 from calib.base.arrays import FloatArray
 from calib.base.words import as_data, counted, listed
 from calib.instruments.camera import LITTLE_COVERAGE, NAMES, image_coverage
-from calib.photographs.calibrating import HandEye, rms
 from calib.photographs.estimation import turning
+from calib.photographs.hand_eye_calibration import HandEye, rms
 from calib.photographs.scene import SIDES
 
 _FEW = 10  # images below which a result is one to look at

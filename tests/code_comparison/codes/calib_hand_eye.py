@@ -6,7 +6,7 @@ import numpy as np
 from exchange import Answer, Photographs, fit_time, main
 
 import calib
-from calib.photographs.calibrating import calibrate, rms
+from calib.photographs.hand_eye_calibration import calibrate, rms
 from calib.photographs.hand_eye_result import judge
 from calib.photographs.scene import Scene
 

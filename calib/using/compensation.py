@@ -48,7 +48,7 @@ from calib.rows.known_robot import Calibrated, KnownRobot, known_robot
 from calib.using.expected_errors import ExpectedError
 from calib.using.goals import Goals
 from calib.using.inverse import BETWEEN_SIDES, problem, settled
-from calib.using.program_task import KEEP, ProgramTask, task_of_goals, task_of_joints, reached_goals
+from calib.using.program_task import KEEP, ProgramTask, reached_goals, task_of_goals, task_of_joints
 from calib.using.reaching import Configured, Reach, descend
 from calib.using.redundancy import nearer
 from calib.using.search import TOLERANCE

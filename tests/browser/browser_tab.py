@@ -5,6 +5,38 @@ import io
 import numpy as np
 from PIL import Image
 
+SEEN = """() => { const v = calibrationViewer; const { stage } = v;
+  const controls = [...document.querySelectorAll('input, select, button, details')];
+  return JSON.stringify([document.body.innerText, document.documentElement.dataset.theme, innerWidth, innerHeight,
+    controls.map((e) => [e.id, e.value, e.checked, e.open, e.disabled, e.hidden]), document.activeElement.id,
+    [v.row, v.live, v.state, v.shown, v.vectorFactors, v.ghostFactor, v.scene.title, v.player.playing, v.morph.frame],
+    stage && [stage.viewer.camera.position.toArray().map((x) => x.toFixed(9)), stage.root.children.length],
+    stage && stage.marks && Object.values(stage.marks.uniforms).map((u) => u.value)]); }"""
+"""What a page shows, and the state behind it."""
+
+FIRST = """() => { const controls = [...document.querySelectorAll('input, select, details')];
+  const marked = (e) => e.matches('[type=checkbox], [type=radio]');
+  window.firstControls = controls.map((e) => [e, e.tagName === 'DETAILS' ? e.open : marked(e) ? e.checked : e.value]);
+  document.getElementById('dark').addEventListener('change', () => { window.themeDecided = true; }); }"""
+
+BACK = """() => { const v = calibrationViewer;
+  v.player.pause();
+  for (const [control, first] of firstControls) {
+    if (control.tagName === 'DETAILS') control.open = first;
+    else if (control.id === 'pose' || control.closest('#drive-block')) continue; // these follow the pose
+    else if (control.type === 'checkbox') { if (control.checked !== first) control.click(); }
+    else if (control.type === 'radio') { if (first && !control.checked) control.click(); }
+    else if (control.value !== first) {
+      control.value = first;
+      control.dispatchEvent(new Event(control.tagName === 'SELECT' ? 'change' : 'input'));
+    }
+  }
+  document.activeElement.blur();
+  for (const scrolled of document.querySelectorAll('*')) if (scrolled.scrollTop) scrolled.scrollTop = 0;
+  v.go(0);
+  v.resetCamera();
+  return !window.themeDecided; }"""
+
 
 class Tab:
     """A page in the browser and what it complained about or asked for."""
@@ -13,15 +45,38 @@ class Tab:
         still = {"reduced_motion": "reduce", **options}  # pictures are compared: only tests of motion want any
         self.context = browser.new_context(viewport={"width": size[0], "height": size[1]}, offline=True, **still)
         self.page = self.context.new_page()
-        self.problems, self.requests = [], []
+        self.problems, self.requests, self.first = [], [], None
         self.page.on("console", lambda message: message.type == "error" and self.problems.append(message.text))
         self.page.on("pageerror", lambda error: self.problems.append(str(error)))
         self.page.on("dialog", lambda dialog: self.problems.append(dialog.message))
         self.page.on("request", lambda request: self.requests.append(request.url))
 
     def open(self, address, ready="body[data-ready]"):
+        self.first = None
         self.page.goto(address)
         self.page.wait_for_selector(ready, state="attached")
+        return self
+
+    def like_new(self, address):
+        """Open a viewer's page, or where it is open already bring it back to how it was at first: much quicker.
+
+        Where anything is left over that a reader could see, the page is loaded again.
+        """
+        self.problems.clear()
+        if self.first is not None and self.page.url == address:
+            motion = self.page.evaluate("matchMedia('(prefers-reduced-motion: reduce)').matches")
+            self.page.emulate_media(color_scheme="light", reduced_motion="reduce")
+            self.page.mouse.move(0, 0)
+            untouched = self.page.evaluate(BACK)
+            self.drawn()
+            if not motion:
+                self.page.emulate_media(reduced_motion="no-preference")
+            if untouched and self.page.evaluate(SEEN) == self.first:
+                return self
+        self.open(address)
+        self.page.evaluate(FIRST)
+        self.drawn()
+        self.first = self.page.evaluate(SEEN)
         return self
 
     def drawn(self):

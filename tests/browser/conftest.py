@@ -52,10 +52,15 @@ def viewer_file(scene, tmp_path_factory):
     return scene_page(scene).save(tmp_path_factory.mktemp("pages") / "viewer.html")
 
 
-@pytest.fixture
-def tab(chromium, viewer_file):
+@pytest.fixture(scope="session")
+def kept_tab(chromium):
     opened = Tab(chromium)
-    opened.open(viewer_file.as_uri())
     yield opened
-    assert opened.problems == []
     opened.context.close()
+
+
+@pytest.fixture
+def tab(kept_tab, viewer_file):
+    """The viewer as it is at first; the tests share one page, which takes seconds to load."""
+    yield kept_tab.like_new(viewer_file.as_uri())
+    assert kept_tab.problems == []

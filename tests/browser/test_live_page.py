@@ -1,5 +1,7 @@
 """The live viewer in a real Chromium: it follows the program, and survives its end."""
 
+import contextlib
+
 import numpy as np
 import pytest
 from browser_tab import Tab
@@ -10,9 +12,13 @@ import viz
 from viz.drawing import load_meshcat
 
 
-@pytest.fixture
-def live(chromium):
-    fit = medrue_fit(validation=None)
+@pytest.fixture(scope="module")
+def fit():
+    return medrue_fit(validation=None)
+
+
+@contextlib.contextmanager
+def followed(chromium, fit):
     with viz.show(medrue_robot(), fit) as viewer:
         tab = Tab(chromium)
         tab.context.set_offline(False)  # this computer counts as a network
@@ -20,6 +26,29 @@ def live(chromium):
         assert viewer.wait_for_browser(10)
         yield viewer, tab, fit
         tab.context.close()
+
+
+@pytest.fixture(scope="module")
+def kept_live(chromium, fit):
+    with followed(chromium, fit) as kept:
+        yield kept
+
+
+@pytest.fixture
+def live(kept_live):
+    """A program that goes on: the tests share it and its page, which takes seconds to load."""
+    viewer, tab, _ = kept_live
+    viewer.show_pose(0)
+    wait(tab, "v.row === 0 && v.live === null")
+    assert tab.page.locator("#state-after").is_checked()
+    return kept_live
+
+
+@pytest.fixture
+def ending(chromium, fit):
+    """A program that ends."""
+    with followed(chromium, fit) as fresh:
+        yield fresh
 
 
 def wait(tab, condition):
@@ -57,8 +86,8 @@ def test_only_this_computer_is_asked(live):
     assert [url for url in tab.requests if not url.startswith((viewer.url, "data:", "blob:"))] == []
 
 
-def test_the_picture_stays_when_the_program_ends(live):
-    viewer, tab, _ = live
+def test_the_picture_stays_when_the_program_ends(ending):
+    viewer, tab, _ = ending
     viewer.close()
     tab.page.wait_for_selector("#banner:not([hidden])", timeout=10000)
     assert "has ended" in tab.page.locator("#banner").inner_text()
@@ -67,8 +96,8 @@ def test_the_picture_stays_when_the_program_ends(live):
     assert tab.picture().std() > 20
 
 
-def test_a_closed_browser_does_not_hold_the_program_up(live):
-    viewer, tab, _ = live
+def test_a_closed_browser_does_not_hold_the_program_up(ending):
+    viewer, tab, _ = ending
     tab.page.close()
     for row in range(84):
         viewer.show_pose(row)
@@ -112,14 +141,14 @@ def test_a_live_configuration_stays_until_a_pose_is_asked_for(live):
     wait(tab, "v.row === 5")
     viewer.display(fit.identification.data.joints[30])
     wait(tab, "v.live !== null")
-    tab.page.keyboard.press("b")
-    tab.page.locator("#show-identification").click()
-    tab.page.locator("#show-identification").click()
+    for _ in range(2):
+        tab.page.keyboard.press("b")
+        tab.page.locator("#show-identification").click()
     assert "Live configuration" in tab.page.locator("#pose-head").inner_text()
     tab.page.locator("#next").click()
     assert tab.state("v.row") == 5
     assert "Live configuration" not in tab.page.locator("#pose-head").inner_text()
-    assert "error before" in tab.page.locator("#position").inner_text()
+    assert "error after" in tab.page.locator("#position").inner_text()
 
 
 def test_a_robot_without_poses_shows_the_joint_values_that_a_program_displays(chromium):
@@ -140,8 +169,8 @@ def test_a_robot_without_poses_shows_the_joint_values_that_a_program_displays(ch
         tab.context.close()
 
 
-def test_the_cockpit_stands_above_the_picture_and_another_fit_replaces_it_while_the_camera_stays(live):
-    viewer, tab, fit = live
+def test_the_cockpit_stands_above_the_picture_and_another_fit_replaces_it_while_the_camera_stays(ending):
+    viewer, tab, fit = ending
     tab.page.evaluate("window.loadedBefore = true")
     tab.page.evaluate("calibrationViewer.scene.title = 'before'")
     viewer.show(progress(fit, 40))

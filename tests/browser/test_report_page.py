@@ -13,6 +13,26 @@ def report_file(tmp_path_factory):
     return viz.report(medrue_fit(), command="calib fit").save(tmp_path_factory.mktemp("pages") / "report.html")
 
 
+@pytest.fixture(scope="module")
+def kept_report(chromium, report_file):
+    tab = Tab(chromium).open(report_file.as_uri(), "main")
+    yield tab
+    tab.context.close()
+
+
+@pytest.fixture
+def report(kept_report):
+    """The report in windows of any size; the tests share one page."""
+
+    def sized(width, height, media="screen"):
+        kept_report.page.emulate_media(media=media)
+        kept_report.page.set_viewport_size({"width": width, "height": height})
+        return kept_report
+
+    yield sized
+    assert kept_report.problems == []
+
+
 @pytest.mark.parametrize("size", [(1000, 900), (390, 844)])
 def test_it_opens_without_errors_and_fits_the_window(chromium, report_file, size):
     tab = Tab(chromium, size=size)
@@ -24,73 +44,59 @@ def test_it_opens_without_errors_and_fits_the_window(chromium, report_file, size
     tab.context.close()
 
 
-def test_text_of_plots_can_be_found_and_selected(chromium, report_file):
-    tab = Tab(chromium)
-    tab.open(report_file.as_uri(), "main")
+def test_text_of_plots_can_be_found_and_selected(report):
+    tab = report(1200, 800)
     assert tab.page.evaluate("window.find('predicted minus measured')")
     assert "predicted minus measured" in tab.page.evaluate("getSelection().toString()")
-    tab.context.close()
 
 
-def test_it_prints(chromium, report_file):
-    tab = Tab(chromium)
-    tab.open(report_file.as_uri(), "main")
+def test_it_prints(report):
+    tab = report(1200, 800)
     document = tab.page.pdf(prefer_css_page_size=True)
     assert document.startswith(b"%PDF")
-    tab.page.set_viewport_size({"width": 688, "height": 1000})  # what A4 leaves between the margins
-    tab.page.emulate_media(media="print")
+    report(688, 1000, "print")  # what A4 leaves between the margins
     assert tab.page.evaluate("Math.max(...[...document.querySelectorAll('table')].map((t) => t.scrollWidth))") <= 688
     assert (
         3 <= document.count(b"/Type /Page\n") + document.count(b"/Type/Page ") + document.count(b"/Type /Page ") <= 12
     )
-    tab.context.close()
 
 
 @pytest.mark.parametrize("size", [(1000, 900), (390, 844), (320, 640)])
-def test_text_in_figures_stays_large_enough_to_read_and_wide_things_scroll_in_their_boxes(chromium, report_file, size):
-    tab = Tab(chromium, size=size)
-    tab.open(report_file.as_uri(), "main")
+def test_text_in_figures_stays_large_enough_to_read_and_wide_things_scroll_in_their_boxes(report, size):
+    tab = report(*size)
     assert tab.page.evaluate("document.documentElement.scrollWidth") <= size[0]
     scales = """[...document.querySelectorAll('.drawing svg')].map((drawing) =>
       drawing.getBoundingClientRect().width / drawing.viewBox.baseVal.width)"""
     assert min(tab.page.evaluate(scales)) * 8 > 9  # px of the smallest letters, drawn with 8
     captions = "[...document.querySelectorAll('.caption, figcaption')].map((e) => e.getBoundingClientRect().right)"
     assert max(tab.page.evaluate(captions)) <= size[0]
-    tab.context.close()
 
 
-def test_rows_after_calibration_are_bold_and_headers_stand_above_their_numbers(chromium, report_file):
-    tab = Tab(chromium)
-    tab.open(report_file.as_uri(), "main")
+def test_rows_after_calibration_are_bold_and_headers_stand_above_their_numbers(report):
+    tab = report(1200, 800)
     weights = "[...document.querySelectorAll('.numbers .after > *')].map((e) => getComputedStyle(e).fontWeight)"
     assert set(tab.page.evaluate(weights)) == {"600"}
     aligned = (
         "[...document.querySelectorAll('.numbers thead tr:nth-child(2) th')].map((e) => getComputedStyle(e).textAlign)"
     )
     assert set(tab.page.evaluate(aligned)) == {"right"}
-    tab.context.close()
 
 
-def test_words_in_the_first_column_are_not_broken_on_a_phone(chromium, report_file):
-    tab = Tab(chromium, size=(320, 640))
-    tab.open(report_file.as_uri(), "main")
+def test_words_in_the_first_column_are_not_broken_on_a_phone(report):
+    tab = report(320, 640)
     heights = """[...document.querySelectorAll('.facts th')].filter((e) => !e.textContent.includes(' '))
       .map((e) => e.getBoundingClientRect().height / parseFloat(getComputedStyle(e).lineHeight))"""
     assert max(tab.page.evaluate(heights)) < 1.5
-    tab.context.close()
 
 
-def test_the_first_printed_page_has_the_robot_and_no_page_is_half_empty(chromium, report_file):
-    tab = Tab(chromium, size=(688, 1000))  # what A4 leaves between the margins
-    tab.page.emulate_media(media="print")
-    tab.open(report_file.as_uri(), "main")
+def test_the_first_printed_page_has_the_robot_and_no_page_is_half_empty(report):
+    tab = report(688, 1000, "print")  # what A4 leaves between the margins
     page = 1000
     bottom = tab.page.locator(".robot img").evaluate("(image) => image.getBoundingClientRect().bottom + scrollY")
     assert bottom < page
     assert tab.page.locator(".robot img").evaluate("(image) => image.naturalWidth") == 600
     blocks = "[...document.querySelectorAll('figure, .whole, .verdict')].map((e) => e.getBoundingClientRect().height)"
     assert max(tab.page.evaluate(blocks)) < page / 2  # what may not be broken leaves at most so much empty
-    tab.context.close()
 
 
 def test_compared_results_fit_the_window_and_print(chromium, tmp_path):

@@ -23,7 +23,7 @@ def long_named(tmp_path_factory):
     return fit, scene_page(scene_of_fit(fit)).save(folder / "viewer.html")
 
 
-@pytest.fixture(params=SIZES.values(), ids=SIZES)
+@pytest.fixture(scope="module", params=SIZES.values(), ids=SIZES)
 def long_named_tab(chromium, long_named, request):
     tab = Tab(chromium, size=request.param)
     tab.open(long_named[1].as_uri())
@@ -104,13 +104,12 @@ def test_the_legend_says_how_many_times_the_ghost_is_displaced(tab):
     assert not note.is_visible()
 
 
-def test_both_sliders_are_seen_at_once_and_line_up(chromium, viewer_file):
-    tab = Tab(chromium, size=(1400, 900)).open(viewer_file.as_uri())
+def test_both_sliders_are_seen_at_once_and_line_up(tab):
+    tab.page.set_viewport_size({"width": 1400, "height": 900})
     vectors, ghost = (tab.page.locator(f"#{name}").bounding_box() for name in ("vector-factor", "ghost-factor"))
     assert (vectors["x"], vectors["width"]) == (ghost["x"], ghost["width"])
     assert ghost["y"] + ghost["height"] <= 900
     assert 0 < ghost["y"] - vectors["y"] < 40
-    tab.context.close()
 
 
 def test_names_of_frames_do_not_cover_each_other_and_the_hidden_ones_appear_where_one_points(tab, scene):

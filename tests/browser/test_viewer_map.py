@@ -15,12 +15,17 @@ def map_file(tmp_path_factory):
     return viz.page(robot, fit, mapped=400).save(tmp_path_factory.mktemp("map") / "viewer.html")
 
 
-@pytest.fixture
-def mapped(chromium, map_file):
-    tab = Tab(chromium).open(map_file.as_uri())
+@pytest.fixture(scope="module")
+def kept_map(chromium):
+    tab = Tab(chromium)
     yield tab
-    assert tab.problems == []
     tab.context.close()
+
+
+@pytest.fixture
+def mapped(kept_map, map_file):
+    yield kept_map.like_new(map_file.as_uri())
+    assert kept_map.problems == []
 
 
 def choose(tab, name, value):

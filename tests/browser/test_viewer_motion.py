@@ -16,12 +16,17 @@ from viz.viewer_page import scene_page
 PART = "v.stage.marks.uniforms.state.value"
 
 
-@pytest.fixture
-def moving(chromium, viewer_file):
-    tab = Tab(chromium, reduced_motion="no-preference").open(viewer_file.as_uri())
+@pytest.fixture(scope="module")
+def kept_moving(chromium):
+    tab = Tab(chromium, reduced_motion="no-preference")
     yield tab
-    assert tab.problems == []
     tab.context.close()
+
+
+@pytest.fixture
+def moving(kept_moving, viewer_file):
+    yield kept_moving.like_new(viewer_file.as_uri())
+    assert kept_moving.problems == []
 
 
 def wait(tab, condition):

@@ -22,16 +22,15 @@ def matrices(tab, which):
     return np.concatenate([rows, np.tile([[[0.0, 0.0, 0.0, 1.0]]], (len(rows), 1, 1))], axis=1)
 
 
-def test_it_loads_five_times_without_errors_and_without_asking_anybody(chromium, viewer_file):
-    for _ in range(5):
-        tab = Tab(chromium)
+def test_it_loads_twice_without_errors_and_without_asking_anybody(chromium, viewer_file):
+    tab = Tab(chromium)
+    for loaded in (1, 2):
         tab.open(viewer_file.as_uri())
-        picture = tab.picture()
+        assert tab.picture().std() > 20  # something is drawn
         assert tab.problems == []
         assert [url for url in tab.requests if not url.startswith(("file:", "data:", "blob:"))] == []
-        assert len(tab.requests) == 1
-        assert picture.std() > 20  # something is drawn
-        tab.context.close()
+        assert len(tab.requests) == loaded
+    tab.context.close()
 
 
 def test_the_numbers_of_the_summary_are_those_of_the_fit(tab, scene):
@@ -159,13 +158,14 @@ def test_buttons_step_and_the_largest_errors_lead_to_their_poses(tab, scene):
     assert tab.state("v.row") == int(np.argmax(np.linalg.norm(scene.poses.error("after"), axis=1)))
 
 
-@pytest.mark.parametrize("name", ["show-vectors", "show-ghost", "show-robot", "show-decorations", "show-frames"])
-def test_what_is_switched_off_disappears_and_comes_back(tab, name):
+def test_what_is_switched_off_disappears_and_comes_back(tab):
     picture = tab.picture()
-    box = tab.page.locator(f"#{name}")
-    assert tab.changed(box.click) > 0.002
-    box.click()
-    assert np.mean(np.abs(tab.picture() - picture).max(axis=2) > 24) < 0.001
+    for name in ("show-vectors", "show-ghost", "show-robot", "show-decorations", "show-frames"):
+        box = tab.page.locator(f"#{name}")
+        box.click()
+        assert np.mean(np.abs(tab.picture() - picture).max(axis=2) > 24) > 0.002, name
+        box.click()
+        assert np.mean(np.abs(tab.picture() - picture).max(axis=2) > 24) < 0.001, name
 
 
 @pytest.mark.parametrize(("name", "value", "factor"), [("vector-factor", 9, 1000), ("ghost-factor", 4, 20)])
@@ -270,6 +270,7 @@ def test_on_a_phone_nothing_is_cut_off_and_everything_can_be_reached(chromium, v
 
 
 def test_every_control_has_a_name_and_is_reached_by_tab_in_the_order_of_the_page(tab):
+    tab.open(tab.page.url)  # the order begins where the last focus was
     tab.page.evaluate("document.getElementById('drive-block').open = true")
     unnamed = tab.page.evaluate("""() => [...document.querySelectorAll('input, select, button')].filter((e) =>
       !e.closest('[hidden]') && !e.getAttribute('aria-label') && !e.textContent.trim()

@@ -80,8 +80,8 @@ class _Worded(ABCMeta):
     if not TYPE_CHECKING:
 
         def __getattr__(cls, name: str) -> Any:
-            if name.startswith("_"):
-                raise AttributeError(name)
+            if name.startswith("_") or name in cls.__dict__.get("__annotations__", ()):
+                raise AttributeError(name)  # dataclasses ask for the default of each field: no nearest name is looked for
             raise UnknownNameError(_no_name(f"class {cls.__name__}", name, cls._other_words, dir(cls)))
 
         def __call__(cls, *args: Any, **options: Any) -> Any:

@@ -10,7 +10,7 @@ import functools
 from abc import ABCMeta
 from collections.abc import Callable
 from dataclasses import dataclass
-from inspect import Parameter, signature
+from inspect import Parameter, get_annotations, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, ParamSpec, TypeVar
 
@@ -80,8 +80,8 @@ class _Worded(ABCMeta):
     if not TYPE_CHECKING:
 
         def __getattr__(cls, name: str) -> Any:
-            if name.startswith("_") or name in cls.__dict__.get("__annotations__", ()):
-                raise AttributeError(name)  # dataclasses ask for the default of each field: no nearest name is looked for
+            if name.startswith("_") or name in get_annotations(cls):  # dataclasses ask for each field's default
+                raise AttributeError(name)
             raise UnknownNameError(_no_name(f"class {cls.__name__}", name, cls._other_words, dir(cls)))
 
         def __call__(cls, *args: Any, **options: Any) -> Any:

@@ -26,7 +26,7 @@ from calib.base.threads import one_blas_thread
 from calib.base.workers import Progress, Steps, Workers
 from calib.calibrating.fleet_contradicted import without_contradicted_fleet
 from calib.data.measurements import Measurements
-from calib.fitting.fit import fit_data, of_a_part
+from calib.fitting.fit import Nearby, fit_data, of_a_part
 from calib.fitting.fitted import Fit
 from calib.fitting.outliers import Outlier
 from calib.fitting.pose_checks import likely_mistake
@@ -132,7 +132,8 @@ def _with_terms(robot: Robot, data: Measurements, settings: Settings, steps: Ste
     if terms == "none":
         choice = TermChoice(terms, ())
     elif terms == "auto":
-        choice = choose_terms(fit_data(robot, replace(settings, starts=1), data, steps=steps))
+        nobody_asks = Nearby({parameter.name: 0.0 for parameter in robot.parameters})
+        choice = choose_terms(fit_data(robot, replace(settings, starts=1), data, steps=steps, nearby=nobody_asks))
         steps.done()
     else:
         choice = TermChoice(terms, (*own, *missing_terms(robot, listed_terms(terms))))

@@ -27,7 +27,7 @@ from calib.base.errors import CalibrationError
 from calib.base.threads import one_blas_thread
 from calib.base.workers import Workers
 from calib.calibrating.calibrate import PROVING
-from calib.fitting.fit import fit_data, of_a_part
+from calib.fitting.fit import Nearby, fit_data, of_a_part
 from calib.fitting.fitted import COMPUTED, Fit
 from calib.fitting.settings import Settings
 from calib.fitting.unseen_errors import accuracy
@@ -85,7 +85,7 @@ def _fitted_again(
     if signs is not None and np.any(signs < 0):
         data = replace(data, joints=signs * data.joints)
         validation = None if validation is None else replace(validation, joints=signs * validation.joints)
-    again = fit_data(robot, settings, data, validation, workers)
+    again = fit_data(robot, settings, data, validation, workers, nearby=Nearby.of(fit))
     if fit.folds is None:
         return again
     count = settings.folds or PROVING

@@ -20,9 +20,9 @@ When it fails. Fewer coordinates than unknowns, or columns that the poses cannot
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -43,6 +43,36 @@ from calib.robots.robot import Robot
 from calib.rows.observed import observe
 
 
+@dataclass(frozen=True, eq=False)
+class Nearby:
+    """What a fit leaves to other fits of its visits, or of a part of them: second order, and how loops close.
+
+    Attributes:
+        beyond_linear: `Statistics.beyond_linear` of parameters, by name; 0 where nobody asks for intervals.
+        joints: Visits, (n, n_actuated) [m or rad].
+        passive: Passive joints that close them, (n, n_passive) [m or rad].
+    """
+
+    beyond_linear: Mapping[str, float]
+    joints: FloatArray | None = None
+    passive: FloatArray | None = None
+
+    @staticmethod
+    def of(fit: Fit) -> Nearby:
+        """Return what this fit leaves."""
+        names = [fit.nominal.parameters[k].name for k in fit.unknowns.index]
+        beyond_linear = dict(zip(names, fit.statistics.beyond_linear.tolist(), strict=True))
+        return Nearby(beyond_linear, fit.identification.data.joints, fit.configurations.passive)
+
+    def passive_at(self, q: FloatArray) -> FloatArray | None:
+        """Passive joints near those of visits q (n, n_actuated), (n, n_passive); NaN where unknown, None if all are."""
+        if self.joints is None or self.passive is None or self.passive.shape[1] == 0:
+            return None
+        place = {row.tobytes(): k for k, row in enumerate(self.joints)}
+        rows = np.array([place.get(row.tobytes(), -1) for row in q], dtype=np.intp)
+        return np.where(rows[:, None] >= 0, self.passive[rows], np.nan)
+
+
 def fit_data(
     robot: Robot,
     settings: Settings,
@@ -50,7 +80,7 @@ def fit_data(
     validation: Measurements | None = None,
     workers: Executor | None = None,
     steps: Steps | None = None,
-    beyond_linear: FloatArray | None = None,
+    nearby: Nearby | None = None,
 ) -> Fit:
     """Fit a robot to measurements, once.
 
@@ -61,8 +91,7 @@ def fit_data(
         validation: Measurements to judge the result with, or None.
         workers: Who does the fits of other starts; this process if not given.
         steps: Told of each step that is done; of nothing if not given.
-        beyond_linear: `Statistics.beyond_linear` of all parameters by a fit of more measurements, as `of_a_part` gives
-            it, NaN where unknown, (n_parameters,); found here if not given.
+        nearby: What another fit of these visits leaves to take over.
 
     Raises:
         UnreachablePoseError, DataError, NotIdentifiableError, NotConvergedError: See
@@ -72,7 +101,8 @@ def fit_data(
     later = () if validation is None else _unseen(robot, data, validation)
     seen = robot.fix(*later) if later else robot
     check_measurements(seen, data)
-    problem = Problem.of(seen, data, settings.sigma)
+    nearby = nearby or Nearby({})
+    problem = Problem.of(seen, data, settings.sigma, nearby.passive_at(data.joints))
     start = place(problem)
     steps.done()
     begin = seen_from(problem, start)
@@ -81,8 +111,9 @@ def fit_data(
     steps.done()
     final = solved.at
     require_identifiable(problem, final)
-    bent = None if beyond_linear is None else beyond_linear[problem.unknowns.index]
-    bent = None if bent is None or np.any(np.isnan(bent)) else bent
+    names = [robot.parameters[k].name for k in problem.unknowns.index]
+    known = [nearby.beyond_linear[name] for name in names if name in nearby.beyond_linear]
+    bent = np.array(known) if len(known) == len(names) else None
     rows, scales, uncertainty = uncertainty_at(solved, bent)
     placed, calibrated = start.robot, final.robot
     if validation is not None and later:
@@ -129,9 +160,7 @@ def of_a_part(fit: Fit, settings: Settings) -> Callable[[Measurements, Measureme
         fit: The fit of all of them.
         settings: How it was done.
     """
-    beyond_linear = np.full(len(fit.nominal.parameters), np.nan)
-    beyond_linear[fit.unknowns.index] = fit.statistics.beyond_linear
-    return partial(fit_data, fit.nominal, replace(settings, starts=1), beyond_linear=beyond_linear)
+    return partial(fit_data, fit.nominal, replace(settings, starts=1), nearby=Nearby.of(fit))
 
 
 def _observability(problem: Problem, final: Evaluation, rank: int) -> dict[str, float]:
@@ -199,15 +228,17 @@ def errors_on(placed: Robot, calibrated: Robot, data: Measurements) -> ErrorSet:
         UnreachablePoseError: The robot before cannot be assembled at a visit.
         ComputationError: The robot after it cannot.
     """
-    before, _ = _errors_of(placed, data)
+    before, closed = _errors_of(placed, data)
     try:
-        after, found = _errors_of(calibrated, data)
+        after, found = _errors_of(calibrated, data, closed.passive)
     except UnreachablePoseError as error:
         raise ComputationError(f"with the parameters found, the robot cannot be assembled: {error}") from None
     return ErrorSet(data, placed.instruments, before, after, calibrated.singular_values(found), found.passive)
 
 
-def _errors_of(robot: Robot, data: Measurements) -> tuple[dict[str, FloatArray], Configurations]:
-    configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
+def _errors_of(
+    robot: Robot, data: Measurements, near: FloatArray | None = None
+) -> tuple[dict[str, FloatArray], Configurations]:
+    configurations = robot.assemble(data.joints, near, data.labels, data.conditions)
     observed = observe(robot, configurations, data.readings)
     return {name: one.residuals for name, one in observed.items()}, configurations

@@ -55,9 +55,9 @@ def moved_little(fit: Fit) -> Iterator[Reason]:
     if np.all(part[~still] < CORNER):  # that is one corner
         return
     for j in np.flatnonzero((part < CORNER) & ~still):
-        q = _elsewhere(fit, int(j), float(allowed[j]))
-        here = _relative(fit, _at_used(fit), fit.covariance.values)
-        there = _relative(fit, fit.robot.assemble(q), fit.covariance.values) if len(q) else 0.0
+        elsewhere = _elsewhere(fit, int(j), float(allowed[j]))
+        here = _uncertain(_relative(fit, _at_used(fit)), fit.covariance.values)
+        there = _uncertain(_relative(fit, elsewhere), fit.covariance.values) if len(elsewhere.actuated) else 0.0
         if there > _well_known(fit, here):
             name = robot.joint_names[j]
             dimension = robot.mechanism.dimensions[name]
@@ -83,14 +83,21 @@ def far_validation(fit: Fit) -> Iterator[Reason]:
         )
 
 
-def _elsewhere(fit: Fit, j: int, allowed: float) -> FloatArray:
-    """Poses that were used with one joint spread over its limits, as far as they close, (n, n_actuated) [m or rad]."""
+def _elsewhere(fit: Fit, j: int, allowed: float) -> Configurations:
+    """Poses that were used with one joint spread over its limits, as far as they close."""
     used = fit.identification.data.joints
     q = used[np.unique(np.linspace(0, len(used) - 1, _TRIED).astype(np.intp))].copy()
     middle = np.mean(q[:, j])
     lower, upper = (limits[j] for limits in fit.nominal.urdf.limits(fit.nominal.joint_names))
     q[:, j] = np.clip(middle + allowed * np.linspace(-0.5, 0.5, len(q)), lower, upper)
-    return np.asarray(q[fit.robot.close(q).ok])
+    return _as_far_as_closed(fit.robot, q)
+
+
+def _as_far_as_closed(robot: Robot, q: FloatArray) -> Configurations:
+    """Those of the poses q (n, n_actuated) [m or rad] that close."""
+    closed = robot.close(q)
+    which = np.flatnonzero(closed.ok)
+    return robot.configurations(q[which], closed.at(which))
 
 
 def _at_used(fit: Fit) -> Configurations:
@@ -200,27 +207,26 @@ def _widened(fit: Fit, q: FloatArray) -> str:
     Base and tool placed anew: where they stand is no matter of the terms.
     """
     terms = np.isin(fit.unknowns.index, np.arange(len(fit.nominal.parameters))[fit.robot.coefficients])
-    q = q[fit.robot.close(q).ok] if np.any(terms) else q[:0]
-    if len(q) == 0 or fit.computed:
+    if not np.any(terms) or fit.computed:
         return ""
-    covariance = fit.covariance.values
-    here, there, alone = (
-        _relative(fit, configurations, known)
-        for configurations, known in (
-            (_at_used(fit), covariance),
-            (fit.robot.assemble(q), covariance),
-            (fit.robot.assemble(q), _given(covariance, terms)),
-        )
-    )
+    configurations = _as_far_as_closed(fit.robot, q)
+    if len(configurations.actuated) == 0:
+        return ""
+    covariance, flat = fit.covariance.values, _relative(fit, configurations)
+    here = _uncertain(_relative(fit, _at_used(fit)), covariance)
+    there, alone = _uncertain(flat, covariance), _uncertain(flat, _given(covariance, terms))
     if there <= max(_well_known(fit, here), WIDENED * alone):
         return ""
     return f"{millimetres(there):.2g} mm RMS there, and to {millimetres(here):.2g} mm at the poses used"
 
 
-def _relative(fit: Fit, configurations: Configurations, covariance: FloatArray) -> float:
-    """Root mean square uncertainty of positions beside what moves all of them as one body [m]."""
-    linear = linearise(fit.robot, configurations)
-    flat = beside_common_motion(linear, fit.robot.located)[:, fit.unknowns.index]
+def _relative(fit: Fit, configurations: Configurations) -> FloatArray:
+    """How positions move with the unknowns beside what moves all of them as one body, (3 n, n_unknowns)."""
+    return beside_common_motion(linearise(fit.robot, configurations), fit.robot.located)[:, fit.unknowns.index]
+
+
+def _uncertain(flat: FloatArray, covariance: FloatArray) -> float:
+    """Root mean square uncertainty of positions that move so with the unknowns, as by `_relative` [m]."""
     return float(np.sqrt(3.0 * np.mean(np.sum((flat @ covariance) * flat, axis=1))))
 
 

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.base.arrays import FloatArray
+from calib.base.arrays import BoolArray, FloatArray
 from calib.fitting.problem import Evaluation, Problem
 from calib.numerics.statistics import prior_shares
 from calib.rows.rows import Rows
@@ -47,17 +47,17 @@ def mean_square_beyond_linear(problem: Problem, final: Evaluation, rows: Rows, g
         rows: Whitened rows there.
         groups: Scale of the noise of each group, (n_groups,).
     """
-    root = rows.known.root
+    root, own = rows.known.root, problem.unknowns.family < 0
     shares, turned = np.linalg.eigh(prior_shares(rows.known, rows.prior))
-    directions = np.where(problem.unknowns.family[:, None] < 0, root @ turned, 0.0)
+    directions = np.where(own[:, None], root @ turned, 0.0)
     held, seen = (_fewest(directions[:, which]) for which in (shares > _HELD, shares <= _HELD))
     directions, n_held = np.hstack([held, seen]), held.shape[1]
     counts = np.where(np.arange(directions.shape[1]) < n_held, 0.5, 1.0)  # j, i is the same as i, j
     back = root @ (root.T @ rows.jacobian.T)
     squares, mean = np.zeros(len(root)), np.zeros(len(root))
     for i in range(n_held):
-        changed = _turned_jacobian(problem, final, rows, groups, directions[:, i])
-        bent = -back @ (changed @ directions)
+        changed = _turned_jacobian(problem, final, rows, groups, directions[:, i], own)
+        bent = -back @ (changed @ directions[own])
         squares += np.sum(bent**2 * counts, axis=1)
         mean += bent[:, i] / 2
     return squares + mean**2
@@ -74,12 +74,13 @@ def _fewest(directions: FloatArray) -> FloatArray:
 
 
 def _turned_jacobian(
-    problem: Problem, final: Evaluation, rows: Rows, groups: FloatArray, direction: FloatArray
+    problem: Problem, final: Evaluation, rows: Rows, groups: FloatArray, direction: FloatArray, own: BoolArray
 ) -> FloatArray:
-    """H t, the derivative of the whitened Jacobian along a direction t (n_free,), (n_rows, n_free)."""
+    """H t, the derivative of the whitened Jacobian's columns `own` along a direction t (n_free,), (n_rows, n_own)."""
+    columns = problem.unknowns.only(own)
     for step in (_STEP, -_STEP):
         moved = problem.unknowns.moved(final.robot, rows.deviations + step * direction)
         evaluation = problem.evaluate_if_closed(moved, final)
         if evaluation is not None:
-            return np.asarray((problem.rows(evaluation, groups).jacobian - rows.jacobian) / step)
-    return np.zeros_like(rows.jacobian)
+            return np.asarray((problem.rows(evaluation, groups, columns).jacobian - rows.jacobian[:, own]) / step)
+    return np.zeros((len(rows.jacobian), len(columns)))

@@ -15,7 +15,7 @@ from calib.fitting.pose_checks import unmoved_joints
 from calib.fitting.terms.joint_curves import beyond_learned
 from calib.judging.reasons import Code, Reason
 from calib.numerics.halton import halton
-from calib.robots.configurations import Configurations
+from calib.robots.configurations import Configurations, configured
 from calib.robots.robot import Robot
 from calib.rows.jacobian import linearise
 from calib.rows.prediction import beside_common_motion, other_combinations
@@ -97,7 +97,7 @@ def _as_far_as_closed(robot: Robot, q: FloatArray) -> Configurations:
     """Those of the poses q (n, n_actuated) [m or rad] that close."""
     closed = robot.close(q)
     which = np.flatnonzero(closed.ok)
-    return robot.configurations(q[which], closed.at(which))
+    return configured(robot, q[which], closed.at(which))
 
 
 def _at_used(fit: Fit) -> Configurations:

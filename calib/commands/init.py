@@ -112,7 +112,7 @@ def command(
 
     Without --target it describes the longest chain of joints with motors, without the fingers of a gripper, and says
     what it leaves out. Other ways to start also write the URDF. --dh: a Denavit-Hartenberg table, with columns theta,
-    d, a, alpha (and beta), units, and one row for each joint. --template: a robot with loops, with your --length.
+    d, a, alpha (and beta), with units, one row for each joint. --template: a robot with loops, with your --length.
     --klipper: the printer.cfg of a delta printer; its measurements are written, too. --marlin, --duet: the settings of
     a delta printer.
     """

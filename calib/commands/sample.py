@@ -47,8 +47,8 @@ def command(
     """Write poses that ROBOT can take, spread at random over its joint limits, loops closed.
 
     A robot that touches something is at contact in these poses. Where only cameras measure, they see their targets.
-    Cables, walls and collisions of the robot with itself are not known: look at the poses before you send them (calib
-    view ROBOT --data FILE).
+    Cables, walls and collisions of the robot with itself are not checked: look at the poses before you send them
+    (calib view ROBOT --data FILE).
     """
     model = with_values(loaded(robot, output), parameters, result)
     ranges: dict[str, tuple[float, float]] = {}

@@ -23,6 +23,7 @@ from viz.workspace_map import WorkspaceMap
 
 _COLOURS = "viridis"  # even in lightness, and told apart with any colour vision
 _POINT_RADIUS = (0.0012, 0.008)  # of the scene's size: of points that crowd, and of points with room
+_SAME = 5e-4  # of the scene's size: nearer points look like one
 _POINT_PIXELS = (4.0, 7.0)  # smallest width of points that crowd, and of points with room
 _FEW_POINTS = 500  # so many have room
 _MARKS = {IDENTIFICATION: "disc", VALIDATION: "diamond", MEASURED: "square", EXCLUDED: "disc"}
@@ -167,8 +168,9 @@ def colours() -> NDArray[np.uint8]:
 def point_radius(scene: Scene) -> float:
     """Return a radius [m] at which points are easy to see and rarely hide each other."""
     size = float(np.linalg.norm(scene.view.high - scene.view.low))
-    points = np.unique(np.round(np.concatenate([one.anchors for one in _rows(scene)]), 6), axis=0)
-    points = points[np.isfinite(points).all(axis=1)]
+    anchors = np.concatenate([one.anchors for one in _rows(scene)])
+    grid = max(_SAME * size, 1e-6)  # points of several instruments at one place are one
+    points = grid * np.unique(np.round(anchors[np.isfinite(anchors).all(axis=1)] / grid), axis=0)
     if len(points) < 2:
         return _POINT_RADIUS[1] * size
     gaps = scipy.spatial.cKDTree(points).query(points, k=2)[0][:, 1]

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import io
 import shutil
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ PHONE = {"width": 390, "height": 844}
 _BEFORE = "document.getElementById('state-before').click()"
 _DARK = "for (const id of ['dark', 'same-scale']) document.getElementById(id).click()"
 _FRAMES = "document.getElementById('show-frames').click()"
-_MAP, _SOCKETS = "map.html", "sockets.html"  # of `calib view --html`, with a map, and of touches; taken where they are
+_MAP = "map.html"  # of `calib view --map --html`, taken where it is
 PICTURES: tuple[tuple[str, str, dict[str, int], str], ...] = (
     ("viewer", "viewer.html", DESKTOP, ""),
     ("viewer-before", "viewer.html", DESKTOP, _BEFORE),
@@ -30,7 +31,6 @@ PICTURES: tuple[tuple[str, str, dict[str, int], str], ...] = (
     ("viewer-phone", "viewer.html", PHONE, ""),
     ("report", "report.html", {"width": 1000, "height": 1300}, ""),
     ("viewer-map", _MAP, DESKTOP, ""),
-    ("viewer-sockets", _SOCKETS, DESKTOP, ""),
 )
 """Name of the picture, page, size of the window [px], and what to do before taking it."""
 
@@ -48,11 +48,22 @@ def chromium() -> str:
     raise InputError("no Chromium on this computer; install the package 'chromium'")
 
 
-def take(folder: Path) -> dict[str, bytes]:
-    """Take all pictures, and return PNG files by name.
+def small(picture: bytes) -> bytes:
+    """Return a PNG file with 256 colours, a third as large; no colour of the legend is lost."""
+    from PIL import Image
+
+    with Image.open(io.BytesIO(picture)) as image, io.BytesIO() as file:
+        method, plain = Image.Quantize.MAXCOVERAGE, Image.Dither.NONE
+        image.convert("RGB").quantize(256, method=method, kmeans=2, dither=plain).save(file, "PNG", optimize=True)
+        return file.getvalue()
+
+
+def take(folder: Path, wanted: tuple[tuple[str, str, dict[str, int], str], ...] = PICTURES) -> dict[str, bytes]:
+    """Take pictures, and return PNG files by name.
 
     Args:
-        folder: Result folder with viewer.html and report.html; and map.html and sockets.html, if these are to be taken.
+        folder: Folder with the pages, of a result; map.html need not be there.
+        wanted: What to take, as `PICTURES` has it.
 
     Raises:
         InputError: A page, Chromium or playwright is missing.
@@ -61,9 +72,7 @@ def take(folder: Path) -> dict[str, bytes]:
         from playwright.sync_api import sync_playwright
     except ImportError:
         raise InputError("playwright is not installed; in a checkout: pip install -e '.[browser]'") from None
-    pictures = [
-        picture for picture in PICTURES if picture[1] not in (_MAP, _SOCKETS) or (folder / picture[1]).is_file()
-    ]
+    pictures = [picture for picture in wanted if picture[1] != _MAP or (folder / picture[1]).is_file()]
     for _, page, _, _ in pictures:
         if not (folder / page).is_file():
             raise InputError(f"{folder}: has no {page}; give the folder that `calib fit --out` wrote")
@@ -81,7 +90,7 @@ def take(folder: Path) -> dict[str, bytes]:
 def _take_one(browser: Any, page: Path, size: dict[str, int], action: str) -> bytes:
     tab = browser.new_page(viewport=size, reduced_motion="reduce")
     tab.goto(page.as_uri())
-    if page.name == "viewer.html":
+    if page.name != "report.html":
         tab.wait_for_selector("body[data-ready]")
     if action:
         tab.evaluate(action)

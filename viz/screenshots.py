@@ -90,7 +90,7 @@ def take(folder: Path, wanted: tuple[tuple[str, str, dict[str, int], str], ...] 
 def _take_one(browser: Any, page: Path, size: dict[str, int], action: str) -> bytes:
     tab = browser.new_page(viewport=size, reduced_motion="reduce")
     tab.goto(page.as_uri())
-    if page.name != "report.html":
+    if tab.query_selector("#pane"):
         tab.wait_for_selector("body[data-ready]")
     if action:
         tab.evaluate(action)

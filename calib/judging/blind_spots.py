@@ -77,6 +77,6 @@ def unordered(poses: Poses) -> tuple[str, ...]:
     told = poses.approach is not None and not assumed and np.all(np.any(poses.approach != 0, axis=0)[reach > 0])
     what = "a drift or a slip" if told else "a drift, a slip or a backlash"
     return (
-        f"the rows look shuffled and have no time: {what} shows only if they stand in the order of measurement; if they"
-        " do not, sort them, or add a column 'time'",
+        f"the rows seem to be in random order and have no time: {what} shows only if this is the order of"
+        " measurement; if it is not, sort them, or add a column 'time'",
     )

@@ -109,7 +109,7 @@ def _groups(a: Assessment, most: int | None) -> list[str]:
         lines.append(f"  {counted(len(listed) - len(listed[:most]), 'more group')} with --verbose")
     dropped = [a.parameters[k].name for k in a.elimination.dropped]
     lines.append(
-        f"Hold {', '.join(dropped)}, and the rest is determined (condition number {a.elimination.conditions[-1]:.0f})"
+        f"To determine the rest, hold {', '.join(dropped)} (condition number {a.elimination.conditions[-1]:.0f})"
     )
     if {a.parameters[k].name for k in a.elimination.dropped} == {
         parameter.name for parameter, free in zip(a.parameters, a.free, strict=True) if not free

@@ -1,6 +1,7 @@
 """What `calib check` knows: MedRUE, a robot with priors, and poses that determine too little."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +17,10 @@ from calib.planning.pose_sampling import sample
 from calib.reporting.assessment_text import text_report
 from calib.reporting.selection_text import text_report as told
 from calib.rows.jacobian import linearise
+from calib.rows.prediction import beside_common_motion
 from medrue.workspace import target_workspace
+
+EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 
 Q = target_workspace().q
 
@@ -199,3 +203,28 @@ def test_no_expected_error_hides_what_moves_the_target(tmp_path, sigmas):
     np.testing.assert_allclose(apart.std, equal.std, rtol=1e-9)
     assert "no effect" not in text_report(apart, "poses")
     assert "These poses determine all 3 free parameters." in text_report(apart, "poses")
+
+
+def test_position_errors_beside_a_common_motion_of_all():
+    rng = np.random.default_rng(3)
+    positions = rng.normal(size=(30, 2, 3))
+    flat = positions.reshape(-1, 3)
+    turned = np.cross([0.3, -0.2, 0.5], flat)  # what small motions of the base do
+    shifted = np.tile([1.0, 2.0, -1.0], (len(flat), 1))
+    larger = flat - flat.mean(axis=0)  # a scale: neither shift nor turn has a part in it
+    rows = np.stack([turned, shifted, larger, larger + turned + shifted], axis=2).reshape(30, 6, 4)
+    beside = beside_common_motion(positions, rows)
+    assert beside.shape == rows.shape
+    assert np.allclose(beside[..., :2], 0.0, atol=1e-12)
+    assert np.allclose(beside[..., 2], rows[..., 2], atol=1e-12)
+    assert np.allclose(beside[..., 3], rows[..., 2], atol=1e-12)
+
+
+def test_what_sockets_do_not_see_is_told_apart(tmp_path, run_calib):
+    arm = EXAMPLES / "arm.urdf"
+    assert run_calib("init", arm, "--measure", "touch", "--out", "touch.yaml", cwd=tmp_path).code == 0
+    robot = calib.load(tmp_path / "touch.yaml")
+    found = calib.check(robot, calib.read_poses(EXAMPLES / "arm_touches_simulated.csv", robot))
+    assert found.beside_common < 1e-4 < 1e-3 < found.accuracy.rms  # the plate stands anywhere
+    told = run_calib("check", "touch.yaml", EXAMPLES / "arm_touches_simulated.csv", cwd=tmp_path).out
+    assert "beside it, positions are known to" in " ".join(told.split())

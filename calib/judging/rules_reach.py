@@ -222,7 +222,9 @@ def _widened(fit: Fit, q: FloatArray) -> str:
 
 def _relative(fit: Fit, configurations: Configurations) -> FloatArray:
     """How positions move with the unknowns beside what moves all of them as one body, (3 n, n_unknowns)."""
-    return beside_common_motion(linearise(fit.robot, configurations), fit.robot.located)[:, fit.unknowns.index]
+    linear, targets = linearise(fit.robot, configurations), fit.robot.located
+    rows = beside_common_motion(linear.positions[:, targets], linear.jacobian[:, targets])
+    return rows.reshape(-1, rows.shape[-1])[:, fit.unknowns.index]
 
 
 def _uncertain(flat: FloatArray, covariance: FloatArray) -> float:

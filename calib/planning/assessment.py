@@ -39,6 +39,7 @@ from calib.robots.robot import Robot
 from calib.rows.candidates import WHITENED, assumed_sigma, require_free, rows_of_measured, rows_of_poses
 from calib.rows.determination import Determination, determination
 from calib.rows.observed import looks_at, observe
+from calib.rows.prediction import beside_common_motion
 from calib.rows.unknowns import Unknowns
 from calib.rows.whitening import Whitening
 
@@ -72,6 +73,8 @@ class Assessment(ReadOnlyArrays):
         std: Predicted standard deviation of each free parameter, infinite where undetermined, (n_free,) [m, rad].
         accuracy: Predicted position error at the task poses.
         position_errors: The same at each of them, of targets that count (`RobotData.located`), (n_task, n_located) [m].
+        beside_common: Root mean square of the predicted position error beside what moves all positions as one body,
+            such as where the base stands [m].
         by_count: Predicted accuracy against number of poses.
         near_singular: Poses closer to a singularity of the loops than the description's limit.
         left_out: Targets whose accuracy does not count (`RobotData.left_out`).
@@ -93,6 +96,7 @@ class Assessment(ReadOnlyArrays):
     std: FloatArray
     accuracy: TaskIndex
     position_errors: FloatArray
+    beside_common: float
     by_count: tuple[CountRow, ...]
     near_singular: tuple[str, ...]
     left_out: tuple[str, ...]
@@ -187,9 +191,11 @@ def check(
     known = information(unit, priors)
     order = [index_of(parameters, name) for name in robot.description.elimination_order]
     elimination = eliminate(determined.columns, order)
-    measured = rows_of_measured(robot, Poses(poses.joints, poses.labels, poses.names, poses.path, ()), sigma)
-    task_rows = (measured[2] if task is None else rows_of_measured(robot, task, sigma)[2]) / lengths[free]
+    counting = Poses(poses.joints, poses.labels, poses.names, poses.path, ()) if task is None else task
+    _, positions, task_rows = rows_of_measured(robot, counting, sigma)
+    task_rows = task_rows / lengths[free]
     errors = known.position_errors(task_rows)
+    beside = known.position_errors(beside_common_motion(positions[:, robot.located], task_rows))
     kept = [p for p, use in zip(parameters, free, strict=True) if use]
     scaled, raw = observability_of(noise * columns[:, free], kept, poses.n_poses, lengths=noise != WHITENED)
     near = np.flatnonzero(robot.singular_values(configurations) < robot.description.singularity_limit)
@@ -210,6 +216,7 @@ def check(
         std=known.standard_deviations() / determined.lengths[free],
         accuracy=task_index(errors),
         position_errors=errors,
+        beside_common=float(np.sqrt(np.mean(beside**2))),
         by_count=accuracy_by_count(rows[..., free] / lengths[free], priors, task_rows),
         near_singular=tuple(poses.labels[k] for k in near),
         left_out=tuple(robot.left_out),

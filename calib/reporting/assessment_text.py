@@ -17,6 +17,7 @@ from calib.rows.candidates import WHITENED
 _SHOWN = 12
 _SINGLE = 5  # parameters without effect that get a line of their own
 _GROUPS = 8  # groups that the short answer lists
+_MOSTLY_COMMON = 0.5  # part of the position error below which what is beside a common motion is told too
 
 
 def text_report(assessment: Assessment, source: str, width: int = 110, *, verbose: bool = False) -> str:
@@ -60,6 +61,7 @@ def to_dict(assessment: Assessment) -> dict[str, object]:
             "correlations": [{"a": first, "b": second, "r": r} for first, second, r in a.correlated()],
             "hardly_known": [{"name": name, "part": part} for name, part in a.hardly_known()],
             "accuracy_mm": _task(a.accuracy),
+            "beside_common_motion_mm": millimetres(a.beside_common),
             "by_count": [
                 {
                     "count": row.count,
@@ -160,10 +162,16 @@ def _counts(a: Assessment) -> Table:
 
 def _accuracy(a: Assessment) -> list[str]:
     rms, largest = _pair(a.accuracy)
-    return [
+    lines = [
         f"With all {a.n_poses}: position error {rms} mm rms, {largest} mm at worst, from measurement noise alone."
         " What the model leaves out (backlash, bending) comes on top, and more poses do not remove it."
-    ] + ([f"Not counted: {listed(a.left_out)}, read from unknown places only."] if a.left_out else [])
+    ]
+    if a.beside_common < _MOSTLY_COMMON * a.accuracy.rms:
+        lines.append(
+            "Most of that moves all positions as one body, such as where the base stands; beside it, positions are"
+            f" known to {millimetres(a.beside_common):.4f} mm rms."
+        )
+    return lines + ([f"Not counted: {listed(a.left_out)}, read from unknown places only."] if a.left_out else [])
 
 
 def _pair(task: TaskIndex) -> tuple[str, str]:

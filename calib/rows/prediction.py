@@ -24,7 +24,7 @@ from calib.base.units import millimetres
 from calib.base.words import listed
 from calib.joint_terms.term import Context
 from calib.robots.robot import Robot
-from calib.rows.jacobian import Linearisation, linearise
+from calib.rows.jacobian import linearise
 
 CHUNK = 4096
 """Poses at once."""
@@ -151,21 +151,21 @@ def other_combinations(q: FloatArray, most: int) -> FloatArray:
     return np.asarray(mixed[np.unique(np.linspace(0, n - 1, most).astype(np.intp))])
 
 
-def beside_common_motion(linear: Linearisation, targets: list[int]) -> FloatArray:
-    """Return derivatives of positions beside what moves all of them as one body, (n_coordinates, n_parameters).
+def beside_common_motion(positions: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return derivatives of positions beside what moves all of them as one body, in the shape of `rows`.
 
     Where base and tool are placed anew, nothing else is seen of an error of the parameters.
 
     Args:
-        linear: At n poses.
-        targets: Places of those that count.
+        positions: Where they are, (n, n_targets, 3) [m].
+        rows: Their derivatives, (..., n_parameters), three rows for each position.
     """
-    points = linear.positions[:, targets].reshape(-1, 3)
+    points = positions.reshape(-1, 3)
     turns = np.cross(np.eye(3), (points - points.mean(axis=0))[:, None]).swapaxes(1, 2)
     common = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2).reshape(-1, 6)
     basis = scipy.linalg.orth(common)
-    flat = linear.jacobian[:, targets].reshape(len(common), -1)
-    return np.asarray(flat - basis @ (basis.T @ flat))
+    flat = rows.reshape(len(common), -1)
+    return np.asarray(flat - basis @ (basis.T @ flat)).reshape(rows.shape)
 
 
 def rms_length(covariance: FloatArray, mean: FloatArray | float = 0.0) -> FloatArray:

@@ -203,7 +203,8 @@ class Trials:
             return np.zeros((0, len(robot.parameters)))
         places = np.linspace(0, len(data) - 1, len(q)).astype(np.intp)
         linear = linearise(robot, robot.assemble(q[closes], context=data.conditions.at(places[closes])))
-        return beside_common_motion(linear, robot.located)
+        positions, rows = linear.positions[:, robot.located], linear.jacobian[:, robot.located]
+        return beside_common_motion(positions, rows).reshape(-1, rows.shape[-1])
 
     def of(self, terms: tuple[str, ...]) -> Trial:
         """Return the linear model with some terms; each is computed once."""

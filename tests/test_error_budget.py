@@ -10,7 +10,7 @@ from small_robots import ARM_YAML, write_arm
 
 import calib
 from calib.base.words import as_data
-from calib.judging.error_budget import GEOMETRY, NOISE, PLACES, REST, UNEXPLAINED, causes_of
+from calib.judging.error_budget import GEOMETRY, NOISE, PLACES, REST, UNEXPLAINED, _span, causes_of
 from calib.reporting.report_text import text_report
 from calib.reporting.result_content import budget_table, to_dict
 from calib.rows.observed import observe
@@ -211,3 +211,12 @@ def test_the_report_and_the_result_show_the_same_budget(mixed):
     assert f"What is left: {fit.budget.advice}" in text
     for row in table["causes"]:
         assert row["cause"] in text
+
+
+def test_columns_of_rounding_span_nothing():
+    """Such as turns of a target, among the rows of where its point is: no direction may hang on their digits."""
+    generator = np.random.default_rng(0)
+    columns, rounding = generator.normal(size=(60, 4)), 1e-17 * generator.normal(size=(60, 3))
+    spanned, alone = (_span(some) for some in (np.hstack([columns, rounding]), columns))
+    np.testing.assert_allclose(spanned @ spanned.T, alone @ alone.T, atol=1e-12)
+    assert _span(np.zeros((60, 2))).shape == _span(np.zeros((60, 0))).shape == (60, 0)

@@ -247,9 +247,10 @@ def _cause_of_places(unknowns: Unknowns, members: BoolArray) -> int:
 
 
 def _span(columns: FloatArray) -> FloatArray:
-    """Return orthonormal directions of what columns (n, k) span, (n, rank)."""
+    """Return orthonormal directions of what columns (n, k) span, (n, rank); columns of rounding alone count as zero."""
     length = np.linalg.norm(columns, axis=0)
-    u, s, _ = np.linalg.svd(columns / np.where(length > 0, length, 1.0), full_matrices=False)
+    there = length > RANK_TOLERANCE * np.max(length, initial=0.0)  # a turn of a target does not move its point
+    u, s, _ = np.linalg.svd(columns[:, there] / length[there], full_matrices=False)
     return u[:, s > RANK_TOLERANCE * np.max(s, initial=0.0)]
 
 

@@ -22,13 +22,14 @@ from typing import Literal
 
 import numpy as np
 
-from calib import fit
 from calib.base.arrays import FloatArray, IntArray
 from calib.base.errors import NotIdentifiableError
 from calib.base.threads import one_blas_thread
 from calib.base.workers import in_order
 from calib.data.in_memory import as_measurements
 from calib.data.measurements import Measurements
+from calib.fitting.fit import Nearby, fit_data
+from calib.fitting.settings import Settings
 from calib.joint_terms.term import Context
 from calib.planning.selection import select
 from calib.robots.robot import Robot
@@ -198,12 +199,13 @@ def both_sides_draw(task: BothSidesTask) -> BothSidesDraw:
     after = np.full((len(WAYS), len(task.sets), *measured.shape), np.nan)
     values: FloatArray = np.full(len(task.extended.parameters), np.nan)
     std = values
+    how = Settings(sigma=SIGMA / float(np.sqrt(REPEATS)))
     for w, way in enumerate(WAYS):
         model = task.extended if way.extended else task.robot
         for s, pose_set in enumerate(task.sets):
             data = visited(model, task.joints, measured, *_visits(way, pose_set, either))
             try:
-                found = fit(model, data, sigma=SIGMA / np.sqrt(REPEATS))
+                found = fit_data(model, how, data, nearby=Nearby.no_intervals(model))
             except NotIdentifiableError:  # too few readings for so many parameters
                 continue
             if not found.converged:

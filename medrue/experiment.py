@@ -18,10 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib import fit
 from calib.base.arrays import FloatArray
 from calib.base.threads import one_blas_thread
 from calib.base.workers import in_order
+from calib.fitting.fit import Nearby, fit_data
+from calib.fitting.settings import Settings
 from calib.robots.robot import Robot
 from medrue.both_sides import COUNTS, BothSides, run_both_sides
 from medrue.draws import PoseSet, measurements
@@ -168,7 +169,8 @@ def experiment_draw(task: ExperimentTask) -> ExperimentDraw:
     after, values, std = [], [], []
     for pose_set in task.sets:
         data = measurements(task.robot, task.joints, readings.positions, pose_set.chosen)
-        result = fit(task.robot, data, sigma=SIGMA / np.sqrt(REPEATS))
+        how = Settings(sigma=SIGMA / float(np.sqrt(REPEATS)))
+        result = fit_data(task.robot, how, data, nearby=Nearby.no_intervals(task.robot))
         after.append(result.robot.positions(task.joints)[:, 0] - readings.positions)
         values.append(result.robot.values)
         spread = np.zeros(len(result.robot.values))

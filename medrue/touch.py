@@ -27,11 +27,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib import fit
 from calib.base.arrays import FloatArray
 from calib.base.errors import NotIdentifiableError
 from calib.base.threads import one_blas_thread
 from calib.base.workers import in_order
+from calib.fitting.fit import Nearby, fit_data
+from calib.fitting.settings import Settings
 from calib.planning.assessment import Assessment, check
 from calib.planning.selection import Selection, select
 from calib.robots.robot import Robot
@@ -201,7 +202,8 @@ def touch_draw(task: TouchTask) -> FloatArray:
     found = [_judged(calibrated, task.joints, truth)]
     for method in task.methods:
         data = method.measured(task.actual, generator)
-        calibrated = fit(method.robot, data, sigma=SIGMA if isinstance(method, ByTracker) else None).robot
+        how = Settings(sigma=SIGMA if isinstance(method, ByTracker) else None)
+        calibrated = fit_data(method.robot, how, data, nearby=Nearby.no_intervals(method.robot)).robot
         found.append(_judged(calibrated, task.joints, truth))
     tool = {name: float(task.actual[PARAMETERS.index(name)]) for name in TOOL_POINT}
     return np.array([*found, _judged(calibrated.with_parameters(tool), task.joints, truth)])

@@ -132,8 +132,8 @@ def _with_terms(robot: Robot, data: Measurements, settings: Settings, steps: Ste
     if terms == "none":
         choice = TermChoice(terms, ())
     elif terms == "auto":
-        nobody_asks = Nearby({parameter.name: 0.0 for parameter in robot.parameters})
-        choice = choose_terms(fit_data(robot, replace(settings, starts=1), data, steps=steps, nearby=nobody_asks))
+        first = replace(settings, starts=1)
+        choice = choose_terms(fit_data(robot, first, data, steps=steps, nearby=Nearby.no_intervals(robot)))
         steps.done()
     else:
         choice = TermChoice(terms, (*own, *missing_terms(robot, listed_terms(terms))))

@@ -64,6 +64,11 @@ class Nearby:
         beyond_linear = dict(zip(names, fit.statistics.beyond_linear.tolist(), strict=True))
         return Nearby(beyond_linear, fit.identification.data.joints, fit.configurations.passive)
 
+    @staticmethod
+    def no_intervals(robot: Robot) -> Nearby:
+        """Return what a fit of this robot takes over of which nobody asks for intervals: no second order."""
+        return Nearby({parameter.name: 0.0 for parameter in robot.parameters})
+
     def passive_at(self, q: FloatArray) -> FloatArray | None:
         """Passive joints near those of visits q (n, n_actuated), (n, n_passive); NaN where unknown, None if all are."""
         if self.joints is None or self.passive is None or self.passive.shape[1] == 0:

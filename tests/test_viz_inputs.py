@@ -102,3 +102,32 @@ def test_a_reason_has_its_own_grade_or_none_where_it_is_not_known():
     assert of_result(entry).reasons == (("FAIL", "a"), ("", "b"))
     assert of_result(entry | {"grade": "CHECK"}).reasons == (("CHECK", "a"), ("CHECK", "b"))
     assert of_result(entry | {"grades": ["FAIL", "CHECK"]}).reasons == (("FAIL", "a"), ("CHECK", "b"))
+
+
+@pytest.mark.parametrize(
+    ("grade", "codes", "validated", "words"),
+    [
+        ("PASS", [], True, "use it"),
+        ("PASS", [], False, "--validate 0.25"),
+        ("PASS", ["nothing_to_correct"], True, "keep the nominal robot"),
+        ("CHECK", ["outliers"], True, "--exclude-outliers"),
+        ("CHECK", ["systematic", "outliers"], True, "--exclude-outliers"),  # outliers look like joint terms
+        ("CHECK", ["too_few_poses", "systematic"], True, "calib check"),
+        ("FAIL", ["not_assembled"], False, "largest errors"),
+        ("CHECK", ["of_another_package"], True, ""),
+    ],
+)
+def test_what_to_do_next_is_one_sentence(grade, codes, validated, words):
+    grades = ["PASS" if grade == "PASS" else "CHECK"] * len(codes)
+    entry = {"grade": grade, "reasons": ["because"] * len(codes), "codes": codes, "grades": grades}
+    following = of_result(entry, validated=validated).following
+    assert words in following
+    assert following.count(". ") == 0
+    assert bool(following) == bool(words)
+    assert of_result({"grade": grade, "reasons": ["because"]}).following == ""
+
+
+def test_a_folder_says_the_same_as_its_fit(fit, tmp_path):
+    fit.save(str(tmp_path / "out"))
+    verdicts = [gather(medrue_robot(), result).scene.verdict for result in (fit, tmp_path / "out")]
+    assert verdicts[0].following == verdicts[1].following != ""

@@ -8,13 +8,13 @@ from pathlib import Path
 from calib import Fit, Measurements, Robot
 from calib.base.errors import InputError
 from calib.base.words import counted
-from calib.judging.verdict import judge
 from calib.reporting.result_reading import joints_used, load_calibrated, load_uncertainty, read_result
 from calib.rows.registration import register
 from calib.rows.told_positions import ToldPositions
 from calib.rows.whitening import Whitening
 from viz import reading_errors
-from viz.judgement import of_result, of_verdict
+from viz.judgement import of_fit as judgement_of_fit
+from viz.judgement import of_result
 from viz.pose_sources import Sigmas, from_measurements, from_saved, noise
 from viz.poses import IDENTIFICATION, Calibrated
 from viz.remarks import remarks
@@ -77,7 +77,7 @@ def _from_fit(robot: Robot, fit: Fit, data: Measurements | None, mapped: int) ->
     table = from_measurements(data, fit.placed, calibrated, noise(fit))
     said, told = remarks(data.comments), fit.told_positions.notes
     readings = reading_errors.of_measurements(data, fit.placed, fit.robot)
-    judged = of_verdict(judge(fit))
+    judged = judgement_of_fit(fit)
     scene = build_scene(fit.placed, fit.robot, table, readings, verdict=judged, told=told, comments=said)
     return Shown(_mapped(scene, calibrated, fit.placed, mapped), fit.robot, fit.placed)
 
@@ -103,7 +103,9 @@ def _from_folder(robot: Robot, folder: str | Path, data: Measurements | None, ma
     left_out = content["excluded"] if data is None else []
     notes = (f"not shown: left out of the fit, {counted(len(left_out), 'outlier')}",) if left_out else ()
     said = remarks(content.get("comments", ()) if data is None else data.comments)
-    judged = of_result(content["verdict"])
+    judged = of_result(
+        content["verdict"], validated=any(name in content["errors"] for name in ("validation", "cross_validation"))
+    )
     others = other_errors(content.get("instruments", ())) if data is None else ()
     scene = build_scene(
         placed, model, table, readings, verdict=judged, notes=notes, told=told.notes, comments=said, others=others

@@ -14,14 +14,14 @@ from calib.base.arrays import FloatArray, IntArray
 from calib.base.units import DISPLAY_UNIT, PER_SI
 from calib.fitting.error_sets import STATES
 from calib.instruments.position import POSITION
-from calib.judging.verdict import judge
 from calib.reporting.result_content import instrument_blocks
 from viz.bodies import Bodies, PosedRobot, bodies_of, posed_robot
 from viz.decorations import decorations_of
 from viz.drive import Drive, drive_of
 from viz.geometry import read_shapes
 from viz.instrument_shapes import instrument_shapes, wires
-from viz.judgement import Judgement, of_verdict
+from viz.judgement import Judgement
+from viz.judgement import of_fit as judgement_of_fit
 from viz.pose_sources import from_fit
 from viz.poses import PoseTable, empty, rows_shown
 from viz.reading_errors import ReadingErrors
@@ -152,7 +152,7 @@ class Scene:
 
 def scene_of_fit(fit: Fit) -> Scene:
     """Return the scene of a fit."""
-    verdict, told = of_verdict(judge(fit)), fit.told_positions.notes
+    verdict, told = judgement_of_fit(fit), fit.told_positions.notes
     said, others = fit_remarks(fit), other_errors(instrument_blocks(fit))
     table, readings = from_fit(fit), readings_of_fit(fit)
     return build_scene(fit.placed, fit.robot, table, readings, verdict=verdict, told=told, comments=said, others=others)

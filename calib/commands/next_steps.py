@@ -10,7 +10,7 @@ import click
 
 from calib.data.measurements import Measurements
 from calib.fitting.fitted import Fit
-from calib.judging.reasons import Answer
+from calib.judging.reasons import Answer, what_next
 from calib.judging.rules_model import why_no_origins
 from calib.judging.verdict import judge
 
@@ -22,9 +22,6 @@ _MEANINGS = {
     "CHECK": ("yellow", "to be used by someone who has read the reasons above; intervals may be too narrow"),
     "FAIL": ("red", "do not use these numbers; the reasons above say what to look for"),
 }
-_OPTIONS = (Answer.LEAVE_OUT, Answer.ADD_TERMS, Answer.TRY_STARTS)
-"""Answers that are options of `calib fit`; the first that answers any reason is offered. Outliers come first: what they
-do to a fit looks like noise, and like joint terms."""
 
 
 def after_fit(fit: Fit, robot: str, data: Sequence[str], out: str) -> list[str]:
@@ -42,14 +39,14 @@ def after_fit(fit: Fit, robot: str, data: Sequence[str], out: str) -> list[str]:
     lines = [f"{click.style(grade, fg=colour, bold=True)}: {meaning}"]
     again = typed("calib", "fit", robot, *data)
     answers = [reason.answer for reason in verdict.reasons if reason.grade != "PASS"]
-    options = [option for option in _OPTIONS if option in answers]
-    if Answer.LEAVE_OUT in answers or (options and answers[0] is not Answer.OTHER_POSES):
-        return [*lines, f"Next: {again} {options[0].value} --out {shlex.quote(f'{out}-2')}"]
-    if Answer.OTHER_POSES in answers:
+    following = what_next(grade, answers, validated=fit.validation is not None or fit.folds is not None)
+    if following is Answer.OTHER_POSES:
         return [*lines, f"Next: {typed('calib', 'check', robot, *data)}    (what these poses do not tell)"]
-    if grade != "FAIL" and fit.validation is None and fit.folds is None:
-        return [*lines, f"Next: {again} --validate 0.25 --out {shlex.quote(out)}    (how good it is on other poses)"]
-    if answers:
+    if following is Answer.VALIDATE:
+        return [*lines, f"Next: {again} {following.value} --out {shlex.quote(out)}    (how good it is on other poses)"]
+    if following not in (Answer.LOOK, Answer.USE):
+        return [*lines, f"Next: {again} {following.value} --out {shlex.quote(f'{out}-2')}"]
+    if following is Answer.LOOK:
         return [*lines, f"Next: {typed('calib', 'view', robot, '--result', out)}    (where the errors are)"]
     if why_no_origins(fit):
         program = typed("calib", "compensate", out, "program.csv", "--out", "compensated.csv")

@@ -6,6 +6,7 @@ of `calib.judging.rules_...`; `calib.judging.verdict` asks these functions in or
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, StrEnum
 from typing import Literal, Self
@@ -23,6 +24,31 @@ class Answer(Enum):
     TRY_STARTS = "--starts 5"
     OTHER_POSES = "other poses"
     LOOK = "look at it"
+    VALIDATE = "--validate 0.25"
+    USE = "use it"
+
+
+_OPTIONS = (Answer.LEAVE_OUT, Answer.ADD_TERMS, Answer.TRY_STARTS)
+"""Answers that are options of `calib fit`; the first that answers any reason is offered. Outliers come first: what they
+do to a fit looks like noise, and like joint terms."""
+
+
+def what_next(grade: Grade, answers: Sequence[Answer], *, validated: bool) -> Answer:
+    """Return what to do next about a verdict.
+
+    Args:
+        grade: Its grade.
+        answers: Those of its reasons that are CHECK or FAIL, in order.
+        validated: Whether poses that were not used have judged the fit.
+    """
+    option = next((one for one in _OPTIONS if one in answers), None)
+    if option is Answer.LEAVE_OUT or (option is not None and answers[0] is not Answer.OTHER_POSES):
+        return option
+    if Answer.OTHER_POSES in answers:
+        return Answer.OTHER_POSES
+    if grade != "FAIL" and not validated:
+        return Answer.VALIDATE
+    return Answer.LOOK if answers else Answer.USE
 
 
 @dataclass(frozen=True)

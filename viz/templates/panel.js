@@ -78,7 +78,7 @@ class Panel {
     return parts;
   }
 
-  verdict({ grade, reasons }) {
+  verdict({ grade, reasons, next }) {
     const reasonText = (reason) => (reason.grade ? `${reason.grade}: ${reason.text}` : reason.text);
     const parts = [element("p", { class: `verdict ${grade}` }, element("strong", {}, grade),
       reasons.length ? ` ${reasons[0].text}` : " nothing was found against this fit")];
@@ -86,6 +86,7 @@ class Panel {
       parts.push(element("details", {}, element("summary", {}, `${reasons.length - 1} more to know`),
         element("ul", {}, ...reasons.slice(1).map((reason) => element("li", {}, reasonText(reason))))));
     }
+    if (next) parts.push(element("p", { id: "next-step" }, element("strong", {}, "Next: "), next));
     return parts;
   }
 

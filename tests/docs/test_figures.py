@@ -3,6 +3,7 @@
 import re
 
 import make_figures
+import make_pictures
 import pytest
 from snippets import DOCS, ROOT
 
@@ -16,7 +17,7 @@ def test_every_drawing_has_its_maker_and_every_picture_is_shown():
     shown = set()
     for page in (*DOCS.rglob("*.md"), ROOT / "CONTRIBUTING.md", ROOT / "README.md"):
         shown |= set(re.findall(r"figures/([\w-]+\.\w+)", page.read_text()))
-    for path in (DOCS / "figures").glob("*.*"):
+    for path in (DOCS / "figures").glob("[!.]*.*"):
         assert path.name in shown, f"{path.name} is on no page"
 
 
@@ -37,9 +38,9 @@ def _own(path):
     return re.sub(r'"""[\s\S]*?"""', "", path.read_text())
 
 
-def test_pictures_are_those_that_the_screenshot_command_takes():
+def test_pictures_are_those_that_commands_take():
     screenshots = pytest.importorskip("viz.screenshots")
-    taken = {f"{name}.png" for name, *_ in screenshots.PICTURES}
+    taken = {f"{name}.png" for name, *_ in (*screenshots.PICTURES, *make_pictures.PICTURES)}
     assert {path.name for path in (DOCS / "figures").glob("*.png")} <= taken
 
 

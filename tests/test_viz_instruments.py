@@ -18,7 +18,7 @@ from viz.instrument_shapes import instrument_shapes
 from viz.part_plots import part_plots
 from viz.plots import all_plots
 from viz.pose_sources import from_fit, from_measurements
-from viz.reading_errors import of_measurements
+from viz.reading_errors import of_measurements, smallest_motion
 from viz.report_page import report_page
 from viz.scene import build_scene, joints_of, scene_of_fit
 from viz.scene_data import scene_data
@@ -314,6 +314,15 @@ def test_an_error_is_drawn_as_the_smallest_motion_that_explains_the_reading(tmp_
     predicted = Rotation.from_matrix(body[:, :3, :3])
     np.testing.assert_allclose((predicted * measured.inv()).as_rotvec(), turned, atol=1e-4)
     assert [one.turns for one in found.values()] == [False] * 4 + [True]
+
+
+def test_what_has_no_derivative_has_no_arrow():
+    by = np.zeros((2, 1, 6))
+    by[:, 0, 0] = 2.0
+    by[1, 0, 1] = np.nan
+    motion, turns = smallest_motion(by, np.array([[4.0], [4.0]]))
+    assert not turns
+    np.testing.assert_array_equal(motion, [[2, 0, 0], [np.nan] * 3])
 
 
 def from_poses(robot, q):

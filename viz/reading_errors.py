@@ -267,12 +267,14 @@ def smallest_motion(by_motion: FloatArray, residuals: FloatArray) -> tuple[Float
         residuals: Predicted minus read, (n, n_axes) [SI]; NaN where a component was not read.
 
     Returns:
-        (n, 3) [m, or rad of turns]; NaN where nothing was read.
+        (n, 3) [m, or rad of turns]; NaN where nothing was read, or nothing is known.
     """
     turns = not by_motion[:, :, :3].any()
-    read: BoolArray = np.isfinite(residuals)
-    by = np.where(read[:, :, None], by_motion[:, :, 3:] if turns else by_motion[:, :, :3], 0.0)
-    motion = np.einsum("nij,nj->ni", np.linalg.pinv(by, rcond=1e-9), np.nan_to_num(residuals))
+    slopes = by_motion[:, :, 3:] if turns else by_motion[:, :, :3]
+    read: BoolArray = np.isfinite(residuals) & np.isfinite(slopes).all(axis=2)  # none behind a camera
+    by = np.where(read[:, :, None], slopes, 0.0)
+    residuals = np.where(read, residuals, 0.0)
+    motion = np.einsum("nij,nj->ni", np.linalg.pinv(by, rcond=1e-9), residuals)
     result: FloatArray = np.where(np.any(read, axis=1)[:, None], motion, np.nan)
     return result, bool(turns)
 

@@ -41,7 +41,7 @@ def test_it_says_what_the_poses_determine(checked):
     assert "These poses determine all 28 free parameters." in out
     assert "  d31 has no effect" in out
     assert "  d5 with xt: d5 +1 mm, xt -1 mm" in out
-    assert "Hold A2y, A2z, d31, d32, d41, d5, xb, zb" in out
+    assert "hold A2y, A2z, d31, d32, d41, d5, xb, zb" in out
     assert "these are held" in out
     assert "Predicted position error against number of poses" in out
 

@@ -114,7 +114,7 @@ def _tables() -> dict[str, tuple[str, list[str]]]:
 
 def _index() -> str:
     parts = [
-        "# Python reference\n\nFor whoever calls the program from Python: the public names by task, each with its"
+        "# Python reference\n\nFor anyone who calls the program from Python: the public names by task, each with its"
         " arguments, units and errors. Names of other modules may change; their documentation is in the source.\n"
     ]
     for title, (package, names) in _tables().items():

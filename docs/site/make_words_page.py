@@ -12,7 +12,7 @@ from calib.base.other_words import tables
 PAGE = Path(__file__).resolve().parents[1] / "howto" / "other_words.md"
 _INTRODUCTION = """# Words of other packages
 
-For whoever types the words of another package: at the end you know the word used here. There is one for each thing.
+For anyone who types the words of another package: at the end you know the word used here. There is one for each thing.
 `fit.params` or `calib fit ... --robust` end in an error that says what to write; this page comes from the same table.
 """
 

@@ -251,7 +251,7 @@ def test_an_error_of_the_joints_that_a_visit_shares_is_found_and_widens_interval
         claimed.append(fit.statistics.std)
         assert fit.statistics.shared.ratio > 1.1
         white = fit.rows.jacobian  # by the noise as found, as if all rows were independent
-        found = fit.statistics.factors.found[0]
+        found = fit.statistics.factors.values[0]
         narrow.append(found * np.sqrt(np.diag(np.linalg.inv(white.T @ white))) * fit.unknowns.scales)
     z = np.array(errors) / np.array(claimed)
     assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.25)  # 12 draws of 9 parameters

@@ -32,7 +32,7 @@ def of_line(x, y):
     residuals = y - rows @ np.linalg.lstsq(rows, y, rcond=None)[0]
     known, groups = information(rows), np.zeros(len(x), dtype=np.intp)
     factors = found_factors(residuals, rows, groups, 1, known)
-    return statistics(rows, groups, known, factors, np.ones(2), Prior(np.zeros(2, dtype=bool))), factors.found[0]
+    return statistics(rows, groups, known, factors, np.ones(2), Prior(np.zeros(2, dtype=bool))), factors.values[0]
 
 
 def test_a_straight_line_has_the_uncertainty_of_the_textbook():
@@ -108,7 +108,7 @@ def test_degrees_of_freedom_with_priors_make_the_found_noise_unbiased():
     assert 2 < effective_parameters(known, Prior(has_prior)) < 6
     found = [found_factors(r / sigma, rows / sigma, groups, 1, known) for r in residuals]
     assert found[0].freedom[0] == pytest.approx(12 - effective_parameters(known, Prior(has_prior)))
-    variances = [(sigma * one.found[0]) ** 2 for one in found]
+    variances = [(sigma * one.values[0]) ** 2 for one in found]
     assert np.mean(variances) == pytest.approx(sigma**2, rel=0.02)  # standard error 0.4 %
 
 
@@ -157,8 +157,8 @@ def test_groups_of_rows_have_noise_of_their_own():
     weighted = information(rows / sigma[:, None])
     right = (y / sigma) @ np.linalg.pinv(rows / sigma[:, None]).T
     factors = [found_factors(r / sigma, rows / sigma[:, None], groups, 2, weighted) for r in y - right @ rows.T]
-    assert np.mean([one.found**2 for one in factors], axis=0) == pytest.approx([1.0, 1.0], rel=0.02)
-    assert np.mean([one.found[1] for one in found]) > 3
+    assert np.mean([one.values**2 for one in factors], axis=0) == pytest.approx([1.0, 1.0], rel=0.02)
+    assert np.mean([one.values[1] for one in found]) > 3
     stated = Factors(np.array([1.0, 5.0]), np.array([36.0, 10.0]), np.array([1.0, 5.0]))
     judged_ = statistics(rows, groups, known, stated, np.ones(4), Prior(np.zeros(4, dtype=bool)))
     np.testing.assert_allclose(judged_.std, np.std(estimate, axis=0), rtol=0.02)
@@ -173,7 +173,7 @@ def test_rows_that_were_not_read_count_for_nothing():
     kept = groups >= 0
     found = found_factors(residuals, rows, groups, 1, information(rows))
     without = found_factors(residuals[kept], rows[kept], groups[kept], 1, information(rows[kept]))
-    assert found.found[0] == pytest.approx(without.found[0], rel=1e-12)
+    assert found.values[0] == pytest.approx(without.values[0], rel=1e-12)
     assert found.freedom[0] == pytest.approx(15, rel=1e-12)
 
 

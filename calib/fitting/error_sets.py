@@ -42,10 +42,10 @@ class ErrorSet(ReadOnlyArrays):
     def parts(self) -> list[tuple[Instrument, Part, IntArray]]:
         """Return every part of every instrument that read anything, with its rows, (n_rows,)."""
         parts = []
-        for one in self.instruments:
-            for k, part in enumerate(one.parts):
-                if len(self.after.get(one.name, ())):
-                    parts.append((one, part, np.flatnonzero(np.array(one.part_of_row) == k)))
+        for instrument in self.instruments:
+            for k, part in enumerate(instrument.parts):
+                if len(self.after.get(instrument.name, ())):
+                    parts.append((instrument, part, np.flatnonzero(np.array(instrument.part_of_row) == k)))
         return parts
 
     def errors(self, state: str, part: str = "", *, single: bool = False) -> FloatArray:
@@ -58,10 +58,10 @@ class ErrorSet(ReadOnlyArrays):
                 what the model is off there.
         """
         pieces = []
-        for one, own, rows in self.parts():
-            if own.name == part if part else own.is_position:
-                errors = getattr(self, state)[one.name][:, rows]
-                pieces.append(errors if single else self._by_pose(one.name, errors))
+        for instrument, measured, rows in self.parts():
+            if measured.name == part if part else measured.is_position:
+                errors = getattr(self, state)[instrument.name][:, rows]
+                pieces.append(errors if single else self._by_pose(instrument.name, errors))
         return np.concatenate(pieces) if pieces else np.zeros((0, 3))
 
     def _by_pose(self, name: str, errors: FloatArray) -> FloatArray:
@@ -98,9 +98,9 @@ class ErrorSet(ReadOnlyArrays):
     def tables(self) -> dict[str, dict[str, dict[str, dict[str, object]]]]:
         """Return error tables by instrument, part and state, in the part's unit of errors."""
         result: dict[str, dict[str, dict[str, dict[str, object]]]] = {}
-        for one, part, rows in self.parts():
-            result.setdefault(one.name, {})[part.name] = {
-                state: error_table(self._by_pose(one.name, getattr(self, state)[one.name][:, rows]), part)
+        for instrument, part, rows in self.parts():
+            result.setdefault(instrument.name, {})[part.name] = {
+                state: error_table(self._by_pose(instrument.name, getattr(self, state)[instrument.name][:, rows]), part)
                 for state in STATES
             }
         return result

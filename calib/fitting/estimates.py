@@ -93,29 +93,29 @@ class Estimates(Worded, Mapping[str, Estimate]):
 
     _other_words = "all parameters"
 
-    def __init__(self, found: Mapping[str, Estimate]) -> None:
-        self._found = dict(found)
+    def __init__(self, by_name: Mapping[str, Estimate]) -> None:
+        self._by_name = dict(by_name)
 
     def __getitem__(self, name: str) -> Estimate:
-        if name not in self._found:
-            raise InputError(f"no parameter '{name}'{nearest(name, self._found)}")
-        return self._found[name]
+        if name not in self._by_name:
+            raise InputError(f"no parameter '{name}'{nearest(name, self._by_name)}")
+        return self._by_name[name]
 
     def __contains__(self, name: object) -> bool:
-        return name in self._found
+        return name in self._by_name
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._found)
+        return iter(self._by_name)
 
     def __len__(self) -> int:
-        return len(self._found)
+        return len(self._by_name)
 
     def __repr__(self) -> str:
         return f"<{len(self)} estimates: {', '.join(list(self)[:5])}{', ...' if len(self) > 5 else ''}>"
 
     def rows(self) -> list[dict[str, object]]:
         """Return one row for each, in the units of tables."""
-        return [one.row() for one in self.values()]
+        return [estimate.row() for estimate in self.values()]
 
     def to_dataframe(self) -> Any:
         """Return a pandas table, in the units of tables; pandas missing is an `InputError`."""
@@ -164,30 +164,36 @@ class Correlation(Covariance):
     """Correlation of the free parameters, by name: numbers between -1 and 1 in place of the products."""
 
 
-def estimates(parameters: tuple[Parameter, ...], values: FloatArray, free: BoolArray, found: Statistics) -> Estimates:
+def estimates(
+    parameters: tuple[Parameter, ...], values: FloatArray, free: BoolArray, statistics: Statistics
+) -> Estimates:
     """Return what was found.
 
     Args:
         parameters: All parameters.
         values: Their values, (n_parameters,) [m or rad].
         free: Which were free, (n_parameters,).
-        found: Uncertainty of the free ones.
+        statistics: Uncertainty of the free ones.
     """
-    uncertainty = iter(zip(found.std, found.half_width, found.data_share, strict=True))
+    uncertainty = iter(zip(statistics.std, statistics.half_width, statistics.data_share, strict=True))
     result = {}
-    for one, value, use in zip(parameters, values, free, strict=True):
+    for parameter, value, use in zip(parameters, values, free, strict=True):
         std, half, share = next(uncertainty) if use else (np.nan, np.nan, np.nan)
-        kind = status(share, std / one.sigma_si, prior=one.prior, placement=one.placement) if use else "held"
-        result[one.name] = Estimate(
-            one.name,
-            one.unit,
-            one.nominal_si,
+        kind = (
+            status(share, std / parameter.sigma_si, prior=parameter.prior, placement=parameter.placement)
+            if use
+            else "held"
+        )
+        result[parameter.name] = Estimate(
+            parameter.name,
+            parameter.unit,
+            parameter.nominal_si,
             float(value),
             float(std),
             float(value - half),
             float(value + half),
             kind,
-            one.family,
-            one.per_si,
+            parameter.family,
+            parameter.per_si,
         )
     return Estimates(result)

@@ -122,7 +122,7 @@ def fit_data(
     rows, scales, uncertainty = uncertainty_at(solved, bent)
     placed, calibrated = start.robot, final.robot
     if validation is not None and later:
-        placed, calibrated = (_placed_by(validation, one.free(*later), later) for one in (placed, calibrated))
+        placed, calibrated = (_placed_by(validation, state.free(*later), later) for state in (placed, calibrated))
     fit = Fit(
         nominal=robot,
         placed=placed,
@@ -213,12 +213,12 @@ def _placed_by(later: Measurements, robot: Robot, names: tuple[str, ...]) -> Rob
 
 def _origins(robot: Robot, data: Measurements) -> set[str]:
     """Names of the origins at both ends of all that was read."""
-    names, found = ("", *robot.mechanism.origin_names), set[str]()
+    names, origins = ("", *robot.mechanism.origin_names), set[str]()
     for name, readings in data.readings.items():
         pairs = robot.pairs(robot.instrument(name))
         for pair in {int(k) for k in readings.pairs} if pairs else ():  # what reads a joint looks along none
-            found |= {names[pairs[pair].a], names[pairs[pair].b]}
-    return found
+            origins |= {names[pairs[pair].a], names[pairs[pair].b]}
+    return origins
 
 
 def errors_on(placed: Robot, calibrated: Robot, data: Measurements) -> ErrorSet:
@@ -235,10 +235,12 @@ def errors_on(placed: Robot, calibrated: Robot, data: Measurements) -> ErrorSet:
     """
     before, closed = _errors_of(placed, data)
     try:
-        after, found = _errors_of(calibrated, data, closed.passive)
+        after, configurations = _errors_of(calibrated, data, closed.passive)
     except UnreachablePoseError as error:
         raise ComputationError(f"with the parameters found, the robot cannot be assembled: {error}") from None
-    return ErrorSet(data, placed.instruments, before, after, calibrated.singular_values(found), found.passive)
+    return ErrorSet(
+        data, placed.instruments, before, after, calibrated.singular_values(configurations), configurations.passive
+    )
 
 
 def _errors_of(
@@ -246,4 +248,4 @@ def _errors_of(
 ) -> tuple[dict[str, FloatArray], Configurations]:
     configurations = robot.assemble(data.joints, near, data.labels, data.conditions)
     observed = observe(robot, configurations, data.readings)
-    return {name: one.residuals for name, one in observed.items()}, configurations
+    return {name: block.residuals for name, block in observed.items()}, configurations

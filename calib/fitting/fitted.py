@@ -57,7 +57,7 @@ class Convergence:
 
 
 @dataclass(frozen=True)
-class FoundNoise:
+class NoiseEstimate:
     """Noise of one group of rows.
 
     Attributes:
@@ -168,9 +168,9 @@ class Fit(ReadOnlyArrays):
     def parameters(self) -> Estimates:
         """What was found of each parameter, by name: in the unit of each, and in m or rad as `..._si`."""
         known = self.statistics.widened(self.widened)
-        found = estimates(self.nominal.parameters, self.robot.values, self.free, known)
-        later = {name: replace(found[name], status="placed") for name in self.placed_later}
-        return Estimates({**found, **later}) if later else found
+        by_name = estimates(self.nominal.parameters, self.robot.values, self.free, known)
+        later = {name: replace(by_name[name], status="placed") for name in self.placed_later}
+        return Estimates({**by_name, **later}) if later else by_name
 
     @cached_property
     def covariance(self) -> Covariance:
@@ -216,7 +216,7 @@ class Fit(ReadOnlyArrays):
         """
         sets = {"identification": self.identification, "validation": self.validation}
         sets["cross_validation"] = None if self.folds is None else self.folds.errors
-        return {name: one.table() for name, one in sets.items() if one is not None}
+        return {name: error_set.table() for name, error_set in sets.items() if error_set is not None}
 
     @property
     def residuals(self) -> dict[str, FloatArray]:
@@ -229,13 +229,13 @@ class Fit(ReadOnlyArrays):
         return self.unknowns.names
 
     @cached_property
-    def noise(self) -> tuple[FoundNoise, ...]:
+    def noise(self) -> tuple[NoiseEstimate, ...]:
         """Noise of each group of rows, as found and as stated."""
         factors, totals = self.statistics.factors, self.whitening.totals(self.scales)
         return tuple(
-            FoundNoise(
+            NoiseEstimate(
                 group,
-                float(factors.found[g] * totals[g] * group.typical),
+                float(factors.values[g] * totals[g] * group.typical),
                 group.typical if group.stated else None,
                 float(factors.freedom[g]),
             )
@@ -243,9 +243,9 @@ class Fit(ReadOnlyArrays):
         )
 
     @property
-    def first_noise(self) -> FoundNoise:
+    def first_noise(self) -> NoiseEstimate:
         """Noise of measured positions; of the first group of rows where none are."""
-        return next((one for one in self.noise if one.group.is_position), self.noise[0])
+        return next((estimate for estimate in self.noise if estimate.group.is_position), self.noise[0])
 
     @property
     def sigma(self) -> float:
@@ -262,9 +262,9 @@ class Fit(ReadOnlyArrays):
         """Error in all readings of an instrument at a pose that they are weighed for, (n_rows,) [SI], by name."""
         instruments = self.robot.instruments
         sizes = self.scales.ratios * self.whitening.offset_scale(self.scales.groups)
-        ends = np.cumsum([one.n_rows for one in instruments])[:-1]
+        ends = np.cumsum([instrument.n_rows for instrument in instruments])[:-1]
         parts = zip(instruments, np.split(sizes, ends), strict=True)
-        return {one.name: part for one, part in parts if np.any(part > 0)}
+        return {instrument.name: part for instrument, part in parts if np.any(part > 0)}
 
     @property
     def chi_square(self) -> ChiSquare | None:
@@ -272,16 +272,17 @@ class Fit(ReadOnlyArrays):
         if not all(group.stated for group in self.whitening.groups):
             return None
         factors = self.statistics.factors
-        found = factors.found * self.whitening.totals(self.scales)
-        mean_square = float(np.sum(factors.freedom * found**2) / factors.total_freedom)
+        factor = factors.values * self.whitening.totals(self.scales)
+        mean_square = float(np.sum(factors.freedom * factor**2) / factors.total_freedom)
         return chi_square(float(np.sqrt(mean_square)), factors.total_freedom)
 
     @property
     def computed(self) -> bool:
         """Whether the data were computed, not measured: no noise, or none beside what was stated to weigh priors."""
         return all(
-            one.sigma < EXACT or (one.sigma < COMPUTED and one.stated is not None and one.sigma < 0.01 * one.stated)
-            for one in self.noise
+            estimate.sigma < EXACT
+            or (estimate.sigma < COMPUTED and estimate.stated is not None and estimate.sigma < 0.01 * estimate.stated)
+            for estimate in self.noise
         )
 
     @cached_property
@@ -339,12 +340,12 @@ class Fit(ReadOnlyArrays):
         whitening = Whitening(self.robot, data, self.sigma_given)
         configurations = self.robot.assemble(data.joints, errors.passive, data.labels, data.conditions)
         observed = observe(self.robot, configurations, data.readings)
-        known = {(one.group.name, one.group.part, one.group.stated): one for one in self.noise}
+        known = {(estimate.group.name, estimate.group.part, estimate.group.stated): estimate for estimate in self.noise}
         factors = whitening.start(errors.after)  # of instruments that the fit has not seen
         for g, group in enumerate(whitening.groups):
-            one = known.get((group.name, group.part, group.stated))
-            if one is not None:
-                factors[g] = max(one.sigma, 1e-30) / one.group.typical
+            estimate = known.get((group.name, group.part, group.stated))
+            if estimate is not None:
+                factors[g] = max(estimate.sigma, 1e-30) / estimate.group.typical
         divisor = whitening.row_scale(factors)
         rows = whitening.rows(observed, factors, self.unknowns, self.unknowns.deviations(self.robot.values))
         rows = replace(rows, residuals=whitening.flatten(errors.after) / divisor)

@@ -59,12 +59,12 @@ def blocks(rows: Rows, weights: FloatArray) -> list[Blocks]:
     return result
 
 
-def outliers_of(judged: Studentised, error_set: ErrorSet, layout: Layout) -> tuple[Outlier, ...]:
+def outliers_of(studentised: Studentised, error_set: ErrorSet, layout: Layout) -> tuple[Outlier, ...]:
     """Return the outliers of a set, worst first."""
     result = []
-    for k in map(int, judged.outliers):
+    for k in map(int, studentised.outliers):
         name = next(name for name in layout.instruments if layout.readings_of(name).stop > k)
-        one = next(one for one in error_set.instruments if one.name == name)
+        instrument = next(instrument for instrument in error_set.instruments if instrument.name == name)
         errors = error_set.after[name][k - layout.readings_of(name).start]
         visit = int(layout.visit[k])
         result.append(
@@ -73,24 +73,24 @@ def outliers_of(judged: Studentised, error_set: ErrorSet, layout: Layout) -> tup
                 k,
                 name,
                 error_set.data.labels[visit],
-                float(_lengths(one, errors)[0]),
-                size_in_words(one, errors),
-                float(judged.ratio[k]),
-                float(judged.leverage[k]),
-                float(judged.p_value[k]),
+                float(_lengths(instrument, errors)[0]),
+                size_in_words(instrument, errors),
+                float(studentised.ratio[k]),
+                float(studentised.leverage[k]),
+                float(studentised.p_value[k]),
             )
         )
     return tuple(result)
 
 
-def size_in_words(one: Instrument, errors: FloatArray) -> str:
+def size_in_words(instrument: Instrument, errors: FloatArray) -> str:
     """Return the errors (n_rows,) [SI] of one reading in words, such as `0.123 mm and 0.4 mrad`."""
     sizes = []
-    for part, length in zip(one.parts, _lengths(one, errors), strict=True):
+    for part, length in zip(instrument.parts, _lengths(instrument, errors), strict=True):
         sizes.append(f"{length * error_scale(part.dimension):.3f} {ERROR_UNIT[part.dimension]}")
     return " and ".join(sizes)
 
 
-def _lengths(one: Instrument, errors: FloatArray) -> list[float]:
-    number = np.array(one.part_of_row)
-    return [float(np.sqrt(np.nansum(errors[number == k] ** 2))) for k in range(len(one.parts))]
+def _lengths(instrument: Instrument, errors: FloatArray) -> list[float]:
+    number = np.array(instrument.part_of_row)
+    return [float(np.sqrt(np.nansum(errors[number == k] ** 2))) for k in range(len(instrument.parts))]

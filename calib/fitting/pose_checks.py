@@ -148,7 +148,7 @@ def require_identifiable(problem: Problem, evaluation: Evaluation) -> Determinat
         NotIdentifiableError: The message names the parameters, and joints that never moved.
     """
     robot = problem.robot
-    columns = problem.whitening.flatten({name: one.jacobian for name, one in evaluation.observed.items()})
+    columns = problem.whitening.flatten({name: block.jacobian for name, block in evaluation.observed.items()})
     columns /= problem.whitening.row_scale(problem.whitening.start())[:, None]
     own = [k for k, p in enumerate(robot.parameters) if not p.family]  # families have priors
     parameters, free = [robot.parameters[k] for k in own], robot.is_free[own]
@@ -279,7 +279,7 @@ def zero_visits(data: Measurements, robot: Robot) -> IntArray:
     """
     numbers = [readings for name, readings in data.readings.items() if robot.instrument(name).columns()]
     three = [readings for readings in numbers if readings.values.shape[1] >= 3]
-    visits = [one.visits[np.all(one.values[:, :3] == 0.0, axis=1)] for one in three]
+    visits = [readings.visits[np.all(readings.values[:, :3] == 0.0, axis=1)] for readings in three]
     return np.unique(np.concatenate([np.zeros(0, dtype=np.intp), *visits]))
 
 

@@ -70,7 +70,7 @@ class Problem(ReadOnlyArrays):
         passive: Passive joints of the visits under similar parameters, to close loops from, (n, n_passive) [m or rad].
         whitening: By the noise that is stated.
         unknowns: The free parameters; sizes of families are those found so far.
-        found: Of which groups the noise is found from the residuals, (n_groups,): at first where it is not stated.
+        noise_found: Groups whose noise is found from the residuals, (n_groups,): at first those where it is not stated.
         ratios: Offsets that rows are weighed for, over the scales of their groups, (n_offsets,); all 0 for none.
         weighing: The same, ready to whiten by; None without any.
     """
@@ -82,7 +82,7 @@ class Problem(ReadOnlyArrays):
     passive: FloatArray
     whitening: Whitening
     unknowns: Unknowns
-    found: BoolArray
+    noise_found: BoolArray
     ratios: FloatArray
     weighing: SharedError | None = None
 
@@ -140,7 +140,7 @@ class Problem(ReadOnlyArrays):
     def confirmed(self) -> FloatArray:
         """Degrees of freedom with which a fleet confirmed the stated noise of groups, (n_groups,); 0 if found."""
         fleet = self.robot.description.fleet
-        return np.where(self.found | self.unstated, 0.0, 0.0 if fleet is None else fleet.noise_freedom)
+        return np.where(self.noise_found | self.unstated, 0.0, 0.0 if fleet is None else fleet.noise_freedom)
 
     @property
     def noise_weighs(self) -> bool:
@@ -198,13 +198,13 @@ class Problem(ReadOnlyArrays):
             rows.prior,
             rows.deviations,
             layout.group,
-            self.found,
+            self.noise_found,
             unknowns.family,
             len(unknowns.families),
         )
 
     def found_scales(self, evaluation: Evaluation, groups: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Find the scales of the groups `found`, and factors on the sigmas of families, from the residuals.
+        """Find the scales of the groups `noise_found`, and factors on the sigmas of families, from the residuals.
 
         Args:
             evaluation: An evaluation near the minimum.

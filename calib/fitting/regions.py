@@ -44,13 +44,13 @@ class Regions:
     surely: bool
 
 
-def disagreeing(data: Measurements, rows: Rows, found: Statistics) -> Regions | None:
+def disagreeing(data: Measurements, rows: Rows, statistics: Statistics) -> Regions | None:
     """Return the regions by which parameters disagree most; None where they agree as well as noise lets them.
 
     Args:
         data: The visits that were used.
         rows: Whitened rows at the solution, with the weights of a robust loss.
-        found: What is known of the parameters.
+        statistics: What is known of the parameters.
     """
     block = np.zeros(len(data), dtype=np.intp)
     for k, visits in enumerate(boxes(data.joints, data.pose_numbers, BLOCKS)):
@@ -58,26 +58,26 @@ def disagreeing(data: Measurements, rows: Rows, found: Statistics) -> Regions | 
     cuts = {"boxes of joint space": block}
     if data.setups is not None and np.ptp(data.setups) > 0:
         cuts["whole setups"] = data.setups
-    ratios = {name: left_out(rows, found, blocks) for name, blocks in cuts.items()}
+    ratios = {name: left_out(rows, statistics, blocks) for name, blocks in cuts.items()}
     apart = [
         Regions(name, ratio, chance < UNLIKELY / len(cuts))
         for name, (ratio, chance) in ratios.items()
         if chance < _HARDLY / len(cuts) and ratio > 1.0
     ]
-    return max(apart, key=lambda one: one.ratio, default=None)
+    return max(apart, key=lambda regions: regions.ratio, default=None)
 
 
-def left_out(rows: Rows, found: Statistics, block: IntArray) -> tuple[float, float]:
+def left_out(rows: Rows, statistics: Statistics, block: IntArray) -> tuple[float, float]:
     """Return how many times as much as noise explains parameters move without blocks of visits, and the chance of that.
 
     Args:
         rows: As of `disagreeing`.
-        found: As there.
+        statistics: As there.
         block: Block of each visit, (n_visits,).
     """
-    layout, factors = rows.layout, found.factors
-    factor = float(np.sqrt(np.sum(factors.freedom * factors.found**2) / factors.total_freedom))
+    layout, factors = rows.layout, statistics.factors
+    factor = float(np.sqrt(np.sum(factors.freedom * factors.values**2) / factors.total_freedom))
     of_row = block[layout.visit[layout.reading]]
     noise = np.full(layout.n_rows, factor)
-    moved: Scatter = scatter(rows.jacobian, rows.known.root, rows.residuals, noise, of_row, found.freedom)
-    return (moved.ratio, moved.chance) if found.shared is None else moved.beyond(found.shared)
+    moved: Scatter = scatter(rows.jacobian, rows.known.root, rows.residuals, noise, of_row, statistics.freedom)
+    return (moved.ratio, moved.chance) if statistics.shared is None else moved.beyond(statistics.shared)

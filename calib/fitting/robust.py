@@ -77,8 +77,8 @@ def solve_robust(problem: Problem, start: Evaluation, loss: Loss, groups: FloatA
         NotIdentifiableError: What the loss leaves of the data does not determine the parameters.
     """
     layout = problem.whitening.layout
-    groups, found = _believed(problem, problem.rows(start, groups), groups)
-    found_everywhere = bool(np.all(found))
+    groups, noise_found = _believed(problem, problem.rows(start, groups), groups)
+    found_everywhere = bool(np.all(noise_found))
     at, scale = start, float("nan")
     stages: tuple[Loss, ...] = ("huber",) if loss == "huber" else ("huber", loss)
     for stage in stages:
@@ -88,7 +88,7 @@ def solve_robust(problem: Problem, start: Evaluation, loss: Loss, groups: FloatA
         for _ in range(_ROUNDS):
             rows = problem.rows(at, groups)
             if stage == "huber":
-                groups = _median_scales(rows, groups, found)
+                groups = _median_scales(rows, groups, noise_found)
                 rows = problem.rows(at, groups)
             now, scale, step = _linear_solution(rows, stage, fixed, found_everywhere)
             settled = bool(np.max(np.abs(now - weights)) < _WEIGHTS_STAND)
@@ -103,10 +103,12 @@ def solve_robust(problem: Problem, start: Evaluation, loss: Loss, groups: FloatA
     final = problem.rows(at, groups)
     known = information(np.sqrt(np.mean(weights)) * final.factor[:, :-1], final.prior.rows)
     n_effective = effective_parameters(known, final.prior)
-    one = robust_factors(loss, final.distances(), layout.width, scale, n_effective)
+    pooled = robust_factors(loss, final.distances(), layout.width, scale, n_effective)
     n_rows = np.bincount(layout.group[layout.group >= 0], minlength=len(layout.groups))
     every = np.ones(len(n_rows))
-    factors = Factors(one.found * every, one.freedom * n_rows / n_rows.sum(), one.effective * every, one.slope)
+    factors = Factors(
+        pooled.values * every, pooled.freedom * n_rows / n_rows.sum(), pooled.effective * every, pooled.slope
+    )
     return RobustFit(at, solution, weights, factors, groups, settled)
 
 
@@ -120,8 +122,8 @@ def _believed(problem: Problem, rows: Rows, groups: FloatArray) -> tuple[FloatAr
         return groups, unstated
     step = _linear_solution(rows, "huber", None, True)[2]
     scales = groups * _levels(replace(rows, residuals=rows.residuals + rows.jacobian @ step))
-    found = unstated | problem.contradicted(scales, _MEDIAN)
-    return np.where(unstated, groups, np.where(found, scales, 1.0)), found
+    noise_found = unstated | problem.contradicted(scales, _MEDIAN)
+    return np.where(unstated, groups, np.where(noise_found, scales, 1.0)), noise_found
 
 
 def _levels(rows: Rows) -> FloatArray:
@@ -138,11 +140,11 @@ def _levels(rows: Rows) -> FloatArray:
     return levels
 
 
-def _median_scales(rows: Rows, groups: FloatArray, found: BoolArray) -> FloatArray:
+def _median_scales(rows: Rows, groups: FloatArray, noise_found: BoolArray) -> FloatArray:
     """Bring the scale of each group whose noise is found, beside the first, to where its median reading says."""
-    if len(groups) == 1 or not np.any(found):
+    if len(groups) == 1 or not np.any(noise_found):
         return groups
-    return groups * np.where(found, np.maximum(_levels(rows), EXACT), 1.0)
+    return groups * np.where(noise_found, np.maximum(_levels(rows), EXACT), 1.0)
 
 
 def _stepped(

@@ -229,7 +229,7 @@ def _solve_with_noise(problem: Problem, start: Evaluation, exact: float) -> Solv
     try:
         return _solve_finding_noise(problem, start, exact)
     except NotIdentifiableError:
-        problem = replace(problem, found=problem.unstated)
+        problem = replace(problem, noise_found=problem.unstated)
         if not np.any(problem.confirmed):
             raise
     groups = problem.whitening.start(start.residuals)
@@ -239,22 +239,22 @@ def _solve_with_noise(problem: Problem, start: Evaluation, exact: float) -> Solv
 
 def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> Solved:
     groups, unstated = problem.whitening.start(start.residuals), problem.unstated
-    problem = replace(problem, found=unstated)
+    problem = replace(problem, noise_found=unstated)
     if problem.noise_weighs and not np.all(unstated):
         problem, groups = _contradicted(problem, start, groups)
     at, tolerance = start, _LOOSE
     for _ in range(_NOISE_ROUNDS):
-        finds = (np.any(problem.found) and problem.noise_weighs) or problem.unknowns.families
+        finds = (np.any(problem.noise_found) and problem.noise_weighs) or problem.unknowns.families
         at, solution = problem.solve(at, groups, tolerance=tolerance if finds else exact)
         if not finds:
             return Solved(problem, at, groups, solution)
         scales, sizes = problem.found_scales(at, groups)
-        stands = problem.found & ~unstated & ~problem.contradicted(scales)
+        stands = problem.noise_found & ~unstated & ~problem.contradicted(scales)
         if np.any(stands):
-            problem = replace(problem, found=problem.found & ~stands)
+            problem = replace(problem, noise_found=problem.noise_found & ~stands)
             groups = np.where(stands, 1.0, scales)
             continue
-        counts = problem.found & (scales > EXACT)
+        counts = problem.noise_found & (scales > EXACT)
         change = float(np.max(np.abs(scales / groups - 1.0)[counts], initial=0.0))
         change = max(change, float(np.max(np.abs(sizes - 1.0), initial=0.0)) / _FAMILIES_STAND)
         if change <= _NOISE_STANDS and tolerance == exact:
@@ -269,10 +269,10 @@ def _solve_finding_noise(problem: Problem, start: Evaluation, exact: float) -> S
 
 def _contradicted(problem: Problem, evaluation: Evaluation, groups: FloatArray) -> tuple[Problem, FloatArray]:
     """Have the noise found of groups whose statement the linear model contradicts; also return scales to start from."""
-    every = replace(problem, found=np.ones(len(groups), dtype=bool))
+    every = replace(problem, noise_found=np.ones(len(groups), dtype=bool))
     scales, _ = every.found_scales(evaluation, groups)
     contradicted = problem.contradicted(scales)
-    return replace(problem, found=problem.unstated | contradicted), np.where(contradicted, scales, groups)
+    return replace(problem, noise_found=problem.unstated | contradicted), np.where(contradicted, scales, groups)
 
 
 def uncertainty_at(solved: Solved, beyond_linear: FloatArray | None = None) -> tuple[Rows, Scales, Statistics]:

@@ -92,12 +92,12 @@ def left_out_one_by_one(fit: Fit) -> ErrorSet | None:
     pulls, decided = pulls_without(rows.jacobian, fit.root, rows.residuals, pose_of_row, n_poses)
     steps = (fit.unknowns.scales[:, None] * (fit.root @ pulls.T)).T
     after = {name: errors.copy() for name, errors in fit.identification.after.items()}
-    for name, one in observed.items():
+    for name, block in observed.items():
         poses = pose_of_visit[data.readings[name].visits]
         for start in range(0, len(poses), _READINGS_AT_ONCE):
             some = slice(start, start + _READINGS_AT_ONCE)
             after[name][some] += np.einsum(
-                "nrk,nk->nr", one.jacobian[some][:, :, fit.unknowns.index], steps[poses[some]]
+                "nrk,nk->nr", block.jacobian[some][:, :, fit.unknowns.index], steps[poses[some]]
             )
     foretold = (decided <= _DECIDES)[pose_of_visit]
     whole = replace(fit.identification, after=after)

@@ -46,7 +46,7 @@ def n_folds(data: Measurements, folds: int | Literal["setups"]) -> int:
 
 
 def _setups(data: Measurements) -> list[int]:
-    return [0] if data.setups is None else [int(one) for one in np.unique(data.setups)]
+    return [0] if data.setups is None else [int(setup) for setup in np.unique(data.setups)]
 
 
 def _folds(data: Measurements, folds: int | Literal["setups"], seed: int) -> list[IntArray]:
@@ -54,7 +54,7 @@ def _folds(data: Measurements, folds: int | Literal["setups"], seed: int) -> lis
     if folds == "setups":
         if data.setups is None or len(_setups(data)) < 2:
             raise InputError(f"folds setups: {data.path} has one setup only; give a number of folds")
-        return [np.flatnonzero(data.setups == one) for one in _setups(data)]
+        return [np.flatnonzero(data.setups == setup) for setup in _setups(data)]
     dealt = deal(data, folds, seed)
     if folds < 2 or min(len(fold) for fold in dealt) == 0:
         raise InputError(f"folds {folds}: must be 2 or more, and not more than there are different poses")

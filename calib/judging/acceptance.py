@@ -159,8 +159,8 @@ def visible_changes(
     data = simulate(promise.robot, poses, 0.0, np.random.default_rng(0))  # no noise is drawn
     scale = {c.name: c.scale for c in candidates(promise.robot)}
     changes = System.of(promise, data, same_setup).changes()
-    nothing = [replace(one, value=np.nan, z=np.nan, p_value=np.nan) for one in changes]
-    return tuple(sorted(nothing, key=lambda one: six_digits(one.visible / scale[one.name])))
+    nothing = [replace(change, value=np.nan, z=np.nan, p_value=np.nan) for change in changes]
+    return tuple(sorted(nothing, key=lambda change: six_digits(change.visible / scale[change.name])))
 
 
 def poses_needed(
@@ -206,7 +206,7 @@ def _is_noise(promise: Promise, system: System, level: float) -> bool:
     """Whether repeats scatter more than promised, and the readings agree with as much noise."""
     scatter, freedom = repeatability(system.errors)
     every = promise.robot.instruments
-    positions = {(one.group, part.name) for one in every for part in one.parts if part.is_position}
+    positions = {(instrument.group, part.name) for instrument in every for part in instrument.parts if part.is_position}
     sigma = [size for key, size in promise.sigma.items() if key in positions]
     if freedom == 0 or len(sigma) != 1 or sigma[0] <= 0:
         return False

@@ -46,11 +46,11 @@ def _scale(fit: Fit) -> Iterator[str]:
 
 def _whose_noise(fit: Fit) -> Iterator[str]:
     """What the robot may do beside the model, where the noise was neither stated nor measured by repeats."""
-    one = fit.first_noise
+    estimate = fit.first_noise
     measured = repeatability(fit.identification)[1] >= ENOUGH_REPEATS
-    if one.stated is None and not measured and one.group.is_position:
+    if estimate.stated is None and not measured and estimate.group.is_position:
         predicted = float(np.mean(fit.identification_uncertainty.located**2))
-        single = millimetres(float(np.sqrt(predicted + 3.0 * one.sigma**2)))
+        single = millimetres(float(np.sqrt(predicted + 3.0 * estimate.sigma**2)))
         yield (
             "the noise of the instrument was not stated, so the robot's own scatter (play, changing loads) counts as"
             f" such noise; if all of it is the robot's, single positions are known to {single:.2g} mm RMS; state"

@@ -82,7 +82,7 @@ class Claim:
             off += f" RMS {told.shown(told.rms)}; before"
         else:
             off = f"off by {told.shown(told.rms)} RMS, {self.region}. Before"
-        shown = "".join(f" At {one.where}: RMS {one.shown(one.rms)}." for one in self.shown)
+        shown = "".join(f" At {accuracy.where}: RMS {accuracy.shown(accuracy.rms)}." for accuracy in self.shown)
         narrow = f" Joints that moved through less than half of their limits: {listed(self.narrow)}."
         return f"{what} {off}: {told.shown(told.before)}.{shown}{narrow if self.narrow else ''}"
 
@@ -99,7 +99,8 @@ class Claim:
             "region": self.region,
             "joints_moved_little": list(self.narrow),
             "not_used": [
-                {"poses": one.poses.name.lower(), "n_poses": one.n_poses, "rms": scale * one.rms} for one in self.shown
+                {"poses": accuracy.poses.name.lower(), "n_poses": accuracy.n_poses, "rms": scale * accuracy.rms}
+                for accuracy in self.shown
             ],
             "holds": self.holds,
             "gain": self.gain.value,
@@ -117,8 +118,8 @@ def claim_of(fit: Fit) -> Claim | None:
         unused.append(of_errors(fit.validation, SeenAt.VALIDATION))
     if fit.folds is not None:
         unused.append(of_errors(fit.folds.errors, SeenAt.FOLDS))
-    shown = tuple(one for one in unused if (one.part, one.dimension) == (told.part, told.dimension))
-    broken = tuple(one for one in shown if one.rms > _most(fit, told, one) * told.rms)
+    shown = tuple(accuracy for accuracy in unused if (accuracy.part, accuracy.dimension) == (told.part, told.dimension))
+    broken = tuple(accuracy for accuracy in shown if accuracy.rms > _most(fit, told, accuracy) * told.rms)
     n = fit.identification.data.n_poses
     return Claim(told, shown, broken, _gain(fit, foretold), f"at poses like the {n} measured", _narrow(fit))
 
@@ -138,10 +139,10 @@ def _squares(errors: ErrorSet, state: str) -> FloatArray:
 
 def _gain(fit: Fit, foretold: ErrorSet) -> Gain:
     compared = list(comparisons(fit))
-    if any(one.worse for one in compared):
+    if any(comparison.worse for comparison in compared):
         return Gain.WORSE
     if compared:
-        return Gain.BETTER if any(one.better for one in compared) else Gain.NONE
+        return Gain.BETTER if any(comparison.better for comparison in compared) else Gain.NONE
     change = _squares(foretold, "after") - _squares(foretold, "before")
     if len(change) < FEWEST:
         return Gain.NONE

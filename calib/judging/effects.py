@@ -253,18 +253,18 @@ def _of_joints(setting: EffectSetting) -> Iterator[Effect | Waves]:
         yield Waves(name, column[:, 0], setting.visit, q if turns else q * (TURN / float(np.ptp(q))), words)
 
 
-def _position_rows(one: Instrument) -> list[int]:
+def _position_rows(instrument: Instrument) -> list[int]:
     """Rows of an instrument that are the position of its target; none for kinds that measure none."""
-    return [k for k, part in enumerate(one.part_of_row) if one.parts[part].is_position]
+    return [k for k, part in enumerate(instrument.part_of_row) if instrument.parts[part].is_position]
 
 
 def _shifts(setting: EffectSetting) -> dict[str, FloatArray]:
     """What shifts of the measurement frame along x, y and z do to readings, (n, n_rows, 3) each."""
     result: dict[str, FloatArray] = {}
     for name, readings in setting.data.readings.items():
-        one = setting.robot.instrument(name)
-        result[name] = np.zeros((len(readings), one.n_rows, 3))
-        rows = _position_rows(one)
+        instrument = setting.robot.instrument(name)
+        result[name] = np.zeros((len(readings), instrument.n_rows, 3))
+        rows = _position_rows(instrument)
         if len(rows) == 3:
             result[name][:, rows] = np.eye(3)
     return result
@@ -285,11 +285,11 @@ def _lengths(setting: EffectSetting) -> dict[str, FloatArray]:
     points = _points(setting)
     result: dict[str, FloatArray] = {}
     for name, readings in setting.data.readings.items():
-        one = setting.robot.instrument(name)
-        result[name] = np.zeros((len(readings), one.n_rows, 1))
+        instrument = setting.robot.instrument(name)
+        result[name] = np.zeros((len(readings), instrument.n_rows, 1))
         if name in points:
-            result[name][:, _position_rows(one), 0] = points[name]
-        elif [part.name for part in one.parts] == ["distance"]:
+            result[name][:, _position_rows(instrument), 0] = points[name]
+        elif [part.name for part in instrument.parts] == ["distance"]:
             result[name][:, 0, 0] = readings.values[:, 0]
     return result
 
@@ -314,14 +314,14 @@ def _moved_targets(setting: EffectSetting) -> dict[str, dict[str, FloatArray]]:
     result: dict[str, dict[str, FloatArray]] = {}
     joints = robot.mechanism.all_joints(setting.configurations.actuated, setting.configurations.passive)
     for name, own in readings.items():
-        one = robot.instrument(name)
-        rows = _position_rows(one)
-        if len(rows) != 3 or not isinstance(one, FrameInstrument):
+        instrument = robot.instrument(name)
+        rows = _position_rows(instrument)
+        if len(rows) != 3 or not isinstance(instrument, FrameInstrument):
             continue
-        pairs = robot.pairs(one)
+        pairs = robot.pairs(instrument)
         swept = kinematics.sweep(robot.mechanism, joints, pairs)
         poses = np.stack([kinematics.relative_pose(swept, pair) for pair in pairs])
-        moved = result.setdefault(one.target, {other: zeros.copy() for other, zeros in none.items()})
+        moved = result.setdefault(instrument.target, {other: zeros.copy() for other, zeros in none.items()})
         moved[name][:, rows] = -poses[own.pairs, own.visits, :3, :3]
     return result
 

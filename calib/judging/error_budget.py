@@ -115,7 +115,7 @@ def causes_of(robot: Robot) -> tuple[str, ...]:
     places = {robot.mechanism.origin(name) for name in robot.mechanism.places}
     own = robot.parametrisation.parameters
     causes = [PLACES if p.placement or p.name.rpartition(".")[0] in places else GEOMETRY for p in own]
-    causes += [PLACES for one in robot.instruments for _ in one.unknowns]
+    causes += [PLACES for instrument in robot.instruments for _ in instrument.unknowns]
     return (*causes, *(term.cause for term in robot.terms for _ in term.parameters))
 
 
@@ -226,8 +226,8 @@ def _seen(
     data = errors.data
     configurations = robot.assemble(data.joints, errors.passive, data.labels, data.conditions)
     observed = observe(robot, configurations, data.readings)
-    jacobian = _flat({name: one.jacobian[:, :, unknowns.index] for name, one in observed.items()}, layout)
-    return jacobian[counted], _flat({name: one.residuals for name, one in observed.items()}, layout)[counted]
+    jacobian = _flat({name: block.jacobian[:, :, unknowns.index] for name, block in observed.items()}, layout)
+    return jacobian[counted], _flat({name: block.residuals for name, block in observed.items()}, layout)[counted]
 
 
 def _leverage(rows: Rows, unknowns: Unknowns, members: BoolArray, counted: BoolArray) -> FloatArray:

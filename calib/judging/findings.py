@@ -28,7 +28,7 @@ _LEAST_FACTOR = 1e-3  # found over assumed noise of a group, over that of all, b
 @remembered
 def studentised(fit: Fit) -> Studentised:
     """Return how far off every reading is that was used; see `calib.numerics.losses`."""
-    factors, number = fit.statistics.factors.found, fit.rows.layout.group
+    factors, number = fit.statistics.factors.values, fit.rows.layout.group
     # groups whose stated noise is off by different factors are judged by what each of them really has
     relative = np.maximum(factors / _factor(fit), _LEAST_FACTOR)
     divisor = np.where(number >= 0, relative[number], 1.0)
@@ -51,7 +51,7 @@ def validation_studentised(fit: Fit) -> Studentised | None:
 
 def _factor(fit: Fit) -> float:
     """Found over assumed noise, of all groups together."""
-    return max(float(np.sqrt(np.mean(fit.statistics.factors.found**2))), 1e-30)
+    return max(float(np.sqrt(np.mean(fit.statistics.factors.values**2))), 1e-30)
 
 
 @remembered
@@ -81,7 +81,7 @@ def setting(fit: Fit) -> EffectSetting:
 def linear(fit: Fit) -> Residuals:
     """Return the fit as a linear model, in which effects are looked for."""
     factors = fit.statistics.factors
-    factor = float(np.sqrt(np.sum(factors.freedom * factors.found**2) / factors.total_freedom))
+    factor = float(np.sqrt(np.sum(factors.freedom * factors.values**2) / factors.total_freedom))
     rows = fit.rows.weighted(fit.weights)
     shared = fit.statistics.shared
     pose_freedom = np.inf if shared is None else shared.freedom

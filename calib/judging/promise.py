@@ -55,10 +55,10 @@ class Promise:
     @staticmethod
     def of(fit: Fit) -> Promise:
         """Return what a fit promises."""
-        sigma = {(one.group.name, one.group.part): one.sigma for one in fit.noise}
-        found = fit.statistics
-        shared = 1.0 if found.shared is None else found.shared.ratio
-        return Promise(fit.robot, fit.covariance.values, found.freedom, sigma, shared)
+        sigma = {(estimate.group.name, estimate.group.part): estimate.sigma for estimate in fit.noise}
+        statistics = fit.statistics
+        shared = 1.0 if statistics.shared is None else statistics.shared.ratio
+        return Promise(fit.robot, fit.covariance.values, statistics.freedom, sigma, shared)
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ class System:
         configurations = robot.assemble(data.joints, labels=data.labels, context=data.conditions)
         observed = observe(robot, configurations, data.readings, joints=True)
         whitening, unknowns = Whitening(robot, data), Unknowns.of(robot)
-        scales = whitening.start({name: one.residuals for name, one in observed.items()})
+        scales = whitening.start({name: block.residuals for name, block in observed.items()})
         for g, group in enumerate(whitening.groups):
             if (group.name, group.part) in promise.sigma:
                 scales[g] = max(promise.sigma[group.name, group.part], 1e-30) / group.typical
@@ -174,7 +174,7 @@ class System:
         known = np.asarray(rows.jacobian[:, own] @ root)
         candidate_columns = _candidate_columns(robot, np.hstack([rows.jacobian, joints]), len(unknowns))
         layout = whitening.layout
-        errors = {name: one.residuals for name, one in observed.items()}
+        errors = {name: block.residuals for name, block in observed.items()}
         return System(
             promise,
             (known, rows.jacobian[:, ~own]),
@@ -351,14 +351,16 @@ def _promised(
     """
     free, slopes, square, n = np.flatnonzero(robot.is_free), [], 0.0, 0
     for name, derivatives in observed.items():
-        one = robot.instrument(name)
-        for index, part in enumerate(one.parts):
+        instrument = robot.instrument(name)
+        for index, part in enumerate(instrument.parts):
             if not part.is_position:
                 continue
-            rows = [r for r, k in enumerate(one.part_of_row) if k == index]
+            rows = [r for r, k in enumerate(instrument.part_of_row) if k == index]
             n += len(derivatives.jacobian)
             slopes.append(derivatives.jacobian[:, rows][:, :, free].reshape(-1, len(free)))
-            square += len(rows) * len(derivatives.jacobian) * promise.sigma.get((one.group, part.name), np.nan) ** 2
+            square += (
+                len(rows) * len(derivatives.jacobian) * promise.sigma.get((instrument.group, part.name), np.nan) ** 2
+            )
     if not n:
         return float("nan"), float("nan")
     slope = np.concatenate(slopes)

@@ -41,7 +41,7 @@ def what_next(grade: Grade, answers: Sequence[Answer], *, validated: bool) -> An
         answers: Those of its reasons that are CHECK or FAIL, in order.
         validated: Whether poses that were not used have judged the fit.
     """
-    option = next((one for one in _OPTIONS if one in answers), None)
+    option = next((answer for answer in _OPTIONS if answer in answers), None)
     if option is Answer.LEAVE_OUT or (option is not None and answers[0] is not Answer.OTHER_POSES):
         return option
     if Answer.OTHER_POSES in answers:

@@ -99,10 +99,10 @@ class Scatter:
 def _repeated(errors: ErrorSet, part_name: str = "") -> list[Scatter]:
     """Errors (n, 3) of a part, of positions if none is named, of readings at poses that were read more than once."""
     result = []
-    for one, part, rows in errors.parts():
+    for instrument, part, rows in errors.parts():
         if part.name != part_name if part_name else not part.is_position:
             continue
-        readings = errors.data.readings[one.name]
+        readings = errors.data.readings[instrument.name]
         pose = errors.data.pose_numbers[readings.visits]
         _, number, count = np.unique(
             pose * (1 + np.max(readings.pairs, initial=0)) + readings.pairs, return_inverse=True, return_counts=True
@@ -110,9 +110,9 @@ def _repeated(errors: ErrorSet, part_name: str = "") -> list[Scatter]:
         several = np.flatnonzero(count[number] > 1)
         several = several[np.argsort(number[several], kind="stable")]
         for group in np.split(several, np.cumsum(count[count > 1])[:-1]) if len(several) else ():
-            before, after = errors.before[one.name][group], errors.after[one.name][group]
+            before, after = errors.before[instrument.name][group], errors.after[instrument.name][group]
             visits = readings.visits[group]
-            result.append(Scatter(one.name, int(pose[group[0]]), group, visits, before[:, rows], after[:, rows]))
+            result.append(Scatter(instrument.name, int(pose[group[0]]), group, visits, before[:, rows], after[:, rows]))
     return result
 
 
@@ -122,11 +122,11 @@ def repeats(errors: ErrorSet) -> Repeats | None:
     if not several:
         return None
     return Repeats(
-        np.array([one.pose for one in several], dtype=np.intp),
-        np.array([len(one.after) for one in several], dtype=np.intp),
-        np.array([np.linalg.norm(one.before.mean(axis=0)) for one in several]),
-        np.array([np.linalg.norm(one.after.mean(axis=0)) for one in several]),
-        np.array([iso9283.repeatability(one.after) for one in several]),
+        np.array([scatter.pose for scatter in several], dtype=np.intp),
+        np.array([len(scatter.after) for scatter in several], dtype=np.intp),
+        np.array([np.linalg.norm(scatter.before.mean(axis=0)) for scatter in several]),
+        np.array([np.linalg.norm(scatter.after.mean(axis=0)) for scatter in several]),
+        np.array([iso9283.repeatability(scatter.after) for scatter in several]),
     )
 
 
@@ -136,10 +136,10 @@ def repeatability(errors: ErrorSet) -> tuple[float, int]:
     NaN and 0 where no point was read more than once at a pose.
     """
     several = _repeated(errors)
-    freedom = sum(one.after.shape[1] * (len(one.after) - 1) for one in several)
+    freedom = sum(scatter.after.shape[1] * (len(scatter.after) - 1) for scatter in several)
     if freedom == 0:
         return float("nan"), 0
-    squares = sum(float(np.sum((one.after - one.after.mean(axis=0)) ** 2)) for one in several)
+    squares = sum(float(np.sum((scatter.after - scatter.after.mean(axis=0)) ** 2)) for scatter in several)
     return float(np.sqrt(squares / freedom)), freedom
 
 
@@ -153,13 +153,13 @@ def beyond_repeatability(errors: ErrorSet, n_effective: float) -> tuple[float, f
         errors: Errors of the visits that were used.
         n_effective: Parameters that they decided.
     """
-    scatter, n_free = repeatability(errors)
+    deviation, n_free = repeatability(errors)
     several = _repeated(errors)
     freedom = 3.0 * len(several) - n_effective
-    if not (np.isfinite(scatter) and scatter > 0 and freedom >= 1 - 1e-9):
+    if not (np.isfinite(deviation) and deviation > 0 and freedom >= 1 - 1e-9):
         return float("nan"), 1.0
-    squares = sum(len(one.after) * float(np.sum(one.after.mean(axis=0) ** 2)) for one in several)
-    ratio = float(np.sqrt(squares / freedom)) / scatter
+    squares = sum(len(scatter.after) * float(np.sum(scatter.after.mean(axis=0) ** 2)) for scatter in several)
+    ratio = float(np.sqrt(squares / freedom)) / deviation
     return ratio, float(scipy.special.fdtrc(freedom, n_free, ratio**2))
 
 
@@ -183,16 +183,16 @@ def iso_figures(errors: ErrorSet, rng: np.random.Generator) -> tuple[list[IsoFig
     names = dict(zip(errors.data.pose_numbers.tolist(), errors.data.names, strict=True))
     several = _repeated(errors)
     figures: list[IsoFigure] = []
-    for one in several:
-        label, n = names[one.pose], len(one.after)
-        figures.append(IsoFigure("AP", label, n, iso9283.pose_accuracy(-one.after)))
-        figures.append(IsoFigure("RP", label, n, iso9283.pose_repeatability(-one.after, rng)))
+    for scatter in several:
+        label, n = names[scatter.pose], len(scatter.after)
+        figures.append(IsoFigure("AP", label, n, iso9283.pose_accuracy(-scatter.after)))
+        figures.append(IsoFigure("RP", label, n, iso9283.pose_repeatability(-scatter.after, rng)))
     turned = _repeated(errors, "orientation")
-    for one in turned:
+    for scatter in turned:
         for k, axis in enumerate(("rx", "ry", "rz")):
-            label, n = names[one.pose], len(one.after)
-            figures.append(IsoFigure(f"AP_{axis}", label, n, iso9283.mean_of(-one.after[:, k])))
-            figures.append(IsoFigure(f"RP_{axis}", label, n, iso9283.three_deviations(one.after[:, k])))
+            label, n = names[scatter.pose], len(scatter.after)
+            figures.append(IsoFigure(f"AP_{axis}", label, n, iso9283.mean_of(-scatter.after[:, k])))
+            figures.append(IsoFigure(f"RP_{axis}", label, n, iso9283.three_deviations(scatter.after[:, k])))
     figures += _distances(errors, several, names)
     figures += _directions(errors, several, names)
     figures += _drifts(errors, several, names, rng)
@@ -202,30 +202,30 @@ def iso_figures(errors: ErrorSet, rng: np.random.Generator) -> tuple[list[IsoFig
 def _distances(errors: ErrorSet, several: list[Scatter], names: Mapping[int, str]) -> list[IsoFigure]:
     """AD and RD of the two poses of one instrument that are furthest apart, cycle by cycle."""
     best: tuple[float, Scatter, Scatter, FloatArray] | None = None
-    commanded = [_commanded(errors, one) for one in several]
-    for (a, one), (b, other) in combinations(enumerate(several), 2):
+    commanded = [_commanded(errors, scatter) for scatter in several]
+    for (a, start), (b, end) in combinations(enumerate(several), 2):
         apart: FloatArray = commanded[b] - commanded[a]
-        if one.instrument == other.instrument and (best is None or np.linalg.norm(apart) > best[0]):
-            best = float(np.linalg.norm(apart)), one, other, apart
+        if start.instrument == end.instrument and (best is None or np.linalg.norm(apart) > best[0]):
+            best = float(np.linalg.norm(apart)), start, end, apart
     if best is None or best[0] == 0:
         return []
-    _, one, other, apart = best
-    n = min(len(one.after), len(other.after))
-    off = iso9283.distances(-one.after[:n], -other.after[:n], apart)
-    label = f"{names[one.pose]} to {names[other.pose]}"
+    _, start, end, apart = best
+    n = min(len(start.after), len(end.after))
+    off = iso9283.distances(-start.after[:n], -end.after[:n], apart)
+    label = f"{names[start.pose]} to {names[end.pose]}"
     return [
         IsoFigure("AD", label, n, iso9283.mean_of(off)),
         IsoFigure("RD", label, n, iso9283.three_deviations(off)),
     ]
 
 
-def _commanded(errors: ErrorSet, one: Scatter) -> FloatArray:
+def _commanded(errors: ErrorSet, scatter: Scatter) -> FloatArray:
     """Mean position that was predicted, (3,) [m]."""
-    instrument = next(i for i in errors.instruments if i.name == one.instrument)
-    read = instrument.points(errors.data.readings[one.instrument].values[one.readings])
+    instrument = next(i for i in errors.instruments if i.name == scatter.instrument)
+    read = instrument.points(errors.data.readings[scatter.instrument].values[scatter.readings])
     if read is None:
-        raise TypeError(f"'{one.instrument}' reads positions, but shows no points")
-    return np.asarray((read + one.after).mean(axis=0))
+        raise TypeError(f"'{scatter.instrument}' reads positions, but shows no points")
+    return np.asarray((read + scatter.after).mean(axis=0))
 
 
 def _directions(errors: ErrorSet, several: list[Scatter], names: Mapping[int, str]) -> list[IsoFigure]:
@@ -233,13 +233,13 @@ def _directions(errors: ErrorSet, several: list[Scatter], names: Mapping[int, st
     if errors.data.approach is None:
         return []
     result = []
-    for one in several:
-        _, number = np.unique(errors.data.approach[one.visits], axis=0, return_inverse=True)
-        groups = [-one.after[number.reshape(-1) == k] for k in range(int(number.max()) + 1)]
+    for scatter in several:
+        _, number = np.unique(errors.data.approach[scatter.visits], axis=0, return_inverse=True)
+        groups = [-scatter.after[number.reshape(-1) == k] for k in range(int(number.max()) + 1)]
         groups = [group for group in groups if len(group) > 1]
         if len(groups) > 1:
             n = min(len(group) for group in groups)
-            result.append(IsoFigure("vAP", names[one.pose], n, iso9283.direction_variation(groups)))
+            result.append(IsoFigure("vAP", names[scatter.pose], n, iso9283.direction_variation(groups)))
     return result
 
 
@@ -250,19 +250,19 @@ def _drifts(
     time, result = errors.data.context.get("time"), []
     if time is None or not np.all(np.isfinite(time)):
         return []
-    for one in several:
-        n_blocks = len(one.after) // _BLOCK
+    for scatter in several:
+        n_blocks = len(scatter.after) // _BLOCK
         if n_blocks > 1:
-            order = np.argsort(time[one.visits], kind="stable")[: n_blocks * _BLOCK]
-            figures = iso9283.drift(np.split(-one.after[order], n_blocks), rng)
+            order = np.argsort(time[scatter.visits], kind="stable")[: n_blocks * _BLOCK]
+            figures = iso9283.drift(np.split(-scatter.after[order], n_blocks), rng)
             for name, figure in zip(("dAP", "dRP"), figures, strict=True):
-                result.append(IsoFigure(name, names[one.pose], _BLOCK, figure))
+                result.append(IsoFigure(name, names[scatter.pose], _BLOCK, figure))
     return result
 
 
 def _missing(errors: ErrorSet, several: list[Scatter], turned: list[Scatter], figures: list[IsoFigure]) -> list[str]:
     """Say what the standard asks for and the data do not have."""
-    cycles = [len(one.after) for one in several]
+    cycles = [len(scatter.after) for scatter in several]
     result = []
     if not several:
         return ["no pose was read more than once: no AP, RP, AD, RD; give rows that repeat a pose the same name"]

@@ -157,22 +157,22 @@ def patterns(residuals: Residuals, setting: EffectSetting) -> tuple[Pattern, ...
     if residuals.factor * setting.metre < EXACT:
         return ()
     all_moments = (moments for effect in effects(setting) for moments in _moments(residuals, effect))
-    tested = [one for moments in all_moments if (one := _test(residuals, moments)) is not None]
+    tests = [test for moments in all_moments if (test := _test(residuals, moments)) is not None]
     kept: dict[tuple[str, str, str], tuple[_Tested, int]] = {}
     for family in FAMILIES:
-        members = [one for one in tested if one.effect.kind in family]
+        members = [test for test in tests if test.effect.kind in family]
         times = len(FAMILIES) * len(members)
-        kept |= {(one.effect.kind, one.effect.name, one.effect.detail): (one, times) for one in _best(members)}
+        kept |= {(test.effect.kind, test.effect.name, test.effect.detail): (test, times) for test in _best(members)}
     noise = setting.size(np.full(len(residuals.rows.residuals), residuals.factor))
     result = []
     for effect in _columns_of(setting, kept):
-        one, times = kept[effect.kind, effect.name, effect.detail]
+        test, times = kept[effect.kind, effect.name, effect.detail]
         columns = residuals.after_fit(effect.columns)
-        explained = columns @ one.coefficients
-        p = min(1.0, _chance(residuals, one, columns, explained) * times)
+        explained = columns @ test.coefficients
+        p = min(1.0, _chance(residuals, test, columns, explained) * times)
         size = setting.size(explained)
         significant = p < FALSE_ALARM and size > SMALLEST_EFFECT * noise
-        amount = float(np.linalg.norm(one.coefficients)) if effect.kind in _BEST_ONLY else _only(one.coefficients)
+        amount = float(np.linalg.norm(test.coefficients)) if effect.kind in _BEST_ONLY else _only(test.coefficients)
         result.append(
             Pattern(effect.kind, effect.name, p, size, amount, bool(significant), setting.dimension, effect.detail)
         )
@@ -182,17 +182,17 @@ def patterns(residuals: Residuals, setting: EffectSetting) -> tuple[Pattern, ...
 def _columns_of(setting: EffectSetting, kept: Container[tuple[str, str, str]]) -> Iterator[Effect]:
     """Yield the effects with these kinds, names and details, with their columns."""
     for effect in effects(setting):
-        every = [effect] if isinstance(effect, Effect) else map(effect.effect, effect.orders)
-        yield from (one for one in every if (one.kind, one.name, one.detail) in kept)
+        singles = [effect] if isinstance(effect, Effect) else map(effect.effect, effect.orders)
+        yield from (single for single in singles if (single.kind, single.name, single.detail) in kept)
 
 
-def _best(tested: list[_Tested]) -> list[_Tested]:
+def _best(tests: list[_Tested]) -> list[_Tested]:
     """Of the kinds that are tried by the dozen, keep the most significant of each name; of the others, all."""
     kept: dict[tuple[str, str, int], _Tested] = {}
-    for number, one in enumerate(tested):
-        key = (one.effect.kind, one.effect.name, 0 if one.effect.kind in _BEST_ONLY else number)
-        if key not in kept or (one.p_value, -one.gain) < (kept[key].p_value, -kept[key].gain):
-            kept[key] = one
+    for number, test in enumerate(tests):
+        key = (test.effect.kind, test.effect.name, 0 if test.effect.kind in _BEST_ONLY else number)
+        if key not in kept or (test.p_value, -test.gain) < (kept[key].p_value, -kept[key].gain):
+            kept[key] = test
     return list(kept.values())
 
 
@@ -247,9 +247,9 @@ def _moments_of_waves(residuals: Residuals, waves: Waves) -> Iterator[_Moments]:
         products += sums[:, block] @ powers.view(float)
     for order in waves.orders:
         k = order - ORDERS.start
-        one = squares[[[0, 1], [1, 2]], k]
+        normal = squares[[[0, 1], [1, 2]], k]
         own = products[:, 2 * k : 2 * k + 2]
-        yield _Moments("wave", waves.name, f"{order} {waves.words}", one, own[:rank], own[rank])
+        yield _Moments("wave", waves.name, f"{order} {waves.words}", normal, own[:rank], own[rank])
 
 
 def _test(residuals: Residuals, effect: _Moments) -> _Tested | None:

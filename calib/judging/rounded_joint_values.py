@@ -85,14 +85,14 @@ def _step(values: FloatArray, dimension: Dimension) -> float:
     """The largest usual step that some values (n,) stand in [m or rad]; 0 for none."""
     if len(np.unique(values)) < _DIFFERENT:
         return 0.0
-    found = [0.0]
+    steps = [0.0]
     for unit in _UNITS[dimension]:
         in_unit = values * PER_SI[dimension][unit]
         for step in _STEPS:
             if np.all(np.abs(in_unit / step - np.round(in_unit / step)) < _CLOSE):
-                found.append(step / PER_SI[dimension][unit])
+                steps.append(step / PER_SI[dimension][unit])
                 break
-    return max(found)
+    return max(steps)
 
 
 def _score(fit: Fit, scatter: FloatArray) -> tuple[float, float]:

@@ -89,11 +89,12 @@ def too_few_poses(fit: Fit) -> Iterator[Reason]:
 
 def few_shared(fit: Fit) -> Iterator[Reason]:
     """Count poses whose readings share errors."""
-    found = fit.statistics
-    if found.shared is not None and found.interval_freedom < FEW_SHARED:
+    statistics = fit.statistics
+    if statistics.shared is not None and statistics.interval_freedom < FEW_SHARED:
         yield Code.TOO_FEW_POSES.says(
-            f"too few poses: the readings of a pose share errors, and intervals rest on {found.interval_freedom:.1f}"
-            " independent errors. Measure several times as many poses, not more readings of each"
+            f"too few poses: the readings of a pose share errors, and intervals rest on"
+            f" {statistics.interval_freedom:.1f} independent errors. Measure several times as many poses, not more"
+            " readings of each"
         )
 
 
@@ -170,7 +171,7 @@ def _share(outlying: Sequence[Outlier], rows: Rows | None) -> float:
     if rows is None:
         return 1.0
     squares = np.bincount(rows.layout.reading, rows.residuals**2, rows.layout.n_readings)
-    return float(np.sum(squares[[one.reading for one in outlying]]) / max(float(np.sum(squares)), 1e-300))
+    return float(np.sum(squares[[outlier.reading for outlier in outlying]]) / max(float(np.sum(squares)), 1e-300))
 
 
 def copied(fit: Fit) -> Iterator[Reason]:
@@ -190,9 +191,9 @@ def copied(fit: Fit) -> Iterator[Reason]:
 def _conditions(used: Measurements, other: Measurements) -> FloatArray:
     """Setups and stated conditions of the visits of both, (n, ...), in units of what makes it another measurement."""
     both = (used, other)
-    columns = [np.concatenate([np.zeros(len(one)) if one.setups is None else one.setups for one in both])]
+    columns = [np.concatenate([np.zeros(len(visits)) if visits.setups is None else visits.setups for visits in both])]
     for name, size in ANOTHER.items():
-        values = [np.nan_to_num(one.context.get(name, np.zeros(len(one)))) for one in both]
+        values = [np.nan_to_num(visits.context.get(name, np.zeros(len(visits)))) for visits in both]
         columns.append(SAME_JOINTS / size * np.concatenate(values))
     return np.column_stack(columns)
 
@@ -236,13 +237,13 @@ def repeats(fit: Fit) -> Iterator[Reason]:
 
 def rounded(fit: Fit) -> Iterator[Reason]:
     """See whether joint values were rounded to so few digits that this makes much of the noise."""
-    found = None if fit.computed else rounding(fit)
-    if found is not None and ROUNDED < found.part < ALL_ROUNDED and found.chance < FALSE_ALARM:
-        one = fit.first_noise
-        size = error_scale(one.group.dimension) * one.sigma * float(np.sqrt(min(found.part, 1.0)))
+    steps = None if fit.computed else rounding(fit)
+    if steps is not None and ROUNDED < steps.part < ALL_ROUNDED and steps.chance < FALSE_ALARM:
+        estimate = fit.first_noise
+        size = error_scale(estimate.group.dimension) * estimate.sigma * float(np.sqrt(min(steps.part, 1.0)))
         yield Code.ROUNDED.says(
-            f"joint values were rounded to steps of {found.steps}, which makes about {size:.2g}"
-            f" {ERROR_UNIT[one.group.dimension]} of noise. Export all digits of the controller"
+            f"joint values were rounded to steps of {steps.steps}, which makes about {size:.2g}"
+            f" {ERROR_UNIT[estimate.group.dimension]} of noise. Export all digits of the controller"
         )
 
 

@@ -90,7 +90,7 @@ def residuals_grew(fit: Fit) -> Iterator[Reason]:
     before, rows = fit.whitened(fit.identification)
     layout, believed = rows.layout, fit.weights > BELIEVED
     squares = [np.bincount(layout.reading, errors**2, layout.n_readings) for errors in (before, rows.residuals)]
-    sums = [float(np.sum(one[believed])) for one in squares]
+    sums = [float(np.sum(by_reading[believed])) for by_reading in squares]
     if sums[1] > HARM**2 * sums[0]:
         yield Code.RESIDUALS_GREW.says(
             f"errors at the poses used are {np.sqrt(sums[1] / sums[0]):.2f} times those of the nominal robot with base"
@@ -98,18 +98,18 @@ def residuals_grew(fit: Fit) -> Iterator[Reason]:
             " and the sigmas of the description"
         )
         return
-    for one, part, of_part in fit.identification.parts():
-        kept = believed[layout.readings_of(one.name)]
+    for instrument, part, of_part in fit.identification.parts():
+        kept = believed[layout.readings_of(instrument.name)]
         if not np.any(kept):
             continue
         states = fit.identification.before, fit.identification.after
-        sizes = [float(np.nanmean(errors[one.name][kept][:, of_part] ** 2)) for errors in states]
+        sizes = [float(np.nanmean(errors[instrument.name][kept][:, of_part] ** 2)) for errors in states]
         if sizes[1] > HARM**2 * sizes[0]:
             scale, unit = error_scale(part.dimension), ERROR_UNIT[part.dimension]
             before_rms, after_rms = (scale * float(np.sqrt(size * len(part.axes))) for size in sizes)
             yield Code.INSTRUMENTS_DISAGREE.says(
-                f"readings of {one.name}, {part.name}, are explained worse than before ({after_rms:.4g} {unit} RMS,"
-                f" {before_rms:.4g} before), so that others are explained better: the instruments contradict each"
+                f"readings of {instrument.name}, {part.name}, are explained worse than before ({after_rms:.4g} {unit}"
+                f" RMS, {before_rms:.4g} before), so that others are explained better: the instruments contradict each"
                 " other; check how each is described, and the noise that is stated"
             )
 
@@ -121,20 +121,20 @@ def claim_broken(made: Claim, *, needless: bool) -> Iterator[Reason]:
         made: The claim.
         needless: Whether the robot needs no correction.
     """
-    for one in made.broken:
-        times, told = one.rms / made.told.rms, made.told
-        if one.rms > one.before and made.gain is not Gain.BETTER and not needless:
+    for accuracy in made.broken:
+        times, told = accuracy.rms / made.told.rms, made.told
+        if accuracy.rms > accuracy.before and made.gain is not Gain.BETTER and not needless:
             yield Code.WORSE_ON_VALIDATION.says(
-                f"the calibration makes the robot worse at {one.where}: {one.shown(one.rms)} RMS after,"
-                f" {one.shown(one.before)} before, and {times:.1f} times what it claims ({told.shown(told.rms)}). The"
-                " fit follows its own measurements, not the robot. Measure more poses, spread over the space where the"
-                " robot will work"
+                f"the calibration makes the robot worse at {accuracy.where}: {accuracy.shown(accuracy.rms)} RMS after,"
+                f" {accuracy.shown(accuracy.before)} before, and {times:.1f} times what it claims"
+                f" ({told.shown(told.rms)}). The fit follows its own measurements, not the"
+                " robot. Measure more poses, spread over the space where the robot will work"
             )
         else:
             yield Code.VALIDATION.says(
-                f"{one.where} are {times:.1f} times as far off as claimed ({one.shown(one.rms)} RMS where poses like"
-                f" those used have {told.shown(told.rms)}). The robot does something there that the poses used do not"
-                " show. Measure there too"
+                f"{accuracy.where} are {times:.1f} times as far off as claimed ({accuracy.shown(accuracy.rms)} RMS"
+                f" where poses like those used have {told.shown(told.rms)}). The robot does something there that the"
+                " poses used do not show. Measure there too"
             )
 
 
@@ -225,10 +225,10 @@ def files_hold_less(fit: Fit) -> Iterator[Reason]:
             f"calibrated.urdf and other files of joint origins are not written: {why}; {others}. --force writes them"
         )
     elif lost_by(fit.robot, Holds.ORIGINS):
-        judged, whole = (fit.robot.files[holds].accuracy for holds in (Holds.ORIGINS, Holds.EVERYTHING))
+        origins, whole = (fit.robot.files[holds].accuracy for holds in (Holds.ORIGINS, Holds.EVERYTHING))
         yield Code.FILE_HOLDS_LESS.says(
             f"a URDF cannot hold joint terms. The origins in calibrated.urdf are those that fit best without them:"
-            f" {judged.words}. Nominal robot: {judged.shown(judged.before)}; whole model: {whole.shown(whole.rms)}"
+            f" {origins.words}. Nominal robot: {origins.shown(origins.before)}; whole model: {whole.shown(whole.rms)}"
         )
 
 
@@ -281,12 +281,12 @@ def _points(error_set: ErrorSet) -> tuple[FloatArray, FloatArray]:
     """Measured points of all instruments, and their errors after calibration, (n, 3) each [m]."""
     measured: list[FloatArray] = [np.zeros((0, 3))]
     errors: list[FloatArray] = [np.zeros((0, 3))]
-    for one, part, rows in error_set.parts():
-        points = one.points(error_set.data.readings[one.name].values)
+    for instrument, part, rows in error_set.parts():
+        points = instrument.points(error_set.data.readings[instrument.name].values)
         if points is not None and part.is_position:
             measured_rows = np.isfinite(points).all(axis=1)
             measured.append(points[measured_rows])
-            errors.append(error_set.after[one.name][measured_rows][:, rows])
+            errors.append(error_set.after[instrument.name][measured_rows][:, rows])
     return np.concatenate(measured), np.concatenate(errors)
 
 

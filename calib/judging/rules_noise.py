@@ -10,7 +10,7 @@ import numpy as np
 from calib.base.errors import CalibrationError
 from calib.base.units import ERROR_UNIT, error_scale, millimetres
 from calib.data.measurements import Measurements
-from calib.fitting.fitted import Fit, FoundNoise
+from calib.fitting.fitted import Fit, NoiseEstimate
 from calib.judging.better_or_worse import comparisons
 from calib.judging.reasons import Code, Reason
 from calib.numerics.chances import UNLIKELY
@@ -49,25 +49,28 @@ def noise(fit: Fit) -> Iterator[Reason]:
             " not measured, and the intervals say nothing about a real robot"
         )
     else:
-        for one in fit.noise:
-            if one.freedom > 0:
-                yield from _against_usual(fit, one) if one.stated is None else _against_statement(fit, one)
+        for estimate in fit.noise:
+            if estimate.freedom > 0:
+                yield from (
+                    _against_usual(fit, estimate) if estimate.stated is None else _against_statement(fit, estimate)
+                )
 
 
 def misread(fit: Fit) -> Iterator[Reason]:
     """Look for noise that no such instrument has, whatever robot it reads, and for what the numbers mean then."""
-    for one in fit.noise:
-        if not one.sigma > DOUBTFUL * one.group.largest:
+    for estimate in fit.noise:
+        if not estimate.sigma > DOUBTFUL * estimate.group.largest:
             continue
         data, beyond = fit.identification.data, ""
-        readers = [name for name in data.readings if fit.nominal.instrument(name).group == one.group.name]
+        readers = [name for name in data.readings if fit.nominal.instrument(name).group == estimate.group.name]
         meaning = next(filter(None, (_other_meaning(fit.nominal, data, name) for name in readers)), "")
-        if one.sigma > one.group.largest:
-            beyond = f", more than any such instrument has ({in_words(one, one.group.largest)})"
+        if estimate.sigma > estimate.group.largest:
+            beyond = f", more than any such instrument has ({in_words(estimate, estimate.group.largest)})"
         if meaning or beyond:
             yield Code.MISREAD.says(
-                f"noise found of {one.group.name}, {one.group.part}, is {in_words(one, one.sigma)} per axis{beyond}:"
-                f" the numbers mean something else; {meaning or 'look at their order, form, unit and frame'}"
+                f"noise found of {estimate.group.name}, {estimate.group.part}, is {in_words(estimate, estimate.sigma)}"
+                f" per axis{beyond}: the numbers mean something else;"
+                f" {meaning or 'look at their order, form, unit and frame'}"
             )
 
 
@@ -94,8 +97,8 @@ def _other_meaning(robot: Robot, data: Measurements, name: str) -> str:
 
 def _nominal_error(robot: Robot, data: Measurements, name: str) -> float:
     """Root mean square error of the rows whose numbers may mean something else, by the nominal robot [SI]."""
-    one = robot.instrument(name)
-    rows = [k for k, part in enumerate(one.part_of_row) if np.isfinite(one.parts[part].largest)]
+    instrument = robot.instrument(name)
+    rows = [k for k, part in enumerate(instrument.part_of_row) if np.isfinite(instrument.parts[part].largest)]
     try:
         placed = register(robot, data)
         observed = observe(placed, placed.assemble(data.joints, context=data.conditions), data.readings)
@@ -104,24 +107,24 @@ def _nominal_error(robot: Robot, data: Measurements, name: str) -> float:
     return float(np.sqrt(np.mean(observed[name].residuals[:, rows] ** 2)))
 
 
-def in_words(one: FoundNoise, size: float, digits: int = 3) -> str:
+def in_words(estimate: NoiseEstimate, size: float, digits: int = 3) -> str:
     """A noise [SI] in the unit of its group."""
-    return f"{error_scale(one.group.dimension) * size:.{digits}g} {ERROR_UNIT[one.group.dimension]}"
+    return f"{error_scale(estimate.group.dimension) * size:.{digits}g} {ERROR_UNIT[estimate.group.dimension]}"
 
 
-def _of(fit: Fit, one: FoundNoise) -> str:
-    return f" of {one.group.name}, {one.group.part}," if len(fit.noise) > 1 else ""
+def _of(fit: Fit, estimate: NoiseEstimate) -> str:
+    return f" of {estimate.group.name}, {estimate.group.part}," if len(fit.noise) > 1 else ""
 
 
-def _against_usual(fit: Fit, one: FoundNoise) -> Iterator[Reason]:
-    usual = one.group.usual
-    if one.sigma > usual:
+def _against_usual(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
+    usual = estimate.group.usual
+    if estimate.sigma > usual:
         none_fits = all(other.stated is None and other.sigma > GROSS * other.group.usual for other in fit.noise)
         yield Code.NOISE.says(
-            f"noise found{_of(fit, one)} is {in_words(one, one.sigma)} per axis, more than such an instrument has"
-            f" ({in_words(one, usual)} at most): the model does not explain the measurements, and the rest may have"
-            " moved the parameters; look for what is missing or wrong in the description of the instrument, and check"
-            " the result with another instrument",
+            f"noise found{_of(fit, estimate)} is {in_words(estimate, estimate.sigma)} per axis, more than such an"
+            f" instrument has ({in_words(estimate, usual)} at most): the model does not explain the measurements, and"
+            " the rest may have moved the parameters; look for what is missing or wrong in the description of the"
+            " instrument, and check the result with another instrument",
             grade="FAIL" if none_fits and not _proven_by_another(fit) else "CHECK",
             counted=False,
         )
@@ -140,31 +143,31 @@ def unproven(fit: Fit) -> bool:
     Args:
         fit: A fit that was judged with no such poses, or with some that prove nothing.
     """
-    beyond = [] if fit.computed else [one for one in fit.noise if _beyond_statement(one)]
-    provable = bool(beyond) and all(_may_be_left_out(fit, one) for one in beyond)
+    beyond = [] if fit.computed else [estimate for estimate in fit.noise if _beyond_statement(estimate)]
+    provable = bool(beyond) and all(_may_be_left_out(fit, estimate) for estimate in beyond)
     return provable and not any(comparison.better or comparison.worse for comparison in comparisons(fit))
 
 
-def _beyond_statement(one: FoundNoise) -> bool:
-    if one.stated is None or one.freedom <= 0:
+def _beyond_statement(estimate: NoiseEstimate) -> bool:
+    if estimate.stated is None or estimate.freedom <= 0:
         return False
-    ratio = one.sigma / one.stated
-    return ratio > NOISE_RATIO and chi_square(ratio, one.freedom).p_larger < UNLIKELY
+    ratio = estimate.sigma / estimate.stated
+    return ratio > NOISE_RATIO and chi_square(ratio, estimate.freedom).p_larger < UNLIKELY
 
 
-def _may_be_left_out(fit: Fit, one: FoundNoise) -> bool:
+def _may_be_left_out(fit: Fit, estimate: NoiseEstimate) -> bool:
     """Whether a noise may be what the model leaves out of a healthy robot."""
-    return one.group.dimension != "length" or one.sigma < LEFT_OUT * _spread(fit)
+    return estimate.group.dimension != "length" or estimate.sigma < LEFT_OUT * _spread(fit)
 
 
-def _against_statement(fit: Fit, one: FoundNoise) -> Iterator[Reason]:
-    stated = one.stated or 1.0
-    ratio = one.sigma / stated
-    chi = chi_square(ratio, one.freedom)
-    numbers = f"{in_words(one, one.sigma)} per axis where {in_words(one, stated)} was stated"
-    of = _of(fit, one)
-    if _beyond_statement(one):
-        yield _beyond(fit, one, f"noise found{of} is {ratio:.1f} times what was stated ({numbers})")
+def _against_statement(fit: Fit, estimate: NoiseEstimate) -> Iterator[Reason]:
+    stated = estimate.stated or 1.0
+    ratio = estimate.sigma / stated
+    chi = chi_square(ratio, estimate.freedom)
+    numbers = f"{in_words(estimate, estimate.sigma)} per axis where {in_words(estimate, stated)} was stated"
+    of = _of(fit, estimate)
+    if _beyond_statement(estimate):
+        yield _beyond(fit, estimate, f"noise found{of} is {ratio:.1f} times what was stated ({numbers})")
     elif chi.p_larger < UNLIKELY:
         text = f"noise found{of} is {ratio:.2f} times what was stated ({numbers}), more than chance explains"
         yield Code.NOISE.says(f"{text}: state the noise of robot and sensor together, or look for what is missing")
@@ -174,14 +177,14 @@ def _against_statement(fit: Fit, one: FoundNoise) -> Iterator[Reason]:
         yield Code.NOISE.says(f"{text}: {advice}")
 
 
-def _beyond(fit: Fit, one: FoundNoise, text: str) -> Reason:
+def _beyond(fit: Fit, estimate: NoiseEstimate, text: str) -> Reason:
     """Judge a noise that is far above its statement."""
     text += ": the model does not explain the measurements;"
     compared = list(comparisons(fit))
     better = any(comparison.better for comparison in compared)
-    bounded = one.group.dimension == "length" and np.isfinite(_spread(fit))
+    bounded = estimate.group.dimension == "length" and np.isfinite(_spread(fit))
     no_worse = bounded and bool(compared) and not any(comparison.worse for comparison in compared)
-    if not _may_be_left_out(fit, one):
+    if not _may_be_left_out(fit, estimate):
         text += (
             f" no healthy robot leaves more than {100 * LEFT_OUT:g} % of the space measured"
             f" ({millimetres(_spread(fit)):.4g} mm): look at units, joint order and signs, and outliers; if it is all"
@@ -206,9 +209,9 @@ def _spread(fit: Fit) -> float:
     """Root mean square distance per axis of measured positions from their centre [m], of the widest; inf without."""
     errors = fit.identification
     spreads = [np.inf]
-    for one in errors.instruments:
-        readings = errors.data.readings.get(one.name)
-        points = None if readings is None else one.points(readings.values)
+    for instrument in errors.instruments:
+        readings = errors.data.readings.get(instrument.name)
+        points = None if readings is None else instrument.points(readings.values)
         if points is not None and len(points):
             spreads.append(float(np.sqrt(np.mean(np.nanvar(points, axis=0)))))
     return max(spreads[1:], default=np.inf)

@@ -103,7 +103,7 @@ def lengths_scaled(fit: Fit) -> Iterator[Reason]:
 def large_terms(fit: Fit) -> Iterator[Reason]:
     """List joint terms that were chosen, and are much larger than is usual: each was fitted with the sigma it needs."""
     tried = () if fit.terms is None else fit.terms.tried
-    words = listed([f"{one.term} ({one.size:.0f} times)" for one in tried if one.added and one.size > UNUSUAL])
+    words = listed([f"{term.term} ({term.size:.0f} times)" for term in tried if term.added and term.size > UNUSUAL])
     if words:
         yield Code.LARGE_TERMS.says(
             f"joint terms that were added are more than {UNUSUAL:g} times as large as is usual: {words}; look for a"

@@ -179,12 +179,12 @@ def blocks_disagree(fit: Fit) -> Iterator[Reason]:
 
 def terms_untested(fit: Fit) -> Iterator[Reason]:
     """Look for joint terms that leave positions uncertain where no joint leaves the values measured."""
-    found = _widened(fit, other_combinations(fit.identification.data.joints, _SAMPLED))
-    if found:
+    accuracy = _widened(fit, other_combinations(fit.identification.data.joints, _SAMPLED))
+    if accuracy:
         yield Code.TERMS_UNTESTED.says(
             f"the poses used hardly determine the joint terms at other combinations of the same joint values: positions"
-            f" are known to {found}. Measure poses that combine joint values in other ways, or validate on such poses"
-            " (--validate)"
+            f" are known to {accuracy}. Measure poses that combine joint values in other ways, or validate on such"
+            " poses (--validate)"
         )
 
 
@@ -196,9 +196,11 @@ def terms_beyond(fit: Fit) -> Iterator[str]:
     low, high = np.maximum(lower, np.mean(q, axis=0) - half), np.minimum(upper, np.mean(q, axis=0) + half)
     bounded = np.isfinite(half)
     low, high = np.where(bounded, low, q.min(axis=0)), np.where(bounded, high, q.max(axis=0))
-    found = _widened(fit, low + (high - low) * halton(_SAMPLED, len(low)))
-    if found:
-        yield f"joint values beyond those measured: over what the joints' limits allow, positions are known to {found}"
+    accuracy = _widened(fit, low + (high - low) * halton(_SAMPLED, len(low)))
+    if accuracy:
+        yield (
+            f"joint values beyond those measured: over what the joints' limits allow, positions are known to {accuracy}"
+        )
 
 
 def _widened(fit: Fit, q: FloatArray) -> str:

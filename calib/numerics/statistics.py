@@ -66,14 +66,14 @@ class Factors(ReadOnlyArrays):
     """What the residuals say about the assumed noise.
 
     Attributes:
-        found: f of each group of rows, (n_groups,).
+        values: f of each group of rows, (n_groups,).
         freedom: Degrees of freedom of each group, (n_groups,).
-        effective: Noise that gives the scatter of the parameters, in place of f in C; `found`, except with a robust
+        effective: Noise that gives the scatter of the parameters, in place of f in C; `values`, except with a robust
             loss, (n_groups,).
         slope: How much less the data weigh against priors than without a robust loss; 1 without one.
     """
 
-    found: FloatArray
+    values: FloatArray
     freedom: FloatArray
     effective: FloatArray
     slope: float = 1.0

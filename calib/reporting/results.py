@@ -170,7 +170,7 @@ def _residual_columns(fit: Fit, label: str, found: ErrorSet, rows: Rows, name: s
     used = label == "identification"
     judged = findings.studentised(fit) if used else findings.validation_studentised(fit)
     assert judged is not None
-    layout, factor = rows.layout, float(np.sqrt(np.mean(fit.statistics.factors.found**2))) if used else 1.0
+    layout, factor = rows.layout, float(np.sqrt(np.mean(fit.statistics.factors.values**2))) if used else 1.0
     one, own, readings = fit.nominal.instrument(name), layout.readings_of(name), found.data.readings[name]
     visits, n = layout.visit[own], len(readings)
     columns: dict[str, Sequence[object]] = {

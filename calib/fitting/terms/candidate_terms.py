@@ -113,12 +113,12 @@ def candidates(robot: Robot, data: Measurements) -> tuple[Candidate, ...]:
         robot: The robot with the terms that it has anyway.
         data: Its measurements.
     """
-    found = [_candidate(name, robot, data) for name in TERMS if _in_auto(name)]
+    kinds = [_candidate(name, robot, data) for name in TERMS if _in_auto(name)]
     uncounted = uncounted_turns(robot, data.joints)
     if uncounted:
-        tried = [one.term for one in found if one.sections and TERMS[one.term].counts_turns]
-        found += [Candidate(name, refused=may_be_wrapped(uncounted, [f"a {name}"])) for name in tried]
-    return tuple(found)
+        tried = [kind.term for kind in kinds if kind.sections and TERMS[kind.term].counts_turns]
+        kinds += [Candidate(name, refused=may_be_wrapped(uncounted, [f"a {name}"])) for name in tried]
+    return tuple(kinds)
 
 
 def _in_auto(name: str) -> bool:

@@ -86,14 +86,21 @@ def choose_terms(fit: Fit) -> TermChoice:
     kinds = candidates(fit.robot, data)
     if fit.computed:
         why = "nothing is left to explain: these data were computed, not measured"
-        return TermChoice("auto", fit.robot.description.terms, tuple(TriedTerm(one.term, why=why) for one in kinds))
-    tried = tuple(one for one in kinds if not one.refused)
+        return TermChoice(
+            "auto", fit.robot.description.terms, tuple(TriedTerm(candidate.term, why=why) for candidate in kinds)
+        )
+    tried = tuple(candidate for candidate in kinds if not candidate.refused)
     search = _Search(Trials(fit, tried), tried)
     groups = search.chosen()
     chosen = search.of(groups)
-    added = [section for one in search.tried if one.term in chosen.terms for section in search.entries(one, chosen)]
+    added = [
+        section
+        for candidate in search.tried
+        if candidate.term in chosen.terms
+        for section in search.entries(candidate, chosen)
+    ]
     sections = (*fit.robot.description.terms, *added)
-    told = sorted((search.told(one, groups) for one in kinds), key=lambda one: not one.added)
+    told = sorted((search.told(candidate, groups) for candidate in kinds), key=lambda term: not term.added)
     return TermChoice("auto", sections, tuple(told))
 
 
@@ -118,17 +125,21 @@ class _Search:
         while True:
             without = self.of(groups)
             alone = {term: self.of((*groups, (term,))) for term in self.free(groups)}
-            steps = {term: self.step(groups, term) for term, one in alone.items() if not self.failed(without, one)}
+            steps = {term: self.step(groups, term) for term, trial in alone.items() if not self.failed(without, trial)}
             earning = [term for term, step in steps.items() if step]
             if not earning:
                 return groups
-            best = min((alone[term] for term in earning), key=lambda one: float(np.sum(one.squares[0])))
+            best = min((alone[term] for term in earning), key=lambda trial: float(np.sum(trial.squares[0])))
             near = [term for term in earning if not _surely_better(best, alone[term])]
             groups = steps[max(near, key=lambda term: self.beyond_chance(without, alone[term]))]
 
     def free(self, groups: Groups) -> list[str]:
         """Return the terms that may be added to some groups."""
-        return [one.term for one in self.tried if not one.doubt and not any(one.term in group for group in groups)]
+        return [
+            candidate.term
+            for candidate in self.tried
+            if not candidate.doubt and not any(candidate.term in group for group in groups)
+        ]
 
     def step(self, groups: Groups, term: str) -> Groups:
         """Return the groups with a term and what cannot be told from it, or with it alone; none if neither earns it."""
@@ -195,7 +206,7 @@ class _Search:
         ]
         if not alike:
             return ""
-        known, before = (millimetres(float(np.sqrt(one.unsure))) for one in (trial, without))
+        known, before = (millimetres(float(np.sqrt(model.unsure))) for model in (trial, without))
         return (
             f"the data cannot tell it from {listed(alike)}, and it costs more than it brings: positions at other"
             f" combinations of the joint values measured are known to {known:.3g} mm, to {before:.3g} mm without it"
@@ -204,32 +215,32 @@ class _Search:
     def instead(self, term: str, trial: Trial) -> dict[str, Trial]:
         """Return the trials with each of the other kinds in the place of one."""
         others = tuple(other for other in trial.terms if other != term)
-        free = [one.term for one in self.tried if one.term not in trial.terms]
+        free = [candidate.term for candidate in self.tried if candidate.term not in trial.terms]
         return {name: self.trials.of((*others, name)) for name in free}
 
-    def entries(self, one: Candidate, trial: Trial) -> tuple[TermSection, ...]:
+    def entries(self, candidate: Candidate, trial: Trial) -> tuple[TermSection, ...]:
         """Return the entries of a candidate, with a larger sigma than is usual where the data ask for it."""
-        found_again = all(p.family for term in one.of(self.trials.robot) for p in term.parameters)  # by the fit
-        if trial.sizes[one.term] <= 1.0 or found_again:
-            return one.sections
-        return one.resized(self.trials.robot, trial.sizes[one.term])
+        found_again = all(p.family for term in candidate.of(self.trials.robot) for p in term.parameters)  # by the fit
+        if trial.sizes[candidate.term] <= 1.0 or found_again:
+            return candidate.sections
+        return candidate.resized(self.trials.robot, trial.sizes[candidate.term])
 
-    def told(self, one: Candidate, groups: Groups) -> TriedTerm:
+    def told(self, candidate: Candidate, groups: Groups) -> TriedTerm:
         """Return what a candidate, with what it is not told from, brings beside the others, or why it was left out."""
-        if one.refused:
-            return TriedTerm(one.term, why=one.refused)
-        group = next((group for group in groups if one.term in group), ())
-        tried = (*groups, (one.term,))
+        if candidate.refused:
+            return TriedTerm(candidate.term, why=candidate.refused)
+        group = next((group for group in groups if candidate.term in group), ())
+        tried = (*groups, (candidate.term,))
         without = self.of(tuple(other for other in groups if other != group))
         with_it = self.of(groups if group else tried)
-        why = "" if group else self.failed(without, with_it) or one.doubt or self.refused(self.told_apart(tried))
+        why = "" if group else self.failed(without, with_it) or candidate.doubt or self.refused(self.told_apart(tried))
         if np.isneginf(with_it.evidence):
-            return TriedTerm(one.term, why=why)
-        together = tuple(term for term in group if term != one.term)
-        alike = self.rivals(one.term, groups) if group else {}
+            return TriedTerm(candidate.term, why=why)
+        together = tuple(term for term in group if term != candidate.term)
+        alike = self.rivals(candidate.term, groups) if group else {}
         gain = with_it.evidence - without.evidence
-        size = self.of(groups).sizes[one.term] if group else float("nan")
-        return TriedTerm(one.term, bool(group), gain, without.rms[0], with_it.rms[0], why, size, together, alike)
+        size = self.of(groups).sizes[candidate.term] if group else float("nan")
+        return TriedTerm(candidate.term, bool(group), gain, without.rms[0], with_it.rms[0], why, size, together, alike)
 
     def rivals(self, term: str, groups: Groups) -> dict[str, float]:
         """Return the terms that may be there in the place of one that was added, and how much less likely they are."""
@@ -246,13 +257,13 @@ class _Search:
         }
 
 
-def _predicts_better(one: Trial, other: Trial) -> bool:
-    """Whether one predicts blocks left out better than another in every partition."""
-    return all(np.sum(less) < np.sum(more) for less, more in zip(one.squares, other.squares, strict=True))
+def _predicts_better(trial: Trial, other: Trial) -> bool:
+    """Whether a trial predicts blocks left out better than another one in every partition."""
+    return all(np.sum(less) < np.sum(more) for less, more in zip(trial.squares, other.squares, strict=True))
 
 
 def _surely_better(best: Trial, trial: Trial) -> bool:
-    """Whether one predicts blocks left out better than another in every partition, by two standard errors."""
+    """Whether a trial predicts blocks left out better than another one in every partition, by two standard errors."""
     for less, more in zip(best.squares, trial.squares, strict=True):
         gain = more - less
         if np.sum(gain) <= SURE * np.std(gain, ddof=1) * np.sqrt(len(gain)):

@@ -162,33 +162,35 @@ class Trials:
     def __init__(self, fit: Fit, tried: tuple[Candidate, ...]) -> None:
         data, layout = fit.identification.data, fit.whitening.layout
         self.fit = fit
-        added = (section for one in tried for section in one.sections)
+        added = (section for candidate in tried for section in candidate.sections)
         self.robot = fit.robot.with_terms((*fit.robot.description.terms, *added))
         configurations = self.robot.assemble(data.joints, labels=data.labels, context=data.conditions)
         observed = observe(self.robot, configurations, data.readings)
         unknowns = Unknowns.of(self.robot)
-        owner = {p.name: one.term for one in tried for term in one.of(self.robot) for p in term.parameters}
+        owner = {
+            p.name: candidate.term for candidate in tried for term in candidate.of(self.robot) for p in term.parameters
+        }
         rows = fit.whitening.rows(
             observed, np.ones(len(layout.groups)), unknowns, unknowns.deviations(self.robot.values)
         ).weighted(fit.weights)
         rows = rows.whitened(fit.whitening.weighing(fit.scales.ratios))
         self._design = _design(rows, unknowns, [owner.get(name, "") for name in unknowns.names])
         change = unknowns.scales[:, None] * self._design.parameters
-        self._residuals = {name: one.residuals for name, one in observed.items()}
-        self._by_column = {name: one.jacobian[:, :, unknowns.index] @ change for name, one in observed.items()}
+        self._residuals = {name: block.residuals for name, block in observed.items()}
+        self._by_column = {name: block.jacobian[:, :, unknowns.index] @ change for name, block in observed.items()}
         self._elsewhere = self._combined()[:, unknowns.index] @ change
         partitions = [boxes(data.joints, data.pose_numbers, BLOCKS)]
         if np.ptp(data.conditions.time) > 0:
             partitions.append(stretches(data, BLOCKS))
         if data.setups is not None and np.ptp(data.setups) > 0:
-            partitions.append([np.flatnonzero(data.setups == one) for one in np.unique(data.setups)])
+            partitions.append([np.flatnonzero(data.setups == setup) for setup in np.unique(data.setups)])
         visit = layout.visit[layout.reading]
         self._all = self._part(np.arange(layout.n_rows))
         self._partitions = [
             [self._part(np.flatnonzero(np.isin(visit, held))) for held in blocks] for blocks in partitions
         ]
         self._known: dict[tuple[str, ...], Trial] = {}
-        self._divisor = fit.whitening.row_scale(fit.scales.groups * fit.statistics.factors.found)
+        self._divisor = fit.whitening.row_scale(fit.scales.groups * fit.statistics.factors.values)
 
     def _part(self, which: IntArray) -> _Part:
         layout = self.fit.whitening.layout
@@ -226,7 +228,7 @@ class Trials:
             family,
             len(names),
         )
-        scales, sizes = found_with_families(model, self.fit.scales.groups * self.fit.statistics.factors.found)
+        scales, sizes = found_with_families(model, self.fit.scales.groups * self.fit.statistics.factors.values)
         solved = model.solved(scales, sizes)
         if np.any(scales <= EXACT) or model.freedom(solved) < 1.0:
             return self._explaining_all(terms, len(names))

@@ -115,7 +115,7 @@ class Repeated:
         rows, scales, found = uncertainty_at(solved, self._first.statistics.beyond_linear)
         weights = np.ones(rows.layout.n_readings) if solved.weights is None else solved.weights
         typical = [group.typical for group in rows.layout.groups]
-        sigma = found.factors.found * problem.whitening.totals(scales) * typical
+        sigma = found.factors.values * problem.whitening.totals(scales) * typical
         return Estimate(solved.at.robot, rows, found, convergence_at(solved, rows, found.std), weights, sigma)
 
     def _stepped(self, problem: Problem) -> Robot:
